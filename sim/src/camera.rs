@@ -1,16 +1,16 @@
-//! The overhead camera: sees the tag on the robot, takes its time, and sends it to the station in its own clock.
+//! The overhead camera: measures the pose of the tag on the robot and sends it after a latency, with timestamps of its own clock.
 //!
-//! It streams, or it waits to be asked for each fix; or it sends no fixes and shows its images to another program (the corners of
-//! the tag, in pixels) and says itself where the robot was.
+//! It streams fixes, or sends one per request, or sends none and outputs images (the corners of the tag, in pixels) to another program
+//! that computes the fixes.
 //!
 //! ```text
 //! u = 320 + x / 0.004      v = 240 - y / 0.004      pixels; 4 mm each, image y down
 //! corners: of a square of 0.1 m about the tag, left rear, right rear, right front, left front, seen from the robot
 //! ```
-//! That is what marker detectors give (OpenCV's ArUco, the AprilTag libraries). The image is from straight above, without distortion.
+//! Marker detectors output the same (OpenCV's ArUco, the AprilTag libraries). The image is from straight above, without distortion.
 //!
-//! It shares the link with the brick but is a component of its own. What it sent is logged with the outliers marked, for
-//! tests and scores; the log never reaches the station.
+//! It shares the link with the brick but is a component of its own. Each sent fix is logged with its true values for tests and scores;
+//! the log never reaches the station.
 
 use std::collections::VecDeque;
 use std::fmt::Write as _;
@@ -32,22 +32,19 @@ pub const CAMERA: Address = Address::new(1, 100);
 /// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
 const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
 
-/// One fix that the camera sent, beside what it should have been.
+/// A fix that the camera sent, with the true values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFix {
     /// World time of the exposure.
     pub exposed: TimeDelta,
     /// World time of the sending.
     pub sent: TimeDelta,
-    /// The exposure by the camera's clock.
     pub time: Timestamp<CameraClock>,
-    /// Where the tag was said to be.
     pub position: Point2<Arena>,
-    /// Where the body was said to point; `None` when the camera does not know it.
+    /// Measured heading of the body; `None` when the camera does not measure it.
     pub heading: Option<Heading>,
-    /// Where the tag really was, and where the body really pointed.
+    /// True position of the tag, true heading of the body.
     pub true_tag: Pose<Arena>,
-    /// Whether it was made an outlier.
     pub is_outlier: bool,
 }
 
@@ -60,25 +57,24 @@ pub(crate) struct Camera {
     /// Time between images; `None` while a station has stopped them.
     interval: Option<TimeDelta>,
     next_exposure: TimeDelta,
-    /// Requests a fix of the present scene.
     is_requested: bool,
-    /// Seen but not sent, in the order of sending.
+    /// Taken but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: TimeDelta,
     pub(crate) history: HistoryPolicy,
     log: Vec<CameraFix>,
-    /// Images go there, and no fix is sent, once a reader is connected.
+    /// Unread images; `Some` once a reader is connected, and then no fix is sent.
     images: Option<VecDeque<String>>,
     image_count: u64,
-    /// A hand before the lens: it sees nothing.
+    /// The lens is covered: no fixes.
     pub(crate) is_covered: bool,
 }
 
-/// Most images that wait to be read; older ones are of no use.
+/// Older unread images are dropped.
 const MAX_IMAGES: usize = 64;
 
 impl Camera {
-    /// A camera of this address that is switched on at the beginning of the world.
+    /// A camera that is switched on at world time 0.
     pub(crate) fn new(settings: CameraSettings, own: Address, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock_start_micros, settings.clock_skew_ppm, 1);
         let node = MavlinkNode::new(own, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
@@ -103,12 +99,12 @@ impl Camera {
         }
     }
 
-    /// From here on it shows images and sends nothing.
+    /// Switches from fixes to images for the rest of the run.
     pub(crate) fn enable_images(&mut self) {
         self.images = Some(VecDeque::new());
     }
 
-    /// The next image that was taken, as a line of text.
+    /// The next image as a line of JSON.
     pub(crate) fn next_image(&mut self) -> Option<String> {
         self.images.as_mut()?.pop_front()
     }
@@ -143,13 +139,12 @@ impl Camera {
         }
     }
 
-    /// The bytes that wait to be sent.
     pub(crate) fn next_frame(&mut self) -> Option<Vec<u8>> {
         let bytes = self.node.next_bytes();
         bytes.filter(|_| self.images.is_none())
     }
 
-    /// Sets the delay of images from here on. Earlier images keep their delay.
+    /// Applies to later images only.
     pub(crate) fn set_delay(&mut self, delay: TimeDelta) {
         self.settings.latency_ms = delay.as_millis_f64();
     }
@@ -158,7 +153,7 @@ impl Camera {
         &self.log
     }
 
-    /// An interval for fixes is one for images; everything else is not the camera's to send.
+    /// Applies requested intervals of fixes to the images; ignores those of other messages.
     fn apply_intervals(&mut self, world: TimeDelta, requests: &[IntervalRequest]) {
         for request in requests {
             if request.message_id == ids::VISION_POSITION_ESTIMATE {
@@ -255,7 +250,7 @@ const HALF_M: f64 = 0.05;
 /// The corners in the tag's space, in halves of its side: forward, left.
 const CORNERS: [[f64; 2]; 4] = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]];
 
-/// An image as a line of JSON, without its end: its number and the corners of the tag.
+/// One line of JSON without its line end: image number and corners of the tag.
 fn tag_image(number: u64, tag: Point2<Arena>, heading: Heading) -> String {
     let tag = Pose::<Arena>::new(tag.x, tag.y, heading);
     let mut line = format!("{{\"image\": {number}, \"corners_px\": [");

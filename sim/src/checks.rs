@@ -6,22 +6,18 @@ use std::ops::RangeInclusive;
 
 use serde::de::{Deserialize, Deserializer, Error};
 
-/// Largest magnitude of any number in a scenario.
 pub(crate) const LARGEST: f64 = 1e6;
-/// Smallest size of anything that must not be zero.
+/// Lower bound of sizes that must not be zero.
 const SMALLEST: f64 = 1e-6;
-/// Most laps of one run; keeps the list of manoeuvres small.
+/// Bounds the list of manoeuvres.
 pub(crate) const MAX_LAPS: u32 = 10_000;
-/// The highest system id of a vehicle; those above are for ground stations.
 pub(crate) const LAST_VEHICLE_SYSTEM: u8 = 250;
-/// Most runs of an accuracy scenario.
 pub const MAX_RUNS: u32 = 100_000;
-/// Ten minutes: longer than any link holds anything back.
+/// Ten minutes; no real link delays a byte longer.
 pub(crate) const LONGEST_MS: f64 = 600_000.0;
-/// Largest buffer that a link profile can ask for, in bytes.
 const LARGEST_BUFFER: u64 = 16 * 1024 * 1024;
 
-/// A value in `range`; NaN is in none. `complaint` words the error about any other value.
+/// A value in `range`; NaN is in no range. `complaint` formats the error about any other value.
 fn within<'de, D: Deserializer<'de>, T: Deserialize<'de> + PartialOrd + Copy>(
     deserializer: D,
     range: RangeInclusive<T>,
@@ -39,7 +35,6 @@ fn whole<'de, D: Deserializer<'de>>(deserializer: D, low: u32, high: u32) -> Res
     within(deserializer, low..=high, |value| format!("{value} is outside {low} to {high}"))
 }
 
-/// A number of bytes from `low` to `high`.
 fn bytes<'de, D: Deserializer<'de>>(deserializer: D, low: u64, high: u64) -> Result<u32, D::Error> {
     let complaint = |value| format!("{value} is outside {low} to {high}; give a whole number in that range");
     within(deserializer, low..=high, complaint).map(|bytes| bytes as u32)
@@ -65,47 +60,47 @@ pub(crate) fn probability<'de, D: Deserializer<'de>>(deserializer: D) -> Result<
     number(deserializer, 0.0, 1.0)
 }
 
-/// A bit error rate; at a half nothing of a bit is left.
+/// At most 0.5, where a bit carries no information.
 pub(crate) fn bit_error_rate<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 0.0, 0.5)
 }
 
-/// A relative error of at most a half, either way.
+/// A relative error within ±0.5.
 pub(crate) fn relative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, -0.5, 0.5)
 }
 
-/// The standard deviation of a relative error; at most a tenth, so that a draw keeps every length positive.
+/// At most 0.1, so that a draw keeps every length positive.
 pub(crate) fn relative_sigma<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 0.0, 0.1)
 }
 
-/// The spread of a period; at most half, so that a period stays one.
+/// At most 0.5, so that every period is positive.
 pub(crate) fn period_spread<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 0.0, 0.5)
 }
 
-/// A clock's rate error, at most a tenth either way, in parts per million.
+/// Within ±0.1, given in parts per million.
 pub(crate) fn skew_ppm<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, -1e5, 1e5)
 }
 
-/// A rate that the world's step of one millisecond can resolve, in hertz.
+/// At most 1000 Hz, the world's step.
 pub(crate) fn rate_hz<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 0.01, 200.0)
 }
 
-/// A temperature that both thermometer messages can hold.
+/// A temperature within the range of both thermometer messages.
 pub(crate) fn degrees_c<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, -270.0, 320.0)
 }
 
-/// The turn-around of a radio, up to 10 seconds, in milliseconds.
+/// Up to 10 seconds.
 pub(crate) fn turn_around_ms<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     number(deserializer, 0.0, 1e4).map(Some)
 }
 
-/// The interval of program restarts, from a tenth of a second to an hour, in seconds.
+/// From a tenth of a second to an hour.
 pub(crate) fn restart_interval_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     number(deserializer, 0.1, 3_600.0).map(Some)
 }
@@ -114,17 +109,16 @@ pub(crate) fn millis<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, 
     number(deserializer, 0.0, LONGEST_MS)
 }
 
-/// The time between two slots of a link.
 pub(crate) fn slot_millis<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     number(deserializer, 0.01, LONGEST_MS).map(Some)
 }
 
-/// The duration of a link's state, up to eleven days.
+/// Up to eleven days.
 pub(crate) fn secs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 1e-3, 1e6)
 }
 
-/// The rate of a link, up to a gigabyte per second.
+/// Up to a gigabyte per second.
 pub(crate) fn bytes_per_s<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     number(deserializer, 1.0, 1e9)
 }
@@ -149,7 +143,7 @@ pub(crate) fn step_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u
     whole(deserializer, 1, 100_000)
 }
 
-/// A delay or a ramp in steps, under a minute at any sensible step: all fixes on their way are kept.
+/// A delay or a ramp in steps; bounded because all fixes in transit are kept in memory.
 pub(crate) fn short_step_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     whole(deserializer, 0, 1_000)
 }
@@ -163,7 +157,7 @@ pub(crate) fn laps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D:
     within(deserializer, 1..=MAX_LAPS, |laps| format!("{laps} laps are outside 1 to {MAX_LAPS}"))
 }
 
-/// A clock's value, at most 48 bits, so that nanoseconds fit into 64.
+/// At most 48 bits, so that nanoseconds fit into 64.
 pub(crate) fn clock_micros<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
     within(deserializer, 0..=(1 << 48) - 1, |micros: u64| {
         format!("a clock that starts at {micros} microseconds is not supported; stay below 2^48")
@@ -180,7 +174,7 @@ pub(crate) fn vehicle_system<'de, D: Deserializer<'de>>(deserializer: D) -> Resu
     })
 }
 
-/// The buffer of an NXT's firmware: large enough for every telegram that is documented, no larger than any that was made.
+/// Large enough for every documented telegram, no larger than the buffer of any NXT firmware.
 pub(crate) fn telegram_bytes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     within(deserializer, 64..=128, |bytes| format!("telegrams of {bytes} bytes are outside 64 to 128"))
 }

@@ -1,14 +1,12 @@
-//! The time step of the simulation, and the clocks of brick and camera: started at some value, running at a wrong rate, read in whole
-//! ticks.
+//! The time step of the simulation, and the clocks of brick and camera: each with a start value, a rate error and a resolution.
 //!
-//! The world's own time is a [`TimeDelta`] since the simulation began; nobody in the simulated world can read it.
+//! World time is a [`TimeDelta`] since the simulation began; no part of the simulated robot can read it.
 
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{TimeDelta, Timestamp};
 
 /// Simulation time of one `Simulation::step`: fine enough for motors and for the 1 ms encoders of the NXT.
 pub const STEP: TimeDelta = TimeDelta::from_millis(1);
-/// [`STEP`] in seconds.
 pub(crate) const STEP_S: f64 = STEP.as_nanos() as f64 / 1e9;
 
 #[derive(Clone, Copy, Debug)]
@@ -20,20 +18,20 @@ pub(crate) struct SkewedClock {
 }
 
 impl SkewedClock {
-    /// A clock that was powered up at the beginning of the world.
+    /// A clock that is powered up at world time 0.
     ///
-    /// It shows `start_micros` then, runs fast by `skew_ppm` parts per million, and resolves `tick_micros`, at least 1.
+    /// It starts at `start_micros`, runs fast by `skew_ppm` parts per million, and resolves `tick_micros`, at least 1.
     pub(crate) const fn new(start_micros: u64, skew_ppm: f64, tick_micros: u32) -> Self {
         Self { start_micros, skew_ppm, tick_micros, powered_at: TimeDelta::ZERO }
     }
 
-    /// Powers the clock up anew at `world`; it counts from zero, whatever its first start value was.
+    /// Power cycle at `world`: counts from zero, whatever its first start value was.
     pub(crate) const fn restart(&mut self, world: TimeDelta) {
         self.start_micros = 0;
         self.powered_at = world;
     }
 
-    /// What the clock would show if its ticks were infinitely fine.
+    /// Without rounding to ticks.
     pub(crate) fn exact<C: Clock>(&self, world: TimeDelta) -> Timestamp<C> {
         let powered = world - self.powered_at;
         let gained = TimeDelta::from_nanos((powered.as_nanos() as f64 * self.skew_ppm * 1e-6).round() as i64);
@@ -41,7 +39,7 @@ impl SkewedClock {
         Timestamp::from_micros(self.start_micros as i64) + powered + gained
     }
 
-    /// What the clock shows, floored to its tick, before any register wraps.
+    /// Rounded down to a tick, before any register wraps.
     pub(crate) fn reading<C: Clock>(&self, world: TimeDelta) -> Timestamp<C> {
         let tick_nanos = i64::from(self.tick_micros.max(1)) * 1_000;
         let exact = self.exact::<C>(world).as_nanos();

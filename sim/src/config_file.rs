@@ -1,23 +1,21 @@
-//! Files of settings in strict TOML: scenarios, wall scenes, link profiles. Reading them from a disk is the caller's business.
+//! Configuration files in strict TOML: scenarios, wall scenes, link profiles. The caller reads them from disk.
 
 use serde::de::DeserializeOwned;
 
-/// Why a file of settings cannot be used. `what` names the kind of file.
+/// Why a configuration file was rejected. `what` names the kind of file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigFileError {
-    /// The text is not TOML, a key is unknown or missing, or a value does not fit; the message shows the line and the key.
+    /// Invalid TOML, an unknown or missing key, or a value out of range; the message shows the line and the key.
     #[error("{what} is not usable: {error}")]
     Toml { what: &'static str, error: toml::de::Error },
-    /// The values do not go together.
     #[error("{what} is not usable: {reason}")]
     Impossible { what: &'static str, reason: String },
-    /// No bundled file is called like this.
     #[error("no {what} is called \"{name}\"; there are {known}")]
     UnknownName {
         what: &'static str,
         name: String,
-        /// The names that exist, joined by commas.
+        /// All names, joined by commas.
         known: String,
     },
 }
@@ -26,7 +24,7 @@ pub(crate) fn from_toml<T: DeserializeOwned>(what: &'static str, text: &str) -> 
     toml::from_str(text).map_err(|error| ConfigFileError::Toml { what, error })
 }
 
-/// The text of the bundled file `name`. `known` words what there is, given the names in the bundle.
+/// The text of the bundled file `name`. `known` formats the list of names for the error.
 pub(crate) fn bundled_text(
     what: &'static str,
     bundle: &[(&str, &'static str)],
@@ -40,7 +38,7 @@ pub(crate) fn bundled_text(
     })
 }
 
-/// The line that holds the byte at `offset`, counted from 1.
+/// Counted from 1.
 pub(crate) fn line_of(text: &str, offset: usize) -> usize {
     1 + text.bytes().take(offset).filter(|byte| *byte == b'\n').count()
 }

@@ -1,7 +1,7 @@
 //! Accelerometers on a robot's frame, for a drive of [`montecarlo`](crate::montecarlo).
 //!
-//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot measure how far apart these are. Here they are
-//! screwed to the frame at the two ends of the nominal axle, so a turn is felt by a lever that a ruler has measured.
+//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot measure the distance between these. Here they
+//! are fixed to the frame at both ends of the nominal axle, so the lever arm of a turn is known from a ruler.
 //!
 //! # Model
 //! ```text
@@ -9,8 +9,8 @@
 //! a_k = (s_(k+1) - s_k) / dt      alpha_k alike: the mean from the middle of step k to that of the next, stamped there
 //! left = a - b alpha / 2 + bias_l + sigma n      right = a + b alpha / 2 + bias_r + sigma n      b the nominal track
 //! ```
-//! Half a step out of phase with the encoders the double sums are exactly the true way and turn: a drive's speed changes at the ends
-//! of its steps only.
+//! Half a step out of phase with the encoders the double sums are exactly the true travel and turn: a drive's speed changes only at the
+//! ends of its steps.
 
 use posebridge_telemetry::{
     Arena, Meters, MetersPerSecondSquared, Observation, ObservationKind, Pose, SensorId, TimeDelta,
@@ -19,19 +19,18 @@ use posebridge_telemetry::{
 use crate::montecarlo::{Arrival, Drive};
 use crate::random::RandomStream;
 
-/// The accelerometers.
+/// Accelerometers at both ends of the nominal axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameAccelerometers {
-    /// White noise of one observation, m/s².
+    /// White noise of one observation.
     pub sigma_m_per_s2: f64,
-    /// Standard deviation of each one's bias, which stays for a drive, m/s².
+    /// Each one's bias, constant over a drive.
     pub bias_sigma_m_per_s2: f64,
-    /// Distance between the two.
     pub spacing: Meters,
 }
 
 impl FrameAccelerometers {
-    /// The drive with these accelerometers in place of any others; run `run` of `seed` draws its own noise.
+    /// Replaces the accelerometers of a drive; run `run` of `seed` draws its own noise.
     pub fn add_to(&self, mut drive: Drive, seed: u64, run: u32) -> Drive {
         let felt = self.sample(&drive, seed, run);
         drive.arrivals.retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
@@ -77,7 +76,7 @@ impl FrameAccelerometers {
     }
 }
 
-/// Forward speed and turn rate over a step, from its true poses: the arc behind the chord.
+/// Forward speed and turn rate over a step, from its true poses: the arc over the chord.
 fn mean_speeds(pair: &[Pose<Arena>], dt_s: f64) -> (f64, f64) {
     let (from, to) = (pair[0], pair[1]);
     let turn_rad = (to.heading - from.heading).0;

@@ -2,14 +2,14 @@
 
 use posebridge_telemetry::TimeDelta;
 
-/// An endless drive keeps a history of this length, and at most [`HISTORY_TRIM_BLOCK`] more.
+/// History of an endless drive; up to [`HISTORY_TRIM_BLOCK`] more is kept.
 pub const HISTORY_DURATION: TimeDelta = TimeDelta::from_millis(600_000);
 /// The oldest part of the history is dropped in blocks of this length: moving the rest for each item would be slow.
 pub const HISTORY_TRIM_BLOCK: TimeDelta = TimeDelta::from_millis(20_000);
-/// Most items of a list: more than come in that time at 200 per second, the highest rate of a scenario.
+/// More than 10 minutes at 200 per second, the highest rate of a scenario.
 const MAX_HISTORY_ITEMS: usize = 130_000;
 
-/// Drops the oldest items of a list in the order of simulation time.
+/// Drops the oldest items of a list that is sorted by simulation time.
 pub(crate) fn trim_history<T>(
     history: HistoryPolicy,
     world: TimeDelta,
@@ -29,12 +29,11 @@ pub(crate) fn trim_history<T>(
     }
 }
 
-/// How much history a simulation keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HistoryPolicy {
     All,
     /// The last [`HISTORY_DURATION`].
     Recent,
-    /// None: a brick that runs for days must not fill the memory.
+    /// A brick that runs for days must not fill the memory.
     Nothing,
 }

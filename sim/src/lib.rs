@@ -1,4 +1,4 @@
-//! A simulated robot: its physics, its sensors, its brick and an overhead camera, with the truth kept apart.
+//! A simulated robot: its physics, sensors, brick and an overhead camera, with the ground truth kept separate.
 //!
 //! A [`Scenario`] configures a [`Simulation`], which advances [`STEP`] by [`STEP`]. To a station the simulation is a
 //! robot behind a link: bytes out of [`Simulation::poll`], bytes into [`Simulation::receive`], the same MAVLink as a

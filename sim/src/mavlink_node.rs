@@ -1,6 +1,6 @@
-//! One MAVLink participant of the simulated world: a session, a sequence counter and the bytes that wait to be sent.
+//! One MAVLink participant of the simulated world: a session, a sequence counter and a send queue.
 //!
-//! The brick and the camera are two of them behind one link. Which telemetry is sent when is their business.
+//! The brick and the camera are two of them behind one link; each schedules its own telemetry.
 
 use posebridge_brick::{Link, Sink};
 use posebridge_protocol::dialect::{Encoder, ids};
@@ -10,13 +10,13 @@ use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 
-/// Place of the sequence number in a MAVLink 2 frame.
+/// Offset of the sequence number in a MAVLink 2 frame.
 const SEQUENCE: usize = 4;
 
-/// Any message: only the number of its frame is looked at.
+/// Any message: only the sequence number of its frame is used.
 const NOT_SENT: Heartbeat = Heartbeat { vehicle_type: 0, autopilot: 0, base_mode: 0, system_status: 0 };
 
-/// Frames of the brick SDK behind those that wait.
+/// Appends frames of the brick SDK to a send queue.
 pub(crate) struct SdkFrameSink<'a>(&'a mut Vec<Vec<u8>>);
 
 impl Sink for SdkFrameSink<'_> {
@@ -28,7 +28,7 @@ impl Sink for SdkFrameSink<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct IntervalRequest {
     pub(crate) message_id: u32,
-    /// The interval; `None` stops it, zero asks for the default.
+    /// `None` stops the message, zero requests the default.
     pub(crate) interval: Option<TimeDelta>,
 }
 
@@ -45,9 +45,8 @@ pub(crate) struct MavlinkNode<C: Clock> {
 }
 
 impl<C: Clock> MavlinkNode<C> {
-    /// A participant that was powered up at `now`. All stamps that it is given are what its own clock shows to others,
-    /// wraps included: with them it answers TIMESYNC.
-    /// Only the `offered` messages can be asked for at another interval.
+    /// A participant that is powered up at `now`. All timestamps passed to it are those that its clock shows to others, wraps included:
+    /// TIMESYNC replies contain them. Only the `offered` messages accept another interval.
     pub(crate) fn new(own: Address, heartbeat: Heartbeat, now: Timestamp<C>, offered: &[u32]) -> Self {
         let config = SessionConfig {
             own,
@@ -68,19 +67,17 @@ impl<C: Clock> MavlinkNode<C> {
         }
     }
 
-    /// Whether a fix was asked for since this was asked last.
+    /// Whether a fix was requested since the last call.
     pub(crate) fn take_fix_request(&mut self) -> bool {
         std::mem::take(&mut self.is_fix_requested)
     }
 
-    /// Whether a command asks for one of the offered fixes, once.
     fn is_fix_request(&self, command: &CommandLong) -> bool {
         command.command == ids::COMMAND_REQUEST_MESSAGE
             && command.named_message() == Some(ids::VISION_POSITION_ESTIMATE)
             && self.offered_messages.contains(&ids::VISION_POSITION_ESTIMATE)
     }
 
-    /// Takes a message from the link and returns what it asks for beyond the session's own business.
     pub(crate) fn handle(&mut self, now: Timestamp<C>, from: Address, message: &Message) -> Vec<IntervalRequest> {
         self.session.handle(now, from, message);
         self.drain()
@@ -97,21 +94,20 @@ impl<C: Clock> MavlinkNode<C> {
         self.outgoing.push(frame);
     }
 
-    /// Queues a frame that the brick SDK writes, under the number that is this participant's next.
+    /// Queues a frame that the brick SDK writes, with this participant's next sequence number.
     pub(crate) fn send_with_sdk(&mut self, write: impl FnOnce(&mut Link, &mut SdkFrameSink<'_>)) {
         let sequence = self.next_sequence();
         let mut link = Link::continued(self.own.system.0, self.own.component.0, sequence);
         write(&mut link, &mut SdkFrameSink(&mut self.outgoing));
     }
 
-    /// Takes the next number from the encoder, which counts for both: it writes a frame that is not sent.
+    /// Takes the next number from the encoder, which counts for both: it encodes a frame that is not sent.
     fn next_sequence(&mut self) -> u8 {
         let mut frame = Vec::new();
         self.encoder.encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
         frame.get(SEQUENCE).copied().unwrap_or_default()
     }
 
-    /// The bytes that are to be sent, as whole frames.
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         (!self.outgoing.is_empty()).then(|| self.take_frames().concat())
     }

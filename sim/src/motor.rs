@@ -17,18 +17,18 @@ use crate::scenario::MotorSettings;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Motor {
     back_emf_v_s_per_rad: f64,
-    /// The voltage that friction eats, which is also the dead band.
+    /// Voltage drop of friction, which is also the dead band.
     friction_v: f64,
-    /// What is left of a difference in speed after one step.
+    /// Factor of a speed difference after one step.
     decay: f64,
-    /// J R / (Kt Ke), in seconds.
+    /// J R / (Kt Ke).
     time_constant_s: f64,
     angle_rad: f64,
     speed_rad_per_s: f64,
 }
 
 impl Motor {
-    /// A motor at rest at angle zero, with what it has to move besides itself, in kg m² at the output shaft.
+    /// At rest at angle zero; `load_kg_m2` is the inertia besides its own, at the output shaft.
     pub(crate) fn new(motor: &MotorSettings, load_kg_m2: f64) -> Self {
         let time_constant_s = motor.time_constant_s(load_kg_m2);
         Self {
@@ -41,7 +41,7 @@ impl Motor {
         }
     }
 
-    /// Lets `volts` act for one step, exactly for a constant voltage and therefore stable for any constants.
+    /// Applies `volts` for one step; exact for a constant voltage and therefore stable for any constants.
     pub(crate) fn step(&mut self, volts: f64) {
         let before = self.speed_rad_per_s;
         let net_v = volts - self.back_emf_v_s_per_rad * before;
@@ -62,7 +62,7 @@ impl Motor {
         }
     }
 
-    /// Total rotation of the output shaft, where the encoder sits, in radians.
+    /// Total rotation of the output shaft, where the encoder sits.
     pub(crate) const fn angle_rad(&self) -> f64 {
         self.angle_rad
     }
@@ -80,12 +80,12 @@ pub(crate) struct Backlash {
 }
 
 impl Backlash {
-    /// Play of `gap_rad` in all, with the wheel in its middle.
+    /// Total play `gap_rad`, with the wheel in its middle.
     pub(crate) const fn new(gap_rad: f64) -> Self {
         Self { half_gap_rad: 0.5 * gap_rad, wheel_rad: 0.0 }
     }
 
-    /// Moves the shaft to `shaft_rad` and returns how far the wheel turned, in radians.
+    /// Moves the shaft to `shaft_rad` and returns the wheel's turn, in radians.
     pub(crate) fn follow(&mut self, shaft_rad: f64) -> f64 {
         let before = self.wheel_rad;
         self.wheel_rad = before.max(shaft_rad - self.half_gap_rad).min(shaft_rad + self.half_gap_rad);

@@ -1,7 +1,7 @@
-//! A wheel's motor on the bench: a voltage is put on, and the encoder is read.
+//! A wheel's motor on a test bench: a voltage step, and encoder readings.
 //!
-//! The step test by which people find a motor's time constant, its dead time and how fast it turns per volt. Nothing but the motor of the
-//! simulated robot with what it has to move, a command that takes its time, and an encoder that counts whole degrees.
+//! The step test that identifies a motor's time constant, dead time and gain. It contains only the motor of the simulated robot with
+//! its load, a delayed command, and an encoder that counts whole degrees.
 //!
 //! # Model
 //! ```text
@@ -13,29 +13,26 @@
 //! The battery holds its voltage; the wheels do not slip.
 //!
 //! # Sources
-//! The motor: docs/simulator.md. Dead time, periods and the rest: ours, of the size that an NXT has behind a Bluetooth link.
+//! The motor: docs/simulator.md. Dead time, periods and the rest: our choice, typical of an NXT behind a Bluetooth link.
 
 use crate::clock::STEP_S;
 use crate::motor::Motor;
 use crate::random::RandomStream;
 use crate::scenario::{RobotSettings, TICK_RAD};
 
-/// A step test of a motor.
+/// A step test of a motor on a test bench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorBench {
-    /// The motor and what it has to move.
     pub robot: RobotSettings,
-    /// What is put on, in volts.
     pub volts: f64,
-    /// When the command for it is given, in seconds after the first reading.
+    /// Time of the command after the first reading.
     pub rest_s: f64,
-    /// From there until the voltage is on, in seconds.
+    /// From the command to the voltage.
     pub dead_time_s: f64,
-    /// Mean time between two readings of the encoder, in seconds.
+    /// Mean time between two encoder readings.
     pub period_s: f64,
-    /// Each period differs by up to this share, either way, each equally likely.
+    /// Uniform relative spread of each period, either way.
     pub period_spread: f64,
-    /// How long it is read, in seconds.
     pub duration_s: f64,
 }
 
@@ -53,19 +50,18 @@ impl Default for MotorBench {
     }
 }
 
-/// The encoder's reading.
+/// Time and angle of an encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderReading {
     pub at_s: f64,
-    /// The total rotation, in radians: whole ticks.
+    /// Total rotation in whole ticks.
     pub angle_rad: f64,
 }
 
-/// One tick of the encoder, in radians.
 pub const ENCODER_TICK_RAD: f64 = TICK_RAD;
 
 impl MotorBench {
-    /// Runs the test. The seed draws when the encoder is read and where in a tick the shaft stands.
+    /// Runs the test. The seed draws the sampling times and the initial shaft position within a tick.
     pub fn run(&self, seed: u64) -> Vec<EncoderReading> {
         let mut motor = Motor::new(&self.robot.motor, self.load_kg_m2());
         let mut pace = RandomStream::new(seed, "bench pace");
@@ -88,25 +84,23 @@ impl MotorBench {
         readings
     }
 
-    /// The true time constant, in seconds.
     pub fn time_constant_s(&self) -> f64 {
         self.robot.motor.time_constant_s(self.load_kg_m2())
     }
 
-    /// The true speed in the end per volt, in rad/s per V: friction eats a part of the voltage.
+    /// Steady-state speed per volt, less the voltage drop of friction.
     pub fn gain_rad_per_s_per_v(&self) -> f64 {
         let motor = &self.robot.motor;
         let friction_v = motor.friction_n_m / motor.torque_n_m_per_v;
         (self.volts.abs() - friction_v) / motor.back_emf_v_s_per_rad / self.volts.abs()
     }
 
-    /// Half the robot rides on each wheel.
+    /// Each wheel carries half the robot.
     const fn load_kg_m2(&self) -> f64 {
         0.5 * self.robot.mass_kg * self.robot.wheel_radius_m * self.robot.wheel_radius_m
     }
 }
 
-/// An hour of milliseconds.
 const MAX_STEPS: f64 = 3.6e6;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The ideal path: straight pieces and arcs in the arena, grouped into legs that are driven without a stop.
 //!
-//! Both the follower (with an estimated pose) and the truth log (with the true one) ask it for distances; it knows neither.
+//! Both the follower (estimated pose) and the truth log (true pose) query distances from it; it stores neither pose.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -9,22 +9,22 @@ use posebridge_telemetry::{Arena, Body, Heading, Meters, Point2, Pose, Transform
 
 use crate::scenario::{Course, DriveEnd, Scenario};
 
-/// Points of [`Path::polyline`] lie at most this far apart on arcs, in metres.
+/// Spacing of the points of [`Path::polyline`] on arcs.
 const POLYLINE_STEP_M: f64 = 0.02;
-/// A path whose end is this close to its beginning is closed, in metres.
+/// Largest distance from end to start of a closed path.
 const CLOSED_M: f64 = 1e-3;
-/// How far a projection may lie behind and ahead of the last one, in metres; a crossing path must not catch it.
+/// Search window behind and ahead of the last projection, so that a crossing path does not capture it.
 const SEARCH_BACK_M: f64 = 0.05;
 const SEARCH_AHEAD_M: f64 = 0.30;
 
-/// The place on a leg next to some point.
+/// The nearest point on a leg.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Projection {
     pub(crate) along_m: f64,
-    /// How far the point lies to the left of the leg, in metres.
+    /// Lateral distance of the point, positive to the left of the leg.
     pub(crate) left_m: f64,
     pub(crate) heading: Heading,
-    /// The leg's curvature there, 1/m, positive to the left.
+    /// Positive to the left.
     pub(crate) curvature_per_m: f64,
     pub(crate) distance_m: f64,
 }
@@ -86,7 +86,6 @@ impl PathLeg {
         self.segments.iter().map(|s| s.length_m).sum()
     }
 
-    /// Where it begins and points.
     pub(crate) fn start(&self) -> Pose<Arena> {
         self.segments.first().map_or_else(Pose::default, |s| s.start)
     }
@@ -95,7 +94,7 @@ impl PathLeg {
         self.segments.last().map_or_else(Pose::default, |s| s.at(s.length_m))
     }
 
-    /// The place next to `point`, not far from `near_m` along the leg.
+    /// The nearest point to `point`, close to `near_m` along the leg.
     pub(crate) fn project(&self, point: Point2<Arena>, near_m: f64) -> Projection {
         let mut begin_m = 0.0;
         let mut best: Option<Projection> = None;
@@ -124,12 +123,12 @@ impl PathLeg {
 pub(crate) struct Path {
     legs: Vec<PathLeg>,
     lap: Vec<Segment>,
-    /// How many legs make a lap; a path without a stop has a single leg for all of its laps.
+    /// Legs per lap; a path without a stop has a single leg for all of its laps.
     lap_legs: usize,
     is_closed: bool,
 }
 
-/// Laps of an endless path without a stop; beyond the first of them the follower goes back by one.
+/// Stored laps of an endless path without a stop; the follower goes back by one after each.
 const SMOOTH_LAPS: usize = 2;
 
 impl Path {
@@ -153,7 +152,7 @@ impl Path {
         }
     }
 
-    /// Legs with a stop between them; the first `lap_legs` of them make a lap.
+    /// Legs with a stop between them; the first `lap_legs` are one lap.
     fn from_legs(legs: Vec<PathLeg>, lap_legs: usize) -> Self {
         let lap = legs.iter().take(lap_legs).flat_map(|leg| leg.segments.iter().copied()).collect();
         let first = legs.first().map(PathLeg::start).unwrap_or_default();
@@ -161,7 +160,7 @@ impl Path {
         Self { legs, lap, lap_legs, is_closed: first.origin().distance(last.origin()).0 < CLOSED_M }
     }
 
-    /// One leg of full circles with these curvatures, lap after lap.
+    /// One leg of full circles with these curvatures, repeated `laps` times.
     fn smooth(start: Pose<Arena>, laps: usize, curvatures_per_m: &[f64]) -> Self {
         let mut at = start;
         let mut lap = Vec::new();
@@ -180,12 +179,10 @@ impl Path {
         &self.legs
     }
 
-    /// Where the path begins and points.
     pub(crate) fn start(&self) -> Pose<Arena> {
         self.legs.first().map_or_else(Pose::default, PathLeg::start)
     }
 
-    /// Whether it ends where it began.
     pub(crate) const fn is_closed(&self) -> bool {
         self.is_closed
     }
@@ -198,7 +195,7 @@ impl Path {
         self.lap.iter().map(|segment| segment.length_m).sum()
     }
 
-    /// The place of the lap with `leg` in it that is next to a point: its leg, and how far along it in metres.
+    /// The nearest point on the lap of `leg`: its leg, and the distance along it in metres.
     pub(crate) fn nearest(&self, leg: usize, point: Point2<Arena>) -> (usize, f64) {
         let first = leg - leg % self.lap_legs.max(1);
         let mut best = (first, 0.0, f64::INFINITY);
@@ -261,7 +258,7 @@ fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
     Path::from_legs(legs, lap.len() + usize::from(way_back.is_some()))
 }
 
-/// Between the points and back to the first of them: a lap that can be driven again and again.
+/// A closed lap through the points and back to the first.
 fn round_trip(start: Pose<Arena>, points_m: &[[f64; 2]]) -> Path {
     let mut points_m = points_m.to_vec();
     let ends = points_m.first().copied().zip(points_m.last().copied());

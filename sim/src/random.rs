@@ -1,28 +1,26 @@
-//! Seeded randomness, one stream per sensor.
+//! Seeded random streams, one per sensor.
 //!
-//! Each stream derives from the scenario's seed and the sensor's name, so that switching one sensor off leaves the noise
-//! of all others as it was. Nothing here reads the operating system's randomness.
+//! Each stream derives from the scenario's seed and the sensor's name, so that switching one sensor off does not change the noise of
+//! the others. Nothing here reads the operating system's randomness.
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 
-/// One independent sequence of random numbers.
 #[derive(Clone, Debug)]
 pub(crate) struct RandomStream(Pcg64);
 
 impl RandomStream {
-    /// The stream called `name` under the scenario's `seed`.
+    /// The stream `name` of the scenario's `seed`.
     pub(crate) fn new(seed: u64, name: &str) -> Self {
         Self(Pcg64::new(u128::from(seed), fnv1a(name)))
     }
 
-    /// A draw from the standard normal distribution.
     pub(crate) fn normal(&mut self) -> f64 {
         self.0.sample(StandardNormal)
     }
 
-    /// A draw from the uniform distribution on [`low`, `high`).
+    /// On [`low`, `high`).
     pub(crate) fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.0.random::<f64>()
     }
@@ -32,7 +30,7 @@ impl RandomStream {
         if self.0.random::<bool>() { 1.0 } else { -1.0 }
     }
 
-    /// True with this probability; always takes one draw, so that a changed probability shifts nothing else.
+    /// Always takes one draw, so that a changed probability shifts nothing else.
     pub(crate) fn bernoulli(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }

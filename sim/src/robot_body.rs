@@ -8,7 +8,7 @@
 //! turn       (s_r - s_l) / true track + k sqrt(|dtheta|) n + kicks
 //! pose       an exact arc of (s_l + s_r) / 2 and turn
 //! ```
-//! Faults that a person causes:
+//! Faults that a user causes:
 //! ```text
 //! carried    0.1 s along a straight line, turned evenly; the wheels spin in the air and count, the gyro feels the turn
 //! no grip    of each step's rotation the share that is lost turns the shaft and moves nothing
@@ -24,12 +24,11 @@ use crate::random::RandomStream;
 use crate::scenario::{ErrorSettings, Scenario};
 use crate::wheels::PerWheel;
 
-/// Kicks are spread over this time, in seconds.
 const KICK_S: f64 = 0.2;
 const KICK_DEG: (f64, f64) = (3.0, 8.0);
-/// A slip event spins a wheel by this many degrees of its rotation.
+/// Range of the wheel spin in a slip event.
 const SLIP_DEG: (f64, f64) = (10.0, 40.0);
-/// A battery is not simulated below this voltage: a brick switches off there.
+/// A brick switches off below this voltage.
 const LOWEST_BATTERY_V: f64 = 5.0;
 
 #[derive(Clone, Debug)]
@@ -48,7 +47,7 @@ pub(crate) struct RobotBody {
 }
 
 impl RobotBody {
-    /// The robot of a scenario, at rest at `start`, its errors drawn.
+    /// At rest at `start`, with the errors drawn.
     pub(crate) fn new(scenario: &Scenario, start: Pose<Arena>) -> Self {
         let robot = &scenario.robot;
         let errors = &scenario.errors;
@@ -69,7 +68,7 @@ impl RobotBody {
         }
     }
 
-    /// Lets the motors run for one step at these duties, each from -1 to 1 of the battery's voltage.
+    /// Runs the motors for one step at these duties, -1 to 1 of the battery's voltage.
     pub(crate) fn step(&mut self, duty: PerWheel<f64>) {
         self.battery_v = (self.battery_v - self.battery_drop_v_per_step).max(LOWEST_BATTERY_V.min(self.battery_v));
         let battery_v = self.battery_v;
@@ -93,7 +92,6 @@ impl RobotBody {
         self.advance(0.5 * (travel.left + travel.right), turn);
     }
 
-    /// A hand lifts the robot and puts it down elsewhere.
     pub(crate) const fn lift(&mut self, by: Displacement) {
         self.faults.lift(self.pose, by);
     }
@@ -120,17 +118,17 @@ impl RobotBody {
         self.pose
     }
 
-    /// Total rotation of the shafts on which the encoders sit, in radians.
+    /// Total rotation of the shafts that carry the encoders.
     pub(crate) fn shaft_rad(&self) -> PerWheel<f64> {
         self.motors.map(|motor| motor.angle_rad())
     }
 
-    /// Rolling speed of both wheels without the noise of slip, in metres per second.
+    /// Rolling speed of both wheels without the noise of slip.
     pub(crate) const fn wheel_speed_m_per_s(&self) -> PerWheel<f64> {
         self.wheel_speed_m_per_s
     }
 
-    /// Total turn of the body since the beginning, slip included, in radians.
+    /// Total turn of the body, slip included.
     pub(crate) const fn turned_rad(&self) -> f64 {
         self.turned_rad
     }
@@ -139,23 +137,21 @@ impl RobotBody {
         self.battery_v
     }
 
-    /// Along the body's x axis, in metres per second, slip left out.
+    /// Along the body's x axis, without slip.
     pub(crate) fn forward_m_per_s(&self) -> f64 {
         0.5 * (self.wheel_speed_m_per_s.left + self.wheel_speed_m_per_s.right)
     }
 
-    /// About the vertical, in radians per second, slip left out.
+    /// About the vertical, without slip.
     pub(crate) fn turn_rad_per_s(&self) -> f64 {
         (self.wheel_speed_m_per_s.right - self.wheel_speed_m_per_s.left) / self.track_m
     }
 
-    /// Whether both motors stand.
     pub(crate) fn is_at_rest(&self) -> bool {
         self.motors.left.speed_rad_per_s() == 0.0 && self.motors.right.speed_rad_per_s() == 0.0
     }
 }
 
-/// Draws the true wheel radii and the true track width, in metres.
 pub(crate) fn draw_geometry(
     seed: u64,
     errors: &ErrorSettings,
@@ -179,7 +175,7 @@ struct WheelSlip {
     noise: RandomStream,
     events: RandomStream,
     lost_rad: PerWheel<f64>,
-    /// Turn of a kick that is still to come, in radians, and its speed.
+    /// Remaining turn of a kick, and its speed.
     kick_rad: f64,
     kick_rad_per_step: f64,
 }
@@ -196,7 +192,7 @@ impl WheelSlip {
         }
     }
 
-    /// The part of each wheel's rotation that grips the floor; also decides whether an event begins.
+    /// Grip of each wheel, 0 to 1; also draws whether a slip event begins.
     fn grip(&mut self, rotation_rad: PerWheel<f64>) -> PerWheel<f64> {
         if rotation_rad == PerWheel::default() {
             return rotation_rad;
@@ -243,11 +239,11 @@ impl WheelSlip {
     }
 }
 
-/// A quick hand: so short that a camera of 10 images per second sees the robot in the air once at most. A turn of more than 36 degrees is
-/// then faster than the gyros of the bundled scenarios can measure (360 degrees per second), as it would be in a hand.
+/// So short that a camera of 10 images per second sees the robot in the air at most once. A turn of more than 36 degrees is then faster
+/// than the gyros of the bundled scenarios can measure (360 degrees per second), as it would be in a hand.
 const CARRIED_STEPS: u32 = 100;
 
-/// Where a robot is put down, relative to where it stood. A plain turn, because a half turn may go either way round.
+/// Displacement of a carried robot, relative to its pose before. A plain angle, because a half turn may go either way round.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Displacement {
     pub(crate) forward_m: f64,
@@ -262,7 +258,6 @@ struct CarriedRobot {
     steps: u32,
 }
 
-/// The grip of one wheel while it has lost some.
 #[derive(Clone, Copy, Debug, Default)]
 struct GripLoss {
     share: f64,
@@ -270,7 +265,7 @@ struct GripLoss {
 }
 
 impl GripLoss {
-    /// The share of its rotation that reaches the floor in the next step.
+    /// Share of the rotation that reaches the floor in the next step.
     const fn next(&mut self) -> f64 {
         if self.steps_left <= 0 {
             return 1.0;
@@ -301,12 +296,12 @@ impl RobotFaults {
         }
     }
 
-    /// The share of each wheel's rotation that reaches the floor in the next step.
+    /// Share of each wheel's rotation that reaches the floor in the next step.
     fn grip(&mut self) -> PerWheel<f64> {
         self.lost_grip.as_mut().map(GripLoss::next)
     }
 
-    /// Carries a lifted robot on by one step: where it is, and by how much it turned, in radians.
+    /// Moves a carried robot by one step: its pose, and its turn in radians.
     fn step_carried(&mut self) -> Option<(Pose<Arena>, f64)> {
         let carried = self.carried.as_mut()?;
         carried.steps += 1;

@@ -8,12 +8,12 @@ use crate::robot_body::RobotBody;
 use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario, TICK_RAD, ThermometerSettings};
 use crate::wheels::PerWheel;
 
-/// One reading of the inertial sensors: means since the reading before.
+/// Means since the previous reading.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct InertialReading {
-    /// Turn rate, bias included, in radians per second.
+    /// Bias included.
     pub(crate) turn_rate_rad_per_s: f64,
-    /// Sum of the turn rates times their intervals since power-up, in radians.
+    /// Integral of the turn rate since power-up.
     pub(crate) turn_rad: f64,
     pub(crate) wheels_m_per_s2: PerWheel<f64>,
 }
@@ -33,7 +33,6 @@ pub(crate) struct SensorBoard {
 }
 
 impl SensorBoard {
-    /// The sensors of a scenario, just powered up.
     pub(crate) fn new(scenario: &Scenario) -> Self {
         Self {
             encoders: PerWheel::default(),
@@ -52,7 +51,6 @@ impl SensorBoard {
         }
     }
 
-    /// Follows the body by one step of the world.
     pub(crate) fn sample(&mut self, body: &RobotBody) {
         self.encoders.as_mut().zip(body.shaft_rad()).map(|(encoder, shaft_rad)| encoder.sample(shaft_rad));
         self.turned_rad = body.turned_rad();
@@ -63,12 +61,12 @@ impl SensorBoard {
         }
     }
 
-    /// Counts of both encoders since power-up.
+    /// Since power-up.
     pub(crate) fn counts(&self) -> PerWheel<i64> {
         self.encoders.map(Encoder::count)
     }
 
-    /// Means of gyro and accelerometers since the reading before; the same again if no time has passed.
+    /// Means since the previous reading; repeats it if no time has passed.
     pub(crate) fn read_inertial(&mut self) -> InertialReading {
         if self.steps_since_last == 0 {
             return self.last;
@@ -89,17 +87,17 @@ impl SensorBoard {
         self.last
     }
 
-    /// What the thermometer shows, in degrees Celsius, if there is one.
+    /// Degrees Celsius; `None` without a thermometer.
     pub(crate) fn read_temperature(&mut self) -> Option<f64> {
         self.thermometer.as_mut().map(Thermometer::read)
     }
 
-    /// Adds to the bias of the gyro, until a power cycle.
+    /// Until a power cycle.
     pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
         self.gyro.step_bias(rad_per_s);
     }
 
-    /// A power cycle: counters and the gyro's integral at zero, biases drawn anew.
+    /// A power cycle: counters and the gyro's integral at zero, biases drawn again.
     pub(crate) fn restart(&mut self) {
         self.encoders.as_mut().map(Encoder::zero);
         self.gyro.power_up();
@@ -115,7 +113,7 @@ impl SensorBoard {
     }
 }
 
-/// An encoder on the motor's side of the play.
+/// An encoder, on the motor's side of the backlash.
 #[derive(Clone, Copy, Debug, Default)]
 struct Encoder {
     position_ticks: i64,
@@ -150,7 +148,6 @@ impl Gyro {
         gyro
     }
 
-    /// Draws the bias anew.
     pub(crate) fn power_up(&mut self) {
         self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
     }
@@ -159,7 +156,7 @@ impl Gyro {
         self.bias_deg_per_s += rad_per_s.to_degrees();
     }
 
-    /// Its reading for a mean turn rate over an interval, in degrees per second.
+    /// Reading for a mean turn rate over an interval, in degrees per second.
     pub(crate) fn read(&mut self, turn_deg_per_s: f64, interval_s: f64) -> f64 {
         let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
         self.bias_deg_per_s += walk * self.stream.normal();
@@ -221,7 +218,7 @@ struct FirstOrderLag {
 }
 
 impl Thermometer {
-    /// A thermometer that has rested in its first bath.
+    /// In equilibrium with its first bath.
     fn new(settings: &ThermometerSettings, seed: u64) -> Self {
         let parts = settings.lags_s.iter().zip(&settings.shares);
         let lag = |(tau_s, share): (&f64, &f64)| FirstOrderLag {
@@ -253,7 +250,7 @@ impl Thermometer {
     }
 }
 
-/// The nearest whole multiple of `quantum`; the value itself when the quantum is zero.
+/// Rounds to a multiple of `quantum`; 0 does not round.
 pub(crate) fn quantise(value: f64, quantum: f64) -> f64 {
     if quantum > 0.0 { (value / quantum).round() * quantum } else { value }
 }

@@ -1,10 +1,9 @@
-//! The simulated world: robot, sensors, brick and camera behind their links, and the truth.
+//! The simulated world: robot, sensors, brick and camera behind their links, and the ground truth.
 //!
-//! A brick that sends MAVLink shares one link with the camera. Other bricks have a link of their own, because their
-//! protocols have no place for a second sender; the camera then sends MAVLink on another link.
+//! A brick that sends MAVLink shares one link with the camera. Other bricks have a link of their own, because their protocols have no
+//! address for a second sender; the camera then sends MAVLink on another link.
 //!
-//! The world advances only with [`Simulation::step`]. Bytes go in and come out; the caller transports them and paces
-//! the steps.
+//! The world advances only with [`Simulation::step`]. The caller transports the bytes and paces the steps.
 
 use std::collections::VecDeque;
 
@@ -27,54 +26,50 @@ use crate::scenario::{DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::PerWheel;
 
-/// What really happened at one instant. It is never sent to the station.
+/// Ground truth at one instant. It is never sent to the station.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
-    /// World time.
     pub sim_time: TimeDelta,
-    /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
+    /// The brick's clock at that instant, without rounding or register wraps.
     pub brick_time: Timestamp<BrickClock>,
-    /// Where the robot was.
     pub pose: Pose<Arena>,
-    /// Along the body's x axis, slip left out.
+    /// Along the body's x axis, without slip.
     pub forward_speed: MetersPerSecond,
-    /// About the vertical, slip left out.
+    /// About the vertical, without slip.
     pub turn_rate: RadiansPerSecond,
-    /// The pose by the brick's own dead reckoning, begun at the start pose.
+    /// The brick's dead reckoning from the start pose.
     pub odometry: Pose<Arena>,
-    /// The brick's own estimate of the pose: the last estimate that it used, carried forward by its own odometry. A brick that
-    /// steers by odometry alone uses none.
+    /// The brick's own estimate: the last estimate that it used, extrapolated by its odometry. A brick that steers by odometry alone
+    /// uses none.
     pub onboard_estimate: Pose<Arena>,
-    /// Distance of the true position from the nearest place of the ideal path, in metres.
+    /// Distance of the true position from the ideal path.
     pub cross_track_m: f64,
-    /// What the brick steered by.
     pub steering: Steering,
 }
 
-/// A usable estimate as it reached the brick, whether the brick then used it or not.
+/// A usable estimate at its arrival on the brick, whether the brick used it or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReceivedEstimate {
-    /// World time of its arrival.
     pub sim_time: TimeDelta,
-    /// The brick's clock at that instant, as if its ticks were infinitely fine and its register never wrapped.
+    /// The brick's clock on arrival, without rounding or register wraps.
     pub arrival: Timestamp<BrickClock>,
     pub estimate_time: Timestamp<BrickClock>,
-    /// Where it says the robot was, or will be, at that instant.
+    /// The estimated pose at `stamp`, past or future.
     pub pose: Pose<Arena>,
 }
 
 impl ReceivedEstimate {
-    /// How old it was when it arrived, in brick time; negative if its stamp lies in the future.
+    /// Age on arrival, in brick time; negative if the timestamp lies in the future.
     pub fn age(&self) -> TimeDelta {
         self.arrival - self.estimate_time
     }
 }
 
-/// Who has to do the rest of a command.
+/// Who executes the rest of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandExecutor {
     Simulation,
-    /// The owner of the brick's link: a profile, or a cable that is pulled.
+    /// The owner of the brick's link: it changes the profile or disconnects the cable.
     Link,
 }
 
@@ -89,23 +84,21 @@ pub struct Simulation {
     board: SensorBoard,
     brick_clock: SkewedClock,
     brick: Brick,
-    /// What the motors run on until the brick says something else.
+    /// Held until the brick changes it.
     duty: PerWheel<f64>,
     camera: Option<Camera>,
     framer: Framer,
-    /// Finds messages on the camera's own link.
     camera_scanner: Framer,
     outgoing: VecDeque<Vec<u8>>,
     camera_outgoing: VecDeque<Vec<u8>>,
     history: HistoryPolicy,
-    /// Truth samples that were due so far.
     samples: u64,
     truth: Vec<TruthSample>,
     received: Vec<ReceivedEstimate>,
 }
 
 impl Simulation {
-    /// The world of a scenario at its beginning, the robot at rest at the start pose.
+    /// The world of a scenario at time 0, the robot at rest at the start pose.
     pub fn new(scenario: Scenario) -> Self {
         let path = Path::new(&scenario);
         let brick = &scenario.brick;
@@ -151,7 +144,7 @@ impl Simulation {
         }
     }
 
-    /// The same world, which keeps neither truth nor estimates nor camera fixes from here on: for runs without end.
+    /// Keeps no truth, estimates or camera fixes from here on: for endless runs.
     pub fn without_history(mut self) -> Self {
         self.set_history(HistoryPolicy::Nothing);
         self
@@ -174,7 +167,7 @@ impl Simulation {
         self.log_truth();
     }
 
-    /// The next bytes on the way to the station: one or more whole frames of one sender, or one telegram of a LEGO brick.
+    /// The next bytes for the station: one or more whole frames of one sender, or one telegram of a LEGO brick.
     pub fn poll(&mut self) -> Option<Vec<u8>> {
         self.outgoing.pop_front()
     }
@@ -185,7 +178,7 @@ impl Simulation {
         self.camera_outgoing.pop_front()
     }
 
-    /// The same world with a camera that sends no fixes: its images go to another program through [`Self::poll_image`].
+    /// The camera sends no fixes; its images go to another program through [`Self::poll_image`].
     pub fn with_images(mut self) -> Self {
         if let Some(camera) = &mut self.camera {
             camera.enable_images();
@@ -193,14 +186,14 @@ impl Simulation {
         self
     }
 
-    /// The next image that the camera has taken, as a line of JSON without its end; `None` unless [`Self::with_images`].
+    /// The next camera image as a line of JSON without its end; `None` unless [`Self::with_images`].
     pub fn poll_image(&mut self) -> Option<String> {
         self.camera.as_mut()?.next_image()
     }
 
-    /// Takes bytes that arrive from the station at this moment on the brick's link, in any pieces; damage is skipped.
+    /// Receives bytes from the station now on the brick's link, in pieces of any size; damaged bytes are skipped.
     ///
-    /// One call is one write of the station where that matters, as it does for an NXT behind a socket.
+    /// One call is one write of the station where boundaries matter, as for an NXT behind a socket.
     pub fn receive(&mut self, bytes: &[u8]) {
         if self.shares_link() {
             let messages = decode_messages(&mut self.framer, self.world, bytes);
@@ -217,8 +210,8 @@ impl Simulation {
         self.collect_output();
     }
 
-    /// Takes bytes that arrive from the station at this moment on the camera's own link, in any pieces; damage is skipped.
-    /// Nothing happens if brick and camera share a link.
+    /// Receives bytes from the station now on the camera's own link, in pieces of any size; damaged bytes are skipped. Does nothing if
+    /// brick and camera share a link.
     pub fn receive_camera(&mut self, bytes: &[u8]) {
         if self.shares_link() {
             return;
@@ -229,13 +222,13 @@ impl Simulation {
         self.collect_output();
     }
 
-    /// The brick has a new peer at the other end of its link: what was begun is forgotten, and the first bytes decide the protocol again.
+    /// A new peer is connected to the brick's link: partial data is dropped, and the first bytes select the protocol again.
     pub fn reopen_link(&mut self) {
         self.brick.reopen();
     }
 
-    /// Switches the brick off and on: its clock and counters begin at zero, its session and message intervals anew, and
-    /// its biases change. Its place on the path and its odometry are kept, as by a program that stores its progress.
+    /// Power cycle of the brick: its clock and counters begin at zero, its session and message intervals are reset, and its biases
+    /// change. Progress on the path and odometry are kept, as by a program that stores them.
     pub fn restart_brick(&mut self) {
         self.brick_clock.restart(self.world);
         self.board.restart();
@@ -244,64 +237,61 @@ impl Simulation {
         self.duty = PerWheel::default();
     }
 
-    /// What brick and camera have found in the bytes that came: their counterpart to the station's link health. The firmware of a LEGO
-    /// brick counts nothing.
+    /// Receive statistics of brick and camera: their counterpart to the station's link health. The firmware of a LEGO brick counts
+    /// nothing.
     pub const fn receive_counters(&self) -> &FramerCounters {
         self.framer.counters()
     }
 
-    /// World time since the beginning.
     pub const fn elapsed(&self) -> TimeDelta {
         self.world
     }
 
-    /// Whether the path is driven to its end and the robot stands.
+    /// Whether the path is complete and the robot stands.
     pub fn is_finished(&self) -> bool {
         self.brick.program.follower.is_finished() && self.body.is_at_rest()
     }
 
-    /// Laps that are done, where the drive has no end ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
+    /// Completed laps of an endless drive ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
     pub fn laps_done(&self) -> u64 {
         self.brick.program.follower.laps_done()
     }
 
-    /// How much of the path is driven, 0 to 1; of the current lap, where the drive has no end.
+    /// Driven share of the path, 0 to 1; of the current lap in an endless drive.
     pub fn progress(&self) -> f64 {
         self.brick.program.follower.progress()
     }
 
-    /// The truth at the beginning and after each telemetry period of world time; of a drive without an end the last of it
-    /// ([`HISTORY_DURATION`](crate::HISTORY_DURATION)).
+    /// The truth at the beginning and after each telemetry period of world time; an endless drive keeps only the last
+    /// [`HISTORY_DURATION`](crate::HISTORY_DURATION).
     pub fn truth(&self) -> &[TruthSample] {
         &self.truth
     }
 
-    /// How many samples of the truth there were so far, those that are forgotten included.
+    /// Number of truth samples so far, dropped ones included.
     pub const fn truth_samples(&self) -> u64 {
         self.samples
     }
 
-    /// The usable estimates that reached the brick, in the order of their arrival; of a drive without an end the last of them.
+    /// In the order of arrival; an endless drive keeps only the last ones.
     pub fn received_estimates(&self) -> &[ReceivedEstimate] {
         &self.received
     }
 
-    /// The ideal path of one lap as points.
+    /// Points of the ideal path of one lap.
     pub fn path(&self) -> &[Point2<Arena>] {
         &self.polyline
     }
 
-    /// Everything that the camera sent so far, outliers marked; of a drive without an end the last of it.
+    /// All sent fixes; an endless drive keeps only the last ones.
     pub fn camera_fixes(&self) -> &[CameraFix] {
         self.camera.as_ref().map_or(&[], Camera::log)
     }
 
-    /// Where the robot was put down.
     pub fn start_pose(&self) -> Pose<Arena> {
         self.path.start()
     }
 
-    /// The scenario that runs, with its seed.
     pub const fn scenario(&self) -> &Scenario {
         &self.scenario
     }
@@ -368,7 +358,7 @@ impl Simulation {
 }
 
 impl Simulation {
-    /// Does what a person asks for, from the next step on. Numbers are taken as they are: [`SimulatorCommand::validate`] checks them.
+    /// Executes a user's command from the next step on. The caller validates it with [`SimulatorCommand::validate`].
     ///
     /// The same commands before the same steps give the same bytes.
     pub fn execute(&mut self, command: &SimulatorCommand) -> CommandExecutor {
@@ -411,7 +401,7 @@ impl Simulation {
     }
 }
 
-/// The messages that a framer finds complete when these bytes have come.
+/// The messages that become complete with these bytes.
 fn decode_messages(framer: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(Address, Message)> {
     let now = Timestamp::<HostClock>::from_nanos(world.as_nanos());
     let mut messages = Vec::new();
@@ -421,7 +411,7 @@ fn decode_messages(framer: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(
     messages
 }
 
-/// The message of a whole frame, if this end knows it.
+/// `None` if this end does not know the message.
 fn decode_message(scanned: &FramerOutput<'_>) -> Option<(Address, Message)> {
     match scanned {
         FramerOutput::Frame(frame) => match dialect::decode(frame) {

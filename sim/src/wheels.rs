@@ -1,4 +1,4 @@
-//! A left and a right: most things in a differential drive come in pairs, and an index would not say which is which.
+//! A pair of left and right values: most things in a differential drive come in pairs, and an index would not say which is which.
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct PerWheel<T> {
@@ -7,17 +7,14 @@ pub(crate) struct PerWheel<T> {
 }
 
 impl<T> PerWheel<T> {
-    /// The same function on both sides.
     pub(crate) fn map<U>(self, mut f: impl FnMut(T) -> U) -> PerWheel<U> {
         PerWheel { left: f(self.left), right: f(self.right) }
     }
 
-    /// Both sides together with those of another pair.
     pub(crate) fn zip<U>(self, other: PerWheel<U>) -> PerWheel<(T, U)> {
         PerWheel { left: (self.left, other.left), right: (self.right, other.right) }
     }
 
-    /// Both sides by mutable reference.
     pub(crate) const fn as_mut(&mut self) -> PerWheel<&mut T> {
         PerWheel { left: &mut self.left, right: &mut self.right }
     }

@@ -1,12 +1,11 @@
-//! Follows the path: rests, turns in place, drives legs. Uses the estimated pose and the path, never the truth.
+//! Path follower: rests, turns in place, drives legs. Uses the estimated pose and the path, never the truth.
 //!
 //! # Model
 //! ```text
 //! turn rate = v (curvature - a heading error - b lateral error)      along a leg, v the commanded speed
 //! ```
-//! With a = 8/m and b = 16/m² both errors are critically damped over a length of 0.25 m. A robot far from its path
-//! approaches it at an angle of at most one radian, and one that points elsewhere turns in place first, as after being
-//! carried.
+//! With a = 8/m and b = 16/m² both errors are critically damped over a length of 0.25 m. A robot far from its path approaches it at an
+//! angle of at most one radian; one with a larger heading error first turns in place, as after being carried.
 
 use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, TimeDelta, Timestamp};
 
@@ -18,32 +17,29 @@ use crate::scenario::{DriveEnd, DriveSettings};
 const HEADING_PER_M: f64 = 8.0;
 /// Gain on the lateral error, 1/m².
 const LATERAL_PER_M2: f64 = 16.0;
-/// Largest change of the commanded speed, m/s².
 const ACCELERATION_M_PER_S2: f64 = 0.5;
-/// Largest change of the commanded turn rate, rad/s².
 const ACCELERATION_RAD_PER_S2: f64 = 6.0;
-/// Braking planned ahead; gentler than what is allowed, because the motors follow with a lag of a tenth of a second.
+/// Planned deceleration; below the limit because the motors follow with a lag of a tenth of a second.
 const BRAKING_M_PER_S2: f64 = 0.3;
 const BRAKING_RAD_PER_S2: f64 = 2.0;
-/// Slowest commands before a goal, so that it is reached.
+/// Lowest speed commands before a goal, so that the robot reaches it.
 const CREEP_M_PER_S: f64 = 0.02;
 const CREEP_RAD_PER_S: f64 = 0.15;
-/// A leg ends this far before its end, in metres; a turn this far from its heading, in radians.
+/// A leg ends this far before its end; a turn this far from its heading.
 const LEG_END_M: f64 = 0.002;
 const TURN_END_RAD: f64 = 0.017;
 
-/// The path is approached at no more than this angle, in radians: steeper, the robot would turn back rather than come nearer.
+/// Limit of the approach angle: beyond it the robot would turn back rather than approach.
 const STEEPEST_APPROACH_RAD: f64 = 1.0;
-/// A robot that points further away from its path than this, in radians, turns in place first. Beyond the steepest approach, so that an
-/// approach goes on.
+/// Heading error above which the robot turns in place first. Beyond the steepest approach, so that an approach continues.
 const TURN_FIRST_RAD: f64 = 1.3;
 
-/// A wanted motion of the body.
+/// A commanded motion of the body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Twist {
-    /// Along the body's x axis, m/s.
+    /// Along the body's x axis.
     pub(crate) forward_m_per_s: f64,
-    /// About the vertical, rad/s.
+    /// About the vertical.
     pub(crate) turn_rad_per_s: f64,
 }
 
@@ -61,14 +57,13 @@ pub(crate) struct Follower {
     program: Vec<Manoeuvre>,
     next: usize,
     begun: Option<Timestamp<BrickClock>>,
-    /// Distance along the current leg, in metres; never decreases.
+    /// Distance along the current leg; never decreases.
     along_m: f64,
-    /// Length of the legs that are done, in metres.
     completed_m: f64,
-    /// Laps that are done, where the drive has no end.
+    /// Completed laps of an endless drive.
     laps_done: u64,
     command: Twist,
-    /// What a person wants, and until when. Without further commands the robot stands, until it is sent back to its path.
+    /// Manual command and its expiry. After it the robot stands until it is sent back to its path.
     manual_command: Option<(Twist, Timestamp<BrickClock>)>,
 }
 
@@ -89,7 +84,7 @@ impl Follower {
         }
     }
 
-    /// What to do for the next control period, given the brick's own estimate.
+    /// The motion for the next control period, given the brick's own estimate.
     pub(crate) fn command(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
         let wanted = match self.manual_command {
             Some((twist, until)) if now < until => twist,
@@ -111,12 +106,12 @@ impl Follower {
         self.command
     }
 
-    /// A person wants this motion until then.
+    /// Overrides the path until `until`.
     pub(crate) const fn drive_manually(&mut self, wanted: Twist, until: Timestamp<BrickClock>) {
         self.manual_command = Some((wanted, until));
     }
 
-    /// The person lets go: on from the point of the present lap next to the brick's own estimate.
+    /// Ends manual driving: continues at the point of the present lap that is nearest to the brick's own estimate.
     pub(crate) fn rejoin(&mut self, estimate: Pose<Arena>) {
         self.manual_command = None;
         let in_hand = self.program.iter().skip(self.next).find_map(leg_of);
@@ -134,12 +129,12 @@ impl Follower {
         self.along_m = along_m + laps * lap_m;
     }
 
-    /// Whether everything is done and nothing is commanded.
+    /// Also requires that no manual command is active.
     pub(crate) fn is_finished(&self) -> bool {
         self.next >= self.program.len() && self.command == Twist::default()
     }
 
-    /// How much of the path is driven, 0 to 1; of the current lap, where the drive has no end.
+    /// Driven share of the path, 0 to 1; of the current lap in an endless drive.
     pub(crate) fn progress(&self) -> f64 {
         let whole_m = match self.settings.end {
             DriveEnd::LastLap => self.path.length_m(),
@@ -148,12 +143,11 @@ impl Follower {
         ((self.completed_m + self.along_m) / whole_m).clamp(0.0, 1.0)
     }
 
-    /// Laps that are done, where the drive has no end.
+    /// Completed laps of an endless drive.
     pub(crate) const fn laps_done(&self) -> u64 {
         self.laps_done
     }
 
-    /// The brick's clock was restarted: a rest begins again, manual driving ends, and the motors stand.
     pub(crate) fn clock_restarted(&mut self) {
         self.begun = None;
         self.command = Twist::default();
@@ -221,7 +215,7 @@ impl Follower {
         Twist { forward_m_per_s: speed, turn_rad_per_s: (speed * bend_per_m).max(-limit).min(limit) }
     }
 
-    /// An endless path without a stop: beyond its first lap the same place lies one lap back.
+    /// Moves an endless path without a stop back by one lap after its first.
     fn restart_lap(&mut self) {
         let lap_m = self.path.lap_length_m();
         let is_endless = self.settings.end == DriveEnd::Never && self.path.legs().len() == 1;
@@ -244,9 +238,9 @@ impl Follower {
     }
 }
 
-/// Where the first leg stands in the program: behind the rest.
+/// Index of the first leg in the program, after the rest.
 const FIRST_LEG: usize = 1;
-/// A smooth lap is begun anew only this far into the next, in metres: the projection looks back a little.
+/// Restarts a smooth lap only this far into the next: the projection searches a little backwards.
 const WELL_INTO_M: f64 = 0.1;
 
 const fn leg_of(manoeuvre: &Manoeuvre) -> Option<usize> {
@@ -272,7 +266,7 @@ fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
     program
 }
 
-/// `from` moved towards `to` by no more than `step`.
+/// Limits the change from `from` to `to` to `step`.
 fn slew(from: f64, to: f64, step: f64) -> f64 {
     from + (to - from).max(-step).min(step)
 }

@@ -1,4 +1,4 @@
-//! The messages of a brick that sends MAVLink 2, as component 1 of its system: wheels, inertial readings, its build.
+//! The MAVLink 2 messages of a brick, as component 1 of its system: wheels, inertial readings, description.
 //!
 //! Its inputs are the brick's clock, the sensors and the station's messages, never the true state. Compact readings are encoded by the
 //! SDK of real robots, so that each run of the simulator tests it. The station decodes with `protocol`, which is an independent
@@ -22,7 +22,6 @@ use crate::wheels::PerWheel;
 pub const BRICK: Address = Address::new(1, 1);
 /// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
 const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
-/// The name in PB_ROBOT_DESCRIPTION.
 const NAME: &str = "simulated brick";
 
 #[derive(Debug)]
@@ -33,7 +32,7 @@ pub(crate) struct BrickMessenger {
     noise: SensorNoise,
     node: MavlinkNode<BrickClock>,
     schedule: Schedule,
-    /// Where the counters stood when those that are sent were zeroed.
+    /// Counter totals at the last reset; messages count from here.
     zero: PerWheel<i64>,
 }
 
@@ -58,7 +57,7 @@ impl BrickMessenger {
         }
     }
 
-    /// Sends what is due at `now`.
+    /// Queues the messages that are due at `now`.
     pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard) {
         for request in self.node.tick(self.register_time(now)) {
             self.schedule.apply_request(request, now);
@@ -77,7 +76,7 @@ impl BrickMessenger {
         }
     }
 
-    /// Takes a message from the link. Returns the content of a usable estimate.
+    /// Handles a message from the link. Returns the timestamp and pose of a usable estimate.
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -90,7 +89,6 @@ impl BrickMessenger {
         usable_estimate(message)
     }
 
-    /// A power cycle or a restarted program: session and message intervals are reset, and what is sent counts from `zero`.
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>, zero: PerWheel<i64>) {
         self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
         let own = self.settings.address_of(BRICK);
@@ -168,7 +166,7 @@ impl BrickMessenger {
     }
 }
 
-/// What a brick's clock shows to others: the register that wraps, or 64 bits that do not.
+/// The brick's clock as other systems read it: a register that wraps, or 64 bits that do not.
 fn register_time_of(wire: Wire, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
     match wire {
         Wire::Compact => Timestamp::from_micros(i64::from(register_micros(now))),
@@ -176,7 +174,7 @@ fn register_time_of(wire: Wire, now: Timestamp<BrickClock>) -> Timestamp<BrickCl
     }
 }
 
-/// An estimate of the pose that its sender does not call invalid.
+/// An estimate of the pose that its sender does not mark invalid.
 fn usable_estimate(message: &Message) -> Option<(WireStamp, Pose<Arena>)> {
     #[expect(
         clippy::wildcard_enum_match_arm,
@@ -195,9 +193,9 @@ fn usable_estimate(message: &Message) -> Option<(WireStamp, Pose<Arena>)> {
     }
 }
 
-/// The description comes this often, so that a station that starts late has it soon.
+/// Short enough that a station that starts late receives the description soon.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
-/// No message comes more often than the world moves.
+/// The time step of the world.
 const SHORTEST: TimeDelta = TimeDelta::from_millis(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -223,7 +221,7 @@ pub(crate) struct Schedule {
 }
 
 impl Schedule {
-    /// The defaults of a brick that was powered up at `now`; everything is due at once.
+    /// The schedule of a brick that was powered up at `now`; everything is due at once.
     pub(crate) fn new(
         settings: &BrickSettings,
         thermometer: Option<&ThermometerSettings>,
@@ -262,7 +260,7 @@ impl Schedule {
         self.slots.iter().map(|slot| slot.message_id).collect()
     }
 
-    /// Follows a request; one for a message that the brick does not have changes nothing.
+    /// Requests for messages that the brick does not have are ignored.
     pub(crate) fn apply_request(&mut self, request: IntervalRequest, now: Timestamp<BrickClock>) {
         for slot in &mut self.slots {
             if slot.message_id != request.message_id {
@@ -296,14 +294,12 @@ impl Schedule {
     }
 }
 
-/// Unit of PB_INERTIAL.turn_rate, rad/s.
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
 /// Unit of PB_INERTIAL.turn_urad.
 const TURN_UNIT_RAD: f64 = 1e-6;
 /// Unit of PB_INERTIAL.accel_left and accel_right, m/s².
 const ACCELERATION_UNIT_M_PER_S2: f64 = 1e-3;
 
-/// Total counts, read at `time_us`; they wrap.
 pub(super) const fn wheel_ticks(time_us: u32, counts: PerWheel<i64>) -> WheelTicks {
     WheelTicks { time_us, left: counts.left as i32, right: counts.right as i32, valid: Sides::BOTH }
 }

@@ -1,8 +1,8 @@
 //! The brick: the program on the robot.
 //!
-//! It has its own clock, encoder counts and inertial readings, the nominal geometry, and the station's messages. The
-//! [`Program`] drives, the same on every brick; [`BrickMessenger`] sends its MAVLink messages. Other protocols are
-//! [personalities](crate::personality). Nothing here reads the true state.
+//! It reads its own clock, encoder counts and inertial readings, the nominal geometry, and the station's messages, never the true
+//! state. The [`Program`] drives, the same on every brick; [`BrickMessenger`] sends its MAVLink messages. Other protocols are
+//! [personalities](crate::personality).
 
 mod follower;
 mod messages;

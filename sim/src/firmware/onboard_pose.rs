@@ -1,9 +1,8 @@
-//! The brick's pose: dead reckoning from encoder counts and the nominal geometry, placed in the arena by the station's estimates.
+//! The brick's pose: dead reckoning from encoder counts and the nominal geometry, corrected by the station's estimates.
 //!
-//! An estimate holds for a past instant of the brick's clock. The brick keeps a short history of its odometry, finds
-//! its odometry pose at that instant, and computes from the two where the origin of its odometry lies in the arena.
-//! Composing that with the current odometry carries the estimate forward; without further estimates the same
-//! composition is dead reckoning from the last one.
+//! An estimate is valid for a past instant of the brick's clock. The brick keeps a short history of its odometry, finds its odometry
+//! pose at that instant, and computes from the two poses the odometry origin in the arena. Composing that with the current odometry
+//! extrapolates the estimate; without further estimates it is dead reckoning from the last one.
 
 use std::collections::VecDeque;
 
@@ -14,7 +13,6 @@ use posebridge_telemetry::{
 use crate::scenario::Steering;
 use crate::wheels::PerWheel;
 
-/// A pose integrated from encoder counts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DeadReckoning {
     metres_per_count: PerWheel<f64>,
@@ -24,7 +22,7 @@ pub(crate) struct DeadReckoning {
 }
 
 impl DeadReckoning {
-    /// Dead reckoning from the origin, with counters at zero.
+    /// Starts at the origin, with counters at zero.
     pub(crate) fn new(geometry: &DriveGeometry) -> Self {
         Self {
             metres_per_count: PerWheel {
@@ -37,7 +35,6 @@ impl DeadReckoning {
         }
     }
 
-    /// Takes the counters' totals and returns the pose.
     pub(crate) fn update(&mut self, counts: PerWheel<i64>) -> Pose<Odom> {
         let travel = counts
             .zip(self.last)
@@ -56,7 +53,7 @@ impl DeadReckoning {
         self.pose
     }
 
-    /// The counters were zeroed: the pose stays, the next totals count from zero.
+    /// The counters were zeroed: the pose stays.
     pub(crate) fn counters_zeroed(&mut self) {
         self.last = PerWheel::default();
     }
@@ -66,9 +63,8 @@ impl DeadReckoning {
     }
 }
 
-/// Estimates of an instant longer ago than this are not used.
 pub(crate) const MAX_ESTIMATE_AGE: TimeDelta = TimeDelta::from_millis(500);
-/// A predicted estimate may speak of an instant this far ahead.
+/// Limit for estimates predicted into the future.
 const MAX_ESTIMATE_LEAD: TimeDelta = TimeDelta::from_millis(300);
 /// History kept; longer than [`MAX_ESTIMATE_AGE`], so that every fresh estimate finds its instant.
 const HISTORY: TimeDelta = TimeDelta::from_millis(700);
@@ -82,7 +78,7 @@ pub(crate) struct OnboardPose {
 }
 
 impl OnboardPose {
-    /// The estimate of a robot that was put down at `start`.
+    /// The estimate of a robot that starts at `start`.
     pub(crate) fn new(steering: Steering, start: Pose<Arena>) -> Self {
         Self {
             steering,
@@ -99,8 +95,8 @@ impl OnboardPose {
         }
     }
 
-    /// Takes an estimate of the instant `stamp`; one that is too old, too far ahead or
-    /// overtaken changes nothing. A second one of the same instant is the station's better knowledge of it.
+    /// Applies an estimate of the instant `stamp`. Ignores one that is too old, too far ahead or older than the last; a second one of
+    /// the same instant replaces the first.
     pub(crate) fn apply_estimate(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -119,7 +115,7 @@ impl OnboardPose {
         }
     }
 
-    /// What it rests on from here on; it stays where it is.
+    /// Changes the source from here on; the pose does not jump.
     pub(crate) const fn set_steering(&mut self, steering: Steering) {
         self.steering = steering;
         self.last_estimate = None;
@@ -137,7 +133,7 @@ impl OnboardPose {
         }
     }
 
-    /// The clock fell to zero: earlier stamps are invalid, the estimate itself stays.
+    /// The clock restarted at zero: earlier timestamps are invalid, the estimate itself stays.
     pub(crate) fn clock_restarted(&mut self) {
         let newest = self.history.back().map(|(_, pose)| *pose);
         self.history.clear();
@@ -145,7 +141,7 @@ impl OnboardPose {
         self.last_estimate = None;
     }
 
-    /// The odometry pose of an instant: between two of the history, or beyond its end at the last speed.
+    /// The odometry pose at an instant: interpolated in the history, or extrapolated at the last speed.
     fn odometry_at(&self, stamp: Timestamp<BrickClock>) -> Option<Pose<Odom>> {
         let after = self.history.partition_point(|(at, _)| *at < stamp);
         let newest = self.history.len().checked_sub(1)?;
@@ -166,7 +162,7 @@ impl OnboardPose {
     }
 }
 
-/// Where the odometry's origin lies in the arena, if a robot at `odom` is really at `pose`.
+/// The odometry origin in the arena, for a robot whose pose is `pose` and whose odometry is `odom`.
 fn odom_origin(pose: Pose<Arena>, odom: Pose<Odom>) -> Transform2<Arena, Odom> {
     pose * odom.inverse()
 }

@@ -1,4 +1,4 @@
-//! The driving program: odometry, path following and speed control, with the estimates of the station.
+//! The driving program: odometry, path following and speed control, corrected by the station's estimates.
 //!
 //! It runs every 10 ms and is the same on every brick. While it is stopped the robot does not drive, but the odometry
 //! is updated, so that the truth log contains the dead reckoning of the counts.
@@ -24,12 +24,12 @@ pub(crate) struct Program {
     control: PerWheel<SpeedControl>,
     control_due: Timestamp<BrickClock>,
     duty: PerWheel<f64>,
-    /// Where the counters stood when the speed control began.
+    /// Counter totals when the speed control began.
     control_zero: PerWheel<i64>,
 }
 
 impl Program {
-    /// A program that is ready at `now` with the robot at the beginning of `path`.
+    /// Ready at `now`, with the robot at the start of `path`.
     pub(crate) fn new(scenario: &Scenario, path: Path, now: Timestamp<BrickClock>) -> Self {
         let geometry = scenario.drive_geometry();
         let control = SpeedControl::new(&scenario.robot);
@@ -45,7 +45,7 @@ impl Program {
         }
     }
 
-    /// One pass of a running program at `now`, with the counters' totals; returns the duty of both motors.
+    /// One control step at `now`, given the totals of the counters; returns the duty of both motors.
     pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) -> PerWheel<f64> {
         if self.is_due(now) {
             self.drive(now, counts);
@@ -53,14 +53,14 @@ impl Program {
         self.duty
     }
 
-    /// One pass while no program runs: the odometry goes on without steering.
+    /// One control step while the program is stopped: odometry without steering.
     pub(crate) fn observe_odometry(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         if self.is_due(now) {
             self.update_odometry(now, counts);
         }
     }
 
-    /// Takes an estimate for the instant `stamp`; returns that instant on the brick's clock.
+    /// Applies an estimate for the instant `stamp`; returns that instant on the brick's clock.
     pub(crate) fn apply_estimate(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -72,16 +72,15 @@ impl Program {
         instant
     }
 
-    /// A power cycle: clock and counters begin at zero. The program's place on the path and its odometry are kept, as a program
-    /// that stores its progress would keep them.
+    /// A power cycle: clock and counters begin at zero. Progress on the path and odometry are kept, as a program that stores them
+    /// would.
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>) {
         self.dead_reckoning.counters_zeroed();
         self.onboard.clock_restarted();
         self.begin(now, PerWheel::default());
     }
 
-    /// The program is started, at rest, with the totals of the counters that it is given at `counts`. Its place on the path, its
-    /// odometry and its clock are kept.
+    /// Starts the program at rest, with the counters at `counts`. Progress on the path, odometry and clock are kept.
     pub(crate) fn begin(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
         self.follower.clock_restarted();
         self.control.as_mut().map(SpeedControl::restart);
@@ -90,18 +89,17 @@ impl Program {
         self.duty = PerWheel::default();
     }
 
-    /// The pose by dead reckoning alone, if it began at `start`.
+    /// The pose by dead reckoning alone from `start`.
     pub(crate) fn odometry(&self, start: Pose<Arena>) -> Pose<Arena> {
         let moved = self.dead_reckoning.pose();
         start * Transform2::new(moved.x, moved.y, moved.heading)
     }
 
-    /// A person wants this motion, for a while.
+    /// Overrides the path for a limited time.
     pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, wanted: Twist) {
         self.follower.drive_manually(wanted, now + DRIVE_HOLD_TIME);
     }
 
-    /// Back to the path.
     pub(crate) fn rejoin(&mut self) {
         self.follower.rejoin(self.onboard.pose());
     }
@@ -131,7 +129,7 @@ impl Program {
     }
 }
 
-/// Wheel speeds in radians per second for a motion of the body, by the nominal geometry.
+/// Wheel speeds in rad/s by the nominal geometry.
 fn wheel_speeds(twist: Twist, geometry: &DriveGeometry) -> PerWheel<f64> {
     let half_track_m = 0.5 * geometry.track_width.0;
     PerWheel {
@@ -140,7 +138,7 @@ fn wheel_speeds(twist: Twist, geometry: &DriveGeometry) -> PerWheel<f64> {
     }
 }
 
-/// The instant next to `now` that a stamp of this brick's own clock can mean.
+/// The instant nearest to `now` that a timestamp of this brick's clock can mean.
 fn unwrap_near(stamp: WireStamp, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
     match stamp {
         WireStamp::Micros32(micros) => {

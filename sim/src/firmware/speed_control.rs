@@ -1,11 +1,11 @@
-//! Turns a wanted wheel speed into a duty, from encoder counts alone.
+//! Closed-loop wheel speed control: a duty from the set speed and encoder counts.
 //!
 //! # Model
 //! ```text
 //! u = Ke w* + friction sign(w*) + P (w* - w) + I (angle* - angle)        angle* = sum of w* dt
 //! ```
-//! `w` is the count over the last 50 ms; one count in that window is 0.35 rad/s. With the NXT motor's 0.1 s the gains
-//! place both poles at 10 rad/s with a damping of 0.7.
+//! `w` is the count over the last 50 ms; one count in that window is 0.35 rad/s. With the NXT motor's 0.1 s the gains place both poles
+//! at 10 rad/s with a damping of 0.7.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,6 @@ use posebridge_telemetry::TimeDelta;
 
 use crate::scenario::{MotorSettings, RobotSettings, TICK_RAD};
 
-/// Time between two control steps.
 pub(super) const PERIOD: TimeDelta = TimeDelta::from_millis(10);
 pub(super) const PERIOD_S: f64 = PERIOD.as_nanos() as f64 / 1e9;
 /// Number of control steps over which the speed is measured.
@@ -22,7 +21,7 @@ const WINDOW: usize = 5;
 const PROPORTIONAL: f64 = 0.4;
 /// I in units of Ke, per second.
 const INTEGRAL_PER_S: f64 = 10.0;
-/// The reference runs ahead of the wheel by no more than this, in radians.
+/// Limit by which the reference may lead the wheel.
 const LEAD_RAD: f64 = 0.6;
 
 #[derive(Clone, Debug)]
@@ -34,7 +33,7 @@ pub(crate) struct SpeedControl {
 }
 
 impl SpeedControl {
-    /// Control of a motor at rest with its counter at zero.
+    /// Starts at rest with the counter at zero.
     pub(crate) fn new(robot: &RobotSettings) -> Self {
         Self {
             motor: robot.motor,
@@ -44,7 +43,7 @@ impl SpeedControl {
         }
     }
 
-    /// The motor is at rest again with its counter at zero.
+    /// Back to rest with the counter at zero.
     pub(crate) fn restart(&mut self) {
         self.reference_rad = 0.0;
         self.counts = VecDeque::from([0; WINDOW + 1]);

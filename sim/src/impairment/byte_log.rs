@@ -1,4 +1,4 @@
-//! The outcome of every offered byte: counters, and a log by unit and range.
+//! The outcome of every offered byte: counters, and a log by unit and byte range.
 //!
 //! The counters balance: offered bytes are delivered, lost for a cause, or still in transit.
 
@@ -8,22 +8,22 @@ use std::ops::Range;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use serde::Serialize;
 
-/// Most entries of the log; the oldest go first and are counted.
+/// Beyond this the oldest entries are dropped and counted.
 const LOG_ENTRIES: usize = 1 << 20;
 
 /// Why bytes did not arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossCause {
     BufferFull,
-    /// The unit was lost whole, by itself.
+    /// The whole unit was lost, independently of others.
     Unit,
-    /// The link was in its bad state, or the good one's loss took it.
+    /// Lost in the bad state of the burst model, or by the loss of its good state.
     Burst,
     Byte,
     LinkDown,
 }
 
-/// What happened to a range of bytes of a unit.
+/// The outcome of a byte range of a unit on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ByteOutcome {
     Delivered {
@@ -32,64 +32,56 @@ pub enum ByteOutcome {
     Duplicated {
         at: Timestamp<HostClock>,
     },
-    /// They did not arrive.
     Lost(LossCause),
-    /// One bit of the one byte was turned over.
+    /// One bit of the single byte of the range was inverted.
     Flipped {
-        /// The bit, 0 the lowest.
+        /// 0 is the lowest.
         bit: u8,
     },
-    /// They, and all behind them, waited.
+    /// Delayed together with everything behind them.
     Stalled {
         by: TimeDelta,
     },
-    /// They waited while others passed.
     HeldBack {
         by: TimeDelta,
     },
 }
 
-/// One line of the log.
+/// The outcome of a byte range, for the log of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogEntry {
-    /// Which unit, counted from 0 in the order in which they were offered.
+    /// Counted from 0 in the order of offering.
     pub unit: u64,
     pub bytes: Range<usize>,
     pub outcome: ByteOutcome,
 }
 
-/// Counts of one direction since it was made.
+/// Counts of one direction since it was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counters {
     pub units_offered: u64,
     pub bytes_offered: u64,
-    /// Chunks delivered, copies included.
     pub chunks_delivered: u64,
-    /// Bytes delivered, copies left out.
+    /// Without copies.
     pub bytes_delivered: u64,
     pub bytes_on_the_way: u64,
     pub bytes_lost_to_full_buffer: u64,
-    /// Bytes of units that were lost whole.
     pub bytes_lost_alone: u64,
     pub bytes_lost_in_bursts: u64,
-    /// Single bytes that were missing.
     pub bytes_missing: u64,
-    /// Bytes that were on the way when the link went down, or were offered while it was.
+    /// In transit when the link went down, or offered while it was down.
     pub bytes_lost_to_outages: u64,
-    /// Bits turned over.
     pub bits_flipped: u64,
     pub stalls: u64,
-    /// Datagrams held back while others passed.
+    /// Datagrams that were overtaken.
     pub held_back: u64,
-    /// Datagrams that arrived twice.
     pub repeated: u64,
     pub bytes_repeated: u64,
-    /// Log entries that were dropped because they were not read.
+    /// Log entries dropped because they were not read in time.
     pub log_forgotten: u64,
 }
 
 impl Counters {
-    /// Bytes that did not arrive and will not.
     pub const fn bytes_lost(&self) -> u64 {
         self.bytes_lost_to_full_buffer
             + self.bytes_lost_alone
@@ -124,7 +116,6 @@ impl ByteAccount {
         self.log.push_back(LogEntry { unit, bytes, outcome });
     }
 
-    /// Returns the log and empties it.
     pub(super) fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log).into()
     }

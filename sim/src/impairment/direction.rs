@@ -12,10 +12,10 @@ use super::timing::{Delays, RateLimiter, SentRange, Slots};
 use super::unit_draws::{UnitDraw, UnitDraws};
 use crate::random::RandomStream;
 
-/// Most bytes on the way; what is offered beyond is dropped as by a full buffer. A long delay must not fill the memory.
+/// What is offered beyond is dropped as by a full buffer, so that a long delay does not fill the memory.
 const MAX_IN_TRANSIT_BYTES: u64 = 16 * 1024 * 1024;
 
-/// Bytes that arrive together.
+/// Bytes that arrive together, with their time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery {
     pub at: Timestamp<HostClock>,
@@ -28,20 +28,19 @@ struct OfferedUnit<'a> {
     draw: UnitDraw,
 }
 
-/// Bytes of one unit that travel together.
 #[derive(Clone, Debug)]
 struct TransitChunk {
     unit: u64,
-    /// Which of the unit's bytes they are; there are gaps where bytes were lost.
+    /// Byte ranges of the unit; lost bytes leave gaps.
     runs: Vec<Range<usize>>,
     bytes: Vec<u8>,
     is_duplicate: bool,
 }
 
-/// One direction of a link, as a value.
+/// One direction of a link, without IO.
 ///
-/// Call [`poll`](Self::poll) until it returns `None` before time passes on; [`deadline`](Self::deadline) says when the next bytes
-/// arrive. Instants must not fall; one that does is taken for the latest before it.
+/// Call [`poll`](Self::poll) until it returns `None` before time advances; [`deadline`](Self::deadline) returns when the next bytes
+/// arrive. Instants must not decrease; an earlier one is clamped to the latest.
 ///
 /// ```
 /// use posebridge_sim::impairment::{Delay, DirectionProfile, ImpairedDirection, LinkKind};
@@ -63,7 +62,7 @@ pub struct ImpairedDirection {
     delays: Delays,
     slots: Option<Slots>,
     fragments: Option<Fragments>,
-    /// By arrival, then in the order of offering.
+    /// Sorted by arrival, then by the order of offering.
     in_transit: BTreeMap<(Timestamp<HostClock>, u64), TransitChunk>,
     next_order: u64,
     arrived: VecDeque<Delivery>,
@@ -72,8 +71,8 @@ pub struct ImpairedDirection {
 }
 
 impl ImpairedDirection {
-    /// A direction on which nothing travels yet. Its randomness derives from `seed` and `name`, so that the two directions of one
-    /// link differ.
+    /// A direction with nothing in transit. Its random numbers derive from `seed` and `name`, so that the two directions of a link
+    /// differ.
     pub fn new(profile: &DirectionProfile, kind: LinkKind, seed: u64, name: &str) -> Self {
         let stream = |stage: &str| RandomStream::new(seed, &format!("link {name} {stage}"));
         Self {
@@ -93,7 +92,7 @@ impl ImpairedDirection {
         }
     }
 
-    /// Offers a unit that is sent at `now`: a datagram, or one write to a stream. Returns its number, by which the log names it.
+    /// Offers a unit sent at `now`: a datagram, or one write to a stream. Returns its number in the log.
     pub fn offer(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) -> u64 {
         let now = self.advance_to(now);
         let unit = self.account.counters.units_offered;
@@ -132,29 +131,28 @@ impl ImpairedDirection {
         unit.number
     }
 
-    /// The next bytes that have arrived by `now`, in the order of their arrival.
+    /// The next bytes that have arrived by `now`, in the order of arrival.
     pub fn poll(&mut self, now: Timestamp<HostClock>) -> Option<Delivery> {
         self.advance_to(now);
         self.arrived.pop_front()
     }
 
-    /// When the next bytes arrive, if nothing else is offered.
+    /// When the next bytes arrive if nothing else is offered.
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waiting = self.arrived.front().map(|delivery| delivery.at);
         waiting.or_else(|| self.in_transit.first_key_value().map(|((at, _), _)| *at))
     }
 
-    /// Counts since the direction was made.
     pub const fn counters(&self) -> Counters {
         self.account.counters
     }
 
-    /// What happened since the log was last taken, in the order in which it was decided.
+    /// The entries since the last call, in the order of the decisions.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         self.account.take_log()
     }
 
-    /// The link goes down: what is on the way is lost, and so is what is offered until [`Self::reconnect`].
+    /// The link goes down: everything in transit is lost, and everything offered until [`Self::reconnect`].
     pub fn disconnect(&mut self, now: Timestamp<HostClock>) {
         let now = self.advance_to(now);
         self.link_state = OutageState::Down;
@@ -170,13 +168,12 @@ impl ImpairedDirection {
         self.delays.clear(now);
     }
 
-    /// The link is up again.
     pub fn reconnect(&mut self, now: Timestamp<HostClock>) {
         self.advance_to(now);
         self.link_state = OutageState::Up;
     }
 
-    /// Lets time pass: what arrives by then is handed over. Returns the present instant, which never falls.
+    /// Delivers what arrives by `now`. Returns the present instant, which never decreases.
     fn advance_to(&mut self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
         self.latest = self.latest.max(now);
         while let Some(entry) = self.in_transit.first_entry() {
@@ -190,7 +187,7 @@ impl ImpairedDirection {
         self.latest
     }
 
-    /// Hands a piece over, with all that share its slot.
+    /// Delivers a chunk together with all others of its slot.
     fn deliver(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) {
         let mut bytes = self.arrive(at, piece);
         if self.slots.is_some() && self.kind == LinkKind::Stream {
@@ -211,7 +208,7 @@ impl ImpairedDirection {
         self.arrived.extend(deliveries);
     }
 
-    /// Notes the arrival of a piece and returns its bytes.
+    /// Records the arrival of a chunk and returns its bytes.
     fn arrive(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) -> Vec<u8> {
         for run in piece.runs {
             let outcome =
@@ -221,7 +218,7 @@ impl ImpairedDirection {
         piece.bytes
     }
 
-    /// Takes a piece of a unit through loss and damage and puts what is left on the way, to arrive at `at`.
+    /// Applies loss and damage to a part of a unit and queues the rest, to arrive at `at`.
     fn send(&mut self, unit: &OfferedUnit<'_>, sent: &SentRange, at: Timestamp<HostClock>) {
         let causes = self.losses(sent, &unit.draw);
         let data = self.damaged(unit, sent, &causes);
@@ -250,7 +247,7 @@ impl ImpairedDirection {
         self.next_order += 1;
     }
 
-    /// What becomes of each byte of a piece; `None` travels on.
+    /// The loss of each byte of a part; `None` is not lost.
     fn losses(&mut self, sent: &SentRange, drawn: &UnitDraw) -> Vec<Option<LossCause>> {
         let mut causes: Vec<Option<LossCause>> = vec![None; sent.bytes.len()];
         for place in within(&drawn.missing_bytes, &sent.bytes, 1) {
@@ -277,7 +274,7 @@ impl ImpairedDirection {
         causes
     }
 
-    /// The bytes of a piece with bits turned over, except in bytes that are lost.
+    /// The bytes of a part after bit errors; lost bytes have none.
     fn damaged(&mut self, unit: &OfferedUnit<'_>, sent: &SentRange, causes: &[Option<LossCause>]) -> Vec<u8> {
         let data = unit.bytes.get(sent.bytes.clone()).unwrap_or_default();
         let mut data = data.to_vec();
@@ -292,7 +289,7 @@ impl ImpairedDirection {
         data
     }
 
-    /// What of a piece the losses leave: its ranges within the unit, and its bytes.
+    /// The bytes that survive the losses: their ranges within the unit, and the bytes.
     fn survivors(
         &mut self,
         unit: u64,
@@ -322,7 +319,7 @@ impl ImpairedDirection {
     }
 }
 
-/// Those of a unit's hits, each with `per_byte` places in a byte, that fall into a piece, counted from its beginning.
+/// The hits within a part of a unit, counted from its beginning; `per_byte` positions per byte.
 fn within(hits: &[u64], piece: &Range<usize>, per_byte: u64) -> impl Iterator<Item = u64> {
     let (start, end) = (piece.start as u64 * per_byte, piece.end as u64 * per_byte);
     let from = hits.partition_point(|hit| *hit < start);
@@ -331,7 +328,7 @@ fn within(hits: &[u64], piece: &Range<usize>, per_byte: u64) -> impl Iterator<It
     hits.iter().map(move |hit| hit - start)
 }
 
-/// Cuts a stream at delivery: a reader must not treat one read as one frame.
+/// Cuts a stream at delivery, because a reader must not treat one read as one frame.
 #[derive(Clone, Debug)]
 struct Fragments {
     settings: Fragment,
@@ -343,7 +340,6 @@ impl Fragments {
         Self { settings, stream }
     }
 
-    /// The pieces of a chunk, in their order; none is empty.
     fn split(&mut self, mut chunk: Vec<u8>) -> Vec<Vec<u8>> {
         let mut pieces = Vec::new();
         loop {

@@ -1,8 +1,7 @@
-//! The fate of the frames in one direction of a link, from its byte log.
+//! The outcome of the frames in one direction of a link, from its byte log.
 //!
-//! The link handles only bytes and units. The ledger scans the offered bytes for frames, and looks up every byte in the
-//! log: a frame has arrived if all of its bytes have, unchanged. This is the truth for a receiver's account of its
-//! losses; it uses no sequence number.
+//! The link handles only bytes and units. The ledger scans the offered bytes for frames and looks up every byte in the log: a frame has
+//! arrived if all of its bytes have, unchanged. This is the ground truth for a receiver's loss counters; it uses no sequence number.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -13,35 +12,33 @@ use serde::Serialize;
 
 use super::byte_log::{ByteOutcome, LogEntry};
 
-/// Number of newest frames and units that are kept although all is known about them: a copy may still arrive.
+/// Newest frames and units that are kept after their outcome is known: a copy may still arrive.
 const MAX_RETAINED: usize = 2_048;
-/// Half the numbers of 8 bits.
+/// Half the range of an 8-bit sequence number.
 const HALF_CIRCLE: u64 = 128;
-/// Most entries that wait for the rest of a frame.
+/// Bounds the entries that wait for the rest of a frame.
 const MAX_PENDING: usize = 65_536;
 
-/// What became of the frames of one sender.
+/// Outcome of the frames of one sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
     pub sent: u64,
     pub whole: u64,
-    /// Frames with missing or changed bytes.
     pub lost: u64,
-    /// Copies that arrived whole.
+    /// Complete copies.
     pub repeated: u64,
-    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit number does not
-    /// distinguish them from newer ones.
+    /// Frames and copies that arrived whole after one that was sent more than 128 frames later: an 8-bit sequence number cannot order
+    /// them.
     pub undatable: u64,
-    /// Frames that are missing between the first and the newest that arrived whole: those that a receiver can notice.
+    /// Frames lost between the first and the newest that arrived whole: the loss that a receiver can detect.
     pub missing_between: u64,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct SenderAccount {
     counts: FrameCounts,
-    /// Number of the first frame that arrived whole, counted from 1.
+    /// Frame number, counted from 1.
     first_intact: Option<u64>,
-    /// Number of the newest.
     latest_intact: u64,
 }
 
@@ -57,33 +54,33 @@ impl SenderAccount {
 struct FrameInTransit {
     byte_range: Range<u64>,
     source: Address,
-    /// Which of its sender's frames, counted from 1.
+    /// Counted from 1 per sender.
     number: u64,
     undecided_bytes: u64,
     duplicated_bytes: u64,
     is_damaged: bool,
 }
 
-/// A unit and where its bytes begin among all that were offered.
+/// A unit and the offset of its first byte among all offered bytes.
 #[derive(Clone, Copy, Debug)]
 struct UnitOffset {
     number: u64,
     start: u64,
 }
 
-/// What became of a range of bytes, by their places among all that were offered.
+/// Outcome of a range of bytes, by offsets among all offered bytes.
 #[derive(Clone, Debug)]
 struct RangeOutcome {
     byte_range: Range<u64>,
     outcome: ByteOutcome,
 }
 
-/// Follows the frames of one direction.
+/// Tracks the outcome of the frames of one direction.
 #[derive(Debug)]
 pub struct FrameLedger {
     framer: Framer,
     offered: u64,
-    /// Bytes that belong to a frame or to none.
+    /// Bytes that are assigned to a frame or to none.
     scanned: u64,
     units: VecDeque<UnitOffset>,
     frames: VecDeque<FrameInTransit>,
@@ -98,7 +95,6 @@ impl Default for FrameLedger {
 }
 
 impl FrameLedger {
-    /// A ledger of a direction on which nothing travels yet.
     pub fn new() -> Self {
         Self {
             framer: Framer::new(FramerConfig::default()),
@@ -111,7 +107,7 @@ impl FrameLedger {
         }
     }
 
-    /// Takes what was offered as unit `number` at `now`. A frame may begin in one unit and end in a later one.
+    /// Scans what was offered as unit `number` at `now`. A frame may begin in one unit and end in a later one.
     pub fn offer(&mut self, now: Timestamp<HostClock>, number: u64, bytes: &[u8]) {
         let start = self.offered;
         self.units.push_back(UnitOffset { number, start });
@@ -158,7 +154,6 @@ impl FrameLedger {
         self.drop_decided();
     }
 
-    /// What became of the frames of each sender so far.
     pub fn counts(&self) -> impl Iterator<Item = (Address, FrameCounts)> {
         self.accounts.iter().map(|(source, account)| {
             let mut counts = account.counts;
@@ -204,7 +199,7 @@ impl FrameLedger {
         }
     }
 
-    /// Drops what nothing can be said of any more.
+    /// Drops frames and units that no further entry can change.
     fn drop_decided(&mut self) {
         while self.frames.len() > MAX_RETAINED && self.frames.front().is_some_and(|frame| frame.undecided_bytes == 0) {
             self.frames.pop_front();
@@ -218,7 +213,7 @@ impl FrameLedger {
 }
 
 impl FrameInTransit {
-    /// Counts bytes of the unit that have arrived or are lost.
+    /// Counts bytes of the frame that have arrived or are lost.
     fn count_bytes(&mut self, bytes: u64, account: &mut SenderAccount) {
         self.undecided_bytes = self.undecided_bytes.saturating_sub(bytes);
         if self.undecided_bytes > 0 {

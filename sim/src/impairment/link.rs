@@ -1,4 +1,4 @@
-//! Both directions of a link and their common outages, in the order of time.
+//! Both directions of a link and their common outages, in time order.
 
 use std::collections::VecDeque;
 
@@ -10,7 +10,7 @@ use super::profile::LinkProfile;
 use super::states::{OutageState, Outages};
 use crate::random::RandomStream;
 
-/// An end of a link.
+/// The brick's or the station's end of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkEnd {
     Brick,
@@ -26,14 +26,14 @@ impl LinkEnd {
     }
 }
 
-/// What happens on a link.
+/// A delivery or an outage of an impaired link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ImpairedLinkEvent {
     Arrived {
         end: LinkEnd,
         delivery: Delivery,
     },
-    /// Both directions are gone, with all that was on the way.
+    /// Both directions go down; everything in transit is lost.
     Down {
         at: Timestamp<HostClock>,
     },
@@ -42,7 +42,7 @@ pub enum ImpairedLinkEvent {
     },
 }
 
-/// Both directions of a link, as a value; used like an [`ImpairedDirection`].
+/// Both directions of a link, without IO; used like an [`ImpairedDirection`].
 #[derive(Clone, Debug)]
 pub struct ImpairedLink {
     to_station: ImpairedDirection,
@@ -52,7 +52,7 @@ pub struct ImpairedLink {
 }
 
 impl ImpairedLink {
-    /// A link that is up at `now`.
+    /// The link is up at `now`.
     pub fn new(profile: &LinkProfile, seed: u64, now: Timestamp<HostClock>) -> Self {
         let outages = |settings| Outages::new(settings, RandomStream::new(seed, "link outages"), now);
         Self {
@@ -63,19 +63,19 @@ impl ImpairedLink {
         }
     }
 
-    /// Offers a unit that the end `from` sends at `now`; see [`ImpairedDirection::offer`].
+    /// Offers a unit that `from` sends at `now`; see [`ImpairedDirection::offer`].
     pub fn offer(&mut self, from: LinkEnd, now: Timestamp<HostClock>, bytes: &[u8]) -> u64 {
         self.advance_to(now);
         self.direction_mut(from.other()).offer(now, bytes)
     }
 
-    /// The next thing that has happened by `now`, in the order of time.
+    /// The next event by `now`, in time order.
     pub fn poll(&mut self, now: Timestamp<HostClock>) -> Option<ImpairedLinkEvent> {
         self.advance_to(now);
         self.events.pop_front()
     }
 
-    /// When the next thing happens, if nothing else is offered.
+    /// When the next event happens if nothing else is offered.
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let waiting = self.events.front().map(|event| match event {
             ImpairedLinkEvent::Arrived { delivery, .. } => delivery.at,
@@ -84,7 +84,6 @@ impl ImpairedLink {
         waiting.or_else(|| self.next().map(|(at, _)| at))
     }
 
-    /// Counts of the direction that ends at `end`.
     pub const fn counters(&self, end: LinkEnd) -> Counters {
         match end {
             LinkEnd::Station => self.to_station.counters(),
@@ -104,7 +103,7 @@ impl ImpairedLink {
         }
     }
 
-    /// What happens next, and when. What arrives at the very instant of an outage has arrived.
+    /// The next change. Bytes that arrive at the very instant of an outage have arrived.
     fn next(&self) -> Option<(Timestamp<HostClock>, NextChange)> {
         let arrival = |end, deadline: Option<Timestamp<HostClock>>| deadline.map(|at| (at, NextChange::Arrival(end)));
         let outage = self.outages.as_ref().map(|outages| (outages.changes_at(), NextChange::Outage));
@@ -154,6 +153,6 @@ impl ImpairedLink {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NextChange {
     Arrival(LinkEnd),
-    /// The link goes away or comes back.
+    /// The link goes down or up.
     Outage,
 }

@@ -1,7 +1,6 @@
-//! A link's profile: what both directions are like, read from strict TOML.
+//! Link profile: the impairments of both directions, in strict TOML.
 //!
-//! Unknown keys are errors, and so is a key that makes no sense for the kind of link, because a misspelt impairment is one that
-//! silently does not happen.
+//! Unknown keys are errors, and so are keys that do not apply to the kind of link: a misspelt impairment would silently not happen.
 
 use serde::Deserialize;
 use toml::de::{DeTable, DeValue};
@@ -9,7 +8,6 @@ use toml::de::{DeTable, DeValue};
 use crate::checks;
 use crate::config_file::{ConfigFileError, bundled_text, from_toml, line_of};
 
-/// The clean link, which needs no file.
 const NONE: &str = "none";
 
 macro_rules! bundled {
@@ -23,20 +21,19 @@ macro_rules! bundled {
 
 bundled!["usb", "bluetooth-spp", "hc05-57600", "sik-radio", "wifi", "ble", "harsh",];
 
-/// What error messages call the file.
+/// The kind of file in error messages.
 const WHAT: &str = "link profile";
 
-/// What a link is like. The default is the clean one.
+/// Impairments of a link. The default has none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkProfile {
     pub kind: LinkKind,
     pub to_station: DirectionProfile,
     pub to_brick: DirectionProfile,
-    /// How both directions go away together.
     pub disconnects: Option<Disconnects>,
 }
 
-/// A profile as it is written: `both`, or each direction by itself.
+/// The file format: `both`, or each direction separately.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ProfileText {
@@ -48,8 +45,8 @@ struct ProfileText {
 }
 
 impl LinkProfile {
-    /// Reads a profile. An error names the line and the key that is unknown, missing, of the wrong type, out of its range, or of no
-    /// use on this kind of link.
+    /// Reads a profile. An error names the line and the key that is unknown, missing, of the wrong type, out of range, or not
+    /// applicable to this kind of link.
     pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
         let read: ProfileText = from_toml(WHAT, text)?;
         if let Some((path, reason)) = profile_error(&read) {
@@ -65,7 +62,7 @@ impl LinkProfile {
         })
     }
 
-    /// The bundled profile of this name; `none` is the clean link. An error lists the names that exist.
+    /// `none` is the link without impairments. An error lists the known names.
     pub fn bundled(name: &str) -> Result<Self, ConfigFileError> {
         if name == NONE {
             return Ok(Self::default());
@@ -74,8 +71,8 @@ impl LinkProfile {
         Self::from_toml(text)
     }
 
-    /// The same link with more loss of whole units (a probability, clamped to 0 to 1) and more delay (milliseconds, at most ten
-    /// minutes) in both directions. A negative value, or one that is not finite, adds nothing.
+    /// Adds loss of whole units (a probability, clamped to 0 to 1) and delay (at most ten minutes) in both directions. A negative or
+    /// non-finite value adds nothing.
     pub fn with_extra(mut self, loss: f64, delay_ms: f64) -> Self {
         let passes = 1.0 - within(loss, 1.0);
         let delay_ms = within(delay_ms, checks::LONGEST_MS);
@@ -91,7 +88,7 @@ fn within(value: f64, most: f64) -> f64 {
     if value.is_finite() { value.clamp(0.0, most) } else { 0.0 }
 }
 
-/// The first key that does not go together with the others, and why.
+/// The first key that contradicts the others, and why.
 fn profile_error(read: &ProfileText) -> Option<(Vec<&'static str>, &'static str)> {
     let directions = [("both", &read.both), ("to_station", &read.to_station), ("to_brick", &read.to_brick)];
     if read.both.is_some() && (read.to_station.is_some() || read.to_brick.is_some()) {
@@ -140,27 +137,27 @@ fn line_of_key(text: &str, path: &[&str]) -> usize {
     line_of(text, offset.unwrap_or(0))
 }
 
-/// What travels on a link.
+/// The unit of transport.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkKind {
-    /// Bytes in their order; boundaries mean nothing; loss takes bytes.
+    /// Ordered bytes without boundaries; loss removes bytes.
     #[default]
     Stream,
-    /// Datagrams: each arrives whole or not at all, perhaps twice, perhaps overtaken.
+    /// Datagrams: each arrives whole or not at all, possibly twice or out of order.
     Datagram,
 }
 
-/// One direction of a link. The default passes everything on at once.
+/// Impairments of one direction. The default delivers everything at once.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DirectionProfile {
-    /// How fast bytes leave, and how many may wait; without it at once.
+    /// Bandwidth and buffer; `None` is infinitely fast.
     pub rate: Option<Rate>,
     /// Probability that a unit is lost whole, independently of all others.
     #[serde(deserialize_with = "checks::probability")]
     pub loss: f64,
-    /// Loss that comes in bursts: of datagrams, or of a stream's bytes.
+    /// Bursty loss: of datagrams, or of a stream's bytes.
     pub burst_loss: Option<BurstLoss>,
     /// Probability that a byte of a stream is missing, independently of all others.
     #[serde(deserialize_with = "checks::probability")]
@@ -168,19 +165,16 @@ pub struct DirectionProfile {
     /// Probability that a bit arrives wrong, independently of all others.
     #[serde(deserialize_with = "checks::bit_error_rate")]
     pub bit_error_rate: f64,
-    /// How long everything takes.
     pub delay: Delay,
-    /// What takes longer now and then.
     pub stalls: Vec<Stall>,
-    /// Datagrams that are overtaken.
     pub reorder: Option<Reorder>,
     /// Probability that a datagram arrives twice.
     #[serde(deserialize_with = "checks::probability")]
     pub duplicate: f64,
-    /// Arrived data is delivered only at this interval in milliseconds, a stream's bytes together; without it at once.
+    /// Delivery slots: bytes arrive only at this interval, a stream's together; `None` is at once.
     #[serde(deserialize_with = "checks::slot_millis")]
     pub slot_ms: Option<f64>,
-    /// A stream is handed over in pieces.
+    /// Splits a stream at delivery.
     pub fragment: Option<Fragment>,
 }
 
@@ -188,13 +182,13 @@ pub struct DirectionProfile {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rate {
-    /// Bytes that leave per second.
     #[serde(deserialize_with = "checks::bytes_per_s")]
     pub bytes_per_s: f64,
-    /// Bytes that may wait, the one that is leaving included; what comes beyond is dropped: a stream's last bytes, a datagram whole.
+    /// Buffer in front of the line, the unit on the line included. On overflow a stream loses its last bytes, a datagram is dropped
+    /// whole.
     #[serde(deserialize_with = "checks::buffer_bytes")]
     pub buffer_bytes: u32,
-    /// Bytes that a line which has rested passes on at once.
+    /// Bucket depth: bytes that an idle line sends at once.
     #[serde(default, deserialize_with = "checks::burst_bytes")]
     pub burst_bytes: u32,
 }
@@ -203,96 +197,89 @@ pub struct Rate {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BurstLoss {
-    /// Mean time in the good state, in seconds.
     #[serde(deserialize_with = "checks::secs")]
     pub mean_good_s: f64,
-    /// Mean time in the bad state, in seconds.
     #[serde(deserialize_with = "checks::secs")]
     pub mean_bad_s: f64,
-    /// Probability of loss in the good state, per datagram or per byte of a stream.
+    /// Per datagram or per byte of a stream.
     #[serde(deserialize_with = "checks::probability")]
     pub loss_good: f64,
-    /// Probability of loss in the bad state, per datagram or per byte of a stream.
+    /// Per datagram or per byte of a stream.
     #[serde(deserialize_with = "checks::probability")]
     pub loss_bad: f64,
 }
 
-/// A constant and an exponential share.
+/// A constant delay plus exponential jitter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Delay {
-    /// The least, in milliseconds.
+    /// Constant part.
     #[serde(deserialize_with = "checks::millis")]
     pub base_ms: f64,
-    /// Mean of what is added to it, in milliseconds.
+    /// Mean of the exponential part.
     #[serde(deserialize_with = "checks::millis")]
     pub jitter_mean_ms: f64,
 }
 
-/// A pause that holds up everything behind it.
+/// A pause that delays everything behind it as well.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stall {
-    /// Probability per unit.
     #[serde(deserialize_with = "checks::probability")]
     pub probability: f64,
-    /// The shortest, in milliseconds.
+    /// Uniform from here
     #[serde(deserialize_with = "checks::millis")]
     pub from_ms: f64,
-    /// The longest, in milliseconds; all between are equally likely.
+    /// to here.
     #[serde(deserialize_with = "checks::millis")]
     pub to_ms: f64,
 }
 
-/// A datagram that waits while those behind it pass.
+/// A datagram that is delayed while later ones pass.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reorder {
-    /// Probability per datagram.
     #[serde(deserialize_with = "checks::probability")]
     pub probability: f64,
-    /// The shortest wait, in milliseconds.
+    /// Uniform from here
     #[serde(deserialize_with = "checks::millis")]
     pub from_ms: f64,
-    /// The longest wait, in milliseconds; all between are equally likely.
+    /// to here.
     #[serde(deserialize_with = "checks::millis")]
     pub to_ms: f64,
 }
 
-/// How a stream is cut where it is handed over.
+/// Fragmentation of a stream at delivery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fragment {
-    /// The largest piece, in bytes.
     #[serde(deserialize_with = "checks::piece_bytes")]
     pub most_bytes: u32,
-    /// How large the pieces are.
     #[serde(default)]
     pub sizes: PieceSizes,
 }
 
-/// How large the pieces of a stream are.
+/// The size of the fragments of a stream.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PieceSizes {
-    /// As large as possible.
     #[default]
     Fixed,
-    /// From one byte to the largest, all equally likely.
+    /// Uniform from one byte to the largest.
     Random,
 }
 
-/// Both directions go away together.
+/// Random outages of both directions of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Disconnects {
-    /// Mean time until the link goes down, in seconds; exponential.
+    /// Exponential.
     #[serde(deserialize_with = "checks::secs")]
     pub mean_up_s: f64,
-    /// The shortest time down, in seconds.
+    /// Uniform from here
     #[serde(deserialize_with = "checks::secs")]
     pub down_from_s: f64,
-    /// The longest time down, in seconds; all between are equally likely.
+    /// to here.
     #[serde(deserialize_with = "checks::secs")]
     pub down_to_s: f64,
 }

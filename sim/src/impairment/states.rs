@@ -1,4 +1,4 @@
-//! States of a link that pass in time: good and bad (loss in bursts), up and down (outages of both directions).
+//! Two-state processes of a link: good and bad (loss in bursts), up and down (outages of both directions).
 //!
 //! # Model
 //! ```text
@@ -6,7 +6,7 @@
 //!              share of loss = (mean_good loss_good + mean_bad loss_bad) / (mean_good + mean_bad)
 //! outages      up for Exp(mean_up), down for U(down_from, down_to)
 //! ```
-//! The states pass in time, not with each packet, so that the length of a burst does not depend on how much is sent.
+//! The states change with time, not with each packet, so that the length of a burst does not depend on the traffic.
 //!
 //! # Sources
 //! Gilbert, Capacity of a Burst-Noise Channel, Bell System Technical Journal 39 (1960); Elliott, Estimates of Error Rates for Codes
@@ -22,26 +22,26 @@ use crate::random::RandomStream;
 pub(super) struct GilbertElliott {
     settings: BurstLoss,
     is_bad: bool,
-    /// When the state changes; `None` before the first look.
+    /// `None` before the first unit.
     changes_at: Option<Timestamp<HostClock>>,
     states: RandomStream,
 }
 
 impl GilbertElliott {
-    /// A link in a state drawn from the long-run shares of both.
+    /// Draws the first state from the stationary distribution.
     pub(super) fn new(settings: BurstLoss, mut states: RandomStream) -> Self {
         let share_bad = settings.mean_bad_s / (settings.mean_good_s + settings.mean_bad_s);
         Self { is_bad: states.bernoulli(share_bad), settings, changes_at: None, states }
     }
 
-    /// Whether what leaves at `at` is lost, given a uniform draw on [0, 1). The instants must not fall.
+    /// Whether a unit that departs at `at` is lost, given a uniform draw on [0, 1). The instants must not decrease.
     pub(super) fn is_lost(&mut self, at: Timestamp<HostClock>, draw: f64) -> bool {
         self.advance_to(at);
         let loss = if self.is_bad { self.settings.loss_bad } else { self.settings.loss_good };
         draw < loss
     }
 
-    /// Lets time pass. The first look starts the first state, so it must come with the first unit, whatever becomes of it.
+    /// Advances the state. The first call starts the first state, so it must come with the first unit, whatever its outcome.
     pub(super) fn advance_to(&mut self, at: Timestamp<HostClock>) {
         // A memoryless state may be looked at first at any instant.
         let mut changes_at = match self.changes_at {
@@ -61,14 +61,12 @@ impl GilbertElliott {
     }
 }
 
-/// Whether bytes can flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OutageState {
     Up,
     Down,
 }
 
-/// When the link goes away and comes back.
 #[derive(Clone, Debug)]
 pub(super) struct Outages {
     settings: Disconnects,
@@ -78,19 +76,18 @@ pub(super) struct Outages {
 }
 
 impl Outages {
-    /// A link that is up at `now`.
+    /// The link is up at `now`.
     pub(super) fn new(settings: Disconnects, stream: RandomStream, now: Timestamp<HostClock>) -> Self {
         let mut outages = Self { settings, stream, state: OutageState::Up, changes_at: now };
         outages.changes_at = now + outages.draw_duration();
         outages
     }
 
-    /// When the link next goes away or comes back.
     pub(super) const fn changes_at(&self) -> Timestamp<HostClock> {
         self.changes_at
     }
 
-    /// Lets the next change happen and returns what it is then.
+    /// Advances to the next change and returns the new state.
     pub(super) fn toggle(&mut self) -> OutageState {
         self.state = match self.state {
             OutageState::Up => OutageState::Down,

@@ -1,4 +1,4 @@
-//! When the bytes of a unit leave and arrive: the line's rate and buffer, delay and stalls, slots of delivery.
+//! Departure and arrival times of a unit: the line's rate and buffer, delay and stalls, delivery slots.
 //!
 //! # Model
 //! ```text
@@ -9,9 +9,9 @@
 //!           arrival = max(departure + delay, arrival of the unit before)        order is kept
 //! slots     t' = phase + ceil((t - phase) / period) period        phase ~ U(0, period), drawn once
 //! ```
-//! A stream leaves in pieces, so that its first bytes do not wait for its last. One delay is drawn for each unit, so that a
-//! write that the line splits stays together. A lost unit delays the others as if it were not lost, so that a loss changes
-//! no other arrival. A radio's connection interval and a USB adapter's latency timer work like the slots.
+//! A stream departs in chunks, so that its first bytes do not wait for its last. One delay is drawn for each unit, so that a write that
+//! the line splits stays together. A lost unit delays the others as if it were not lost, so that a loss changes no other arrival. A
+//! radio's connection interval and a USB adapter's latency timer work like the slots.
 //!
 //! # Sources
 //! The virtual scheduling form of the token bucket: ITU-T Recommendation I.371, annex A (generic cell rate algorithm). The
@@ -25,21 +25,20 @@ use super::profile::{DirectionProfile, LinkKind, Rate, Stall};
 use super::unit_draws::{exponential, millis, uniform};
 use crate::random::RandomStream;
 
-/// Most bytes that leave a stream's line as one: what the receive FIFO of a 16550 UART holds.
+/// Largest chunk of a stream: the receive FIFO of a 16550 UART.
 const CHUNK_BYTES: usize = 16;
 
-/// What half a nanosecond per piece can add up to, in bytes, at any rate of a radio or serial line.
+/// Bound of the accumulated rounding of half a nanosecond per chunk, in bytes, at any rate of a radio or serial line.
 const ROUNDING_BYTES: f64 = 1e-3;
 
-/// A piece of a unit and when its last byte has left.
+/// A part of a unit and the departure of its last byte.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct SentRange {
     pub(super) bytes: Range<usize>,
-    /// When the last of them has left.
     pub(super) at: Timestamp<HostClock>,
 }
 
-/// A line; without settings it is infinitely fast.
+/// A line with a token bucket; without settings infinitely fast.
 #[derive(Clone, Debug)]
 pub(super) struct RateLimiter {
     rate: Option<Rate>,
@@ -52,12 +51,12 @@ impl RateLimiter {
         Self { rate, kind, busy_until: Timestamp::from_nanos(i64::MIN / 2) }
     }
 
-    /// What waited is gone and the line is free.
+    /// Drops what is queued; the line is free.
     pub(super) fn clear(&mut self, now: Timestamp<HostClock>) {
         self.busy_until = self.busy_until.min(now);
     }
 
-    /// Sends a unit of this length: the pieces that leave, in their order. What is missing at the end found the buffer full.
+    /// Sends a unit of this length. Returns the parts that depart, in order; bytes missing at the end found the buffer full.
     pub(super) fn send(&mut self, now: Timestamp<HostClock>, length: usize) -> Vec<SentRange> {
         let Some(rate) = self.rate else {
             return vec![SentRange { bytes: 0..length, at: now }];
@@ -79,7 +78,7 @@ impl RateLimiter {
             .collect()
     }
 
-    /// How many of the bytes find room.
+    /// How many of `length` bytes fit into the buffer.
     fn free_bytes(&self, now: Timestamp<HostClock>, rate: Rate, length: usize) -> usize {
         let waiting = (self.busy_until - now).as_secs_f64().max(0.0) * rate.bytes_per_s;
         // A byte that has begun to leave still waits; stamps of whole nanoseconds must not make a byte more of a whole number.
@@ -139,13 +138,12 @@ impl Delays {
         DelayDraw { delay: self.base + jitter + stalled, stalled }
     }
 
-    /// When something arrives that does not pass what is before it.
+    /// Arrival of a unit that does not overtake.
     pub(super) fn arrival(&mut self, sent: Timestamp<HostClock>, delay: TimeDelta) -> Timestamp<HostClock> {
         self.last_arrival = self.last_arrival.max(sent + delay);
         self.last_arrival
     }
 
-    /// Nothing is on the way any more.
     pub(super) fn clear(&mut self, now: Timestamp<HostClock>) {
         self.last_arrival = self.last_arrival.min(now);
     }

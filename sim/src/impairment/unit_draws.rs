@@ -1,9 +1,8 @@
-//! The random draws of one unit, made before its fate is known.
+//! The random draws of one unit, made before its outcome is known.
 //!
-//! A stage that drew only for the units that reach it would shift its whole sequence with every unit that an earlier
-//! stage drops: with a little more loss, other bits would fail and other datagrams be duplicated. So every stage draws
-//! for every offered unit and byte. Two links of one seed that differ in one stage then differ only in the effect of
-//! that stage.
+//! A stage that drew only for the units that reach it would shift its whole sequence with every unit that an earlier stage drops: with
+//! a little more loss, other bits would fail and other datagrams be duplicated. So every stage draws for every offered unit and byte.
+//! Two links of one seed that differ in one stage then differ only in the effect of that stage.
 //!
 //! # Model
 //! ```text
@@ -18,12 +17,11 @@ use posebridge_telemetry::TimeDelta;
 use super::profile::{DirectionProfile, LinkKind, Reorder};
 use crate::random::RandomStream;
 
-/// A draw from the exponential distribution: `-mean ln(1 - u)`.
+/// `-mean ln(1 - u)`.
 pub(super) fn exponential(stream: &mut RandomStream, mean: TimeDelta) -> TimeDelta {
     TimeDelta::from_secs_f64(-mean.as_secs_f64() * (1.0 - stream.uniform(0.0, 1.0)).ln())
 }
 
-/// A draw from the uniform distribution between two spans.
 pub(super) fn uniform(stream: &mut RandomStream, from: TimeDelta, to: TimeDelta) -> TimeDelta {
     TimeDelta::from_secs_f64(stream.uniform(from.as_secs_f64(), to.as_secs_f64()))
 }
@@ -35,17 +33,16 @@ pub(super) fn millis(milliseconds: f64) -> TimeDelta {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct UnitDraw {
     pub(super) is_lost: bool,
-    /// Uniform on [0, 1), against the probability of burst loss: of a datagram, or of each byte of a stream. Empty on a link
-    /// without bursts.
+    /// Uniform on [0, 1): one per datagram, or one per byte of a stream. Empty on a link without burst loss.
     pub(super) burst_draws: Vec<f64>,
     pub(super) missing_bytes: Vec<u64>,
-    /// Eight times the byte, and the bit.
+    /// Eight times the byte index plus the bit index.
     pub(super) flipped_bits: Vec<u64>,
     pub(super) held_back: Option<TimeDelta>,
     pub(super) is_duplicated: bool,
 }
 
-/// The sequences of the stages whose probabilities do not depend on time.
+/// Random streams of the stages whose probabilities do not depend on time.
 #[derive(Clone, Debug)]
 pub(super) struct UnitDraws {
     kind: LinkKind,
@@ -61,7 +58,7 @@ pub(super) struct UnitDraws {
 }
 
 impl UnitDraws {
-    /// `stream` gives each stage its sequence.
+    /// `stream` creates the random stream of each stage.
     pub(super) fn new(profile: &DirectionProfile, kind: LinkKind, stream: impl Fn(&str) -> RandomStream) -> Self {
         Self {
             kind,
@@ -77,7 +74,7 @@ impl UnitDraws {
         }
     }
 
-    /// Draws for the next unit, which has this number of bytes.
+    /// Draws for the next unit of `bytes` bytes.
     pub(super) fn draw(&mut self, bytes: usize) -> UnitDraw {
         let is_datagram = self.kind == LinkKind::Datagram;
         let trials = if is_datagram { 1 } else { bytes };
@@ -102,11 +99,11 @@ impl UnitDraws {
     }
 }
 
-/// Independent events at a rate, drawn as the gaps between them: a rate of 1e-6 costs nothing.
+/// Independent events at a rate, drawn as the gaps between them: a rate of 1e-6 costs almost nothing.
 #[derive(Clone, Debug)]
 struct ErrorGaps {
     probability: f64,
-    /// Trials that still go well; drawn at the first one.
+    /// Trials before the next event; drawn at the first trial.
     until_next: Option<u64>,
     stream: RandomStream,
 }
@@ -116,7 +113,7 @@ impl ErrorGaps {
         Self { probability, until_next: None, stream }
     }
 
-    /// Which of the next `trials` are hit, counted from 0, in their order.
+    /// Indices of the events among the next `trials`, in order.
     fn hits(&mut self, trials: u64) -> Vec<u64> {
         let mut hits = Vec::new();
         if self.probability <= 0.0 {
@@ -138,7 +135,7 @@ impl ErrorGaps {
     }
 }
 
-/// How many trials fail before the next one succeeds, each with this probability above 0: `floor(ln(1 - u) / ln(1 - p))`.
+/// Geometric draw: `floor(ln(1 - u) / ln(1 - p))`, p above 0.
 fn failures_before_success(stream: &mut RandomStream, probability: f64) -> u64 {
     // ln_1p keeps the digits of rare errors; a certain success divides by minus infinity and gives 0.
     ((-stream.uniform(0.0, 1.0)).ln_1p() / (-probability).ln_1p()) as u64

@@ -10,47 +10,44 @@ use super::robot::{Accelerometers, CameraSensor, GyroSensor, Robot, WheelTurn, n
 use super::scenario::{PriorGeometry, Scenario};
 use crate::random::RandomStream;
 
-/// What happened in one run.
+/// Truth, observations and filter prior of one Monte-Carlo run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
     pub step: TimeDelta,
-    /// The true pose: at the start, then after each step.
+    /// True pose at the start, then after each step.
     pub truth: Vec<Pose<Arena>>,
-    /// What the wheels really did over each step: one fewer than there are poses.
+    /// True wheel rotation over each step: one fewer than there are poses.
     pub wheel_turns: Vec<WheelTurn>,
-    /// The sensors' observations, in the order of arrival.
+    /// In the order of arrival.
     pub arrivals: Vec<Arrival>,
-    /// The error counts from this step on, 1 or later.
+    /// The first step whose error counts, 1 or later.
     pub scored_from: usize,
     pub true_geometry: DriveGeometry,
     pub prior: FilterPrior,
 }
 
-/// An observation and the step at whose end it arrives; its own stamp may be earlier.
+/// An observation and the step at whose end it arrives; its own timestamp may be earlier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arrival {
-    /// The step: 0 is the start.
+    /// 0 is the start.
     pub step: usize,
     pub observation: Observation,
 }
 
-/// What a filter may know before the drive begins.
+/// The prior knowledge of a filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterPrior {
     pub geometry: DriveGeometry,
     pub noise: SensorNoise,
-    /// Where the robot starts.
     pub start: Pose<Arena>,
-    /// One standard deviation of x and of y of the start, in metres.
     pub start_position_sigma_m: f64,
-    /// One standard deviation of the start's heading, in radians.
     pub start_heading_sigma_rad: f64,
-    /// How well the geometry is known; the gyro's bias stands in `noise`.
+    /// Uncertainty of the geometry; that of the gyro's bias is in `noise`.
     pub calibration: Calibration,
 }
 
 impl Drive {
-    /// The instant of a step's end; the start is the clock's zero.
+    /// End of a step; the start is the clock's zero.
     pub fn time_at(&self, step: usize) -> Timestamp<BrickClock> {
         time_at(self.step, step)
     }
@@ -60,7 +57,7 @@ fn time_at(step: TimeDelta, count: usize) -> Timestamp<BrickClock> {
     Timestamp::from_nanos(step.as_nanos().saturating_mul(count as i64))
 }
 
-/// The seed of a run: SplitMix64's output function over base seed and number, so that neighbours have nothing in common.
+/// The seed of a run: SplitMix64's output function over base seed and number, so that the seeds of neighbouring runs are uncorrelated.
 ///
 /// Source: G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014, figure 17, with the
 /// constants of its reference implementation.
@@ -72,7 +69,7 @@ fn run_seed(base: u64, run: u32) -> u64 {
 }
 
 impl Scenario {
-    /// Draws run number `run`. The same scenario and number give the same drive, bit for bit, whatever was drawn before.
+    /// Draws run `run`. The same scenario and number give the same drive, bit for bit, whatever was drawn before.
     pub fn drive(&self, run: u32) -> Drive {
         simulate_drive(self, run)
     }

@@ -26,7 +26,7 @@ impl From<PlanarPose> for Pose<Arena> {
     }
 }
 
-/// An instant within this distance of a step, in steps, is that step: decimal seconds are not exact in binary.
+/// Tolerance when an instant is compared with a step, in steps: decimal seconds are not exact in binary.
 const SAME_STEP: f64 = 1e-6;
 
 pub(super) fn first_step_from(at_s: f64, step_s: f64) -> usize {
@@ -41,7 +41,7 @@ pub(super) fn last_step_until(at_s: f64, step_s: f64) -> usize {
 pub(super) struct StepCommand {
     pub(super) forward_m: f64,
     pub(super) turn_rad: f64,
-    /// The line to follow; only on a side.
+    /// The line to follow; `None` except on a side.
     pub(super) side: Option<LineTracker>,
 }
 
@@ -56,7 +56,6 @@ pub(super) struct LineTracker {
 }
 
 impl LineTracker {
-    /// The controller's correction of this step's turn.
     pub(super) fn correction_rad(&self, pose: &PlanarPose) -> f64 {
         let (sin, cos) = self.heading_rad.sin_cos();
         let left_of_line_m = cos * (pose.y_m - self.from_m.1) - sin * (pose.x_m - self.from_m.0);
@@ -66,7 +65,6 @@ impl LineTracker {
     }
 }
 
-/// The commands of a whole drive, with the start pose.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DrivePlan {
     pub(super) start: PlanarPose,
@@ -115,7 +113,7 @@ impl DrivePlan {
     }
 }
 
-/// A plan of laps while it is made: where the robot ideally is.
+/// Plans laps along the ideal pose.
 struct LapPlanner {
     laps: Laps,
     step_s: f64,
@@ -162,7 +160,7 @@ impl LapPlanner {
     }
 }
 
-/// An amount in parts of about `per_step`, rising and falling over `ramp_steps` at both ends, which makes it longer by as many steps.
+/// Splits an amount into steps of about `per_step`; it ramps up and down over `ramp_steps`, which adds as many steps.
 fn ramped(amount: f64, per_step: f64, ramp_steps: u32) -> Vec<f64> {
     let ramp = ramp_steps as usize;
     let total = ((amount / per_step).round() as usize).max(1) + ramp;
@@ -171,14 +169,14 @@ fn ramped(amount: f64, per_step: f64, ramp_steps: u32) -> Vec<f64> {
     (0..total).map(|step| share(step) * amount / whole).collect()
 }
 
-/// Points that stand for a leg of some metres; a millimetre apart.
+/// Samples of a leg of some metres: about a millimetre apart.
 const POINTS_PER_LEG: usize = 4_000;
 
 #[derive(Clone, Copy, Debug)]
 struct Waypoint {
-    /// Distance from the start along the way, in metres.
+    /// Distance from the start along the path.
     along_m: f64,
-    /// Direction of the way, unwrapped, in radians.
+    /// Tangent of the path, unwrapped.
     heading_rad: f64,
 }
 
@@ -260,7 +258,7 @@ fn heading_at(way: &[Waypoint], along_m: f64) -> f64 {
     }
 }
 
-/// The distance over time: constant acceleration, constant speed, constant deceleration to rest.
+/// Trapezoidal speed profile: constant acceleration, constant speed, constant deceleration to rest.
 struct SpeedProfile {
     length_m: f64,
     speed_m_per_s: f64,
@@ -268,7 +266,7 @@ struct SpeedProfile {
 }
 
 impl SpeedProfile {
-    /// On a way that is too short for the full speed the fastest that can be reached.
+    /// A path that is too short for full speed reaches the highest speed possible.
     fn new(length_m: f64, spline: &Spline) -> Self {
         let reachable = (length_m * spline.acceleration_m_per_s2).sqrt();
         Self {

@@ -1,4 +1,4 @@
-//! The true robot of one run: its geometry, its motion and its sensors, the camera overhead among them.
+//! The true robot of one run: its geometry, motion and sensors, the overhead camera included.
 //!
 //! Fixes arrive late, at most one per step. If two are due at the same step, the newer one arrives first and the older one
 //! at the next free step. So a fix may be overtaken, and then arrives a step later than the file's delay.
@@ -42,7 +42,7 @@ pub(super) fn true_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
     }
 }
 
-/// Where the robot is, what its wheels have done, and what pushes it.
+/// True pose, wheel rotation and disturbances.
 pub(super) struct Robot {
     geometry: DriveGeometry,
     motion: MotionNoise,
@@ -53,12 +53,12 @@ pub(super) struct Robot {
     slip: RandomStream,
 }
 
-/// The rotation of both wheels over one step, as encoders without counts would measure it: free of rounding, blind to slip.
+/// Rotation of both wheels over one step, as ideal encoders would measure it: without rounding, blind to slip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelTurn {
-    /// Of the left wheel, forward positive.
+    /// Forward positive.
     pub left: Radians,
-    /// Of the right wheel, forward positive.
+    /// Forward positive.
     pub right: Radians,
 }
 
@@ -67,7 +67,7 @@ pub(super) struct RobotMotion {
     pub(super) turn_rad: f64,
     pub(super) left_m: f64,
     pub(super) right_m: f64,
-    /// Rotation of the wheels, slip or not.
+    /// Independent of slip.
     pub(super) wheels: WheelTurn,
 }
 
@@ -84,7 +84,6 @@ impl Robot {
         }
     }
 
-    /// Obeys a command for one step.
     pub(super) fn advance(&mut self, command: &StepCommand) -> RobotMotion {
         let side = command.side.as_ref();
         let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(&self.pose));
@@ -124,7 +123,7 @@ impl Robot {
         self.pose.heading_rad = wrap_rad(self.pose.heading_rad + moved.turn_rad);
     }
 
-    /// The encoders' reading: rotation since the start, floored to whole counts.
+    /// Encoder reading: rotation since the start, rounded down to whole counts.
     pub(super) fn wheel_angles(&self) -> ObservationKind {
         let tick_rad = self.geometry.tick.0;
         let floored = |angle_rad: f64| Radians((angle_rad / tick_rad).floor() * tick_rad);
@@ -132,7 +131,7 @@ impl Robot {
     }
 }
 
-/// Turns the robot on its sides, unseen by the encoders.
+/// Disturbances on straight sides: turns that the encoders do not measure.
 struct KickSource {
     kicks: Kicks,
     per_step: f64,
@@ -152,7 +151,7 @@ impl KickSource {
         }
     }
 
-    /// The turn of this step on a side; a kick runs to its end before another can begin, on the next side if this one ends.
+    /// The kick's turn in this step of a side. A kick runs to its end before another begins, on the next side if this one ends.
     fn next_rad(&mut self) -> f64 {
         if self.left_over == 0 {
             if !self.stream.bernoulli(self.per_step) {
@@ -187,7 +186,7 @@ impl GyroSensor {
         }
     }
 
-    /// Its reading for a step with this true turn.
+    /// Reading for a step with this true turn.
     pub(super) fn observe(&mut self, turn_rad: f64) -> ObservationKind {
         let rate_deg_per_s =
             turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
@@ -229,14 +228,14 @@ impl Accelerometers {
     }
 }
 
-/// The camera of one run, with the fixes that are on their way.
+/// The camera of one run, with the fixes in transit.
 pub(super) struct CameraSensor {
     camera: Camera,
     step_s: f64,
     noise: RandomStream,
     delay: RandomStream,
     outliers: RandomStream,
-    /// Fixes on their way, oldest first.
+    /// In transit, oldest first.
     pending: Vec<PendingFix>,
 }
 
@@ -259,7 +258,7 @@ impl CameraSensor {
         }
     }
 
-    /// Looks at the robot, if it is time to.
+    /// Takes an image if it is due.
     pub(super) fn observe(&mut self, step: usize, robot: &PlanarPose) {
         if !step.is_multiple_of(self.camera.every_steps as usize) {
             return;
@@ -287,7 +286,7 @@ impl CameraSensor {
         Some(self.pending.remove(newest_due))
     }
 
-    /// The error of a fix: x and y in metres, heading in radians. Always the same number of draws.
+    /// Error of a fix: x and y in metres, heading in radians. Always the same number of draws.
     fn error(&mut self) -> [f64; 3] {
         let position_m = self.camera.true_noise_factor * self.camera.position_sigma_m;
         let heading_rad = self.camera.true_noise_factor * self.camera.heading_sigma_deg.to_radians();

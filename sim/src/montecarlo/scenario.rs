@@ -1,7 +1,7 @@
-//! A Monte-Carlo scenario, as its TOML file says it.
+//! The TOML format of a Monte-Carlo scenario.
 //!
-//! There are no defaults for numbers: a file is the whole experiment. Only the tables `[camera]`, `[kicks]` and
-//! `[accelerometer]` may be missing, and mean that there is none.
+//! Numbers have no defaults: a file describes the whole experiment. Only the tables `[camera]`, `[kicks]` and `[accelerometer]` are
+//! optional; each is off when missing.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -11,9 +11,9 @@ use crate::checks;
 use crate::config_file::{ConfigFileError, bundled_text, from_toml};
 use crate::scenario::Blackout;
 
-/// What error messages call the file.
+/// The kind of file in error messages.
 const WHAT: &str = "scenario";
-/// Poses closer than this have no direction between them, in metres.
+/// Closer poses define no direction.
 const SHORTEST_LEG_M: f64 = 1e-3;
 macro_rules! bundled {
     ($($name:literal),* $(,)?) => {
@@ -41,51 +41,45 @@ bundled![
     "paper-square",
 ];
 
-/// Most steps of one drive; ten times the longest bundled one.
+/// Ten times the steps of the longest bundled drive.
 pub(super) const MAX_STEPS: f64 = 100_000.0;
 
 /// One experiment: a path, a robot drawn anew in each run, its sensors, and the configuration of the filters.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// Base seed; run i draws from this and i.
+    /// Base seed; run i derives its own from it.
     pub seed: u64,
-    /// How many runs make a good mean.
     #[serde(deserialize_with = "checks::runs")]
     pub runs: u32,
-    /// The grid of all events, in seconds.
+    /// Time grid of all events.
     #[serde(deserialize_with = "checks::positive")]
     pub step_s: f64,
-    /// The error counts from here on, in seconds.
+    /// Errors before this time do not count.
     #[serde(deserialize_with = "checks::non_negative")]
     pub score_from_s: f64,
     pub path: Course,
-    /// The robot as its maker describes it.
     pub robot: NominalRobot,
-    /// How far the true robot is from that.
+    /// Deviation of the true robot from it.
     pub errors: GeometryErrors,
     pub motion: MotionNoise,
     pub gyro: Gyro,
-    /// The camera; none without it.
     pub camera: Option<Camera>,
-    /// Kicks that the encoders do not see; none without it.
+    /// Turns that the encoders do not measure.
     pub kicks: Option<Kicks>,
-    /// Accelerometers at both wheels; none without it.
     pub accelerometer: Option<Accelerometer>,
-    /// The configuration of the filters.
     pub told: PriorSettings,
 }
 
-/// The robot as its maker describes it: the nominal geometry.
+/// The nominal geometry of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NominalRobot {
     #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
-    /// Distance between the wheels, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub track_width_m: f64,
-    /// Wheel rotation of one count, in degrees; a wheel's rotation is floored to it.
+    /// Resolution of the encoders; rotation is rounded down to it.
     #[serde(deserialize_with = "checks::positive")]
     pub tick_deg: f64,
 }
@@ -103,7 +97,7 @@ pub struct GeometryErrors {
     pub track_scale_sigma: f64,
 }
 
-/// The noise of the motion.
+/// Slip of the wheels per square root of travel and turn.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionNoise {
@@ -113,85 +107,78 @@ pub struct MotionNoise {
     pub turn_rad_per_sqrt_rad: f64,
 }
 
-/// The gyro: mean turn rate over the step, with bias and noise, rounded.
+/// Mean turn rate over the step, with bias, noise and rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gyro {
-    /// White noise of one observation, in degrees per second.
+    /// White noise of one observation.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_deg_per_s: f64,
-    /// Resolution, in degrees per second; 0 for none.
+    /// 0 for none.
     #[serde(deserialize_with = "checks::non_negative")]
     pub resolution_deg_per_s: f64,
-    /// Standard deviation of the bias at the start, in degrees per second.
+    /// Bias at the start.
     #[serde(deserialize_with = "checks::non_negative")]
     pub bias_sigma_deg_per_s: f64,
-    /// Random walk of the bias, in degrees per second per square root of a second.
     #[serde(deserialize_with = "checks::non_negative")]
     pub bias_walk_deg_per_s_sqrt_s: f64,
 }
 
-/// What a camera measures.
+/// Whether a camera measures the heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CameraSees {
-    /// Position and heading.
     Pose,
-    /// The position alone.
     Position,
 }
 
-/// The camera.
+/// Timing and noise of the overhead camera.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
     pub sees: CameraSees,
-    /// Number of steps from one image to the next.
     #[serde(deserialize_with = "checks::step_count")]
     pub every_steps: u32,
-    /// Number of steps from a fix's stamp to its arrival,
+    /// From a fix's timestamp to its arrival,
     #[serde(deserialize_with = "checks::short_step_count")]
     pub delay_steps: u32,
-    /// more or less this number, each equally likely.
+    /// plus or minus up to this, uniform.
     #[serde(deserialize_with = "checks::short_step_count")]
     pub delay_spread_steps: u32,
-    /// The configured noise of x and of y, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub position_sigma_m: f64,
-    /// The configured noise of the heading, in degrees.
     #[serde(deserialize_with = "checks::positive")]
     pub heading_sigma_deg: f64,
-    /// The true noise as a multiple of the noise that filters are configured with.
+    /// Ratio of the true noise to the noise in the filter's configuration.
     #[serde(deserialize_with = "checks::non_negative")]
     pub true_noise_factor: f64,
-    /// Fixes that are far off; none without it.
     pub outliers: Option<Outliers>,
-    /// A time without fixes, by their stamps, both ends included; none without it.
+    /// An interval of timestamps without fixes, both ends included.
     pub blackout: Option<Blackout>,
 }
 
-/// Fixes that are far off.
+/// Probability and spread of false fixes.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outliers {
     #[serde(deserialize_with = "checks::probability")]
     pub probability: f64,
-    /// Standard deviation of what is added to x and y, in metres, and to the heading, in radians.
+    /// Added to x and y (metres) and to the heading (radians).
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_m_rad: f64,
 }
 
-/// Kicks: the robot is turned while it drives straight, and its wheels do not measure it.
+/// Disturbances on straight sides: the robot turns and its wheels do not measure it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Kicks {
-    /// Probability of one to begin, per second on a side.
+    /// Rate at which kicks begin on a side.
     #[serde(deserialize_with = "checks::probability")]
     pub probability_per_s: f64,
-    /// The weakest, in degrees, either way.
+    /// Magnitude: uniform from here, either sign,
     #[serde(deserialize_with = "checks::non_negative")]
     pub least_deg: f64,
-    /// The strongest, in degrees, either way.
+    /// to here.
     #[serde(deserialize_with = "checks::non_negative")]
     pub most_deg: f64,
     #[serde(deserialize_with = "checks::step_count")]
@@ -202,52 +189,51 @@ pub struct Kicks {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accelerometer {
-    /// White noise of one observation, in metres per second squared; above zero, because filters are configured with it.
+    /// White noise of one observation; above zero, because filters are configured with it.
     #[serde(deserialize_with = "checks::positive")]
     pub sigma_m_per_s2: f64,
 }
 
-/// The geometry that filters are configured with.
+/// The geometry in the filter's configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PriorGeometry {
     Nominal,
-    /// The true one of this run.
+    /// The true geometry of the run.
     True,
 }
 
-/// The configuration of the filters besides the noise of the sensors.
+/// The filter's configuration besides the sensor noise.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorSettings {
     pub geometry: PriorGeometry,
-    /// Standard deviation of the error of the mean wheel radius; 0 for "take it as given".
+    /// Error of the mean wheel radius; 0 for a fixed radius.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_scale_sigma: f64,
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_difference_sigma: f64,
-    /// The same for the track width.
+    /// Error of the track width; 0 for a fixed track.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub track_scale_sigma: f64,
     #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
-    /// Noise of the heading, in radians per square root of a radian of turn.
+    /// Noise of the heading.
     #[serde(deserialize_with = "checks::non_negative")]
     pub turn_rad_per_sqrt_rad: f64,
-    /// Standard deviation of the start's x and y, in metres; the configured start is the true one.
+    /// Of x and y; the configured start is the true one.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_position_sigma_m: f64,
-    /// Standard deviation of the start's heading, in radians.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_heading_sigma_rad: f64,
-    /// The configured heading of the start is off by up to this, either way, each equally likely, in degrees.
+    /// Bound of the uniform error of the configured start heading.
     #[serde(deserialize_with = "checks::non_negative")]
     pub start_heading_off_deg: f64,
 }
 
 impl Scenario {
-    /// Reads a scenario. An error names the line and the key that is unknown, missing, of the wrong type or out of its range, or says
-    /// which numbers do not go together.
+    /// Reads a scenario. An error names the line and the key that is unknown, missing, of the wrong type or out of range, or the
+    /// numbers that contradict each other.
     pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
         let scenario: Self = from_toml(WHAT, text)?;
         match scenario.contradiction() {
@@ -256,19 +242,17 @@ impl Scenario {
         }
     }
 
-    /// The bundled scenario of this name. An error lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ConfigFileError> {
         let known = |names| format!("{names}, or name a TOML file");
         Self::from_toml(bundled_text("accuracy scenario", SCENARIOS, name, known)?)
     }
 
-    /// The same scenario under another base seed.
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// Which numbers do not go together, and why.
+    /// Numbers that contradict each other, and why.
     fn contradiction(&self) -> Option<String> {
         if let Course::Spline(spline) = &self.path {
             // A NaN is bearable nowhere.
@@ -310,23 +294,22 @@ impl Scenario {
     }
 }
 
-/// What is driven.
+/// The path of a run: laps, a weave or a spline.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Course {
-    /// Laps of a square with turns in place, left and right in turn, with a controller that knows the truth.
+    /// Laps of a square with turns in place, alternately left and right, with a controller that knows the truth.
     Laps(Laps),
-    /// A constant speed with a turn rate that swings.
+    /// A constant speed with a sinusoidal turn rate.
     Weave(Weave),
     /// Splines through poses, at a trapezoidal speed.
     Spline(Spline),
 }
 
-/// Laps of a square.
+/// Laps of a square with turns in place.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Laps {
-    /// How many.
     #[serde(deserialize_with = "checks::laps")]
     pub laps: u32,
     #[serde(deserialize_with = "checks::positive")]
@@ -335,26 +318,26 @@ pub struct Laps {
     pub speed_m_per_s: f64,
     #[serde(deserialize_with = "checks::positive")]
     pub turn_rate_rad_per_s: f64,
-    /// Steps over which the speed rises and falls at the ends of each side and turn.
+    /// Steps over which the speed ramps up and down at the ends of each side and turn.
     #[serde(deserialize_with = "checks::short_step_count")]
     pub ramp_steps: u32,
-    /// Rest before the first lap, in seconds.
+    /// Before the first lap.
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_s: f64,
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_after_side_s: f64,
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_after_turn_s: f64,
-    /// Rest after the extra turn that ends a lap, in seconds.
+    /// After the extra turn that ends a lap.
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_after_lap_s: f64,
-    /// The controller on a side: turn per step for each radian of heading error.
+    /// Of the controller on a side: turn per step for each radian of heading error.
     #[serde(deserialize_with = "checks::non_negative")]
     pub heading_gain: f64,
-    /// The controller on a side: turn per step for each metre beside the line, in radians.
+    /// Of the controller on a side: turn per step for each metre of lateral error.
     #[serde(deserialize_with = "checks::non_negative")]
     pub lateral_gain_rad_per_m: f64,
-    /// The most that the controller turns in a step, in radians.
+    /// Limit of the controller's turn per step.
     #[serde(deserialize_with = "checks::non_negative")]
     pub most_turn_rad: f64,
 }
@@ -363,37 +346,33 @@ pub struct Laps {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Weave {
-    /// How long, in seconds.
     #[serde(deserialize_with = "checks::positive")]
     pub duration_s: f64,
     #[serde(deserialize_with = "checks::positive")]
     pub speed_m_per_s: f64,
-    /// Largest turn rate, in radians per second.
     #[serde(deserialize_with = "checks::finite")]
     pub turn_amplitude_rad_per_s: f64,
-    /// How fast the turn rate swings, in radians per second.
     #[serde(deserialize_with = "checks::finite")]
     pub turn_pulsation_rad_per_s: f64,
 }
 
-/// Quintic splines from pose to pose, driven as one way with a trapezoidal speed.
+/// Quintic splines through poses, driven without a stop at a trapezoidal speed.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spline {
-    /// The poses (x in m, y in m, heading in degrees), from the first to the last.
+    /// (x in m, y in m, heading in degrees).
     pub poses_m_deg: [[f64; 3]; 5],
-    /// Length of the tangents at both ends of a leg, as a multiple of the straight distance between them.
+    /// Length of the tangents at both ends of a leg, relative to its straight distance.
     #[serde(deserialize_with = "checks::positive")]
     pub tangent_scale: f64,
     #[serde(deserialize_with = "checks::positive")]
     pub speed_m_per_s: f64,
-    /// Acceleration at the start and at the end, in metres per second squared.
     #[serde(deserialize_with = "checks::positive")]
     pub acceleration_m_per_s2: f64,
 }
 
 impl Course {
-    /// About how many steps it takes, to be checked before anything is drawn.
+    /// Approximate number of steps, to be checked before anything is drawn.
     pub(super) fn steps_estimate(&self, step_s: f64) -> f64 {
         match self {
             Self::Laps(laps) => {
@@ -410,7 +389,7 @@ impl Course {
 }
 
 impl Spline {
-    /// About how long it takes, from the straight distances and the lengths of the tangents, in seconds.
+    /// Approximate duration, from the straight distances and the lengths of the tangents.
     fn duration_estimate_s(&self) -> f64 {
         let straight_m: f64 = self.legs().map(|(from, to)| distance_m(from, to)).sum();
         let length_m = straight_m * (1.0 + self.tangent_scale);

@@ -1,5 +1,5 @@
-//! What the emulations of NXT and EV3 have in common: a pass of the firmware, telegrams behind their length, a radio that needs time
-//! to turn around, and the estimate in the program's mailbox.
+//! Common parts of the NXT and EV3 emulations: a firmware pass, length-prefixed telegrams, a radio with turn-around time, and the
+//! estimate in the program's mailbox.
 //!
 //! # Model of the radio
 //! ```text
@@ -32,38 +32,37 @@ use crate::wheels::PerWheel;
 pub(super) trait LegoFirmware: Debug + Send + Sync {
     /// One pass of 1 ms; returns the duty of both motors.
     fn step(&mut self, pass: &mut FirmwarePass<'_>) -> PerWheel<f64>;
-    /// Takes bytes that arrive from the station at `now`, the time since the beginning of the world.
+    /// Receives bytes from the station; `now` is world time.
     fn receive(&mut self, now: TimeDelta, bytes: &[u8]);
-    /// The link has a new peer.
+    /// A new peer is connected to the link.
     fn reopen(&mut self);
-    /// Switched off and on: as from the beginning, but for its name.
+    /// Power cycle: everything is reset except the brick's name.
     fn restart(&mut self, pass: &mut FirmwarePass<'_>);
-    /// Stops the program and starts it again: motors, counters and sensors are reset.
+    /// Stops and starts the program: motors, counters and sensors are reset.
     fn restart_program(&mut self, pass: &mut FirmwarePass<'_>);
 }
 
-/// One pass of a brick's firmware, and everything that it can reach then.
+/// One pass of a brick's firmware and everything that it can access.
 pub(super) struct FirmwarePass<'a> {
-    /// Time since the beginning of the world, as a part on the board would count it.
+    /// World time, for the timers of other chips on the board.
     pub(super) sim_time: TimeDelta,
     pub(super) now: Timestamp<BrickClock>,
     pub(super) board: &'a mut SensorBoard,
     pub(super) senses: &'a PluggedSensors,
     pub(super) battery_v: f64,
     pub(super) program: &'a mut Program,
-    /// Telegrams that have gone over the air.
     pub(super) outgoing: &'a mut VecDeque<Vec<u8>>,
-    /// The estimates that the program took out of its mailbox: instant and pose.
+    /// The estimates that the program took from its mailbox: instant and pose.
     pub(super) estimates: &'a mut Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
 impl FirmwarePass<'_> {
-    /// What the encoders have counted since power-up.
+    /// Encoder counts since power-up.
     pub(super) fn counts(&self) -> PerWheel<i64> {
         self.board.counts()
     }
 
-    /// The brick's clock in its register of milliseconds.
+    /// The brick's clock in its millisecond register.
     pub(super) const fn tick_ms(&self) -> u32 {
         (self.now.as_micros() / 1_000) as u32
     }
@@ -78,21 +77,21 @@ impl FirmwarePass<'_> {
         self.program.step(self.now, self.board.counts())
     }
 
-    /// No program runs.
+    /// A pass without a running program.
     pub(super) fn idle(&mut self) {
         self.program.observe_odometry(self.now, self.board.counts());
     }
 }
 
-/// Bytes that wait to be handled, here and before the brick; a sender without any patience loses the rest.
+/// Receive buffer of the brick and the link before it; the excess of a sender without flow control is lost.
 pub(super) const RECEIVE_BYTES: usize = 16 * 1024;
-/// After this much silence a new telegram begins. Ours: a station that lost its place waits a little longer than that.
+/// Silence after which a new telegram begins. Our choice: a station that lost synchronisation waits a little longer.
 const RESYNC_TIMEOUT: TimeDelta = TimeDelta::from_millis(100);
 
-/// Telegrams, each behind its length as LE16, out of bytes in any pieces.
+/// Splits bytes into telegrams, each prefixed with its length as LE16.
 ///
-/// There is no checksum and no start byte. After a length that cannot be, everything is thrown away until the line was quiet for
-/// 100 ms, and so is a telegram whose end does not come.
+/// There is no checksum and no start byte. After an invalid length, or a telegram that stays incomplete, everything is discarded until
+/// the line was silent for 100 ms.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TelegramBuffer {
     pub(super) bytes: Vec<u8>,
@@ -101,7 +100,7 @@ pub(super) struct TelegramBuffer {
 }
 
 impl TelegramBuffer {
-    /// Takes bytes that arrive at `now`, the time since the beginning of the world.
+    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         if now - self.last_received >= RESYNC_TIMEOUT {
             self.clear();
@@ -113,7 +112,7 @@ impl TelegramBuffer {
         }
     }
 
-    /// The next whole telegram without its length, which is one of `lengths`.
+    /// The next complete telegram without its length, which must be within `lengths`.
     pub(super) fn next(&mut self, lengths: RangeInclusive<usize>) -> Option<Vec<u8>> {
         let length = usize::from(u16::from_le_bytes(*self.bytes.first_chunk()?));
         if !lengths.contains(&length) {
@@ -122,7 +121,7 @@ impl TelegramBuffer {
         (self.bytes.len() >= 2 + length).then(|| self.bytes.drain(..2 + length).skip(2).collect())
     }
 
-    /// Throws everything away until the line was quiet.
+    /// Discards everything until the line was silent.
     pub(super) fn give_up(&mut self) {
         self.bytes.clear();
         self.is_lost = true;
@@ -138,21 +137,21 @@ pub(super) fn with_length(telegram: &[u8]) -> Vec<u8> {
     [&(telegram.len() as u16).to_le_bytes()[..], telegram].concat()
 }
 
-/// It receives or sends, and needs time to turn from the one to the other; see the module.
+/// A half-duplex radio with a turn-around time; see the module.
 #[derive(Clone, Debug)]
 pub(super) struct Radio {
     turn_around: TimeDelta,
     byte_s: f64,
     buffers: usize,
-    /// Something was received since it turned to sending.
+    /// Received something since the last turn-around.
     must_turn: bool,
-    /// What is being sent, and when it has been.
+    /// The telegram in transmission and its end, in world time.
     on_air: Option<(Vec<u8>, TimeDelta)>,
     queued: VecDeque<Vec<u8>>,
 }
 
 impl Radio {
-    /// A radio that sends a byte in `byte_s` seconds and holds this number of telegrams, the one on the air included.
+    /// A radio that sends a byte in `byte_s` seconds and holds `buffers` telegrams, the one in transmission included.
     pub(super) const fn new(turn_around: TimeDelta, byte_s: f64, buffers: usize) -> Self {
         Self { turn_around, byte_s, buffers, must_turn: true, on_air: None, queued: VecDeque::new() }
     }
@@ -165,19 +164,18 @@ impl Radio {
         self.must_turn = true;
     }
 
-    /// Whether nothing waits to be sent.
     pub(super) fn is_idle(&self) -> bool {
         self.on_air.is_none() && self.queued.is_empty()
     }
 
-    /// Sends a telegram; one for which there is no buffer is dropped.
+    /// Queues a telegram; drops it if no buffer is free.
     pub(super) fn send(&mut self, bytes: Vec<u8>) {
         if self.queued.len() + usize::from(self.on_air.is_some()) < self.buffers {
             self.queued.push_back(bytes);
         }
     }
 
-    /// What has gone over the air at `now`, the time since the beginning of the world.
+    /// The telegram whose transmission is complete at `now`, in world time.
     pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         if self.on_air.is_none()
             && let Some(bytes) = self.queued.pop_front()
@@ -190,12 +188,12 @@ impl Radio {
     }
 }
 
-/// Length of the payload, in bytes.
+/// Of the payload, in bytes.
 const LENGTH: usize = 24;
-/// Position and heading are valid.
+/// Flags of a valid position and heading.
 const USABLE: u8 = 0b11;
 
-/// The content of a message, if it is a usable estimate.
+/// `None` if the message is not a usable estimate.
 fn estimate_from(message: &[u8]) -> Option<(WireStamp, Pose<Arena>)> {
     let payload = message.get(..LENGTH)?;
     let is_whole = matches!(message.get(LENGTH..), Some([] | [0]));

@@ -1,8 +1,8 @@
-//! The protocol of a simulated brick: MAVLink, or what LEGO's bricks speak as they come out of the box.
+//! The protocol of a simulated brick: MAVLink, or the native protocols of LEGO bricks.
 //!
-//! A [`Brick`] is the program that drives and the [`BrickEmulation`] around it. The LEGO bricks are emulations of
-//! their firmware, which also decides whether the program runs at all, and what the motors do when it does not. They are written
-//! from the makers' documents and know nothing of the station's codecs: a codec must not be tested against itself.
+//! A [`Brick`] is the driving program and the [`BrickEmulation`] around it. The LEGO bricks are emulations of their firmware, which
+//! also decides whether the program runs at all, and what the motors do when it does not. They follow the makers' documents and share
+//! no code with the station's codecs: a codec must not be tested against itself.
 
 mod ev3;
 mod lego;
@@ -36,30 +36,28 @@ enum BrickEmulation {
     Lego(Box<dyn LegoFirmware>),
 }
 
-/// A brick: its program and what surrounds it.
 #[derive(Debug)]
 pub(crate) struct Brick {
     pub(crate) program: Program,
     senses: PluggedSensors,
     emulation: BrickEmulation,
     duty: PerWheel<f64>,
-    /// How often the program of a LEGO brick is stopped and started, and when next, by the world's time.
+    /// Interval between program restarts of a LEGO brick, and the world time of the next.
     program_restarts: Option<(TimeDelta, TimeDelta)>,
     outgoing: VecDeque<Vec<u8>>,
-    /// The estimates that the program of a LEGO brick took: instant and pose.
+    /// Estimates that the program of a LEGO brick took: instant and pose.
     estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
-/// When something happens to a brick: by the world's time, and by its own clock.
+/// An instant in world time and by the brick's own clock.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BrickTime {
-    /// Time since the beginning of the world.
     pub(crate) sim_time: TimeDelta,
     pub(crate) now: Timestamp<BrickClock>,
 }
 
 impl Brick {
-    /// A brick that is switched on at `now` with the robot at the beginning of `path`.
+    /// A brick that is switched on at `now` with the robot at the start of `path`.
     pub(crate) fn new(scenario: &Scenario, path: Path, now: Timestamp<BrickClock>) -> Self {
         let restart_interval = scenario.brick.program_restart_s.map(TimeDelta::from_secs_f64);
         Self {
@@ -108,7 +106,7 @@ impl Brick {
         self.duty
     }
 
-    /// Handles a MAVLink message, where the brick speaks MAVLink. Returns the instant and the pose of a usable estimate.
+    /// Handles a MAVLink message, on a MAVLink brick. Returns the instant and the pose of a usable estimate.
     pub(crate) fn handle(
         &mut self,
         now: Timestamp<BrickClock>,
@@ -122,14 +120,13 @@ impl Brick {
         Some((self.program.apply_estimate(now, stamp, pose), pose))
     }
 
-    /// Takes bytes, where no MAVLink is spoken.
     pub(crate) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         if let BrickEmulation::Lego(firmware) = &mut self.emulation {
             firmware.receive(now, bytes);
         }
     }
 
-    /// The link has a new peer.
+    /// A new peer is connected to the link.
     pub(crate) fn reopen(&mut self) {
         if let BrickEmulation::Lego(firmware) = &mut self.emulation {
             firmware.reopen();
@@ -155,7 +152,7 @@ impl Brick {
         }
     }
 
-    /// The bytes that go to the station next: whole frames, or one telegram.
+    /// The next bytes for the station: whole frames, or one telegram.
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         match &mut self.emulation {
             BrickEmulation::Mavlink(messenger) => messenger.next_bytes(),
@@ -163,7 +160,7 @@ impl Brick {
         }
     }
 
-    /// The estimates that the program took since this was called last, where no MAVLink is spoken.
+    /// Estimates that the program of a LEGO brick took since the last call.
     pub(crate) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
         std::mem::take(&mut self.estimates)
     }

@@ -1,7 +1,7 @@
-//! What the sensors that people plug into a LEGO brick feel at this moment.
+//! The measured quantities of the sensors on a LEGO brick at this moment.
 //!
-//! Unlike the means of [`SensorBoard`](crate::sensors::SensorBoard), which a brick's own program makes over its telemetry period, these are
-//! the momentary values that a poll finds. Units and rest values of the single parts are added where their bytes are made.
+//! Unlike the means of [`SensorBoard`](crate::sensors::SensorBoard) over a telemetry period, these are the instantaneous values of a
+//! poll. Units and rest values of the individual parts are added where their bytes are encoded.
 //!
 //! # Model
 //! ```text
@@ -11,8 +11,8 @@
 //! ultrasonic      distance to the wall along the body's x axis + 0.3 cm noise, in whole centimetres; 255 without an echo
 //! ```
 //! # Sources
-//! HiTechnic's pages on gyro, accelerometer and compass (rates, resolutions, ranges). How far motors bend the field and the noise of the
-//! echo: our choice.
+//! HiTechnic's pages on gyro, accelerometer and compass (rates, resolutions, ranges). The field distortion by the motors and the noise
+//! of the echo: our choice.
 
 use crate::clock::STEP_S;
 use crate::random::RandomStream;
@@ -20,21 +20,19 @@ use crate::robot_body::RobotBody;
 use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario};
 use crate::sensors::Gyro;
 
-/// Steps between two values of the gyro.
 const GYRO_STEPS: u32 = 3;
-/// Steps between two values of accelerometer and compass.
+/// Update period of accelerometer and compass, in steps.
 const SLOW_STEPS: u32 = 10;
-/// One g, in metres per second squared, and in counts of the HiTechnic accelerometer.
+/// One g, in m/s² and in counts of the HiTechnic accelerometer.
 const G_M_PER_S2: f64 = 9.806_65;
 const COUNTS_PER_G: f64 = 200.0;
-/// What the accelerometer can say: 10 bits with a sign.
+/// Range of the accelerometer: 10 bits with a sign.
 const LARGEST_COUNT: f64 = 511.0;
-/// Noise of the compass, and how far the motors at full power turn its needle, in degrees.
+/// Noise of the compass, and its deflection by the motors at full power.
 const COMPASS_SIGMA_DEG: f64 = 1.0;
 const COMPASS_MOTOR_ERROR_DEG: f64 = 5.0;
-/// Noise of the echo, in centimetres.
 const ECHO_SIGMA_CM: f64 = 0.3;
-/// The sensor's own sign for "nothing there"; it sees no farther, and not along a wall.
+/// The sensor's value for "no echo"; also its maximum range. A wall parallel to the beam gives no echo.
 const NO_ECHO: u8 = 255;
 const FARTHEST_CM: f64 = 250.0;
 const STEEPEST_RAD: f64 = 0.8;
@@ -72,7 +70,7 @@ impl PluggedSensors {
         }
     }
 
-    /// Follows the body by one step; `power` is the mean of both motors' duties, -1 to 1.
+    /// Updates from the body for one step; `power` is the mean of both motors' duties, -1 to 1.
     pub(crate) fn step(&mut self, body: &RobotBody, power: f64) {
         if self.steps.is_multiple_of(GYRO_STEPS) {
             self.gyro.sample(body.turned_rad());
@@ -88,7 +86,7 @@ impl PluggedSensors {
         self.steps = self.steps.wrapping_add(1);
     }
 
-    /// Adds to the bias of the gyro, until a power cycle.
+    /// Until a power cycle.
     pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
         self.gyro.gyro.step_bias(rad_per_s);
     }
@@ -99,27 +97,26 @@ impl PluggedSensors {
         self.gyro.angle_deg = 0.0;
     }
 
-    /// What the gyro feels, in degrees per second, counter-clockwise positive, bias and noise included.
+    /// Rate of the gyro, counter-clockwise positive, with bias and noise.
     pub(crate) const fn rate_deg_per_s(&self) -> f64 {
         self.gyro.rate_deg_per_s
     }
 
-    /// The integral of that, in degrees.
     pub(crate) const fn angle_deg(&self) -> f64 {
         self.gyro.angle_deg
     }
 
-    /// Acceleration along the body's x, y and z, in counts of 1/200 g.
+    /// Along the body's x, y and z, in counts of 1/200 g.
     pub(crate) const fn acceleration_counts(&self) -> [i16; 3] {
         self.accelerometer.counts
     }
 
-    /// Where the compass says that the body points, in degrees from north, clockwise, 0 to 359.
+    /// Measured direction of the body, from north, clockwise, 0 to 359.
     pub(crate) const fn compass_deg(&self) -> u16 {
         self.compass_deg
     }
 
-    /// The distance ahead in centimetres, or 255.
+    /// Distance ahead, or 255.
     pub(crate) const fn range_cm(&self) -> u8 {
         self.range_cm
     }

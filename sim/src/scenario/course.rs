@@ -1,4 +1,4 @@
-//! Where the robot is to drive, and how.
+//! The path of a scenario and how it is driven.
 
 use posebridge_telemetry::{Arena, Heading, Meters, Pose};
 use serde::Deserialize;
@@ -6,8 +6,8 @@ use serde::Deserialize;
 use super::loading;
 use crate::checks;
 
-/// The shape of the path. It begins at its own origin and leaves along x; [`StartPose`] puts it into the arena.
-/// Way-points are an exception: they are taken as they are, relative to the start pose.
+/// The shape of the path, in its own space: it begins at the origin and leaves along x; [`StartPose`] places it in the arena.
+/// Way-points are used as given, relative to the start pose.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Course {
@@ -25,14 +25,14 @@ pub enum Course {
         #[serde(default)]
         direction: Direction,
     },
-    /// Two circles, the left one first, without a stop; closed.
+    /// Two circles without a stop, the left one first; closed.
     FigureEight {
         #[serde(default = "default_radius", deserialize_with = "checks::positive")]
         radius_m: f64,
     },
     /// Straight legs between points, with turns in place. Further laps begin with a leg back to the first point.
     Waypoints {
-        /// At least two points (x, y), in metres. A scenario may name a file instead, see [`super::Scenario::from_toml_with`].
+        /// At least two points (x, y). A scenario may name a file instead, see [`super::Scenario::from_toml_with`].
         #[serde(deserialize_with = "loading::waypoints")]
         points_m: Vec<[f64; 2]>,
     },
@@ -52,7 +52,7 @@ const fn default_radius() -> f64 {
     0.5
 }
 
-/// Which way round a closed path is driven.
+/// Of a closed path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
@@ -64,7 +64,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// The sign of the turn: 1 to the left, -1 to the right.
+    /// Turn sign: 1 to the left, -1 to the right.
     pub(crate) const fn sign(self) -> f64 {
         match self {
             Self::Left => 1.0,
@@ -73,17 +73,17 @@ impl Direction {
     }
 }
 
-/// Where the path's own origin lies in the arena and where its x axis points.
+/// Origin and x axis of the path in the arena.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartPose {
-    /// East, in metres.
+    /// East.
     #[serde(deserialize_with = "checks::finite")]
     pub x_m: f64,
-    /// North, in metres.
+    /// North.
     #[serde(deserialize_with = "checks::finite")]
     pub y_m: f64,
-    /// Counter-clockwise from east, in degrees.
+    /// Counter-clockwise from east.
     #[serde(deserialize_with = "checks::finite")]
     pub heading_deg: f64,
 }
@@ -94,36 +94,35 @@ impl StartPose {
     }
 }
 
-/// Whether a drive ends.
+/// Whether a drive ends after its laps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DriveEnd {
-    /// With the last lap.
     #[default]
     LastLap,
-    /// Never: lap after lap. A path that does not close is followed by the way back to its first point.
+    /// Endless laps. A path that is not closed returns to its first point.
     Never,
 }
 
-/// How the path is driven. The values of the follower are limits; the motors may be slower.
+/// Limits and timing of the drive. The motors may be slower.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DriveSettings {
-    /// How often the path is driven, if its end is the drive's.
+    /// Ignored by an endless drive.
     #[serde(deserialize_with = "checks::laps")]
     pub laps: u32,
-    /// Whether the drive ends. No scenario sets this: the caller decides.
+    /// Set by the caller, never by a scenario.
     #[serde(skip)]
     pub end: DriveEnd,
-    /// Speed on legs and circles, in metres per second.
+    /// On legs and circles.
     #[serde(deserialize_with = "checks::positive")]
     pub speed_m_per_s: f64,
-    /// Speed of turns in place, in radians per second.
+    /// Of turns in place.
     #[serde(deserialize_with = "checks::positive")]
     pub turn_rate_rad_per_s: f64,
-    /// Rest before the first movement, in seconds; a station finds the gyro's bias in it.
+    /// Rest before the first movement, in which a station estimates the gyro's bias.
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_s: f64,
-    /// Rest before and after each turn in place, in seconds.
+    /// Rest before and after each turn in place.
     #[serde(deserialize_with = "checks::non_negative")]
     pub pause_s: f64,
 }

@@ -1,10 +1,10 @@
 //! Reads a scenario, and the file of way-points that it may name.
 //!
-//! A scenario names such a file with `file = ".."` under `[path.waypoints]`. The caller reads it, because nothing here opens
-//! anything; its points take the place of the key, so that everything behind sees `points_m` only.
+//! A scenario names such a file with `file = ".."` under `[path.waypoints]`. The caller reads it, because this crate does no IO; its
+//! points replace the key, so that the rest of the crate sees only `points_m`.
 //!
-//! The file has one point per line, `x_m,y_m`. A first line with just these two names is allowed; empty lines and whatever
-//! follows a `#` are left out.
+//! The file has one point per line, `x_m,y_m`. A first line with exactly these two names is allowed; empty lines and comments after `#`
+//! are ignored.
 
 use std::io;
 use std::ops::Range;
@@ -17,43 +17,41 @@ use toml::de::{DeTable, DeValue, Deserializer};
 use crate::checks::LARGEST;
 use crate::config_file::{ConfigFileError, line_of};
 
-/// The names of the columns, which may stand in the first line.
 const HEADER: [&str; 2] = ["x_m", "y_m"];
-/// A path needs two points.
 const MIN_WAYPOINTS: usize = 2;
-/// Most way-points; keeps the list of manoeuvres small.
+/// Bounds the list of manoeuvres.
 const MAX_WAYPOINTS: usize = 10_000;
-/// Way-points closer than this have no direction between them, in metres.
+/// Closer way-points define no direction.
 const MIN_SPACING_M: f64 = 1e-3;
-/// What error messages call the file.
+/// The kind of file in error messages.
 const WHAT: &str = "scenario";
 
-/// Why a scenario cannot be loaded. Lines count from 1.
+/// Why a scenario cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScenarioError {
-    /// The text cannot be used, or no bundled scenario has the name.
+    /// Invalid text, or an unknown name of a bundled scenario.
     #[error(transparent)]
     File(#[from] ConfigFileError),
-    /// The file of way-points could not be read.
+    /// Reading the file of way-points failed.
     #[error("scenario is not usable: line {line}: way-points in {} cannot be read: {source}", file.display())]
     WaypointsUnread {
-        /// Line of the scenario that names the file.
+        /// Line of the scenario that names the file, from 1.
         line: usize,
-        /// The file, as the scenario names it.
+        /// As the scenario names it.
         file: PathBuf,
         source: io::Error,
     },
-    /// A line in the file of way-points does not fit.
+    /// An invalid line in the file of way-points.
     #[error("way-points are not usable: {}, line {line}: {reason}", file.display())]
     WaypointsFile {
-        /// The file, as the scenario names it.
+        /// As the scenario names it.
         file: PathBuf,
-        /// Line of that file; its last one if way-points are missing.
+        /// Line of that file, from 1; its last one if way-points are missing.
         line: usize,
         reason: String,
     },
-    /// There are not enough MAVLink systems for the vehicles.
+    /// MAVLink has too few system ids for the vehicles.
     #[error("{count} robots from system {first} on are too many: at most {most}")]
     TooManyRobots { count: u8, first: u8, most: u8 },
 }
@@ -62,7 +60,7 @@ fn toml_error(error: toml::de::Error) -> ScenarioError {
     ConfigFileError::Toml { what: WHAT, error }.into()
 }
 
-/// Parses a scenario and, through `read`, the file of way-points that it may name.
+/// Parses a scenario and the file of way-points that it may name, which `read` loads.
 pub(super) fn parse_with_file<T: DeserializeOwned>(
     text: &str,
     read: &mut dyn FnMut(&Path) -> io::Result<String>,
@@ -89,7 +87,7 @@ pub(super) fn parse_with_file<T: DeserializeOwned>(
     })
 }
 
-/// The table `[path.waypoints]` and where it stands in the text.
+/// The table `[path.waypoints]` and its range in the text.
 fn waypoints_in<'a, 'i>(scenario: &'a mut DeTable<'i>) -> Option<(Range<usize>, &'a mut DeTable<'i>)> {
     let DeValue::Table(path) = scenario.get_mut("path")?.get_mut() else {
         return None;
@@ -102,7 +100,7 @@ fn waypoints_in<'a, 'i>(scenario: &'a mut DeTable<'i>) -> Option<(Range<usize>, 
     Some((span, waypoints))
 }
 
-/// The file that holds the way-points, if the scenario names one, and the line in which it does.
+/// The way-point file that the scenario names, and the line that names it.
 fn named_file(text: &str, scenario: &mut DeTable<'_>) -> Result<Option<(PathBuf, usize)>, ScenarioError> {
     let refused = |span: Range<usize>, reason: &str| {
         let reason = format!("line {}: {reason}", line_of(text, span.start));
@@ -123,7 +121,7 @@ fn named_file(text: &str, scenario: &mut DeTable<'_>) -> Result<Option<(PathBuf,
     }
 }
 
-/// The points of a file, or the line that is wrong, counted from 1, and why.
+/// The points of a file; the error is the invalid line, counted from 1, and the reason.
 fn from_csv(text: &str) -> Result<Vec<[f64; 2]>, (usize, String)> {
     // Spreadsheets begin a file with a byte order mark.
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
@@ -167,7 +165,6 @@ fn number(field: &str) -> Result<f64, String> {
     field.parse().map_err(|_error| format!("{field:?} is no number; {expected}"))
 }
 
-/// A list of way-points.
 pub(super) fn waypoints<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
     let points = Vec::<[f64; 2]>::deserialize(deserializer)?;
     match waypoint_error(&points) {
@@ -176,7 +173,7 @@ pub(super) fn waypoints<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Re
     }
 }
 
-/// The error in a list of way-points: the index of the first bad one, or the length if one is missing, and the reason.
+/// Index of the first invalid way-point, or the length if one is missing, and the reason.
 pub(super) fn waypoint_error(points: &[[f64; 2]]) -> Option<(usize, String)> {
     let count = points.len();
     if count < MIN_WAYPOINTS {

@@ -1,7 +1,7 @@
-//! What happens in a simulation: the path, the robot with its errors, its sensors, its clock and the camera.
+//! The configuration of a simulation: path, robot with its errors, sensors, clock and camera.
 //!
-//! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulator.md` holds
-//! the table of keys with the sources of the defaults. Reading files is the caller's business.
+//! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulator.md` holds the table of keys
+//! with the sources of the defaults. The caller reads files.
 
 mod course;
 mod loading;
@@ -39,52 +39,50 @@ pub const BUNDLED: &[(&str, &str)] = &[
     ("thermometer", include_str!("../../../config/scenarios/thermometer.toml")),
 ];
 
-/// What the brick steers by.
+/// The pose by which the brick steers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Steering {
-    /// Its own dead reckoning.
+    /// Dead reckoning.
     Odometry,
-    /// The estimate that the station sends back, carried forward by its own odometry; that alone while none is fresh.
+    /// The station's estimate, extrapolated by odometry; odometry alone while no estimate is fresh.
     #[default]
     Estimate,
 }
 
-/// Everything that a simulation needs to know.
+/// The configuration of a simulation.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scenario {
     pub seed: u64,
     pub steering: Steering,
-    /// The path, in its own space; [`StartPose`] places it in the arena.
+    /// In its own space; [`StartPose`] places it in the arena.
     pub path: Course,
-    /// Where the path begins and points.
+    /// Origin and direction of the path.
     pub start: StartPose,
-    /// How the path is driven.
     pub drive: DriveSettings,
-    /// The robot as its brick is configured.
+    /// As its brick is configured.
     pub robot: RobotSettings,
-    /// How the real robot differs from that.
+    /// Deviations of the real robot from `robot`.
     pub errors: ErrorSettings,
     pub gyro: GyroSettings,
     pub accelerometer: AccelerometerSettings,
-    /// The brick's clock and telemetry.
+    /// Clock and telemetry.
     pub brick: BrickSettings,
     pub camera: CameraSettings,
-    /// A thermometer on the brick, if there is one.
     #[serde(deserialize_with = "sensors::thermometer")]
     pub thermometer: Option<ThermometerSettings>,
 }
 
 impl Scenario {
-    /// Reads a scenario from TOML that names no other file; its way-points stand in `points_m`. An error names the line and the key
-    /// that is unknown, missing, of the wrong type or out of its range.
+    /// Reads a scenario from TOML that names no other file. An error names the line and the key that is unknown, missing, of the wrong
+    /// type or out of range.
     pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
         Self::from_toml_with(text, &mut |_| Err(io::Error::other(TEXT_ALONE)))
     }
 
-    /// Reads a scenario from TOML, whose `[path.waypoints]` may name a `file` of lines `x_m,y_m`. `read` is given that path as it
-    /// is written, so that the caller decides what it is relative to, and is called at most once. The scenario holds the points.
+    /// Reads a scenario from TOML whose `[path.waypoints]` may name a `file` of lines `x_m,y_m`. `read` is called at most once, with
+    /// the path as written, so that the caller resolves it. The scenario holds the points.
     pub fn from_toml_with(
         text: &str,
         read: &mut dyn FnMut(&Path) -> io::Result<String>,
@@ -92,42 +90,36 @@ impl Scenario {
         loading::parse_with_file(text, read)
     }
 
-    /// The bundled scenario of this name. An error lists the names that exist.
     pub fn bundled(name: &str) -> Result<Self, ScenarioError> {
         Self::from_toml(bundled_text("bundled scenario", BUNDLED, name, |names| names)?)
     }
 
-    /// The same scenario under another seed.
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// The same scenario, steered by something else.
     pub const fn with_steering(mut self, steering: Steering) -> Self {
         self.steering = steering;
         self
     }
 
-    /// The same scenario with a brick of another protocol.
     pub const fn with_personality(mut self, personality: Personality) -> Self {
         self.brick.personality = personality;
         self
     }
 
-    /// The same scenario over another number of laps; at least one.
+    /// At least one.
     pub fn with_laps(mut self, laps: u32) -> Self {
         self.drive.laps = laps.clamp(1, checks::MAX_LAPS);
         self
     }
 
-    /// The same scenario, driven lap after lap without an end.
     pub const fn without_end(mut self) -> Self {
         self.drive.end = DriveEnd::Never;
         self
     }
 
-    /// The drive as the brick is configured.
     pub fn drive_geometry(&self) -> DriveGeometry {
         DriveGeometry {
             left_wheel_radius: Meters(self.robot.wheel_radius_m),
@@ -137,7 +129,7 @@ impl Scenario {
         }
     }
 
-    /// The noise with which sensors and motion are simulated, one standard deviation each.
+    /// The simulated noise of sensors and motion, one standard deviation each.
     pub fn sensor_noise(&self) -> SensorNoise {
         SensorNoise {
             wheel_travel_m_per_sqrt_m: self.errors.wheel_travel_m_per_sqrt_m,
@@ -156,7 +148,7 @@ impl Scenario {
     }
 }
 
-/// One encoder count: NXT and EV3 motors resolve one degree of the output shaft.
+/// NXT and EV3 motors resolve one degree of the output shaft.
 pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
 const TEXT_ALONE: &str = "this scenario is read without files beside it; write the points into points_m";

@@ -1,28 +1,27 @@
-//! The robot as its brick is configured, how the real one differs, and the brick itself: clock, protocol, program, plugged sensors.
+//! The nominal robot, its deviations, and the brick: clock, protocol, program, sensors.
 
 use posebridge_telemetry::{Address, SystemId, TimeDelta};
 use serde::Deserialize;
 
 use crate::checks;
 
-/// The robot as its brick is configured. Defaults: a LEGO NXT on 56 mm wheels.
+/// The nominal robot. Defaults: a LEGO NXT on 56 mm wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotSettings {
     #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
-    /// Distance between the wheels, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub track_width_m: f64,
-    /// Mass of the whole robot, in kilograms; half of it rides on each wheel.
+    /// Of the whole robot; each wheel carries half.
     #[serde(deserialize_with = "checks::non_negative")]
     pub mass_kg: f64,
-    /// Play between each encoder and its wheel, in degrees in all.
+    /// Total play between each encoder and its wheel.
     #[serde(deserialize_with = "checks::non_negative")]
     pub backlash_deg: f64,
     #[serde(deserialize_with = "checks::positive")]
     pub battery_v: f64,
-    /// How fast it runs down, in volts per minute; it stays at 5 V or above.
+    /// The voltage stays at 5 V or above.
     #[serde(deserialize_with = "checks::non_negative")]
     pub battery_drop_v_per_min: f64,
     pub motor: MotorSettings,
@@ -43,20 +42,20 @@ impl Default for RobotSettings {
     }
 }
 
-/// A motor. Defaults: the LEGO NXT motor as Pybricks identified it.
+/// Defaults: the LEGO NXT motor as Pybricks identified it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotorSettings {
-    /// Kt/R, in newton metres per volt.
+    /// Kt/R.
     #[serde(deserialize_with = "checks::positive")]
     pub torque_n_m_per_v: f64,
-    /// Ke, in volt seconds per radian.
+    /// Ke.
     #[serde(deserialize_with = "checks::positive")]
     pub back_emf_v_s_per_rad: f64,
-    /// J at the output shaft, in kilogram square metres.
+    /// J at the output shaft.
     #[serde(deserialize_with = "checks::positive")]
     pub inertia_kg_m2: f64,
-    /// Coulomb friction, in newton metres.
+    /// Coulomb friction.
     #[serde(deserialize_with = "checks::non_negative")]
     pub friction_n_m: f64,
 }
@@ -68,44 +67,41 @@ impl Default for MotorSettings {
 }
 
 impl MotorSettings {
-    /// With what the motor has to move besides itself, in kg m² at the output shaft.
+    /// `load_kg_m2` is the inertia besides its own, at the output shaft.
     pub(crate) fn time_constant_s(&self, load_kg_m2: f64) -> f64 {
         (self.inertia_kg_m2 + load_kg_m2) / (self.torque_n_m_per_v * self.back_emf_v_s_per_rad)
     }
 }
 
-/// How the real robot differs from its brick's configuration. Each relative error is a fixed part plus a sigma times a draw.
+/// Deviations of the real robot from the nominal one. Each relative error is a fixed part plus a sigma times a draw.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ErrorSettings {
-    /// Both radii larger by this fraction.
+    /// Relative, of both radii.
     #[serde(deserialize_with = "checks::relative")]
     pub radius_error: f64,
-    /// Standard deviation of the drawn part.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_error_sigma: f64,
     /// Right radius minus left radius, as a fraction of their mean.
     #[serde(deserialize_with = "checks::relative")]
     pub radius_mismatch: f64,
-    /// Standard deviation of the drawn part.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_mismatch_sigma: f64,
-    /// Track wider by this fraction.
+    /// Relative.
     #[serde(deserialize_with = "checks::relative")]
     pub track_error: f64,
-    /// Standard deviation of the drawn part.
     #[serde(deserialize_with = "checks::relative_sigma")]
     pub track_error_sigma: f64,
-    /// Slip of each wheel: sigma per square root of its path, in m per sqrt(m).
+    /// Slip of each wheel: sigma per square root of its travel.
     #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
-    /// Slip in turns: sigma of the heading per square root of the turn, in rad per sqrt(rad).
+    /// Slip in turns: sigma of the heading per square root of the turn.
     #[serde(deserialize_with = "checks::non_negative")]
     pub turn_rad_per_sqrt_rad: f64,
-    /// How often a wheel spins without grip for 10 to 40 counts, per minute of motion.
+    /// Events in which a wheel spins without grip for 10 to 40 counts, per minute of motion.
     #[serde(deserialize_with = "checks::non_negative")]
     pub slip_events_per_min: f64,
-    /// How often something turns the robot by 3 to 8 degrees unseen by the encoders, per minute of motion.
+    /// Disturbances that turn the robot by 3 to 8 degrees unseen by the encoders, per minute of motion.
     #[serde(deserialize_with = "checks::non_negative")]
     pub kicks_per_min: f64,
 }
@@ -128,7 +124,7 @@ impl Default for ErrorSettings {
 }
 
 impl ErrorSettings {
-    /// No difference at all: the encoders' readings are exact.
+    /// No deviations: the encoders' readings are exact.
     pub const fn none() -> Self {
         Self {
             radius_error: 0.0,
@@ -145,65 +141,63 @@ impl ErrorSettings {
     }
 }
 
-/// Which messages the brick sends its telemetry in.
+/// The telemetry messages of the brick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Wire {
-    /// `PB_WHEEL_TICKS` and `PB_INERTIAL`: for thin links; time stamps are a 32-bit register that wraps.
+    /// `PB_WHEEL_TICKS` and `PB_INERTIAL`, for slow links; timestamps are a 32-bit register that wraps.
     #[default]
     Compact,
-    /// `WHEEL_DISTANCE` and `SCALED_IMU`: understood everywhere; time stamps do not wrap within a run.
+    /// `WHEEL_DISTANCE` and `SCALED_IMU`, for any ground station; timestamps do not wrap within a run.
     Standard,
 }
 
-/// What an EV3 does that is to set up a sensor that is not there.
+/// How an EV3 answers a request to a missing sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MissingSensor {
-    /// It answers with a value that is no number.
+    /// With NaN.
     #[default]
     Answered,
-    /// It waits for the sensor, and answers nothing until the next command.
+    /// Not at all until the next command: it waits for the sensor.
     Awaited,
 }
 
-/// The brick's clock and telemetry.
+/// Clock, telemetry, protocol and program of the brick.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BrickSettings {
-    /// How often wheels and inertial sensors are sent, in hertz, unless the station asks for something else.
+    /// Default rate of wheel and inertial messages; a station may request another.
     #[serde(deserialize_with = "checks::rate_hz")]
     pub telemetry_hz: f64,
     pub wire: Wire,
-    /// The MAVLink system id of brick and camera.
+    /// MAVLink system id of brick and camera.
     #[serde(deserialize_with = "checks::vehicle_system")]
     pub system: u8,
-    /// What the clock shows at the beginning, in microseconds; just below 2^32 makes the register wrap early.
+    /// Start value; just below 2^32 makes the register wrap early.
     #[serde(deserialize_with = "checks::clock_micros")]
     pub clock_start_micros: u64,
-    /// The clock's rate minus one, in parts per million; positive runs fast.
+    /// Positive runs fast.
     #[serde(deserialize_with = "checks::skew_ppm")]
     pub clock_skew_ppm: f64,
     #[serde(deserialize_with = "checks::tick_micros")]
     pub clock_tick_micros: u32,
-    /// The protocol of its link.
     pub personality: Personality,
-    /// What runs on it from the beginning.
+    /// Running from power-up.
     pub program: BrickProgram,
-    /// Interval in seconds after which the program is stopped and started again: a LEGO brick then zeroes its counters. Without it never.
+    /// Interval of program restarts, at which a LEGO brick zeroes its counters; `None` for no restarts.
     #[serde(deserialize_with = "checks::restart_interval_s")]
     pub program_restart_s: Option<f64>,
-    /// What an EV3 does that is to set up a sensor that is not there.
     pub missing_sensor: MissingSensor,
-    /// Time that the radio of an NXT or EV3 needs to turn from receiving to sending, in milliseconds; without it that of the personality.
+    /// Turn-around of the radio of an NXT or EV3, from receiving to sending; `None` for that of the personality.
     #[serde(deserialize_with = "checks::turn_around_ms")]
     pub turn_around_ms: Option<f64>,
-    /// Longest telegram that an NXT's firmware takes and sends, in bytes; 64 for old ones.
+    /// Longest telegram of an NXT's firmware; 64 for old ones.
     #[serde(deserialize_with = "checks::telegram_bytes")]
     pub telegram_bytes: usize,
-    /// What is plugged into the sensor ports 1 to 4 of an NXT.
+    /// In the sensor ports 1 to 4 of an NXT.
     pub sensors: [PortSensor; 4],
-    /// A wall across the arena at this x, which the ultrasonic sensor sees; without it there is none.
+    /// A wall across the arena at this x, for the ultrasonic sensor.
     #[serde(deserialize_with = "checks::optional_finite")]
     pub wall_x_m: Option<f64>,
 }
@@ -230,7 +224,7 @@ impl Default for BrickSettings {
 }
 
 impl BrickSettings {
-    /// From the last byte of a request to the first of its answer, at least.
+    /// Minimum from the last byte of a request to the first of its reply.
     pub(crate) fn turn_around(&self) -> TimeDelta {
         let usual_ms = self.personality.turn_around_ms();
         TimeDelta::from_secs_f64(self.turn_around_ms.unwrap_or(usual_ms) * 1e-3)
@@ -241,28 +235,28 @@ impl BrickSettings {
     }
 }
 
-/// The protocol of a brick's link.
+/// The protocol of a simulated brick's link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Personality {
-    /// MAVLink 2, together with the camera on one link.
+    /// MAVLink 2, with the camera on the same link.
     #[default]
     Mavlink,
-    /// The telegrams of an unmodified LEGO NXT, which answers and never sends first. The camera has a link of its own.
+    /// The telegrams of an unmodified LEGO NXT, which never sends unsolicited data. The camera has a separate link.
     Nxt,
-    /// A LEGO NXT whose program pushes a compact MAVLink frame in each telegram. The camera has a link of its own.
+    /// A LEGO NXT whose program pushes a compact MAVLink frame in each telegram. The camera has a separate link.
     NxtPush,
-    /// The direct and system commands of an unmodified LEGO EV3. The camera has a link of its own.
+    /// The direct and system commands of an unmodified LEGO EV3. The camera has a separate link.
     Ev3,
 }
 
 impl Personality {
-    /// Whether brick and camera use the same protocol on one link.
+    /// Whether brick and camera are on one link.
     pub const fn shares_link_with_camera(self) -> bool {
         matches!(self, Self::Mavlink)
     }
 
-    /// What its radio usually needs to turn around, in milliseconds.
+    /// Default turn-around of its radio.
     pub(crate) const fn turn_around_ms(self) -> f64 {
         match self {
             Self::Mavlink => 0.0,
@@ -274,22 +268,21 @@ impl Personality {
     }
 }
 
-/// What runs on an NXT or EV3 from the beginning. A MAVLink brick without its program would be mute, so it always runs there.
+/// The program of an NXT or EV3 at power-up. A MAVLink brick sends nothing without its program, so there it always runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BrickProgram {
-    /// A program that drives the scenario's path and takes the estimate out of its mailbox.
+    /// Drives the scenario's path and reads estimates from its mailbox.
     #[default]
     Path,
-    /// None: motors turn only when the station says so.
+    /// The motors turn only on the station's commands.
     None,
 }
 
-/// A sensor in a port of the NXT.
+/// The sensor in a port of the NXT.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PortSensor {
-    /// Nothing.
     #[default]
     None,
     /// HiTechnic gyro, analog.
@@ -305,6 +298,6 @@ pub enum PortSensor {
 }
 
 impl PortSensor {
-    /// What is plugged in unless the scenario says otherwise.
+    /// Default sensors.
     pub(crate) const USUAL: [Self; 4] = [Self::Gyro, Self::Accelerometer, Self::Compass, Self::Ultrasonic];
 }

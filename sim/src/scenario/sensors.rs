@@ -5,23 +5,22 @@ use serde::de::{Deserializer, Error};
 
 use crate::checks;
 
-/// The gyro. Defaults: the HiTechnic gyro behind a brick that averages over the telemetry interval.
+/// Defaults: the HiTechnic gyro behind a brick that averages over the telemetry interval.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GyroSettings {
-    /// White noise of one mean, in degrees per second.
+    /// White noise of one mean.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_deg_per_s: f64,
-    /// Resolution, in degrees per second; 0 for none.
+    /// 0 for none.
     #[serde(deserialize_with = "checks::non_negative")]
     pub quantum_deg_per_s: f64,
-    /// Where it saturates, in degrees per second, either way.
+    /// Saturation, either sign.
     #[serde(deserialize_with = "checks::positive")]
     pub range_deg_per_s: f64,
-    /// Bias at power-up: standard deviation, in degrees per second.
+    /// At power-up.
     #[serde(deserialize_with = "checks::non_negative")]
     pub bias_sigma_deg_per_s: f64,
-    /// Random walk of the bias, in degrees per second per square root of a second.
     #[serde(deserialize_with = "checks::non_negative")]
     pub bias_walk_deg_per_s_sqrt_s: f64,
 }
@@ -42,13 +41,13 @@ impl Default for GyroSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AccelerometerSettings {
-    /// White noise of one mean, in metres per second squared.
+    /// White noise of one mean.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_m_per_s2: f64,
-    /// Resolution, in metres per second squared; 0 for none.
+    /// 0 for none.
     #[serde(deserialize_with = "checks::non_negative")]
     pub quantum_m_per_s2: f64,
-    /// Bias at power-up (tilt): standard deviation, in metres per second squared.
+    /// At power-up, from tilt.
     #[serde(deserialize_with = "checks::non_negative")]
     pub bias_sigma_m_per_s2: f64,
 }
@@ -59,14 +58,14 @@ impl Default for AccelerometerSettings {
     }
 }
 
-/// In which order fixes reach the station.
+/// The order in which fixes reach the station.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CameraOrder {
-    /// A fix waits for the one before it.
+    /// In the order of exposure: a fix waits for the one before it.
     #[default]
     Fifo,
-    /// Each fix arrives when its own latency is over; a slow one is overtaken.
+    /// Each after its own latency, so that a slow one is overtaken.
     Free,
 }
 
@@ -74,77 +73,67 @@ pub enum CameraOrder {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CameraImages {
-    /// At its rate.
+    /// Periodically.
     #[default]
     Steady,
     /// On request (MAV_CMD_REQUEST_MESSAGE), and at requested intervals.
     OnRequest,
 }
 
-/// A time in which the camera sees nothing.
+/// An interval without fixes.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Blackout {
-    /// Beginning, in seconds of world time.
     #[serde(deserialize_with = "checks::non_negative")]
     pub from_s: f64,
-    /// End, in seconds of world time.
     #[serde(deserialize_with = "checks::non_negative")]
     pub to_s: f64,
 }
 
-/// The overhead camera, a MAVLink component of its own with a clock of its own.
+/// The overhead camera, a separate MAVLink component with its own clock.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraSettings {
-    /// Whether there is one.
     pub is_present: bool,
-    /// When it takes images.
     pub images: CameraImages,
     #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
-    /// Standard deviation of the position, each axis, in metres.
+    /// Of each axis.
     #[serde(deserialize_with = "checks::non_negative")]
     pub position_sigma_m: f64,
-    /// Standard deviation of the heading, in degrees.
     #[serde(deserialize_with = "checks::non_negative")]
     pub heading_sigma_deg: f64,
-    /// Whether it measures the heading at all.
     pub sees_heading: bool,
-    /// Whether a fix carries these standard deviations as its covariance.
+    /// Whether a fix carries its standard deviations as covariance.
     pub reports_covariance: bool,
-    /// Mean time from the exposure to the sending of the fix, in milliseconds.
+    /// Mean, from the exposure to the sending of the fix.
     #[serde(deserialize_with = "checks::non_negative")]
     pub latency_ms: f64,
-    /// Half the width of the uniform spread of that time, in milliseconds.
+    /// Half the width of the uniform spread of the latency.
     #[serde(deserialize_with = "checks::non_negative")]
     pub jitter_ms: f64,
-    /// In which order fixes arrive.
     pub order: CameraOrder,
     /// Probability that an image gives no fix.
     #[serde(deserialize_with = "checks::probability")]
     pub dropout: f64,
-    /// Times without any fix.
     pub blackouts: Vec<Blackout>,
-    /// Probability that a fix is an outlier.
     #[serde(deserialize_with = "checks::probability")]
     pub outlier: f64,
-    /// Additional standard deviation of an outlier's position, each axis, in metres.
+    /// Of each axis, in addition to the normal noise.
     #[serde(deserialize_with = "checks::non_negative")]
     pub outlier_sigma_m: f64,
-    /// Additional standard deviation of an outlier's heading, in degrees.
+    /// In addition to the normal noise.
     #[serde(deserialize_with = "checks::non_negative")]
     pub outlier_sigma_deg: f64,
-    /// Lever arm from mid-axle to the tag, forward, in metres; the fix is the tag's position.
+    /// Lever arm from mid-axle to the tag, forward; the fix is the tag's position.
     #[serde(deserialize_with = "checks::finite")]
     pub tag_x_m: f64,
-    /// Lever arm from mid-axle to the tag, to the left, in metres.
+    /// Lever arm from mid-axle to the tag, to the left.
     #[serde(deserialize_with = "checks::finite")]
     pub tag_y_m: f64,
-    /// What the camera's clock shows at the beginning, in microseconds.
     #[serde(deserialize_with = "checks::clock_micros")]
     pub clock_start_micros: u64,
-    /// The clock's rate minus one, in parts per million; positive runs fast.
+    /// Positive runs fast.
     #[serde(deserialize_with = "checks::skew_ppm")]
     pub clock_skew_ppm: f64,
 }
@@ -175,41 +164,40 @@ impl Default for CameraSettings {
     }
 }
 
-/// Its lags, its noise, its baths. Defaults: a DS18B20 in its sleeve, read four times a second.
+/// Lags, noise and baths of a thermometer. Defaults: a DS18B20 in its sleeve, read four times a second.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThermometerSettings {
-    /// In which message it is sent: `scaled_pressure`, or the name of a NAMED_VALUE_FLOAT, which begins with `temp`.
+    /// `scaled_pressure`, or the name of a NAMED_VALUE_FLOAT, which begins with `temp`.
     #[serde(deserialize_with = "channel")]
     pub channel: String,
-    /// How often it is read and sent, in hertz.
+    /// Of reading and sending.
     #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
-    /// Time constants, in seconds.
     #[serde(deserialize_with = "lags")]
     pub lags_s: Vec<f64>,
-    /// The share of the step that each lag takes; they sum up to 1.
+    /// Share of each lag in the step response; the sum is 1.
     #[serde(deserialize_with = "shares")]
     pub shares: Vec<f64>,
-    /// White noise of a reading, one standard deviation, in kelvin.
+    /// White noise of a reading.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_k: f64,
-    /// The step between two values that it can show, in kelvin; 0 if fine.
+    /// 0 for none.
     #[serde(deserialize_with = "checks::non_negative")]
     pub resolution_k: f64,
-    /// The bath in which it has rested, in degrees Celsius.
+    /// Temperature of the bath in which it has rested.
     #[serde(deserialize_with = "checks::degrees_c")]
     pub before_c: f64,
-    /// The bath into which it is dipped, in degrees Celsius.
+    /// Temperature of the bath into which it is dipped.
     #[serde(deserialize_with = "checks::degrees_c")]
     pub after_c: f64,
-    /// When, in seconds of world time.
     #[serde(deserialize_with = "checks::non_negative")]
     pub dipped_at_s: f64,
 }
 
 impl Default for ThermometerSettings {
-    /// The lags are what `posebridge lab thermometer` finds in recordings of three of them, the step is that of the data sheet.
+    /// The lags are those that `posebridge lab thermometer` identifies from recordings of three of them; the resolution is that of the
+    /// data sheet.
     fn default() -> Self {
         Self {
             channel: SCALED_PRESSURE.to_owned(),
@@ -226,17 +214,15 @@ impl Default for ThermometerSettings {
 }
 
 impl ThermometerSettings {
-    /// Whether it is sent in SCALED_PRESSURE and not as a named value.
     pub(crate) fn is_scaled_pressure(&self) -> bool {
         self.channel == SCALED_PRESSURE
     }
 }
 
-/// The name of the channel that has none on the wire.
+/// Channel name of the message that carries no name.
 const SCALED_PRESSURE: &str = "scaled_pressure";
 /// Bytes of NAMED_VALUE_FLOAT.name (common.xml).
 const LONGEST_NAME: usize = 10;
-/// Most lags; enough for any sensor.
 const MOST_LAGS: usize = 4;
 
 fn channel<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {

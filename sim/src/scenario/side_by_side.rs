@@ -4,27 +4,26 @@ use super::{Scenario, ScenarioError};
 use crate::checks;
 use crate::path::Path;
 
-/// Robots and cameras are switched on one after the other: each clock is ahead of the one before by this, in microseconds.
+/// Robots and cameras are switched on one after the other: offset between the clocks of neighbours.
 const SWITCHED_ON_APART_MICROS: u64 = 1_234_567;
-/// Distance between two robots' paths, as a multiple of a path's extent.
+/// Distance between the paths of two robots, relative to the extent of a path.
 const SPACING: f64 = 1.5;
 
-/// The largest difference of a robot's wheel radii from the scenario's, and of one of its wheels from the other, as a fraction: what
-/// UMBmark reports say of LEGO tyres.
+/// Largest relative difference of a robot's wheel radii from the scenario's, and between its two wheels: what UMBmark reports find for
+/// LEGO tyres.
 const RADIUS_SPREAD: f64 = 0.005;
-/// The same for the track.
+/// Largest relative difference of the track.
 const TRACK_SPREAD: f64 = 0.02;
 
-/// A number in -1 to 1 for each robot, 0 for the first; spread evenly, because multiples of an irrational `step` are.
+/// A number in -1 to 1 for each robot, 0 for the first; evenly distributed, because multiples of an irrational `step` are.
 fn spread(index: u8, step: f64) -> f64 {
     let turns = f64::from(index) * step;
     2.0 * (turns - turns.round())
 }
 
 impl Scenario {
-    /// The same scenario for `count` robots: in rows and columns, each with a seed and a MAVLink system of its own, counted up
-    /// from those of the scenario, a clock that shows another time, and wheels and a track of its own.
-    /// The first is the scenario itself.
+    /// The scenario for `count` robots in rows and columns. Each has its own seed and MAVLink system, counted up from those of the
+    /// scenario, a clock offset, and its own wheels and track. The first is the scenario itself.
     ///
     /// # Errors
     /// [`ScenarioError::TooManyRobots`] if there are not enough systems for vehicles.
@@ -51,7 +50,7 @@ impl Scenario {
         Ok(robots.collect())
     }
 
-    /// The longer side of the rectangle around the path, in metres.
+    /// Longer side of the bounding box of the path.
     fn extent_m(&self) -> f64 {
         let points = Path::new(self).polyline();
         let extent = |coordinates: &mut dyn Iterator<Item = f64>| {

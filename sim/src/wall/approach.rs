@@ -1,8 +1,7 @@
-//! The approach to the wall, with the estimator on board or on the other side of a link.
+//! The approach to the wall, with the estimator on board or on a host behind a link.
 //!
-//! Over a link the brick sends its readings and commands and steers by the replies: a distance and a speed at an instant of its
-//! own clock, which it extrapolates linearly to now. The frames stand for what a brick of this class would say in a protocol
-//! of its own; no other program speaks it:
+//! Over a link the brick sends its readings and commands and steers by the replies: a distance and a speed at an instant of its own
+//! clock, which it extrapolates linearly to now. The frames are a private format of this simulation, typical of a brick of this class:
 //!
 //! ```text
 //! 0xA7 | kind | time, first and second value: three f64, little endian | CRC-16/MCRF4XX of kind and values, little endian
@@ -15,64 +14,61 @@ use super::car::{Car, ControlPeriods, Pid, RangeEstimate, RangeReading, Ranger};
 use super::scene::{Gains, HostSettings, WallScene};
 use crate::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
 
-/// Makes a distance out of readings and commands. All times are the brick's, in seconds.
+/// Estimates a distance from readings and commands. All times are the brick's, in seconds.
 pub trait DistanceEstimator {
     fn on_reading(&mut self, reading: RangeReading);
-    /// Takes the PWM that holds from an instant on.
+    /// The PWM from `at_s` on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
-    /// Its estimate for an instant not before its last input; `None` before it knows anything.
+    /// The estimate at an instant not before its last input; `None` before the first reading.
     fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate>;
 }
 
-/// How an approach is driven; the scene says the rest.
+/// Settings of one approach; the scene has the rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachTask {
     pub gains: Gains,
-    /// Largest PWM, either way.
+    /// Absolute value.
     pub max_pwm: f64,
-    /// Which run of the scene's seed.
+    /// Run number under the scene's seed.
     pub run: u32,
 }
 
-/// A turn of the loop.
+/// One control cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachSample {
-    /// When, in the brick's seconds.
     pub at_s: f64,
     pub distance_m: f64,
-    /// The true speed towards the wall, in m/s.
+    /// True speed towards the wall.
     pub towards_m_per_s: f64,
     pub estimate: Option<RangeEstimate>,
-    /// The PWM from then on.
+    /// Applied from then on.
     pub pwm: f64,
 }
 
-/// What an approach leaves behind.
+/// The result of an approach.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Approach {
-    /// Every turn of the loop; the last is the one at which the car stood, if it did.
+    /// Every control cycle; the last is the one at which the car stood, if it did.
     pub samples: Vec<ApproachSample>,
     pub readings: Vec<RangeReading>,
-    /// True distance and time at which the car first stood after it had driven; `None` if it did not.
+    /// True distance and time at which the car first stood after it had driven; `None` if it never stood.
     pub stop: Option<StopPoint>,
 }
 
-/// Where and when a car came to a stand.
+/// Time and distance at which a car stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopPoint {
-    /// When, in the brick's seconds.
     pub at_s: f64,
-    /// How far from the wall, in metres; 0 is a crash.
+    /// True distance from the wall; 0 is a crash.
     pub distance_m: f64,
 }
 
-/// Drives up to the wall by the estimator's output.
 pub fn approach(scene: &WallScene, task: &ApproachTask, estimator: &mut dyn DistanceEstimator) -> Approach {
     drive(scene, task, &mut OnboardLoop(estimator))
 }
 
 pub(super) trait ControlLoop {
-    /// Takes the reading of this turn, if there is one, and returns the present estimate.
+    /// Processes this cycle's reading, if any, and returns the present estimate.
     fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate>;
     fn on_command(&mut self, at_s: f64, pwm: f64);
 }
@@ -130,15 +126,15 @@ pub(super) fn drive(scene: &WallScene, task: &ApproachTask, control: &mut dyn Co
     run
 }
 
-/// The link to the host.
+/// Profile and seed of the link to the host.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HostLink {
     pub profile: LinkProfile,
-    /// Seed of its randomness; that of the world is the scene's.
+    /// Seed of the link; the world uses the scene's.
     pub seed: u64,
 }
 
-/// Drives up to the wall by an estimator on the other side of a link.
+/// Approaches the wall with the estimator on a host behind a link.
 pub fn approach_over_link(
     scene: &WallScene,
     task: &ApproachTask,
@@ -163,9 +159,8 @@ struct RemoteLoop<'a> {
     link: ImpairedLink,
     at_station: WallFramer,
     at_brick: WallFramer,
-    /// The newest estimate that the brick has, with its timestamp.
+    /// The newest estimate on the brick, with its timestamp.
     last_estimate: Option<(f64, RangeEstimate)>,
-    /// The commands that were not sent yet, with their instants.
     unsent_commands: Vec<(f64, f64)>,
 }
 
@@ -174,7 +169,7 @@ fn time_from_secs(at_s: f64) -> Timestamp<HostClock> {
 }
 
 impl RemoteLoop<'_> {
-    /// Lets the link do what it does until `at_s`, each thing at its instant.
+    /// Processes the link's events until `at_s`, each at its instant.
     fn advance_to(&mut self, at_s: f64) {
         let now = time_from_secs(at_s);
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
@@ -255,7 +250,7 @@ impl ControlLoop for RemoteLoop<'_> {
 
 const START: u8 = 0xa7;
 const LENGTH: usize = 28;
-/// What the checksum begins with, beside the bytes: none of a real dialect.
+/// CRC extra byte, not used by any real dialect.
 const EXTRA: u8 = 0x57;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -286,7 +281,7 @@ impl WallFrame {
         bytes
     }
 
-    /// Takes one apart; `None` unless it is whole and every value finite.
+    /// `None` if the frame is damaged or a value is not finite.
     fn decode(bytes: &[u8; LENGTH]) -> Option<Self> {
         let [start, kind, ..] = *bytes;
         let sum = checksum(&bytes[1..26], EXTRA);
@@ -310,14 +305,14 @@ impl WallFrame {
     }
 }
 
-/// Finds frames in what arrives, in pieces of any size.
+/// Splits received bytes into frames.
 #[derive(Debug, Default)]
 pub(super) struct WallFramer {
     held: Vec<u8>,
 }
 
 impl WallFramer {
-    /// The frames that are whole now, in order.
+    /// The frames that are complete now, in order.
     pub(super) fn push(&mut self, bytes: &[u8]) -> Vec<WallFrame> {
         self.held.extend_from_slice(bytes);
         let mut found = Vec::new();

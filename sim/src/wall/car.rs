@@ -3,7 +3,6 @@
 use super::scene::{CarSettings, ControlSettings, Gains, RangerSettings, WallScene};
 use crate::random::RandomStream;
 
-/// Where the car is and how fast.
 #[derive(Clone, Debug)]
 pub(super) struct Car {
     steady_m_per_s_per_pwm: f64,
@@ -22,7 +21,7 @@ impl Car {
         }
     }
 
-    /// Drives on for a time. The wall ends it: the car stands before it then.
+    /// Drives for `dt_s`. The wall stops the car.
     pub(super) fn drive(&mut self, pwm: f64, dt_s: f64) {
         let settled = self.steady_m_per_s_per_pwm * pwm;
         let left = (-dt_s / self.time_constant_s).exp();
@@ -37,7 +36,6 @@ impl Car {
     }
 }
 
-/// When the loop turns.
 #[derive(Clone, Debug)]
 pub(super) struct ControlPeriods {
     settings: ControlSettings,
@@ -55,16 +53,16 @@ impl ControlPeriods {
     }
 }
 
-/// One reading.
+/// A reading of the range sensor with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeReading {
-    /// When it was made, in the brick's seconds.
+    /// Time of measurement, in brick time.
     pub at_s: f64,
-    /// Its reading, in metres, at least 0.
+    /// At least 0.
     pub range_m: f64,
 }
 
-/// An estimate of the distance to the wall.
+/// The estimated distance to the wall, and the speed towards it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeEstimate {
     pub distance_m: f64,
@@ -93,7 +91,7 @@ impl Ranger {
         }
     }
 
-    /// Its reading at a turn of the loop, if it is due: of the distance then.
+    /// The reading at a control cycle, if it is due.
     pub(super) fn read(&mut self, at_s: f64, distance_m: f64) -> Option<RangeReading> {
         if at_s < self.next_s {
             return None;
@@ -117,7 +115,7 @@ pub(super) struct Pid {
 }
 
 impl Pid {
-    /// The PWM for the estimate; `dt_s` is the time since the turn before.
+    /// The PWM for the estimate; `dt_s` is the time since the previous cycle.
     pub(super) fn steer(&mut self, estimate: RangeEstimate, dt_s: f64) -> f64 {
         let error_m = estimate.distance_m - self.target_m;
         let sum = self.integral_m_s + error_m * dt_s;
@@ -128,29 +126,29 @@ impl Pid {
     }
 }
 
-/// A command and the instant from which it holds.
+/// A PWM and the instant from which it holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedCommand {
-    /// From when, in the brick's seconds.
+    /// Brick time from which it holds.
     pub at_s: f64,
     pub pwm: f64,
 }
 
-/// What a step test leaves behind.
+/// The result of a step test.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepRun {
-    /// The turns of the loop, in order: what was commanded from each on.
+    /// The PWM of each control cycle, in order.
     pub commands: Vec<TimedCommand>,
-    /// The readings, in order; the last is the one below the cut-off.
+    /// In order; the last is the one below the cut-off.
     pub readings: Vec<RangeReading>,
-    /// The true speed at each turn, in m/s.
+    /// True speed at each control cycle.
     pub towards_m_per_s: Vec<f64>,
 }
 
-/// Longest step, beyond its rest, in seconds: a car that never arrives.
+/// Time limit of a step after its rest, for a car that never arrives.
 const LONGEST_S: f64 = 60.0;
 
-/// Draws step number `run`. The same scene and number give the same readings, bit for bit.
+/// Draws step `run`. The same scene and number give the same readings, bit for bit.
 pub fn simulate_step(scene: &WallScene, run: u32) -> StepRun {
     let mut car = Car::new(&scene.car, scene.step.start_m);
     let mut ticks = ControlPeriods::new(scene.control, scene.seed, run);

@@ -10,11 +10,11 @@
 //! reading = z + (sigma + share z) n, never below zero, every period, now and then none          n standard normal
 //! PWM = kp e + ki int(e) + kd de/dt, within +- PWM_max        e = estimated z - target, de/dt = -estimated v
 //! ```
-//! Between two cycles of the control loop the PWM is held and the motion is exact.
+//! Between two control cycles the PWM is held and the motion is exact.
 //!
 //! # Assumptions
-//! The wall is perpendicular to the path, the floor level, the battery constant. Brick and host share one time:
-//! aligning clocks is another experiment.
+//! The wall is perpendicular to the path, the floor level, the battery constant. Brick and host share one clock: clock alignment is
+//! another experiment.
 //!
 //! # Sources
 //! Paper 3 (Lab 7); `config/scenarios/lab/wall.toml` has every number of the default scene with its origin.

@@ -1,34 +1,32 @@
-//! The scene before a wall, as its TOML file says it.
+//! The TOML format of the wall scene.
 //!
-//! There are no defaults: a file is the whole experiment.
+//! Keys have no defaults: a file describes the whole experiment.
 
 use serde::Deserialize;
 
 use crate::checks;
 use crate::config_file::{ConfigFileError, from_toml};
 
-/// The scene of the paper.
+/// The scene of paper 3.
 pub const DEFAULT_SCENE: &str = include_str!("../../../config/scenarios/lab/wall.toml");
 
-/// What error messages call the file.
+/// The kind of file in error messages.
 const WHAT: &str = "scene";
-/// Longest step or approach, in turns of the control loop.
+/// Control cycles of the longest step or approach.
 const MOST_TURNS: f64 = 1e6;
 
-/// A car before a wall.
+/// Car, sensor, controller and tasks of the wall experiments.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WallScene {
-    /// Run i draws from this and i.
+    /// Base seed; run i derives its own from it.
     pub seed: u64,
     pub car: CarSettings,
-    /// The loop on board.
     pub control: ControlSettings,
     pub ranger: RangerSettings,
     pub step: StepSettings,
     pub approach: ApproachSettings,
     pub pid: Gains,
-    /// The estimator on the other side of a link.
     pub host: HostSettings,
 }
 
@@ -36,24 +34,24 @@ pub struct WallScene {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CarSettings {
-    /// The PWM that counts as the input 1.
+    /// The PWM that the model takes as input 1.
     #[serde(deserialize_with = "checks::positive")]
     pub reference_pwm: f64,
-    /// The speed at which it settles under that, in m/s.
+    /// Steady-state speed at the reference PWM.
     #[serde(deserialize_with = "checks::positive")]
     pub steady_m_per_s: f64,
-    /// Time from standstill to 90 % of that, in seconds.
+    /// Time from standstill to 90 % of the steady-state speed.
     #[serde(deserialize_with = "checks::positive")]
     pub rise_90_s: f64,
 }
 
-/// The loop on board.
+/// Period and jitter of the control loop on board.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControlSettings {
     #[serde(deserialize_with = "checks::positive")]
     pub period_s: f64,
-    /// Each period differs by up to this share, either way, each equally likely.
+    /// Uniform relative spread of each period, either way.
     #[serde(deserialize_with = "checks::period_spread")]
     pub period_spread: f64,
 }
@@ -70,22 +68,21 @@ pub struct Gains {
     pub kd_pwm_s_per_m: f64,
 }
 
-/// The time-of-flight sensor.
+/// Period and noise of the time-of-flight sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RangerSettings {
     #[serde(deserialize_with = "checks::positive")]
     pub period_s: f64,
-    /// Each period differs by up to this share, either way, each equally likely.
+    /// Uniform relative spread of each period, either way.
     #[serde(deserialize_with = "checks::period_spread")]
     pub period_spread: f64,
-    /// Standard deviation of a reading at no distance, in metres.
+    /// Of a reading at distance 0.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_m: f64,
-    /// What each metre of distance adds to that, in metres.
+    /// Increase of sigma per metre of distance.
     #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_share: f64,
-    /// Probability of no reading.
     #[serde(deserialize_with = "checks::probability")]
     pub miss_probability: f64,
 }
@@ -96,61 +93,57 @@ pub struct RangerSettings {
 pub struct StepSettings {
     #[serde(deserialize_with = "checks::positive")]
     pub pwm: f64,
-    /// Distance at rest, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub start_m: f64,
     #[serde(deserialize_with = "checks::non_negative")]
     pub rest_s: f64,
-    /// The first reading below this ends the step, in metres.
+    /// The first reading below this ends the step.
     #[serde(deserialize_with = "checks::positive")]
     pub cutoff_m: f64,
 }
 
-/// The way to the wall.
+/// Start, target and limits of an approach to the wall.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ApproachSettings {
-    /// Distance at rest, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub start_m: f64,
-    /// Where to stop, in metres.
     #[serde(deserialize_with = "checks::positive")]
     pub target_m: f64,
-    /// Largest PWM, either way.
+    /// Absolute value.
     #[serde(deserialize_with = "checks::positive")]
     pub most_pwm: f64,
-    /// The car stands once it is as slow after it has been faster, in m/s.
+    /// The car counts as standing at or below this speed after it has been faster.
     #[serde(deserialize_with = "checks::positive")]
     pub still_m_per_s: f64,
-    /// An approach that does not end by itself ends here, in seconds.
     #[serde(deserialize_with = "checks::positive")]
     pub longest_s: f64,
-    /// The sum of the errors stays within this, either way, in metre-seconds.
+    /// Limit of the integral of the error, absolute value.
     #[serde(deserialize_with = "checks::non_negative")]
     pub integral_most_m_s: f64,
-    /// By the error, of the controller that is tuned to the car, PWM per metre.
+    /// Proportional gain of the controller that is tuned to the car.
     #[serde(deserialize_with = "checks::positive")]
     pub tuned_kp_pwm_per_m: f64,
-    /// Largest PWM, either way, of the fast approaches.
+    /// Largest absolute PWM of the fast approaches.
     #[serde(deserialize_with = "checks::positive")]
     pub fast_pwm: f64,
 }
 
-/// The estimator on the other side of a link.
+/// The estimator on a host behind a link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HostSettings {
-    /// Number of turns of the brick's loop between two reports of its command.
+    /// Number of control cycles between two reports of the brick's command.
     #[serde(deserialize_with = "checks::loop_turns")]
     pub report_every: u32,
-    /// An estimate that is older stops the motors, in seconds.
+    /// The motors stop when the estimate is older.
     #[serde(deserialize_with = "checks::positive")]
     pub stale_after_s: f64,
 }
 
 impl WallScene {
-    /// Reads a scene. An error names the line and the key that is unknown, missing, of the wrong type or out of its range, or says
-    /// which numbers do not go together.
+    /// Reads a scene. An error names the line and the key that is unknown, missing, of the wrong type or out of range, or the numbers
+    /// that contradict each other.
     pub fn from_toml(text: &str) -> Result<Self, ConfigFileError> {
         let scene: Self = from_toml(WHAT, text)?;
         match scene.contradiction() {
@@ -159,13 +152,12 @@ impl WallScene {
         }
     }
 
-    /// The same scene under another seed.
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// Which numbers do not go together, and why.
+    /// Numbers that contradict each other, and why.
     fn contradiction(&self) -> Option<String> {
         let (step, approach) = (&self.step, &self.approach);
         for (start, start_m, end, end_m) in [

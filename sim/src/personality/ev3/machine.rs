@@ -1,5 +1,5 @@
-//! The memory and the operands of the EV3's byte codes, and the codes that move, calculate and jump: as much as clients put into direct
-//! commands.
+//! The memory and the operands of the EV3's byte codes, and the codes that move, calculate and jump: the subset that clients use in
+//! direct commands.
 //!
 //! ```text
 //! 00vvvvvv            constant of six bits with a sign          10000sss ..   constant: 1 byte, 2, 3 is four bytes, 0 or 4 a text up to its zero
@@ -11,7 +11,7 @@
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, byte codes: parameter encoding.
 
-/// A command that cannot be followed: it is broken, unknown or points outside the memory.
+/// An invalid command: malformed, unknown, or outside the memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ExecutionFault;
 
@@ -39,7 +39,6 @@ impl OperandWidth {
     }
 }
 
-/// Where a value comes from or goes to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Operand {
     Constant(i32),
@@ -48,7 +47,7 @@ enum Operand {
     Local(usize),
 }
 
-/// A direct command under way: its codes and its memory.
+/// A direct command in execution: its byte codes and its memory.
 #[derive(Clone, Debug)]
 pub(super) struct BytecodeMachine {
     code: Vec<u8>,
@@ -58,17 +57,16 @@ pub(super) struct BytecodeMachine {
 }
 
 impl BytecodeMachine {
-    /// A command that has not begun, with that many bytes of memory, all zero.
+    /// A command that has not begun; its memory is zero.
     pub(super) fn new(code: &[u8], globals: usize, locals: usize) -> Self {
         Self { code: code.to_vec(), place: 0, globals: vec![0; globals], locals: vec![0; locals] }
     }
 
-    /// The memory that an answer holds.
+    /// The memory that a reply contains.
     pub(super) fn globals(&self) -> &[u8] {
         &self.globals
     }
 
-    /// How far it has come.
     pub(super) const fn program_counter(&self) -> usize {
         self.place
     }
@@ -77,21 +75,19 @@ impl BytecodeMachine {
         self.place = place;
     }
 
-    /// Goes on by this many bytes, back if negative.
+    /// Relative, backward if negative.
     pub(super) fn jump(&mut self, by: i32) -> Result<(), ExecutionFault> {
         let place = self.place as i64 + i64::from(by);
         self.place = usize::try_from(place).map_err(|_before_the_code| ExecutionFault)?;
         Ok(())
     }
 
-    /// The next byte; `None` at the end.
     pub(super) fn next_code(&mut self) -> Option<u8> {
         let code = self.code.get(self.place).copied()?;
         self.place += 1;
         Some(code)
     }
 
-    /// The next operand as a whole number.
     pub(super) fn int(&mut self, width: OperandWidth) -> Result<i32, ExecutionFault> {
         match self.operand()? {
             Operand::Constant(value) => Ok(value),
@@ -101,7 +97,7 @@ impl BytecodeMachine {
         }
     }
 
-    /// The next operand as a small number: a port, a layer, a percentage.
+    /// The next operand as a small integer: a port, a layer, a percentage.
     pub(super) fn byte(&mut self) -> Result<i32, ExecutionFault> {
         self.int(OperandWidth::Byte)
     }
@@ -119,7 +115,6 @@ impl BytecodeMachine {
         }
     }
 
-    /// Puts a whole number where the next operand says.
     pub(super) fn write_int(&mut self, width: OperandWidth, value: i32) -> Result<(), ExecutionFault> {
         let bytes = value.to_le_bytes();
         match width {
@@ -129,12 +124,11 @@ impl BytecodeMachine {
         }
     }
 
-    /// Puts a real number where the next operand says.
     pub(super) fn write_real(&mut self, value: f32) -> Result<(), ExecutionFault> {
         self.write_bytes(&value.to_le_bytes())
     }
 
-    /// Puts a text with its final zero where the next operand says, cut to `room` bytes.
+    /// Writes a text with its final zero to the next operand, cut to `room` bytes.
     pub(super) fn write_text(&mut self, text: &str, room: i32) -> Result<(), ExecutionFault> {
         let room = usize::try_from(room).map_err(|_negative| ExecutionFault)?;
         let mut bytes: Vec<u8> = text.bytes().take(room.saturating_sub(1)).collect();
@@ -218,7 +212,7 @@ enum Number {
     Real(f32),
 }
 
-/// Follows a byte code of these kinds; `None` if it is of another kind.
+/// Executes a byte code of these groups; `None` if it belongs to another group.
 pub(super) fn calculate(code: u8, machine: &mut BytecodeMachine) -> Option<Result<(), ExecutionFault>> {
     match code {
         0x10..=0x1F => Some(combine((code - 0x10) >> 2, OperandWidth::of(code), machine)),
@@ -229,7 +223,7 @@ pub(super) fn calculate(code: u8, machine: &mut BytecodeMachine) -> Option<Resul
     }
 }
 
-/// MATH: the absolute value alone.
+/// MATH: only the absolute value.
 pub(super) fn math(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     const ABSOLUTE: i32 = 6;
     if machine.byte()? != ABSOLUTE {

@@ -1,12 +1,12 @@
-//! The firmware of an unmodified LEGO EV3: it follows direct commands, takes mailbox messages, and lets a program run.
+//! The firmware of an unmodified LEGO EV3: executes direct commands, receives mailbox messages, and runs a program.
 //!
 //! ```text
 //! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes      answer .. 02 globals, 04
 //! if it failed system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                                    answer .. 03
 //! opcode status, 05 failed
 //! ```
-//! One command is followed after the other, each within a pass of 1 ms unless it waits for a sensor. It is written from the makers'
-//! documents, never from a station's codec.
+//! Commands are executed in order, each within a pass of 1 ms unless it waits for a sensor. The emulation follows LEGO's documents and
+//! shares no code with the station's codec.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulator.md describes what is ours.
@@ -29,7 +29,6 @@ use crate::wheels::PerWheel;
 
 pub use self::wire::beacon;
 
-/// Types of frames.
 const DIRECT: u8 = 0x00;
 const SYSTEM: u8 = 0x01;
 const NO_ANSWER: u8 = 0x80;
@@ -37,26 +36,22 @@ const DIRECT_DONE: u8 = 0x02;
 const DIRECT_FAILED: u8 = 0x04;
 const SYSTEM_DONE: u8 = 0x03;
 const SYSTEM_FAILED: u8 = 0x05;
-/// System command, and statuses.
 const WRITE_MAILBOX: u8 = 0x9E;
 const STATUS_OK: u8 = 0x00;
 const STATUS_UNKNOWN_ERROR: u8 = 0x0A;
 const ESTIMATE_MAILBOX: &[u8] = b"estimate";
-/// Byte codes that are followed in one pass; a jump back to itself must not hold up the world.
+/// Limit of byte codes per pass, so that a jump to itself cannot block the world.
 const CODES_PER_PASS: usize = 1_000;
 
-/// What comes after a byte code.
+/// Control flow after a byte code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Flow {
-    /// The next one.
     Next,
-    /// The same again, one pass later.
+    /// Repeats the byte code in the next pass.
     Wait,
-    /// Nothing: the command is at its end.
     End,
 }
 
-/// A direct command under way.
 #[derive(Clone, Debug)]
 struct Command {
     counter: [u8; 2],
@@ -64,7 +59,6 @@ struct Command {
     machine: BytecodeMachine,
 }
 
-/// An EV3.
 #[derive(Debug)]
 pub(super) struct Ev3 {
     wire: Ev3Wire,
@@ -73,7 +67,6 @@ pub(super) struct Ev3 {
     command: Option<Command>,
     is_running: bool,
     scenario_program: BrickProgram,
-    /// The newest estimate in the mailbox.
     mailbox_message: Option<Vec<u8>>,
     name: String,
     volume: i32,
@@ -81,7 +74,7 @@ pub(super) struct Ev3 {
 }
 
 impl Ev3 {
-    /// A brick that is switched on.
+    /// A brick that is switched on at world time 0.
     pub(super) fn new(scenario: &Scenario) -> Self {
         let program = scenario.brick.program;
         Self {
@@ -133,7 +126,7 @@ impl Ev3 {
         }
     }
 
-    /// Goes on with a command until it ends, fails or waits.
+    /// Executes a command until it ends, fails or waits.
     fn run_command(&mut self, mut command: Command, pass: &mut FirmwarePass<'_>) {
         for _ in 0..CODES_PER_PASS {
             let place = command.machine.program_counter();
@@ -160,7 +153,7 @@ impl Ev3 {
         }
     }
 
-    /// Follows a system command and returns its status.
+    /// Executes a system command and returns its status.
     fn system(&mut self, opcode: u8, rest: &[u8]) -> u8 {
         if opcode != WRITE_MAILBOX {
             return STATUS_UNKNOWN_ERROR;
@@ -175,7 +168,7 @@ impl Ev3 {
         STATUS_OK
     }
 
-    /// Lets the program run, which looks into its mailbox first.
+    /// Runs the program for one pass, starting with its mailbox.
     fn run(&mut self, pass: &mut FirmwarePass<'_>) {
         if !self.is_running {
             return pass.idle();

@@ -21,14 +21,12 @@ use crate::scenario::{RobotSettings, TICK_RAD};
 use crate::wheels::PerWheel;
 
 pub(super) const PORTS: usize = 4;
-/// Where the wheels' motors are plugged in.
+/// Ports of the wheel motors.
 const LEFT: usize = 1;
 const RIGHT: usize = 2;
-/// Passes between two steps of the speed control.
 const CONTROL_PASSES: u32 = 10;
-/// Speed of one percent.
 const RAD_PER_S_PER_PERCENT: f64 = 10.5 * TICK_RAD;
-/// Before a target it is no faster than this per degree that is left, in percent, and no slower than that.
+/// Deceleration before a target: speed limit in percent per remaining degree, and the minimum speed in percent.
 const PERCENT_PER_DEG: f64 = 0.4;
 const SLOWEST_PERCENT: f64 = 5.0;
 const FULL_PERCENT: f64 = 100.0;
@@ -41,25 +39,22 @@ pub(super) enum MotorDrive {
     Speed(f64),
 }
 
-/// When a movement ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StopCondition {
-    /// Not by itself.
+    /// Only a stop command.
     Stopped,
-    /// After this number of degrees, in either direction.
     Turned(i64),
-    /// At this time since the beginning of the world.
     Time(TimeDelta),
 }
 
 #[derive(Clone, Debug)]
 struct MotorOutput {
-    /// What START starts.
+    /// Applied by START.
     setting: MotorDrive,
     polarity: f64,
     running: Option<(MotorDrive, StopCondition)>,
     position: i64,
-    /// Where the counter and the tacho of the movement were zeroed.
+    /// Zero points of the counter and of the movement's tacho.
     count_zero: i64,
     tacho_zero: i64,
     start_position: i64,
@@ -94,7 +89,7 @@ impl Motors {
         matches!(port, LEFT | RIGHT)
     }
 
-    /// Follows the encoders by one pass and returns the duty of both motors.
+    /// Updates from the encoders for one pass and returns the duty of both motors.
     pub(super) fn step(&mut self, world: TimeDelta, positions: PerWheel<i64>) -> PerWheel<f64> {
         self.ports[LEFT].position = positions.left;
         self.ports[RIGHT].position = positions.right;
@@ -109,7 +104,7 @@ impl Motors {
         PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
-    /// What the program on the brick does: both motors on at these duties.
+    /// Both motors on at these duties, as the program on the brick sets them.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
             self.ports[place].running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
@@ -117,12 +112,12 @@ impl Motors {
         }
     }
 
-    /// What START is to start on the ports of a bit field.
+    /// Sets what START applies, for the ports of a bit field.
     pub(super) fn set(&mut self, field: i32, drive: MotorDrive) {
         self.each(field, |port| port.setting = drive);
     }
 
-    /// Turns forward and backward around, or sets them: -1, 0 for the other way round, 1.
+    /// Polarity of the ports of a bit field: -1 backward, 0 toggle, 1 forward.
     pub(super) fn set_polarity(&mut self, field: i32, polarity: i32) {
         self.each(field, |port| {
             port.polarity = match polarity.signum() {
@@ -159,14 +154,14 @@ impl Motors {
         self.each(field, |port| port.tacho_zero = port.position);
     }
 
-    /// Whether one of the ports of a bit field has a movement with an end before it.
+    /// Whether a port of the bit field is in a movement with an end condition.
     pub(super) fn is_busy(&self, field: i32) -> bool {
         let is_moving =
             |port: &MotorOutput| matches!(port.running, Some((_, StopCondition::Turned(_) | StopCondition::Time(_))));
         (0..).zip(&self.ports).any(|(bit, port)| field >> bit & 1 == 1 && is_moving(port))
     }
 
-    /// The counter of a port, in degrees; 0 where there is none.
+    /// Degrees; 0 for a port that does not exist.
     pub(super) fn count(&self, port: usize) -> i32 {
         let port = self.ports.get(port);
         port.map_or(0, |port| (port.position - port.count_zero) as i32)

@@ -1,6 +1,6 @@
 //! The byte codes of direct commands: clock, motors, sensors, battery, names.
 //!
-//! Clients use a small part of what the virtual machine knows; the rest is a fault, which is answered with an error.
+//! Clients use a small subset of the virtual machine; everything else is answered with an error.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 firmware developer kit, byte codes; its header c_com.h for the commands of names and networks.
@@ -20,16 +20,14 @@ const OS_BUILD: &str = "1212131117";
 const HARDWARE_VERSION: &str = "V0.60";
 const FIRMWARE_VERSION: &str = "V1.09H";
 const FIRMWARE_BUILD: &str = "1512030906";
-/// Memory in all and free, in kilobytes.
 const MEMORY_KB: (i32, i32) = (6_000, 5_000);
 /// An empty and a full battery, in volts.
 const EMPTY_V: f64 = 6.2;
 const FULL_V: f64 = 7.5;
-/// What the brick itself draws, in amperes.
+/// Supply current of the brick without motors.
 const CURRENT_A: f32 = 0.2;
 
 impl Ev3 {
-    /// Follows one byte code.
     pub(super) fn execute(
         &mut self,
         code: u8,
@@ -160,7 +158,7 @@ impl Ev3 {
         Ok(Flow::Next)
     }
 
-    /// INPUT_READ and INPUT_READSI, which take what is there without waiting.
+    /// INPUT_READ and INPUT_READSI, which return the present reading without waiting.
     fn input_read(
         &mut self,
         code: u8,
@@ -241,7 +239,6 @@ impl Ev3 {
     }
 }
 
-/// Formats of a reading.
 const READY_PCT: i32 = 0x1B;
 const READY_RAW: i32 = 0x1C;
 const READY_SI: i32 = 0x1D;
@@ -288,7 +285,7 @@ fn ui_read(machine: &mut BytecodeMachine, pass: &FirmwarePass<'_>) -> Result<(),
     machine.write_text(text, room)
 }
 
-/// BREAK and TONE, which are not simulated.
+/// BREAK and TONE; sound is not simulated.
 fn sound(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     match machine.byte()? {
         0x00 => Ok(()),
@@ -302,12 +299,12 @@ fn sound(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     }
 }
 
-/// The one subcommand that is followed.
+/// Fails on any subcommand but the one supported.
 fn expect_command(machine: &mut BytecodeMachine, command: i32) -> Result<(), ExecutionFault> {
     if machine.byte()? == command { Ok(()) } else { Err(ExecutionFault) }
 }
 
-/// A port of this brick; any other layer has none.
+/// Ports exist only on layer 0.
 fn port_of(layer: i32, port: i32) -> usize {
     if layer == 0 { usize::try_from(port).unwrap_or(usize::MAX) } else { usize::MAX }
 }

@@ -1,4 +1,4 @@
-//! What is plugged into the EV3: a gyro in port 2, an ultrasonic sensor in port 4, large motors in B and C.
+//! The devices on the EV3's ports: a gyro in port 2, an ultrasonic sensor in port 4, large motors in B and C.
 //!
 //! # Model
 //! ```text
@@ -15,7 +15,6 @@ use super::super::plugged_sensors::PluggedSensors;
 use super::motors::Motors;
 use crate::scenario::MissingSensor;
 
-/// Types of devices.
 pub(super) const LARGE_MOTOR: u8 = 7;
 const ULTRASONIC: u8 = 30;
 const GYRO: u8 = 32;
@@ -26,7 +25,7 @@ const FIRST_MOTOR: usize = 16;
 const GYRO_PORT: usize = 1;
 const ULTRASONIC_PORT: usize = 3;
 const MODE_CHANGE: TimeDelta = TimeDelta::from_millis(100);
-/// Largest reading of each device, which is 100 percent.
+/// Readings that are 100 percent.
 const GYRO_FULL_DEG_PER_S: f64 = 440.0;
 const RANGE_FULL_CM: f64 = 255.0;
 const MOTOR_FULL: f64 = 100.0;
@@ -36,28 +35,26 @@ pub(super) struct SensorPorts {
     missing: MissingSensor,
     is_waited_for_in_vain: bool,
     modes: [u8; SENSOR_PORTS],
-    /// Since when each port is in its mode.
+    /// End of each port's mode change.
     ready_at: [TimeDelta; SENSOR_PORTS],
-    /// Where the gyro's angle was zeroed, in degrees.
+    /// Zero point of the gyro's angle.
     angle_zero_deg: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SensorRequest {
     pub(super) port: usize,
-    /// The device's type; 0 accepts any.
+    /// Device type; 0 accepts any.
     pub(super) kind: i32,
-    /// The device's mode; -1 leaves it unchanged.
+    /// -1 keeps the mode.
     pub(super) mode: i32,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum SensorReading {
-    /// Its mode is being changed.
     NotYet,
-    /// Nothing of that type is there.
     NoSensor,
-    /// Values in the device's units, and what is 100 percent.
+    /// Values in the device's units, and the value that is 100 percent.
     Values(Vec<f64>, f64),
 }
 
@@ -66,22 +63,20 @@ impl SensorPorts {
         Self { missing, ..Self::default() }
     }
 
-    /// As after a start of a program.
+    /// State after a program start.
     pub(super) fn reset(&mut self) {
         *self = Self::new(self.missing);
     }
 
-    /// Whether a command waits for a sensor that is not there.
     pub(super) const fn is_waiting_forever(&self) -> bool {
         self.is_waited_for_in_vain
     }
 
-    /// That command is given up.
     pub(super) const fn cancel_wait(&mut self) {
         self.is_waited_for_in_vain = false;
     }
 
-    /// What a command that waits for a reading gets: where nothing is, that depends on the firmware.
+    /// The result for a command that waits for a reading: without a sensor it depends on the firmware.
     pub(super) fn await_reading(&mut self, reading: SensorReading) -> SensorReading {
         if reading == SensorReading::NoSensor && self.missing == MissingSensor::Awaited {
             self.is_waited_for_in_vain = true;
@@ -133,12 +128,12 @@ impl SensorPorts {
         }
     }
 
-    /// Whether a port is not changing its mode.
+    /// Whether the port's mode change is complete.
     pub(super) fn is_ready(&self, now: TimeDelta, port: usize) -> bool {
         self.ready_at.get(port).is_none_or(|settled| now >= *settled)
     }
 
-    /// Zeroes the gyro's angle, as a sensor does on the command to clear its changes.
+    /// Zeroes the gyro's angle, as a sensor does on the command to clear changes.
     pub(super) const fn clear(&mut self, senses: &PluggedSensors) {
         self.angle_zero_deg = senses.angle_deg();
     }

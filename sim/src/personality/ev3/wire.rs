@@ -1,10 +1,10 @@
-//! The EV3's side of the link: frames out of bytes, and the greeting of a client on the network.
+//! The EV3's side of the link: splits bytes into frames, and answers the handshake of a client on the network.
 //!
 //! ```text
 //! frame    LE16 length of what follows, LE16 counter, type, ..        the same on RFCOMM and TCP
 //! network  beacon by UDP > the client connects by TCP and sends `GET /target?sn=..VMTP1.0 .. Protocol: EV3` > `Accept:EV340`
 //! ```
-//! What begins with `GE` cannot be a frame: it would be longer than any.
+//! Bytes that begin with `GE` cannot be a frame: it would be longer than any.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 communication developer kit; what the ev3-dc client expects of a brick on the network.
@@ -13,21 +13,20 @@ use posebridge_telemetry::TimeDelta;
 
 use super::super::lego::{Radio, TelegramBuffer, with_length};
 
-/// The serial number, which is the address on Bluetooth: LEGO's block, a made-up brick in it.
+/// Also the Bluetooth address: LEGO's block, with an invented number.
 pub(super) const SERIAL_NUMBER: &str = "0016530B0E03";
 pub(super) const FACTORY_NAME: &str = "EV3";
-/// How a greeting begins, what ends it, and the answer.
+/// Start and end of a handshake request, and the reply.
 const GREETING: &[u8] = b"GET ";
 const PROTOCOL: &[u8] = b"Protocol:";
 const GREETING_END: &[u8] = b"EV3";
 const WELCOME: &[u8] = b"Accept:EV340\r\n\r\n";
-/// Longest greeting that is waited for.
 const GREETING_BYTES: usize = 256;
-/// What a frame holds behind its length: counter and type at least, and no more than the firmware's buffer.
+/// Length of a frame after its length field: at least counter and type, at most the firmware's buffer.
 const FRAME_BYTES: std::ops::RangeInclusive<usize> = 3..=1_024;
-/// Answers that wait to be sent; they are matched by their counter, so that many may be under way.
+/// Queued replies; clients match them by counter, so that several can be outstanding.
 const SEND_BUFFERS: usize = 16;
-/// What a brick that listens on a TCP port of the network says by UDP, to port 3015.
+/// The UDP datagram to port 3015 with which a brick announces its TCP port.
 pub fn beacon(tcp_port: u16) -> Vec<u8> {
     format!("Serial-Number: {SERIAL_NUMBER}\r\nPort: {tcp_port}\r\nName: {FACTORY_NAME}\r\nProtocol: EV3\r\n")
         .into_bytes()
@@ -48,19 +47,18 @@ impl Ev3Wire {
         }
     }
 
-    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.received.clear();
         self.radio.reset();
     }
 
-    /// Takes bytes that arrive at `now`, the time since the beginning of the world.
+    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         self.radio.receive();
         self.received.receive(now, bytes);
     }
 
-    /// The next whole frame without its length.
+    /// The next complete frame without its length field.
     pub(super) fn next_frame(&mut self) -> Option<Vec<u8>> {
         if self.received.bytes.starts_with(GREETING) {
             self.answer_greeting();
@@ -72,12 +70,12 @@ impl Ev3Wire {
         self.received.next(FRAME_BYTES)
     }
 
-    /// Sends a frame; one for which there is no buffer is dropped.
+    /// Queues a frame; drops it if no buffer is free.
     pub(super) fn send(&mut self, frame: &[u8]) {
         self.radio.send(with_length(frame));
     }
 
-    /// What has been sent at `now`.
+    /// The frame whose transmission is complete at `now`.
     pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         self.radio.step(now)
     }

@@ -150,7 +150,7 @@ impl Nxt {
     }
 }
 
-/// With zeros behind it up to a length.
+/// Pads with zeros to `length`.
 fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
     let zeros = std::iter::repeat(&0);
     bytes.iter().chain(zeros).take(length).copied().collect()
@@ -158,15 +158,14 @@ fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
 
 /// Protocol 1.124 and firmware 1.31, as an up-to-date brick answers: minor before major.
 const VERSIONS: [u8; 4] = [124, 1, 31, 1];
-/// LEGO's block of addresses, a made-up brick in it, and the byte that is always zero.
+/// LEGO's block of addresses with an invented number; the last byte is always zero.
 const ADDRESS: [u8; 7] = [0x00, 0x16, 0x53, 0x0B, 0x0E, 0x01, 0x00];
-/// Signal strengths of four connections; the firmware reports none.
+/// Of four connections; the firmware reports none.
 const SIGNALS: [u8; 4] = [0; 4];
-/// Flash memory that is free, in bytes.
 const FREE_FLASH: u32 = 29_704;
-/// Bytes of the brick's name in a telegram, with its final zero.
+/// In a telegram, with the final zero.
 const NAME_BYTES: usize = 15;
-/// Bytes of an answer besides the data of an IO map.
+/// Bytes of a reply besides the data of an IO map.
 const MAP_HEAD: usize = 9;
 
 impl Nxt {
@@ -225,23 +224,19 @@ impl Nxt {
     }
 }
 
-/// Module numbers.
 const COMMAND: u32 = 0x0001_0001;
 const OUTPUT: u32 = 0x0002_0001;
 const INPUT: u32 = 0x0003_0001;
 const LOW_SPEED: u32 = 0x000B_0001;
-/// Bytes of the Command module before the memory pool of the programs, which must not be read.
+/// The Command module before the memory pool of the programs, which must not be read.
 const COMMAND_BYTES: usize = 52;
-/// Places in the Command module.
 const TICK_AT: usize = 20;
 const PROGRAM_STATE_AT: usize = 28;
 const FILE_NAME_AT: usize = 32;
-/// The beginning of the Command module, by which old programs knew the virtual machine.
 const FORMAT: &[u8] = b"MindstormsNXT";
-/// A program runs.
 const RUNNING: u8 = 2;
 
-/// The length of a module in bytes, if there is such a module.
+/// Bytes; `None` if the module does not exist.
 const fn map_length(id: u32) -> Option<usize> {
     match id {
         COMMAND => Some(COMMAND_BYTES),
@@ -253,7 +248,7 @@ const fn map_length(id: u32) -> Option<usize> {
 }
 
 impl Nxt {
-    /// The memory of a module, if there is such a module.
+    /// `None` if the module does not exist.
     fn map(&self, id: u32, pass: &FirmwarePass<'_>) -> Option<Vec<u8>> {
         match id {
             COMMAND => Some(self.command_map(pass)),

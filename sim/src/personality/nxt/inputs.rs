@@ -1,11 +1,11 @@
-//! The NXT's four sensor ports as its A/D converter sees them, and the Input module.
+//! The NXT's four sensor ports as its A/D converter reads them, and the Input module.
 //!
-//! Setting a port makes its readings invalid for a while. A port with nothing, or with a sensor on I2C, reads 1023: the pull-up. The
-//! HiTechnic gyro reads its rest value, which is around 600 and another for each part, plus one count per degree per second.
+//! Configuring a port makes its readings invalid for a while. An empty port, or one with an I2C sensor, reads 1023 because of the
+//! pull-up. The HiTechnic gyro reads its rest value, around 600 and different for each part, plus one count per degree per second.
 //!
 //! # Assumptions
-//! Edge and pulse counting, RCX angles and temperature scales are not simulated: these modes show the normalised value. The
-//! firmware turns the readings of light sensors around; here that is 1023 - raw. Read the raw value, as every gyro driver does.
+//! Edge and pulse counting, RCX angles and temperature scales are not simulated: these modes return the normalised value. The firmware
+//! inverts the readings of light sensors; here that is 1023 - raw. Read the raw value, as every gyro driver does.
 //!
 //! # Sources
 //! LEGO's NXT firmware: struct of the Input module, types and modes. Rest values: 580 to 625 in people's reports. Times until a port is
@@ -17,11 +17,10 @@ use crate::scenario::PortSensor;
 use super::super::plugged_sensors::PluggedSensors;
 
 pub(super) const PORTS: usize = 4;
-/// Bytes of one port in the Input module.
+/// Size of a port in the Input module.
 const MAP_BYTES: usize = 20;
-/// The converter's largest value.
 const FULL_SCALE: u16 = 1_023;
-/// Sensor types: the first that is not known, light sensors, I2C without and with 9 V.
+/// Sensor types: the first unknown one, light sensors, I2C without and with 9 V.
 const TYPES: u8 = 19;
 const LIGHT_ACTIVE: u8 = 5;
 const LIGHT_INACTIVE: u8 = 6;
@@ -31,12 +30,11 @@ const LOW_SPEED_9V: u8 = 11;
 const MODE_MASK: u8 = 0xE0;
 const MODE_BOOLEAN: u8 = 0x20;
 const MODE_PERCENT: u8 = 0x80;
-/// Below this share of the full scale a switch counts as pressed.
 const PRESSED_BELOW: u16 = 460;
-/// Passes until a freshly set port is valid: the converter's, and the I2C bus's.
+/// Passes until a configured port is valid: analog, and I2C.
 const ANALOG_PASSES: u32 = 10;
 const LOW_SPEED_PASSES: u32 = 60;
-/// Where rest values lie.
+/// Range of the gyro's rest value.
 const REST_COUNTS: (f64, f64) = (580.0, 625.0);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -45,7 +43,6 @@ struct InputPort {
     kind: u8,
     mode: u8,
     raw: u16,
-    /// Passes until it is valid.
     invalid_passes: u32,
 }
 
@@ -56,7 +53,7 @@ pub(super) struct InputPorts {
 }
 
 impl InputPorts {
-    /// Ports that are not set up; the gyro's rest value is drawn.
+    /// Unconfigured ports; the gyro's rest value is drawn.
     pub(super) fn new(sensors: [PortSensor; PORTS], seed: u64) -> Self {
         let ports = sensors.map(|sensor| InputPort { sensor, raw: FULL_SCALE, ..InputPort::default() });
         let gyro_rest = RandomStream::new(seed, "gyro at rest").uniform(REST_COUNTS.0, REST_COUNTS.1);
@@ -78,7 +75,7 @@ impl InputPorts {
         }
     }
 
-    /// Sets a port up; false if there is no such port, type or mode.
+    /// Configures a port; false if there is no such port, type or mode.
     pub(super) fn set(&mut self, port: u8, kind: u8, mode: u8) -> bool {
         let Some(input) = self.ports.get_mut(usize::from(port)) else {
             return false;
@@ -91,7 +88,7 @@ impl InputPorts {
         true
     }
 
-    /// A program was started or stopped: nothing is set up any more.
+    /// A program was started or stopped: all ports are unconfigured.
     pub(super) fn reset(&mut self) {
         for port in &mut self.ports {
             (port.kind, port.mode, port.invalid_passes) = (0, 0, 0);
@@ -102,13 +99,13 @@ impl InputPorts {
         usize::from(port) < self.ports.len()
     }
 
-    /// What is plugged in, if the port is set up for I2C and valid.
+    /// The sensor on a port that is configured for I2C and valid.
     pub(super) fn on_bus(&self, port: u8) -> Option<PortSensor> {
         let input = self.ports.get(usize::from(port))?;
         (is_low_speed(input.kind) && input.invalid_passes == 0).then_some(input.sensor)
     }
 
-    /// What GETINPUTVALUES answers after its status, if there is such a port.
+    /// The reply to GETINPUTVALUES after its status; `None` if the port does not exist.
     pub(super) fn values(&self, port: u8) -> Option<Vec<u8>> {
         let input = self.ports.get(usize::from(port))?;
         let is_calibrated = 0;
@@ -125,7 +122,7 @@ impl InputPorts {
         self.ports.iter().flat_map(InputPort::map).collect()
     }
 
-    /// Takes what is written into the module: type and mode.
+    /// Applies a write into the module: type and mode.
     pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
         for (index, byte) in (offset..).zip(bytes) {
             let port = (index / MAP_BYTES) as u8;

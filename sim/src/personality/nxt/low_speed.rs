@@ -1,4 +1,4 @@
-//! The NXT's four I2C channels, and the sensors on them: registers that a station writes and reads.
+//! The NXT's four I2C channels, and the registers of the sensors on them.
 //!
 //! # Model
 //! ```text
@@ -6,7 +6,7 @@
 //! answer          pushed into a ring of 16 bytes at InPtr; LSREAD takes everything between OutPtr and InPtr out
 //! request         the device's address, a register, and what is written there; an answer is read from that register on
 //! ```
-//! A station that reads the LowSpeed module instead finds its answer in the bytes before InPtr, and BytesToRx at 0 when it is there.
+//! A station that reads the LowSpeed module instead finds the reply in the bytes before InPtr, and BytesToRx at 0 once it is complete.
 //!
 //! # Sources
 //! LEGO's NXT firmware: struct of the LowSpeed module, ring buffers, states. 9600 bits per second and the ultrasonic sensor: LEGO's
@@ -18,9 +18,7 @@ use super::inputs::PORTS;
 use super::telegram::status;
 use crate::scenario::PortSensor;
 
-/// Bytes that a request or an answer can have.
 pub(super) const MAX_MESSAGE_BYTES: usize = 16;
-/// Milliseconds that a byte takes on the bus.
 const MS_PER_BYTE: f64 = 10.0 / 9.6;
 const STATE_IDLE: u8 = 0;
 const STATE_COMMUNICATING: u8 = 3;
@@ -28,7 +26,6 @@ const STATE_ERROR: u8 = 4;
 /// No acknowledgement on the bus.
 const ERROR_NO_DEVICE: u8 = 3;
 
-/// What a channel does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum ChannelState {
     #[default]
@@ -64,7 +61,7 @@ impl LowSpeedBus {
         }
     }
 
-    /// Begins a transaction on a port that is set up and holds `sensor`.
+    /// Begins a transaction on a configured port that holds `sensor`.
     pub(super) fn write(&mut self, port: u8, sensor: PortSensor, request: &[u8], wanted: usize) -> Result<(), u8> {
         let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         if request.is_empty() || request.len() > MAX_MESSAGE_BYTES || wanted > MAX_MESSAGE_BYTES {
@@ -81,7 +78,7 @@ impl LowSpeedBus {
         Ok(())
     }
 
-    /// How many bytes wait to be read.
+    /// Number of bytes to read.
     pub(super) fn ready(&self, port: u8) -> Result<usize, u8> {
         let channel = self.channels.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         match channel.state {
@@ -101,7 +98,7 @@ impl LowSpeedBus {
         Ok(bytes)
     }
 
-    /// A program was started or stopped: what was under way is forgotten, the sensors keep their settings.
+    /// A program was started or stopped: transactions are aborted, the sensors keep their settings.
     pub(super) fn reset(&mut self) {
         for channel in &mut self.channels {
             *channel = LowSpeedChannel { device: channel.device.clone(), ..LowSpeedChannel::default() };
@@ -186,7 +183,7 @@ impl LowSpeedChannel {
     }
 }
 
-/// The address of HiTechnic's and LEGO's sensors, and that of the temperature sensor, both with the bit for reading at 0.
+/// I2C addresses of HiTechnic's and LEGO's sensors, and of the temperature sensor, both with the read bit 0.
 const USUAL_ADDRESS: u8 = 0x02;
 const TEMPERATURE_ADDRESS: u8 = 0x98;
 /// Registers: name tags, units, interval, command or mode, first reading.
@@ -197,17 +194,16 @@ const UNITS: u8 = 0x14;
 const INTERVAL: usize = 0x40;
 const COMMAND: usize = 0x41;
 const READINGS: u8 = 0x42;
-/// Commands of the ultrasonic sensor.
 const SINGLE_SHOT: u8 = 0x01;
 const CONTINUOUS: u8 = 0x02;
 const WARM_RESET: u8 = 0x04;
 /// The TMP275's registers.
 const POINT_TEMPERATURE: u8 = 0x00;
 const POINT_CONFIGURATION: u8 = 0x01;
-/// Its counts per kelvin when all twelve bits are used.
+/// At the full resolution of twelve bits.
 const COUNTS_PER_K: f64 = 16.0;
 
-/// What a sensor's inside is like at this moment.
+/// The measured quantities of a sensor at this moment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DeviceInputs<'a> {
     /// Everything but the temperature.
@@ -215,11 +211,10 @@ pub(super) struct DeviceInputs<'a> {
     pub(super) temperature_c: f64,
 }
 
-/// The memory of whatever sits in one port.
 #[derive(Clone, Debug)]
 pub(super) struct I2cDevice {
     registers: [u8; 256],
-    /// The TMP275's pointer and configuration.
+    /// Pointer and configuration of the TMP275.
     pointer: u8,
     configuration: u8,
 }
@@ -234,7 +229,7 @@ impl Default for I2cDevice {
 }
 
 impl I2cDevice {
-    /// One transaction with `sensor`: the request, then `wanted` bytes of answer. `None` if no device has that address.
+    /// One transaction with `sensor`: the request, then `wanted` bytes of reply. `None` if no device has that address.
     pub(super) fn transact(
         &mut self,
         sensor: PortSensor,
@@ -265,7 +260,7 @@ impl I2cDevice {
         }
     }
 
-    /// Only the command and the interval can be written.
+    /// Only the command and the interval are writable.
     fn put(&mut self, register: usize, value: u8) {
         match register {
             INTERVAL => self.registers[INTERVAL] = value,

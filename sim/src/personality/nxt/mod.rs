@@ -1,7 +1,7 @@
-//! The firmware of an unmodified LEGO NXT: it answers telegrams, and lets a program run.
+//! The firmware of an unmodified LEGO NXT: answers telegrams and runs a program.
 //!
-//! It has the sensor ports, three motors, the mailboxes, the IO maps and a radio that turns around slowly. Everything that a program or a
-//! station can see of the world goes through them. It is written from the protocol's documents, never from a station's codec.
+//! It has the sensor ports, three motors, the mailboxes, the IO maps and a radio with a long turn-around. A program or a station
+//! accesses the world only through them. The emulation follows the protocol's documents and shares no code with the station's codec.
 //!
 //! ```text
 //! a pass of 1 ms    buses and ports settle > one telegram is followed > the program runs > motors > the program pushes > the radio sends
@@ -30,19 +30,18 @@ use crate::firmware::BrickMessenger;
 use crate::scenario::{BrickProgram, Personality, Scenario};
 use crate::wheels::PerWheel;
 
-/// The brick falls asleep after this time without a key or a keep-alive, unless a program runs. The factory's setting.
+/// The brick sleeps after this time without a key press or keep-alive, unless a program runs. Factory setting.
 const SLEEP_TIMEOUT: TimeDelta = TimeDelta::from_millis(600_000);
-/// The temperature of a room whose thermometer is not simulated, in degrees Celsius.
+/// Without a simulated thermometer.
 const AMBIENT_C: f64 = 21.0;
 const ESTIMATE_INBOX: u8 = 0;
-/// Frames that a pushing program holds back while the radio is busy; the oldest are given up.
+/// Frames that a pushing program queues while the radio is busy; the oldest are dropped.
 const PUSH_QUEUE_CAPACITY: usize = 8;
 
-/// Number of message queues.
 const QUEUES: usize = 20;
-/// Messages that a queue holds; one more pushes the oldest out.
+/// One more drops the oldest.
 const DEPTH: usize = 5;
-/// Longest message with its final zero, in bytes.
+/// With its final zero.
 pub(super) const MAX_MESSAGE_BYTES: usize = 59;
 
 #[derive(Debug)]
@@ -53,18 +52,18 @@ pub(super) struct Nxt {
     low_speed: LowSpeedBus,
     mailboxes: Mailboxes,
     program: Option<Vec<u8>>,
-    /// The program's unrequested output, if there is any.
+    /// The program's unsolicited messages.
     messenger: Option<BrickMessenger>,
     push_queue: VecDeque<Vec<u8>>,
     name: Vec<u8>,
     awake_since: TimeDelta,
     is_asleep: bool,
     scenario_program: BrickProgram,
-    /// It has received something, or it is one that sends first: its program may drive.
+    /// Has received something, or is a pushing brick: its program may drive.
     is_addressed: bool,
 }
 
-/// The file name of the program that drives the path.
+/// File name of the program that drives the path.
 const PATH_PROGRAM: &[u8] = b"path.rxe";
 const FACTORY_NAME: &[u8] = b"NXT";
 
@@ -109,7 +108,7 @@ impl Nxt {
         }
     }
 
-    /// Lets the program run, which looks into its mailbox first.
+    /// Runs the program for one pass, starting with its mailbox.
     fn run(&mut self, pass: &mut FirmwarePass<'_>) {
         // A program that is polled from outside waits for the first poll, which must see the robot at rest.
         if self.program.is_none() || !self.is_addressed {
@@ -121,7 +120,7 @@ impl Nxt {
         self.outputs.drive(pass.run_program());
     }
 
-    /// Sends the frames of a pushing program, one at a time: the firmware keeps a buffer for its answers.
+    /// Sends the frames of a pushing program, one at a time: the firmware reserves a buffer for its replies.
     fn push(&mut self, pass: &mut FirmwarePass<'_>) {
         let Some(messenger) = self.messenger.as_mut().filter(|_| self.program.is_some()) else {
             return;
@@ -149,7 +148,7 @@ impl Nxt {
         }
     }
 
-    /// The program ends, and with it everything that it has set up.
+    /// Stops the program and resets everything that it configured.
     fn stop(&mut self) {
         self.forget();
         self.program = None;
@@ -199,7 +198,7 @@ impl LegoFirmware for Nxt {
         self.wire.reopen();
     }
 
-    /// The gyro's rest value stays.
+    /// The gyro's rest value is kept.
     fn restart(&mut self, pass: &mut FirmwarePass<'_>) {
         self.wire.reopen();
         self.is_asleep = false;
@@ -220,14 +219,14 @@ impl LegoFirmware for Nxt {
 }
 
 /// The message queues between a station and the program on the brick: 0 to 9 are the program's inboxes, 10 to 19 its outboxes. A
-/// message ends with a zero byte, which counts as a part of it; zeros before it are welcome.
+/// message ends with a zero byte, which counts as a part of it; zeros before it are allowed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Mailboxes {
     queues: [VecDeque<Vec<u8>>; QUEUES],
 }
 
 impl Mailboxes {
-    /// Adds a message, `size` bytes long by its sender's word.
+    /// Appends a message, `size` bytes long according to its sender.
     pub(super) fn write(&mut self, queue: u8, size: u8, message: &[u8]) -> Result<(), u8> {
         let queue = self.queues.get_mut(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
         if message.len() != usize::from(size) || message.len() > MAX_MESSAGE_BYTES {
@@ -243,13 +242,12 @@ impl Mailboxes {
         Ok(())
     }
 
-    /// The oldest message, its final zero included.
+    /// The final zero is included.
     pub(super) fn oldest(&self, queue: u8) -> Result<&[u8], u8> {
         let queue = self.queues.get(usize::from(queue)).ok_or(status::ILLEGAL_MAILBOX)?;
         queue.front().map(Vec::as_slice).ok_or(status::MAILBOX_EMPTY)
     }
 
-    /// Takes the oldest message out.
     pub(super) fn pop(&mut self, queue: u8) -> Option<Vec<u8>> {
         self.queues.get_mut(usize::from(queue))?.pop_front()
     }

@@ -1,4 +1,4 @@
-//! The NXT's three motor ports: their commands, their turn, and the Output module's view of them.
+//! The NXT's three motor ports: commands, rotation, and their registers in the Output module.
 //!
 //! # Model
 //! ```text
@@ -19,34 +19,31 @@ use crate::scenario::{RobotSettings, TICK_RAD};
 use crate::wheels::PerWheel;
 
 pub(super) const PORTS: usize = 3;
-/// Where the wheels' motors are plugged in.
+/// Ports of the wheel motors.
 const LEFT: usize = 1;
 const RIGHT: usize = 2;
-/// The port byte that means all of them.
+/// Port byte for all ports.
 const ALL: u8 = 0xFF;
-/// Bytes of one port in the Output module.
+/// Size of a port in the Output module.
 pub(super) const MAP_BYTES: usize = 32;
-/// Mode bits.
 const ON: u8 = 0x01;
 const BRAKE: u8 = 0x02;
 const REGULATED: u8 = 0x04;
-/// Regulation in step with the other motors.
+/// Synchronised with the other motors.
 const SYNC: u8 = 2;
-/// Run states; anything but idle runs.
+/// Run states; every other state runs.
 const IDLE: u8 = 0x00;
 const RUNNING: u8 = 0x20;
-/// Passes between two steps of the regulation.
 const REGULATION_PASSES: u32 = 10;
-/// Speed of one percent of power under regulation.
+/// Under regulation.
 const RAD_PER_S_PER_PERCENT: f64 = 10.0 * TICK_RAD;
-/// Flags in the module: which fields a writer wants to be taken over, and which counters are to be zeroed.
+/// Flags of the module: fields to apply, and counters to zero.
 const UPDATE_MODE: u8 = 0x01;
 const UPDATE_SPEED: u8 = 0x02;
 const UPDATE_LIMIT: u8 = 0x04;
 const RESET_TACHO: u8 = 0x08;
 const RESET_BLOCK: u8 = 0x20;
 const RESET_ROTATION: u8 = 0x40;
-/// Places in the module.
 const LIMIT_AT: usize = 12;
 const FLAGS_AT: usize = 18;
 const MODE_AT: usize = 19;
@@ -59,17 +56,16 @@ const TURN_RATIO_AT: usize = 28;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct OutputCommand {
-    /// Percent, negative backwards.
+    /// Negative is backward.
     pub(super) power: i8,
-    /// On, brake, regulated.
+    /// Bits: on, brake, regulated.
     pub(super) mode: u8,
-    /// None, speed, in step.
+    /// None, speed, synchronised.
     pub(super) regulation: u8,
-    /// Percent.
     pub(super) turn_ratio: i8,
     /// Idle, ramp up, running, ramp down.
     pub(super) run_state: u8,
-    /// Degrees to turn; 0 for no limit.
+    /// Degrees; 0 for no limit.
     pub(super) limit: u32,
 }
 
@@ -84,17 +80,16 @@ pub(super) enum TachoCounter {
 #[derive(Clone, Debug)]
 struct OutputPort {
     command: OutputCommand,
-    /// What the encoder has counted since power-up.
+    /// Encoder counts since power-up.
     position: i64,
     tacho_zero: i64,
     block_zero: i64,
     rotation_zero: i64,
-    /// Where the order began.
     start_position: i64,
     control: SpeedControl,
     duty: f64,
     is_overloaded: bool,
-    /// What was written into the module and not yet taken over.
+    /// Bytes written into the module and not yet applied.
     written: [u8; MAP_BYTES],
 }
 
@@ -122,7 +117,7 @@ impl OutputPorts {
         Self { ports: [port(), port(), port()], passes: 0 }
     }
 
-    /// Follows the encoders by one pass and returns the duty of both motors.
+    /// Updates from the encoders for one pass and returns the duty of both motors.
     pub(super) fn step(&mut self, positions: PerWheel<i64>) -> PerWheel<f64> {
         self.ports[LEFT].position = positions.left;
         self.ports[RIGHT].position = positions.right;
@@ -137,7 +132,7 @@ impl OutputPorts {
         PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
-    /// Gives an order to a port, or to all; false if there is no such port.
+    /// Applies a command to a port, or to all; false if there is no such port.
     pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> bool {
         let places = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
         let Some(ports) = self.ports.get_mut(places) else {
@@ -149,7 +144,7 @@ impl OutputPorts {
         true
     }
 
-    /// What the program on the brick does: both motors on at these duties.
+    /// Both motors on at these duties, as the program on the brick sets them.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
             self.ports[place].duty = duty;
@@ -162,7 +157,7 @@ impl OutputPorts {
         }
     }
 
-    /// Zeroes a counter of a port; false if there is no such port.
+    /// False if there is no such port.
     pub(super) fn zero(&mut self, port: u8, counter: TachoCounter) -> bool {
         let Some(port) = self.ports.get_mut(usize::from(port)) else {
             return false;
@@ -185,7 +180,7 @@ impl OutputPorts {
         }
     }
 
-    /// What GETOUTPUTSTATE answers after its status, if there is such a port.
+    /// The reply to GETOUTPUTSTATE after its status; `None` if the port does not exist.
     pub(super) fn state(&self, port: u8) -> Option<Vec<u8>> {
         let output = self.ports.get(usize::from(port))?;
         let order = output.command;
@@ -205,7 +200,7 @@ impl OutputPorts {
         map
     }
 
-    /// Takes what is written into the module. The fields wait until a flag applies them.
+    /// Stores a write into the module. The fields wait until a flag applies them.
     pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
         for (index, byte) in (offset..).zip(bytes) {
             let port = self.ports.get_mut(index / MAP_BYTES);
@@ -268,7 +263,7 @@ impl OutputPort {
         self.control.restart();
     }
 
-    /// Takes over what was written into the module, as far as its flags say.
+    /// Applies the written fields whose flags are set.
     fn apply_written(&mut self) {
         let written = self.written;
         let flags = std::mem::take(&mut self.written[FLAGS_AT]);

@@ -1,4 +1,4 @@
-//! What a telegram is: type, opcode and how long each command has to be.
+//! The telegram format: type, opcode and the length of each command.
 //!
 //! ```text
 //! request  type opcode ..      type 00 direct, 01 system; 80 and 81 the same without an answer
@@ -13,7 +13,6 @@ const SYSTEM: u8 = 0x01;
 const NO_ANSWER: u8 = 0x80;
 const ANSWER: u8 = 0x02;
 
-/// Opcodes of direct commands.
 pub(super) mod direct {
     pub(in super::super) const START_PROGRAM: u8 = 0x00;
     pub(in super::super) const STOP_PROGRAM: u8 = 0x01;
@@ -36,7 +35,6 @@ pub(super) mod direct {
     pub(in super::super) const READ_MESSAGE: u8 = 0x13;
 }
 
-/// Opcodes of system commands.
 pub(super) mod system {
     pub(in super::super) const VERSIONS: u8 = 0x88;
     pub(in super::super) const READ_MAP: u8 = 0x94;
@@ -50,30 +48,27 @@ pub(super) mod system {
 /// The status bytes of the firmware, as its protocol documents list them.
 pub(super) mod status {
     pub(in super::super) const OK: u8 = 0x00;
-    /// The I2C transaction is still under way.
+    /// The I2C transaction is not complete.
     pub(in super::super) const PENDING: u8 = 0x20;
     pub(in super::super) const MAILBOX_EMPTY: u8 = 0x40;
     pub(in super::super) const MODULE_NOT_FOUND: u8 = 0x90;
-    /// The IO map has no such bytes, or more are asked for than fit into a telegram.
+    /// Outside the IO map, or longer than a telegram.
     pub(in super::super) const OUT_OF_BOUNDS: u8 = 0x91;
-    /// The request could not be followed, for instance for want of a program of that name.
+    /// For instance there is no program of that name.
     pub(in super::super) const REQUEST_FAILED: u8 = 0xBD;
-    /// There is no such command.
     pub(in super::super) const UNKNOWN_OPCODE: u8 = 0xBE;
-    /// The telegram has another length than its command.
+    /// The length does not match the command.
     pub(in super::super) const INSANE_PACKET: u8 = 0xBF;
     pub(in super::super) const OUT_OF_RANGE: u8 = 0xC0;
-    /// No device answers on the I2C bus.
     pub(in super::super) const BUS_ERROR: u8 = 0xDD;
     /// The port is not set up for I2C.
     pub(in super::super) const CHANNEL_NOT_CONFIGURED: u8 = 0xE0;
     pub(in super::super) const NO_ACTIVE_PROGRAM: u8 = 0xEC;
-    /// The size makes no sense.
     pub(in super::super) const ILLEGAL_SIZE: u8 = 0xED;
     pub(in super::super) const ILLEGAL_MAILBOX: u8 = 0xEE;
 }
 
-/// Who is to follow a request.
+/// The part of the firmware that executes a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CommandFamily {
     /// The virtual machine.
@@ -87,12 +82,11 @@ pub(super) struct TelegramRequest<'a> {
     pub(super) family: CommandFamily,
     pub(super) is_answered: bool,
     pub(super) opcode: u8,
-    /// Everything behind the opcode.
     pub(super) rest: &'a [u8],
 }
 
 impl<'a> TelegramRequest<'a> {
-    /// Takes a telegram apart; `None` if it is no request.
+    /// `None` if the telegram is not a request.
     pub(super) fn parse(telegram: &'a [u8]) -> Option<Self> {
         let [kind, opcode, rest @ ..] = telegram else {
             return None;
@@ -113,12 +107,12 @@ impl<'a> TelegramRequest<'a> {
         self.rest.get(index..).and_then(<[u8]>::first_chunk).copied().ok_or(status::INSANE_PACKET)
     }
 
-    /// The 16-bit word at `index` behind the opcode.
+    /// The 16-bit word at `index` after the opcode.
     pub(super) fn word(&self, index: usize) -> Result<u16, u8> {
         self.array(index).map(u16::from_le_bytes)
     }
 
-    /// The 32-bit word at `index` behind the opcode.
+    /// The 32-bit word at `index` after the opcode.
     pub(super) fn long(&self, index: usize) -> Result<u32, u8> {
         self.array(index).map(u32::from_le_bytes)
     }
@@ -128,7 +122,7 @@ impl<'a> TelegramRequest<'a> {
     }
 }
 
-/// What an answer holds behind its status, or the status that says why there is none.
+/// The data of a reply after its status, or an error status.
 pub(super) type TelegramReply = Result<Vec<u8>, u8>;
 
 pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
@@ -138,7 +132,7 @@ pub(super) fn reply_telegram(opcode: u8, answer: &TelegramReply) -> Vec<u8> {
     }
 }
 
-/// How long a request with this beginning is, in bytes; `None` if its command is unknown or its length is not known yet.
+/// Length in bytes of a request with this beginning; `None` if its command is unknown or its length is not known yet.
 pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
     use CommandFamily::{Direct, System};
     let request = TelegramRequest::parse(bytes)?;

@@ -1,4 +1,4 @@
-//! The NXT's side of the link: telegrams out of bytes, and a radio that needs time to turn around.
+//! The NXT's side of the link: splits bytes into telegrams, and simulates a radio with turn-around time.
 //!
 //! # Model
 //! ```text
@@ -18,25 +18,24 @@ use posebridge_telemetry::TimeDelta;
 use super::super::lego::{RECEIVE_BYTES, Radio, TelegramBuffer, with_length};
 use super::telegram::request_length;
 
-/// The first message of a client of nxt-python's socket server, the reply to it, and its last message.
+/// First message of a client of nxt-python's socket server, the reply to it, and its last message.
 const HELLO: u8 = 0x98;
 const KIND_OF_LINK: &[u8] = b"bluetooth";
 const GOODBYE: u8 = 0x99;
-/// Shortest telegram: type and opcode.
+/// Type and opcode.
 const SHORTEST: usize = 2;
-/// Answers under way: one on the air, one queued.
+/// Queued replies: one in transmission, one waiting.
 const SEND_BUFFERS: usize = 2;
-/// Time of a byte on the UART between the processor and the radio, in seconds.
+/// On the UART between the processor and the radio.
 const BYTE_S: f64 = 10.0 / 460_800.0;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum TelegramFraming {
-    /// Nothing has been heard on this connection.
     #[default]
     Unknown,
-    /// Each has its length before it.
+    /// Each is prefixed with its length.
     Prefixed,
-    /// Each comes in a write of its own.
+    /// Each is one write.
     Bare,
 }
 
@@ -45,13 +44,12 @@ pub(super) struct NxtWire {
     longest: usize,
     framing: TelegramFraming,
     prefixed: TelegramBuffer,
-    /// Bare telegrams that wait to be handled.
     bare: VecDeque<Vec<u8>>,
     radio: Radio,
 }
 
 impl NxtWire {
-    /// An unused link. Telegrams are `longest` bytes at most, either way.
+    /// A new link. Telegrams are `longest` bytes at most in both directions.
     pub(super) fn new(longest: usize, turn_around: TimeDelta) -> Self {
         Self {
             longest,
@@ -62,12 +60,10 @@ impl NxtWire {
         }
     }
 
-    /// Longest telegram, in bytes.
     pub(super) const fn longest(&self) -> usize {
         self.longest
     }
 
-    /// The link has a new peer.
     pub(super) fn reopen(&mut self) {
         self.framing = TelegramFraming::Unknown;
         self.prefixed.clear();
@@ -75,7 +71,7 @@ impl NxtWire {
         self.radio.reset();
     }
 
-    /// Takes bytes that arrive at `now`, the time since the beginning of the world.
+    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         let Some(first) = bytes.first() else {
             return;
@@ -96,7 +92,7 @@ impl NxtWire {
         }
     }
 
-    /// The system may join two writes into one; telegrams of a known length are parted again.
+    /// The operating system may join two writes into one; telegrams of a known length are split again.
     fn receive_bare(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             let length = request_length(bytes).unwrap_or(bytes.len());
@@ -116,18 +112,17 @@ impl NxtWire {
         self.prefixed.next(SHORTEST..=self.longest)
     }
 
-    /// Whether nothing waits to be sent.
     pub(super) fn is_idle(&self) -> bool {
         self.radio.is_idle()
     }
 
-    /// Sends a telegram; one for which there is no buffer is dropped.
+    /// Queues a telegram; drops it if no buffer is free.
     pub(super) fn send(&mut self, telegram: &[u8]) {
         let is_bare = self.framing == TelegramFraming::Bare;
         self.radio.send(if is_bare { telegram.to_vec() } else { with_length(telegram) });
     }
 
-    /// What has gone over the air at `now`.
+    /// The telegram whose transmission is complete at `now`.
     pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
         self.radio.step(now)
     }
