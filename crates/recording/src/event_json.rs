@@ -1,7 +1,7 @@
 //! Events as lines of JSON: the output of `--events`.
 //!
-//! The names are a contract and do not follow those of the types. Instants are nanoseconds of the clock that the key
-//! names; every number is written so that it reads back unchanged.
+//! The keys are a stable interface, independent of the type names. Instants are nanoseconds of the clock in the key; every number reads
+//! back unchanged.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,7 @@ use posebridge_telemetry::{
 };
 use serde_json::{Value, json};
 
-/// One line, without its end.
+/// Without line end.
 pub fn to_json_line(event: &Event) -> String {
     let (name, fields) = match event {
         Event::RobotDetected { robot } => ("robot_seen", json!({ "robot": robot_of(*robot) })),
@@ -231,7 +231,7 @@ fn defect_of(defect: &ReceiveError) -> Value {
     fields
 }
 
-/// What a receive error says beside its name, as `key value` pairs.
+/// Details of a receive error besides its name, as `key value` pairs.
 pub(crate) fn details_of(defect: &ReceiveError) -> String {
     let Value::Object(fields) = defect_of(defect) else {
         return String::new();

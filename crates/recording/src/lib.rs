@@ -1,15 +1,15 @@
-//! Recordings and foreign files, in and out.
+//! Recordings and foreign files: readers and writers.
 //!
 //! - [`container`] writes and reads the station's inputs, bit for bit, in an MCAP file that survives a crash.
 //! - [`foxglove`] converts the station's outputs to messages for viewers and notebooks, stored beside the inputs.
 //! - [`tlog`] reads and writes the telemetry logs of ground stations.
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
-//! - [`robot_names`] makes the labels of robots in all of these.
-//! - [`dataset`] converts foreign CSV-like recordings to observations, as a TOML descriptor says.
+//! - [`robot_names`] creates the labels of robots in all of these.
+//! - [`dataset`] converts foreign CSV-like recordings to observations by a TOML descriptor.
 //!
-//! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and
-//! of wire formats it knows only the length of a MAVLink frame.
+//! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and of wire formats
+//! it knows only the length of a MAVLink frame.
 
 pub mod container;
 pub mod csv;

@@ -1,27 +1,26 @@
-//! What people call the robots of a session, in tables, files and topics: the one place that makes labels.
+//! Labels of the robots of a session, for tables, files and topics.
 
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{Event, RobotId};
 
-/// Most robots that are called by their names; those beyond go by their ids.
+/// Limit of robots with names; others are labelled by their ids.
 const MAX_NAMES: usize = 1_024;
 
-/// The labels of robots, no two alike: a robot's name, else its ids. Where two robots have one name, the ids of the second follow it.
+/// Unique labels of robots: the name, else the ids. If two robots have one name, the ids of the second are appended.
 #[derive(Debug, Default)]
 pub struct RobotNames {
     names: BTreeMap<RobotId, String>,
 }
 
 impl RobotNames {
-    /// Keeps the name that an event gives to a robot.
     pub fn observe(&mut self, event: &Event) {
         if let Event::RobotNamed { robot, name } = event {
             self.insert(*robot, name);
         }
     }
 
-    /// Keeps the name of a robot. An empty one, and one of too many, leave it with its ids.
+    /// Stores the name of a robot. An empty name, and one beyond the limit, is ignored.
     pub fn insert(&mut self, robot: RobotId, name: &str) {
         if name.is_empty() || self.names.len() >= MAX_NAMES {
             return;
@@ -38,12 +37,11 @@ impl RobotNames {
         self.names.iter().any(|(other, taken)| *other != robot && taken == label)
     }
 
-    /// The name of a robot, if it has one.
     pub fn get(&self, robot: RobotId) -> Option<&str> {
         self.names.get(&robot).map(String::as_str)
     }
 
-    /// The name of a robot, else its ids as `link/system/component`.
+    /// The name, else the ids as `link/system/component`.
     pub fn label(&self, robot: RobotId) -> String {
         self.get(robot).map_or_else(|| id_text(robot), str::to_owned)
     }
@@ -54,7 +52,7 @@ fn id_text(robot: RobotId) -> String {
     format!("{}/{}", robot.link, robot.address)
 }
 
-/// Whether a name is spelled like the ids of a robot, which may be another robot's.
+/// Whether a name looks like the ids of a robot, possibly another one's.
 fn reads_as_id(name: &str) -> bool {
     name.split('/').count() == 3 && name.split('/').all(|part| part.parse::<u16>().is_ok())
 }

@@ -1,4 +1,4 @@
-//! Trajectories in the format of the TUM RGB-D benchmark, which evo and most tools for SLAM read.
+//! Trajectories in the format of the TUM RGB-D benchmark, which evo and most SLAM tools read.
 //!
 //! ```text
 //! line = t x y z qx qy qz qw        s, m, unit quaternion; z = 0 and a turn about z alone
@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 
 use posebridge_telemetry::{Arena, BrickClock, Pose, Timestamp};
 
-/// One line, with its line feed.
+/// With line feed.
 pub fn format_line(time: Timestamp<BrickClock>, pose: Pose<Arena>) -> String {
     let half_rad = 0.5 * pose.heading.rad();
     let mut line = String::new();

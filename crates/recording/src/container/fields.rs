@@ -1,7 +1,7 @@
 //! The fields of the records that describe a recording and hold its messages: metadata, channel, chunk, message.
 //!
-//! The `mcap` crate's parser allocates the length that a string claims before it checks how many bytes there are: a
-//! damaged file of some hundred bytes made it request four gigabytes. This parser copies nothing that is not there.
+//! The `mcap` crate's parser allocates the length that a string claims before it checks how many bytes there are: a damaged file of
+//! some hundred bytes made it request four gigabytes. This parser never allocates more than the bytes present.
 //!
 //! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)",
 //! "Serialization": a string is its length (u32) and UTF-8; a map is its length in bytes (u32) and pairs, with no key
@@ -9,14 +9,12 @@
 
 use std::collections::BTreeMap;
 
-/// A metadata record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Metadata<'a> {
     pub(super) name: &'a str,
     pub(super) entries: BTreeMap<&'a str, &'a str>,
 }
 
-/// What matters of a channel record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Channel<'a> {
     pub(super) id: u16,
@@ -24,13 +22,13 @@ pub(super) struct Channel<'a> {
     pub(super) message_encoding: &'a str,
 }
 
-/// Takes a metadata record apart; `None` if it is damaged. Bytes behind its fields are for newer versions.
+/// `None` if the record is damaged. Extra bytes after its fields belong to newer versions and are ignored.
 pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
     let mut fields = FieldReader { remaining: body };
     Some(Metadata { name: fields.text()?, entries: fields.map()? })
 }
 
-/// Takes a channel record apart; `None` if it is damaged.
+/// `None` if the record is damaged.
 pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     let mut fields = FieldReader { remaining: body };
     let id = fields.u16()?;
@@ -40,20 +38,19 @@ pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     Some(channel)
 }
 
-/// What stands in front of a chunk's records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Chunk<'a> {
     /// CRC-32 of the uncompressed records; 0 when it was not computed.
     pub(super) crc: u32,
-    /// How the records are compressed; empty when they are not.
+    /// Name of the compression; empty for none.
     pub(super) compression: &'a str,
-    /// Number of bytes before the chunk's records.
+    /// Offset of the records within the chunk.
     pub(super) head_bytes: usize,
-    /// The records, as far as they are there.
+    /// The records, truncated if the file is.
     pub(super) records: &'a [u8],
 }
 
-/// Takes a chunk record apart; `None` if it is damaged. A chunk that was cut off has fewer records than it says.
+/// `None` if the record is damaged. A truncated chunk has fewer records than its length claims.
 pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
     let mut fields = FieldReader { remaining: body };
     let _first_time = fields.u64()?;
@@ -70,7 +67,6 @@ pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
     })
 }
 
-/// A message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Message<'a> {
     pub(super) channel_id: u16,
@@ -79,10 +75,10 @@ pub(super) struct Message<'a> {
     pub(super) data: &'a [u8],
 }
 
-/// Channel (2), sequence (4), log time (8) and publish time (8) stand before a message's data.
+/// Channel (2), sequence (4), log time (8) and publish time (8).
 pub(super) const MESSAGE_HEADER_BYTES: usize = 22;
 
-/// Takes a message record apart; `None` if it is shorter than its header.
+/// `None` if the record is shorter than its header.
 pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
     let mut fields = FieldReader { remaining: body };
     let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
@@ -91,7 +87,6 @@ pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
     Some(Message { channel_id, sequence, log_time, data: fields.remaining })
 }
 
-/// What is left of a record.
 struct FieldReader<'a> {
     remaining: &'a [u8],
 }
@@ -115,7 +110,7 @@ impl<'a> FieldReader<'a> {
         Some(u64::from_le_bytes(*number))
     }
 
-    /// As many bytes as the number in front of them says.
+    /// Reads bytes after their length.
     fn length_prefixed(&mut self) -> Option<&'a [u8]> {
         let (count, rest) = self.remaining.split_first_chunk()?;
         let (bytes, rest) = rest.split_at_checked(u32::from_le_bytes(*count) as usize)?;

@@ -1,4 +1,4 @@
-//! The metadata record at the start of a recording: its session and its part.
+//! The metadata record at the start of a recording: session and part.
 
 use std::collections::BTreeMap;
 
@@ -8,18 +8,16 @@ use super::fields;
 use super::walk::RawRecord;
 use super::{FORMAT, LAST_UNCHUNKED_FORMAT, PartHeader, ReadError, RecordingHeader};
 
-/// Name of the metadata record.
 const METADATA_NAME: &str = "posebridge.recording";
 
-/// The latest start of a session: of a later one the nanoseconds do not fit. It lies in the year 2262.
+/// Latest start of a session, in the year 2262: nanoseconds of later ones overflow.
 pub(super) const LATEST_START_MICROS: u64 = i64::MAX as u64 / 1_000;
 
-/// The time that messages of this recording give to the host clock's zero, in nanoseconds: UTC since format 3.
+/// The log time of the host clock's zero, in nanoseconds: UTC since format 3.
 pub(super) const fn zero_nanos(header: &RecordingHeader) -> u64 {
     if header.format > LAST_UNCHUNKED_FORMAT { header.utc_start_micros * 1_000 } else { 0 }
 }
 
-/// The record of a recording that begins like this.
 pub(super) fn metadata_record(header: &RecordingHeader, beginning: &PartHeader) -> Metadata {
     let links = serde_json::Value::from(header.links.clone()).to_string();
     let mut entries = BTreeMap::from([
@@ -40,7 +38,7 @@ pub(super) fn metadata_record(header: &RecordingHeader, beginning: &PartHeader) 
     }
 }
 
-/// What a metadata record says, if it is this one.
+/// Parses the metadata record; `None` for another one.
 ///
 /// # Errors
 /// It is damaged, lacks a key or was written by a newer program.
@@ -72,7 +70,6 @@ pub(super) fn parse(record: &RawRecord<'_>) -> Result<Option<(RecordingHeader, P
     Ok(Some((header, entries.part_header()?)))
 }
 
-/// The entries of the record.
 struct HeaderEntries<'a> {
     offset: u64,
     values: BTreeMap<&'a str, &'a str>,
@@ -89,7 +86,7 @@ impl<'a> HeaderEntries<'a> {
         parsed.ok_or_else(|| self.header_error(&format!("a header whose `{key}` is not a number")))
     }
 
-    /// Where it begins; recordings up to format 2 have no parts.
+    /// Recordings up to format 2 have no parts.
     fn part_header(&self) -> Result<PartHeader, ReadError> {
         if !self.values.contains_key("part") {
             return Ok(PartHeader::default());

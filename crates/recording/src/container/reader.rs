@@ -11,23 +11,22 @@ use super::{
     INPUT_CHANNEL, INPUT_ENCODING, INPUT_TOPIC, LAST_UNCHUNKED_FORMAT, PartHeader, ReadError, RecordingHeader,
 };
 
-/// How a recording ends.
+/// How a recording ends: complete or truncated.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RecordingEnd {
-    /// It was finished properly.
     Complete,
-    /// It was cut off, by a crash or a full disk; everything before is good.
+    /// Truncated by a crash or a full disk; everything before is valid.
     Truncated {
-        /// Byte offset of the first thing that cannot be read.
+        /// Byte offset of the first unreadable record.
         offset: u64,
-        /// What is missing or wrong there.
+        /// What is missing or invalid there.
         what: String,
     },
 }
 
-/// Reads the inputs of one session, in the order in which they were given: an iterator over `(instant, input)`.
+/// Reads the inputs of one session in order: an iterator over `(instant, input)`.
 ///
-/// A torn tail ends the iteration; a damaged chunk or message is an error of its own and the next message follows.
+/// A truncated end stops the iteration; a damaged chunk or message is an error item, and the next message follows.
 #[derive(Clone, Debug)]
 pub struct RecordingReader<'a> {
     header: RecordingHeader,
@@ -40,10 +39,10 @@ pub struct RecordingReader<'a> {
 }
 
 impl<'a> RecordingReader<'a> {
-    /// Opens a recording that lies in memory and reads its header.
+    /// Opens a recording in memory and reads its header.
     ///
     /// # Errors
-    /// When the bytes are not a recording of ours, or are cut off or damaged before the end of the header.
+    /// The bytes are not a posebridge recording, or are truncated or damaged before the end of the header.
     pub fn open(bytes: &'a [u8]) -> Result<Self, ReadError> {
         let mut records = RecordScanner::new(bytes).ok_or(ReadError::NotMcap)?;
         let (header, beginning) = loop {
@@ -75,22 +74,21 @@ impl<'a> RecordingReader<'a> {
         })
     }
 
-    /// The recording's description of itself.
     pub fn header(&self) -> &RecordingHeader {
         &self.header
     }
 
-    /// Where in its session it begins. A replay is that of the session only if no input was given before.
+    /// A replay reproduces the session only if `inputs_before` is 0.
     pub fn part_header(&self) -> &PartHeader {
         &self.beginning
     }
 
-    /// How many bytes of the file lie behind the iteration, for progress bars.
+    /// Bytes read so far, for progress bars.
     pub fn offset(&self) -> u64 {
         self.walker.offset() as u64
     }
 
-    /// How the file ends; it can be asked at any time and does not move the iteration.
+    /// How the file ends. Callable at any time; does not advance the iteration.
     pub fn recording_end(&self) -> RecordingEnd {
         match self.walker.end() {
             RecordsEnd::Complete => RecordingEnd::Complete,
@@ -100,12 +98,11 @@ impl<'a> RecordingReader<'a> {
         }
     }
 
-    /// The records behind the header.
     pub(super) fn into_walker(self) -> RecordWalker<'a> {
         self.walker
     }
 
-    /// Takes one message record apart; `None` when it belongs to another channel.
+    /// Decodes a message record; `None` for other channels.
     fn message(&mut self, record: &RawRecord<'a>) -> Option<Result<(Timestamp<HostClock>, Input), ReadError>> {
         let offset = record.offset as u64;
         let Some(message) = fields::message(record.body) else {
@@ -132,7 +129,6 @@ impl<'a> RecordingReader<'a> {
         Some(Err(ReadError::Gap { offset, expected, found }))
     }
 
-    /// The input of a message, and when it was given.
     fn decode(&self, message: &fields::Message<'_>) -> Result<(Timestamp<HostClock>, Input), DecodeError> {
         let since_start = message.log_time.checked_sub(header::zero_nanos(&self.header));
         let log_time = since_start.ok_or(DecodeError::Time(message.log_time))?;
@@ -151,7 +147,7 @@ impl<'a> RecordingReader<'a> {
         }
     }
 
-    /// What follows from where the walk stopped.
+    /// Converts the end of the walk to the last item of the iteration.
     fn finish(&mut self, stop: WalkEnd) -> Option<ReadError> {
         match stop {
             WalkEnd::Error(defect) => {

@@ -12,13 +12,12 @@ use super::{ReadError, TRUTH_TOPIC};
 /// A robot's true pose at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
-    /// Which robot; `None` for the only one that is simulated.
+    /// `None` for the only simulated robot.
     pub robot: Option<RobotId>,
-    /// When, by the brick's clock as if its ticks were infinitely fine and its register never wrapped.
+    /// Brick time, without rounding or register wraps.
     pub time: Timestamp<BrickClock>,
-    /// Where the robot was.
     pub pose: Pose<Arena>,
-    /// The pose by the brick's own dead reckoning, begun at the start pose.
+    /// The brick's dead reckoning from the start pose.
     pub odometry: Option<Pose<Arena>>,
 }
 
@@ -52,7 +51,7 @@ impl TruthJson {
         })
     }
 
-    /// Fails where some of its ids are missing: without them the sample would count for another robot.
+    /// Fails if an id is missing: the sample would be assigned to another robot.
     fn robot(&self) -> Result<Option<RobotId>, &'static str> {
         match (self.link, self.system, self.component) {
             (None, None, None) => Ok(None),
@@ -64,13 +63,12 @@ impl TruthJson {
     }
 }
 
-/// The truth that a recording holds, in the order of the robots' own times; empty if it holds none, as that of real robots.
+/// The ground truth in a recording, sorted by each robot's own time; empty if there is none, as for real robots.
 ///
-/// It is written while a run goes on: a recording that was cut off has none or the beginning of it.
+/// It is written during the run: a truncated recording contains none or only the beginning.
 ///
 /// # Errors
-/// The bytes are not a recording of ours, or a sample of the truth is damaged or names a robot by halves. Damage elsewhere is not
-/// looked at.
+/// The bytes are not a posebridge recording, or a truth sample is damaged or has an incomplete robot id. Damage elsewhere is ignored.
 pub fn read_truth(bytes: &[u8]) -> Result<Vec<TruthSample>, ReadError> {
     let mut walk = RecordingReader::open(bytes)?.into_walker();
     let mut channel_id = None;

@@ -1,8 +1,8 @@
 //! Walks the records of an MCAP file, or of one of its chunks, by their framing, and reports where and how they end.
 //!
-//! The `mcap` crate's readers stop with an error without an offset; a recording that was cut off needs the offset, and
-//! all records before it. The content of the records is not read here, but for the head of chunks. A chunk with a wrong checksum or broken
-//! framing costs only the records that cannot be separated; the next chunk is found by the file's own framing.
+//! The `mcap` crate's readers stop with an error without an offset; a truncated recording needs the offset, and all records before it.
+//! The content of the records is not read here, except the header of chunks. A chunk with a wrong checksum or broken framing loses only
+//! the records that cannot be separated; the next chunk is found by the file's own framing.
 //!
 //! Source: MCAP specification 0, "Records": opcode (one byte), length of the content (u64, little-endian), content.
 
@@ -12,32 +12,29 @@ use mcap::records::op;
 
 use super::{ReadError, fields};
 
-/// Opcode and length.
 const RECORD_HEADER_BYTES: usize = 9;
 
-/// A record longer than this is damage: the writer takes no input of more than
-/// [`MAX_INPUT_BYTES`](super::writer::MAX_INPUT_BYTES), and a whole configuration is smaller.
+/// A longer record is damage: the writer limits an input to [`MAX_INPUT_BYTES`](super::writer::MAX_INPUT_BYTES), and a whole
+/// configuration is smaller.
 const MAX_RECORD_BYTES: u64 = 64 << 20;
 
-/// One record as it lies in the file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RawRecord<'a> {
     /// Offset of its opcode from the start of the file.
     pub(super) offset: usize,
     pub(super) opcode: u8,
     pub(super) body: &'a [u8],
-    /// Whether all of its content is there; only of a chunk is given what is left.
+    /// Whether all of its content is present; only a chunk is returned truncated.
     pub(super) is_complete: bool,
 }
 
-/// Where the walk ended, and why.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum RecordsEnd {
-    /// The footer is followed by the end magic and nothing else; of a chunk, its last record ends where it ends.
+    /// In a file: only the end magic follows the footer. In a chunk: the last record ends at its end.
     Complete,
-    /// The file stops before its end was written: what is missing, and where.
+    /// The file was truncated: what is missing, and where.
     Truncated { offset: usize, what: &'static str },
-    /// What stands here was never written by an MCAP writer; nothing behind it can be found.
+    /// Bytes that no MCAP writer writes; nothing after them can be found.
     Damaged { offset: usize, what: &'static str },
 }
 
@@ -51,37 +48,32 @@ impl RecordsEnd {
     }
 }
 
-/// A walk over the records of a file or of a chunk.
 #[derive(Clone, Debug)]
 pub(super) struct RecordScanner<'a> {
     bytes: &'a [u8],
-    /// Where `bytes` begin in the file.
+    /// Offset of `bytes` in the file.
     base: usize,
-    /// In `bytes`.
+    /// Within `bytes`.
     offset: usize,
     state: ScanState,
 }
 
-/// What a walk goes through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ScanState {
-    /// The file, before its footer.
     File,
-    /// The file, behind its footer.
     AfterFooter,
-    /// The file, behind a chunk that was cut off and begins at this offset.
+    /// After a truncated chunk that begins at this offset.
     AfterTruncatedChunk(usize),
-    /// A chunk.
     Chunk,
 }
 
 impl<'a> RecordScanner<'a> {
-    /// Starts behind the start magic; `None` when the bytes do not begin with it.
+    /// Starts after the start magic; `None` without it.
     pub(super) fn new(bytes: &'a [u8]) -> Option<Self> {
         bytes.starts_with(MAGIC).then_some(Self { bytes, base: 0, offset: MAGIC.len(), state: ScanState::File })
     }
 
-    /// A walk over the `length` bytes of records that begin `start` bytes behind the head of a chunk.
+    /// Walks `length` bytes of records, `start` bytes after the beginning of the chunk's content.
     fn within_chunk(chunk: &RawRecord<'a>, start: usize, length: usize) -> Self {
         let inner = chunk.body.get(start..).unwrap_or_default();
         Self {
@@ -92,7 +84,7 @@ impl<'a> RecordScanner<'a> {
         }
     }
 
-    /// The next record, or the end; after an end the same end again.
+    /// The next record, or the end; the end repeats.
     pub(super) fn next(&mut self) -> Result<RawRecord<'a>, RecordsEnd> {
         let offset = self.base + self.offset;
         let rest = self.bytes.get(self.offset..).unwrap_or_default();
@@ -133,12 +125,11 @@ impl<'a> RecordScanner<'a> {
         Ok(RawRecord { offset, opcode, body, is_complete: is_whole })
     }
 
-    /// How far the walk has come, as an offset from the start of the file.
+    /// Offset from the start of the file.
     pub(super) const fn offset(&self) -> usize {
         self.base + self.offset
     }
 
-    /// Where the walk will end when it goes on from here.
     pub(super) fn end(mut self) -> RecordsEnd {
         loop {
             if let Err(end) = self.next() {
@@ -158,23 +149,21 @@ fn end_after_footer(offset: usize, rest: &[u8]) -> RecordsEnd {
     }
 }
 
-/// Where the walk stops.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum WalkEnd {
-    /// Something is damaged; the walk can go on behind it.
+    /// Damage; the walk can continue after it.
     Error(ReadError),
-    /// Nothing more can be found.
+    /// No further record can be found.
     End(RecordsEnd),
 }
 
-/// A walk over all records of a file.
+/// Walks all records of a file, those within chunks included.
 #[derive(Clone, Debug)]
 pub(super) struct RecordWalker<'a> {
     file: RecordScanner<'a>,
     chunk: Option<OpenChunk<'a>>,
 }
 
-/// The chunk that the walk is in.
 #[derive(Clone, Debug)]
 struct OpenChunk<'a> {
     records: RecordScanner<'a>,
@@ -182,23 +171,22 @@ struct OpenChunk<'a> {
 }
 
 impl<'a> RecordWalker<'a> {
-    /// Goes on from where a walk over the file's own records stands.
+    /// Continues a walk over the file's own records.
     pub(super) const fn new(file: RecordScanner<'a>) -> Self {
         Self { file, chunk: None }
     }
 
-    /// How far the walk has come, as an offset from the start of the file.
+    /// Offset from the start of the file.
     pub(super) fn offset(&self) -> usize {
         let chunk = self.chunk.as_ref().map(|chunk| chunk.records.offset());
         chunk.unwrap_or_else(|| self.file.offset())
     }
 
-    /// How the file ends.
     pub(super) fn end(&self) -> RecordsEnd {
         self.file.clone().end()
     }
 
-    /// The next record that is no chunk; after an end the same end again.
+    /// The next record that is not a chunk; the end repeats.
     pub(super) fn next(&mut self) -> Result<RawRecord<'a>, WalkEnd> {
         loop {
             if let Some(chunk) = &mut self.chunk {
@@ -224,7 +212,7 @@ impl<'a> RecordWalker<'a> {
         }
     }
 
-    /// Goes into a chunk. With a wrong checksum the walk is in it all the same: its inputs have checksums of their own.
+    /// Enters a chunk, even with a wrong checksum: its inputs have checksums of their own.
     fn enter(&mut self, record: &RawRecord<'a>) -> Result<(), ReadError> {
         let offset = record.offset as u64;
         let Some(chunk) = fields::chunk(record.body) else {
@@ -249,7 +237,6 @@ impl<'a> RecordWalker<'a> {
     }
 }
 
-/// What is wrong with a chunk whose records end like this.
 fn error_of(end: RecordsEnd) -> Option<ReadError> {
     let (offset, what) = match end {
         RecordsEnd::Complete => return None,

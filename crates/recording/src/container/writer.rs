@@ -11,63 +11,62 @@ use super::encoding::{self, RecordPosition};
 use super::{INPUT_ENCODING, INPUT_TOPIC, PartHeader, RecordingGap, RecordingHeader, TruthSample, header};
 use crate::foxglove::{self, ChannelKey, EncodedMessage, OutputEncoder};
 
-/// The largest chunk of bytes that one input may hold. A read from a link returns at most some kilobytes.
+/// Limit of the bytes of one input. A read from a link returns at most some kilobytes.
 pub(super) const MAX_INPUT_BYTES: usize = 16 << 20;
 
-/// A chunk is written at the latest when it is so large, bytes: more than a second of a usual session. It has its room from the
-/// start, and a new part has it while the one before still has its own.
+/// Size at which a chunk is written, in bytes: more than a second of a typical session. Allocated at the start; during a change of
+/// parts there are two such buffers.
 const CHUNK_BYTES: u64 = 96 << 10;
 
-/// Estimates beside the inputs lie so far apart unless the caller says otherwise: a person follows ten a second, and an hour of them
-/// takes some hundred megabytes.
+/// Default minimum interval between stored estimates: ten a second suffice for viewers, and an hour of all estimates takes some hundred
+/// megabytes.
 const OUTPUT_SPACING: TimeDelta = TimeDelta::from_millis(100);
 
-/// What the schema record says to people who open the file with another program.
+/// Schema text for readers of the file with other programs.
 const SCHEMA_TEXT: &str = "posebridge.input.v1, little-endian: u8 version; \
     u8 tag (0 bytes, 1 link state, 2 observation, 3 set pose, 4 tick, 5 bytes of a peer, 6 counts of a port); the tag's fields; \
     u32 CRC-32 over sequence (u32), time since the start of the session in nanoseconds (u64) and all bytes before. \
     See docs/recording-format.md of posebridge.";
 
-/// Why something could not be recorded.
+/// Why recording failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
-    /// The file could not be written, or a write before this one failed.
+    /// Writing failed, now or before.
     #[error("the recording could not be written")]
     Mcap(#[from] mcap::McapError),
     #[error("the recording could not be written out")]
     Flush(#[from] std::io::Error),
-    /// An instant before the host clock's zero: MCAP has no negative times.
+    /// MCAP has no negative times.
     #[error("{0:?} lies before the start of the session and cannot be recorded")]
     NegativeTime(Timestamp<HostClock>),
-    /// A chunk that no link can have returned.
+    /// More bytes than a link can return.
     #[error("a chunk of {0} bytes is more than the 16 MiB that one input may hold")]
     TooLarge(usize),
     #[error("a session that starts {0} µs after 1970, beyond the year 2262, cannot be recorded")]
     StartTime(u64),
 }
 
-/// Writes the inputs of one session to `W`, and what came out of them beside.
+/// Writes the inputs of one session to `W`, and the outputs beside them.
 ///
-/// Bytes are buffered here; [`RecordingWriter::flush`] ends the chunk, hands everything to `W` and flushes `W`. Dropping the writer
-/// ends the file as [`RecordingWriter::finish`] does, but hides errors.
+/// Bytes are buffered; [`RecordingWriter::flush`] ends the chunk, writes everything to `W` and flushes `W`. Dropping the writer ends
+/// the file as [`RecordingWriter::finish`] does, but hides errors.
 pub struct RecordingWriter<W: Write> {
     mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
-    /// UTC of the host clock's zero, ns.
+    /// UTC of the host clock's zero.
     zero_nanos: u64,
     input_channel: u16,
     sequence: u32,
-    /// The channels beside the inputs; each is made for its first message.
+    /// Output channels; each is created with its first message.
     output_channels: BTreeMap<ChannelKey, OutputChannel>,
     outputs: OutputEncoder,
     scratch: Vec<u8>,
 }
 
-/// What the writer of one part knows and that of the next needs: the topics of the robots, the alignment of their clocks, where
-/// they have been, and how far apart estimates lie.
+/// State that the writer of one part passes to that of the next: topics of the robots, clock alignments, paths, and the interval
+/// between estimates.
 pub struct OutputHandover(Box<OutputEncoder>);
 
-/// A channel beside the inputs.
 #[derive(Clone, Copy)]
 struct OutputChannel {
     id: u16,
@@ -75,12 +74,12 @@ struct OutputChannel {
 }
 
 impl<W: Write> RecordingWriter<W> {
-    /// Starts the recording of a session and flushes its header, so that even a session of no inputs leaves a readable file.
+    /// Starts the recording of a session and flushes its header, so that a session without inputs leaves a readable file.
     pub fn create(w: W, header: &RecordingHeader) -> Result<Self, WriteError> {
         Self::create_part(w, header, &PartHeader::default())
     }
 
-    /// Starts a recording that begins in the midst of its session, or is one of its parts; flushes its header.
+    /// Starts a recording within a session, or one of its parts; flushes its header.
     pub fn create_part(w: W, header: &RecordingHeader, part_header: &PartHeader) -> Result<Self, WriteError> {
         if header.utc_start_micros > header::LATEST_START_MICROS {
             return Err(WriteError::StartTime(header.utc_start_micros));
@@ -110,18 +109,17 @@ impl<W: Write> RecordingWriter<W> {
         })
     }
 
-    /// Sets how far apart estimates of a robot, and its fusions of one sensor and kind, lie at least beside the inputs; zero
-    /// keeps all of them.
+    /// Sets the minimum interval between stored estimates of a robot, and between fusions of one sensor and kind; zero stores all.
     pub fn set_output_spacing(&mut self, spacing: TimeDelta) {
         self.outputs.set_spacing(spacing);
     }
 
-    /// How many events, calibrations and true poses of robots were left out, in this part and those before: only 64 robots have topics.
+    /// Number of dropped events, calibrations and true poses, in this and earlier parts: only 64 robots have topics.
     pub const fn skipped_outputs(&self) -> u64 {
         self.outputs.skipped()
     }
 
-    /// Ends the file as [`Self::finish`] does and gives back what the next part has to know.
+    /// Ends the file as [`Self::finish`] does and returns the state for the next part.
     pub fn finish_part(mut self) -> Result<OutputHandover, WriteError> {
         let fresh = OutputEncoder::new(self.zero_nanos, OUTPUT_SPACING);
         let outputs = std::mem::replace(&mut self.outputs, fresh);
@@ -129,16 +127,16 @@ impl<W: Write> RecordingWriter<W> {
         Ok(OutputHandover(Box::new(outputs)))
     }
 
-    /// Goes on with what the writer of the part before knew.
+    /// Continues with the state of the previous part.
     pub fn restore_outputs(&mut self, state: OutputHandover) {
         self.outputs = *state.0;
     }
 
-    /// Records that `input` was given to the pipeline at `now`; a command is shown beside the inputs as well.
+    /// Records an input of the pipeline at `now`, and a command also as an output.
     ///
     /// # Errors
-    /// When the file cannot be written, `now` is negative, or a chunk of bytes is longer than 16 MiB. After the first
-    /// kind nothing more can be recorded; after the other two only this input is missing.
+    /// Writing failed, `now` is negative, or the input has more than 16 MiB. After a write error recording is over; after the others
+    /// only this input is missing.
     pub fn record(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<(), WriteError> {
         let log_time = log_time_nanos(now)?;
         if let Input::Bytes { bytes, .. } = input
@@ -170,13 +168,13 @@ impl<W: Write> RecordingWriter<W> {
         self.write_messages(now, message)
     }
 
-    /// Records what came out of the pipeline at `now`, for viewers; no replay reads it.
+    /// Records an output of the pipeline at `now`, for viewers; replays ignore it.
     pub fn record_event(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<(), WriteError> {
         let messages = self.outputs.encode_event(now, event);
         self.write_messages(now, messages)
     }
 
-    /// Records what the filter has learned about a robot, as of `now`, for viewers; `None` is the first robot.
+    /// Records the filter's estimated constants of a robot at `now`, for viewers; `None` is the first robot.
     pub fn record_calibration(
         &mut self,
         now: Timestamp<HostClock>,
@@ -187,7 +185,7 @@ impl<W: Write> RecordingWriter<W> {
         self.write_messages(now, messages)
     }
 
-    /// Records a line for people, with its MAVLink severity: 0 emergency to 7 debug.
+    /// Records a log line with its MAVLink severity: 0 emergency to 7 debug.
     pub fn record_log_message(
         &mut self,
         now: Timestamp<HostClock>,
@@ -198,10 +196,10 @@ impl<W: Write> RecordingWriter<W> {
         self.write_messages(now, [line])
     }
 
-    /// Says that inputs are missing here. The next one has the number that it would have had.
+    /// Marks missing inputs. The next input gets the sequence number that it would have had.
     ///
     /// # Errors
-    /// When the file cannot be written, or the gap ends before the start of the session.
+    /// Writing failed, or the gap ends before the start of the session.
     pub fn record_gap(&mut self, gap: &RecordingGap) -> Result<(), WriteError> {
         self.write_messages(gap.to, [foxglove::gap_message(gap)])?;
         // Numbers are cut to 32 bits.
@@ -213,7 +211,7 @@ impl<W: Write> RecordingWriter<W> {
         self.record_log_message(gap.to, 3, &text)
     }
 
-    /// Records where robots really were, as a simulation knows it. A sample that no clock alignment places is of `now`.
+    /// Records true poses of simulated robots. A sample without a clock alignment is stored at `now`.
     pub fn record_truth(&mut self, now: Timestamp<HostClock>, samples: &[TruthSample]) -> Result<(), WriteError> {
         for sample in samples {
             let (at, messages) = self.outputs.truth_messages(now, sample);
@@ -222,19 +220,18 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// Ends the chunk, hands everything recorded so far to `W` and flushes it: this much survives a crash of the program.
+    /// Ends the chunk, writes everything to `W` and flushes it: all data until here survives a crash of the program.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         Ok(self.mcap.flush()?)
     }
 
-    /// Ends the file with its summary and gives `W` back.
+    /// Ends the file with its summary and returns `W`.
     pub fn finish(mut self) -> Result<W, WriteError> {
         self.mcap.finish()?;
         let buffered = self.mcap.into_inner().into_inner();
         Ok(buffered.into_inner().map_err(IntoInnerError::into_error)?)
     }
 
-    /// Writes messages beside the inputs.
     fn write_messages(
         &mut self,
         at: Timestamp<HostClock>,
@@ -265,7 +262,6 @@ impl<W: Write> RecordingWriter<W> {
     }
 }
 
-/// Nanoseconds since the start of the session.
 fn log_time_nanos(at: Timestamp<HostClock>) -> Result<u64, WriteError> {
     u64::try_from(at.as_nanos()).ok().ok_or(WriteError::NegativeTime(at))
 }

@@ -1,7 +1,7 @@
 //! The results of a run as CSV: one wide file per stream, for spreadsheets, pandas and PlotJuggler.
 //!
-//! Takes the station's events with their times; the caller opens an output for each stream. Nothing is rounded: every
-//! number reads back unchanged. A missing value is an empty field.
+//! Takes the station's events with their times; the caller opens an output for each stream. Nothing is rounded: every number reads back
+//! unchanged. A missing value is an empty field.
 //!
 //! # Model
 //! ```text
@@ -33,10 +33,10 @@ use posebridge_telemetry::{Event, HostClock, Timestamp};
 use crate::robot_names::RobotNames;
 use rows::CsvRow;
 
-/// Opens a stream by its name, without extension.
+/// Opens a stream by its name, without file extension.
 type OpenFile<'o, W> = dyn FnMut(&str) -> std::io::Result<W> + 'o;
 
-/// Writes events to the streams that they belong to; a stream without events is never opened.
+/// Writes events to their streams; a stream without events is never opened.
 pub struct CsvWriter<'o, W: Write> {
     open: Box<OpenFile<'o, W>>,
     files: BTreeMap<&'static str, (::csv::Writer<W>, u64)>,
@@ -44,12 +44,10 @@ pub struct CsvWriter<'o, W: Write> {
 }
 
 impl<'o, W: Write> CsvWriter<'o, W> {
-    /// No stream yet.
     pub fn new(open: impl FnMut(&str) -> std::io::Result<W> + 'o) -> Self {
         Self { open: Box::new(open), files: BTreeMap::new(), names: RobotNames::default() }
     }
 
-    /// Writes an event that happened at `now`.
     pub fn record(&mut self, now: Timestamp<HostClock>, event: &Event) -> std::io::Result<()> {
         self.names.observe(event);
         for row in rows::rows(now, event) {
@@ -58,7 +56,7 @@ impl<'o, W: Write> CsvWriter<'o, W> {
         Ok(())
     }
 
-    /// Ends all streams and says how many lines each has besides its header, by name.
+    /// Ends all streams and returns their names and line counts, headers excluded.
     pub fn finish(self) -> std::io::Result<Vec<(String, u64)>> {
         let mut lines = Vec::new();
         for (name, (mut out, count)) in self.files {

@@ -1,4 +1,4 @@
-//! Events as CSV lines: the names of the columns, with units, beside the values.
+//! Events as CSV lines: column names with units, and values.
 
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{
@@ -8,16 +8,14 @@ use posebridge_telemetry::{
 
 use crate::event_json;
 
-/// A line for one stream.
 pub(super) struct CsvRow {
     pub(super) stream: &'static str,
-    /// Names and values.
     pub(super) columns: Vec<(&'static str, CsvField)>,
-    /// Whom the line is about, in a stream that is about robots: its last column.
+    /// The last column, in a stream about robots.
     pub(super) robot: Option<RobotId>,
 }
 
-/// The text of a value, before it is quoted; empty for a missing one.
+/// Unquoted text; empty for a missing value.
 #[derive(Default)]
 pub(super) struct CsvField(pub(super) String);
 
@@ -93,7 +91,6 @@ const COVARIANCE_COLUMNS: [&str; 15] = [
 const INNOVATION_COLUMNS: [&str; 9] =
     ["innovation_0", "innovation_1", "innovation_2", "s_00", "s_01", "s_02", "s_11", "s_12", "s_22"];
 
-/// The counters of a link in the order of the columns.
 const LINK_COLUMNS: [LinkCounter; 16] = [
     LinkCounter::BYTES_IN,
     LinkCounter::BYTES_OUT,
@@ -113,7 +110,6 @@ const LINK_COLUMNS: [LinkCounter; 16] = [
     LinkCounter::RATE_LIMITED,
 ];
 
-/// The lines of an event that happened at `now`.
 pub(super) fn rows(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
     let row = match event {
         Event::ObservationAligned { robot, arrival, observation, .. } => observation_row(*robot, *arrival, observation),
@@ -291,7 +287,6 @@ fn link_row(now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> Csv
     CsvRow { stream: "links", columns, robot: None }
 }
 
-/// What a sender has sent.
 fn source_row(now: Timestamp<HostClock>, link: LinkId, source: &SourceHealth) -> CsvRow {
     CsvRow {
         stream: "sources",
@@ -311,7 +306,6 @@ fn robot_row(now: Timestamp<HostClock>, name: &str, robot: RobotId, detail: Stri
     event_row(now, name, Some(robot.link), Some(robot.address), detail)
 }
 
-/// What has no stream of its own.
 fn event_row(
     now: Timestamp<HostClock>,
     name: &str,

@@ -1,7 +1,6 @@
 //! Columns with units: the field of a row, its unit and its meaning.
 //!
-//! A column has its dimension as a type, so that a length in seconds is an error of the descriptor and not of the
-//! estimate.
+//! A column has its dimension as a type, so that a length in seconds is an error of the descriptor and not of the estimate.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -10,7 +9,6 @@ use std::marker::PhantomData;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
-/// A finite number in a descriptor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct FiniteNumber(pub(super) f64);
 
@@ -21,12 +19,10 @@ impl<'de> Deserialize<'de> for FiniteNumber {
     }
 }
 
-/// Where a value stands in a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum ColumnRef {
-    /// The column's number, from 0.
+    /// From 0.
     Index(usize),
-    /// The column's name in the header line.
     Name(String),
 }
 
@@ -81,11 +77,9 @@ const STANDARD_GRAVITY: f64 = 9.80665;
 /// 0 °C in kelvin (by definition).
 const ICE_POINT: f64 = 273.15;
 
-/// What kind of quantity a column holds.
 pub(super) trait Dimension: Clone {
-    /// Its name in messages.
     const NAME: &'static str;
-    /// Its units; the first one is taken when the descriptor names none.
+    /// The first is the default.
     const UNITS: &'static [Unit];
     /// Whether the descriptor must name the unit.
     const NEEDS_UNIT: bool = false;
@@ -147,13 +141,12 @@ pub(super) struct Column<D> {
 }
 
 impl<D> Column<D> {
-    /// The value in SI units.
     pub(super) fn to_si(&self, raw: f64) -> f64 {
         (raw * self.scale + self.offset + self.unit.zero) * self.unit.factor
     }
 }
 
-/// The keys of a column that is written as a table.
+/// The keys of a column in table form.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawColumn {
@@ -222,21 +215,17 @@ impl<'de, D: Dimension> Deserialize<'de> for Column<D> {
     }
 }
 
-/// Where a heading comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum HeadingColumns {
-    /// One column with the angle.
     Angle(Column<Angle>),
-    /// The two components of a quaternion that turns about the vertical only.
+    /// A quaternion that turns about the vertical only.
     Quaternion {
-        /// The vertical component.
         qz: ColumnRef,
-        /// The scalar component.
         qw: ColumnRef,
     },
 }
 
-/// The keys of a heading that is written as a table; which of them go together is checked behind.
+/// The keys of a heading in table form; their combination is checked later.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawHeading {

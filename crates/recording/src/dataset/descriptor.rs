@@ -1,6 +1,6 @@
-//! A checked descriptor: the input of `load`.
+//! A validated descriptor: the input of `load`.
 //!
-//! Everything that can be checked without the files is checked here, so that a wrong key is found before a long read.
+//! Everything that needs no files is checked here, so that an invalid key is found before a long read.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,14 +11,14 @@ use super::column::ColumnRef;
 use super::schema::{FileEntry, PointMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPosition};
 use posebridge_telemetry::{Heading, Meters, Pose, StartPose};
 
-/// Why a descriptor cannot be used.
+/// Why a descriptor is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DescriptorError {
-    /// A key is missing, unknown or of the wrong kind.
+    /// A missing or unknown key, or a value of the wrong type.
     #[error("line {line}: {message}, in `{text}`")]
     Key { line: usize, message: String, text: String },
-    /// Keys that do not fit together.
+    /// Keys that contradict each other.
     #[error("line {line}: {key}: {message}")]
     Rule { line: usize, key: String, message: String },
 }
@@ -26,25 +26,22 @@ pub enum DescriptorError {
 /// A foreign recording, as its TOML descriptor describes it.
 #[derive(Clone, Debug)]
 pub struct Descriptor {
-    /// The recording's name.
     pub name: String,
-    /// Where it comes from.
     pub source: String,
-    /// Under which terms.
     pub licence: String,
-    /// The robot's geometry and noise, as they stand in the descriptor; [`Descriptor::robot_for`] merges a run's own.
+    /// Geometry and noise as in the descriptor; [`Descriptor::robot_for`] merges a run's own.
     pub robot: toml::Table,
-    /// The tunables that fit this robot, as they stand in the descriptor; one set for all runs.
+    /// Tunables for this robot, as in the descriptor; one set for all runs.
     pub filter: toml::Table,
-    /// Beginning of the names of the default runs.
+    /// Prefix of the default runs.
     pub default_run: String,
-    /// The names of all runs, in the descriptor's order.
+    /// In the descriptor's order.
     pub runs: Vec<String>,
     pub(super) resolved: Vec<ResolvedRun>,
     pub(super) raw: RawDescriptor,
 }
 
-/// One run with everything that is its own.
+/// A run with its own keys and file names resolved.
 #[derive(Clone, Debug)]
 pub(super) struct ResolvedRun {
     pub(super) name: String,
@@ -54,21 +51,20 @@ pub(super) struct ResolvedRun {
     pub(super) tag: Option<TagPosition>,
 }
 
-/// Where a run starts.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum RunStart {
-    /// At a pose that the descriptor spells out.
+    /// A pose in the descriptor.
     Pose(StartPose),
-    /// At a pose from the files.
+    /// A pose from the files.
     Source { source: StartSource, position_sigma_m: f64, heading_sigma_rad: f64 },
 }
 
 impl Descriptor {
-    /// Reads and checks a descriptor.
+    /// Parses and validates a descriptor.
     ///
     /// # Errors
-    /// When it is not TOML, a key is missing, unknown or of the wrong kind, or keys contradict each other; each error
-    /// names the line and the key.
+    /// Invalid TOML, a missing or unknown key, a value of the wrong type, or keys that contradict each other; each error names the line
+    /// and the key.
     pub fn from_toml(text: &str) -> Result<Self, DescriptorError> {
         let raw: RawDescriptor = toml::from_str(text).map_err(|error| key_error(text, &error))?;
         let check = DescriptorValidator { text, raw: &raw };
@@ -90,13 +86,13 @@ impl Descriptor {
         })
     }
 
-    /// The runs whose names begin with `prefix`, in the descriptor's order.
+    /// Runs whose names begin with `prefix`, in the descriptor's order.
     pub fn select(&self, prefix: &str) -> Vec<&str> {
         let names = self.runs.iter().map(String::as_str);
         names.filter(|name| name.starts_with(prefix)).collect()
     }
 
-    /// The robot's table with this run's own keys merged over it; an unknown run changes nothing.
+    /// The robot's table with the run's own keys merged over it; an unknown run changes nothing.
     pub fn robot_for(&self, run: &str) -> toml::Table {
         let mut robot = self.robot.clone();
         if let Some(own) = self.resolved.iter().find(|known| known.name == run) {
@@ -106,7 +102,7 @@ impl Descriptor {
     }
 }
 
-/// Lays `over` on `table`, table by table and key by key.
+/// Merges `over` into `table`, recursively.
 fn merge(table: &mut toml::Table, over: &toml::Table) {
     for (key, value) in over {
         match (table.get_mut(key), value) {
@@ -132,7 +128,7 @@ fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
     }
 }
 
-/// The rules that span several keys.
+/// Checks rules across several keys.
 struct DescriptorValidator<'a> {
     text: &'a str,
     raw: &'a RawDescriptor,
@@ -333,7 +329,7 @@ impl DescriptorValidator<'_> {
     }
 }
 
-/// Puts a run's values into `{name}` places of a text.
+/// Replaces each `{name}` in `template` by its value.
 pub(super) fn expand_template(template: &str, values: &BTreeMap<String, String>) -> Result<String, String> {
     let mut filled = String::new();
     let mut rest = template;

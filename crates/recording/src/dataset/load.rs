@@ -1,6 +1,6 @@
-//! Reads one run of a foreign recording, as its descriptor says.
+//! Reads one run of a foreign recording by its descriptor.
 //!
-//! The caller opens the files and resolves relative paths; their bytes become observations here.
+//! The caller opens the files and resolves relative paths; this module converts their bytes to observations.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -18,24 +18,24 @@ use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSo
 use super::streams::{RowClock, RowReader, positions, sensors, wheels};
 use super::table::{DatasetTable, decode_text, seconds_to_nanos};
 
-/// Which run to load, and how.
+/// The run to load, the robot's geometry, and the fixes to use.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadOptions<'a> {
-    /// The run's name, or a beginning of it that no other run has.
+    /// The run's name, or a unique prefix of it.
     pub run: &'a str,
-    /// Turns ticks and lengths of the wheels into rotation.
+    /// Converts ticks and lengths of the wheels to rotation.
     pub geometry: DriveGeometry,
-    /// Which of the fixes the filter gets: every n-th, 0 for none; `None` takes the descriptor's number.
+    /// Passes every n-th fix to the filter, 0 for none; `None` takes the descriptor's number.
     pub use_every: Option<usize>,
 }
 
 /// Loads one run.
 ///
-/// Pure but for `open`, which is given the path as the descriptor names it and returns the file's bytes. Observations
-/// come sorted by arrival; where arrivals are equal, in the order of the stream kinds in docs/recordings.md.
+/// Pure but for `open`, which gets the path as written in the descriptor and returns the file's bytes. Observations are sorted by
+/// arrival; with equal arrivals, in the order of the stream kinds in docs/recordings.md.
 ///
 /// # Errors
-/// When the run or a column is unknown, or a file cannot be opened or unpacked. Bad rows are no errors: they are in
+/// The run or a column is unknown, or a file cannot be opened or unpacked. Bad rows are no errors: they are in
 /// [`DatasetRun::bad_rows`].
 pub fn load(
     descriptor: &Descriptor,
@@ -82,7 +82,7 @@ struct TableCache<'a> {
 }
 
 impl TableCache<'_> {
-    /// The table of the file entry `name`, which the descriptor's check has found to exist.
+    /// The file entry `name` must exist; the descriptor's check guarantees it.
     fn table(&mut self, name: &str, run: &ResolvedRun) -> Result<Rc<DatasetTable>, LoadError> {
         if let Some(table) = self.texts.get(name) {
             return Ok(Rc::clone(table));
@@ -100,13 +100,12 @@ impl TableCache<'_> {
     }
 }
 
-/// A run while it is being read.
 struct RunLoader<'a> {
     run: &'a ResolvedRun,
     options: LoadOptions<'a>,
     files: TableCache<'a>,
     dataset_run: DatasetRun,
-    /// All fixes, used or not, for a start that comes from them.
+    /// All fixes, used or not, for a start pose from fixes.
     all_fixes: Vec<WithheldFix>,
 }
 
@@ -125,7 +124,7 @@ impl RunLoader<'_> {
         Ok(())
     }
 
-    /// The places of a map; where an id comes again, its first place stands.
+    /// The points of a map; for a repeated id the first one counts.
     fn load_points(&mut self, map: &PointMap) -> Result<BTreeMap<u32, Point2<Arena>>, LoadError> {
         let table = self.files.table(map.file.get_ref(), self.run)?;
         let id = table.bind_optional(map.id.as_ref())?;
@@ -150,7 +149,6 @@ impl RunLoader<'_> {
         Ok(places)
     }
 
-    /// Reads every stream of the descriptor that this run has.
     fn load_streams(&mut self) -> Result<(), LoadError> {
         let raw = &self.files.descriptor.raw;
         let geometry = self.options.geometry;
@@ -205,7 +203,7 @@ impl RunLoader<'_> {
         Ok(())
     }
 
-    /// The table that turns the ids of sightings into those of the map, if the descriptor has one.
+    /// The mapping from ids of sightings to ids of the map, if the descriptor has one.
     fn load_ids(&mut self, map: Option<&IdMap>) -> Result<Option<BTreeMap<u32, u32>>, LoadError> {
         let Some(map) = map else {
             return Ok(None);
@@ -226,7 +224,6 @@ impl RunLoader<'_> {
         Ok(Some(ids))
     }
 
-    /// Reads one stream into observations of a sensor.
     fn observe<S: Stream>(
         &mut self,
         stream: &S,
@@ -240,7 +237,7 @@ impl RunLoader<'_> {
         Ok(())
     }
 
-    /// Speeds hold from the stamp of their observation on: a mean over the interval before goes to that one's beginning.
+    /// Speeds hold from the timestamp of their observation on: a mean over the previous interval gets the timestamp of its beginning.
     fn load_body_velocity(&mut self, stream: &BodyVelocity) -> Result<(), LoadError> {
         let before = self.dataset_run.observations.len();
         let geometry = self.options.geometry;
@@ -289,7 +286,7 @@ impl RunLoader<'_> {
         Ok(())
     }
 
-    /// Goes through the rows of one stream: what is good comes back with its times, what is bad is counted.
+    /// Returns the valid rows of a stream with their times, and counts the bad ones.
     fn scan<T>(
         &mut self,
         common: &StreamOptions<'_>,
@@ -321,7 +318,6 @@ impl RunLoader<'_> {
     }
 }
 
-/// The two times of a row, on the data's time base.
 #[derive(Clone, Copy, Debug)]
 struct RowTimes {
     stamp_nanos: i64,
@@ -345,10 +341,10 @@ fn timed_observation(
     }
 }
 
-/// Sets the start of `run`, where the descriptor has one; `fixes` are all of its fixes, used or not.
+/// Sets the start of `run`, if the descriptor has one; `fixes` are all of its fixes, used or not.
 ///
-/// A start from the files is the last true pose or fix before the first observation. If there is none, it is the first one after it,
-/// and the observations before it are dropped, because the start already contains their motion.
+/// A start from the files is the last true pose or fix before the first observation. Without one it is the first after it, and earlier
+/// observations are dropped, because the start already contains their motion.
 fn set_start_pose(run: &mut DatasetRun, start: Option<RunStart>, fixes: &[WithheldFix]) {
     match start {
         None => {}
@@ -381,7 +377,7 @@ fn truth_poses(run: &DatasetRun) -> Vec<TimestampedPose> {
         .collect()
 }
 
-/// The body's pose behind a fix with a heading: the tag's lever arm taken off.
+/// The body's pose from a fix with a heading, corrected for the tag's lever arm.
 fn pose_from_fix(fix: &WithheldFix) -> Option<TimestampedPose> {
     let WithheldFix { time: stamp, fix } = fix;
     let heading = fix.heading?;

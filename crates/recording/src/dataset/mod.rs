@@ -1,8 +1,8 @@
 //! Foreign recordings: CSV-like files, converted to our units, coordinate frames and times.
 //!
-//! A [`Descriptor`] (`config/recordings/*.toml`, docs/recordings.md) gives the meaning of each column of each file;
-//! [`load`] reads one run into a [`DatasetRun`]. The caller opens the files. Bad rows are counted and named, never
-//! fatal. This module filters and resamples nothing; the descriptor's `[robot]` table is passed on unread.
+//! A [`Descriptor`] (`config/recordings/*.toml`, docs/recordings.md) defines the meaning of each column of each file; [`load`] reads
+//! one run into a [`DatasetRun`]. The caller opens the files. Bad rows are counted and listed, never fatal. This module filters and
+//! resamples nothing; the descriptor's `[robot]` table is passed on unread.
 
 mod column;
 mod descriptor;

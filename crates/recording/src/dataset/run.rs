@@ -1,4 +1,4 @@
-//! One run of a foreign recording, ready to be replayed and scored: what is good, which rows are bad, and why a run cannot be loaded.
+//! One run of a foreign recording, ready for replay and scoring, with its bad rows and load errors.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::{fmt, io};
@@ -9,82 +9,70 @@ use posebridge_telemetry::{
 
 /// One run of a foreign recording.
 ///
-/// Brick and host stamps are on one time base, the data's own; nothing is subtracted but the descriptor's `offset_s`.
+/// Brick and host timestamps share the time base of the data; only the descriptor's `offset_s` is subtracted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DatasetRun {
-    /// The run's name in its descriptor.
     pub name: String,
-    /// Where the robot stood at the start, if the descriptor knows.
     pub start: Option<StartPose>,
-    /// What the robot's sensors and cameras said, sorted by arrival.
+    /// Sorted by arrival.
     pub observations: Vec<TimedObservation>,
-    /// Where the robot really was, by an instrument of its own; for scoring only.
+    /// From a separate instrument; for scoring only.
     pub truth: Vec<TruthPose>,
-    /// Fixes that were kept from the filter; for scoring only.
+    /// Fixes withheld from the filter; for scoring only.
     pub withheld: Vec<WithheldFix>,
-    /// Places of the landmarks.
     pub landmarks: Vec<(LandmarkId, Point2<Arena>)>,
-    /// Places of the radio beacons.
     pub beacons: Vec<(BeaconId, Point2<Arena>)>,
-    /// Rows that were left out, and why.
     pub bad_rows: BadRows,
 }
 
-/// An observation with the instant at which the host had it.
+/// An observation and its arrival on the host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedObservation {
-    /// When it arrived; equal to its own stamp where the recording does not say.
+    /// The observation's own timestamp where the recording has no arrival times.
     pub arrival: Timestamp<HostClock>,
-    /// The observation.
     pub observation: Observation,
 }
 
 /// The true pose at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthPose {
-    /// The instant.
     pub time: Timestamp<BrickClock>,
-    /// Where the body's origin was.
+    /// Of the body's origin.
     pub position: Point2<Arena>,
-    /// The body's heading, if the instrument measures it.
+    /// `None` if the instrument does not measure it.
     pub heading: Option<Heading>,
 }
 
-/// A fix that the filter does not get.
+/// A fix withheld from the filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WithheldFix {
-    /// The instant of the fix.
     pub time: Timestamp<BrickClock>,
-    /// The fix; its position is that of the tag and not of the body.
+    /// Position of the tag, not of the body.
     pub fix: Fix,
 }
 
-/// How many bad rows are named; the rest is only counted.
+/// Bad rows that are listed; more are only counted.
 const MAX_LISTED_ROWS: usize = 20;
 
-/// Why a row was left out.
+/// Why a row of a file was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum BadRowReason {
-    /// The row has too few columns.
     MissingColumn,
-    /// A value is not a finite number.
     NotNumeric,
-    /// The time is earlier than that of the row before.
     TimeBackwards,
-    /// The time is that of the row before, where an interval is needed.
+    /// Equal to the previous row, where an interval is needed.
     ZeroInterval,
-    /// A fix repeats the stamp of the one before.
+    /// A fix has the timestamp of the previous one.
     RepeatedTimestamp,
-    /// The value or the time leaps further than the descriptor says is possible.
     ImpossibleJump,
-    /// The value is outside the limits that the descriptor sets.
+    /// Outside the limits in the descriptor.
     OutOfRange,
-    /// The row names a landmark or beacon that the maps do not have.
+    /// A landmark or beacon that is not in the map.
     UnknownId,
 }
 
 impl BadRowReason {
-    /// The reason in words, as reports print it.
+    /// The reason in words, as in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::MissingColumn => "missing column",
@@ -99,16 +87,14 @@ impl BadRowReason {
     }
 }
 
-/// One row that was left out.
+/// A rejected row.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct BadRow {
-    /// The file, as the descriptor names it.
+    /// As written in the descriptor.
     pub file: String,
-    /// The line, from 1.
+    /// From 1.
     pub line: usize,
-    /// Why.
     pub reason: BadRowReason,
-    /// The value at fault.
     pub detail: String,
 }
 
@@ -119,23 +105,21 @@ impl fmt::Display for BadRow {
     }
 }
 
-/// All rows of a run that were left out. A row that two streams refuse for the same reason counts once.
+/// All rejected rows of a run. A row that two streams reject for the same reason counts once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BadRows {
-    /// How many, by reason; reasons that did not occur are absent.
+    /// By reason; absent if it did not occur.
     pub counts: BTreeMap<BadRowReason, usize>,
-    /// The first 20, in the order in which they were met.
+    /// The first 20, in reading order.
     pub listed: Vec<BadRow>,
     already_counted: BTreeSet<(String, usize, BadRowReason)>,
 }
 
 impl BadRows {
-    /// How many rows were left out in all.
     pub fn total(&self) -> usize {
         self.counts.values().sum()
     }
 
-    /// How many rows were left out for this reason.
     pub fn count(&self, reason: BadRowReason) -> usize {
         self.counts.get(&reason).copied().unwrap_or(0)
     }
@@ -152,7 +136,7 @@ impl BadRows {
     }
 }
 
-/// What is wrong with the row at hand.
+/// Why the present row is rejected.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RowError {
     pub(super) reason: BadRowReason,
@@ -165,11 +149,11 @@ impl RowError {
     }
 }
 
-/// Why a run cannot be loaded.
+/// Why a run of a foreign recording cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LoadError {
-    /// No run, or more than one, goes by this name.
+    /// No run, or more than one, matches this name.
     #[error("{matches} runs begin with `{asked}`: use one of: {known}")]
     Run { asked: String, matches: usize, known: String },
     #[error("run `{run}`: {message}")]
@@ -178,7 +162,7 @@ pub enum LoadError {
     Open { path: String, source: io::Error },
     #[error("{path} is damaged or not gzip")]
     Gzip { path: String, source: io::Error },
-    /// A file is larger than any recording of a small robot.
+    /// Larger than any recording of a small robot.
     #[error("{path} unpacks to more than 1 GiB")]
     TooLarge { path: String },
     #[error("{path}: there is no column `{column}`, the header has: {known}")]

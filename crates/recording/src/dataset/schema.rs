@@ -1,6 +1,6 @@
-//! The keys of a descriptor, as serde reads them; docs/recordings.md explains each.
+//! The keys of a descriptor for serde; docs/recordings.md explains each.
 //!
-//! Only the shape is checked here; `descriptor` checks that the values are consistent.
+//! Only types are checked here; `descriptor` validates the values.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,6 @@ use super::column::{
     TurnRate, WheelTurn,
 };
 
-/// A whole descriptor.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RawDescriptor {
@@ -68,17 +67,15 @@ pub(super) struct RawStart {
     pub(super) heading_sigma_rad: FiniteNumber,
 }
 
-/// Where a start that the descriptor does not spell out comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum StartSource {
-    /// The true pose.
     Truth,
     /// A fix, used or withheld.
     Fixes,
 }
 
-/// One entry of `[[runs]]`: one run, or a group that differs in one piece of text.
+/// An entry of `[[runs]]`: one run, or a group of runs that differ in one text.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RawRun {
@@ -92,7 +89,6 @@ pub(super) struct RawRun {
     pub(super) tag: Option<TagPosition>,
 }
 
-/// A point of the body: where the observed tag sits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TagPosition {
@@ -100,7 +96,7 @@ pub(super) struct TagPosition {
     pub(super) y_m: FiniteNumber,
 }
 
-/// One `[files.*]` table: a file and how its lines are taken apart.
+/// A `[files.*]` table: a file and its format.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FileEntry {
@@ -119,18 +115,16 @@ pub(super) struct FileEntry {
     pub(super) order: RowOrder,
 }
 
-/// In which order the rows are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum RowOrder {
-    /// As they stand; a stamp that goes back is a bad row.
+    /// As in the file; a decreasing timestamp is a bad row.
     #[default]
     File,
-    /// By their stamps, for files whose blocks were written out of order.
+    /// By timestamp, for files whose blocks were written out of order.
     Time,
 }
 
-/// What stands between two fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Delimiter {
@@ -139,13 +133,13 @@ pub(super) enum Delimiter {
     Comma,
     /// `;`, likewise.
     Semicolon,
-    /// One tabulator, likewise.
+    /// One tab, likewise.
     Tab,
-    /// Any run of blanks and tabulators.
+    /// Any run of spaces and tabs.
     Whitespace,
 }
 
-/// Keeps only the rows that have this text in this column.
+/// Keeps only rows with this text in this column.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RowFilter {
@@ -153,18 +147,16 @@ pub(super) struct RowFilter {
     pub(super) equals: String,
 }
 
-/// A column of time stamps.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimeColumn {
     pub(super) column: ColumnRef,
     #[serde(default)]
     pub(super) unit: TimeUnit,
-    /// A second column that is added, as in seconds and nanoseconds.
+    /// A second column to add, as in seconds and nanoseconds.
     pub(super) plus: Option<TimePart>,
 }
 
-/// The second column of a time stamp.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimePart {
@@ -172,23 +164,18 @@ pub(super) struct TimePart {
     pub(super) unit: TimeUnit,
 }
 
-/// Units of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum TimeUnit {
-    /// Seconds.
     #[default]
     S,
-    /// Milliseconds.
     Ms,
-    /// Microseconds.
     Us,
-    /// Nanoseconds.
     Ns,
 }
 
 impl TimeUnit {
-    /// The unit is ten to this power seconds.
+    /// Power of ten of the unit, in seconds.
     pub(super) const fn exponent(self) -> i32 {
         match self {
             Self::S => 0,
@@ -199,18 +186,18 @@ impl TimeUnit {
     }
 }
 
-/// `[landmarks]` or `[beacons]`: known places in the arena.
+/// `[landmarks]` or `[beacons]`: known points in the arena.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PointMap {
     pub(super) file: Spanned<String>,
-    /// Without it the rows count from 0.
+    /// `None` numbers the rows from 0.
     pub(super) id: Option<Column<Id>>,
     pub(super) x: Column<Length>,
     pub(super) y: Column<Length>,
 }
 
-/// A table of two columns that turns the ids of a file into those of a map.
+/// A table of two columns that maps the ids of a file to those of a map.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct IdMap {
@@ -219,28 +206,27 @@ pub(super) struct IdMap {
     pub(super) to: Column<Id>,
 }
 
-/// Whether a counter says the total or what was added since the row before.
+/// Meaning of a counter: total, or increment since the previous row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Counting {
-    /// Totals.
     Absolute,
-    /// Increments; those of the first row are not used.
+    /// Those of the first row are not used.
     Increments,
 }
 
-/// Over which interval a row's speeds hold.
+/// The interval for which a row's speeds hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum SpeedInterval {
-    /// From its stamp to that of the next row, as a command does.
+    /// Until the timestamp of the next row, as for a command.
     #[default]
     Next,
-    /// From the stamp of the row before to its own, as a mean does.
+    /// From the timestamp of the previous row, as for a mean.
     Previous,
 }
 
-/// What every kind of stream has: its file, its runs, its sensor and its stamps.
+/// Common keys of all streams: file, runs, sensor and timestamps.
 #[derive(Clone, Debug)]
 pub(super) struct StreamOptions<'a> {
     pub(super) file: &'a Spanned<String>,
@@ -251,25 +237,21 @@ pub(super) struct StreamOptions<'a> {
 }
 
 impl StreamOptions<'_> {
-    /// Whether the run has this stream.
     pub(super) fn is_in(&self, run: &str) -> bool {
         self.runs.is_none_or(|prefixes| prefixes.iter().any(|prefix| run.starts_with(prefix.as_str())))
     }
 }
 
-/// A kind of stream.
 pub(super) trait Stream {
-    /// Its key in the descriptor.
+    /// Key in the descriptor.
     const KEY: &'static str;
-    /// What it shares with the others.
     fn common(&self) -> StreamOptions<'_>;
-    /// The columns that it reads.
     fn column_refs(&self) -> Vec<&ColumnRef>;
-    /// What is wrong with its keys, taken together.
+    /// Contradictions between its keys.
     fn check(&self) -> Result<(), String>;
 }
 
-/// Collects the places of columns, present or not.
+/// Collects the positions of columns; absent ones are skipped.
 macro_rules! column_refs {
     ($($column:expr),* $(,)?) => {{
         let mut places: Vec<&ColumnRef> = Vec::new();
@@ -278,7 +260,6 @@ macro_rules! column_refs {
     }};
 }
 
-/// Something that names columns.
 trait HasColumnRefs {
     fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef));
 }
@@ -306,7 +287,7 @@ impl<T: HasColumnRefs> HasColumnRefs for Option<T> {
     }
 }
 
-/// Declares a kind of stream: its key, its columns, and its other keys.
+/// Declares a kind of stream: its key, columns, and other keys.
 macro_rules! stream {
     (
         $(#[$doc:meta])* $name:ident, $key:literal,
@@ -349,7 +330,7 @@ macro_rules! stream {
     };
 }
 
-/// Refuses with a reason.
+/// Fails with `otherwise` as the reason.
 fn require(holds: Option<()>, otherwise: &str) -> Result<(), String> {
     holds.ok_or_else(|| otherwise.to_owned())
 }
@@ -370,7 +351,7 @@ stream! {
 }
 
 stream! {
-    /// `[[odometer]]`: a pose that a foreign odometer has integrated, or its increments.
+    /// `[[odometer]]`: an integrated pose of a foreign odometer, or its increments.
     Odometer, "odometer",
     columns {
         x: Option<Column<Length>>, y: Option<Column<Length>>, heading: Option<HeadingColumns>,
@@ -455,7 +436,7 @@ stream! {
 }
 
 stream! {
-    /// `[[compass]]`: heading against the arena.
+    /// `[[compass]]`: heading in the arena.
     Compass, "compass",
     columns { heading: HeadingColumns, }
     keys { #[serde(default)] only_changes: bool, }
@@ -463,7 +444,6 @@ stream! {
 }
 
 stream! {
-    /// `[[temperature]]`: a temperature.
     Thermometer, "temperature",
     columns { temperature: Column<Temperature>, }
     keys { #[serde(default)] only_changes: bool, }
@@ -471,7 +451,7 @@ stream! {
 }
 
 stream! {
-    /// `[[fixes]]`: positions or poses in the arena, seen from outside.
+    /// `[[fixes]]`: positions or poses in the arena from an external sensor.
     Fixes, "fixes",
     columns {
         x: Option<Column<Length>>, y: Option<Column<Length>>,
@@ -516,7 +496,6 @@ stream! {
     }
 }
 
-/// Where on the earth the arena has its origin.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Origin {
@@ -525,7 +504,7 @@ pub(super) struct Origin {
 }
 
 stream! {
-    /// `[[truth]]`: where the robot really was; for scoring only.
+    /// `[[truth]]`: true poses; for scoring only.
     Truth, "truth",
     columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
     keys { max_speed_m_per_s: Option<FiniteNumber>, }
@@ -533,14 +512,12 @@ stream! {
 }
 
 impl PointMap {
-    /// The columns that it reads.
     pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
         column_refs![self.id, self.x, self.y]
     }
 }
 
 impl IdMap {
-    /// The columns that it reads.
     pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
         column_refs![self.from, self.to]
     }

@@ -1,6 +1,6 @@
 //! Splits text into rows of fields: lines, headers, comments, filters, and columns bound to their index.
 //!
-//! Each line is parsed by itself, so that an unbalanced quote spoils one row and not the rest of the file.
+//! Each line is parsed separately, so that an unbalanced quote invalidates one row and not the rest of the file.
 
 use std::io::Read;
 
@@ -11,15 +11,15 @@ use super::column::{Angle, Column, ColumnRef, Dimension, HeadingColumns};
 use super::run::{BadRowReason, LoadError, RowError};
 use super::schema::{Delimiter, FileEntry, RowOrder, TimeColumn, TimeUnit};
 
-/// A gzip file that unpacks to more than this is refused: no recording of a small robot is so large.
+/// Limit of the unpacked size of a gzip file: no recording of a small robot is so large.
 const MAX_TEXT_BYTES: u64 = 1 << 30;
-/// The first two bytes of a gzip file (RFC 1952, section 2.3.1).
+/// RFC 1952, section 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
-/// U+FEFF in UTF-8, which some programs put before the first line.
+/// U+FEFF in UTF-8; some programs write it before the first line.
 const BYTE_ORDER_MARK: [u8; 3] = [0xEF, 0xBB, 0xBF];
 
-/// Unpacks a file if it is gzip by its first bytes, and makes it text. Bytes that are not UTF-8 become U+FFFD and spoil
-/// only the field in which they stand.
+/// Unpacks a gzip file, detected by its first bytes, and decodes it. Bytes that are not UTF-8 become U+FFFD and invalidate only their
+/// field.
 pub(super) fn decode_text(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
     let bytes = if bytes.starts_with(&GZIP_MAGIC) { gunzip(path, &bytes)? } else { bytes };
     let body = bytes.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(&bytes);
@@ -36,10 +36,9 @@ fn gunzip(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
     Ok(unpacked)
 }
 
-/// A file's text with the way to take it apart.
 #[derive(Debug)]
 pub(super) struct DatasetTable {
-    /// The path, as the descriptor names it.
+    /// As written in the descriptor.
     pub(super) path: String,
     text: String,
     format: TableFormat,
@@ -47,7 +46,7 @@ pub(super) struct DatasetTable {
     time: Option<BoundTimeColumn>,
     arrival_nanos: Option<BoundTimeColumn>,
     offset_nanos: i64,
-    /// A step of the stamps beyond this is doubted.
+    /// Larger steps between timestamps are suspect.
     pub(super) max_gap_nanos: Option<i64>,
 }
 
@@ -67,7 +66,6 @@ struct BoundTimeColumn {
     plus: Option<(usize, TimeUnit)>,
 }
 
-/// One row: its fields, and the line on which it stands.
 #[derive(Debug)]
 pub(super) struct TableRow<'a> {
     /// From 1.
@@ -90,7 +88,7 @@ impl TableRow<'_> {
     }
 }
 
-/// Longest piece of a bad field that is quoted.
+/// Longest excerpt of a bad field in a message.
 const MAX_QUOTED_CHARS: usize = 40;
 
 fn not_numeric(text: &str) -> RowError {
@@ -98,7 +96,7 @@ fn not_numeric(text: &str) -> RowError {
     RowError::new(BadRowReason::NotNumeric, format!("`{shown}`"))
 }
 
-/// A column whose place in the row is known.
+/// A column with its index in the row.
 #[derive(Clone, Debug)]
 pub(super) struct BoundColumn<D> {
     index: usize,
@@ -106,12 +104,11 @@ pub(super) struct BoundColumn<D> {
 }
 
 impl<D> BoundColumn<D> {
-    /// The value in SI units.
+    /// SI units.
     pub(super) fn read(&self, row: &TableRow<'_>) -> Result<f64, RowError> {
         Ok(self.column.to_si(row.number(self.index)?))
     }
 
-    /// The value as an id.
     pub(super) fn read_id(&self, row: &TableRow<'_>) -> Result<u32, RowError> {
         let value = self.read(row)?;
         let id = value as u32;
@@ -119,7 +116,7 @@ impl<D> BoundColumn<D> {
     }
 }
 
-/// A heading whose columns' places are known.
+/// Columns of a heading with their indices in the row.
 #[derive(Clone, Debug)]
 pub(super) enum BoundHeadingColumns {
     Angle(BoundColumn<Angle>),
@@ -142,7 +139,7 @@ impl BoundHeadingColumns {
 }
 
 impl DatasetTable {
-    /// Takes the header lines off and finds the columns that the file entry itself names.
+    /// Skips the header lines and binds the columns that the file entry itself names.
     pub(super) fn new(path: String, text: String, entry: &FileEntry) -> Result<Self, LoadError> {
         let mut table = Self {
             names: header_names(&text, entry),
@@ -194,12 +191,11 @@ impl DatasetTable {
         }
     }
 
-    /// Finds a column.
     pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<BoundColumn<D>, LoadError> {
         Ok(BoundColumn { index: self.index_of(&column.place)?, column: column.clone() })
     }
 
-    /// Finds a column that may be absent from the descriptor.
+    /// The column may be absent from the descriptor.
     pub(super) fn bind_optional<D: Dimension>(
         &self,
         column: Option<&Column<D>>,
@@ -207,7 +203,6 @@ impl DatasetTable {
         column.map(|column| self.bind(column)).transpose()
     }
 
-    /// Finds the columns of a heading.
     pub(super) fn bind_heading(&self, columns: &HeadingColumns) -> Result<BoundHeadingColumns, LoadError> {
         Ok(match columns {
             HeadingColumns::Angle(column) => BoundHeadingColumns::Angle(self.bind(column)?),
@@ -217,13 +212,13 @@ impl DatasetTable {
         })
     }
 
-    /// The rows behind the header lines: no blank lines, no comments, nothing that the filter leaves out.
+    /// The rows after the header, without blank lines, comments and filtered rows.
     pub(super) fn rows(&self) -> impl Iterator<Item = TableRow<'_>> {
         let numbered = self.text.lines().enumerate();
         numbered.skip(self.format.header_lines).filter_map(|(index, line)| self.row(index + 1, line))
     }
 
-    /// The rows in the order that the descriptor asks for; those without a stamp come first.
+    /// Sorted as the descriptor requests; rows without a timestamp come first.
     pub(super) fn ordered_rows(&self) -> Vec<TableRow<'_>> {
         let mut rows: Vec<_> = self.rows().collect();
         if self.format.order == RowOrder::Time {
@@ -247,7 +242,7 @@ impl DatasetTable {
         Some(TableRow { line, fields })
     }
 
-    /// The row's stamp, in nanoseconds of the data's time base.
+    /// Time base of the data.
     pub(super) fn time_nanos(&self, row: &TableRow<'_>) -> Result<i64, RowError> {
         match &self.time {
             Some(time) => self.read_time(time, row),
@@ -255,7 +250,7 @@ impl DatasetTable {
         }
     }
 
-    /// The row's arrival, if the file has one.
+    /// `None` without an arrival column.
     pub(super) fn arrival(&self, row: &TableRow<'_>) -> Result<Option<i64>, RowError> {
         let arrival = self.arrival_nanos.as_ref();
         arrival.map(|time| self.read_time(time, row)).transpose()
@@ -274,12 +269,10 @@ impl DatasetTable {
     }
 }
 
-/// Seconds of a descriptor as nanoseconds, rounded.
 pub(super) fn seconds_to_nanos(seconds: f64) -> i64 {
     (seconds * 1e9).round() as i64
 }
 
-/// The names in the last header line.
 fn header_names(text: &str, entry: &FileEntry) -> Vec<String> {
     let Some(last) = entry.header_lines.checked_sub(1) else {
         return Vec::new();
@@ -298,7 +291,7 @@ fn split(line: &str, delimiter: Delimiter) -> Vec<&str> {
     }
 }
 
-/// Splits at delimiters outside double quotes, and takes blanks and quotes off.
+/// Splits at delimiters outside double quotes; trims spaces and quotes.
 fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
     let mut in_quotes = false;
     line.split(|letter| {
@@ -313,16 +306,16 @@ fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
     .collect()
 }
 
-/// More digits than any clock has; further digits of a fraction are dropped.
+/// More than any clock prints; further digits of a fraction are dropped.
 const MAX_DIGITS: u32 = 30;
-/// No time in use has an exponent beyond this; it keeps the arithmetic inside 128 bits.
+/// Beyond any time in use; keeps the arithmetic inside 128 bits.
 const MAX_EXPONENT: i32 = 40;
 
-/// The nanoseconds that `text` means when its unit is ten to the `unit_exponent` seconds, rounded to the nearest (half
-/// away from zero); `None` when it is not a decimal number or lies outside the range of a stamp.
+/// Nanoseconds of a decimal number in units of ten to the `unit_exponent` seconds, rounded to the nearest (half away from zero); `None`
+/// if it is not a decimal number or overflows.
 ///
-/// Exact: a Unix time with nanoseconds has 19 digits and does not fit an `f64`. A timestamp converted through one is up to 0.1 microseconds
-/// off, and two timestamps may become equal.
+/// Exact: a Unix time with nanoseconds has 19 digits and does not fit an `f64`, which is off by up to 0.1 microseconds and can make two
+/// timestamps equal.
 fn decimal_nanos(text: &str, unit_exponent: i32) -> Option<i64> {
     let (negative, digits) = match text.as_bytes().first()? {
         b'-' => (true, &text[1..]),
@@ -341,7 +334,7 @@ fn decimal_nanos(text: &str, unit_exponent: i32) -> Option<i64> {
     i64::try_from(if negative { -magnitude } else { magnitude }).ok()
 }
 
-/// The digits as one whole number, and how many of them stand behind the point.
+/// The digits as one integer, and the number of decimals.
 fn mantissa(number: &str) -> Option<(i128, i32)> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
     if whole.is_empty() && fraction.is_empty() {

@@ -1,4 +1,4 @@
-//! The output channels of a recording, each with its schema, and the messages that go to them.
+//! The output channels of a recording with their schemas, and their messages.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -9,29 +9,26 @@ use schemars::generate::SchemaSettings;
 use super::records;
 use crate::container::TRUTH_TOPIC;
 
-/// A channel beside the inputs.
+/// An output channel.
 #[derive(Clone, Copy, Debug)]
 pub struct Channel {
-    /// Its topic; where there is one channel for each robot, that of the first.
+    /// The topic of the first robot, where each robot has a channel.
     pub topic: &'static str,
-    /// What the topic of another robot ends in, behind `/robots/` and the robot; `None` where one channel is for all robots.
+    /// Topic suffix of another robot, after `/robots/` and its name; `None` where one channel is for all robots.
     pub robot_topic: Option<&'static str>,
-    /// Name of its schema; Foxglove and its like know a `foxglove.*` message by it.
+    /// Viewers such as Foxglove recognise a `foxglove.*` message by it.
     pub schema: &'static str,
-    /// How its messages are encoded.
     pub(crate) encoding: Encoding,
 }
 
-/// One message for a channel beside the inputs.
 #[derive(Debug)]
 pub(crate) struct EncodedMessage {
     pub(crate) channel: Channel,
-    /// Stands for the robot in the topic; `None` for the first.
+    /// The robot's name in the topic; `None` for the first.
     pub(crate) robot: Option<Arc<str>>,
     pub(crate) data: Vec<u8>,
 }
 
-/// Which channel of a file a message goes to.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct ChannelKey {
     topic: &'static str,
@@ -39,13 +36,11 @@ pub(crate) struct ChannelKey {
 }
 
 impl EncodedMessage {
-    /// The channel that it goes to.
     pub(crate) fn key(&self) -> ChannelKey {
         let robot = self.channel.robot_topic.and_then(|_| self.robot.clone());
         ChannelKey { topic: self.channel.topic, robot }
     }
 
-    /// The topic of that channel.
     pub(crate) fn topic(&self) -> Cow<'static, str> {
         match (&self.robot, self.channel.robot_topic) {
             (Some(robot), Some(topic)) => Cow::Owned(format!("/robots/{robot}/{topic}")),
@@ -54,17 +49,17 @@ impl EncodedMessage {
     }
 }
 
-/// How the messages of a channel are encoded, with the text or bytes of their schema.
+/// Message encoding, with the schema.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Encoding {
     /// Protocol buffers: a serialised `FileDescriptorSet`.
     Protobuf(&'static [u8]),
-    /// JSON: makes a JSON schema.
+    /// JSON: a function that builds the JSON schema.
     Json(fn() -> String),
 }
 
 impl Encoding {
-    /// The message encoding, and the encoding and the data of the schema, as the MCAP registry names them.
+    /// Message encoding, schema encoding and schema data, named as in the MCAP registry.
     pub(crate) fn parts(self) -> (&'static str, &'static str, Vec<u8>) {
         match self {
             Self::Protobuf(descriptors) => ("protobuf", "protobuf", descriptors.to_vec()),
@@ -130,10 +125,9 @@ pub(super) const COMMAND: Channel =
     json("posebridge/command", "posebridge.Command", schema_of::<records::CommandRecord>);
 pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
 pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
-/// [`TRUTH`] where the samples say which robot they are of; without, a recording of one robot has the bytes that it always had.
+/// [`TRUTH`] with the robot's id, for samples that have one. Samples without keep the older format.
 pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::RobotTruthRecord>);
 
-/// Every channel beside the inputs.
 pub const CHANNELS: &[Channel] = &[
     ODOMETRY,
     POSE,
@@ -154,7 +148,7 @@ pub const CHANNELS: &[Channel] = &[
     TRUTH,
 ];
 
-/// The JSON schema of a record, without references: not every viewer follows them.
+/// Without references, because not every viewer resolves them.
 fn schema_of<T: JsonSchema>() -> String {
     let settings = SchemaSettings::draft07().for_serialize().with(|settings| settings.inline_subschemas = true);
     let schema = settings.into_generator().into_root_schema_for::<T>();

@@ -1,10 +1,9 @@
-//! The station's outputs as messages that viewers and notebooks read without set-up.
+//! The station's outputs as messages that viewers and notebooks read without configuration.
 //!
-//! Protocol buffers of Foxglove's schemas for what every viewer draws (odometry, pose, path, transform, ellipse, fixes,
-//! log); JSON with a schema for the rest (innovations, health of links, clocks, calibration, temperature, commands,
-//! gaps, truth). [`OutputEncoder`] converts events to messages; [`crate::container::RecordingWriter`] stores them
-//! beside the inputs of a recording. A replay does not read them: it computes the same events from the inputs. Robots
-//! after the first have topics and a frame of their own.
+//! Protocol buffers of Foxglove's schemas for what every viewer draws (odometry, pose, path, transform, ellipse, fixes, log); JSON with
+//! a schema for the rest (innovations, health of links, clocks, calibration, temperature, commands, gaps, truth). [`OutputEncoder`]
+//! converts events to messages; [`crate::container::RecordingWriter`] stores them beside the inputs of a recording. A replay does not
+//! read them: it computes the same events from the inputs. Robots after the first have separate topics and a separate frame.
 //!
 //! # Model
 //! ```text

@@ -1,4 +1,4 @@
-//! From events to messages.
+//! Converts events to messages.
 
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
@@ -16,43 +16,42 @@ use super::robot_outputs::{ClockAlignmentPoint, RobotOutputsTable};
 use super::wire::{self, ARENA, ellipse_of, log_level, odometry_of, pose_of};
 use crate::container::{RecordingGap, TruthSample};
 
-/// The path is written this often: it is whole each time.
+/// Low, because each message contains the whole path.
 const PATH_PERIOD: TimeDelta = TimeDelta::from_millis(2_000);
 
-/// Turns events into messages, in the order in which they happened.
+/// Converts events to messages, in order.
 #[derive(Debug)]
 pub struct OutputEncoder {
     utc: UtcClock,
-    /// Estimates, and fusions of one sensor and kind, of a robot lie at least so far apart.
+    /// Minimum interval between estimates of a robot, and between fusions of one sensor and kind.
     spacing: TimeDelta,
     robots: RobotOutputsTable,
 }
 
-/// The host's clock in UTC.
 #[derive(Clone, Copy, Debug)]
 struct UtcClock {
-    /// UTC of the host clock's zero, ns.
+    /// UTC of the host clock's zero.
     zero_nanos: u64,
 }
 
 impl OutputEncoder {
-    /// For a session whose host clock was zero at this UTC, in nanoseconds. Of each robot, estimates, and fusions of one sensor and kind that
-    /// were accepted, are thinned to this spacing; whatever was not accepted stays.
+    /// `zero_nanos` is UTC at the host clock's zero. `spacing` is the minimum interval between estimates of a robot, and between
+    /// accepted fusions of one sensor and kind; records of rejected observations are all kept.
     pub fn new(zero_nanos: u64, spacing: TimeDelta) -> Self {
         Self { utc: UtcClock { zero_nanos }, spacing, robots: RobotOutputsTable::default() }
     }
 
-    /// Sets how far apart estimates lie at least.
+    /// Sets the minimum interval between estimates.
     pub(crate) const fn set_spacing(&mut self, spacing: TimeDelta) {
         self.spacing = spacing;
     }
 
-    /// How many messages are missing because there are too many robots for each to have topics.
+    /// Messages dropped because too many robots need topics.
     pub(crate) const fn skipped(&self) -> u64 {
         self.robots.skipped()
     }
 
-    /// The messages of an event that came at `now`.
+    /// `now` is the arrival of the event.
     pub(crate) fn encode_event(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<EncodedMessage> {
         self.robots.observe_name(event);
         let mut messages = self.messages_of(now, event);
@@ -112,7 +111,7 @@ impl OutputEncoder {
         }
     }
 
-    /// A line for people, with its MAVLink severity: 0 emergency to 7 debug.
+    /// A log line with its MAVLink severity: 0 emergency to 7 debug.
     pub(crate) fn log_message(
         &self,
         now: Timestamp<HostClock>,
@@ -129,7 +128,7 @@ impl OutputEncoder {
         protobuf_message(channels::LOG, &log)
     }
 
-    /// What the filter of a robot has learned; `None` is the first robot.
+    /// Estimated constants of a robot; `None` is the first robot.
     pub(crate) fn calibration_messages(
         &mut self,
         robot: Option<RobotId>,
@@ -143,7 +142,7 @@ impl OutputEncoder {
         messages
     }
 
-    /// The truth of one instant, and by the last alignment of that robot's clock when that was.
+    /// The truth sample, and its host time by the last alignment of that robot's clock.
     pub(crate) fn truth_messages(
         &mut self,
         end: Timestamp<HostClock>,
@@ -283,7 +282,7 @@ impl OutputEncoder {
         messages
     }
 
-    /// An event in words. A text has its sender as the name of the line.
+    /// An event as a log line. A text message has its sender as the name.
     fn log_message_of(&self, now: Timestamp<HostClock>, event: &Event) -> Option<EncodedMessage> {
         if let Event::Text { source, severity, text } = event {
             return Some(self.log_message(now, *severity, &source.to_string(), text));
@@ -304,17 +303,16 @@ impl UtcClock {
     }
 }
 
-/// A request of a person or a program as a message; `robot` is the one that it is for, if it names one.
+/// A command from a user or program; `robot` is its target, if it names one.
 pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> EncodedMessage {
     json_message(channels::COMMAND, &CommandRecord::new(command, robot))
 }
 
-/// Inputs that are missing as a message.
 pub(crate) fn gap_message(gap: &RecordingGap) -> EncodedMessage {
     json_message(channels::GAP, &GapRecord::from(gap))
 }
 
-/// Whether something is due again; the first time it is.
+/// True at the first call and then once per `spacing`.
 fn is_due(last: &mut Option<Timestamp<HostClock>>, now: Timestamp<HostClock>, spacing: TimeDelta) -> bool {
     let is_due = last.is_none_or(|last| now - last >= spacing);
     if is_due {
@@ -327,7 +325,7 @@ fn protobuf_message(channel: Channel, message: &impl prost::Message) -> EncodedM
     EncodedMessage { channel, robot: None, data: message.encode_to_vec() }
 }
 
-/// Records of numbers, texts and lists can always be written.
+/// Records of numbers, texts and lists always serialise.
 fn json_message(channel: Channel, record: &impl Serialize) -> EncodedMessage {
     EncodedMessage { channel, robot: None, data: serde_json::to_vec(record).unwrap_or_default() }
 }

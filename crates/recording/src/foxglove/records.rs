@@ -1,6 +1,6 @@
-//! Records of posebridge as JSON, for which Foxglove has no message. Their schemas are derived from the structs.
+//! JSON records for data without a Foxglove message. Their schemas are derived from the structs.
 //!
-//! A number that is not finite is omitted: JSON has none, and viewers treat `null` as a type of its own.
+//! Non-finite numbers are omitted: JSON has none, and viewers treat `null` as a separate type.
 
 use std::borrow::Cow;
 
@@ -130,7 +130,7 @@ pub(super) struct HealthRecord {
     pub(super) sources: Vec<SourceRecord>,
 }
 
-/// The counters of a link by their keys.
+/// By their keys.
 #[derive(Debug)]
 struct LinkCounters(LinkHealth);
 
@@ -187,7 +187,7 @@ pub(super) struct ClockRecord {
 #[derive(Debug)]
 pub(super) struct CalibrationRecord(pub(super) Calibration);
 
-/// A constant of a robot: key, description, and where it stands. The key of its standard deviation ends in `_sigma`.
+/// A constant of a robot: key, description, accessor. The key of its standard deviation ends in `_sigma`.
 type CalibrationTerm = (&'static str, &'static str, fn(&Calibration) -> UncertainValue);
 
 #[rustfmt::skip]
@@ -371,7 +371,6 @@ impl From<&FusionRecord> for FusedRecord {
 }
 
 impl HealthRecord {
-    /// The record of a link.
     pub(super) fn new(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Self {
         let source = |one: &SourceHealth| SourceRecord {
             system: one.source.system.0,
@@ -417,12 +416,12 @@ impl From<&TruthSample> for TruthRecord {
     }
 }
 
-/// The number, unless it is none.
+/// `None` if it is not finite.
 pub(super) fn finite(number: f64) -> Option<f64> {
     number.is_finite().then_some(number)
 }
 
-/// The numbers, unless one of them is none.
+/// `None` if one is not finite.
 fn all_finite<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<Vec<f64>> {
     numbers.map(|number| finite(*number)).collect()
 }

@@ -1,4 +1,4 @@
-//! What the messages of one robot depend on, robot by robot: topics, frame, clock, thinning, path.
+//! State for the messages of each robot: topics, frame, clock, thinning, path.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,14 +9,14 @@ use super::channels::EncodedMessage;
 use super::wire::{self, BODY};
 use crate::robot_names::RobotNames;
 
-/// Most robots with topics: the station's default limit.
+/// Robots with topics: the station's default limit.
 const MAX_ROBOTS: usize = 64;
-/// A name that is longer is cut in topics.
+/// A longer name is cut in topics.
 const MAX_SEGMENT_CHARS: usize = 50;
-/// Most poses of the path; from then on every second one stays.
+/// Poses of the path; when full, every second one is dropped.
 const PATH_POSES: usize = 256;
 
-/// The robots of a session, in topics of their own but for the first.
+/// The robots of a session; all but the first have topics of their own.
 #[derive(Debug, Default)]
 pub(super) struct RobotOutputsTable {
     first: RobotOutputs,
@@ -27,10 +27,9 @@ pub(super) struct RobotOutputsTable {
     is_overflow_reported: bool,
 }
 
-/// What is written of one robot.
 #[derive(Debug)]
 pub(super) struct RobotOutputs {
-    /// Stands for the robot in its topics; `None` for the first, whose topics are those of a recording of one robot.
+    /// The robot's name in its topics; `None` for the first, whose topics are those of a recording of one robot.
     segment: Option<Arc<str>>,
     /// Name of [`posebridge_telemetry::Body`] of this robot in messages.
     pub(super) body_frame: String,
@@ -40,7 +39,7 @@ pub(super) struct RobotOutputs {
     pub(super) path: PathHistory,
 }
 
-/// An instant by both clocks.
+/// One instant by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ClockAlignmentPoint {
     pub(super) host: Timestamp<HostClock>,
@@ -48,7 +47,6 @@ pub(super) struct ClockAlignmentPoint {
     pub(super) skew_ppm: f64,
 }
 
-/// Where the robot has been.
 #[derive(Debug, Default)]
 pub(super) struct PathHistory {
     pub(super) poses: Vec<wire::Pose>,
@@ -58,13 +56,13 @@ pub(super) struct PathHistory {
 }
 
 impl RobotOutputsTable {
-    /// Keeps the name that an event gives to a robot. It counts for topics that are not in use yet.
+    /// Stores the robot's name from an event, for topics that are not in use yet.
     pub(super) fn observe_name(&mut self, event: &Event) {
         self.names.observe(event);
     }
 
-    /// What is written of a robot; `None` stands for the first, and so does the id of a robot that no link has heard. A robot that was not
-    /// asked for before is added; if there is no room for it, that is counted.
+    /// The state of a robot; `None` is the first, and so is a robot id without a link. Adds an unknown robot, or counts it if the table
+    /// is full.
     pub(super) fn get_or_add(&mut self, robot: Option<RobotId>) -> Option<&mut RobotOutputs> {
         let Some(robot) = robot.filter(|robot| *robot != RobotId::default()) else {
             return Some(&mut self.first);
@@ -83,12 +81,12 @@ impl RobotOutputsTable {
         self.others.get_mut(&robot)
     }
 
-    /// What is written of a robot after the first that was asked for before.
+    /// `None` unless the robot was added before.
     pub(super) fn find_other(&self, robot: RobotId) -> Option<&RobotOutputs> {
         self.others.get(&robot)
     }
 
-    /// How often a robot was asked for that has no topics.
+    /// Requests for robots without topics.
     pub(super) const fn skipped(&self) -> u64 {
         self.skipped
     }
@@ -102,7 +100,7 @@ impl RobotOutputsTable {
         Some(format!("there are more than {MAX_ROBOTS} robots: the others have no topics here, but a replay has them"))
     }
 
-    /// The name of a robot in letters that every viewer takes in a topic, else its ids; no two robots have the same.
+    /// The robot's name in characters that every viewer accepts in a topic, else its ids; unique.
     fn free_segment(&self, robot: RobotId) -> String {
         let ids = format!("{}_{}_{}", robot.link, robot.address.system, robot.address.component);
         let is_safe = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
@@ -121,19 +119,18 @@ impl RobotOutputs {
         Self { body_frame: format!("{segment}/{BODY}"), segment: Some(segment.into()), ..Self::default() }
     }
 
-    /// Puts messages on the topics of this robot.
     pub(super) fn assign(&self, messages: &mut [EncodedMessage]) {
         for message in messages {
             message.robot.clone_from(&self.segment);
         }
     }
 
-    /// Whose estimate it is, for people: with one robot that need not be said.
+    /// Label of an estimate in viewers; with one robot it has no name.
     pub(super) fn estimate_name(&self) -> String {
         self.segment.as_ref().map_or_else(|| "the estimate".to_owned(), |segment| format!("the estimate of {segment}"))
     }
 
-    /// When the host's clock showed what this robot's does; `None` before the first alignment.
+    /// Converts brick time to host time; `None` before the first alignment.
     pub(super) fn host_time(&self, brick: Timestamp<BrickClock>) -> Option<Timestamp<HostClock>> {
         let ClockAlignmentPoint { host, brick: zero, skew_ppm } = self.alignment?;
         let since_s = (brick - zero).as_secs_f64() / (1.0 + 1e-6 * skew_ppm);
@@ -142,7 +139,6 @@ impl RobotOutputs {
 }
 
 impl Default for RobotOutputs {
-    /// Of the first robot.
     fn default() -> Self {
         Self {
             segment: None,

@@ -1,8 +1,6 @@
-//! The messages of Foxglove that are written here, as protocol buffers, and planar poses, covariances and velocities as these messages for three
-//! dimensions.
+//! The Foxglove messages in use, as protocol buffers, and conversions of planar poses, covariances and velocities to three dimensions.
 //!
-//! Field numbers and types are those of the descriptors beside this file, which go into the recording as schemas; a
-//! test compares the two.
+//! Field numbers and types are those of the descriptors in this folder, which recordings contain as schemas; a test compares the two.
 //!
 //! Source: the `foxglove.*` schemas of the Foxglove SDK, version 0.30.3 (`descriptors/README.md`).
 
@@ -129,7 +127,7 @@ pub(super) struct SceneEntity {
     pub(super) timestamp: Option<Timestamp>,
     #[prost(string, tag = "2")]
     pub(super) frame_id: String,
-    /// What has the same id as an earlier entity replaces it.
+    /// Replaces an earlier entity with the same id.
     #[prost(string, tag = "3")]
     pub(super) id: String,
     #[prost(message, repeated, tag = "10")]
@@ -141,7 +139,7 @@ pub(super) struct SceneEntity {
 pub(super) struct Cylinder {
     #[prost(message, optional, tag = "1")]
     pub(super) pose: Option<Pose>,
-    /// Its whole extents: both axes of the ellipse at its foot, and its height.
+    /// Full extents: both axes of the ellipse, and the height.
     #[prost(message, optional, tag = "2")]
     pub(super) size: Option<Vector3>,
     #[prost(double, tag = "3")]
@@ -169,10 +167,10 @@ pub(super) struct Log {
 pub(super) const ARENA: &str = "arena";
 /// Name of [`posebridge_telemetry::Body`] of the first robot in messages.
 pub(super) const BODY: &str = "body";
-/// Height of the ellipse's disc, m: flat, but not so flat that a viewer lets it flicker.
+/// Flat, but thick enough that viewers draw it without flicker.
 const DISC_HEIGHT_M: f64 = 0.002;
 
-/// Pose and speeds with their covariances, of the robot whose body has this name.
+/// Pose and speeds with covariances, of the robot whose body frame is `body`.
 pub(super) fn odometry_of(estimate: &Estimate, body: &str, timestamp: Option<Timestamp>) -> Odometry {
     // Rows of a pose in space, and of a velocity, that a robot on a plane has.
     const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
@@ -201,7 +199,7 @@ pub(super) fn odometry_of(estimate: &Estimate, body: &str, timestamp: Option<Tim
     }
 }
 
-/// The disc in which the robot is with a probability of 95 %.
+/// The 95 % confidence ellipse as a disc.
 pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<Timestamp>) -> Option<SceneUpdate> {
     let ellipse = estimate.ellipse_95()?;
     let disc = Cylinder {
@@ -218,7 +216,6 @@ pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<Timestamp>) -> O
     Some(SceneUpdate { entities: vec![entity] })
 }
 
-/// A pose on the plane in space.
 pub(super) fn pose_of(pose: &PlanarPose<Arena>) -> Pose {
     Pose {
         position: Some(Vector3 { x: pose.x.0, y: pose.y.0, z: 0.0 }),
@@ -226,13 +223,12 @@ pub(super) fn pose_of(pose: &PlanarPose<Arena>) -> Pose {
     }
 }
 
-/// A turn about the vertical as a quaternion.
 fn rotation_about_z(angle_rad: f64) -> Quaternion {
     let (z, w) = (angle_rad / 2.0).sin_cos();
     Quaternion { x: 0.0, y: 0.0, z, w }
 }
 
-/// `foxglove.LogLevel` of a MAVLink severity.
+/// Converts a MAVLink severity to `foxglove.LogLevel`.
 pub(super) const fn log_level(severity: u8) -> i32 {
     match severity {
         0..=2 => 5,

@@ -1,8 +1,8 @@
 //! Telemetry logs: reads and writes the `.tlog` files of ground stations.
 //!
-//! QGroundControl, Mission Planner, MAVProxy and pymavlink write and read them. [`TlogReader`] splits a file of any
-//! length into records within a fixed memory; [`TlogWriter`] writes one. The caller verifies frames ([`FrameCheck`]):
-//! this module knows the length of a frame from its header and nothing else of MAVLink.
+//! QGroundControl, Mission Planner, MAVProxy and pymavlink write and read them. [`TlogReader`] splits a file of any length into records
+//! within a fixed memory; [`TlogWriter`] writes one. The caller verifies frames ([`FrameCheck`]): this module parses only the length of
+//! a frame from its header.
 //!
 //! # Model
 //! ```text
@@ -24,37 +24,37 @@ pub use reader::{FrameCheck, TlogCounts, TlogReader, TlogRecord};
 
 use std::io::Write;
 
-/// Bytes of the time before each frame.
+/// Timestamp before each frame.
 pub const TIME_BYTES: usize = 8;
 
-/// The two lowest bits of a time, in which some writers keep the number of the link.
+/// The two lowest bits of a timestamp, in which some writers store the number of the link.
 pub const LINK_BITS: u64 = 0b11;
 
-/// 1 January 2000, microseconds since 1970: there were no telemetry logs before.
+/// 1 January 2000: there were no telemetry logs before.
 pub const OLDEST_MICROS: u64 = 946_684_800_000_000;
-/// 1 January 2100, microseconds since 1970: no log of today holds later times.
+/// 1 January 2100: no present log has later times.
 pub const NEWEST_MICROS: u64 = 4_102_444_800_000_000;
 
-/// In which order the bytes of the times stand.
+/// Byte order of the timestamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ByteOrder {
-    /// The most significant first, as the format wants it.
+    /// The format's order.
     #[default]
     Big,
-    /// The least significant first: what a writer left that copied its memory.
+    /// Written by old programs that copied their memory.
     Little,
 }
 
 impl ByteOrder {
-    /// The order of a file whose first time this is: little only if the time lies in the far future the right way round, and in
-    /// this century the wrong way round.
+    /// The byte order of a file with this first timestamp: little only if it lies in the far future as big-endian, and in this century
+    /// as little-endian.
     pub fn of_first(time: [u8; TIME_BYTES]) -> Self {
         let is_future = u64::from_be_bytes(time) > NEWEST_MICROS;
         let is_sound_swapped = (OLDEST_MICROS..NEWEST_MICROS).contains(&u64::from_le_bytes(time));
         if is_future && is_sound_swapped { Self::Little } else { Self::Big }
     }
 
-    /// The time that these bytes mean, in microseconds since 1970.
+    /// Microseconds since 1970.
     pub const fn micros(self, time: [u8; TIME_BYTES]) -> u64 {
         match self {
             Self::Big => u64::from_be_bytes(time),
@@ -63,7 +63,7 @@ impl ByteOrder {
     }
 }
 
-/// Writes records to `W`; what was flushed is readable whatever follows, because the format has no end.
+/// Writes records to `W`; flushed data is always readable, because the format has no footer.
 #[derive(Debug)]
 pub struct TlogWriter<W: Write> {
     out: W,
@@ -72,13 +72,13 @@ pub struct TlogWriter<W: Write> {
 }
 
 impl<W: Write> TlogWriter<W> {
-    /// Begins a file; nothing is written before the first record.
+    /// Writes nothing before the first record.
     pub const fn new(out: W) -> Self {
         Self { out, latest_micros: 0, scratch: Vec::new() }
     }
 
-    /// Writes that `frame`, one whole frame, was received or sent at `micros` since 1970 UTC. Times never step back in the file, because
-    /// players take a step back for the end: an earlier one is written as the latest before it.
+    /// Records one whole frame, received or sent at `micros` since 1970 UTC. Times in the file never decrease, because players treat a
+    /// decrease as the end: an earlier time is replaced by the latest.
     pub fn record(&mut self, micros: u64, frame: &[u8]) -> std::io::Result<()> {
         self.latest_micros = self.latest_micros.max(micros);
         // One call for both, so that a file that is cut off by a full disk ends between two records if it can.
@@ -88,12 +88,11 @@ impl<W: Write> TlogWriter<W> {
         self.out.write_all(&self.scratch)
     }
 
-    /// Hands everything on to the system.
     pub fn flush(&mut self) -> std::io::Result<()> {
         self.out.flush()
     }
 
-    /// Ends the file and gives `W` back.
+    /// Returns `W`.
     pub fn finish(mut self) -> std::io::Result<W> {
         self.out.flush()?;
         Ok(self.out)

@@ -1,74 +1,64 @@
 //! Splits a `.tlog` file into records.
 //!
-//! A record counts if the caller verifies its frame. After damage the search goes on byte by byte, so that the next
-//! whole record is found at any offset. A frame that cannot be verified counts as such, and only between other records.
+//! A record counts if the caller verifies its frame. After damage the search continues byte by byte, so that the next intact record is
+//! found at any offset. A frame that cannot be verified counts as such, and only between other records.
 //!
 //! Every byte belongs to exactly one of: a whole record, an unverified one, or the bytes outside. The result does not
 //! depend on how the file is split into chunks.
 
 use super::{ByteOrder, TIME_BYTES};
 
-/// Start of a MAVLink 2 frame.
 const START_V2: u8 = 0xFD;
-/// Start of a MAVLink 1 frame.
 const START_V1: u8 = 0xFE;
 /// Header and checksum of a MAVLink 2 frame.
 const ENVELOPE_V2_BYTES: usize = 12;
 /// Header and checksum of a MAVLink 1 frame.
 const ENVELOPE_V1_BYTES: usize = 8;
-/// Bytes of a signature.
 const SIGNATURE_BYTES: usize = 13;
-/// Incompatibility flag of MAVLink 2: a signature follows.
 const FLAG_SIGNED: u8 = 0x01;
 
-/// The longest frame that there can be.
 const MAX_FRAME_BYTES: usize = ENVELOPE_V2_BYTES + 255 + SIGNATURE_BYTES;
-/// The longest record that there can be.
 const MAX_RECORD_BYTES: usize = TIME_BYTES + MAX_FRAME_BYTES;
-/// Number of bytes that decide whether a record begins at the first of them: an unverified one must not hold the beginning of a
-/// whole one, and another must begin behind it.
+/// Number of bytes that decide whether a record begins at the first of them: an unverified one must not contain the beginning of a
+/// valid one, and another must begin after it.
 const LOOKAHEAD_BYTES: usize = 2 * MAX_RECORD_BYTES;
 
-/// What the caller thinks of bytes that have the length of a frame.
+/// The caller's verdict on bytes with the length of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameCheck<T> {
-    /// A frame whose checksum matches, and what the caller needs with it.
+    /// The checksum matches; with the caller's own data.
     Valid(T),
-    /// Perhaps a frame, but of a message that the caller does not know and cannot verify.
+    /// Of a message that the caller does not know and cannot verify.
     Unknown(T),
-    /// No frame.
     Invalid,
 }
 
-/// One record.
+/// A record of a telemetry log: time and frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TlogRecord<'a, T> {
-    /// Where it begins in the file, in bytes.
     pub offset: u64,
-    /// When the frame was received or sent, in microseconds since 1970 UTC, as the file says.
+    /// Receive or send time since 1970 UTC, as in the file.
     pub micros: u64,
-    /// The frame.
     pub frame: &'a [u8],
-    /// What the caller thinks of it; never [`FrameCheck::Invalid`].
+    /// Never [`FrameCheck::Invalid`].
     pub check: FrameCheck<T>,
 }
 
-/// What became of the bytes so far.
+/// Classification of the bytes so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TlogCounts {
-    /// Bytes that were decided about.
     pub bytes: u64,
-    /// Records whose frame was whole.
+    /// Records with an intact frame.
     pub valid: u64,
     /// Records whose frame could not be verified.
     pub unknown: u64,
-    /// Bytes of the latter, times included.
+    /// With their timestamps.
     pub unknown_bytes: u64,
-    /// Bytes in no record.
+    /// Outside records.
     pub skipped_bytes: u64,
 }
 
-/// Cuts records out of chunks of a file.
+/// Splits chunks of a file into records.
 ///
 /// # Examples
 /// ```
@@ -88,25 +78,23 @@ pub struct TlogCounts {
 /// ```
 #[derive(Clone, Debug, Default)]
 pub struct TlogReader {
-    /// What was not decided about yet.
+    /// Bytes that are not classified yet.
     buffer: Vec<u8>,
     order: Option<ByteOrder>,
     counts: TlogCounts,
 }
 
-/// What begins at a place.
 enum ParseStep<'a, T> {
     Record { frame: &'a [u8], check: FrameCheck<T> },
     Skip(usize),
 }
 
 impl TlogReader {
-    /// A reader at the beginning of a file.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes the next chunk of the file and gives the records that became certain by it, in their order.
+    /// Parses the next chunk of the file; passes the records that are certain now to `sink`, in order.
     pub fn push<T: Copy>(
         &mut self,
         chunk: &[u8],
@@ -117,7 +105,7 @@ impl TlogReader {
         self.scan(LOOKAHEAD_BYTES, check_frame, sink);
     }
 
-    /// The file ends here: gives the records that waited for more.
+    /// Ends the file: passes the remaining records to `sink`.
     pub fn finish<T: Copy>(
         &mut self,
         check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>,
@@ -126,17 +114,16 @@ impl TlogReader {
         self.scan(1, check_frame, sink);
     }
 
-    /// What became of the bytes so far.
     pub const fn counts(&self) -> TlogCounts {
         self.counts
     }
 
-    /// The order of the bytes of the times; `None` before the first record.
+    /// `None` before the first record.
     pub const fn byte_order(&self) -> Option<ByteOrder> {
         self.order
     }
 
-    /// Decides about every place behind which at least `needed` bytes lie.
+    /// Classifies every position followed by at least `needed` bytes.
     fn scan<T: Copy>(
         &mut self,
         needed: usize,
@@ -188,7 +175,7 @@ impl TlogReader {
     }
 }
 
-/// What begins at the first of the bytes.
+/// Classifies the first of the bytes.
 #[inline]
 fn parse_step<'a, T: Copy>(bytes: &'a [u8], check_frame: &mut impl FnMut(&[u8]) -> FrameCheck<T>) -> ParseStep<'a, T> {
     let Some(frame) = frame_after_time(bytes) else {
@@ -203,18 +190,17 @@ fn parse_step<'a, T: Copy>(bytes: &'a [u8], check_frame: &mut impl FnMut(&[u8]) 
     if is_record { ParseStep::Record { frame, check: judged } } else { ParseStep::Skip(bytes_to_next_start(bytes)) }
 }
 
-/// The frame of the record that would begin here.
+/// The frame of a record that begins here.
 #[inline]
 fn frame_after_time(bytes: &[u8]) -> Option<&[u8]> {
     split_frame(bytes.get(TIME_BYTES..)?)
 }
 
-/// Whether a frame may begin with this byte.
 const fn is_start(byte: u8) -> bool {
     matches!(byte, START_V1 | START_V2)
 }
 
-/// The bytes of the frame that begins `bytes`; `None` if none begins there, or it is not whole.
+/// The first frame in `bytes`; `None` if none begins there or it is incomplete.
 #[inline]
 fn split_frame(bytes: &[u8]) -> Option<&[u8]> {
     let length = match *bytes {
@@ -228,7 +214,7 @@ fn split_frame(bytes: &[u8]) -> Option<&[u8]> {
     bytes.get(..length)
 }
 
-/// How far it is to the next place at which a record could begin, as far as the bytes show; all of them if there is none.
+/// Distance to the next possible start of a record; all bytes if there is none.
 fn bytes_to_next_start(bytes: &[u8]) -> usize {
     let behind = bytes.get(TIME_BYTES + 1..).unwrap_or_default();
     let next = behind.iter().position(|byte| is_start(*byte));
@@ -236,8 +222,8 @@ fn bytes_to_next_start(bytes: &[u8]) -> usize {
     next.map_or_else(|| bytes.len().saturating_sub(TIME_BYTES).max(1), |at| at + 1)
 }
 
-/// Whether a frame that cannot be verified is believable: the file ends behind it or goes on with what looks like a record, and no whole
-/// record begins inside.
+/// Whether an unverifiable frame is plausible: the file ends after it or continues with a possible record, and no valid record begins
+/// inside.
 fn is_between_records<T: Copy>(
     bytes: &[u8],
     frame: usize,

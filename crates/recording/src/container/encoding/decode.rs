@@ -1,4 +1,4 @@
-//! Decodes one message: version, checksum and input.
+//! Decodes a message: version, checksum and input.
 
 use posebridge_telemetry::{
     Address, BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
@@ -12,7 +12,6 @@ use super::{
     tag,
 };
 
-/// Turns the bytes of one message into the input that was given.
 pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Result<Input, DecodeError> {
     let Some((body, checksum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else {
         return Err(DecodeError::TooShort { wanted: CHECKSUM_BYTES, left: bytes.len() });
@@ -36,7 +35,6 @@ pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Resul
     }
 }
 
-/// What is left of a message while it is taken apart.
 struct InputDecoder<'a> {
     bytes: &'a [u8],
 }
@@ -46,7 +44,6 @@ impl<'a> InputDecoder<'a> {
         Self { bytes }
     }
 
-    /// How many bytes are left.
     const fn remaining(&self) -> usize {
         self.bytes.len()
     }
@@ -108,7 +105,6 @@ impl<'a> InputDecoder<'a> {
         Ok(Point2::new(Meters(self.f64()?), Meters(self.f64()?)))
     }
 
-    /// The input that begins here.
     fn input(&mut self) -> Result<Input, DecodeError> {
         Ok(match self.u8()? {
             tag::BYTES => Input::Bytes {
@@ -260,7 +256,7 @@ impl<'a> InputDecoder<'a> {
         Ok(Fix { position, heading, covariance, tag_in_body, reset_counter })
     }
 
-    /// The command for the simulated brick that begins here.
+    /// Decodes the command for the simulated brick that begins here.
     fn simulator(&mut self) -> Result<SimulatorCommand, DecodeError> {
         Ok(match self.u8()? {
             simulator::KIDNAP => {

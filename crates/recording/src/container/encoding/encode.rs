@@ -1,5 +1,3 @@
-//! Encodes an input.
-
 use posebridge_telemetry::{
     Command, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
     PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
@@ -9,7 +7,7 @@ use super::{
     ENCODING_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, simulator, tag,
 };
 
-/// Appends the bytes of `input` to `bytes`, which must be empty.
+/// `bytes` must be empty.
 pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: &mut Vec<u8>) {
     bytes.push(match input {
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
@@ -216,7 +214,7 @@ fn put_duration(span: TimeDelta, bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&span.as_nanos().to_le_bytes());
 }
 
-/// The place in the list of all; each of them stands in it.
+/// Index of `one` in `all`, which must contain it.
 fn index_of<T: PartialEq>(all: &[T], one: &T) -> u8 {
     all.iter().take_while(|other| *other != one).count() as u8
 }

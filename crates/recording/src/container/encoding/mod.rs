@@ -1,7 +1,7 @@
 //! The encoding of the station's inputs, bit for bit, as in docs/recording-format.md.
 //!
-//! Little-endian, no padding, every `f64` by its bits. The last four bytes are a CRC-32 over the message's sequence
-//! number, its time and the bytes before, so that damage is detected and reported instead of being replayed.
+//! Little-endian, no padding, every `f64` by its bits. The last four bytes are a CRC-32 over the message's sequence number, its time
+//! and the bytes before, so that damage is detected and reported instead of replayed.
 
 mod decode;
 mod encode;
@@ -13,36 +13,34 @@ use flate2::Crc;
 pub(super) use decode::decode;
 pub(super) use encode::encode;
 
-/// First byte of every message; a change of layout changes it.
+/// First byte of every message; incremented by a change of layout.
 const ENCODING_VERSION: u8 = 4;
-/// First byte of a message whose tag the layout before does not have: an older program then says that the file is newer.
+/// First byte of a message whose tag is new in this layout, so that an older program reports a newer file.
 const ROBOT_COMMAND_VERSION: u8 = 5;
-/// The newest layout.
 const NEWEST_VERSION: u8 = ROBOT_COMMAND_VERSION;
-/// The oldest layout that is still read: it has the same tags, but for those that came later.
+/// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
-/// Bytes of the checksum at the end.
 const CHECKSUM_BYTES: usize = 4;
 
-/// Which input a message holds: its second byte.
+/// The kind of input: the second byte of a message.
 mod tag {
     pub(super) const BYTES: u8 = 0;
     pub(super) const LINK: u8 = 1;
     pub(super) const OBSERVATION: u8 = 2;
     pub(super) const SET_POSE: u8 = 3;
     pub(super) const TICK: u8 = 4;
-    /// Bytes of a peer that is not the first of its link.
+    /// Bytes from a peer other than the first of its link.
     pub(super) const PEER_BYTES: u8 = 5;
     pub(super) const PORT: u8 = 6;
-    /// A command other than the oldest one, which has a tag of its own.
+    /// A command other than the oldest one, which has a separate tag.
     pub(super) const COMMAND: u8 = 7;
     pub(super) const REPORT: u8 = 8;
     pub(super) const SIMULATOR: u8 = 9;
-    /// A robot, and a command for it under one of the tags of commands.
+    /// A robot id and a command for it under one of the command tags.
     pub(super) const ROBOT_COMMAND: u8 = 10;
 }
 
-/// Which command follows.
+/// The command that follows.
 mod command {
     pub(super) const RESET_POSE: u8 = 0;
     pub(super) const SET_PARAMETER: u8 = 1;
@@ -58,7 +56,7 @@ mod command {
     pub(super) const STOP_RECORDING: u8 = 11;
 }
 
-/// Which command for the simulated brick follows.
+/// The command for the simulated brick that follows.
 mod simulator {
     pub(super) const KIDNAP: u8 = 0;
     pub(super) const SLIP: u8 = 1;
@@ -74,7 +72,7 @@ mod simulator {
     pub(super) const PATH: u8 = 11;
 }
 
-/// Which kind of observation follows.
+/// The kind of observation that follows.
 mod kind {
     pub(super) const WHEEL_ANGLES: u8 = 0;
     pub(super) const ODOMETER_POSE: u8 = 1;
@@ -89,14 +87,14 @@ mod kind {
     pub(super) const TEMPERATURE: u8 = 10;
 }
 
-/// Flags of a fix: which optional parts follow.
+/// Flags of a fix: the optional parts that follow.
 mod fix_flag {
     pub(super) const HEADING: u8 = 1;
     pub(super) const COVARIANCE: u8 = 2;
     pub(super) const ALL: u8 = HEADING | COVARIANCE;
 }
 
-/// Why the bytes of a message are not an input.
+/// Why a message is not a valid input.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
@@ -106,27 +104,25 @@ pub enum DecodeError {
     TooLong(usize),
     #[error("checksum {found:#010x} where {expected:#010x} was expected")]
     Checksum { found: u32, expected: u32 },
-    /// Written by a newer program.
     #[error("message layout {0} is unknown: read the file with the program version in its header")]
     Version(u8),
     #[error("{field} {value} is not one of this layout")]
     Unknown { field: &'static str, value: u8 },
-    /// A text that is not UTF-8, or a name that is none.
+    /// Invalid UTF-8, or an invalid name.
     #[error("{0} is not the text of a layout of this program")]
     Text(&'static str),
     #[error("heading {0} rad is outside (-pi, pi]")]
     Heading(f64),
-    /// A time that no stamp of the host clock can hold; taken as it stands it would lie before the session.
+    /// A time outside the range of the host clock; as a signed number it would be before the session.
     #[error("time {0} ns is beyond the range of the host clock")]
     Time(u64),
 }
 
-/// Where a message stands in the recording: part of its checksum.
+/// The position of a message in the recording; included in its checksum.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RecordPosition {
-    /// Its number, from 0.
     pub(super) sequence: u32,
-    /// Its time, host nanoseconds.
+    /// Host nanoseconds.
     pub(super) log_time: u64,
 }
 

@@ -1,8 +1,7 @@
 //! Readers that convert the rows of each kind of stream to values.
 //!
-//! A stream's columns are bound once per file; the resulting [`RowReader`] keeps its state from row to row. It gets the
-//! time step since the last good row and decides what to do with it: a counter loses nothing on a row without an
-//! interval, a rate does.
+//! A stream's columns are bound once per file; the resulting [`RowReader`] keeps its state from row to row. It receives the time step
+//! since the last good row: a counter loses nothing on a row without an interval, a rate does.
 
 pub(super) mod positions;
 pub(super) mod sensors;
@@ -11,30 +10,29 @@ pub(super) mod wheels;
 use super::run::{BadRowReason, RowError};
 use super::table::TableRow;
 
-/// Turns rows into values; `None` for a good row that says nothing new.
+/// Converts a row to a value; `None` for a valid row without new information.
 pub(super) type RowReader<T> = Box<dyn FnMut(&TableRow<'_>, TimeStep) -> Result<Option<T>, RowError>>;
 
-/// How a row's time follows that of the last good row; intervals are positive.
+/// Time step of a row since the last good row; intervals are positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum TimeStep {
-    /// There is no row before.
     First,
     Forward {
         interval_s: f64,
     },
-    /// At the same time.
+    /// Equal timestamps.
     Repeated,
     Backward {
         nanos: i64,
     },
-    /// Later by more than the descriptor says is possible.
+    /// Longer than the descriptor permits.
     Jump {
         nanos: i64,
     },
 }
 
 impl TimeStep {
-    /// The interval since the last good row, `None` for the first.
+    /// The interval since the last good row; `None` for the first.
     pub(super) fn interval_s(self) -> Result<Option<f64>, RowError> {
         let fault = match self {
             Self::First => return Ok(None),
@@ -52,7 +50,7 @@ impl TimeStep {
         Err(fault)
     }
 
-    /// As [`TimeStep::interval_s`], where several rows may have one instant.
+    /// Like [`TimeStep::interval_s`], but allows several rows with one timestamp.
     pub(super) fn require_in_order(self) -> Result<(), RowError> {
         match self {
             Self::Repeated => Ok(()),
@@ -63,7 +61,6 @@ impl TimeStep {
     }
 }
 
-/// Follows the stamps of one stream.
 #[derive(Debug)]
 pub(super) struct RowClock {
     last: Option<i64>,
@@ -76,7 +73,7 @@ impl RowClock {
         Self { last: None, suspect: None, max_gap_nanos }
     }
 
-    /// How this stamp follows the last good one. A leap that the next row confirms is a real gap and no leap.
+    /// Compares a timestamp with the last good one. A jump that the next row confirms is a real gap.
     pub(super) fn classify(&mut self, nanos: i64) -> TimeStep {
         let Some(last) = self.last else {
             return TimeStep::First;
@@ -100,7 +97,6 @@ impl RowClock {
         TimeStep::Forward { interval_s: forward as f64 * 1e-9 }
     }
 
-    /// Takes this stamp as the last good one.
     pub(super) fn accept(&mut self, nanos: i64) {
         self.last = Some(nanos);
         self.suspect = None;

@@ -1,4 +1,4 @@
-//! Positions and poses: external fixes, the truth, and integrated poses of a foreign odometer.
+//! Positions and poses: external fixes, ground truth, and integrated poses of a foreign odometer.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -13,7 +13,7 @@ use super::super::schema::{Fixes, Odometer, TagPosition, Truth};
 use super::super::table::{BoundColumn, DatasetTable, TableRow};
 use super::{RowReader, TimeStep};
 
-/// Two columns that make a point.
+/// Two columns of a point.
 enum PositionColumns {
     /// In the arena.
     Plane { x: BoundColumn<Length>, y: BoundColumn<Length> },
@@ -31,7 +31,7 @@ impl PositionColumns {
     }
 }
 
-/// Points of a stream, and the speed beyond which their motion is rejected.
+/// Points of a stream, with the limit of their speed.
 struct PositionReader {
     columns: PositionColumns,
     max_speed_m_per_s: Option<f64>,
@@ -66,11 +66,9 @@ impl PositionReader {
     }
 }
 
-/// What a fix claims about its error.
 struct UncertaintyColumns {
-    /// The same for every row, each axis.
+    /// Constant for all rows, each axis.
     position_sigma_m: Option<f64>,
-    /// Or a column for each axis.
     variances: Option<(BoundColumn<Area>, BoundColumn<Area>)>,
     heading_sigma_rad: Option<f64>,
 }
@@ -105,7 +103,7 @@ impl UncertaintyColumns {
     }
 }
 
-/// The columns of a fix's position, which the descriptor's check has found to be complete.
+/// The columns of a fix's position; the descriptor's check guarantees that they are complete.
 fn bind_position(stream: &Fixes, table: &DatasetTable) -> Result<Option<PositionColumns>, LoadError> {
     if let (Some(x), Some(y)) = (&stream.x, &stream.y) {
         return Ok(Some(PositionColumns::Plane { x: table.bind(x)?, y: table.bind(y)? }));
@@ -120,7 +118,7 @@ fn bind_position(stream: &Fixes, table: &DatasetTable) -> Result<Option<Position
     }))
 }
 
-/// Binds the columns of a `[[fixes]]` stream; `tag` is where the observed point sits on the body.
+/// `tag` is the position of the observed point on the body.
 pub(in super::super) fn fixes(
     stream: &Fixes,
     tag: TagPosition,
@@ -145,10 +143,9 @@ pub(in super::super) fn fixes(
     }))
 }
 
-/// Where the body was, and its heading if the instrument measures it.
+/// Position of the body, and heading if the instrument measures it.
 type TruthColumnsPose = (Point2<Arena>, Option<Heading>);
 
-/// Binds the columns of a `[[truth]]` stream.
 pub(in super::super) fn truth(stream: &Truth, table: &DatasetTable) -> Result<RowReader<TruthColumnsPose>, LoadError> {
     let mut points = PositionReader::bind(table, &stream.x, &stream.y, stream.max_speed_m_per_s)?;
     let heading = stream.heading.as_ref().map(|columns| table.bind_heading(columns)).transpose()?;
@@ -159,7 +156,7 @@ pub(in super::super) fn truth(stream: &Truth, table: &DatasetTable) -> Result<Ro
     }))
 }
 
-/// Binds the columns of an `[[odometer]]` stream: poses, or distances and turns to add up.
+/// Poses, or distances and turns to integrate.
 pub(in super::super) fn odometer(
     stream: &Odometer,
     table: &DatasetTable,
@@ -203,7 +200,7 @@ fn bind_increments(stream: &Odometer, table: &DatasetTable) -> Result<RowReader<
     }))
 }
 
-/// Moves a pose along a short arc, at the heading of its middle.
+/// Moves a pose along a short arc by its mean heading.
 fn advance(pose: Pose<Odom>, distance_m: f64, turn_rad: f64) -> Pose<Odom> {
     let (sin, cos) = (pose.heading.rad() + turn_rad / 2.0).sin_cos();
     Transform2::new(
@@ -213,9 +210,9 @@ fn advance(pose: Pose<Odom>, distance_m: f64, turn_rad: f64) -> Pose<Odom> {
     )
 }
 
-/// Half the equator's diameter, in metres (WGS 84).
+/// WGS 84.
 const SEMI_MAJOR_AXIS_M: f64 = 6_378_137.0;
-/// First eccentricity squared (WGS 84).
+/// WGS 84.
 const ECCENTRICITY_SQUARED: f64 = 6.694_379_990_14e-3;
 
 /// A flat arena around a point of the earth: latitude and longitude as metres east and north of an origin.
@@ -242,7 +239,7 @@ struct LocalPlane {
 }
 
 impl LocalPlane {
-    /// The plane that touches the earth at a latitude and longitude, in radians.
+    /// Tangent plane at a latitude and longitude.
     fn new(latitude_rad: f64, longitude_rad: f64) -> Self {
         let (sin, cos) = latitude_rad.sin_cos();
         let flattened = 1.0 - ECCENTRICITY_SQUARED * sin * sin;
@@ -254,7 +251,7 @@ impl LocalPlane {
         }
     }
 
-    /// Metres east and north of the origin; the short way around the earth.
+    /// Metres east and north of the origin, the short way around the earth.
     fn project(&self, latitude_rad: f64, longitude_rad: f64) -> Result<(f64, f64), RowError> {
         if latitude_rad.abs() > FRAC_PI_2 {
             let detail = format!("a latitude of {} degrees", latitude_rad.to_degrees());

@@ -1,5 +1,5 @@
-//! Rates, speeds, accelerations, a compass and a temperature, whose rows are independent; and ranges to walls, to landmarks with a bearing and
-//! to radio beacons without. Several rows of landmarks or beacons may share a timestamp: a camera sees more than one landmark in one image.
+//! Streams with independent rows: rates, speeds, accelerations, compass and temperature; ranges to walls, landmarks (with bearing) and
+//! radio beacons. Several rows of landmarks or beacons may share a timestamp: one image shows several landmarks.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +15,7 @@ use super::super::schema::{
 use super::super::table::{DatasetTable, TableRow};
 use super::RowReader;
 
-/// A reader of rows that need an interval and nothing else from the row before.
+/// A reader of rows that need only the interval to the previous row.
 fn interval_reader(
     mut read: impl FnMut(&TableRow<'_>) -> Result<ObservationKind, RowError> + 'static,
 ) -> RowReader<ObservationKind> {
@@ -26,7 +26,7 @@ fn interval_reader(
     })
 }
 
-/// Lets only values through that differ from the one before, where a log repeats a slow sensor.
+/// Drops values equal to the previous one, for logs that repeat a slow sensor.
 fn changes_only(mut reader: RowReader<ObservationKind>) -> RowReader<ObservationKind> {
     let mut last = None;
     Box::new(move |row, step| {
@@ -39,7 +39,6 @@ fn changes_only(mut reader: RowReader<ObservationKind>) -> RowReader<Observation
     })
 }
 
-/// Binds the columns of a `[[body_velocity]]` stream.
 pub(in super::super) fn body_velocity(
     stream: &BodyVelocity,
     geometry: DriveGeometry,
@@ -66,14 +65,12 @@ pub(in super::super) fn body_velocity(
     }))
 }
 
-/// Binds the column of a `[[gyro]]` stream.
 pub(in super::super) fn gyro(stream: &Gyro, table: &DatasetTable) -> Result<RowReader<ObservationKind>, LoadError> {
     let rate = table.bind(&stream.turn_rate)?;
     let reader = interval_reader(move |row| Ok(ObservationKind::TurnRate(RadiansPerSecond(rate.read(row)?))));
     Ok(if stream.only_changes { changes_only(reader) } else { reader })
 }
 
-/// Binds the columns of an `[[accelerometers]]` stream.
 pub(in super::super) fn accelerometers(
     stream: &Accelerometers,
     table: &DatasetTable,
@@ -87,7 +84,6 @@ pub(in super::super) fn accelerometers(
     }))
 }
 
-/// Binds the column of a `[[wall_range]]` stream.
 pub(in super::super) fn wall_range(
     stream: &WallRange,
     table: &DatasetTable,
@@ -98,7 +94,6 @@ pub(in super::super) fn wall_range(
     Ok(if stream.only_changes { changes_only(reader) } else { reader })
 }
 
-/// Binds the columns of a `[[compass]]` stream.
 pub(in super::super) fn compass(
     stream: &Compass,
     table: &DatasetTable,
@@ -108,7 +103,6 @@ pub(in super::super) fn compass(
     Ok(if stream.only_changes { changes_only(reader) } else { reader })
 }
 
-/// Binds the column of a `[[temperature]]` stream.
 pub(in super::super) fn temperature(
     stream: &Thermometer,
     table: &DatasetTable,
@@ -118,16 +112,15 @@ pub(in super::super) fn temperature(
     Ok(if stream.only_changes { changes_only(reader) } else { reader })
 }
 
-/// Which ids there are.
+/// Mapping of ids to those of a map.
 pub(in super::super) struct IdMapping {
-    /// Turns the ids of the rows into those of the map, if they differ.
+    /// From the ids of the rows to those of the map; `None` if they are equal.
     pub(in super::super) ids: Option<BTreeMap<u32, u32>>,
-    /// The ids of the map.
     pub(in super::super) known: BTreeSet<u32>,
 }
 
 impl IdMapping {
-    /// The id as the map has it, known or not; an id that the table does not rename is taken as it is.
+    /// The id in the map's numbering, known or not; ids outside the mapping are kept.
     fn map_id(&self, raw: u32) -> u32 {
         let ids = self.ids.as_ref();
         ids.and_then(|ids| ids.get(&raw).copied()).unwrap_or(raw)
@@ -142,7 +135,7 @@ impl IdMapping {
     }
 }
 
-/// Limits outside which a range is rejected, in metres.
+/// Ranges outside are rejected.
 #[derive(Clone, Copy, Debug)]
 struct RangeLimits {
     min_m: f64,
@@ -163,7 +156,6 @@ impl RangeLimits {
     }
 }
 
-/// Binds the columns of a `[[landmark_sightings]]` stream.
 pub(in super::super) fn landmarks(
     stream: &LandmarkSightings,
     names: IdMapping,
@@ -188,7 +180,6 @@ pub(in super::super) fn landmarks(
     }))
 }
 
-/// Binds the columns of a `[[beacon_ranges]]` stream.
 pub(in super::super) fn beacons(
     stream: &BeaconRanges,
     names: IdMapping,

@@ -1,7 +1,7 @@
-//! Wheel counts, as totals or increments, to the total rotation of each wheel.
+//! Converts wheel counts, totals or increments, to the total rotation of each wheel.
 //!
-//! Counts add up in the file's own unit, in which ticks are whole numbers and exact, and become radians at the end. A
-//! row without an interval is dropped, but its counts are not: the next row includes them.
+//! Counts are summed in the file's own unit, in which ticks are exact integers, and converted to radians at the end. A row without an
+//! interval is dropped, but its counts are not: the next row includes them.
 
 use posebridge_telemetry::{DriveGeometry, ObservationKind, Radians};
 
@@ -11,7 +11,6 @@ use super::super::schema::{Counting, Wheels};
 use super::super::table::{BoundColumn, DatasetTable, TableRow};
 use super::{RowReader, TimeStep};
 
-/// Binds the columns of a `[[wheels]]` stream.
 pub(in super::super) fn bind(
     stream: &Wheels,
     geometry: DriveGeometry,
@@ -33,7 +32,7 @@ pub(in super::super) fn bind(
     Ok(Box::new(move |row, step| wheels.read(row, step).map(Some)))
 }
 
-/// Radians per what the column gives: ticks, metres or radians.
+/// Radians per unit of the column: ticks, metres or radians.
 fn rad_per_unit(column: &Column<WheelTurn>, radius_m: f64, tick: Radians) -> f64 {
     match column.unit.name {
         "ticks" => tick.0,
@@ -49,14 +48,13 @@ struct WheelReader {
     rad_per_left: f64,
     rad_per_right: f64,
     counting: Counting,
-    /// Counts in a whole turn of the counter, where it wraps.
+    /// Counts per wrap of the counter; `None` if it does not wrap.
     wrap: Option<f64>,
     max_rad_per_s: Option<f64>,
-    /// The last absolute counts.
     last: Option<[f64; 2]>,
-    /// Motion since the last good row.
+    /// Since the last good row.
     pending: [f64; 2],
-    /// Motion up to the last good row; for absolute counters with the first counts as its base.
+    /// Until the last good row; for absolute counters relative to the first counts.
     total: [f64; 2],
 }
 
@@ -104,7 +102,7 @@ impl WheelReader {
         }
     }
 
-    /// Refuses motion that is faster than the limit, and forgets it: what a spike adds, the way back takes away.
+    /// Rejects and drops motion above the speed limit: the return of a spike cancels it.
     fn check_speed(&mut self, interval_s: f64) -> Result<(), RowError> {
         let Some(limit) = self.max_rad_per_s else {
             return Ok(());
