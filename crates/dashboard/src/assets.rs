@@ -65,10 +65,9 @@ assets![
     "view/theme.js",
 ];
 
-/// The page at `/`.
 const INDEX: &str = "index.html";
 
-/// The content type of a file by the extension of its name. A file with another extension is not served.
+/// Content type by file extension. A file with another extension is not served.
 const TYPES: &[(&str, &str)] = &[
     ("html", "text/html; charset=utf-8"),
     ("css", "text/css; charset=utf-8"),
@@ -79,7 +78,6 @@ const TYPES: &[(&str, &str)] = &[
     ("txt", "text/plain; charset=utf-8"),
 ];
 
-/// A file, ready to be sent.
 pub(crate) struct Asset {
     path: String,
     kind: &'static str,
@@ -88,16 +86,14 @@ pub(crate) struct Asset {
     gzipped: Bytes,
 }
 
-/// The source of the files.
 pub(crate) enum Assets {
     /// Embedded in the program, compressed once at the start.
     Embedded(Vec<Asset>),
-    /// In this folder, read again for each request.
+    /// Read again for each request.
     Folder(PathBuf),
 }
 
 impl Assets {
-    /// The embedded files, or those of a folder.
     pub(crate) fn new(folder: Option<PathBuf>) -> Self {
         folder.map_or_else(
             || {
@@ -109,7 +105,7 @@ impl Assets {
         )
     }
 
-    /// The response to a request for the file at this path; `None` if there is none.
+    /// `None` if there is no file at this path.
     pub(crate) fn respond(&self, path: &str, headers: &HeaderMap) -> Option<Response> {
         let path = match path.trim_start_matches('/') {
             "" => INDEX,

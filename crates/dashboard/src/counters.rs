@@ -2,40 +2,32 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A counter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ServerCounter {
-    /// Events that were dropped on their way to the dashboard.
+    /// On the way to the dashboard.
     EventsDropped,
-    /// Points that were dropped because a message was full.
+    /// Because a message was full.
     PointsDropped,
-    /// Current connections.
     Connections,
     /// Current readers of the stream.
     Clients,
-    /// Messages sent to readers.
     FramesSent,
-    /// Messages that slow readers have missed.
+    /// Messages that slow readers missed.
     FramesMissed,
-    /// Messages that slow readers in this process have missed.
+    /// Messages that slow readers in this process missed.
     TapFramesMissed,
-    /// Commands sent to the station.
     Commands,
-    /// Rejected: too many connections.
     TooManyConnections,
     /// Rejected: too many readers of the stream.
     TooManyClients,
     /// Rejected: the Host is not this station, as in DNS rebinding.
     WrongHost,
-    /// Rejected: the page of another origin.
     WrongOrigin,
     /// Rejected: no token, or a wrong one.
     WrongToken,
     /// Rejected: a request that is not HTTP, too large, too slow or malformed.
     BadRequest,
-    /// Rejected: unknown path or recording.
     NotFound,
-    /// Rejected: an invalid command.
     BadCommand,
     /// Rejected: a command while too many wait.
     CommandsFull,
@@ -98,7 +90,6 @@ pub(crate) struct CounterRow {
     pub(crate) name: &'static str,
     pub(crate) kind: &'static str,
     pub(crate) help: &'static str,
-    /// The reason, for rejections.
     pub(crate) reason: Option<&'static str>,
 }
 
@@ -127,22 +118,18 @@ impl ServerCounters {
         self.counter_cell(count).fetch_add(amount, Ordering::Relaxed);
     }
 
-    /// Subtracts one from a current number.
     pub(crate) fn decrement(&self, count: ServerCounter) {
         self.counter_cell(count).fetch_sub(1, Ordering::Relaxed);
     }
 
-    /// Sets a number that was counted elsewhere.
     pub(crate) fn set(&self, count: ServerCounter, number: u64) {
         self.counter_cell(count).store(number, Ordering::Relaxed);
     }
 
-    /// The current value.
     pub(crate) fn value(&self, count: ServerCounter) -> u64 {
         self.counter_cell(count).load(Ordering::Relaxed)
     }
 
-    /// All rejections.
     pub(crate) fn refused(&self) -> u64 {
         let refusals = COUNTER_TABLE.iter().filter(|row| row.reason.is_some());
         refusals.map(|row| self.value(row.count)).sum()

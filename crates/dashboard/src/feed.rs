@@ -20,54 +20,46 @@ const BACKLOG_THRESHOLD: usize = 64;
 /// The results of one input.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EventBatch {
-    /// The time of the input.
     pub now: Timestamp<HostClock>,
     /// From its arrival until all its outputs were sent to the links.
     pub latency: TimeDelta,
-    /// The events, shared by all viewers and the recorder.
+    /// Shared by all viewers and the recorder.
     pub events: Arc<[Event]>,
-    /// The current status, now and then.
+    /// Present once a second and after commands.
     pub status: Option<StationStatus>,
 }
 
-/// The status of the station; sent once a second and after commands.
+/// Sent once a second and after commands.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StationStatus {
-    /// Each robot.
     pub robots: Vec<RobotStatus>,
-    /// All tunables.
     pub parameters: Vec<ParameterValue>,
-    /// The current recording.
     pub recording: Option<String>,
-    /// The ids of the sensors of the first robot that are switched off.
+    /// Ids of sensors of the first robot.
     pub switched_off: Vec<u8>,
-    /// The settings of the simulated brick, if there is one.
+    /// `None` without a simulated brick.
     pub simulator: Option<SimulatorNow>,
 }
 
-/// The status of one robot.
+/// Calibration and disabled sensors of a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotStatus {
-    /// The robot.
     pub robot: RobotId,
-    /// Its estimated constants.
     pub calibration: Vec<CalibrationRow>,
-    /// The ids of its sensors that are switched off.
     pub switched_off: Vec<u8>,
 }
 
 /// The true pose of a simulated robot at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedTruth {
-    /// The robot; `None` where the station has one simulated brick.
+    /// `None` where the station has one simulated brick.
     pub robot: Option<RobotId>,
     /// By the host's clock.
     pub now: Timestamp<HostClock>,
     /// By the brick's clock, as in estimates.
     pub time: Timestamp<BrickClock>,
-    /// The true pose.
     pub pose: Pose<Arena>,
-    /// The pose of the brick's own dead reckoning.
+    /// Of the brick's own dead reckoning.
     pub odometry: Option<Pose<Arena>>,
 }
 
@@ -79,7 +71,6 @@ pub struct EventFeed {
     backlog: Arc<Notify>,
 }
 
-/// The receiving end.
 #[derive(Debug)]
 pub(crate) struct EventBatches {
     receiver: Receiver<EventBatch>,
@@ -87,7 +78,6 @@ pub(crate) struct EventBatches {
 }
 
 impl EventBatches {
-    /// The next batch, if there is one.
     pub(crate) fn try_recv(&mut self) -> Result<EventBatch, TryRecvError> {
         self.receiver.try_recv()
     }

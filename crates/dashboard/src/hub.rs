@@ -21,7 +21,6 @@ use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, VIEWS, View, ViewC
 /// Most kinds of records that are counted; a robot has about a dozen.
 const MAX_OUTCOME_COUNTS: usize = 512;
 
-/// Counts of observations by sensor, kind and outcome.
 pub(crate) type OutcomeCounts = BTreeMap<(SensorId, &'static str, &'static str), u64>;
 
 pub(crate) struct Hub {
@@ -30,10 +29,8 @@ pub(crate) struct Hub {
     views: Vec<Box<dyn View>>,
     latest: LatestState,
     sources: BTreeSet<SourceRow>,
-    /// The current recording.
     pub(crate) recording: Option<String>,
     pub(crate) outcome_counts: OutcomeCounts,
-    /// Estimates of each robot.
     pub(crate) estimate_counts: BTreeMap<RobotId, u64>,
     pub(crate) links: BTreeMap<LinkId, LinkHealth>,
     pub(crate) latency: LatencyHistogram,
@@ -41,7 +38,7 @@ pub(crate) struct Hub {
 }
 
 impl Hub {
-    /// With a token, readers need it.
+    /// Readers need the token, if there is one.
     pub(crate) fn new(info: StationInfo, token: Option<&AccessToken>) -> Self {
         let setting = ViewConfig {
             links: info.links.clone(),
@@ -62,7 +59,6 @@ impl Hub {
         }
     }
 
-    /// Applies the results of an input.
     pub(crate) fn push_batch(&mut self, batch: &EventBatch) {
         for event in batch.events.iter().filter(|event| event.is_for_viewers()) {
             self.count_event(event, batch);
@@ -78,7 +74,6 @@ impl Hub {
         }
     }
 
-    /// Applies a sample of the truth.
     pub(crate) fn push_truth(&mut self, sample: &SimulatedTruth) {
         self.dispatch(sample.now, ViewInput::Truth(sample));
     }
@@ -102,7 +97,6 @@ impl Hub {
         (!frame.is_empty()).then_some(frame)
     }
 
-    /// The first message for a new reader.
     pub(crate) fn hello(&self, recordings: Vec<RecordingRow>) -> Hello {
         let mut history = Frame { now_s: self.latest.now_s(), ..Frame::default() };
         for view in &self.views {
@@ -121,24 +115,20 @@ impl Hub {
         }
     }
 
-    /// The latest values.
     pub(crate) fn state(&self, counts: &ServerCounters) -> State {
         self.latest.state(self.latency.row(), counts, self.latency.count)
     }
 
-    /// The sources that were seen.
     pub(crate) fn sources(&self) -> Vec<SourceRow> {
         let off = self.latest.switched_off();
         let rows = self.sources.iter().map(|row| SourceRow { is_used: !off.contains(&row.id), ..row.clone() });
         rows.collect()
     }
 
-    /// The robots that were seen.
     pub(crate) fn robots(&self) -> Vec<RobotRow> {
         self.latest.robots()
     }
 
-    /// Every tunable with its current value.
     pub(crate) fn parameters(&self) -> Vec<ParameterRow> {
         let standing = self.latest.parameters();
         let rows = self.info.parameters.iter().map(|row| {
@@ -148,7 +138,6 @@ impl Hub {
         rows.collect()
     }
 
-    /// The points and robots that were dropped.
     pub(crate) fn dropped(&self) -> u64 {
         self.views.iter().map(|view| view.dropped()).sum()
     }
@@ -213,7 +202,6 @@ struct LatestState {
 }
 
 impl LatestState {
-    /// Applies a message.
     fn apply(&mut self, frame: &Frame) {
         let state = &mut self.state;
         state.now_s = frame.now_s;
@@ -273,7 +261,6 @@ impl LatestState {
         robots.map(|robot| RobotRow { id: robot.id.clone(), name: robot.name.clone() }).collect()
     }
 
-    /// The latest values, with the counters.
     fn state(&self, latency: LatencyRow, counts: &ServerCounters, estimates: u64) -> State {
         State {
             latency,
@@ -290,7 +277,7 @@ impl LatestState {
     }
 }
 
-/// The state of one robot, made if there is none yet.
+/// Created if missing.
 fn robot_state<'a>(state: &'a mut State, id: &str) -> &'a mut RobotState {
     let known = state.robots.iter().position(|robot| robot.id == id);
     let index = known.unwrap_or_else(|| {
@@ -300,7 +287,7 @@ fn robot_state<'a>(state: &'a mut State, id: &str) -> &'a mut RobotState {
     &mut state.robots[index]
 }
 
-/// A sample without a robot is of the first one.
+/// A sample without a robot belongs to the first one.
 fn apply_truth(state: &mut State, truth: &TruthPoint) {
     let robot = match &truth.robot {
         Some(id) => state.robots.iter_mut().find(|robot| robot.id == *id),

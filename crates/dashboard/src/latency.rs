@@ -6,7 +6,7 @@ use posebridge_telemetry::TimeDelta;
 
 use crate::model::LatencyRow;
 
-/// The number of estimates for percentiles: twenty seconds of a usual brick.
+/// Number of estimates for percentiles: twenty seconds of a usual brick.
 const MAX_SAMPLES: usize = 2_048;
 /// Upper bounds of the buckets in `/metrics`, in microseconds, in steps of about three; a quiet station needs some
 /// ten.
@@ -34,12 +34,11 @@ impl LatencyHistogram {
         }
     }
 
-    /// The upper bound of each bucket, in microseconds, with its cumulative count.
+    /// Upper bound in microseconds and cumulative count.
     pub(crate) fn buckets(&self) -> impl Iterator<Item = (i64, u64)> {
         BUCKETS_MICROS.into_iter().zip(self.buckets)
     }
 
-    /// Percentiles of the last estimates.
     pub(crate) fn row(&self) -> LatencyRow {
         let mut sorted: Vec<TimeDelta> = self.last.iter().copied().collect();
         sorted.sort_unstable();

@@ -1,11 +1,10 @@
 //! The dashboard: the live page of the station.
 //!
-//! Gets events from the station loop through a bounded channel that drops and counts ([`EventFeed`]), converts them to
-//! messages with views that are pure functions of events ([`views`]), and serves those over HTTP and WebSocket on its
-//! own thread and runtime ([`Dashboard`]). Readers in this process, such as the terminal view, get the same messages as
-//! values ([`FrameTaps`]), also without a server. Commands go back through a second bounded channel, as
-//! [`Command`](posebridge_telemetry::Command)s, and so into the recording. The station loop never waits for the
-//! dashboard.
+//! Receives events from the station loop through a bounded channel that drops and counts ([`EventFeed`]), converts them to messages
+//! with views that are pure functions of events ([`views`]), and serves those over HTTP and WebSocket on its own thread and runtime
+//! ([`Dashboard`]). Readers in this process, such as the terminal view, get the same messages as values ([`FrameTaps`]), also without a
+//! server. Commands return through a second bounded channel, as [`Command`](posebridge_telemetry::Command)s, and so into the recording.
+//! The station loop never waits for the dashboard.
 //!
 //! All JSON for browsers is defined here. Its structure is in [`model`], in `schema/v1.json` and in docs/dashboard.md;
 //! units are SI, angles radians, coordinates those of the arena, times seconds of the session by the host's clock.

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use posebridge_telemetry::TimeDelta;
 
-/// Period of the messages: 50 Hz, the rate of a brick and enough for the eye.
+/// 50 Hz: the rate of a brick, and enough for the eye.
 pub(crate) const TICK: Duration = Duration::from_millis(20);
-/// Period of slowly changing data.
+/// Of slowly changing data.
 pub(crate) const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Most connections, readers of the stream included; a browser opens six. The usual limit is 1 024 file descriptors,
@@ -16,37 +16,31 @@ pub(crate) const MAX_CONNECTIONS: usize = 192;
 pub(crate) const MAX_CLIENTS: usize = 64;
 /// Timeout for the head of a request; loopback takes a millisecond, a bad WLAN a second.
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
-/// Timeout for a request.
 pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Timeout for a replay: a quarter of an hour of a usual brick takes about half a minute in a debug build.
 pub(crate) const REPLAY_TIMEOUT: Duration = Duration::from_secs(300);
 /// A reader that receives nothing for this long is disconnected.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(10);
-/// Period of pings to a reader.
 pub(crate) const PING_PERIOD: Duration = Duration::from_secs(10);
-/// Largest head of a request, in bytes; browsers send one.
+/// Browsers send about 1 KiB.
 pub(crate) const MAX_HEAD_BYTES: usize = 16 * 1024;
 /// Largest body of a request or message on the stream, in bytes; the longest command has two hundred.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 64 * 1024;
-/// Largest write buffer of a reader's socket before it counts as slow, in bytes: some messages and the first one.
+/// Write buffer of a reader's socket before it counts as slow: some messages and the first one.
 pub(crate) const WRITE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
-/// How many messages a reader may lag before it misses some: a bit more than a second.
+/// Lag after which a reader misses messages: a bit more than a second.
 pub(crate) const MAX_WAITING_FRAMES: usize = 64;
-/// Most commands per second from all clients together: a held key sends five, and each is an input that delays fusion
-/// and is recorded.
+/// Commands per second from all clients together: a held key sends five, and each is an input that delays fusion and is recorded.
 pub(crate) const COMMANDS_PER_S: i64 = 50;
-/// Burst of commands after a pause: one second's worth.
+/// One second's worth, after a pause.
 pub(crate) const COMMAND_BURST: i64 = COMMANDS_PER_S;
 /// Most commands that wait for the station loop, which reads them within a millisecond.
 pub(crate) const MAX_WAITING_COMMANDS: usize = 64;
-/// Most queries that wait for the hub task.
 pub(crate) const MAX_WAITING_QUERIES: usize = 64;
 
-/// Duration of the history in the first message.
 pub(crate) const HISTORY_DURATION: TimeDelta = TimeDelta::from_millis(60_000);
-/// Most points of each line in it: 20 a second.
+/// Of each line: 20 a second.
 pub(crate) const MAX_HISTORY_POINTS: usize = 1_200;
-/// Most points of each line of a replayed recording.
 pub(crate) const MAX_REPLAY_POINTS: usize = 20_000;
 /// Send buffer of the system for a reader, in bytes: with a small one a hanging reader misses messages instead of
 /// getting old ones; the first message of a long session is about as large.

@@ -1,4 +1,4 @@
-//! The listening socket, bound before anything else is started: a start that fails here leaves nothing behind.
+//! The listening socket. It is bound before anything else starts, so that a failure leaves nothing to clean up.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener};
@@ -12,7 +12,7 @@ use crate::api::{DashboardStartError, MAX_PORT_ATTEMPTS};
 /// The address to listen on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ListenAddress {
-    /// Exactly this address; port 0 lets the system choose.
+    /// Port 0 lets the system choose.
     Exact(SocketAddr),
     /// This address, or the next free port.
     FirstFree(SocketAddr),
@@ -26,7 +26,6 @@ pub struct BoundListener {
 }
 
 impl BoundListener {
-    /// Binds an address.
     pub fn new(listen: ListenAddress) -> Result<Self, DashboardStartError> {
         let (first, tries) = match listen {
             ListenAddress::Exact(address) => (address, 0),
@@ -54,7 +53,7 @@ impl BoundListener {
         Ok(Self { listener, address })
     }
 
-    /// The addresses at which others reach it, that of this computer last.
+    /// Addresses of this computer for other clients; loopback last.
     pub(crate) fn reachable_addresses(&self) -> Vec<IpAddr> {
         let own = self.address.ip();
         if !own.is_unspecified() {

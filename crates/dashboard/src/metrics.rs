@@ -12,10 +12,8 @@ use crate::hub::Hub;
 use crate::model::{EstimatePoint, RobotState};
 use crate::views::robot_name;
 
-/// The content type of the format.
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// One number of a link's health.
 struct LinkMetric {
     name: &'static str,
     kind: &'static str,
@@ -41,7 +39,7 @@ const LINK_METRICS: &[LinkMetric] = &[
     LinkMetric { name: "clock_uncertainty_seconds", kind: "gauge", help: "How far a converted stamp may be off.", read: |of| of.clock_uncertainty.map(TimeDelta::as_secs_f64) },
 ];
 
-/// One number of a robot's last estimate, at a time of the session in seconds.
+/// A number of a robot's last estimate, with session time in seconds.
 struct EstimateMetric {
     name: &'static str,
     help: &'static str,
@@ -61,7 +59,6 @@ fn age_s(estimate: &EstimatePoint, now_s: f64) -> f64 {
     (now_s - estimate.t_s).max(0.0)
 }
 
-/// The whole page.
 pub(crate) fn page(hub: &Hub, counts: &ServerCounters) -> String {
     let mut page = String::with_capacity(8_192);
     robots(&mut page, hub, counts);
@@ -103,7 +100,7 @@ fn robots(page: &mut String, hub: &Hub, counts: &ServerCounters) {
     }
 }
 
-/// A label's value; a name may be any text.
+/// Escapes a label value; a name may be any text.
 fn escape(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }

@@ -8,11 +8,10 @@ use std::time::UNIX_EPOCH;
 
 use crate::model::{RecordingNow, RecordingRow};
 
-/// Most recordings in the list; with a new file every five minutes this is a week.
+/// With a new file every five minutes this is a week.
 const MAX_LISTED: usize = 2_100;
 const FILE_SUFFIX: &str = ".mcap";
 
-/// The folder of this run's recordings.
 #[derive(Clone, Debug)]
 pub(crate) struct RecordingFolder {
     folder: PathBuf,
@@ -23,8 +22,7 @@ impl RecordingFolder {
         Self { folder }
     }
 
-    /// The recordings in the order of their start, by name; the latest ones if there are too many. `current` is being
-    /// written. A missing folder has none.
+    /// Sorted by start, the latest ones if there are too many. `current` is being written. A missing folder has none.
     pub(crate) fn list(&self, current: Option<&str>) -> Vec<RecordingRow> {
         let mut rows: Vec<RecordingRow> = self.rows(current).collect();
         rows.sort_unstable_by(|one, other| sort_key(&one.name).cmp(&sort_key(&other.name)));
@@ -38,13 +36,11 @@ impl RecordingFolder {
         entries.filter_map(move |entry| row_of(&entry.ok()?, current))
     }
 
-    /// The path of a recording by its name.
     pub(crate) fn path(&self, name: &str) -> Option<PathBuf> {
         let row = self.rows(None).find(|row| row.name == name)?;
         Some(self.folder.join(&row.name))
     }
 
-    /// The size of the file that is being written.
     pub(crate) fn current(&self, name: &str) -> RecordingNow {
         let bytes = std::fs::metadata(self.folder.join(name)).map_or(0, |found| found.len());
         RecordingNow { name: name.to_owned(), bytes }
@@ -60,7 +56,7 @@ fn sort_key(name: &str) -> (&str, u64, u64, &str) {
     (stem, number, part, name)
 }
 
-/// Splits the number off the end of a text; the first one has none.
+/// Splits a number off the end; the first file has none.
 fn split_number(text: &str, separator: char) -> (&str, u64) {
     let split = text.rsplit_once(separator);
     let numbered = split.and_then(|(head, number)| Some((head, number.parse().ok()?)));

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use crate::command::{COMMANDS, CommandRow, CommandTarget, FieldKind, ROBOT_FIELD};
 use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State};
 
-/// The schema; the file `schema/v1.json` holds it, and a test compares the two.
+/// The file `schema/v1.json` holds it, and a test compares the two.
 pub fn schema() -> Value {
     let mut generator = SchemaSettings::draft2020_12().into_generator();
     let answers = json!({

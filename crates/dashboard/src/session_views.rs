@@ -15,29 +15,24 @@ pub struct SessionViews {
 }
 
 impl SessionViews {
-    /// For a session with these links, by their URLs.
     pub fn new(links: Vec<String>) -> Self {
         let setting = ViewConfig { links, retention: RetentionPolicy::WholeSession { max_points: MAX_REPLAY_POINTS } };
         Self { views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(), last: Timestamp::ZERO }
     }
 
-    /// Adds an event.
     pub fn push_event(&mut self, now: Timestamp<HostClock>, event: &Event) {
         self.last = self.last.max(now);
         self.dispatch(now, ViewInput::Event(event));
     }
 
-    /// Adds the status at the end.
     pub fn push_status(&mut self, standing: &StationStatus) {
         self.dispatch(self.last, ViewInput::Status(standing));
     }
 
-    /// Adds a sample of the truth.
     pub fn push_truth(&mut self, sample: &SimulatedTruth) {
         self.dispatch(sample.now, ViewInput::Truth(sample));
     }
 
-    /// The collected history.
     pub fn history(&self) -> Frame {
         let mut history = Frame { now_s: seconds_of(self.last), ..Frame::default() };
         for view in &self.views {

@@ -25,26 +25,24 @@ struct TapSender {
     missed: Arc<AtomicU64>,
 }
 
-/// The receiving end of one reader.
+/// The receiving end of a reader.
 #[derive(Debug)]
 pub struct FrameTap {
     frames: Receiver<Arc<Frame>>,
     missed: Arc<AtomicU64>,
 }
 
-/// The result of a poll.
+/// The result of polling a `FrameTap`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TapPoll {
-    /// A message.
     Frame(Arc<Frame>),
-    /// No message for now.
     Empty,
-    /// No more messages: the station is ending.
+    /// The station is stopping.
     Closed,
 }
 
 impl FrameTaps {
-    /// Adds a reader with a queue of `capacity` messages; there are up to fifty a second.
+    /// `capacity` is in messages; there are up to fifty a second.
     pub fn add(&mut self, capacity: usize) -> FrameTap {
         let (sender, receiver) = sync_channel(capacity);
         let missed = Arc::new(AtomicU64::new(0));
@@ -52,12 +50,11 @@ impl FrameTaps {
         FrameTap { frames: receiver, missed }
     }
 
-    /// Whether there are no readers.
     pub const fn is_empty(&self) -> bool {
         self.senders.is_empty()
     }
 
-    /// Sends a message to every reader; returns how many had a full queue.
+    /// Returns how many readers had a full queue.
     pub(crate) fn send(&mut self, frame: &Arc<Frame>) -> u64 {
         let mut missed = 0;
         self.senders.retain(|sender| match sender.frames.try_send(Arc::clone(frame)) {
@@ -74,12 +71,12 @@ impl FrameTaps {
 }
 
 impl FrameTap {
-    /// The next message; waits for it. `None` when the station ends.
+    /// Blocks; `None` when the station stops.
     pub fn recv(&self) -> Option<Arc<Frame>> {
         self.frames.recv().ok()
     }
 
-    /// The next message, if there is one.
+    /// Does not block.
     pub fn try_recv(&self) -> TapPoll {
         match self.frames.try_recv() {
             Ok(frame) => TapPoll::Frame(frame),
@@ -88,7 +85,6 @@ impl FrameTap {
         }
     }
 
-    /// Messages missed because this reader was slow.
     pub fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
@@ -102,7 +98,7 @@ pub struct CommandSubmitter {
 }
 
 impl CommandSubmitter {
-    /// Sends a command, for one robot or as one that names none, as the page's buttons do; false if too many wait or the station is ending. Never waits.
+    /// `robot` is `None` for a command that names no robot. Never blocks; false if the queue is full or the station is stopping.
     pub fn send(&self, robot: Option<RobotId>, command: Command) -> bool {
         let input = robot.map_or(Input::Command(command), |robot| Input::RobotCommand { robot, command });
         match self.commands.try_send(input) {

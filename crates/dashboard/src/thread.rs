@@ -25,7 +25,7 @@ use crate::token::AccessToken;
 #[derive(Debug)]
 pub struct Dashboard {
     address: Option<SocketAddr>,
-    /// The addresses at which others reach it.
+    /// Addresses of this computer for other clients.
     reachable: Vec<IpAddr>,
     token: Option<AccessToken>,
     commander: CommandSubmitter,
@@ -92,7 +92,6 @@ impl Dashboard {
         Ok((dashboard, feed, given))
     }
 
-    /// The bound address, if it serves.
     pub const fn address(&self) -> Option<SocketAddr> {
         self.address
     }
@@ -103,7 +102,7 @@ impl Dashboard {
         self.urls().pop()
     }
 
-    /// The URLs for all reachable addresses; that of this computer is the last one.
+    /// For all reachable addresses; that of this computer is last.
     pub fn urls(&self) -> Vec<String> {
         let Some(address) = self.address else {
             return Vec::new();
@@ -114,12 +113,11 @@ impl Dashboard {
         found.map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port()))).collect()
     }
 
-    /// A sender of commands for this process.
     pub fn commander(&self) -> CommandSubmitter {
         self.commander.clone()
     }
 
-    /// Stops it and waits for its thread.
+    /// Stops the server and joins its thread.
     pub fn finish(mut self) {
         self.shut_down();
     }
@@ -138,7 +136,7 @@ impl Drop for Dashboard {
     }
 }
 
-/// The token for this address, if one is needed.
+/// `None` if no token is needed.
 fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<AccessToken>, DashboardStartError> {
     let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::RemoteOnly;
     if address.is_none_or(is_open) {
@@ -148,7 +146,6 @@ fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<
     Ok(Some(token))
 }
 
-/// The thread's work.
 struct DashboardThread {
     /// The listening socket and the state of its handlers; `None` with readers in this process only.
     server: Option<(TcpListener, AppState)>,
@@ -191,7 +188,6 @@ impl DashboardThread {
     }
 }
 
-/// Serves until it is stopped.
 async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: CancellationToken) {
     let Some((socket, app)) = served else {
         return stop.cancelled().await;

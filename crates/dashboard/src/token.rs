@@ -6,12 +6,12 @@ use std::hint::black_box;
 /// 128 random bits.
 const TOKEN_BYTES: usize = 16;
 
-/// A token. `Debug` does not show it.
+/// `Debug` does not show it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct AccessToken(String);
 
 impl AccessToken {
-    /// A new token from random bytes of the operating system.
+    /// From the operating system.
     pub fn random() -> Result<Self, getrandom::Error> {
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes)?;
@@ -23,13 +23,12 @@ impl AccessToken {
         Ok(Self(text))
     }
 
-    /// The token's text; it is printed once.
+    /// For display; it is printed once.
     pub fn expose(&self) -> &str {
         &self.0
     }
 
-    /// Whether a client's token is this one. The time does not depend on where a wrong one of the same length differs,
-    /// so that it cannot be guessed digit by digit.
+    /// Compares in constant time, so that a token of the same length cannot be guessed digit by digit.
     pub(crate) fn matches(&self, candidate: &str) -> bool {
         let (own, said) = (self.0.as_bytes(), candidate.as_bytes());
         let differing = own.iter().zip(said).fold(0, |all, (a, b)| black_box(all | (a ^ b)));

@@ -7,19 +7,18 @@ use serde_json::{Map, Value};
 /// Longest excerpt of a wrong value in an error.
 const MAX_SHOWN_CHARS: usize = 60;
 
-/// A field of a command.
+/// A field of a JSON command: key and permitted values.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandField {
-    /// Its key, with the unit.
+    /// JSON key, with the unit.
     pub name: &'static str,
-    /// Its permitted values.
     pub kind: FieldKind,
 }
 
-/// The permitted values of a field.
+/// The type and the range of a command field.
 #[derive(Clone, Copy, Debug)]
 pub enum FieldKind {
-    /// A number in this range, in the unit of the key.
+    /// In the unit of the key.
     Number { least: f64, most: f64 },
     /// A number.
     Finite,
@@ -38,7 +37,6 @@ pub enum FieldKind {
 }
 
 impl CommandField {
-    /// The permitted values of this field of a command.
     pub fn kind_in(&self, command: &str) -> FieldKind {
         let is_it = |known: &&&NumberField| (known.command, known.field) == (command, self.name);
         match self.kind {
@@ -62,7 +60,7 @@ impl CommandField {
 }
 
 impl FieldKind {
-    /// The permitted values, in words.
+    /// The permitted values in words.
     pub fn expectation(self) -> String {
         match self {
             Self::Number { least, most } => format!("a number from {least} to {most}"),
@@ -90,7 +88,7 @@ impl FieldKind {
     }
 }
 
-/// A list of permitted words, in words.
+/// A list of permitted words for an error.
 pub(super) fn one_of<T: AsRef<str>>(words: &[T]) -> String {
     let quoted = words.iter().map(|word| format!("\"{}\"", word.as_ref()));
     format!("one of {}", quoted.collect::<Vec<_>>().join(", "))
@@ -152,12 +150,11 @@ impl<'a> FieldValues<'a> {
     }
 }
 
-/// A wrong value for people: short and without control characters, because it is shown in a terminal or a page.
+/// An excerpt of a wrong value: short and without control characters, because it is shown in a terminal or a page.
 pub(super) fn format_value(value: &Value) -> String {
     truncate(&value.to_string())
 }
 
-/// The beginning of a long text.
 pub(super) fn truncate(text: &str) -> String {
     let clean = text.chars().map(|c| if c.is_control() { '?' } else { c });
     let mut cut: String = clean.take(MAX_SHOWN_CHARS).collect();

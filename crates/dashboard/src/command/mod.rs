@@ -17,19 +17,16 @@ use crate::model::ParameterRow;
 use crate::views::parse_robot_name;
 use fields::{FieldValues, format_value, one_of, truncate};
 
-/// A well-formed command.
+/// A valid JSON command, converted to the station's type.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ParsedCommand {
-    /// Its name.
     pub name: &'static str,
-    /// The robot that it is for, if it names one.
+    /// Target, if the command names one.
     pub robot: Option<RobotId>,
-    /// Its meaning.
     pub command: Command,
 }
 
 impl ParsedCommand {
-    /// The command as an input of the station.
     pub const fn input(&self) -> Input {
         match self.robot {
             Some(robot) => Input::RobotCommand { robot, command: self.command },
@@ -38,7 +35,6 @@ impl ParsedCommand {
     }
 }
 
-/// Parses a command.
 pub fn parse(text: &[u8]) -> Result<ParsedCommand, CommandError> {
     let value: Value =
         serde_json::from_slice(text).map_err(|error| CommandError::InvalidJson { why: error.to_string() })?;
@@ -158,7 +154,6 @@ impl CommandContext {
     }
 }
 
-/// An invalid field.
 struct FieldFault {
     field: &'static str,
     found: Value,

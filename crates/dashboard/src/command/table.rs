@@ -11,26 +11,21 @@ use super::fields::{CommandField, FieldKind, FieldValues};
 /// A command: its name, its fields and its constructor.
 pub struct CommandRow {
     pub name: &'static str,
-    /// Its effect, in one line.
     pub help: &'static str,
-    /// Whether it may name a robot.
     pub target: CommandTarget,
-    /// Its fields; all are required.
+    /// All are required.
     pub fields: &'static [CommandField],
-    /// Builds it from checked fields.
     pub(super) build: fn(&FieldValues<'_>) -> Command,
 }
 
-/// For whom a command is.
+/// The target of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandTarget {
     /// A robot, which the optional field [`ROBOT_FIELD`] names.
     Robot,
-    /// The whole station.
     Station,
 }
 
-/// The field with the id of a robot.
 pub const ROBOT_FIELD: &str = "robot";
 
 /// Half-width of a square that no such robot leaves; far below the loss of resolution of f64.

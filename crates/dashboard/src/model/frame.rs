@@ -1,4 +1,4 @@
-//! What is new since the last message, and the history that a new reader begins with: both have this shape.
+//! The updates since the last message, and the history for a new reader: both have this shape.
 
 use posebridge_telemetry::{HostClock, Timestamp};
 use schemars::JsonSchema;
@@ -42,7 +42,7 @@ pub struct Frame {
     pub dropped: u64,
 }
 
-/// A key that is there, `null` or not.
+/// A key that is present, `null` or not.
 fn present<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
 where
     D: serde::Deserializer<'de>,
@@ -52,7 +52,7 @@ where
 }
 
 impl Frame {
-    /// The part of one robot, made if there is none yet.
+    /// Created if missing.
     pub fn robot(&mut self, id: &str) -> &mut RobotFrame {
         let known = self.robots.iter().position(|robot| robot.id == id);
         let index = known.unwrap_or_else(|| {
@@ -62,7 +62,6 @@ impl Frame {
         &mut self.robots[index]
     }
 
-    /// Whether nothing is in it.
     pub fn is_empty(&self) -> bool {
         self.robots.is_empty()
             && self.truth.is_empty()
@@ -364,7 +363,7 @@ pub struct RecordingNow {
 pub struct Number(Option<f32>);
 
 impl Number {
-    /// The number, if it is finite.
+    /// `None` if it is not finite.
     pub fn get(self) -> Option<f64> {
         self.0.map(f64::from)
     }
@@ -377,7 +376,7 @@ impl From<f64> for Number {
     }
 }
 
-/// An instant in seconds, to the microsecond: the shortest decimals stay short.
+/// Rounded to the microsecond, so that the decimals stay short.
 pub(crate) fn seconds_of(at: Timestamp<HostClock>) -> f64 {
     at.as_micros() as f64 / 1e6
 }

@@ -1,4 +1,4 @@
-//! The messages for browsers and programs, as plain structs. Their schema is made from them.
+//! The messages for browsers and programs, as plain structs. The JSON schema derives from them.
 
 mod frame;
 

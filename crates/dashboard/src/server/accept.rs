@@ -19,14 +19,13 @@ use tokio_util::sync::CancellationToken;
 use crate::counters::{ServerCounter, ServerCounters};
 use crate::limits::{HEAD_TIMEOUT, MAX_CONNECTIONS, MAX_HEAD_BYTES, SEND_TIMEOUT, SOCKET_BUFFER_BYTES};
 
-/// The response to a connection beyond the limit.
+/// For connections beyond the limit.
 const BUSY_RESPONSE: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: 51\r\n\r\n\
     {\"error\":\"too many connections; close one of them\"}";
-/// Pause after a failed accept, such as without a free file descriptor.
+/// After a failed accept, for instance without a free file descriptor.
 const RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Accepts connections until it is stopped.
 pub(crate) async fn serve(listener: TcpListener, router: Router, counts: Arc<ServerCounters>, stop: CancellationToken) {
     let slots = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
@@ -53,7 +52,7 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, counts: Arc<Ser
 struct Connection {
     router: Router,
     counts: Arc<ServerCounters>,
-    /// Every request holds it: one that becomes a stream keeps it.
+    /// Each request holds it; one that becomes a stream keeps it.
     slot: Arc<ConnectionSlot>,
 }
 
@@ -85,7 +84,7 @@ impl Connection {
     }
 }
 
-/// One of a limited number of slots, counted while it is in use; dropping it frees the slot.
+/// One of a limited number of slots; dropping it frees the slot.
 pub(super) struct ConnectionSlot {
     counts: Arc<ServerCounters>,
     count: ServerCounter,
@@ -93,7 +92,7 @@ pub(super) struct ConnectionSlot {
 }
 
 impl ConnectionSlot {
-    /// Acquires a slot, if one is free.
+    /// `None` if no slot is free.
     pub(super) fn acquire(
         semaphore: &Arc<Semaphore>,
         counts: &Arc<ServerCounters>,

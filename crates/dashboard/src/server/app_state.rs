@@ -24,15 +24,13 @@ use crate::limits::COMMANDS_PER_S;
 use crate::model::{RecordingRow, Refusal};
 use crate::recordings::RecordingFolder;
 
-/// The state that all request handlers share.
 pub(crate) struct AppState {
     pub(crate) guard: RequestGuard,
     pub(crate) counts: Arc<ServerCounters>,
     pub(crate) queries: mpsc::Sender<HubQuery>,
     pub(crate) commands: mpsc::Sender<Input>,
-    /// The rate limit of commands, for all clients together.
+    /// For all clients together.
     pub(crate) command_rate: RateLimiter,
-    /// The names that commands may use.
     pub(crate) command_context: CommandContext,
     pub(crate) clock: Arc<HostClockSource>,
     pub(crate) recordings: RecordingFolder,
@@ -40,7 +38,6 @@ pub(crate) struct AppState {
     pub(crate) replay: Box<ReplayLoader>,
     /// One replay at a time, because it takes a core.
     pub(crate) replay_slot: Arc<Semaphore>,
-    /// Slots for readers of the stream.
     pub(crate) reader_slots: Arc<Semaphore>,
     pub(crate) stop: CancellationToken,
 }
@@ -78,7 +75,6 @@ impl AppState {
         }
     }
 
-    /// The recordings of this run.
     pub(super) async fn recording_rows(&self) -> Vec<RecordingRow> {
         let (reply, answer) = oneshot::channel();
         // Without the hub nothing is being recorded.
@@ -104,7 +100,6 @@ impl AppState {
         )
     }
 
-    /// Rejects a malformed request.
     pub(super) fn bad_request(&self, status: StatusCode, why: String) -> Response {
         self.counts.increment(ServerCounter::BadRequest);
         refusal_response(status, why)
@@ -128,7 +123,6 @@ impl AppState {
     }
 }
 
-/// An error as JSON.
 pub(super) fn refusal_response(status: StatusCode, error: String) -> Response {
     (status, Json(Refusal { error })).into_response()
 }
@@ -163,7 +157,7 @@ impl RateLimiter {
         }
     }
 
-    /// Whether one more request may come now; if so, it counts.
+    /// Whether a request may come now; if so, it is counted.
     pub(crate) fn admits(&self, now: Timestamp<HostClock>) -> bool {
         let due = |due_nanos| {
             let due = Timestamp::from_nanos(due_nanos).max(now);

@@ -15,17 +15,15 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use crate::counters::ServerCounter;
 use crate::token::AccessToken;
 
-/// The port of a Host header without one.
+/// Default of a Host header.
 const HTTP_PORT: u16 = 80;
 
-/// The conditions of access.
 #[derive(Debug)]
 pub(crate) struct RequestGuard {
     address: SocketAddr,
     token: Option<AccessToken>,
 }
 
-/// Why a request was rejected.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct RequestDenial {
     pub(super) count: ServerCounter,
@@ -33,10 +31,8 @@ pub(super) struct RequestDenial {
     pub(super) why: String,
 }
 
-/// The result of the check.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum RequestAdmission {
-    /// Serve the response.
     Plain,
     /// Serve the response, and set a cookie with the token from the URL.
     WithCookie,
@@ -59,7 +55,7 @@ impl RequestGuard {
         self.check_token(request, &host)
     }
 
-    /// The only Host header of a request, if it names this station.
+    /// The only Host header, if it names this station.
     fn checked_host(&self, headers: &HeaderMap) -> Result<String, RequestDenial> {
         let mut hosts = headers.get_all(HOST).iter();
         let host = hosts.next().and_then(|host| host.to_str().ok());
@@ -180,7 +176,6 @@ fn foreign_origin_denial() -> RequestDenial {
     }
 }
 
-/// The values of all cookies of this name.
 fn cookies<'a>(headers: &'a HeaderMap, name: &'a str) -> impl Iterator<Item = &'a str> {
     let lines = headers.get_all(COOKIE).iter();
     let lines = lines.filter_map(|line| line.to_str().ok());

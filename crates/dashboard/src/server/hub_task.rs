@@ -16,22 +16,17 @@ use crate::model::{Message, RecordingRow};
 use crate::recordings::RecordingFolder;
 use crate::taps::FrameTaps;
 
-/// Most batches between two messages; with more, the next message would be late.
+/// Bound per tick; with more, the next message would be late.
 const MAX_BATCHES_PER_TICK: usize = 6_000;
-/// Most samples of the truth between two messages.
 const MAX_TRUTH_PER_TICK: usize = 1_024;
 
-/// A query to the hub task.
 pub(crate) enum HubQuery {
-    /// The first message and a receiver of the following ones, for a new reader.
+    /// The first message and a receiver of the following ones.
     Hello(Vec<RecordingRow>, oneshot::Sender<StreamStart>),
-    /// A text.
     Text(TextTopic, oneshot::Sender<String>),
-    /// The name of the current recording.
     Recording(oneshot::Sender<Option<String>>),
 }
 
-/// The texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TextTopic {
     State,
@@ -41,13 +36,11 @@ pub(crate) enum TextTopic {
     Metrics,
 }
 
-/// The start of a stream.
 pub(crate) struct StreamStart {
     pub(crate) hello: Utf8Bytes,
     pub(crate) frames: broadcast::Receiver<Utf8Bytes>,
 }
 
-/// The inputs of the hub task.
 pub(crate) struct HubInputs {
     pub(crate) batches: EventBatches,
     pub(crate) truth: Option<Box<dyn FnMut() -> Option<SimulatedTruth> + Send>>,
@@ -55,7 +48,6 @@ pub(crate) struct HubInputs {
     pub(crate) queries: mpsc::Receiver<HubQuery>,
     pub(crate) recordings: RecordingFolder,
     pub(crate) counts: Arc<ServerCounters>,
-    /// Readers in this process.
     pub(crate) taps: FrameTaps,
 }
 

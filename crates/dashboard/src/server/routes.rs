@@ -29,17 +29,16 @@ use crate::metrics::CONTENT_TYPE as METRICS_TYPE;
 use crate::model::Accepted;
 
 type SharedApp = State<Arc<AppState>>;
-/// The name in a path, which may be invalid UTF-8.
+/// May be invalid UTF-8.
 type RecordingName = Result<Path<String>, PathRejection>;
 
 const JSON: &str = "application/json";
 
 /// Scripts, styles, images and connections of this station only, and no embedding in a frame.
 const CONTENT_POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-/// The page for a browser without the token; the policy above allows it no style of its own.
+/// For a browser without the token; the policy above permits no style of its own.
 const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
 
-/// All routes, behind the guard.
 pub(crate) fn router(app: Arc<AppState>) -> Router {
     Router::new()
         .route("/v1/stream", get(stream::open))
@@ -60,12 +59,12 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
         .with_state(app)
 }
 
-/// A route whose answer is a text of the hub.
+/// A route that returns a text of the hub.
 fn text(topic: TextTopic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
     get(move |State(app): SharedApp| async move { app.text(topic, kind).await })
 }
 
-/// Checks a request and runs or rejects it; every response gets the headers that restrict a browser.
+/// Checks and routes a request; every response gets security headers for browsers.
 async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -> Response {
     let admitted = app.guard.check(&request);
     let mut response = match admitted {
@@ -121,7 +120,7 @@ async fn recordings(State(app): SharedApp) -> Response {
     with_content_type(JSON, serde_json::to_string(&rows).unwrap_or_default().into())
 }
 
-/// A whole recording; of the current one the part written so far.
+/// Of the current recording, the part written so far.
 async fn download(State(app): SharedApp, name: RecordingName) -> Response {
     let name = match name {
         Ok(Path(name)) => name,
@@ -149,7 +148,6 @@ async fn download(State(app): SharedApp, name: RecordingName) -> Response {
     response
 }
 
-/// The trails of a recording, replayed by the station.
 async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
     let name = match name {
         Ok(Path(name)) => name,
@@ -180,7 +178,7 @@ async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
     }
 }
 
-/// Sends a command to the station; the log shows its result.
+/// The log shows the result.
 async fn command(State(app): SharedApp, headers: HeaderMap, body: Result<Bytes, BytesRejection>) -> Response {
     if !is_json(&headers) {
         let why = "a command has the header Content-Type: application/json".to_owned();
@@ -207,7 +205,6 @@ fn is_json(headers: &HeaderMap) -> bool {
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(JSON))
 }
 
-/// A file of the page.
 fn asset(State(app): SharedApp, request: Request) -> Ready<Response> {
     let (head, _body) = request.into_parts();
     let is_read = matches!(head.method, Method::GET | Method::HEAD);

@@ -23,10 +23,9 @@ use crate::counters::ServerCounter;
 use crate::limits::{MAX_CLIENTS, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
 use crate::model::{Message, Refusal};
 
-/// The end of a message without missed ones.
+/// End of a message if none were missed.
 const NONE_MISSED_SUFFIX: &str = "\"dropped\":0}";
 
-/// Opens a stream.
 pub(super) async fn open(
     State(app): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<ConnectionSlot>>,
@@ -59,20 +58,17 @@ async fn serve(app: Arc<AppState>, socket: WebSocket) {
     }
 }
 
-/// How a stream ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StreamEnd {
-    /// The reader left or the station ended.
+    /// The reader left, or the station is stopping.
     Closed,
-    /// The reader received nothing for too long, or broke the protocol.
+    /// The reader received nothing for too long, or violated the protocol.
     Dropped,
 }
 
-/// One reader.
 struct StreamClient {
     app: Arc<AppState>,
     socket: WebSocket,
-    /// Messages missed so far.
     missed: u64,
     /// Whether it has sent anything since the last ping.
     has_responded: bool,
@@ -159,13 +155,12 @@ impl StreamClient {
     }
 }
 
-/// The end of a stream that cannot be read.
 fn stream_end_of(error: axum::Error) -> StreamEnd {
     let cause = error.into_inner().downcast::<tungstenite::Error>();
     if cause.is_ok_and(|cause| is_disconnect(&cause)) { StreamEnd::Closed } else { StreamEnd::Dropped }
 }
 
-/// Whether the reader left without closing: a browser whose tab is closed, or whose computer sleeps.
+/// Whether the reader left without a close frame: a closed browser tab, or a sleeping computer.
 fn is_disconnect(cause: &tungstenite::Error) -> bool {
     if let tungstenite::Error::Io(error) = cause {
         // A timeout of the system: the reader received nothing for too long.
@@ -179,7 +174,6 @@ fn is_disconnect(cause: &tungstenite::Error) -> bool {
     )
 }
 
-/// A message with the number of missed ones.
 fn with_missed(frame: Utf8Bytes, missed: u64) -> Utf8Bytes {
     match (missed, frame.as_str().strip_suffix(NONE_MISSED_SUFFIX)) {
         (0, _) | (_, None) => frame,

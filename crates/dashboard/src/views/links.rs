@@ -1,4 +1,4 @@
-//! The health of links, and the alignment of the robot's clock.
+//! Link health, and the alignment of the robot's clock.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, LinkState, Time
 use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{ClockRow, Frame, LinkRow, Number};
 
-/// Most links that are shown; a configuration has a handful.
+/// A configuration has a handful.
 const MAX_LINKS: usize = 256;
 /// The brick answers time requests.
 const TWO_WAY: &str = "two-way";
@@ -20,7 +20,6 @@ pub(super) struct Links {
     has_changed: bool,
 }
 
-/// The state of one link.
 #[derive(Clone, Copy)]
 struct LinkActivity {
     state: LinkState,
@@ -115,7 +114,6 @@ impl View for Links {
     }
 }
 
-/// The last alignment of the robot's clock.
 #[derive(Default)]
 pub(super) struct Clock {
     row: Option<ClockRow>,

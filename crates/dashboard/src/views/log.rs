@@ -7,9 +7,9 @@ use super::retained_series::{PointPriority, RetainedSeries, RetentionPolicy};
 use super::view::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LogLine, seconds_of};
 
-/// Most lines; more than a page shows.
+/// More than a page shows.
 const MAX_LINES: usize = 300;
-/// Longest line, in bytes; MAVLink's longest text in parts is far shorter.
+/// MAVLink's longest text in parts is far shorter.
 const MAX_LINE_BYTES: usize = 1_000;
 
 /// Largest age of a line: there are far fewer lines than points, and the start of a session is the most informative.
@@ -64,7 +64,7 @@ impl Log {
     }
 }
 
-/// At most [`MAX_LINE_BYTES`] of a text.
+/// Truncates to [`MAX_LINE_BYTES`].
 fn cut(mut text: String) -> String {
     let mut end = text.len().min(MAX_LINE_BYTES);
     while !text.is_char_boundary(end) {

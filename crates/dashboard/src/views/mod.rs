@@ -1,7 +1,7 @@
 //! Views: the panels of the page, and one table of them.
 //!
-//! A view gets every event in order and adds its updates to the next message and its history to the first one. It uses
-//! no clock, socket or thread: the same events give the same messages, live and from a recording.
+//! A view gets every event in order and adds its updates to the next message and its history to the first one. It has no clock, socket
+//! or thread: the same events give the same messages, live and from a recording.
 
 mod links;
 mod log;
@@ -18,9 +18,7 @@ pub use view::{FrameContent, View, ViewConfig, ViewInput, parse_robot_name, robo
 
 /// A row of [`VIEWS`].
 pub struct ViewEntry {
-    /// The panel's name.
     pub name: &'static str,
-    /// Creates the view.
     pub build: fn(&ViewConfig) -> Box<dyn View>,
 }
 

@@ -12,11 +12,10 @@ use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::limits::SECOND;
 use crate::model::{FixPoint, Frame, FusionPoint, Number, TallyPoint, seconds_of};
 
-/// Most fixes that wait for their records; the record follows at once, but a late fix may revise others first.
+/// Fixes that wait for their fusion record; it follows at once, but a late fix may revise others first.
 const MAX_PENDING_FIXES: usize = 16;
 
-/// Camera fixes with their outcome: the map's marks. The position of a fix is in the observation, its outcome in the record
-/// that follows.
+/// Camera fixes with their outcome, for the map. The position of a fix is in the observation, its outcome in the record that follows.
 pub(super) struct Fixes {
     series: RetainedSeriesMap<(), FixPoint>,
     pending: VecDeque<(RobotId, SensorId, Fix)>,
@@ -27,7 +26,7 @@ impl Fixes {
         Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS), pending: VecDeque::new() }
     }
 
-    /// The oldest fix of this sensor without a record.
+    /// Removes the oldest fix of this sensor without a record.
     fn take_pending(&mut self, robot: RobotId, sensor: SensorId) -> Option<Fix> {
         let is_it = |open: &(RobotId, SensorId, Fix)| (open.0, open.1) == (robot, sensor);
         let index = self.pending.iter().position(is_it)?;
@@ -84,7 +83,7 @@ impl View for Fixes {
     }
 }
 
-/// Accepted and unused observations are normal; people search for all others.
+/// Accepted and unused observations are normal; all others are of interest.
 fn priority_of(verdict: FusionOutcome) -> PointPriority {
     if matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Unused) {
         PointPriority::Normal
@@ -93,9 +92,9 @@ fn priority_of(verdict: FusionOutcome) -> PointPriority {
     }
 }
 
-/// The share of the history for one source: a robot has about four, and all together should remain a small message.
+/// Divisor of the history for one source: a robot has about four, and all together should remain a small message.
 const FUSION_SHARE: usize = 3;
-/// Sources are separate, so that a slow one is not displaced; each with a NIS and without.
+/// Sources have separate series, so that a fast one does not displace a slow one; each with a NIS and without.
 const MAX_SERIES: usize = 2 * 4 * MAX_ROBOTS;
 
 /// The outcome of each observation: innovations and NIS of each source.
@@ -143,7 +142,6 @@ impl View for Fusion {
     }
 }
 
-/// Sorts the records of all series by time.
 fn sort_points(frame: &mut Frame) {
     for robot in &mut frame.robots {
         robot.fusion.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
@@ -171,16 +169,14 @@ fn fusion_point(now: Timestamp<HostClock>, record: &FusionRecord) -> FusionPoint
 /// An observation with this lag behind the filter's time counts as late: three readings of a brick at 20 Hz. The
 /// page's marks use the same limit (`web/model/marks.js`).
 const MIN_LATE_LAG: TimeDelta = TimeDelta::from_millis(150);
-/// Most sources that are counted; a robot has about four.
+/// A robot has about four.
 const MAX_SOURCES: usize = 4 * MAX_ROBOTS;
 /// The share of a recording's points for the counts of one source: one a second for more than half an hour, then
 /// fewer.
 const TALLY_SHARE: usize = 10;
 
-/// Robot, sensor and kind.
 type SourceKey = (RobotId, (SensorId, &'static str));
 
-/// Counts since the start.
 #[derive(Clone, Copy, Debug, Default)]
 struct SourceCounts {
     seen: u64,
@@ -191,7 +187,7 @@ struct SourceCounts {
 /// Counts of observations by source: all, gated and late. They are exact, however much the lines are thinned.
 pub(super) struct Tallies {
     counts: BTreeMap<SourceKey, SourceCounts>,
-    /// Each second of a recording; a live session needs only the counts.
+    /// Once a second for a recording; a live session needs only the counts.
     seconds: RetainedSeriesMap<(SensorId, &'static str), TallyPoint>,
     next_second: Timestamp<HostClock>,
     last: Timestamp<HostClock>,

@@ -4,16 +4,15 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
 
-/// Most points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second
-/// has four.
+/// Points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second has four.
 const MAX_PENDING: usize = 256;
-/// Most robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
+/// Robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
 pub(crate) const MAX_ROBOTS: usize = 64;
-/// Most robots that get all the points of the policy each; more robots share as many, so that the history of a full class
-/// is a message that a browser takes.
+/// Robots that get all the points of the policy each; more robots share as many, so that the history of a full class is a message that
+/// a browser can process.
 const ROBOTS_WITH_ALL_POINTS: usize = 8;
 
-/// The points retained for the history.
+/// Which points a time series keeps for the history.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RetentionPolicy {
     /// The points of the last `duration`, at most `max_points`, evenly spaced.
@@ -24,7 +23,6 @@ pub enum RetentionPolicy {
 }
 
 impl RetentionPolicy {
-    /// The policy with another number of points.
     pub(super) fn map_points(self, change: impl Fn(usize) -> usize) -> Self {
         match self {
             Self::SlidingWindow { duration, max_points } => {
@@ -34,7 +32,7 @@ impl RetentionPolicy {
         }
     }
 
-    /// For a series with one point a second: live this many points, of a whole session one `share`-th.
+    /// For a series with one point a second: `live_points` live, one `share`-th of the points for a whole session.
     pub(super) fn for_seconds(self, live_points: usize, share: usize) -> Self {
         self.map_points(|points| match self {
             Self::SlidingWindow { .. } => live_points,
@@ -42,7 +40,6 @@ impl RetentionPolicy {
         })
     }
 
-    /// The policy of each of these robots.
     pub(super) fn shared_by(self, robots: usize) -> Self {
         self.map_points(|points| {
             let all = points * ROBOTS_WITH_ALL_POINTS;
@@ -51,12 +48,10 @@ impl RetentionPolicy {
     }
 }
 
-/// The importance of a point for thinning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PointPriority {
-    /// One of many.
     Normal,
-    /// One that people search for: a rejected fix, a reset.
+    /// Points of interest: a rejected fix, a reset.
     Keep,
 }
 
@@ -67,10 +62,10 @@ struct RetainedPoint<T> {
     priority: PointPriority,
 }
 
-/// Thinning of the points of one priority over a whole session.
+/// Thins the points of one priority over a whole session.
 #[derive(Clone, Copy, Debug)]
 struct Downsampler {
-    /// One of this many is retained.
+    /// Retains one in this many.
     stride: usize,
     seen: usize,
     retained: usize,
@@ -79,7 +74,6 @@ struct Downsampler {
 impl Downsampler {
     const NONE: Self = Self { stride: 1, seen: 0, retained: 0 };
 
-    /// Whether the next point is retained.
     fn retains_next(&mut self) -> bool {
         let is_kept = self.seen.is_multiple_of(self.stride);
         self.seen += 1;
@@ -90,7 +84,6 @@ impl Downsampler {
     }
 }
 
-/// A series with bounded memory.
 #[derive(Clone, Debug)]
 pub(super) struct RetainedSeries<T> {
     policy: RetentionPolicy,
@@ -115,12 +108,12 @@ impl<T: Clone> RetainedSeries<T> {
         }
     }
 
-    /// Retains as many points as this policy says; what is too many goes with the next points.
+    /// Applies the policy; excess points are dropped by the next pushes.
     pub(super) const fn set_policy(&mut self, policy: RetentionPolicy) {
         self.policy = policy;
     }
 
-    /// Adds a point: pending for the next message, and perhaps retained.
+    /// Queues a point for the next message, and retains it if the policy allows.
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, point: T, priority: PointPriority) {
         if self.pending.len() < MAX_PENDING {
             self.pending.push(point.clone());
@@ -136,17 +129,15 @@ impl<T: Clone> RetainedSeries<T> {
         }
     }
 
-    /// The points since the last call.
     pub(super) fn take_pending(&mut self) -> Vec<T> {
         std::mem::take(&mut self.pending)
     }
 
-    /// Whether there are points since the last call of [`Self::take_pending`].
     pub(super) const fn has_pending(&self) -> bool {
         !self.pending.is_empty()
     }
 
-    /// The retained points, oldest first.
+    /// Oldest first.
     pub(super) fn retained(&self) -> Vec<T> {
         self.kept.iter().map(|one| one.point.clone()).collect()
     }
@@ -179,7 +170,6 @@ impl<T: Clone> RetainedSeries<T> {
         }
     }
 
-    /// Drops every second point of a priority.
     fn halve(&mut self, priority: PointPriority) {
         let mut index = 0_usize;
         self.kept.retain(|one| {
@@ -212,7 +202,6 @@ pub(super) struct RetainedSeriesMap<K, T> {
 }
 
 impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
-    /// At most `max_series` series.
     pub(super) const fn new(policy: RetentionPolicy, max_series: usize) -> Self {
         Self { policy, series: BTreeMap::new(), max_series, robots: BTreeSet::new(), ignored: 0 }
     }
@@ -233,13 +222,11 @@ impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
         series.push(now, point, priority);
     }
 
-    /// The points since the last call, for each robot that has any.
     pub(super) fn take_pending(&mut self) -> Vec<(RobotId, Vec<T>)> {
         let points = self.series.iter_mut().map(|((robot, _), series)| (*robot, series.take_pending()));
         points.filter(|(_, points)| !points.is_empty()).collect()
     }
 
-    /// The retained points of each robot.
     pub(super) fn retained(&self) -> Vec<(RobotId, Vec<T>)> {
         self.series.iter().map(|((robot, _), series)| (*robot, series.retained())).collect()
     }

@@ -1,4 +1,4 @@
-//! The list of robots, with their names and which of them are lost, and their estimates. Every message with data of a robot has its id.
+//! The list of robots with names and loss of contact, and their estimates. Every message with data of a robot has its id.
 
 use std::collections::BTreeMap;
 
@@ -8,14 +8,14 @@ use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
 use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
-/// Longest name, in characters: it stands beside the robot on a map.
+/// In characters; shown beside the robot on a map.
 const MAX_NAME_CHARS: usize = 60;
 
-/// The robots in the order of their first estimates.
+/// In the order of their first estimates.
 #[derive(Default)]
 pub(super) struct Robots {
     known: Vec<KnownRobot>,
-    /// A robot is named before its first estimate.
+    /// Names can arrive before the first estimate.
     names: BTreeMap<RobotId, String>,
     ignored: u64,
     has_changed: bool,
@@ -23,7 +23,7 @@ pub(super) struct Robots {
 
 struct KnownRobot {
     robot: RobotId,
-    /// When it was lost; `None` while it is heard.
+    /// Time of loss; `None` while messages arrive.
     lost: Option<Timestamp<HostClock>>,
 }
 
@@ -89,7 +89,7 @@ impl View for Robots {
     }
 }
 
-/// Estimates with their ellipse: the map's line and the robot on it.
+/// Estimates with their ellipses, for the map.
 pub(super) struct Estimates {
     series: RetainedSeriesMap<(), EstimatePoint>,
 }
@@ -128,7 +128,6 @@ impl View for Estimates {
     }
 }
 
-/// An estimate as a point of the page.
 pub(super) fn estimate_point(now: Timestamp<HostClock>, estimate: &Estimate) -> EstimatePoint {
     let ellipse = estimate.ellipse_95();
     let of_ellipse = |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));

@@ -1,4 +1,4 @@
-//! What the station's status says: the tunables, the simulated brick, the sensors that are switched off, and the calibration of each robot.
+//! The station's status: tunables, simulated brick, disabled sensors, and the calibration of each robot.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,6 @@ impl<T> StatusPart<T> {
     }
 }
 
-/// The tunables.
 pub(super) fn parameters() -> StatusPart<Vec<ParameterValue>> {
     StatusPart::new(
         |status| (!status.parameters.is_empty()).then(|| status.parameters.clone()),
@@ -31,7 +30,7 @@ pub(super) fn parameters() -> StatusPart<Vec<ParameterValue>> {
     )
 }
 
-/// The settings of the simulated brick: its steering source and its link profile.
+/// Steering source and link profile of the simulated brick.
 pub(super) fn simulator() -> StatusPart<SimulatorNow> {
     StatusPart::new(|status| status.simulator.clone(), |frame, settings| frame.simulator = settings)
 }
@@ -57,7 +56,6 @@ impl<T: Clone + PartialEq + Send> View for StatusPart<T> {
     }
 }
 
-/// The ids of the sensors that are switched off.
 #[derive(Default)]
 pub(super) struct Switches {
     /// Of the first robot; `None` before the first status.
@@ -66,11 +64,10 @@ pub(super) struct Switches {
     has_changed: bool,
 }
 
-/// Those of one robot.
 #[derive(Default)]
 struct RobotSwitches {
     switched_off: Option<Vec<u8>>,
-    /// Whether it has an estimate: only then it is shown.
+    /// Only robots with an estimate are shown.
     is_estimated: bool,
 }
 
@@ -121,10 +118,9 @@ impl View for Switches {
     }
 }
 
-/// The share of a recording's points for the calibration, which has about eight numbers.
+/// Divisor of a recording's points, because a calibration has about eight numbers.
 const CALIBRATION_SHARE: usize = 8;
 
-/// The estimated constants of each robot.
 pub(super) struct Calibrations {
     policy: RetentionPolicy,
     robots: BTreeMap<RobotId, RobotCalibration>,
@@ -132,12 +128,11 @@ pub(super) struct Calibrations {
     ignored: u64,
 }
 
-/// Those of one robot.
 struct RobotCalibration {
     rows: Vec<CalibrationRow>,
-    /// Each second of a recording; of a live session the current values.
+    /// Once a second for a recording; of a live session the current values.
     history: RetainedSeries<Vec<CalibrationRow>>,
-    /// Whether it has an estimate: only then it is shown.
+    /// Only robots with an estimate are shown.
     is_estimated: bool,
     has_changed: bool,
 }

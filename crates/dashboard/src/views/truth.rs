@@ -1,4 +1,4 @@
-//! The true poses of simulated robots, and the errors of their odometry and estimates.
+//! Ground truth of simulated robots, and the errors of their odometry and estimates.
 //!
 //! A sample names its robot, except where the station has one simulated brick: then it is of the first robot.
 
@@ -12,21 +12,20 @@ use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
 
-/// Most samples for comparison with estimates: twelve seconds at 20 Hz, and no estimate is later.
+/// Samples for comparison with estimates: twelve seconds at 20 Hz, and no estimate is later.
 const MAX_SAMPLES: usize = 256;
-/// Most estimates that wait for the sample after their instant, which comes within 50 ms.
+/// Estimates that wait for the sample after their instant, which comes within 50 ms.
 const MAX_WAITING_ESTIMATES: usize = 32;
-/// Between samples that are further apart the true position is unknown.
+/// The true position is unknown between samples that are further apart.
 const MAX_GAP: TimeDelta = TimeDelta::from_millis(1_000);
-/// After this time without a comparable estimate its error is unknown: the link or the robot is down.
+/// Without a comparable estimate for this long, its error is unknown: the link or the robot is down.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// The truth of each simulated robot, and the errors of its estimates and odometry.
 pub(super) struct Truth {
     policy: RetentionPolicy,
-    /// By the robot that the samples name.
+    /// Keyed by the robot in the samples.
     robots: BTreeMap<Option<RobotId>, RobotTruth>,
-    /// The first robot with an estimate: samples without a robot are of it.
+    /// The first robot with an estimate: samples without a robot belong to it.
     first: Option<RobotId>,
     /// Samples of robots beyond [`MAX_ROBOTS`].
     ignored: u64,
@@ -79,7 +78,6 @@ impl Truth {
     }
 }
 
-/// The truth of one robot.
 struct RobotTruth {
     points: RetainedSeries<TruthPoint>,
     scores: RetainedSeries<ScorePoint>,
@@ -89,16 +87,14 @@ struct RobotTruth {
     odometry_m: f64,
     estimate_m: f64,
     last_compared: Option<Timestamp<HostClock>>,
-    /// Estimates that were dropped because too many waited.
+    /// Dropped because too many waited.
     unscored: u64,
 }
 
-/// An estimate that waits for comparison.
 #[derive(Clone, Copy)]
 struct PendingEstimate {
-    /// When it was received.
     received: Timestamp<HostClock>,
-    /// The instant for which it holds.
+    /// The estimated instant.
     time: Timestamp<BrickClock>,
     position: Point2<Arena>,
     claim_m: Number,
@@ -144,7 +140,7 @@ impl RobotTruth {
         self.check_silence(sample.now);
     }
 
-    /// While no estimate can be compared, the line of the odometry goes on and that of the estimate has a gap.
+    /// While no estimate can be compared, the plot of the odometry error continues and that of the estimate has a gap.
     fn check_silence(&mut self, now: Timestamp<HostClock>) {
         if self.last_compared.is_none_or(|compared| now - compared <= MAX_SILENCE) {
             return;
@@ -185,8 +181,7 @@ impl RobotTruth {
         self.scores.push(estimated.received, score, PointPriority::Normal);
     }
 
-    /// The true position at an instant and the error of the odometry, interpolated linearly between the samples around
-    /// it.
+    /// True position and odometry error, interpolated linearly between samples.
     fn at(&self, stamp: Timestamp<BrickClock>) -> Option<(Point2<Arena>, Number)> {
         let after = self.samples.partition_point(|sample| sample.time < stamp);
         let next = self.samples.get(after)?;

@@ -1,4 +1,4 @@
-//! The interface of a view, and its inputs.
+//! The interface of a view.
 
 use posebridge_telemetry::{Address, Event, HostClock, LinkId, RobotId, Timestamp};
 
@@ -6,32 +6,26 @@ use super::retained_series::RetentionPolicy;
 use crate::feed::{SimulatedTruth, StationStatus};
 use crate::model::Frame;
 
-/// One input of a view.
+/// An event, truth sample or status for a view.
 #[derive(Clone, Copy, Debug)]
 pub enum ViewInput<'a> {
-    /// An event.
     Event(&'a Event),
-    /// A sample of the truth.
     Truth(&'a SimulatedTruth),
-    /// The current status.
     Status(&'a StationStatus),
 }
 
 /// The content of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameContent {
-    /// The updates.
     Delta,
-    /// The updates, and the data that is sent once a second.
+    /// Updates and the data that is sent once a second.
     DeltaAndSummary,
 }
 
-/// The configuration of a view.
+/// The links and the history length of a view.
 #[derive(Clone, Debug)]
 pub struct ViewConfig {
-    /// The URL of each link.
     pub links: Vec<String>,
-    /// The points retained for the history.
     pub retention: RetentionPolicy,
 }
 
@@ -44,27 +38,25 @@ impl ViewConfig {
 
 /// One panel's part of the messages.
 pub trait View: Send {
-    /// Handles an input at this instant.
     fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>);
 
-    /// Adds the updates since the last call to a message.
+    /// Adds the updates since the last call.
     fn add_updates(&mut self, frame: &mut Frame, content: FrameContent);
 
-    /// Adds the retained data to a history.
+    /// Adds the retained data.
     fn add_history(&self, history: &mut Frame);
 
-    /// The points dropped since the start.
+    /// Points dropped since the start.
     fn dropped(&self) -> u64 {
         0
     }
 }
 
-/// A robot as messages name it: link, system and component.
 pub fn robot_name(robot: RobotId) -> String {
     robot.path()
 }
 
-/// The robot that messages name so.
+/// Inverse of `robot_name`.
 pub fn parse_robot_name(name: &str) -> Option<RobotId> {
     let mut parts = name.split('/');
     let link = LinkId(parts.next()?.parse().ok()?);
