@@ -1,11 +1,11 @@
-//! What a run was worth: figures of merit, pictures, tables and pages over estimates, odometry, fixes and truth.
+//! Evaluation of runs: metrics, figures, tables and pages over estimates, odometry, fixes and truth.
 //!
-//! The program and the experiments give it what a run or a recording left behind; it gives back numbers ([`metrics`]), SVG text ([`chart`]),
-//! aligned plain text ([`tables`]) and HTML ([`page`]); a [`report::Report`] gives text, page and JSON from the same values. It reads no file, writes none, draws no random number, and holds no estimator: two
-//! calls with the same data give the same bytes.
+//! Input is the data of a run or a recording; output is numbers ([`metrics`]), SVG text ([`chart`]), aligned plain text ([`tables`])
+//! and HTML ([`page`]); a [`report::Report`] renders text, page and JSON from the same values. It does no IO, draws no random numbers
+//! and contains no estimator: two calls with the same data give the same bytes.
 //!
-//! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people.
-//! A value that is not finite is left out and counted, never averaged and never drawn.
+//! Everything is in the arena, in SI units and in brick time; millimetres and degrees appear only in text for people. Non-finite values
+//! are omitted and counted, never averaged and never drawn.
 //!
 //! ```
 //! use posebridge_report::metrics::{PoseError, summarise};

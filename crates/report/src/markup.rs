@@ -1,10 +1,10 @@
-//! Text inside markup: what SVG and HTML share.
+//! Escaping of text in SVG and HTML.
 //!
 //! Source: characters as in W3C, XML 1.0 (fifth edition), section 2.2; percent-encoding as in RFC 3986, section 2.
 
 use std::fmt;
 
-/// Text in which markup is harmless and characters that XML forbids are replaced.
+/// Escapes markup and replaces characters that XML forbids.
 pub(crate) struct Escaped<'a>(pub(crate) &'a str);
 
 impl fmt::Display for Escaped<'_> {

@@ -1,7 +1,6 @@
-//! The result of an experiment as one HTML file that needs nothing else: no server, no script, no font, no network.
+//! The result of an experiment as one self-contained HTML file: no server, script, font or network.
 //!
-//! Pictures are embedded as images of their own, or as elements of the page whose names have a prefix, so that the names inside two of
-//! them cannot meet.
+//! Pictures are embedded as images, or as elements of the page with prefixed ids, so that the ids of two of them cannot collide.
 //!
 //! ```
 //! use posebridge_report::page::{ReportBlock, ReportPage};
@@ -18,10 +17,10 @@ use super::chart::inline;
 use super::markup::{Escaped, PercentEncoded};
 use super::metrics::VerdictTone;
 
-/// Looks the same on paper; follows the reader's choice of light or dark; one column on a phone.
+/// Prints like the screen; follows the reader's light or dark mode; one column on a phone.
 ///
-/// The colours of embedded pictures are attributes for white paper, which the rules for the dark replace one by one: each keeps its hue
-/// and stays apart from the others for colour-blind readers.
+/// The colours of embedded pictures are attributes for white paper, which the dark rules replace one by one: each keeps its hue and
+/// stays distinguishable for colour-blind readers.
 const STYLE: &str = concat!(
     ":root{color-scheme:light dark;--ink:#222;--faint:#666;--paper:#fff;--line:#ddd;--block:#f5f5f5;",
     "--good:#00694c;--open:#555;--bad:#a84300}\n",
@@ -51,33 +50,31 @@ const STYLE: &str = concat!(
     "svg [stroke='#009E73']{stroke:#20c997}svg [fill='#009E73']{fill:#20c997}}",
 );
 
-/// A page.
+/// An HTML page as a list of blocks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReportPage {
     pub title: String,
-    /// What stands below, in order.
     pub blocks: Vec<ReportBlock>,
 }
 
-/// A part of a page. All text is plain; markup in it is shown as it is.
+/// A part of a page. All text is plain; markup in it is escaped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ReportBlock {
-    /// A headline within the page.
     Heading(String),
     Text(String),
-    /// Lines that keep their breaks and blanks: a command, a formula.
+    /// Keeps line breaks and spaces: a command, a formula.
     PreformattedText(String),
     List(Vec<String>),
-    /// A headline within what a [`Self::Heading`] begins.
+    /// A title below a [`Self::Heading`].
     Subheading(String),
-    /// What is to be thought of something: in a word, and why.
+    /// A rating in a word, with its reason.
     Verdict {
-        /// Decides the colour at the edge.
+        /// Colour of the edge.
         tone: VerdictTone,
         word: String,
         text: String,
     },
-    /// Pictures beside each other where there is room, as elements of the page: they follow its colours.
+    /// Pictures side by side where they fit, as elements of the page: they follow its colours.
     FigureGrid(Vec<ReportFigure>),
     /// Rows of text under a header.
     CodeTable {
@@ -85,13 +82,11 @@ pub enum ReportBlock {
         /// A row may be shorter than the header.
         rows: Vec<Vec<String>>,
     },
-    /// Rows under a header; the first column is to the left, all others to the right.
+    /// Rows under a header; the first column is left-aligned, the others right-aligned.
     Table {
-        /// The names of the columns.
         header: Vec<String>,
         rows: Vec<Vec<String>>,
     },
-    /// A picture.
     Figure {
         svg: String,
         caption: String,
@@ -101,14 +96,13 @@ pub enum ReportBlock {
 /// A picture with a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReportFigure {
-    /// Letters, digits and hyphens; different for each picture of a page. A file with the picture is called so.
+    /// Letters, digits and hyphens; unique on a page. Also the name of the picture's file.
     pub name: String,
     pub svg: String,
     pub caption: String,
 }
 
 impl ReportBlock {
-    /// A table of these columns.
     pub fn table(header: &[&str], rows: Vec<Vec<String>>) -> Self {
         Self::Table { header: header.iter().map(|name| (*name).to_owned()).collect(), rows }
     }

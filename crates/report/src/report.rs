@@ -1,6 +1,6 @@
-//! The result of a command, given once: text for a terminal, an HTML page and JSON come from the same values.
+//! The result of a command: text for a terminal, an HTML page and JSON, rendered from the same values.
 //!
-//! Values are in SI units. A [`Format`] says how people read them; JSON holds them as they are, under their keys, which are contracts.
+//! Values are in SI units. A [`Format`] defines their text; JSON contains them unchanged, under stable keys.
 //!
 //! ```
 //! use posebridge_report::report::{Format, Quantity, Report, Unit};
@@ -18,13 +18,13 @@ use super::page::{ReportBlock, ReportPage};
 use super::tables::{NO_VALUE, TextTable, three_digits};
 
 const LINE_WIDTH: usize = 80;
-/// What [`TextTable`] leaves between two columns.
+/// Between two columns of a [`TextTable`].
 const GUTTER_WIDTH: usize = 2;
 
-/// In which unit people read an SI value.
+/// Display unit of an SI value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
-    /// The SI unit or no unit at all, without a name.
+    /// The SI unit, or no unit, without a name.
     None,
     /// The value's own unit, with this name.
     Named(&'static str),
@@ -59,47 +59,44 @@ impl Unit {
         }
     }
 
-    /// The text of a value or a heading, and the unit behind it.
     fn append_to(self, text: &str) -> String {
         let name = self.name();
         if name.is_empty() { text.to_owned() } else { format!("{text} {name}") }
     }
 }
 
-/// How exactly people read a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Precision {
     Decimals(usize),
-    /// Three significant digits, for values that span decades.
+    /// For values over several decades.
     ThreeDigits,
 }
 
-/// How people read a value.
+/// Text format of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Format {
     unit: Unit,
     precision: Precision,
-    /// With a plus before what is not negative.
+    /// With a plus sign for values that are not negative.
     is_signed: bool,
 }
 
 impl Format {
-    /// With so many digits after the point.
+    /// `digits` after the point.
     pub const fn new(unit: Unit, digits: usize) -> Self {
         Self { unit, precision: Precision::Decimals(digits), is_signed: false }
     }
 
-    /// With three significant digits.
     pub const fn three_digits(unit: Unit) -> Self {
         Self { unit, precision: Precision::ThreeDigits, is_signed: false }
     }
 
-    /// The same with a plus before what is not negative.
+    /// Adds a plus sign to values that are not negative.
     pub const fn signed(self) -> Self {
         Self { is_signed: true, ..self }
     }
 
-    /// The number without its unit; a dash where there is none.
+    /// Without unit; a dash for `None`.
     pub fn number(self, value: Option<f64>) -> String {
         match (value.map(|value| value * self.unit.scale()), self.precision) {
             (None, _) => NO_VALUE.to_owned(),
@@ -109,7 +106,7 @@ impl Format {
         }
     }
 
-    /// The number and its standard deviation, if it has one, without their unit.
+    /// Number and standard deviation, without unit.
     fn uncertain_number(self, value: Option<f64>, sigma: Option<f64>) -> String {
         let number = self.number(value);
         match value.and(sigma) {
@@ -123,7 +120,7 @@ impl Format {
     }
 }
 
-/// A value with a name.
+/// A named value with unit and optional standard deviation.
 #[derive(Clone, Debug)]
 pub struct Quantity {
     key: &'static str,
@@ -134,22 +131,22 @@ pub struct Quantity {
 }
 
 impl Quantity {
-    /// A value for JSON under `key` and for people under `label`. An empty key leaves it out of JSON.
+    /// `key` is for JSON, `label` for the text. An empty key omits it from JSON.
     pub fn new(key: &'static str, label: impl Into<String>, value: f64, format: Format) -> Self {
         Self { key, label: label.into(), value: Some(value), sigma: None, format }
     }
 
-    /// One that may be missing: `null` in JSON and left out for people.
+    /// `None` is `null` in JSON and omitted from the text.
     pub fn optional(key: &'static str, label: impl Into<String>, value: Option<f64>, format: Format) -> Self {
         Self { key, label: label.into(), value, sigma: None, format }
     }
 
-    /// The same with its standard deviation: in JSON an object of `value` and `sigma`.
+    /// In JSON an object of `value` and `sigma`.
     pub fn with_sigma(self, sigma: f64) -> Self {
         Self { sigma: Some(sigma), ..self }
     }
 
-    /// What people read, without the label.
+    /// Without the label.
     fn text(&self) -> Option<String> {
         self.value?;
         Some(self.format.unit.append_to(&self.format.uncertain_number(self.value, self.sigma)))
@@ -171,14 +168,13 @@ enum Cell {
         value: Option<f64>,
         sigma: Option<f64>,
     },
-    /// For JSON alone.
+    /// Only in JSON.
     Data(Value),
 }
 
-/// A column over rows of type `R`.
 struct Column<'a, R> {
     key: &'static str,
-    /// What people read above it; a column without a heading is for JSON alone.
+    /// A column without a heading is only in JSON.
     heading: Option<String>,
     format: Format,
     cell: Box<dyn Fn(&R) -> Cell + 'a>,
@@ -206,8 +202,8 @@ impl<R> Column<'_, R> {
     }
 }
 
-/// A table: rows, and columns that say what of a row they show. A column's key is that of the row's JSON object; an empty one leaves the
-/// column out there.
+/// A table: rows, and columns that read a value from a row. A column's key is that of the row's JSON object; an empty key omits the
+/// column there.
 pub struct Table<'a, R> {
     rows: &'a [R],
     columns: Vec<Column<'a, R>>,
@@ -219,8 +215,8 @@ impl<'a, R> Table<'a, R> {
         Self { rows, columns: Vec::new(), labels: 1 }
     }
 
-    /// The same with so many leading columns that name a row, instead of one: text that is too wide for a terminal goes on below, and
-    /// repeats them.
+    /// Number of leading columns that identify a row (default 1): a text table too wide for a terminal continues below and repeats
+    /// them.
     pub fn labels(self, labels: usize) -> Self {
         Self { labels, ..self }
     }
@@ -229,12 +225,11 @@ impl<'a, R> Table<'a, R> {
         self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Text(value(row)))
     }
 
-    /// A column of whole numbers.
     pub fn count(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> usize + 'a) -> Self {
         self.optional_count(key, heading, move |row| Some(value(row)))
     }
 
-    /// A column of whole numbers; `None` is a dash for people and `null` in JSON.
+    /// Integers; `None` is a dash in text and `null` in JSON.
     pub fn optional_count(
         self,
         key: &'static str,
@@ -244,7 +239,7 @@ impl<'a, R> Table<'a, R> {
         self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Count(value(row)))
     }
 
-    /// A column of numbers in SI units; `None` is a dash for people and `null` in JSON.
+    /// Numbers in SI units; `None` is a dash in text and `null` in JSON.
     pub fn number(
         self,
         key: &'static str,
@@ -255,7 +250,7 @@ impl<'a, R> Table<'a, R> {
         self.column(key, Some(heading.into()), format, move |row| Cell::Number(value(row)))
     }
 
-    /// A column of numbers with their standard deviations; in JSON objects of `value` and `sigma`.
+    /// Numbers with standard deviations; in JSON objects of `value` and `sigma`.
     pub fn uncertain(
         self,
         key: &'static str,
@@ -268,7 +263,7 @@ impl<'a, R> Table<'a, R> {
         self.column(key, Some(heading.into()), format, cell)
     }
 
-    /// A column for JSON alone.
+    /// Only in JSON.
     pub fn data(self, key: &'static str, value: impl Fn(&R) -> Value + 'a) -> Self {
         self.column(key, None, Format::new(Unit::None, 0), move |row| Cell::Data(value(row)))
     }
@@ -294,7 +289,7 @@ impl<'a, R> Table<'a, R> {
         self.rows.iter().map(|row| shown().map(|column| column.text(row)).collect()).collect()
     }
 
-    /// The rows as an array of objects, for JSON that is nested otherwise than [`Report::table`] does it.
+    /// The rows as an array of objects, for JSON with another structure than that of [`Report::table`].
     pub fn json(&self) -> Value {
         let keyed = || self.columns.iter().filter(|column| !column.key.is_empty());
         let object = |row| keyed().map(|column| (column.key.to_owned(), column.json(row))).collect();
@@ -319,11 +314,11 @@ enum Section {
         text: String,
     },
     Code(String),
-    /// For the page alone.
+    /// Only in the page.
     Page(ReportBlock),
 }
 
-/// The result of a command.
+/// The result of a command, for terminal, page and JSON.
 #[derive(Clone, Debug)]
 pub struct Report {
     name: &'static str,
@@ -333,7 +328,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// A report without content. Its name is that of the command, with its words joined: files are called so.
+    /// `name` is the command's words joined; it also names files.
     pub fn new(name: &'static str, title: impl Into<String>) -> Self {
         Self { name, title: title.into(), sections: Vec::new(), json: Map::new() }
     }
@@ -351,7 +346,7 @@ impl Report {
         self.sections.push(Section::Paragraph(text.into()));
     }
 
-    /// Remarks, one per line.
+    /// One line each.
     pub fn list(&mut self, lines: impl IntoIterator<Item = String>) {
         let lines: Vec<String> = lines.into_iter().collect();
         if !lines.is_empty() {
@@ -359,7 +354,7 @@ impl Report {
         }
     }
 
-    /// Values, one per line.
+    /// One line each.
     pub fn values(&mut self, values: impl IntoIterator<Item = Quantity>) {
         let mut rows = Vec::new();
         for value in values {
@@ -373,7 +368,7 @@ impl Report {
         }
     }
 
-    /// A table; with a key that is not empty JSON has an array of its rows.
+    /// With a non-empty key JSON gets an array of the rows.
     pub fn table<R>(&mut self, key: &'static str, table: &Table<'_, R>) {
         self.sections.push(Section::Table { header: table.header(), rows: table.cells(), labels: table.labels });
         if !key.is_empty() {
@@ -381,52 +376,52 @@ impl Report {
         }
     }
 
-    /// What people should know before they trust the result.
+    /// A reservation about the result.
     pub fn warning(&mut self, text: impl Into<String>) {
         self.verdict(VerdictTone::Bad, "Warning:", text);
     }
 
-    /// What is to be thought of something: in a word, and why.
+    /// A rating in a word, with its reason.
     pub fn verdict(&mut self, tone: VerdictTone, word: impl Into<String>, text: impl Into<String>) {
         self.sections.push(Section::Verdict { tone, word: word.into(), text: text.into() });
     }
 
-    /// Lines that keep their breaks and blanks.
+    /// Keeps line breaks and spaces.
     pub fn code(&mut self, text: impl Into<String>) {
         self.sections.push(Section::Code(text.into()));
     }
 
-    /// A chart, for the page alone.
+    /// Only in the page.
     pub fn chart(&mut self, plot: &Plot, caption: impl Into<String>) {
         self.figure(render_plot(plot), caption);
     }
 
-    /// A whole SVG document, for the page alone.
+    /// A whole SVG document, only in the page.
     pub fn figure(&mut self, svg: String, caption: impl Into<String>) {
         self.page_only(ReportBlock::Figure { svg, caption: caption.into() });
     }
 
-    /// A paragraph that explains what is compared and why, for the page alone: whoever typed the command knows.
+    /// A paragraph about purpose and method, only in the page: the user of a terminal knows them.
     pub fn background(&mut self, text: impl Into<String>) {
         self.page_only(ReportBlock::Text(text.into()));
     }
 
-    /// The command line that gives the page again, for the page alone.
+    /// The command line that reproduces the page, only in the page.
     pub fn command(&mut self, text: impl Into<String>) {
         self.page_only(ReportBlock::PreformattedText(text.into()));
     }
 
-    /// A block for the page alone, where a terminal would drown in it.
+    /// A block that is too long for a terminal.
     pub fn page_only(&mut self, block: ReportBlock) {
         self.sections.push(Section::Page(block));
     }
 
-    /// A value for JSON alone.
+    /// Only in JSON.
     pub fn data(&mut self, key: &str, value: Value) {
         self.json.insert(key.to_owned(), value);
     }
 
-    /// Plain text for a terminal: the title, then what follows, with a line feed at the end.
+    /// Plain text for a terminal: the title, then the sections, with a line feed at the end.
     pub fn text(&self) -> String {
         let mut text = self.title.clone() + "\n";
         let mut above: Option<&Section> = None;
@@ -489,14 +484,14 @@ impl Section {
     }
 }
 
-/// Labels to the left, values behind them, both lined up on the left.
+/// Labels and values in two left-aligned columns.
 fn values_text(rows: &[[String; 2]]) -> String {
     let width = rows.iter().map(|[label, _]| label.chars().count()).max().unwrap_or(0);
     let lines = rows.iter().map(|[label, value]| format!("{label:<width$}  {value}\n"));
     lines.collect::<Vec<_>>().concat()
 }
 
-/// Columns for which a line has no room go on below, behind those that name the row.
+/// Columns that do not fit into a line continue below, after the columns that identify the row.
 fn table_text(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
     let all = || std::iter::once(header).chain(rows.iter().map(Vec::as_slice));
     let width = |column: usize| {
@@ -526,7 +521,7 @@ fn table_text(header: &[String], rows: &[Vec<String>], labels: usize) -> String 
     parts.iter().map(part_text).collect::<Vec<_>>().join("\n")
 }
 
-/// The text in lines that end at a blank; a longer word has a line of its own.
+/// Wraps at spaces; a longer word gets its own line.
 fn wrapped(text: &str) -> String {
     let mut lines = String::new();
     let mut column = 0;

@@ -1,7 +1,6 @@
-//! Plain-text tables for the end of a run and of a replay, and what other tables are made of.
+//! Plain-text tables of runs and replays, and their parts.
 //!
-//! People read millimetres and degrees; this is where the numbers become them. The tables are values: printing, colours
-//! and JSON belong to the program.
+//! Numbers are converted to millimetres and degrees here. The tables are values: printing, colours and JSON belong to the program.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,10 +9,8 @@ use posebridge_telemetry::TimeDelta;
 
 use super::metrics::{ErrorSummary, SourceTally};
 
-/// What stands in a cell without a value.
 pub const NO_VALUE: &str = "-";
 
-/// The value as `show` writes it, if there is one.
 fn or_no_value<T>(value: Option<T>, show: impl FnOnce(T) -> String) -> String {
     value.map_or_else(|| NO_VALUE.to_owned(), show)
 }
@@ -34,17 +31,17 @@ fn count_or_dash(value: Option<impl ToString>) -> String {
     or_no_value(value, |value| value.to_string())
 }
 
-/// One digit after the point; powers of ten where that would flood the column.
+/// One digit after the point; scientific notation where that would be too wide.
 fn number(value: f64) -> String {
     if value.abs() < 1e9 { format!("{value:.1}") } else { format!("{value:.3e}") }
 }
 
-/// Three significant digits where there are fewer before the point: these errors span five decades.
+/// Three significant digits, or all digits before the point: these errors span five decades.
 pub fn millimetres_three_digits(metres: Option<f64>) -> String {
     three_digits(metres.map(|metres| metres * 1e3))
 }
 
-/// Three significant digits; all that stand before the point, and powers of ten where that would flood a column.
+/// Three significant digits, or all digits before the point; scientific notation where that would be too wide.
 pub fn three_digits(value: Option<f64>) -> String {
     let Some(value) = value else {
         return NO_VALUE.to_owned();
@@ -71,12 +68,12 @@ impl TextTable {
         Self { rows: vec![header.into_iter().map(Into::into).collect()] }
     }
 
-    /// Adds a row below the others; what it lacks at its end stays blank.
+    /// Appends a row; missing cells at its end stay blank.
     pub fn push(&mut self, row: impl IntoIterator<Item = String>) {
         self.rows.push(row.into_iter().collect());
     }
 
-    /// The text, one line per row, each with a line feed and without trailing blanks.
+    /// One line per row, each with a line feed and without trailing spaces.
     pub fn render(&self) -> String {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let widths: Vec<usize> = (0..columns)
@@ -98,7 +95,7 @@ fn line(row: &[String], widths: &[usize]) -> String {
     line.trim_end().to_owned() + "\n"
 }
 
-/// One row of the table.
+/// A row of the accuracy table of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct RunRow<'a> {
     /// The source, for example "brick's own odometry" or "estimate".
@@ -106,8 +103,7 @@ pub struct RunRow<'a> {
     pub errors: &'a ErrorSummary,
 }
 
-/// The accuracy of each row in millimetres and degrees; the last column says how many times smaller the row's rms
-/// position error is than that of the first row.
+/// Accuracy of each row in millimetres and degrees; the last column is the ratio of the first row's rms position error to the row's.
 pub fn run_table(rows: &[RunRow<'_>]) -> String {
     let mut table = TextTable::new(["position error", "rms mm", "max mm", "end mm", "heading rms deg", "better by"]);
     let reference_m = rows.first().and_then(|row| row.errors.position_rms_m);
@@ -125,13 +121,13 @@ pub fn run_table(rows: &[RunRow<'_>]) -> String {
     table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
 }
 
-/// One of several robots of a run.
+/// A robot of a run with several.
 #[derive(Clone, Debug, Default)]
 pub struct RobotRow {
     pub label: String,
     pub observations: u64,
     pub estimates: u64,
-    /// Errors of its own odometry and of the estimates, where the truth is known.
+    /// Of its own odometry and of the estimates; `None` without truth.
     pub errors: Option<RobotErrors>,
 }
 
@@ -142,7 +138,6 @@ pub struct RobotErrors {
     pub estimate: ErrorSummary,
 }
 
-/// The table of a run with several robots.
 pub fn robots_table(rows: &[RobotRow]) -> String {
     let mut table = TextTable::new([
         "robot",
@@ -179,23 +174,23 @@ fn ratio(reference: Option<f64>, value: Option<f64>) -> String {
     }
 }
 
-/// One estimator of a comparison.
+/// An estimator in a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct EstimatorRow<'a> {
-    /// The estimator, as the configuration names it, or the run.
+    /// The estimator's name in the configuration, or the run.
     pub name: &'a str,
-    /// Its accuracy over one run, or the mean over several.
+    /// Over one run, or the mean over several.
     pub errors: &'a ErrorSummary,
-    /// Over how many independent runs; decides how far from 1 an honest ANEES may be.
+    /// Number of independent runs; determines the ANEES band.
     pub runs: u64,
 }
 
-/// Accuracy in millimetres and degrees, and the verdict on each estimator's own claims.
+/// Accuracy in millimetres and degrees, and the consistency of each estimator.
 pub fn estimator_table(rows: &[EstimatorRow<'_>]) -> String {
     accuracy_table("estimator", rows)
 }
 
-/// The same of one estimator, a row for each run.
+/// One estimator, with a row for each run.
 pub fn runs_table(rows: &[EstimatorRow<'_>]) -> String {
     accuracy_table("run", rows)
 }
@@ -219,7 +214,7 @@ fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
     table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
 }
 
-/// What became of the observations of each sensor, and whether the filter trusts it too much or too little.
+/// Fusion outcomes of each sensor, and whether its configured noise is too small or too large.
 pub fn source_table(tallies: &[SourceTally]) -> String {
     let headings = ["source"].into_iter().chain(SourceTally::COUNT_HEADINGS).chain(["NIS/dof", "the filter is"]);
     let mut table = TextTable::new(headings);
@@ -232,7 +227,7 @@ pub fn source_table(tallies: &[SourceTally]) -> String {
     table.render()
 }
 
-/// A line for each row that left something out; nothing when all was scored.
+/// A line for each row with omitted errors.
 fn footnotes<'a>(rows: impl Iterator<Item = (&'a str, &'a ErrorSummary)>) -> String {
     rows.flat_map(|(name, errors)| {
         [(errors.dropped, "not finite"), (errors.refused_covariances, "covariance not positive definite")]
@@ -243,25 +238,24 @@ fn footnotes<'a>(rows: impl Iterator<Item = (&'a str, &'a ErrorSummary)>) -> Str
     .collect()
 }
 
-/// One run, smoothed.
+/// A smoothed run.
 #[derive(Clone, Debug)]
 pub struct SmoothRow<'a> {
     pub run: &'a str,
-    /// The errors of the path; nothing without one.
+    /// Errors of the path; empty without one.
     pub errors: &'a ErrorSummary,
-    /// Fixes that the path stands on; `None` without a path, as in the next two.
+    /// `None` without a path, as in the next two.
     pub fixes_used: Option<usize>,
-    /// Fixes that it leaves out.
     pub fixes_left_out: Option<usize>,
-    /// Steps of the descent.
+    /// Iterations of the optimiser.
     pub iterations: Option<u32>,
     pub duration: TimeDelta,
-    /// Observations that it does not read, by the name of their sensor.
+    /// Observations that the smoother does not use, by sensor.
     pub unused_observations: &'a BTreeMap<&'static str, u64>,
     pub reason: Option<String>,
 }
 
-/// Accuracy in millimetres and degrees; below, the runs without a path and the sources that were not read.
+/// Accuracy in millimetres and degrees; below, the runs without a path and the unused sources.
 pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
     let mut table = TextTable::new([
         "smooth",

@@ -1,8 +1,7 @@
-//! A path through time: poses with stamps, and the pose between two of them.
+//! A path through time: timestamped poses and the interpolation between them.
 //!
-//! Truth, odometry and estimates come at different instants; to compare them, one of them must be asked for its pose at
-//! the other's stamps. A track answers only where it knows: not before its first sample, not after its last, and not
-//! inside a gap. It does not extrapolate, smooth or convert clocks.
+//! Truth, odometry and estimates have different timestamps; to compare two of them, one is interpolated at the other's timestamps. A
+//! track has poses only between its first and last sample, and not inside a gap. It does not extrapolate, smooth or convert clocks.
 
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::smoother::SmoothedPose;
@@ -11,7 +10,7 @@ use posebridge_telemetry::{
     Validity,
 };
 
-/// A pose and the instant for which it holds.
+/// A pose and its timestamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedPose {
     pub time: Timestamp<BrickClock>,
@@ -19,8 +18,8 @@ pub struct TimedPose {
 }
 
 impl TimedPose {
-    /// This pose as an estimate with a covariance, rows and columns as in [`Estimate::covariance`]: valid in position and heading;
-    /// of speeds, fixes and jumps it says nothing.
+    /// As an estimate with a covariance, rows and columns as in [`Estimate::covariance`]: valid in position and heading, without
+    /// speeds, fixes and corrections.
     pub const fn with_covariance(self, covariance: [[f64; 5]; 5]) -> Estimate {
         Estimate {
             stamp: self.time,
@@ -41,7 +40,7 @@ impl TimedPose {
     }
 }
 
-/// Poses in the order of their stamps, with interpolation between neighbours that are close enough in time.
+/// Poses sorted by timestamp, with interpolation between neighbours that are close enough in time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseTrack {
     samples: Vec<TimedPose>,
@@ -50,10 +49,10 @@ pub struct PoseTrack {
 }
 
 impl PoseTrack {
-    /// Sorts the samples by stamp. Samples that are not finite are dropped and counted; of several samples with one
-    /// stamp the last one given stands, because it was computed with the most knowledge.
+    /// Sorts the samples by timestamp. Non-finite samples are dropped and counted; of several samples with one timestamp the last one
+    /// given counts, because it was computed with the most information.
     ///
-    /// Between two samples further apart than `max_gap` the track is silent.
+    /// Samples further apart than `max_gap` form a gap without poses.
     pub fn new(samples: impl IntoIterator<Item = TimedPose>, max_gap: TimeDelta) -> Self {
         let mut dropped = 0;
         let mut samples: Vec<TimedPose> = samples
@@ -75,22 +74,20 @@ impl PoseTrack {
         Self { samples, max_gap, dropped }
     }
 
-    /// The samples, in the order of their stamps; no two share a stamp.
+    /// Sorted by timestamp; no two share one.
     pub fn samples(&self) -> &[TimedPose] {
         &self.samples
     }
 
-    /// How many samples were left out because they were not finite.
     pub fn dropped(&self) -> usize {
         self.dropped
     }
 
-    /// The stretches without a gap, in order.
     pub fn segments(&self) -> impl Iterator<Item = &[TimedPose]> {
         self.samples.chunk_by(|earlier, later| later.time - earlier.time <= self.max_gap)
     }
 
-    /// The pose at an instant: position on the straight line between the neighbours, heading the short way.
+    /// The pose at an instant: position interpolated linearly, heading the short way.
     ///
     /// `None` before the first sample, after the last, and strictly inside a gap.
     pub fn at(&self, stamp: Timestamp<BrickClock>) -> Option<Pose<Arena>> {
@@ -109,7 +106,7 @@ impl PoseTrack {
     }
 }
 
-/// The pose at `fraction` of the way, 0 at `from` and 1 at `to`.
+/// `fraction` is 0 at `from` and 1 at `to`.
 fn interpolate(from: Pose<Arena>, to: Pose<Arena>, fraction: f64) -> Pose<Arena> {
     // Weights instead of from + (to - from) * fraction: the difference of two huge coordinates may overflow.
     let blend = |a: Meters, b: Meters| Meters(a.0 * (1.0 - fraction) + b.0 * fraction);
@@ -127,27 +124,26 @@ fn interpolate(from: Pose<Arena>, to: Pose<Arena>, fraction: f64) -> Pose<Arena>
 // P(s) = (1 - s) P_k + s P_k+1                    as large as between its neighbours, not more: a gap in the motion does not show
 // ```
 
-/// Smoothed poses in the order of their stamps.
+/// Smoothed poses sorted by timestamp.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SmoothedPath {
     poses: Vec<SmoothedPose>,
 }
 
 impl SmoothedPath {
-    /// A path through these poses; they are sorted by stamp.
     pub fn new(mut poses: Vec<SmoothedPose>) -> Self {
         poses.sort_by_key(|pose| pose.stamp);
         Self { poses }
     }
 
-    /// The last instant that it knows; `None` for an empty path.
+    /// Last timestamp; `None` for an empty path.
     pub fn latest(&self) -> Option<Timestamp<BrickClock>> {
         Some(self.poses.last()?.stamp)
     }
 
-    /// The estimate for an instant; `None` before the first pose and after the last.
+    /// The estimate at an instant; `None` before the first pose and after the last.
     ///
-    /// It has no speeds, and says so.
+    /// Its speeds are marked invalid.
     pub fn at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
         let after = self.poses.partition_point(|pose| pose.stamp < time);
         let later = self.poses.get(after)?;
@@ -170,12 +166,10 @@ impl SmoothedPath {
         }))
     }
 
-    /// The estimates at its own stamps.
     pub fn estimates(&self) -> impl Iterator<Item = Estimate> {
         self.poses.iter().map(to_estimate)
     }
 
-    /// The poses at its own stamps.
     pub fn poses(&self) -> impl Iterator<Item = TimedPose> {
         self.poses.iter().map(timed_pose)
     }

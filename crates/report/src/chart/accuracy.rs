@@ -1,4 +1,4 @@
-//! Estimators against each other over many scenarios: one small panel per scenario, one line per estimator.
+//! Comparison of estimators over many scenarios: one small panel per scenario, one line per estimator.
 //!
 //! ```text
 //! dot       root mean square position error, on a logarithmic axis that all panels share
@@ -11,13 +11,13 @@ use super::axes::{BLUE, FAINT_INK, GRID, INK, PlotPanel, SKY_BLUE, Tick, VERMILL
 use super::svg::{Anchor, BACKGROUND, PixelPoint, Rect, Stroke, Svg, TextStyle};
 use crate::tables::{millimetres_three_digits, three_digits};
 
-/// One estimator in one scenario.
+/// True and claimed error of one estimator in one scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyMark {
     pub name: String,
-    /// Root mean square position error, in metres; `None` is drawn as nothing.
+    /// Root mean square position error; `None` is not drawn.
     pub rms_m: Option<f64>,
-    /// What it claims that to be, in metres.
+    /// Root mean square position error by the claimed covariance.
     pub claimed_m: Option<f64>,
     /// Average normalised estimation error squared over 3.
     pub anees: Option<f64>,
@@ -26,22 +26,21 @@ pub struct AccuracyMark {
 /// One scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyPanel {
-    /// Its name, and what else the panel's title says.
+    /// Scenario name and further text.
     pub title: String,
     pub marks: Vec<AccuracyMark>,
 }
 
-/// The whole picture.
+/// One panel per scenario with the errors of all estimators.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AccuracyChart {
     pub title: String,
-    /// Row by row, two in a row.
+    /// Row by row, two per row.
     pub panels: Vec<AccuracyPanel>,
 }
 
 const WIDTH_PX: f64 = 1200.0;
 const MARGIN_PX: f64 = 24.0;
-/// Title and legend.
 const HEAD_PX: f64 = 92.0;
 const COLUMNS: usize = 2;
 const COLUMN_PX: f64 = (WIDTH_PX - 2.0 * MARGIN_PX) / COLUMNS as f64;
@@ -49,19 +48,19 @@ const COLUMN_PX: f64 = (WIDTH_PX - 2.0 * MARGIN_PX) / COLUMNS as f64;
 const PANEL_HEAD_PX: f64 = 26.0;
 const PANEL_FOOT_PX: f64 = 40.0;
 const LINE_PX: f64 = 18.0;
-/// Left of the axis the names, right of it the numbers.
+/// Names left of the axis, numbers right of it.
 const NAMES_PX: f64 = 136.0;
 const NUMBERS_PX: f64 = 176.0;
 const NUMBER_PX: f64 = 54.0;
 
-/// Errors beyond these are drawn at the edge, as powers of ten of metres: 0.1 mm and 1 km.
+/// Axis limits as powers of ten of metres (0.1 mm and 1 km); errors beyond are drawn at the edge.
 const DECADES: ValueRange = ValueRange { low: -4.0, high: 3.0 };
 
 const TOO_SMALL: Stroke = Stroke::solid(VERMILLION, 2.4);
 const TOO_LARGE: Stroke = Stroke::solid(SKY_BLUE, 2.4);
 const CLAIM_OUTLINE: Stroke = Stroke::solid(INK, 1.2);
 
-/// Draws the picture; returns a whole SVG document.
+/// Returns a whole SVG document.
 pub fn render_accuracy_chart(chart: &AccuracyChart) -> String {
     let axis = decade_range(chart);
     let heights: Vec<f64> = chart
@@ -86,7 +85,7 @@ pub fn render_accuracy_chart(chart: &AccuracyChart) -> String {
     svg.finish()
 }
 
-/// The decades that hold every error and claim, at least two of them.
+/// The decades that contain every error and claim, at least two.
 fn decade_range(chart: &AccuracyChart) -> ValueRange {
     let marks = chart.panels.iter().flat_map(|panel| &panel.marks);
     let values = marks

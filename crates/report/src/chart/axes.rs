@@ -1,4 +1,4 @@
-//! What all figures are made of: the sheet, axes from data to pixels with grid and ticks, legends, colours.
+//! Common parts of all figures: the sheet, axes from data to pixels with grid and ticks, legends, colours.
 //!
 //! A logarithmic axis is a linear one whose data are logarithms.
 
@@ -7,13 +7,13 @@ use super::svg::{Anchor, BACKGROUND, PixelPoint, Rect, Stroke, Svg, TextStyle};
 const TICK_TEXT_PX: f64 = 12.0;
 const AXIS_TEXT_PX: f64 = 13.0;
 
-/// Room around the data on an equal-scale panel, as a share of the data's extent.
+/// Margin around the data on an equal-scale panel, relative to the data's extent.
 const MARGIN: f64 = 0.06;
 
-/// The least extent of an equal-scale panel, in metres: a robot at rest still gets a readable axis.
+/// Least extent of an equal-scale panel: a robot at rest still gets a readable axis.
 const MIN_EXTENT_M: f64 = 0.1;
 
-/// What an axis spans, in data units; `low` is below `high`.
+/// In data units; `low` is below `high`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ValueRange {
     pub(super) low: f64,
@@ -21,7 +21,7 @@ pub(super) struct ValueRange {
 }
 
 impl ValueRange {
-    /// The smallest range that holds all values; `None` of nothing.
+    /// The smallest range that contains all values; `None` without values.
     pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
         values.fold(None, |range: Option<Self>, value| {
             Some(range.map_or(Self { low: value, high: value }, |range| Self {
@@ -54,7 +54,7 @@ pub(super) struct Tick {
     pub(super) label: String,
 }
 
-/// Ticks at multiples of 1, 2 or 5 times a power of ten, about `wanted` of them.
+/// Ticks at multiples of 1, 2 or 5 times a power of ten, about `target_count` of them.
 pub(super) fn round_ticks(range: ValueRange, target_count: f64) -> Vec<Tick> {
     let raw = range.extent() / target_count;
     let power = raw.log10().floor();
@@ -77,7 +77,7 @@ pub(super) fn round_ticks(range: ValueRange, target_count: f64) -> Vec<Tick> {
         .collect()
 }
 
-/// A rectangle of the picture with a range along each side.
+/// A rectangle of the picture with a data range along each side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlotPanel {
     pub(super) area: Rect,
@@ -86,7 +86,7 @@ pub(super) struct PlotPanel {
 }
 
 impl PlotPanel {
-    /// A panel on which one metre is as long in x as in y, and which holds both ranges with a margin.
+    /// A panel with equal scales in x and y that contains both ranges with a margin.
     pub(super) fn equal_scale(area: Rect, x: ValueRange, y: ValueRange) -> Self {
         let stretch = 1.0 + 2.0 * MARGIN;
         let least_m = MIN_EXTENT_M / area.width.min(area.height);
@@ -100,7 +100,7 @@ impl PlotPanel {
         (self.area.left + along_x * self.area.width, self.area.bottom() - along_y * self.area.height)
     }
 
-    /// Grid lines and tick labels; drawn before the data.
+    /// Call before drawing the data.
     pub(super) fn draw_grid(&self, svg: &mut Svg, x_ticks: &[Tick], y_ticks: &[Tick]) {
         let style = |anchor| TextStyle { size_px: TICK_TEXT_PX, color: FAINT_INK, anchor, weight: 400 };
         for tick in x_ticks {
@@ -128,16 +128,16 @@ impl PlotPanel {
     }
 }
 
-/// Width of every figure, in pixels: what a page on a code host shows without shrinking.
+/// Width of every figure: what a page on a code host shows without shrinking.
 pub(super) const WIDTH_PX: f64 = 900.0;
 
-/// Left edge of everything, in pixels; leaves room for tick labels.
+/// Left edge of every panel; leaves room for tick labels.
 pub(super) const LEFT_PX: f64 = 72.0;
 
-/// Longer titles are cut, in characters; more do not fit.
+/// Longer titles are cut; more characters do not fit.
 const TITLE_CHARACTERS: usize = 72;
 
-/// An empty sheet with a title and a line of figures below it.
+/// An empty sheet with a title and a line of key figures below it.
 pub(super) fn open_sheet(title: &str, figures: &str, height_px: f64) -> Svg {
     let mut svg = Svg::new(WIDTH_PX, height_px, title);
     let heading = TextStyle { size_px: 19.0, color: INK, anchor: Anchor::Start, weight: 700 };
@@ -151,7 +151,6 @@ pub(super) fn close_figure(svg: Svg, height_px: f64, dropped: usize) -> String {
     close_at(svg, WIDTH_PX, height_px, dropped)
 }
 
-/// The same for a sheet of another width.
 pub(super) fn close_at(mut svg: Svg, width_px: f64, height_px: f64, dropped: usize) -> String {
     if dropped > 0 {
         let style = TextStyle { size_px: 12.0, color: FAINT_INK, anchor: Anchor::End, weight: 400 };
@@ -165,7 +164,7 @@ fn shorten_title(title: &str) -> String {
     truncate(title, TITLE_CHARACTERS)
 }
 
-/// A text of at most this number of characters; what is longer ends in an ellipsis.
+/// Longer texts end in an ellipsis.
 pub(super) fn truncate(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();
@@ -179,7 +178,7 @@ const SAMPLE_PX: f64 = 30.0;
 /// Between a sample and its text, and between two entries of a row.
 const TEXT_GAP_PX: f64 = 7.0;
 const ENTRY_GAP_PX: f64 = 18.0;
-/// Width of a character of 13 pixels, on average over Latin text in the figures' fonts.
+/// Mean width of a 13 pixel character of Latin text in the figures' fonts.
 const CHARACTER_PX: f64 = 6.6;
 
 #[derive(Clone, Copy, Debug)]
@@ -235,7 +234,7 @@ fn draw_sample(svg: &mut Svg, at: PixelPoint, mark: LegendMark) {
     }
 }
 
-/// Draws the entries from left to right, and in a new row where the next one has no room; returns the height of all rows.
+/// Draws the entries from left to right, with a line break where the next does not fit; returns the height of all rows.
 pub(super) fn draw_legend_rows(svg: &mut Svg, top_left: PixelPoint, width_px: f64, entries: &[LegendEntry]) -> f64 {
     let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
     for (entry, (right, down)) in entries.iter().zip(entry_positions(width_px, entries)) {
@@ -247,13 +246,13 @@ pub(super) fn draw_legend_rows(svg: &mut Svg, top_left: PixelPoint, width_px: f6
     legend_height_px(width_px, entries)
 }
 
-/// The height that [`draw_legend_rows`] takes.
+/// Height of [`draw_legend_rows`].
 pub(super) fn legend_height_px(width_px: f64, entries: &[LegendEntry]) -> f64 {
     let last = entry_positions(width_px, entries).last().copied();
     last.map_or(0.0, |(_, down)| down + ROW_PX / 2.0)
 }
 
-/// Where the entries stand, from the top left corner to the middle of their left edge.
+/// Positions of the entries, from the top left corner to the middle of their left edge.
 fn entry_positions(width_px: f64, entries: &[LegendEntry]) -> Vec<PixelPoint> {
     let (mut right, mut down) = (0.0, ROW_PX / 2.0);
     let place = |entry: &LegendEntry| {
@@ -303,11 +302,10 @@ pub(super) const ELLIPSE: Stroke = Stroke::solid(SKY_BLUE, 0.9);
 pub(super) const CLAIM: Stroke = Stroke::solid(SKY_BLUE, 1.1);
 pub(super) const REJECTED: Stroke = Stroke::solid(REDDISH_PURPLE, 1.6);
 pub(super) const LATE: Stroke = Stroke::solid(ORANGE, 1.4);
-/// Where something lies in 95 of 100 cases.
+/// The 95 % interval.
 pub(super) const EXPECTED: Stroke = Stroke::dashed(FAINT_INK, 1.1, "5 3");
 pub(super) const MEAN: Stroke = Stroke::solid(VERMILLION, 1.8);
 
-/// How much of the fill of an ellipse or a band covers what is under it.
 pub(super) const FILL_OPACITY: f64 = 0.25;
 
 #[cfg(test)]

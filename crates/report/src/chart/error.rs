@@ -3,8 +3,8 @@
 //! ```text
 //! error   distance between estimated and true position                     claim   2 sqrt(P_xx + P_yy)
 //! ```
-//! The claim is twice the distance root mean square; an honest estimate stays below it 95 to 98 % of the time, depending
-//! on how round its ellipse is. Below the panel's lowest decade an error lies on its edge.
+//! The claim is twice the distance root mean square; a consistent estimate stays below it 95 to 98 % of the time, depending on how
+//! round its ellipse is. Errors below the panel's lowest decade are drawn on its edge.
 
 use posebridge_telemetry::{Arena, BrickClock, Estimate, Pose, Timestamp};
 
@@ -21,17 +21,16 @@ const HEIGHT_PX: f64 = 420.0;
 
 const AREA: Rect = Rect { left: axes::LEFT_PX, top: 72.0, width: 590.0, height: 290.0 };
 
-/// The lowest and the highest decade that the axis may show, as powers of ten of metres: 0.1 mm and 1000 km.
+/// Limits of the axis as powers of ten of metres: 0.1 mm and 1000 km.
 const DECADES: ValueRange = ValueRange { low: -4.0, high: 6.0 };
 
-/// Decades on the axis at least, and at most.
 const MIN_DECADES: f64 = 2.0;
 const MAX_DECADES: f64 = 6.0;
 
-/// This share of the errors may lie below the axis: an error that crosses zero dips without bound on a logarithm.
+/// Share of the errors that may lie below the axis: an error that crosses zero has an unbounded logarithm.
 const BELOW_AXIS_SHARE: f64 = 0.02;
 
-/// Seconds and metres, in order of time, without a connection across a gap.
+/// Seconds and metres, in time order, split at gaps.
 type Series = Vec<Vec<(f64, f64)>>;
 
 pub(super) fn render(layers: &RunLayers<'_>) -> String {
@@ -40,7 +39,7 @@ pub(super) fn render(layers: &RunLayers<'_>) -> String {
     axes::close_figure(svg, HEIGHT_PX, dropped)
 }
 
-/// Draws the panel with its legend; returns how many values were left out.
+/// Draws the panel with its legend; returns the number of omitted values.
 pub(super) fn draw(svg: &mut Svg, area: Rect, legend_left_px: f64, layers: &RunLayers<'_>) -> usize {
     let curves = ErrorCurves::from_layers(layers);
     let panel = PlotPanel { area, x: curves.time_range(), y: curves.decade_range() };
@@ -164,7 +163,6 @@ fn claim_m(estimate: &Estimate) -> Option<f64> {
     (variances_sum.is_finite() && claim_m.is_finite()).then_some(claim_m)
 }
 
-/// Splits a series where a value is missing.
 fn connected(values: impl Iterator<Item = (f64, Option<f64>)>) -> Series {
     let mut parts = vec![Vec::new()];
     for (secs, value) in values {
@@ -204,7 +202,7 @@ fn decade_ticks(range: ValueRange) -> Vec<Tick> {
     decades.map(|decade| Tick { at: f64::from(decade), label: millimetres(decade + 3) }).collect()
 }
 
-/// A power of ten for people: plain while it is short.
+/// A power of ten as text: a plain number while it is short.
 fn millimetres(power: i32) -> String {
     match power {
         ..0 => format!("{:.1}", 10_f64.powi(power)),

@@ -1,5 +1,5 @@
-//! From the layers of a run to lines and dots that can be drawn: in metres, split at gaps, free of what is not finite. And to the head of
-//! its sheet.
+//! Converts the layers of a run to lines and dots that can be drawn: in metres, split at gaps, finite. Also draws the head of the
+//! sheet.
 
 use posebridge_telemetry::{Arena, BrickClock, Ellipse, Estimate, FusionOutcome, Point2, Timestamp};
 
@@ -8,30 +8,28 @@ use super::svg::{PixelPoint, Svg};
 use crate::metrics::{ErrorSummary, errors_of_estimates, errors_of_track, summarise};
 use crate::track::PoseTrack;
 
-/// Coordinates beyond this are left out, in metres: no arena is wider, and a diverged filter must not hide the rest.
+/// Coordinates beyond this are omitted: no arena is wider, and a diverged filter must not hide the rest.
 pub const MAX_COORDINATE_M: f64 = 1e6;
 
-/// A fix as the figures show it: where it was, and what the filter made of it.
+/// A fix with its fusion outcome, for figures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixMark {
-    /// The instant that it spoke of.
     pub time: Timestamp<BrickClock>,
     pub position: Point2<Arena>,
     pub verdict: FusionOutcome,
 }
 
-/// What one run left behind, as layers for the figures; any of them may be empty or `None`.
+/// The data of a run for figures; every layer may be empty or `None`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RunLayers<'a> {
-    /// The scenario or the recording, for people; any text.
+    /// Scenario or recording; any text.
     pub title: &'a str,
     pub ideal: &'a [Point2<Arena>],
-    /// Where the robot really was.
     pub truth: Option<&'a PoseTrack>,
     pub odometry: Option<&'a PoseTrack>,
-    /// The station's estimates, in the order of time.
+    /// In time order.
     pub estimates: &'a [Estimate],
-    /// Where it must have been, by everything that was observed, before and after.
+    /// The smoothed path: estimated from all observations, earlier and later.
     pub smoothed: Option<&'a PoseTrack>,
     pub fixes: &'a [FixMark],
 }
@@ -65,7 +63,7 @@ fn gain_text(odometry: &ErrorSummary, estimate: &ErrorSummary) -> Option<String>
     (ratio.is_finite() && ratio >= 1.0).then(|| format!("{ratio:.1} times better"))
 }
 
-/// A length for people: millimetres up to ten metres.
+/// Millimetres up to ten metres.
 fn length_text(length_m: f64) -> String {
     if length_m < 0.010 {
         format!("{:.1} mm", length_m * 1e3)
@@ -76,16 +74,15 @@ fn length_text(length_m: f64) -> String {
     }
 }
 
-/// Ellipses on one picture; more overlap into a ribbon that hides the lines.
+/// More ellipses overlap into a ribbon that hides the lines.
 const MAX_ELLIPSES: usize = 60;
 
 /// Standard deviations to the edge of an ellipse.
 pub(super) const SIGMAS: f64 = 2.0;
 
-/// Lines in metres, without a connection across a gap.
+/// In metres, split at gaps.
 pub(super) type Polylines = Vec<Vec<Point2<Arena>>>;
 
-/// What can be drawn of a run.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DrawableLayers {
     pub(super) ideal: Vec<Point2<Arena>>,
@@ -96,7 +93,7 @@ pub(super) struct DrawableLayers {
     pub(super) ellipses: Vec<Vec<Point2<Arena>>>,
     pub(super) used_fixes: Vec<Point2<Arena>>,
     pub(super) rejected_fixes: Vec<Point2<Arena>>,
-    /// Those of the refused ones that came too late.
+    /// Rejected because they were too late.
     pub(super) late_fixes: Vec<Point2<Arena>>,
     pub(super) dropped: usize,
 }
@@ -119,12 +116,12 @@ impl DrawableLayers {
         drawable
     }
 
-    /// Where the robot started: by the truth, else by the estimates.
+    /// Start position: by the truth, else by the estimates.
     pub(super) fn start(&self) -> Option<Point2<Arena>> {
         [&self.truth, &self.estimate, &self.odometry].into_iter().find_map(|lines| lines.first()?.first()).copied()
     }
 
-    /// What the panel must hold, x and y. Refused fixes may be anywhere and do not stretch it.
+    /// The x and y ranges of the panel. Rejected fixes may be anywhere and are not included.
     pub(super) fn bounds(&self) -> (ValueRange, ValueRange) {
         let lines = [&self.truth, &self.odometry, &self.estimate, &self.smoothed];
         let points: Vec<Point2<Arena>> =
@@ -158,7 +155,7 @@ impl DrawableLayers {
             .collect()
     }
 
-    /// A jump that is not motion ends a line, so that no stroke suggests a path which was never driven.
+    /// A correction jump ends a line, so that no stroke suggests a path which was never driven.
     fn estimate_lines(&mut self, estimates: &[Estimate]) -> Polylines {
         estimates
             .chunk_by(|a, b| a.reset_counter == b.reset_counter && a.validity.position == b.validity.position)
@@ -183,7 +180,7 @@ impl DrawableLayers {
     }
 }
 
-/// The 2-sigma ellipse of an estimate's position; `None` if its covariance has none.
+/// `None` if the covariance has no valid ellipse.
 pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
     let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
     Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS)
@@ -193,15 +190,15 @@ fn was_used(verdict: FusionOutcome) -> bool {
     matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset)
 }
 
-/// Whether a point is finite and not out of reach.
+/// Finite and within the coordinate limit.
 pub(super) fn is_drawable(point: Point2<Arena>) -> bool {
     point.x.0.abs() <= MAX_COORDINATE_M && point.y.0.abs() <= MAX_COORDINATE_M
 }
 
-/// Points closer than this to the last drawn one are skipped, in pixels.
+/// Points closer than this to the last drawn one are skipped.
 const NEAR_PX: f64 = 0.3;
 
-/// Drops points that lie within a third of a pixel of the last kept one; the first and the last always stay.
+/// Drops points closer than 0.3 pixels to the last kept one; the first and the last always stay.
 pub(super) fn downsample_path(points: &[PixelPoint]) -> Vec<PixelPoint> {
     let mut kept: Vec<PixelPoint> = Vec::new();
     for (index, point) in points.iter().enumerate() {
@@ -213,8 +210,8 @@ pub(super) fn downsample_path(points: &[PixelPoint]) -> Vec<PixelPoint> {
     kept
 }
 
-/// Keeps, of all points in one column of pixels, the first, the lowest, the highest and the last, in their order: peaks
-/// of a time series survive. The points must be ordered by x.
+/// Keeps the first, lowest, highest and last point of each pixel column, in order: peaks of a time series survive. The points must be
+/// sorted by x.
 pub(super) fn downsample_series(points: &[PixelPoint]) -> Vec<PixelPoint> {
     points.chunk_by(|a, b| a.0.floor() == b.0.floor()).flat_map(downsample_column).collect()
 }
@@ -232,10 +229,10 @@ fn downsample_column(column: &[PixelPoint]) -> Vec<PixelPoint> {
     kept.into_iter().map(|index| column[index]).collect()
 }
 
-/// Fewer points of a line. No removed point lies further than `tolerance_px` from the rest: corners and peaks stay, straight
-/// stretches need two points.
+/// Simplifies a line. No removed point lies further than `tolerance_px` from the rest: corners and peaks stay, straight stretches need
+/// two points.
 ///
-/// Pieces of [`PIECE`] points are simplified one by one, so that no line takes time that grows with its square.
+/// Chunks of `CHUNK_POINTS` points are simplified separately, because the run time grows with the square of their length.
 ///
 /// Source: Douglas and Peucker (1973), "Algorithms for the reduction of the number of points required to represent a digitized line".
 pub(super) fn downsample_by_deviation(points: &[PixelPoint], tolerance_px: f64) -> Vec<PixelPoint> {
@@ -250,10 +247,9 @@ pub(super) fn downsample_by_deviation(points: &[PixelPoint], tolerance_px: f64) 
     kept
 }
 
-/// Points that are simplified at a time.
 const CHUNK_POINTS: usize = 512;
 
-/// The first, the last, and those between them that are needed.
+/// The first, the last, and the points between them that are needed.
 fn simplify(points: &[PixelPoint], tolerance_px: f64) -> Vec<PixelPoint> {
     let last = points.len().saturating_sub(1);
     let mut needed = vec![false; points.len()];
@@ -274,7 +270,7 @@ fn simplify(points: &[PixelPoint], tolerance_px: f64) -> Vec<PixelPoint> {
     kept.filter_map(|(point, is_needed)| is_needed.then_some(*point)).collect()
 }
 
-/// The point that lies farthest from the straight stretch between two others, and how far; `None` if there is none between.
+/// The point farthest from the segment between two others, and its distance; `None` if there is none between.
 fn farthest_between(points: &[PixelPoint], from: usize, to: usize) -> Option<(usize, f64)> {
     let (start, end) = (*points.get(from)?, *points.get(to)?);
     let (along_x, along_y) = (end.0 - start.0, end.1 - start.1);

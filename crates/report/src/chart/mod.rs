@@ -1,9 +1,8 @@
-//! Pictures of a run, as SVG text.
+//! Figures of a run, as SVG text.
 //!
-//! A figure is a pure function from the layers of a run to a string. It writes no file, and it draws with its own small
-//! SVG writer at sub-pixel precision, because error ellipses of millimetres in an arena of metres are a pixel or two
-//! wide. Any layer may be missing; values that are not finite, or beyond [`MAX_COORDINATE_M`], are left out, counted
-//! and mentioned in the picture.
+//! A figure is a pure function from the layers of a run to a string. It writes no file, and it draws with its own small SVG writer at
+//! sub-pixel precision, because error ellipses of millimetres in an arena of metres are a pixel or two wide. Any layer may be missing;
+//! values that are not finite, or beyond [`MAX_COORDINATE_M`], are omitted, counted and mentioned in the picture.
 
 pub mod accuracy;
 mod axes;
@@ -21,16 +20,16 @@ pub use self::plot::{Axes, Curve, CurveShape, Plot, render_plot};
 pub use self::svg::inline;
 pub use posebridge_telemetry::Ellipse;
 
-/// A picture that the command line can name.
+/// A figure that the command line can select.
 #[derive(Clone, Copy, Debug)]
 pub struct Figure {
     pub name: &'static str,
     pub doc: &'static str,
-    /// Draws it; returns a whole SVG document.
+    /// Returns a whole SVG document.
     pub render: fn(&RunLayers<'_>) -> String,
 }
 
-/// Every figure. To add one: a file beside this one and an entry here.
+/// Adding one: a file in this folder and an entry here.
 pub const FIGURES: &[Figure] = &[
     Figure {
         name: "track",

@@ -1,6 +1,6 @@
-//! Curves over common axes, with a legend: the figure of an experiment that is not about one drive.
+//! Curves over common axes with a legend, for experiments that are not about one drive.
 //!
-//! One picture holds one or more panels below each other. Values that are not finite split a curve and are counted.
+//! A plot has one or more panels below each other. Non-finite values split a curve and are counted.
 
 use super::axes;
 use super::axes::{
@@ -10,18 +10,17 @@ use super::axes::{
 use super::layers::{MAX_COORDINATE_M, downsample_by_deviation, downsample_path, downsample_series};
 use super::svg::{PixelPoint, Rect, Stroke, Svg};
 
-/// Room above the first panel, for the title.
+/// Space above the first panel, for the title.
 const TOP_PX: f64 = 70.0;
-/// Room below each panel, for its ticks and the name of its axis.
+/// Space below each panel, for its ticks and the name of its axis.
 const FOOT_PX: f64 = 62.0;
 const PANEL_WIDTH_PX: f64 = 590.0;
-/// Room above and below the highest and the lowest value, as a share of what they span.
+/// Margin above and below the values, relative to their range.
 const MARGIN: f64 = 0.05;
-/// Ticks along an axis.
 const X_TICKS: f64 = 8.0;
 const Y_TICKS: f64 = 6.0;
 
-/// Strokes of the curves in their order, with the colours of their discs and fills; a later curve begins anew.
+/// Strokes of the curves in order, with the colours of their discs and fills; repeats for further curves.
 const STROKES: [Stroke; 7] = [
     Stroke::solid(BLACK, 2.0),
     Stroke::dashed(VERMILLION, 1.6, "9 2.5"),
@@ -32,12 +31,10 @@ const STROKES: [Stroke; 7] = [
     Stroke::solid(SKY_BLUE, 1.6),
 ];
 
-/// A picture of one or more panels.
+/// A figure of one or more panels below each other.
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
-    /// For people; any text.
     pub title: String,
-    /// A line below the title: the figures that count.
     pub key_figures: String,
     pub axes: Vec<Axes>,
 }
@@ -48,21 +45,21 @@ impl Plot {
     }
 }
 
-/// One panel.
+/// One panel of a plot: axes and curves.
 #[derive(Clone, Debug, Default)]
 pub struct Axes {
     pub(super) x_name: String,
     pub(super) y_name: String,
     pub(super) height_px: f64,
     pub(super) scaling: AxisScaling,
-    /// What the y axis spans; without it, what the curves span.
+    /// Range of the y axis; `None` for that of the curves.
     pub(super) y: Option<ValueRange>,
     /// Later ones are drawn over earlier ones.
     pub(super) curves: Vec<Curve>,
 }
 
 impl Axes {
-    /// A panel of this height. The names of the axes have their units, as in `time [s]`.
+    /// The names of the axes include their units, as in `time [s]`.
     pub fn new(
         x_name: impl Into<String>,
         y_name: impl Into<String>,
@@ -73,23 +70,23 @@ impl Axes {
         Self { x_name: x_name.into(), y_name: y_name.into(), height_px, curves, ..Self::default() }
     }
 
-    /// The same panel as a map: a unit is as long in x as in y.
+    /// Equal scales in x and y, as on a map.
     pub fn with_equal_scales(self) -> Self {
         Self { scaling: AxisScaling::Equal, ..self }
     }
 }
 
-/// Something that is drawn, with its name in the legend; an empty name has no entry in a narrow figure.
+/// A drawn shape with its name in the legend; an empty name has no entry in a narrow figure.
 #[derive(Clone, Debug)]
 pub struct Curve {
     pub(super) name: String,
     pub(super) shape: CurveShape,
-    /// Without it, that of its place in the list.
+    /// `None` for the stroke of its index.
     pub(super) stroke: Option<&'static Stroke>,
 }
 
 impl Curve {
-    /// A curve in the style of its place among the others.
+    /// A curve with the stroke of its index.
     pub fn new(name: impl Into<String>, shape: CurveShape) -> Self {
         Self { name: name.into(), shape, stroke: None }
     }
@@ -107,12 +104,12 @@ impl Curve {
     }
 }
 
-/// How a curve is drawn; all in the units of the axes.
+/// Coordinates are in the units of the axes.
 #[derive(Clone, Debug)]
 pub enum CurveShape {
     Line(Vec<(f64, f64)>),
     Dots(Vec<(f64, f64)>),
-    /// An area between two values at each place: x, lower, upper.
+    /// An area between two values: x, lower, upper.
     Band(Vec<(f64, f64, f64)>),
     Level(f64),
     Crosses(Vec<(f64, f64)>),
@@ -123,14 +120,14 @@ pub enum CurveShape {
     Specks(Vec<(f64, f64)>),
 }
 
-/// How lines are made shorter where more cannot be seen.
+/// How lines are thinned below the visible resolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CurveDownsampling {
-    /// By dropping what lies next to the last point.
+    /// Drops points next to the last kept one.
     Near,
-    /// By dropping what lies on the line between its neighbours: for paths on a map.
+    /// Drops points on the line between their neighbours: for paths on a map.
     Deviation,
-    /// By keeping the extremes of each column of pixels, and of those what does not lie on the line: for values over time.
+    /// Keeps the extremes of each pixel column, and of those the points off the line: for values over time.
     Series,
 }
 
@@ -143,7 +140,7 @@ impl CurveDownsampling {
         }
     }
 
-    /// An edge of an area; with [`Self::Near`] it stays as it is.
+    /// An edge of an area; [`Self::Near`] leaves it unchanged.
     fn downsample_edge(self, points: Vec<PixelPoint>) -> Vec<PixelPoint> {
         match self {
             Self::Near => points,
@@ -152,15 +149,14 @@ impl CurveDownsampling {
     }
 }
 
-/// A line that is off by less than this looks the same on any screen.
+/// A smaller deviation is invisible on any screen.
 const DEVIATION_PX: f64 = 0.12;
 
-/// The stroke of the curve with this place in a list.
 pub(super) const fn curve_stroke(index: usize) -> &'static Stroke {
     &STROKES[index % STROKES.len()]
 }
 
-/// Draws it; returns a whole SVG document.
+/// Returns a whole SVG document.
 pub fn render_plot(plot: &Plot) -> String {
     let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
     let height_px = TOP_PX + heights.sum::<f64>();
@@ -175,7 +171,7 @@ pub fn render_plot(plot: &Plot) -> String {
     axes::close_figure(svg, height_px, dropped)
 }
 
-/// Draws one panel with its legend; returns how many values were left out.
+/// Draws one panel with its legend; returns the number of omitted values.
 fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
     let panel = panel_of(area, axes);
     panel.draw_grid(svg, &round_ticks(panel.x, X_TICKS), &round_ticks(panel.y, Y_TICKS));
@@ -197,17 +193,15 @@ fn draw_axes(svg: &mut Svg, area: Rect, axes: &Axes) -> usize {
     dropped
 }
 
-/// How long a unit is along the two axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum AxisScaling {
-    /// The same, as on a map.
+    /// Equal scales, as on a map.
     Equal,
-    /// Each fills its side of the panel.
+    /// Each axis fills its side of the panel.
     #[default]
     Independent,
 }
 
-/// The panel that holds all shapes.
 pub(super) fn panel_of(area: Rect, axes: &Axes) -> PlotPanel {
     let corners: Vec<(f64, f64)> = axes.curves.iter().flat_map(|curve| corners(&curve.shape)).collect();
     let unit = ValueRange { low: 0.0, high: 1.0 };
@@ -220,7 +214,7 @@ pub(super) fn panel_of(area: Rect, axes: &Axes) -> PlotPanel {
     PlotPanel { area, x: with_margin(x, 0.0), y: with_margin(y, MARGIN) }
 }
 
-/// The range with a margin; one without extent is opened by its own size, or by one.
+/// Adds a margin; a range without extent is widened by its own size, or by one.
 pub(super) fn with_margin(range: ValueRange, margin: f64) -> ValueRange {
     let middle = f64::midpoint(range.low, range.high);
     if range.extent() > 0.0 {
@@ -229,7 +223,7 @@ pub(super) fn with_margin(range: ValueRange, margin: f64) -> ValueRange {
     ValueRange::around(middle, if middle == 0.0 { 1.0 } else { middle.abs() })
 }
 
-/// Every point that the panel has to hold. A level has no place along x and takes none; crosses mark what may lie anywhere.
+/// The points that the panel must contain. A level has no x and crosses may lie anywhere, so they add none.
 fn corners(shape: &CurveShape) -> Vec<(f64, f64)> {
     match shape {
         CurveShape::Line(points)
@@ -247,7 +241,7 @@ fn is_drawable(point: &(f64, f64)) -> bool {
     x.abs() <= MAX_COORDINATE_M && y.abs() <= MAX_COORDINATE_M
 }
 
-/// Draws one shape; returns how many values were left out.
+/// Draws one shape; returns the number of omitted values.
 pub(super) fn draw_shape(
     svg: &mut Svg,
     panel: &PlotPanel,
@@ -325,7 +319,6 @@ fn draw_band(
     places.iter().filter(|place| !is_drawn(place)).count()
 }
 
-/// How a shape is marked in a legend.
 pub(super) const fn legend_mark(stroke: &'static Stroke, shape: &CurveShape) -> LegendMark {
     match shape {
         CurveShape::Line(_) | CurveShape::Level(_) => LegendMark::Line(stroke),

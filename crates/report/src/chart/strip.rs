@@ -1,7 +1,7 @@
 //! Panels below each other on a narrow sheet, each with its legend above it: the figures of a report.
 //!
-//! A sheet is as wide as a phone can show with readable letters, and two of them stand side by side on a screen. Shapes, axes and
-//! colours are those of [`plot`](super::plot).
+//! A sheet is readable on a phone, and two of them fit side by side on a screen. Shapes, axes and colours are those of
+//! [`plot`](super::plot).
 
 use super::axes;
 use super::axes::{FAINT_INK, INK, LegendEntry, ValueRange, round_ticks};
@@ -12,20 +12,20 @@ use super::plot::{
 use super::svg::{Anchor, Rect, Stroke, Svg, TextStyle};
 
 const WIDTH_PX: f64 = 540.0;
-/// Room for the labels of the y axis and its name.
+/// Space for the labels of the y axis and its name.
 const LEFT_PX: f64 = 68.0;
 const RIGHT_PX: f64 = 14.0;
 const TOP_PX: f64 = 38.0;
 const LEGEND_GAP_PX: f64 = 6.0;
-/// Below a panel: labels of its ticks, and the name of its axis below the last one.
+/// Below a panel: tick labels, and the name of the axis below the last one.
 const TICKS_PX: f64 = 26.0;
 const NAME_PX: f64 = 32.0;
-/// Longer titles are cut, in characters; more do not fit.
+/// Longer titles are cut; more characters do not fit.
 const TITLE_CHARACTERS: usize = 58;
 const X_TICKS: f64 = 6.0;
 const Y_TICKS: f64 = 5.0;
 
-/// Draws the panels from top to bottom; returns a whole SVG document. All panels but maps have the same x axis.
+/// Draws the panels from top to bottom; returns a whole SVG document. All panels except maps have the same x axis.
 pub(super) fn render_strip(title: &str, panels: &[Axes]) -> String {
     let legends: Vec<Vec<LegendEntry>> = panels.iter().map(legend_entries).collect();
     let heights = panels.iter().zip(&legends).map(|(panel, entries)| {
@@ -64,7 +64,6 @@ fn legend_entries(panel: &Axes) -> Vec<LegendEntry> {
     named.map(|curve| LegendEntry::new(legend_mark(stroke_of(curve), &curve.shape), &curve.name)).collect()
 }
 
-/// What all panels that are no maps span along x.
 fn common_x(panels: &[Axes]) -> Option<ValueRange> {
     let over_time = panels.iter().filter(|panel| panel.scaling == AxisScaling::Independent);
     let nothing = Rect { left: 0.0, top: 0.0, width: 1.0, height: 1.0 };
@@ -75,7 +74,7 @@ fn common_x(panels: &[Axes]) -> Option<ValueRange> {
     ValueRange::of(ends.into_iter())
 }
 
-/// Whether a shape lies anywhere along x.
+/// Whether a shape has x coordinates.
 const fn has_points(shape: &CurveShape) -> bool {
     match shape {
         CurveShape::Line(points)
@@ -93,7 +92,7 @@ fn stroke_of(curve: &Curve) -> &'static Stroke {
     curve.stroke.unwrap_or(curve_stroke(0))
 }
 
-/// Returns how many values were left out.
+/// Returns the number of omitted values.
 fn draw_panel(svg: &mut Svg, area: Rect, panel: &Axes, common_x: Option<ValueRange>) -> usize {
     let mut axes = panel_of(area, panel);
     if panel.scaling == AxisScaling::Independent {

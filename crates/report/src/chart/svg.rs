@@ -1,7 +1,7 @@
-//! A writer for the little of SVG that the figures need.
+//! A writer for the subset of SVG that the figures need.
 //!
-//! Shapes in pixels, y downward, hundredths of a pixel. Text is escaped; a shape with a coordinate that is not finite is
-//! not written, so that no viewer ever meets a "NaN". It knows nothing of metres, panels or runs.
+//! Shapes in pixels, y downward, hundredths of a pixel. Text is escaped; a shape with a non-finite coordinate is omitted, so that no
+//! viewer meets a "NaN". It knows nothing of metres, panels or runs.
 //!
 //! Source: W3C, Scalable Vector Graphics 1.1 (second edition).
 
@@ -11,14 +11,13 @@ use std::fmt::Write as _;
 
 use crate::markup::Escaped;
 
-/// A point of the picture, in pixels from the top left.
+/// Pixels from the top left.
 pub(super) type PixelPoint = (f64, f64);
 
 pub(super) const BACKGROUND: &str = "#FFFFFF";
 
-/// Size of the cell that a small dot fills, in pixels.
+/// Size of the cell that a small dot fills.
 const SPECK_RADIUS_PX: f64 = 1.6;
-/// Where there are fewer of them than this, they are drawn larger.
 const FEW_SPECKS: usize = 400;
 const LARGE_SPECK_RADIUS_PX: f64 = 2.6;
 
@@ -66,7 +65,6 @@ impl fmt::Display for Stroke {
     }
 }
 
-/// Which point of a text stands at its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -89,7 +87,7 @@ pub(super) struct Svg {
 }
 
 impl Svg {
-    /// An empty picture on white paper; `title` is what a screen reader says.
+    /// An empty picture on white paper; screen readers read `title`.
     pub(super) fn new(width_px: f64, height_px: f64, title: &str) -> Self {
         let mut svg = Self { text: String::new(), clips: 0 };
         svg.write(format_args!(
@@ -118,7 +116,7 @@ impl Svg {
         self.polyline(&[from, to], stroke);
     }
 
-    /// An open line through all points; nothing for fewer than two.
+    /// An open line; nothing for fewer than two points.
     pub(super) fn polyline(&mut self, points: &[PixelPoint], stroke: &Stroke) {
         if points.len() > 1 && points.iter().all(is_finite) {
             let points = PointList(points);
@@ -128,7 +126,7 @@ impl Svg {
         }
     }
 
-    /// A closed shape; `opacity` is how much its fill covers, from 0 to 1.
+    /// `opacity` of the fill, 0 to 1.
     pub(super) fn polygon(&mut self, points: &[PixelPoint], fill: &str, opacity: f64, stroke: Option<&Stroke>) {
         if points.len() > 2 && points.iter().all(is_finite) {
             let points = PointList(points);
@@ -139,7 +137,7 @@ impl Svg {
         }
     }
 
-    /// A filled disc with an outline of its own.
+    /// A filled disc with an optional outline.
     pub(super) fn disc(&mut self, center: PixelPoint, radius_px: f64, fill: &str, stroke: Option<&Stroke>) {
         if is_finite(&center) {
             let outline = stroke.map(Stroke::to_string).unwrap_or_default();
@@ -150,8 +148,8 @@ impl Svg {
         }
     }
 
-    /// Many small dots: a dot fills a cell of [`SPECK_RADIUS_PX`], and cells above each other become one stroke, so that a hundred thousand
-    /// dots take no more room than the panel has cells.
+    /// Many small dots: a dot fills a cell of [`SPECK_RADIUS_PX`], and cells above each other become one stroke, so that the size of
+    /// the document is bounded by the number of cells.
     pub(super) fn specks(&mut self, points: &[PixelPoint], color: &str) {
         let cell = |px: f64| (px / SPECK_RADIUS_PX).floor() as i32;
         let cells: BTreeSet<(i32, i32)> =
@@ -186,13 +184,13 @@ impl Svg {
         self.write_text(at, style, text, "");
     }
 
-    /// Text that reads from bottom to top, for the axis on the left.
+    /// Text from bottom to top, for the left axis.
     pub(super) fn upright_text(&mut self, at: PixelPoint, style: &TextStyle, text: &str) {
         let turn = format!(" transform=\"rotate(-90 {:.2} {:.2})\"", at.0, at.1);
         self.write_text(at, style, text, &turn);
     }
 
-    /// What `draw` draws appears inside the rectangle only; `id` names the group in the document.
+    /// Clips what `draw` draws to the rectangle; `id` names the group in the document.
     pub(super) fn clip(&mut self, rect: &Rect, id: &str, draw: impl FnOnce(&mut Self)) {
         self.clips += 1;
         let clip = self.clips;
@@ -262,13 +260,13 @@ impl fmt::Display for PointList<'_> {
 // Several pictures in one page share its names, so each gets a prefix of its own. What only files need is left out. Colours stay
 // attributes, which a style sheet may replace.
 
-/// The namespace, which a page does not need and a reader may take for an address.
+/// Not needed inside a page, where a reader may take it for an address.
 const NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
 
-/// An SVG document of these figures as an element of a page; `prefix` is letters, digits and hyphens, and different for each picture
-/// of the page.
+/// Converts an SVG document of these figures to an element of a page; `prefix` consists of letters, digits and hyphens, and is unique
+/// on the page.
 ///
-/// Text in a picture is escaped and so holds no quotation mark: what is replaced here is always the figure's own markup.
+/// Text in a picture is escaped and contains no quotation mark: the replacements apply only to the figure's own markup.
 pub fn inline(svg: &str, prefix: &str) -> String {
     svg.replacen(NAMESPACE, "", 1)
         .replace(" id=\"", &format!(" id=\"{prefix}-"))

@@ -45,7 +45,6 @@ fn draw_map(svg: &mut Svg, map: &PlotPanel, drawable: &DrawableLayers) {
     map.draw_names(svg, "x [m]", "y [m]");
 }
 
-/// The detail, and a frame on the map around the place that it shows.
 fn draw_detail(svg: &mut Svg, map: &PlotPanel, detail: &PlotPanel, drawable: &DrawableLayers) {
     let (left, bottom) = map.to_pixels(detail.x.low, detail.y.low);
     let (right, top) = map.to_pixels(detail.x.high, detail.y.high);
@@ -94,7 +93,7 @@ fn draw_fixes(svg: &mut Svg, panel: &PlotPanel, drawable: &DrawableLayers) {
     }
 }
 
-/// The start, and a disc where each line ends, so that the end error can be seen.
+/// Marks the start and the end of each line, to show the end error.
 fn draw_start_and_end(svg: &mut Svg, panel: &PlotPanel, drawable: &DrawableLayers) {
     if let Some(start) = drawable.start() {
         draw_start(svg, panel.to_pixels(start.x.0, start.y.0));
@@ -115,7 +114,7 @@ fn to_pixels(panel: &PlotPanel, points: &[Point2<Arena>]) -> Vec<PixelPoint> {
     points.iter().map(|point| panel.to_pixels(point.x.0, point.y.0)).collect()
 }
 
-/// A row for each layer that is there.
+/// One entry for each layer present.
 fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
     let used = drawable.used_fixes.len();
     let refused = drawable.rejected_fixes.len();
@@ -140,19 +139,17 @@ fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
 // It looks at the place where the estimate is least sure of itself. It draws nothing itself; the map draws its layers
 // a second time through the detail's axes.
 
-/// The detail is this many times as wide as the longest half axis.
+/// Width of the detail in longest half axes.
 const HALF_AXES_ACROSS: f64 = 9.0;
 
-/// The least width of the detail, in metres.
 const MIN_WIDTH_M: f64 = 0.01;
 
-/// A detail that would show more than this share of the map magnifies nothing and is left out.
+/// A detail that shows more than this share of the map magnifies nothing and is omitted.
 const MAX_SHARE: f64 = 0.35;
 
-/// Ellipses in the detail.
 const MAX_ELLIPSES: usize = 14;
 
-/// The axes of the detail, around the widest ellipse; `None` where there is nothing to magnify.
+/// Axes of the detail, around the widest ellipse; `None` if there is nothing to magnify.
 fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<PlotPanel> {
     let (half_axis_m, center) = estimates
         .iter()
@@ -169,7 +166,7 @@ fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<P
     })
 }
 
-/// Ellipses whose centres lie inside the detail, evenly picked.
+/// Evenly selected ellipses whose centres lie inside the detail.
 fn detail_ellipses(detail: &PlotPanel, estimates: &[Estimate]) -> Vec<Vec<Point2<Arena>>> {
     let inside: Vec<&Estimate> = estimates
         .iter()

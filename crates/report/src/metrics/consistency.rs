@@ -1,8 +1,8 @@
-//! The verdict in words: does a filter know how good it is?
+//! Consistency tests of a filter: do its errors match its claimed covariance?
 //!
-//! A mean of chi-square variables, over its degrees of freedom, lies in a known band around 1 if the claims are honest.
-//! The band assumes independent samples. Runs with different seeds are independent; the errors at successive instants
-//! of one run are not, so a run counts once. Innovations of an honest filter are white and count singly.
+//! A mean of chi-square variables, over its degrees of freedom, lies in a known band around 1 if the claims are consistent. The band
+//! assumes independent samples. Runs with different seeds are independent; the errors at successive instants of one run are not, so a
+//! run counts once. Innovations of a consistent filter are white and count singly.
 //!
 //! Source: Bar-Shalom, Li, Kirubarajan (2001), section 5.4.2.
 
@@ -15,29 +15,29 @@ use posebridge_estimator::numerics::cholesky::{factorise, solve_lower};
 use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId};
 use thiserror::Error;
 
-/// Probability below the band, and above it: 95 % lie within.
+/// Below the band, and above it: 95 % lie within.
 const TAIL_PROBABILITY: f64 = 0.025;
 
 const POSE_DEGREES_OF_FREEDOM: u64 = 3;
 
-/// Where the mean normalised error of an honest filter lies with 95 % probability.
+/// The 95 % interval of the mean normalised error of a consistent filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyBand {
-    /// Lower end, below 1.
+    /// Below 1.
     pub low: f64,
-    /// Upper end, above 1.
+    /// Above 1.
     pub high: f64,
 }
 
 impl ConsistencyBand {
-    /// The band of a mean with this number of degrees of freedom in total; `None` without any.
+    /// `degrees_of_freedom` in total; `None` for zero.
     pub fn of_mean(degrees_of_freedom: u64) -> Option<Self> {
         let per_degree = |probability| chi_square_quantile(degrees_of_freedom, probability) / degrees_of_freedom as f64;
         (degrees_of_freedom > 0)
             .then(|| Self { low: per_degree(TAIL_PROBABILITY), high: per_degree(1.0 - TAIL_PROBABILITY) })
     }
 
-    /// The band of the ANEES of a planar pose over this number of independent runs; `None` without any.
+    /// For the ANEES of a planar pose over independent runs; `None` for zero runs.
     pub fn of_runs(runs: u64) -> Option<Self> {
         Self::of_mean(runs.checked_mul(POSE_DEGREES_OF_FREEDOM)?)
     }
@@ -55,22 +55,20 @@ impl ConsistencyBand {
     }
 }
 
-/// The verdict on the claims of a filter.
+/// Whether a filter's errors match its claims.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Consistency {
-    /// Errors are larger than claimed: the gate rejects good observations, and steering trusts too much.
+    /// Errors are larger than claimed: the gate rejects good observations, and steering trusts the estimate too much.
     OverConfident,
-    /// Errors are as claimed.
     Consistent,
-    /// Errors are smaller than claimed: the filter follows noisy observations more than it needs to.
+    /// Errors are smaller than claimed: the filter follows noisy observations more than necessary.
     UnderConfident,
-    /// No samples to test.
     Undetermined,
 }
 
 impl Consistency {
-    /// The verdict on an ANEES that was averaged over this number of independent runs. A covariance that could not be tested
-    /// makes the filter over-confident: it has claimed the impossible.
+    /// Tests an ANEES that was averaged over `runs` independent runs. A covariance that could not be tested counts as over-confident,
+    /// because it is impossible.
     pub fn of_anees(anees: &Anees, runs: u64) -> Self {
         if anees.refused > 0 {
             return Self::OverConfident;
@@ -112,28 +110,26 @@ impl fmt::Display for Consistency {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum NeesError {
-    /// The error or the covariance holds a value that is not finite.
     #[error("error or covariance is not finite; leave this sample out")]
     NotFinite,
-    /// The covariance is not positive definite.
     #[error(
         "covariance is not positive definite: pivot {pivot:e} in row {row}; the filter that claims it has broken down"
     )]
     NotPositiveDefinite {
         /// Row of the pivot: 0 x, 1 y, 2 heading.
         row: usize,
-        /// The pivot, which should be above zero.
+        /// Not positive.
         pivot: f64,
     },
 }
 
-/// The outcome over many samples.
+/// The normalised error over many samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Anees {
     /// Mean of e' P^-1 e / 3; `None` if no sample could be tested.
     pub value: Option<f64>,
     pub samples: usize,
-    /// Samples with a claim that could not be tested: not positive definite, or not finite.
+    /// Samples whose covariance is not positive definite or not finite.
     pub refused: usize,
 }
 
@@ -156,23 +152,21 @@ pub fn nees(error: [f64; 3], covariance: &[[f64; 3]; 3]) -> Result<f64, NeesErro
 // Works without truth, so it is the health of a real robot too. It reads the filter's records; it does not repeat the
 // gate's decision.
 
-/// What became of the observations of one sensor.
+/// Fusion outcomes of the observations of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceTally {
     pub sensor: SensorId,
-    /// Used by the filter, slip included.
+    /// Slip included.
     pub used: u64,
     /// Used, but the wheels slipped.
     pub slip: u64,
-    /// Further from the prediction than the gate allows.
     pub gated: u64,
-    /// Older than the oldest state that the filter keeps.
+    /// Older than the oldest state in the filter's history.
     pub too_old: u64,
-    /// Not finite, negative where it cannot be, or of zero duration.
+    /// Not finite, negative where that is impossible, or of zero duration.
     pub malformed: u64,
-    /// Counters that jumped to another base.
     pub rebased: u64,
-    /// Observations to which the estimate was moved.
+    /// Observations that reset the estimate.
     pub reset_to: u64,
     /// Of a kind that the filter does not use.
     pub unused: u64,
@@ -207,8 +201,7 @@ impl SourceTally {
         }
     }
 
-    /// Counts one record. Records of other sensors are the caller's mistake and are counted all the same; [`tally_sources`]
-    /// sorts them.
+    /// Counts one record. The caller selects the records of one sensor; [`tally_sources`] does it for many.
     pub fn add(&mut self, record: &FusionRecord) {
         match record.outcome {
             FusionOutcome::Accepted | FusionOutcome::Slip => {
@@ -241,8 +234,8 @@ impl SourceTally {
         self.degrees_of_freedom += other.degrees_of_freedom;
     }
 
-    /// Mean normalised innovation squared per degree of freedom of the used observations; `None` before the first that
-    /// was predicted. Gated ones are not in it, so with a gate at 99.9 % an honest sensor sits at 0.99 rather than 1.
+    /// Mean normalised innovation squared per degree of freedom of the used observations; `None` before the first prediction. Gated
+    /// ones are excluded, so with a gate at 99.9 % a consistent sensor has 0.99 rather than 1.
     pub fn mean_nis_per_dof(&self) -> Option<f64> {
         mean_per_degree(self.nis_sum, self.degrees_of_freedom)
     }
@@ -251,13 +244,13 @@ impl SourceTally {
         self.degrees_of_freedom
     }
 
-    /// The share of observations that the gate refused, among those that reached it; `None` if none did.
+    /// Share of rejected observations among those that reached the gate; `None` if none did.
     pub fn gated_share(&self) -> Option<f64> {
         let judged = self.used + self.gated;
         (judged > 0).then(|| self.gated as f64 / judged as f64)
     }
 
-    /// Whether the sensor's noise fits what the filter assumes.
+    /// Whether the sensor's noise matches the filter's configuration.
     pub fn consistency(&self) -> Consistency {
         let band = ConsistencyBand::of_mean(self.degrees_of_freedom);
         match (self.mean_nis_per_dof(), band) {
@@ -271,7 +264,7 @@ fn mean_per_degree(nis_sum: f64, degrees_of_freedom: u64) -> Option<f64> {
     (degrees_of_freedom > 0).then(|| nis_sum / degrees_of_freedom as f64)
 }
 
-/// Counts one record with its sensor; tallies stand in the order in which their sensors were heard first.
+/// Counts one record with its sensor; tallies are in the order of the sensors' first records.
 pub fn add_to_tallies(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
     let known = tallies.iter_mut().find(|tally| tally.sensor == record.sensor);
     if let Some(tally) = known {
@@ -283,7 +276,7 @@ pub fn add_to_tallies(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
     }
 }
 
-/// Adds a tally to that of its sensor; a new sensor comes last.
+/// Adds a tally to that of its sensor; a new sensor is appended.
 pub fn merge_tally(tallies: &mut Vec<SourceTally>, tally: &SourceTally) {
     match tallies.iter_mut().find(|known| known.sensor == tally.sensor) {
         Some(known) => known.merge(tally),
@@ -291,7 +284,7 @@ pub fn merge_tally(tallies: &mut Vec<SourceTally>, tally: &SourceTally) {
     }
 }
 
-/// One tally per sensor that occurs in the records, in the order of the sensor ids.
+/// One tally per sensor in the records, in the order of the sensor ids.
 pub fn tally_sources<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) -> Vec<SourceTally> {
     let mut tallies = BTreeMap::new();
     for record in records {
@@ -305,7 +298,7 @@ pub fn tally_sources<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) ->
 // A mean over the whole run says what it was like; over the last observations, what it is like. The verdict is that of
 // [`ConsistencyBand::of_mean`].
 
-/// Number of observations in the test: ten seconds of a brick at 20 Hz; the page tests as many.
+/// Ten seconds of a brick at 20 Hz; the dashboard page uses the same number.
 const WINDOW_SAMPLES: usize = 200;
 
 /// The latest normalised innovations squared of one source.
@@ -316,7 +309,7 @@ pub struct RecentNis {
 }
 
 impl RecentNis {
-    /// Takes the NIS of an observation that was used; one that is not finite or has no degrees of freedom says nothing.
+    /// Adds the NIS of a used observation; ignores one that is not finite or has no degrees of freedom.
     pub fn push(&mut self, nis: f64, degrees_of_freedom: u64) {
         if !nis.is_finite() || degrees_of_freedom == 0 {
             return;
@@ -327,14 +320,14 @@ impl RecentNis {
         self.latest.push_back((nis, degrees_of_freedom));
     }
 
-    /// Their sum per degree of freedom, 1 if the claims are honest; `None` without any.
+    /// 1 if the claims are consistent; `None` without samples.
     pub fn mean_per_degree(&self) -> Option<f64> {
         let degrees = self.degrees_of_freedom();
         let sum: f64 = self.latest.iter().map(|(nis, _)| nis).sum();
         (degrees > 0).then(|| sum / degrees as f64)
     }
 
-    /// Whether the mean lies in the 95 % band of honest claims.
+    /// Whether the mean lies in the 95 % band.
     pub fn consistency(&self) -> Consistency {
         let band = ConsistencyBand::of_mean(self.degrees_of_freedom());
         match (self.mean_per_degree(), band) {

@@ -1,7 +1,7 @@
 //! The error of a pose: estimated minus true, in the arena.
 //!
-//! All accuracy metrics eat this one type, whether the error is that of the estimate, of the brick's own odometry or of
-//! a foreign program. It holds the claimed covariance beside the error, because consistency can only be tested with both.
+//! All accuracy metrics use this type, for the estimate, the brick's own odometry and foreign programs. It holds the claimed covariance
+//! beside the error, because a consistency test needs both.
 
 use posebridge_estimator::numerics::statistics::{mean, root_mean_square};
 use posebridge_telemetry::{Arena, Estimate, Heading, Point2, Pose};
@@ -12,18 +12,18 @@ use crate::track::PoseTrack;
 /// Estimated minus true pose at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseError {
-    /// Along the arena's x, in metres.
+    /// Along the arena's x.
     pub dx_m: f64,
-    /// Along the arena's y, in metres.
+    /// Along the arena's y.
     pub dy_m: f64,
-    /// Heading the short way, in (-pi, pi]; `None` where one of the two has no heading.
+    /// In (-pi, pi]; `None` if one of the two poses has no heading.
     pub heading_rad: Option<f64>,
-    /// The claimed covariance of x, y and heading, in m², m rad and rad²; `None` where nothing was claimed.
+    /// Claimed covariance of x, y and heading, in m², m rad and rad²; `None` without a claim.
     pub covariance: Option<[[f64; 3]; 3]>,
 }
 
 impl PoseError {
-    /// The difference of two poses, without a claim.
+    /// Without a claimed covariance.
     pub fn between(estimated: Pose<Arena>, truth: Pose<Arena>) -> Self {
         Self {
             dx_m: estimated.x.0 - truth.x.0,
@@ -33,8 +33,7 @@ impl PoseError {
         }
     }
 
-    /// The error of an estimate, with the covariance that it claims. Where its heading is not valid, neither heading nor
-    /// covariance are tested.
+    /// With the claimed covariance. Without a valid heading neither heading nor covariance is tested.
     pub fn of_estimate(estimate: &Estimate, truth: Pose<Arena>) -> Self {
         let error = Self::between(estimate.pose, truth);
         if !estimate.validity.heading {
@@ -48,14 +47,13 @@ impl PoseError {
         self.dx_m.hypot(self.dy_m)
     }
 
-    /// Whether position and heading are numbers; the covariance is tested on its own.
+    /// Position and heading; the covariance is checked separately.
     pub fn is_finite(&self) -> bool {
         self.position_m().is_finite() && self.heading_rad.is_none_or(f64::is_finite)
     }
 }
 
-/// The errors of estimates, at their own stamps. Estimates without a valid position and instants at which the truth is
-/// silent are left out.
+/// Errors at the estimates' own timestamps. Estimates without a valid position and instants without truth are left out.
 pub fn errors_of_estimates(estimates: &[Estimate], truth: &PoseTrack) -> Vec<PoseError> {
     estimates
         .iter()
@@ -67,22 +65,22 @@ pub fn errors_of_estimates(estimates: &[Estimate], truth: &PoseTrack) -> Vec<Pos
         .collect()
 }
 
-/// The errors of a track that claims no covariance, such as the brick's own odometry, at its own stamps.
+/// Errors of a track without covariance, such as the brick's own odometry, at its own timestamps.
 pub fn errors_of_track(track: &PoseTrack, truth: &PoseTrack) -> Vec<PoseError> {
     track.samples().iter().filter_map(|sample| Some(PoseError::between(sample.pose, truth.at(sample.time)?))).collect()
 }
 
-/// Root mean square of the distances, in metres; errors that are not finite are left out.
+/// Non-finite errors are omitted.
 fn rms_m(errors: &[PoseError]) -> Option<f64> {
     root_mean_square(&distances_m(errors))
 }
 
-/// The largest distance, in metres; errors that are not finite are left out.
+/// Largest distance; non-finite errors are omitted.
 fn max_m(errors: &[PoseError]) -> Option<f64> {
     distances_m(errors).into_iter().reduce(f64::max)
 }
 
-/// The distance of the last error that is finite, in metres.
+/// Distance of the last finite error.
 fn end_m(errors: &[PoseError]) -> Option<f64> {
     distances_m(errors).last().copied()
 }
@@ -91,7 +89,7 @@ fn distances_m(errors: &[PoseError]) -> Vec<f64> {
     errors.iter().filter(|error| error.is_finite()).map(PoseError::position_m).collect()
 }
 
-/// Root mean square of the heading errors that are there, in radians; each is wrapped into (-pi, pi] first.
+/// Of the heading errors present; each is wrapped into (-pi, pi] first.
 fn heading_rms_rad(errors: &[PoseError]) -> Option<f64> {
     let turns_rad: Vec<f64> = errors
         .iter()
@@ -104,7 +102,7 @@ fn heading_rms_rad(errors: &[PoseError]) -> Option<f64> {
 
 const POSE_ROWS: usize = 3;
 
-/// The mean of the normalised errors over 3, over all samples that have a heading and a covariance.
+/// Mean of the normalised errors over 3, over all samples with heading and covariance.
 pub fn anees(errors: &[PoseError]) -> Anees {
     let mut sum = 0.0;
     let mut outcome = Anees::default();
@@ -127,36 +125,33 @@ pub fn anees(errors: &[PoseError]) -> Anees {
     outcome
 }
 
-/// The accuracy of one run, or the mean over several.
+/// Accuracy of one run, or the mean over several.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorSummary {
-    /// Errors that were scored.
     pub samples: usize,
-    /// Errors left out because they are not finite.
+    /// Omitted because they are not finite.
     pub dropped: usize,
-    /// Covariances that could not be tested: not positive definite, or not finite.
+    /// Covariances that are not positive definite or not finite.
     pub refused_covariances: usize,
-    /// Root mean square distance between estimated and true position, in metres.
+    /// Root mean square distance between estimated and true position.
     pub position_rms_m: Option<f64>,
-    /// Largest such distance, in metres.
     pub position_max_m: Option<f64>,
-    /// Such distance at the end of the run, in metres.
     pub position_end_m: Option<f64>,
-    /// Root mean square heading error, each the short way, in radians.
+    /// Root mean square of the wrapped heading errors.
     pub heading_rms_rad: Option<f64>,
-    /// Average normalised estimation error squared over 3; 1 is honest.
+    /// Average normalised estimation error squared over 3; 1 is consistent.
     pub anees: Option<f64>,
 }
 
 impl ErrorSummary {
-    /// The verdict on the claimed covariance over this number of independent runs (1 for a single run).
+    /// Tests the claimed covariance over independent runs (1 for a single run).
     pub fn consistency(&self, runs: u64) -> Consistency {
         let outcome = Anees { value: self.anees, samples: self.samples, refused: self.refused_covariances };
         Consistency::of_anees(&outcome, runs)
     }
 }
 
-/// The figures of one run; errors in the order of time.
+/// Errors must be in time order.
 pub fn summarise(errors: &[PoseError]) -> ErrorSummary {
     let samples = errors.iter().filter(|error| error.is_finite()).count();
     let honesty = anees(errors);
@@ -172,8 +167,7 @@ pub fn summarise(errors: &[PoseError]) -> ErrorSummary {
     }
 }
 
-/// Each figure averaged over the runs that have it (so `position_max_m` is the mean of the runs' maxima); the counts
-/// are summed.
+/// Averages each figure over the runs that have it (so `position_max_m` is the mean of the runs' maxima); the counts are summed.
 pub fn mean_over_runs(runs: &[ErrorSummary]) -> ErrorSummary {
     let mean = |figure: fn(&ErrorSummary) -> Option<f64>| mean(runs.iter().filter_map(figure));
     ErrorSummary {
@@ -193,12 +187,11 @@ pub fn mean_over_runs(runs: &[ErrorSummary]) -> ErrorSummary {
 // The distance goes to the nearest point of a polyline, whichever leg that is on. It says nothing about being early or
 // late along the path.
 
-/// How far positions lie from a path.
+/// Distances of positions from a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathError {
-    /// Positions that were scored.
     pub samples: usize,
-    /// Positions left out because they are not finite.
+    /// Omitted because they are not finite.
     pub dropped: usize,
     pub rms_m: Option<f64>,
     pub max_m: Option<f64>,
@@ -209,8 +202,8 @@ pub fn path_error(positions: &[Point2<Arena>], path: &[Point2<Arena>]) -> PathEr
     summarise_deviations(&deviations_from_path(positions, path))
 }
 
-/// The distance of each position from the nearest point of the polyline, in metres, in the order of the positions;
-/// NaN where the position is not finite or the path has no finite vertex. Vertices that are not finite are left out.
+/// Distance of each position from the nearest point of the polyline, in metres; NaN where the position is not finite or the path has no
+/// finite vertex. Non-finite vertices are ignored.
 fn deviations_from_path(positions: &[Point2<Arena>], path: &[Point2<Arena>]) -> Vec<f64> {
     let path: Vec<Point2<Arena>> = path.iter().copied().filter(is_finite).collect();
     positions.iter().map(|position| deviation_m(*position, &path).unwrap_or(f64::NAN)).collect()
@@ -242,7 +235,7 @@ fn deviation_m(position: Point2<Arena>, path: &[Point2<Arena>]) -> Option<f64> {
     Some(nearest_m)
 }
 
-/// The distance from a point to the nearest point of the leg from `a` to `b`.
+/// Distance from `point` to the segment from `a` to `b`.
 fn distance_to_leg_m(point: Point2<Arena>, a: Point2<Arena>, b: Point2<Arena>) -> f64 {
     let (leg_x, leg_y) = (b.x.0 - a.x.0, b.y.0 - a.y.0);
     let length_squared = leg_x * leg_x + leg_y * leg_y;

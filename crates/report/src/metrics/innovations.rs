@@ -1,7 +1,6 @@
-//! What the innovations of one sensor say of the filter's noise: are they as large as claimed, and is there a pattern left in them?
+//! Innovation tests of one sensor: are its innovations as large as claimed, and are they white?
 //!
-//! It is fed with the filter's records, in their order, and keeps sums only: a recording of days takes no more memory than one of
-//! minutes. It needs no truth.
+//! Input is the filter's records in order. Only sums are kept, so that memory does not grow with the recording. No truth is needed.
 //!
 //! # Model
 //! ```text
@@ -14,10 +13,10 @@
 //! ```
 //! Squares of a Gaussian sequence whose correlation at lag k is rho^k are correlated by rho^2k, which widens the spread of their mean
 //! by (1 + rho^2) / (1 - rho^2). With thousands of innovations the band is so narrow that no real sensor lies in it: a noise that is
-//! right within a tenth is called nearly consistent.
+//! correct within a tenth is called nearly consistent.
 //!
 //! # Assumptions
-//! Innovations of one sensor are Gaussian but for what the gate turns away, and their order is that of the records.
+//! Innovations of one sensor are Gaussian except for those that the gate rejects, and their order is that of the records.
 //!
 //! # Sources
 //! Bar-Shalom, Li, Kirubarajan (2001), section 5.4.2 (NIS, and the autocorrelation test for whiteness).
@@ -28,27 +27,27 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
 use super::consistency::{Consistency, ConsistencyBand};
 
-/// Fewer independent degrees of freedom than this are not enough for a verdict: their band reaches from half to 1.7.
+/// Fewer independent degrees of freedom do not suffice for a verdict: their band reaches from half to 1.7.
 const MIN_DEGREES: f64 = 20.0;
-/// The 97.5 % point of the standard normal distribution.
+/// 97.5 % quantile of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
-/// A deviation that is right within this share is right for all purposes.
+/// Relative error of a standard deviation that is good enough for all purposes.
 const NEARLY_CONSISTENT_MARGIN: f64 = 0.1;
-/// Weaker patterns than this are found in long recordings and mean nothing to a filter.
+/// Weaker correlations are significant in long recordings but irrelevant to a filter.
 const MIN_CORRELATION: f64 = 0.1;
-/// A gate that turns away more than this share says something of the sensor or of its noise; by chance it would be one in a thousand.
+/// A larger share of gated observations indicates a problem of the sensor or of its noise; by chance it would be 0.1 %.
 const MAX_GATED_SHARE: f64 = 0.05;
-/// What is kept of a correlation of 1: the mean then stands on next to nothing, but not on less.
+/// Upper limit of the correlation, so that the effective degrees of freedom stay positive.
 const MAX_CORRELATION: f64 = 0.999;
 
-/// Gathers the innovations of one sensor.
+/// Accumulates the innovations of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct InnovationTest {
     used: u64,
     gated: u64,
     nis_sum: f64,
     degrees_of_freedom: u64,
-    /// e of the record before, where it had one.
+    /// e of the previous record.
     last: Option<[Option<f64>; 3]>,
     pairs: u64,
     product_sum: f64,
@@ -56,7 +55,7 @@ pub struct InnovationTest {
 }
 
 impl InnovationTest {
-    /// Takes the next record of the sensor. Only used ones enter the mean, as in [`SourceTally`](super::SourceTally).
+    /// Adds the next record of the sensor. Only used ones enter the mean, as in [`SourceTally`](super::SourceTally).
     pub fn add(&mut self, record: &FusionRecord) {
         match record.outcome {
             FusionOutcome::Gated => self.gated += 1,
@@ -90,17 +89,16 @@ impl InnovationTest {
         self.last = Some(now);
     }
 
-    /// Mean NIS per degree of freedom; `None` before the first that was predicted.
+    /// `None` before the first prediction.
     pub fn mean_nis_per_dof(&self) -> Option<f64> {
         (self.degrees_of_freedom > 0).then(|| self.nis_sum / self.degrees_of_freedom as f64)
     }
 
-    /// On how many degrees of freedom the mean stands.
     pub const fn degrees_of_freedom(&self) -> u64 {
         self.degrees_of_freedom
     }
 
-    /// Correlation of successive innovations; `None` of fewer than two.
+    /// Correlation of successive innovations; `None` for fewer than two.
     pub fn correlation(&self) -> Option<f64> {
         let is_known = self.pairs > 0 && self.square_sum > 0.0;
         is_known.then(|| (self.product_sum / self.square_sum).clamp(-1.0, 1.0))
@@ -130,7 +128,7 @@ impl InnovationTest {
     }
 }
 
-/// Each component over its claimed standard deviation; `None` where there is no such component or no such deviation.
+/// Each component over its claimed standard deviation; `None` without component or deviation.
 fn normalised(record: &FusionRecord) -> [Option<f64>; 3] {
     let mut normalised = [None; 3];
     let components = normalised.iter_mut().zip(record.innovation).enumerate();
@@ -141,7 +139,7 @@ fn normalised(record: &FusionRecord) -> [Option<f64>; 3] {
     normalised
 }
 
-/// The claimed variance of a component of an innovation, SI units squared; 0 where there is none.
+/// Claimed variance of a component of an innovation, SI units squared; 0 for an absent component.
 pub(crate) fn variance(record: &FusionRecord, component: usize) -> f64 {
     let row = record.innovation_covariance.get(component);
     row.and_then(|row| row.get(component)).copied().unwrap_or(0.0)
@@ -159,23 +157,21 @@ fn classify_mean(mean: f64, band: ConsistencyBand) -> InnovationFinding {
     }
 }
 
-/// What the size of the innovations says.
+/// Innovations compared with their claimed size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InnovationFinding {
-    /// Nothing yet.
     TooFew,
-    /// They are as large as claimed.
+    /// As large as claimed.
     Consistent,
-    /// They are not, but so nearly that nothing needs to be done.
+    /// Deviates significantly, but too little to matter.
     NearlyConsistent,
-    /// They are larger.
+    /// Larger than claimed.
     OverConfident,
-    /// They are smaller.
+    /// Smaller than claimed.
     UnderConfident,
 }
 
 impl InnovationFinding {
-    /// In one word or two, as tables have it.
     pub const fn as_text(self) -> &'static str {
         match self {
             Self::TooFew => "too few to say",
@@ -187,41 +183,37 @@ impl InnovationFinding {
     }
 }
 
-/// How a reader should take a judgement.
+/// Rating of a verdict for the reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum VerdictTone {
-    /// As it should be.
     Good,
-    /// Nothing can be said.
     Inconclusive,
-    /// Something should be looked at.
     Bad,
 }
 
-/// What the innovations of one sensor say.
+/// The result of the innovation tests of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationVerdict {
     pub finding: InnovationFinding,
-    /// Mean NIS per degree of freedom; `None` if nothing was predicted.
+    /// `None` without predictions.
     pub mean_nis_per_dof: Option<f64>,
     pub degrees_of_freedom: u64,
-    /// Where it lies in 95 of 100 cases if the claims are honest; `None` of too few.
+    /// 95 % interval of the mean for consistent claims; `None` for too few innovations.
     pub band: Option<ConsistencyBand>,
     pub correlation: Option<f64>,
-    /// White innovations stay below this in 95 of 100 cases.
+    /// 95 % bound of the correlation of white innovations.
     pub correlation_bound: Option<f64>,
-    /// Share of the observations at the gate that it turned away.
+    /// Rejected share of the observations that reached the gate.
     pub gated_share: Option<f64>,
 }
 
 impl InnovationVerdict {
-    /// Whether successive innovations are more alike, or more unlike, than chance and usefulness allow.
+    /// Whether the correlation of successive innovations is significant and large enough to matter.
     pub fn has_correlation(&self) -> bool {
         let limit = self.correlation_bound.unwrap_or(1.0).max(MIN_CORRELATION);
         self.finding != InnovationFinding::TooFew && self.correlation.is_some_and(|rho| rho.abs() > limit)
     }
 
-    /// Whether the gate turned many away.
     pub fn has_many_gated(&self) -> bool {
         self.gated_share.is_some_and(|share| share > MAX_GATED_SHARE)
     }
@@ -239,7 +231,7 @@ impl InnovationVerdict {
 }
 
 impl fmt::Display for InnovationVerdict {
-    /// In plain words, with what to do.
+    /// In plain words, with a recommendation.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write_size(f, self)?;
         if let Some(rho) = self.correlation.filter(|_| self.has_correlation()) {

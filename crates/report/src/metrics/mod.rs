@@ -1,7 +1,7 @@
-//! Figures of merit of a run: how far off, how honest about it, and what each sensor contributed.
+//! Metrics of a run: accuracy, consistency, and the contribution of each sensor.
 //!
-//! The functions take plain errors and records. Nothing here prints, and nothing here tests a single observation: that is the
-//! filter's gate.
+//! The functions take plain errors and records. Nothing here prints, and nothing here tests single observations: the filter's gate
+//! does.
 
 pub mod consistency;
 pub mod error;

@@ -1,4 +1,4 @@
-//! The innovations of one sensor with their claimed deviation, and their NIS with where it is due.
+//! The innovations of one sensor with their claimed deviation, and their NIS with its expected band.
 //!
 //! # Model
 //! ```text
@@ -15,15 +15,15 @@ use crate::chart::plot::{Axes, Curve, CurveShape};
 use crate::chart::strip::render_strip;
 use crate::metrics::ConsistencyBand;
 
-/// Number of NIS values in an average: their band is a fifth wide to either side with two degrees of freedom.
+/// Number of NIS values in an average: with two degrees of freedom the band is ±20 % wide.
 const WINDOW_SAMPLES: usize = 50;
-/// The NIS axis ends a little above what one in a thousand passes.
+/// The NIS axis ends slightly above this quantile.
 const NIS_AXIS_QUANTILE: f64 = 0.999;
 const ABOVE_AXIS_FACTOR: f64 = 1.12;
 const HEIGHT_PX: f64 = 105.0;
 const NIS_HEIGHT_PX: f64 = 130.0;
 
-/// Draws it; returns a whole SVG document.
+/// Returns a whole SVG document.
 pub fn render_innovations(series: &InnovationSeries<'_>) -> String {
     let degrees = most_common_degrees(series.samples);
     let names = components(series.kind);
@@ -37,7 +37,7 @@ pub fn render_innovations(series: &InnovationSeries<'_>) -> String {
     render_strip(series.name, &panels)
 }
 
-/// The names of a kind's components with their units, and by what SI is multiplied.
+/// Names of a kind's components with display units, and the factors from SI.
 fn components(kind: &str) -> [(&'static str, f64); 3] {
     let degrees = 1f64.to_degrees();
     match kind {
@@ -50,7 +50,7 @@ fn components(kind: &str) -> [(&'static str, f64); 3] {
     }
 }
 
-/// The degrees of freedom that most samples have; 0 of none.
+/// The most common degrees of freedom; 0 without samples.
 fn most_common_degrees(samples: &[InnovationSample]) -> u8 {
     let count = |degrees: u8| {
         let has = |sample: &&InnovationSample| sample.degrees_of_freedom == degrees;
@@ -119,7 +119,7 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> Axes {
     panel("NIS / dof", NIS_HEIGHT_PX, Some(ValueRange { low: 0.0, high: top }), curves)
 }
 
-/// Mean NIS per degree of freedom of the used ones, over a window that ends at each.
+/// Mean NIS per degree of freedom of the used samples, over a window that ends at each.
 fn windowed_mean(samples: &[InnovationSample]) -> Vec<(f64, f64)> {
     let is_part =
         |sample: &&InnovationSample| sample.is_used && sample.degrees_of_freedom > 0 && sample.nis.is_finite();

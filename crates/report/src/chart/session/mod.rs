@@ -1,8 +1,7 @@
-//! The figures of a report: one session, or one run, over its time.
+//! The figures of a report: one session, or one run, over time.
 //!
-//! Each is a pure function from samples to a narrow SVG document (`strip`). Times are seconds since the session began,
-//! by the host's clock, so that all figures of a page and its list of events agree; units are SI and become millimetres and degrees
-//! on the axes.
+//! Each is a pure function from samples to a narrow SVG document (`strip`). Times are seconds since the session began, by the host's
+//! clock, so that all figures of a page and its list of events agree; units are SI and become millimetres and degrees on the axes.
 
 mod innovations;
 mod path;
@@ -19,24 +18,23 @@ use crate::track::PoseTrack;
 pub use self::innovations::render_innovations;
 pub use self::path::render_path;
 
-/// How far off an estimate was, and how far it claimed to be.
+/// Error of an estimate, and its claimed error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorSample {
-    /// When it was made, s.
     pub t_s: f64,
-    /// Distance of the estimated from the true position, m.
+    /// Distance between estimated and true position.
     pub position_m: f64,
-    /// Twice the distance root mean square that is claimed, m.
+    /// Twice the claimed distance root mean square.
     pub position_claim_m: f64,
-    /// Heading error, the short way, rad.
+    /// Wrapped.
     pub heading_rad: f64,
-    /// Twice the claimed standard deviation of the heading, rad.
+    /// Twice the claimed standard deviation.
     pub heading_claim_rad: f64,
 }
 
 impl ErrorSample {
-    /// How far an estimate that was made at `t_s` is from the truth at its own stamp; `None` where there is no truth, or its position
-    /// may not be used.
+    /// The error of an estimate made at `t_s`, against the truth at its own timestamp; `None` without truth, or if its position is
+    /// invalid.
     pub fn from_estimate(t_s: f64, estimate: &Estimate, truth: &PoseTrack) -> Option<Self> {
         let error = PoseError::of_estimate(estimate, truth.at(estimate.stamp)?);
         let sample = Self {
@@ -50,23 +48,23 @@ impl ErrorSample {
     }
 }
 
-/// One attempt to use an observation.
+/// One attempt to fuse an observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InnovationSample {
     pub t_s: f64,
     /// Observed minus predicted, SI units; unused components are zero.
     pub innovation: [f64; 3],
-    /// What is claimed of it, one standard deviation, SI units.
+    /// Claimed, one standard deviation, SI units.
     pub sigma: [f64; 3],
     pub nis: f64,
-    /// Its degrees of freedom; 0 where nothing was predicted.
+    /// 0 without a prediction.
     pub degrees_of_freedom: u8,
-    /// Whether it was used; else the gate turned it away.
+    /// False if the gate rejected it.
     pub is_used: bool,
 }
 
 impl InnovationSample {
-    /// What a filter's record says; `None` where the observation did not reach the gate, or nothing was predicted.
+    /// `None` if the observation did not reach the gate, or there was no prediction.
     pub fn from_record(t_s: f64, record: &FusionRecord) -> Option<Self> {
         let is_used = match record.outcome {
             FusionOutcome::Accepted | FusionOutcome::Slip => true,
@@ -91,11 +89,11 @@ impl InnovationSample {
     }
 }
 
-/// All attempts of one sensor.
+/// All fusion attempts of one sensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct InnovationSeries<'a> {
     pub name: &'a str,
-    /// The kind of its observations, as [`posebridge_telemetry::ObservationKind::kind`] names it.
+    /// As named by [`posebridge_telemetry::ObservationKind::kind`].
     pub kind: &'a str,
     pub samples: &'a [InnovationSample],
 }
@@ -104,7 +102,7 @@ pub struct InnovationSeries<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationSample {
     pub t_s: f64,
-    /// In the unit that its key ends in; a ratio without one.
+    /// In the unit of the key's suffix; a ratio without one.
     pub value: f64,
     /// One standard deviation.
     pub sigma: f64,
@@ -113,7 +111,7 @@ pub struct CalibrationSample {
 /// The estimates of one systematic error over time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CalibrationSeries<'a> {
-    /// Its key in the configuration.
+    /// Key in the configuration.
     pub key: &'a str,
     pub samples: &'a [CalibrationSample],
 }
@@ -122,7 +120,7 @@ pub struct CalibrationSeries<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkSample {
     pub t_s: f64,
-    /// Its counters since the session began.
+    /// Counters since the session began.
     pub health: LinkHealth,
 }
 
@@ -130,17 +128,17 @@ pub struct LinkSample {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSample {
     pub t_s: f64,
-    /// Brick time minus host time, s.
+    /// Brick time minus host time.
     pub offset_s: f64,
-    /// Rate of the brick's clock against the host's, minus one, parts per million.
+    /// Rate of the brick's clock relative to the host's, minus one.
     pub skew_ppm: f64,
-    /// How far the offset may be off, s.
+    /// Bound of the offset's error.
     pub uncertainty_s: f64,
-    /// Of the exchange that led to it, s.
+    /// Of the time exchange behind the alignment.
     pub round_trip_s: Option<f64>,
 }
 
-/// The unit of a number by the end of its key, as people read it, and by what SI is multiplied.
+/// The display unit of a number by the suffix of its key, and the factor from SI.
 ///
 /// `gyro_bias_rad_per_s` is shown in degrees per second, a length in millimetres, a time in milliseconds, a ratio in per cent.
 pub fn display_unit(key: &str) -> (&'static str, f64) {
@@ -157,10 +155,10 @@ pub fn display_unit(key: &str) -> (&'static str, f64) {
     }
 }
 
-/// This share of the values fits the axis; the rest may leave it, so that a moment at the start does not hide all that follows.
+/// Share of the values within the axis range, so that an initial transient does not compress the rest.
 const SHOWN_SHARE: f64 = 0.995;
 
-/// What nearly all sizes stay below, with a margin; `None` without any that is finite and not zero.
+/// The `SHOWN_SHARE` quantile of the absolute values with a margin; `None` without finite values other than zero.
 fn high_quantile(sizes: impl Iterator<Item = f64>) -> Option<f64> {
     let mut sizes: Vec<f64> = sizes.map(f64::abs).filter(|size| size.is_finite()).collect();
     sizes.sort_by(f64::total_cmp);
@@ -169,17 +167,17 @@ fn high_quantile(sizes: impl Iterator<Item = f64>) -> Option<f64> {
     Some(size * 1.15)
 }
 
-/// From zero up to what nearly all sizes stay below.
+/// From zero to that quantile.
 fn range_from_zero(sizes: impl Iterator<Item = f64>) -> Option<ValueRange> {
     high_quantile(sizes).map(|high| ValueRange { low: 0.0, high })
 }
 
-/// To both sides of zero.
+/// Symmetric about zero.
 fn symmetric_range(sizes: impl Iterator<Item = f64>) -> Option<ValueRange> {
     high_quantile(sizes).map(|high| ValueRange { low: -high, high })
 }
 
-/// A panel over the time, with what its y axis spans if that is not what the curves span.
+/// A panel over time; `y` is its range if it is not that of the curves.
 fn panel(y_name: &str, height_px: f64, y: Option<ValueRange>, curves: impl IntoIterator<Item = Curve>) -> Axes {
     Axes { y, ..Axes::new("time [s]", y_name, height_px, curves) }
 }
@@ -190,7 +188,7 @@ const LINK_PX: f64 = 92.0;
 const S_TO_MS: f64 = 1e3;
 const M_TO_MM: f64 = 1e3;
 
-/// Draws how the clock's offset changed, the skew and the uncertainty; returns a whole SVG document.
+/// Draws the change of the clock's offset, the skew and the uncertainty; returns a whole SVG document.
 pub fn render_clock(title: &str, samples: &[ClockSample]) -> String {
     // The change, because the offset itself is as large as the brick has been running.
     let first_s = samples.first().map_or(0.0, |first| first.offset_s);
@@ -242,7 +240,7 @@ pub fn render_errors(title: &str, samples: &[ErrorSample]) -> String {
     render_strip(title, &[position, heading])
 }
 
-/// A claim as a band, over it the error.
+/// A claim as a band, and the error over it.
 fn error_curves(claim: Vec<(f64, f64, f64)>, error: Vec<(f64, f64)>) -> [Curve; 2] {
     [
         Curve::new("its 2-sigma claim", CurveShape::Band(claim)).with_stroke(&CLAIM),
@@ -266,8 +264,7 @@ const ERROR_COUNTERS: [LinkCounter; 9] = [
 
 const GARBAGE_COUNTERS: [LinkCounter; 1] = [LinkCounter::GARBAGE_BYTES];
 
-/// Draws what came and left over a link, what went wrong, how long it took, and what waited; returns a whole SVG document. What never
-/// happened has no curve.
+/// Draws traffic, errors, latency and queue of a link; returns a whole SVG document. Counters that stay at zero have no curve.
 pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
     let mut panels = vec![rates("frames/s", &TRAFFIC_COUNTERS, samples)];
     for (name, counters) in [("per second", &ERROR_COUNTERS[..]), ("bytes/s", &GARBAGE_COUNTERS[..])] {
@@ -291,8 +288,8 @@ pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
     render_strip(title, &panels)
 }
 
-/// Counters only grow, so a rate is the difference of two of them over the time between; a frame that was missing and comes late is
-/// taken off its count, which is no negative loss.
+/// Rates of counters that only grow: differences over time. A missing frame that arrives late reduces its count, which is not a
+/// negative loss.
 fn rates(y_name: &str, counters: &[LinkCounter], samples: &[LinkSample]) -> Axes {
     let last = samples.last();
     let happened = |counter: &&LinkCounter| last.is_some_and(|last| (counter.read)(&last.health) > 0);

@@ -1,5 +1,4 @@
-//! The map of a run: truth, odometry, the estimate with the ellipses that hold the robot in 95 of 100 cases, and fixes by what became
-//! of them.
+//! The map of a run: truth, odometry, the estimate with its 95 % ellipses, and fixes by fusion outcome.
 
 use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 
@@ -9,7 +8,7 @@ use crate::chart::plot::{Axes, Curve, CurveShape};
 use crate::chart::strip::render_strip;
 use crate::chart::svg::Stroke;
 
-/// Half axes of the ellipse that holds 95 % of a planar normal distribution, in standard deviations: sqrt(-2 ln 0.05).
+/// Half axes of the 95 % ellipse of a planar normal distribution, in standard deviations: sqrt(-2 ln 0.05).
 const SIGMAS_95: f64 = 2.447_746_830_680_816;
 /// More ellipses overlap into a ribbon that hides the lines.
 const MAX_ELLIPSES: usize = 24;
@@ -18,7 +17,7 @@ const HEIGHT_PX: f64 = 430.0;
 const START: Stroke = Stroke::solid(INK, 2.2);
 const USED_FIX: Stroke = Stroke::solid(BLUISH_GREEN, 1.5);
 
-/// Draws it; returns a whole SVG document. Any layer may be missing; refused fixes do not stretch the map.
+/// Returns a whole SVG document. Any layer may be missing; rejected fixes do not stretch the map.
 pub fn render_path(layers: &RunLayers<'_>) -> String {
     let drawable = DrawableLayers::from_layers(layers);
     let mut curves = Vec::new();
