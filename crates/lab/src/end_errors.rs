@@ -1,6 +1,6 @@
-//! Where an estimate ends: errors in x and y at the end of a course, over many runs.
+//! End errors of estimates: errors in x and y at the end of a course, over many runs.
 //!
-//! A closed course is scored by its end point alone; that is what the source papers give.
+//! A closed course is scored by its end point alone, as in the source papers.
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
@@ -10,19 +10,19 @@ use posebridge_report::metrics::{PoseError, anees};
 
 use crate::uncertain_mean;
 
-/// The share of runs that a 95 % figure leaves below it.
+/// Quantile of the 95 % figures.
 const HIGH_QUANTILE: f64 = 0.95;
 
-/// An estimate over a course: its end error, and its estimated path.
+/// The result of a filter over a course: end error and estimated path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilteredDrive {
-    /// Estimated minus true at the end; `None` if there was no estimate.
+    /// Estimated minus true at the end; `None` without an estimate.
     pub end: Option<PoseError>,
-    /// x and y after each observation that moved it, m.
+    /// x and y after each observation that changed it.
     pub track_m: Vec<(f64, f64)>,
 }
 
-/// Runs a filter over a course that ends at `truth`.
+/// `truth` is the pose at the end of the course.
 pub fn run_filter<'a>(
     filter: &mut dyn Filter,
     observations: impl Iterator<Item = &'a Observation>,
@@ -46,21 +46,20 @@ pub fn run_filter<'a>(
 /// End errors over many runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EndErrorSummary {
-    /// Runs with an end.
     pub runs: usize,
-    /// Root mean square in x and y, m.
+    /// In x and y.
     pub rms_m: (f64, f64),
-    /// What 95 % of the runs stay below in x and y, without sign, m.
+    /// 95 % quantile of the absolute errors in x and y.
     pub p95_m: (f64, f64),
-    /// Median of the distance from the true end, m.
+    /// Of the distance from the true end.
     pub median_m: f64,
-    /// Runs within the limits in x and in y, and in both.
+    /// Runs within the limits in x, in y, and in both.
     pub within: (usize, usize, usize),
-    /// Mean of e' P^-1 e / 3 at the end; 1 if the claim is honest.
+    /// Mean of e' P^-1 e / 3 at the end; 1 is consistent.
     pub anees: Option<f64>,
 }
 
-/// Sums up ends; `limits_m` are those in x and y that count as within.
+/// `limits_m` are the limits in x and y for `EndErrorSummary::within`.
 pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndErrorSummary {
     let ends: Vec<PoseError> = ends.iter().flatten().copied().collect();
     let of = |value: &dyn Fn(&PoseError) -> f64| -> Vec<f64> { ends.iter().map(value).collect() };
@@ -81,7 +80,7 @@ pub fn summarise_ends(ends: &[Option<PoseError>], limits_m: (f64, f64)) -> EndEr
     }
 }
 
-/// In how many runs the first ends nearer to the truth than the second; who has no end is not near.
+/// Number of runs in which the first ends nearer to the truth than the second; a run without an end is not near.
 pub fn count_nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> usize {
     let pairs = ours.iter().zip(theirs);
     let wins = pairs.filter(|(ours, theirs)| match (ours, theirs) {
@@ -92,17 +91,16 @@ pub fn count_nearer(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) ->
     wins.count()
 }
 
-/// By how much the squared errors of one estimator are smaller than those of another, run by run.
+/// Difference of the squared errors of two estimators, run by run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairedDifference {
-    /// Mean of theirs less ours, in x and y, m²: more than zero if ours is nearer.
+    /// Mean of theirs minus ours, in x and y; positive if ours is nearer.
     pub mean_m2: (f64, f64),
-    /// One standard deviation of that mean, m².
     pub sigma_m2: (f64, f64),
 }
 
-/// Compares two estimators over the same runs. The luck of a run is in both, so that the difference is known far better than either
-/// error; `None` with fewer than two runs in which both have an end.
+/// Compares two estimators over the same runs. The random numbers of a run are common to both, so that the difference is known better
+/// than either error; `None` with fewer than two runs in which both have an end.
 pub fn paired_difference(ours: &[Option<PoseError>], theirs: &[Option<PoseError>]) -> Option<PairedDifference> {
     let pairs = ours.iter().zip(theirs);
     let both: Vec<(f64, f64)> = pairs

@@ -1,8 +1,7 @@
 //! The laboratory: experiments, calibration, identification and tuning, as pure functions over observations.
 //!
-//! The program reads recordings and simulates drives; these modules compute what follows from them and give back values, tables and
-//! pages of [`posebridge_report`]. They read no file and no clock, and draw no random number but by a given seed: two calls with the same
-//! data give the same bytes.
+//! The program reads recordings and simulates drives; these modules evaluate them and return values, tables and pages of
+//! [`posebridge_report`]. No IO, no clock, and random numbers only from a given seed: two calls with the same data give the same bytes.
 
 use posebridge_telemetry::UncertainValue;
 
@@ -19,7 +18,7 @@ mod test_support;
 pub mod tuning;
 pub mod wall;
 
-/// The mean of values, and the variance of one of them about it; `None` with fewer than two.
+/// Mean, and variance of a single value; `None` with fewer than two.
 fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -27,7 +26,7 @@ fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
     (values.len() > 1).then(|| (mean, squares / (count - 1.0)))
 }
 
-/// The mean of independent values with its standard deviation; `None` with fewer than two.
+/// Mean of independent values with its standard deviation; `None` with fewer than two.
 fn uncertain_mean(values: &[f64]) -> Option<UncertainValue> {
     let (value, variance) = mean_and_variance(values)?;
     Some(UncertainValue { value, sigma: (variance / values.len() as f64).sqrt() })

@@ -1,8 +1,8 @@
-//! A drive of a real robot: its start, its end, and the source of both.
+//! A drive of a real robot: start, end, and the source of both.
 //!
-//! A recording has no truth. What is known of its ends comes from a camera, whose fixes are then held back from the filters, or from
-//! the path: a closed path ends where it began. Gets observations as they were recorded; the experiments of the lab
-//! run their filters over the drive.
+//! A recording has no ground truth. The reference for its ends is a camera, whose fixes are then withheld from the filters, or the
+//! path: a closed path ends where it began. Input is observations as recorded; the experiments of the lab run their filters over the
+//! drive.
 //!
 //! # Model
 //! ```text
@@ -34,19 +34,18 @@ use super::end_errors::FilteredDrive;
 /// The reference for the end of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEndReference {
-    /// The fixes; no filter that is scored by them gets them.
+    /// The fixes; filters scored by them do not get them.
     Fixes,
-    /// The start: the path was closed.
+    /// The start, for a closed path.
     Start,
 }
 
-/// A drive.
+/// A recorded drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedDrive {
-    /// What was observed, in the order of the stamps; observations that are not finite are left out, accelerations have their zero.
+    /// Sorted by timestamp; non-finite observations are omitted, accelerations are zeroed.
     pub observations: Vec<Observation>,
     pub start: StartPose,
-    /// Who knows where it ends.
     pub end_reference: DriveEndReference,
     pub end_time: Timestamp<BrickClock>,
     pub end: Point2<Arena>,
@@ -54,7 +53,7 @@ pub struct RecordedDrive {
 }
 
 impl RecordedDrive {
-    /// Sorts what was observed and finds the ends; without `judge` the fixes are the reference if there is one.
+    /// Sorts the observations and finds the ends; without `end_reference` the fixes are the reference if there are any.
     pub fn new(
         observations: &[Observation],
         config: &FilterConfig,
@@ -112,19 +111,17 @@ impl RecordedDrive {
         FilteredDrive { end, track_m: way_m }
     }
 
-    /// Where the fixes saw mid-axle, m.
     pub fn fix_positions_m(&self) -> Vec<(f64, f64)> {
         let places = fixes(&self.observations).map(|(_, fix)| mid_axle_position(fix));
         places.map(|place| (place.x.0, place.y.0)).collect()
     }
 
-    /// Whether a sensor of this kind was heard.
     pub fn contains(&self, kind: impl Fn(&ObservationKind) -> bool) -> bool {
         self.observations.iter().any(|one| kind(&one.measurement))
     }
 }
 
-/// Where a fix saw mid-axle; the tag itself where the fix has no heading.
+/// Mid-axle position by a fix; that of the tag if the fix has no heading.
 pub(crate) fn mid_axle_position(fix: &Fix) -> Point2<Arena> {
     let Some(heading) = fix.heading else {
         return fix.position;
@@ -142,7 +139,7 @@ pub(crate) fn fixes(observations: &[Observation]) -> impl Iterator<Item = (Times
     })
 }
 
-/// The wheels' rotations, left and right, with their stamps, in rad.
+/// Rotations of the left and right wheel with their timestamps, in rad.
 pub(crate) fn wheels(observations: &[Observation]) -> impl Iterator<Item = (Timestamp<BrickClock>, [f64; 2])> {
     observations.iter().filter_map(|observation| {
         let ObservationKind::WheelAngles { left, right } = observation.measurement else {
@@ -152,18 +149,18 @@ pub(crate) fn wheels(observations: &[Observation]) -> impl Iterator<Item = (Time
     })
 }
 
-/// How the body moved while the wheels turned from one reading to another.
+/// Body motion between two wheel readings.
 pub(crate) fn moved(from: [f64; 2], to: [f64; 2], geometry: &DriveGeometry) -> BodyStep {
     rolled_step([0, 1].map(|side: usize| to[side] - from[side]), geometry)
 }
 
-/// How the body moves when the wheels turn by these angles, left and right, rad; of rates in rad/s its speeds.
+/// Body motion when the wheels turn by these angles, left and right, rad; for rates in rad/s its speeds.
 pub(crate) fn rolled_step([left, right]: [f64; 2], geometry: &DriveGeometry) -> BodyStep {
     let (left_m, right_m) = (geometry.left_wheel_radius.0 * left, geometry.right_wheel_radius.0 * right);
     body_step(WheelTravel { left_m, right_m }, geometry)
 }
 
-/// What came through a wire may be anything; the filters would refuse it one by one, the mean of a start could not.
+/// Received numbers may be non-finite; a filter would reject them one by one, the mean of a start could not.
 fn is_finite(observation: &Observation) -> bool {
     match &observation.measurement {
         ObservationKind::WheelAngles { left, right } => left.0.is_finite() && right.0.is_finite(),
@@ -184,14 +181,14 @@ fn is_finite(observation: &Observation) -> bool {
     }
 }
 
-/// The chord that gives a heading is at least this long: fixes of 5 mm then determine it to two degrees.
+/// Minimum chord for a heading: fixes of 5 mm then determine it to two degrees.
 const CHORD_M: f64 = 0.2;
-/// Fewer readings at rest than this do not make a zero; a second at 20 Hz.
+/// Minimum readings at rest for a zero: a second at 20 Hz.
 const MIN_REST_FIXES: usize = 20;
-/// What a start is known to that is the arena's origin by definition, m and rad.
+/// Sigma of a start that is the arena's origin by definition, m and rad.
 const EXACT_START_SIGMA: f64 = 1e-4;
 
-/// Why observations are no drive.
+/// Why observations are not a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriveError {
@@ -209,7 +206,7 @@ pub enum DriveError {
     NoHeading,
 }
 
-/// The last instant before the wheels turn, and the first one at which they have turned for the last time.
+/// The last instant before the wheels turn, and the first after their last rotation.
 fn moving_interval(observations: &[Observation]) -> Result<(Timestamp<BrickClock>, Timestamp<BrickClock>), DriveError> {
     let readings: Vec<_> = wheels(observations).collect();
     let (Some(first), Some(last)) = (readings.first(), readings.last()) else {
@@ -226,7 +223,7 @@ fn moving_interval(observations: &[Observation]) -> Result<(Timestamp<BrickClock
     }
 }
 
-/// What a robot's owner does before a drive: the accelerometers' readings at rest are their zero.
+/// Subtracts the mean of the accelerometers at rest, as a user would calibrate them before a drive.
 fn zero_accelerations(observations: &mut [Observation], stands_until: Timestamp<BrickClock>) {
     let standing = observations.iter().filter(|one| one.stamp <= stands_until);
     let felt: Vec<[f64; 2]> = standing.filter_map(accelerations).collect();
@@ -250,7 +247,7 @@ fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
     Some([left.0, right.0])
 }
 
-/// Where the drive begins; takes away what was observed before it was known where the robot is.
+/// Start pose; removes observations before the pose is known.
 fn start_pose(
     observations: &mut Vec<Observation>,
     stands_until: Timestamp<BrickClock>,
@@ -294,7 +291,7 @@ fn start_pose(
     })
 }
 
-/// The heading at the start from where the robot is seen next, and its standard deviation.
+/// The start heading from the next position fixes, and its standard deviation.
 fn heading_by_chord(
     observations: &[Observation],
     start: Point2<Arena>,
@@ -315,7 +312,7 @@ fn heading_by_chord(
     ))
 }
 
-/// Mean place and heading, and of how many fixes.
+/// Mean position and heading, and the number of fixes.
 fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Option<Heading>, usize)> {
     let (mut x, mut y, mut count) = (0.0, 0.0, 0_usize);
     let (mut sin, mut cos, mut headings) = (0.0, 0.0, 0_usize);
@@ -338,7 +335,6 @@ fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Opti
     Some((Point2::new(Meters(x / n), Meters(y / n)), heading, count))
 }
 
-/// When and where the fixes saw the robot last.
 fn end_by_fixes(
     observations: &[Observation],
     stands_from: Timestamp<BrickClock>,

@@ -1,7 +1,7 @@
-//! Monte-Carlo accuracy: estimators over many drives whose truth is known, and what their errors add up to.
+//! Monte-Carlo accuracy: runs estimators over many drives with known truth and accumulates their errors.
 //!
-//! Gets a [`ReferenceDrive`] and an estimator from the caller; gives a [`FilterScore`], which adds up over runs. It draws nothing, and
-//! it knows no scenario: who makes the drives does not mark them.
+//! Input is a [`ReferenceDrive`] and an estimator; output is a [`FilterScore`] that can be merged over runs. It draws no random numbers
+//! and knows no scenario, so that scoring is independent of the generation of drives.
 //!
 //! # Model
 //! ```text
@@ -31,26 +31,25 @@ use posebridge_report::track::TimedPose;
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Arena, DriveGeometry, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
-/// A drive whose truth is known.
+/// A drive with known truth.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReferenceDrive {
-    /// The truth at the start and at the end of each step, in the order of time.
+    /// At the start and at the end of each step, in time order.
     pub truth: Vec<TimedPose>,
-    /// The sensors' observations, in the order of arrival.
     pub arrivals: Vec<ObservationArrival>,
-    /// The error counts from this entry of `truth` on.
+    /// Index into `truth` from which errors count.
     pub scored_from: usize,
 }
 
-/// An observation and when it arrives; its own stamp may be earlier.
+/// An observation and its arrival; its own timestamp may be earlier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObservationArrival {
-    /// The entry of [`ReferenceDrive::truth`] before whose scoring it arrives.
+    /// Index into [`ReferenceDrive::truth`]: it arrives before that step is scored.
     pub step: usize,
     pub observation: Observation,
 }
 
-/// Gives a drive to an estimator as it arrives, and scores the estimate that is there at the end of each step.
+/// Passes a drive to an estimator in the order of arrival, and scores its estimate at the end of each step.
 pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     let mut score = FilterScore::default();
     let mut arrivals = drive.arrivals.iter().peekable();
@@ -66,23 +65,23 @@ pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     score
 }
 
-/// One estimator of a scenario.
+/// The score of one estimator in a scenario.
 #[derive(Clone, Copy, Debug)]
 pub struct ScoreRow<'a> {
     pub name: &'a str,
     pub score: &'a FilterScore,
-    /// The root mean square position error that no filter can be better than, in metres; `None` where there is no such bound.
+    /// Lower bound of the root mean square position error of any filter; `None` where it does not apply.
     pub bound_m: Option<f64>,
 }
 
 impl ScoreRow<'_> {
-    /// Its error as a multiple of the bound; `None` where there is none.
+    /// `None` without a bound.
     pub fn ratio_to_bound(&self) -> Option<f64> {
         let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
         Some(self.score.position_rms_m()? / bound_m)
     }
 
-    /// The sensors whose observations were predicted, each with its mean and the verdict on it.
+    /// The sensors with predicted observations, each with its mean NIS and verdict.
     pub fn sources(&self) -> String {
         let judged: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
         if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
@@ -109,7 +108,7 @@ fn source_text(tally: &SourceTally) -> Option<String> {
     Some(format!("{} {mean:.2} {}{gated}", tally.sensor.name(), tally.consistency().as_text()))
 }
 
-/// The bound of a scenario, with what is to be said about it: what it leaves out, or why there is none.
+/// The bound of a scenario with a note: what it leaves out, or why there is none.
 pub fn bound_text(bound_m: Option<f64>, note: Option<&str>) -> String {
     let bound = match bound_m {
         Some(bound_m) => format!("bound: {} rms", Format::three_digits(Unit::Millimetres).text(bound_m)),
@@ -121,7 +120,7 @@ pub fn bound_text(bound_m: Option<f64>, note: Option<&str>) -> String {
 
 const POSE_DEGREES_OF_FREEDOM: f64 = 3.0;
 
-/// What the errors of one estimator add up to, over one run or many.
+/// Accumulated errors of one estimator, over one run or many.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FilterScore {
     run_rms_m: Vec<f64>,
@@ -177,8 +176,8 @@ impl ErrorSums {
 }
 
 impl FilterScore {
-    /// Counts the estimate of one step against the truth. `None`, or one without a valid position, counts as a step without an
-    /// estimate; one that is not finite, as that.
+    /// Scores the estimate of one step against the truth. `None`, or an estimate without a valid position, counts as a step without an
+    /// estimate; a non-finite one is counted separately.
     pub fn add_step(&mut self, truth: Pose<Arena>, estimate: Option<&Estimate>) {
         let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) else {
             self.without_estimate += 1;
@@ -218,7 +217,7 @@ impl FilterScore {
         add_to_tallies(&mut self.sources, record);
     }
 
-    /// Closes a run: what was added since the last one is one independent sample of the consistency test.
+    /// Ends a run: the steps since the last call are one independent sample of the consistency test.
     pub fn end_run(&mut self) {
         self.runs += 1;
         self.run_rms_m.extend(self.run.position_m2.mean().map(f64::sqrt));
@@ -226,7 +225,7 @@ impl FilterScore {
         self.run = ErrorSums::default();
     }
 
-    /// Adds other closed runs. The result depends on the order in the last digits: add them in the order of the runs.
+    /// Adds other ended runs. The last digits of the result depend on the order: add them in the order of the runs.
     pub fn merge(&mut self, other: &Self) {
         self.run_rms_m.extend_from_slice(&other.run_rms_m);
         self.all.merge(&other.all);
@@ -252,12 +251,11 @@ impl FilterScore {
         self.without_estimate
     }
 
-    /// Steps whose estimate was not finite, or too far off for its square to be.
+    /// Steps whose estimate was not finite, or too large to square.
     pub const fn steps_not_finite(&self) -> u64 {
         self.not_finite
     }
 
-    /// Steps whose covariance was not positive definite.
     pub const fn refused_covariances(&self) -> u64 {
         self.refused_covariances
     }
@@ -278,7 +276,7 @@ impl FilterScore {
         self.all.heading_rad2.mean().map(f64::sqrt)
     }
 
-    /// What the estimator claims that its root mean square position error is, in metres.
+    /// Root mean square position error by the claimed covariance.
     pub fn claimed_rms_m(&self) -> Option<f64> {
         self.all.claim_m2.mean().map(f64::sqrt)
     }
@@ -287,8 +285,8 @@ impl FilterScore {
         self.all.nees.mean().map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
     }
 
-    /// The 95 % interval of a consistent estimator's ANEES over this number of runs, were each run one sample. The mean
-    /// over a run varies less than that: outside the band is wrong, inside is not yet right.
+    /// The 95 % interval of a consistent estimator's ANEES over this number of runs, if each run were one sample. The mean over a run
+    /// varies less: outside the band is inconsistent, inside does not prove consistency.
     pub fn band(&self) -> Option<ConsistencyBand> {
         ConsistencyBand::of_runs(self.runs)
     }
@@ -302,12 +300,12 @@ impl FilterScore {
         Consistency::of_anees(&outcome, self.runs)
     }
 
-    /// Root mean square position error of each run that has one, in metres, in the order in which they were added.
+    /// Of each run that has one, in the order of the runs.
     pub fn run_rms_m(&self) -> &[f64] {
         &self.run_rms_m
     }
 
-    /// What became of the observations of each sensor, over all runs, in the order of first arrival.
+    /// Fusion outcomes of each sensor over all runs, in the order of first arrival.
     pub fn sources(&self) -> &[SourceTally] {
         &self.sources
     }
@@ -320,21 +318,20 @@ fn larger(one: Option<f64>, other: Option<f64>) -> Option<f64> {
     }
 }
 
-/// The score of one drive in hindsight.
+/// The score of a smoother over one drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SmootherScore {
     pub score: FilterScore,
-    /// Why there is no path.
     pub error: Option<OfflineError>,
 }
 
-/// A way to smooth a whole run: [`posebridge_estimator::smoother::batch()`] or [`posebridge_estimator::smoother::rts()`].
+/// A smoother of a whole run: [`posebridge_estimator::smoother::batch()`] or [`posebridge_estimator::smoother::rts()`].
 pub type SmootherFn = fn(&FilterConfig, &[Observation]) -> Result<SmoothedTrajectory, OfflineError>;
 
-/// Smooths a whole drive and scores the path at the steps at which a filter is scored.
+/// Smooths a whole drive and scores the path at the same steps as a filter.
 ///
-/// The path at a step knows what was observed after it. Of the observations only the fixes are tallied, all under the sensor of the
-/// first one: a fix that the path leaves out counts as gated.
+/// The path at a step uses later observations. Only fixes are tallied, all under the sensor of the first one: a fix that the path
+/// leaves out counts as gated.
 pub fn score_smoother(drive: &ReferenceDrive, config: &FilterConfig, smoother: SmootherFn) -> SmootherScore {
     let observations: Vec<Observation> = drive.arrivals.iter().map(|arrival| arrival.observation).collect();
     let (path, tally, refusal) = match smoother(config, &observations) {
@@ -368,7 +365,7 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
 // # Source
 // [`posebridge_estimator::smoother::cramer_rao`], which says what it assumes.
 
-/// What the wheels really turned over one step, before encoders round it; slip does not show in it.
+/// True wheel rotation over one step, before encoder rounding; slip is not included.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelRotation {
     pub left: Radians,
@@ -383,10 +380,10 @@ pub struct BoundSum {
 }
 
 impl BoundSum {
-    /// The bound of a drive for a filter of this configuration, over the steps that count.
+    /// The bound of a drive for a filter of this configuration, over the scored steps.
     ///
-    /// `wheel_turns` holds one entry for each step. `None` where the bound does not apply: other than one turn per step, a stamp
-    /// of a fix that is no step's, or a bound that is no number.
+    /// `wheel_turns` has one entry for each step. `None` where the bound does not apply: another number of entries, a fix timestamp
+    /// between steps, or a non-finite bound.
     pub fn from_drive(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[WheelRotation]) -> Option<Self> {
         let [first, second, ..] = drive.truth.as_slice() else {
             return None;
@@ -412,19 +409,18 @@ impl BoundSum {
         sum.sum_m2.is_finite().then_some(sum)
     }
 
-    /// Adds another one. The result depends on the order in the last digits: add them in the order of the runs.
+    /// Merges another one. The last digits of the result depend on the order: add them in the order of the runs.
     pub fn merge(&mut self, other: &Self) {
         self.sum_m2 += other.sum_m2;
         self.steps += other.steps;
     }
 
-    /// The root mean square position error that no filter can be better than, in metres; `None` without a step.
+    /// Lower bound of the root mean square position error of any filter; `None` without a step.
     pub fn rms_m(&self) -> Option<f64> {
         (self.steps > 0).then(|| (self.sum_m2 / self.steps as f64).sqrt())
     }
 }
 
-/// Travel as a filter sees it that takes its geometry as given.
 fn nominal_travel(turn: WheelRotation, geometry: &DriveGeometry) -> WheelTravel {
     WheelTravel {
         left_m: turn.left.0 * geometry.left_wheel_radius.0,

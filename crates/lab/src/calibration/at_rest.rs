@@ -1,35 +1,35 @@
-//! When a robot stood, and what its gyro and its accelerometers said meanwhile.
+//! Detects intervals at rest and collects the gyro and accelerometer readings in them.
 //!
-//! What these readings say of the sensors is found by [`crate::noise_identification`]; docs/lab/calibration.md, section 5.
+//! [`crate::noise_identification`] evaluates these readings; docs/lab/calibration.md, section 5.
 
 use posebridge_telemetry::{Observation, ObservationKind};
 
 use crate::noise_identification::{RestError, RestNoise, RestRecord, noise_at_rest};
 
-/// A robot counts as standing when its counters have not moved for this long, in seconds.
+/// Duration without counter changes after which a robot counts as standing.
 pub const MIN_STANDSTILL_S: f64 = 0.4;
 
-/// One channel of a sensor, with its stamps in seconds.
+/// One channel of a sensor at rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestChannel {
-    /// Stretches of rest in the order of time: (stamp in s, reading in SI).
+    /// Intervals of rest in time order: (timestamp in s, reading in SI).
     pub stretches: Vec<Vec<(f64, f64)>>,
 }
 
-/// The channels of a robot that stands now and then.
+/// The channels of a robot at rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RestObservations {
-    /// Turn rate, in rad/s.
+    /// Turn rate, rad/s.
     pub gyro: RestChannel,
-    /// Forward acceleration at the left wheel, in m/s².
+    /// Forward acceleration at the left wheel, m/s².
     pub left_accelerometer: RestChannel,
     pub right_accelerometer: RestChannel,
 }
 
 impl RestObservations {
-    /// Picks the readings made while no wheel had moved for [`MIN_STANDSTILL_S`] and would not move before the next wheel reading.
+    /// Selects the readings at which no wheel had moved for [`MIN_STANDSTILL_S`] and none moved before the next wheel reading.
     ///
-    /// Takes observations in the order of their stamps. Without wheel readings nothing counts as rest.
+    /// Observations must be in the order of their timestamps. Without wheel readings nothing counts as rest.
     pub fn from_observations(observations: &[Observation]) -> Self {
         let mut resting = Self::default();
         for (from_s, until_s) in rest_intervals(observations) {
@@ -72,7 +72,7 @@ const fn sensor_readings(observed: &ObservationKind) -> [Option<f64>; 3] {
     }
 }
 
-/// From when to when the robot certainly stood, in seconds.
+/// Start and end of each interval in which the robot certainly stood, in seconds.
 fn rest_intervals(observations: &[Observation]) -> Vec<(f64, f64)> {
     let mut rests = Vec::new();
     let mut last: Option<([f64; 2], f64, f64)> = None;
@@ -106,7 +106,6 @@ impl RestChannel {
         }
     }
 
-    /// The channel's noise.
     pub fn noise(&self) -> Result<RestNoise, RestError> {
         noise_at_rest(&RestRecord::from_stretches(&self.stretches)?)
     }

@@ -1,4 +1,4 @@
-//! From what an overhead camera sees to the floor: a homography by known points, and where that says the camera is off.
+//! Calibration of an overhead camera: a homography from the image to the floor by known points, with residuals.
 //!
 //! # Model
 //! ```text
@@ -6,8 +6,7 @@
 //! first guess   the linear system x (h31 u + h32 v + 1) = h11 u + h12 v + h13, y likewise, points centred and scaled
 //! then          minimise sum |(x, y) - H(u, v)|^2 on the floor, where the tape was
 //! ```
-//! A camera that already speaks of metres may still be turned, shifted and scaled against the arena: [`Similarity`] by two points or
-//! more.
+//! A camera that outputs metres may still be turned, shifted and scaled against the arena: [`Similarity`] by two points or more.
 //!
 //! # Sources
 //! Hartley and Zisserman (2004), Multiple View Geometry, 2nd edition, sections 4.1 and 4.4 (normalisation); Umeyama (1991), IEEE
@@ -19,16 +18,15 @@ use posebridge_estimator::numerics::statistics::root_mean_square;
 use super::CalibrationError;
 use super::least_squares::{ScaledCholesky, fit};
 
-/// A point that was found in the image and measured on the floor.
+/// A point found in the image and measured on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationPoint {
-    /// Where the camera sees it, in the camera's own unit (pixels, or metres).
+    /// Image position in the camera's unit (pixels or metres).
     pub measured: [f64; 2],
-    /// Where it is in the arena, in metres.
     pub floor_m: [f64; 2],
 }
 
-/// From the image to the floor.
+/// Maps the image to the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography {
     /// Row by row; the last number is one.
@@ -36,28 +34,27 @@ pub struct Homography {
 }
 
 impl Homography {
-    /// Where a point of the image lies on the floor, in metres; not finite on the image of the horizon.
+    /// Position on the floor; not finite for points on the horizon.
     pub fn to_floor(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let [x, y, w] = self.rows.map(|[a, b, c]| a * u + b * v + c);
         [x / w, y / w]
     }
 }
 
-/// A homography and how well it fits.
+/// A homography with its quality of fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFit {
     pub homography: Homography,
-    /// Of each point: floor by the image minus floor by the tape, in metres.
+    /// Of each point: floor by the image minus floor by the tape.
     pub residuals_m: Vec<[f64; 2]>,
     pub rms_m: f64,
-    /// How well the others fit without each point, as `rms_m`; empty with fewer than six points, because four always fit. Without
-    /// a point that was mistyped the others fit well.
+    /// `rms_m` of the others without each point; empty with fewer than six points, because four always fit. Leaving out a mistyped
+    /// point makes the others fit well.
     pub rms_without_m: Vec<f64>,
 }
 
 pub const MIN_POINTS: usize = 4;
 
-/// Finds the homography.
 pub fn fit_homography(points: &[CalibrationPoint]) -> Result<CameraFit, CalibrationError> {
     validate_points(points, MIN_POINTS)?;
     let found = solve_homography(points)?;
@@ -100,7 +97,7 @@ fn rms_without(points: &[CalibrationPoint], index: usize) -> f64 {
     })
 }
 
-/// Centre and mean distance from it, at least a little.
+/// Centroid and mean distance from it, at least a small positive number.
 fn normalization(points: impl Iterator<Item = [f64; 2]> + Clone) -> ([f64; 2], f64) {
     let count = points.clone().count().max(1) as f64;
     let centre = [0, 1].map(|axis| points.clone().map(|p| p[axis]).sum::<f64>() / count);
@@ -152,7 +149,7 @@ fn rows_of(h: &[f64]) -> [[f64; 3]; 3] {
     [[h[0], h[1], h[2]], [h[3], h[4], h[5]], [h[6], h[7], 1.0]]
 }
 
-/// The eight numbers by linear least squares; in coordinates about the centre the ninth is not zero.
+/// The eight parameters by linear least squares; in coordinates about the centroid the ninth is not zero.
 fn linear_homography(points: &[([f64; 2], [f64; 2])]) -> Result<Vec<f64>, CalibrationError> {
     let mut normal = DMatrix::zeros(8, 8);
     let mut right = DVector::zeros(8);
@@ -168,18 +165,17 @@ fn linear_homography(points: &[([f64; 2], [f64; 2])]) -> Result<Vec<f64>, Calibr
     Ok(ScaledCholesky::new(&normal)?.solve(&right).iter().copied().collect())
 }
 
-/// Turn, shift and scale from the camera's space to the arena.
+/// Rotation, translation and scale from the camera's space to the arena.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
     pub origin_m: [f64; 2],
     pub heading_rad: f64,
     /// Metres of the floor per unit of the camera.
     pub scale: f64,
-    /// Root mean square distance of the points from where this puts them, in metres.
+    /// Root mean square residual of the points.
     pub rms_m: f64,
 }
 
-/// Finds it by least squares.
 pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, CalibrationError> {
     validate_points(points, 2)?;
     let (from, size) = normalization(points.iter().map(|p| p.measured));

@@ -1,14 +1,14 @@
-//! Nonlinear least squares over few unknowns, with standard deviations that assume no model of the noise.
+//! Nonlinear least squares with few unknowns; its standard deviations assume no model of the noise.
 //!
 //! # Model
 //! ```text
-//! minimise  sum |r_k(p)|^2           r_k: two whitened residuals of the k-th sight of a run
+//! minimise  sum |r_k(p)|^2           r_k: two whitened residuals of the k-th fix of a run
 //! (J'J + lambda D) delta = -J'r      D = diag(J'J); lambda falls after a good step and grows after a bad one
 //! cov p = A^-1 B A^-1                A = sum J_k'J_k
 //! B = sum_k s_k s_k' + sum_l (1 - l/(L+1)) sum_k (s_k s_k+l' + s_k+l s_k')     s_k = J_k' r_k
 //! ```
-//! Residuals of a drive are alike for seconds, because a wheel that has slipped leaves the path beside the truth. `A^-1` alone takes
-//! each sight for news and claims far too much; the sums over neighbours in `B` count what is really new.
+//! Residuals of a drive are correlated for seconds, because a wheel that has slipped leaves the path beside the truth. `A^-1` alone
+//! treats each fix as independent and is far too optimistic; the sums over neighbours in `B` account for the correlation.
 //!
 //! # Sources
 //! Marquardt (1963), SIAM Journal 11(2); Newey and West (1987), Econometrica 55(3), equation 5.
@@ -19,14 +19,14 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::CalibrationError;
 
-/// The residuals of each run, in the order of time.
+/// Of each run, in time order.
 pub(super) type Residuals = Vec<Vec<[f64; 2]>>;
 
-/// Steps after which it is said not to settle; five to ten are usual.
+/// Iterations before the fit counts as not converging; five to ten are usual.
 const MAX_ITERATIONS: u32 = 60;
-/// Still, when no unknown moves by more than this share of its own difference step.
+/// Converged when no unknown changes by more than this share of its difference step.
 const CONVERGENCE_SHARE: f64 = 0.01;
-/// How far apart residuals still count as alike, as a share of a run.
+/// Lag up to which residuals count as correlated, as a share of a run.
 const CORRELATED_SHARE: f64 = 0.1;
 
 #[derive(Clone, Debug, Default)]
@@ -41,9 +41,9 @@ impl LeastSquaresFit {
     }
 }
 
-/// Finds the unknowns from a start; `steps` are those of the central differences, one per unknown, in its unit.
+/// Estimates the unknowns from a start; `steps` are those of the central differences, one per unknown, in its unit.
 ///
-/// The residuals must be as many at every place.
+/// The number of residuals must not depend on the unknowns.
 pub(super) fn fit(
     start: &[f64],
     steps: &[f64],
@@ -82,7 +82,7 @@ pub(super) fn fit(
     Err(CalibrationError::Diverged)
 }
 
-/// How far the solution moves when the residuals change by each of the `disturbances`, which are laid out as they are: -A^-1 J'd.
+/// Change of the solution when the residuals change by each of the `disturbances` (same layout): -A^-1 J'd.
 pub(super) fn solution_shift(
     disturbances: impl Iterator<Item = Residuals>,
     values: &[f64],
@@ -104,7 +104,7 @@ fn squared_cost(residuals: &Residuals) -> f64 {
     all.map(|r| r * r).sum()
 }
 
-/// Derivatives by each unknown, laid out as the residuals are.
+/// Derivatives by each unknown, in the layout of the residuals.
 fn numeric_jacobian(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -> Residuals) -> Vec<Residuals> {
     let mut at = values.to_vec();
     let mut slopes = Vec::with_capacity(values.len());
@@ -122,7 +122,7 @@ fn numeric_jacobian(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -
     slopes
 }
 
-/// J'r of one sight.
+/// J'r of one fix.
 fn score(slopes: &[Residuals], run: usize, sight: usize, residual: [f64; 2]) -> DVector<f64> {
     DVector::from_fn(slopes.len(), |unknown, _| {
         let slope = slopes[unknown][run][sight];
@@ -179,17 +179,17 @@ fn add_correlated(middle: &mut DMatrix<f64>, scores: &[DVector<f64>]) {
     }
 }
 
-/// What is left of a pivot beside its row's own size below which its unknown is a mixture of the others.
+/// Pivot relative to its row below which its unknown is a linear combination of the others.
 const MIN_PIVOT: f64 = 1e-12;
 
-/// The factor of D A D with ones on its diagonal, and D's diagonal: unknowns have units of very different size.
+/// Cholesky factor of D A D with ones on its diagonal, and D's diagonal: the units of the unknowns differ by orders of magnitude.
 pub(super) struct ScaledCholesky {
     factor: Cholesky<f64, Dyn>,
     scale: DVector<f64>,
 }
 
 impl ScaledCholesky {
-    /// Factorises a symmetric positive matrix A.
+    /// A must be symmetric and positive definite.
     pub(super) fn new(matrix: &DMatrix<f64>) -> Result<Self, CalibrationError> {
         let undetermined = || CalibrationError::Undetermined("one of the unknowns changes nothing alone");
         let scale = matrix.diagonal().map(|own| own.sqrt().recip());

@@ -1,11 +1,11 @@
-//! What a robot's own numbers really are: wheels, track, the place of its tag, its inertial sensors, the camera above it.
+//! Calibrates a robot: wheels, track, tag position, inertial sensors, overhead camera.
 //!
-//! The experiments of the papers begin with a calibration by hand. Here each of them is a function from what was measured to
-//! numbers with standard deviations. Nothing is read or written; the program's `calibrate` does that.
+//! The experiments of the papers begin with a manual calibration. Here each is a function from measurements to parameters with standard
+//! deviations. No IO: the program's `calibrate` command does that.
 //!
 //! - [`umbmark`]: squares in both directions, end positions only (Borenstein and Feng, 1996);
-//! - [`free_path`]: any recorded drive under a camera or with a truth;
-//! - [`at_rest`]: gyro and accelerometers of a robot that stands;
+//! - [`free_path`]: any recorded drive with a camera or ground truth;
+//! - [`at_rest`]: gyro and accelerometers of a standing robot;
 //! - [`camera`]: from pixels to the floor by known points.
 //!
 //! docs/lab/calibration.md has the equations.
@@ -16,7 +16,7 @@ pub mod free_path;
 mod least_squares;
 pub mod umbmark;
 
-/// Why there is no calibration.
+/// Why there is no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrationError {

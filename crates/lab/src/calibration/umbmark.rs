@@ -1,8 +1,8 @@
-//! UMBmark: wheel diameters and track from squares that are driven in both directions.
+//! UMBmark: wheel diameters and track from squares driven in both directions.
 //!
-//! The robot drives a square until its own odometry is back at the start; a ruler says where it really is. A wrong track turns
-//! all corners too far or too little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same
-//! hand in both directions. So the two errors look alike in one direction and differ in the other.
+//! The robot drives a square until its own odometry is back at the start; a ruler measures its true position. A wrong track turns all
+//! corners too far or too little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same hand in both
+//! directions. So the two errors look alike in one direction and differ in the other.
 //!
 //! # Model
 //! ```text
@@ -14,7 +14,7 @@
 //! E_b = 90 deg / (90 deg - alpha)
 //! b  <- E_b b      c_L = 2 / (E_d + 1)      c_R = 2 / (1 / E_d + 1)    factors on the wheels; their mean stays
 //! ```
-//! `alpha` and `beta` are the means of what x and y say. The mean wheel size cannot be seen in a closed square.
+//! `alpha` and `beta` are the means over x and y. The mean wheel size is not observable in a closed square.
 //!
 //! # Assumptions
 //! Errors are small: the sine of an angle is the angle. The runs of one direction differ by chance only.
@@ -30,65 +30,61 @@ use posebridge_telemetry::UncertainValue;
 use super::CalibrationError;
 use super::free_path::{FreePath, RobotParameters, dead_reckon};
 
-/// Which way a square was driven.
+/// The direction of a square.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SquareDirection {
-    /// To the right at each corner.
     Clockwise,
-    /// To the left at each corner.
     CounterClockwise,
 }
 
-/// One square.
+/// The end error of one square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRun {
     pub direction: SquareDirection,
-    /// Measured end minus the end by odometry, ahead of the start, in metres.
+    /// Measured minus odometry end, ahead of the start.
     pub ahead_m: f64,
-    /// The same to the left of the start, in metres.
+    /// Measured minus odometry end, to the left of the start.
     pub left_m: f64,
 }
 
-/// The robot's numbers as odometry used them, and the square.
+/// The geometry that the odometry used, and the square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRobot {
     pub track_width_m: f64,
     pub side_m: f64,
 }
 
-/// The results of the squares.
+/// The result of the squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Umbmark {
-    /// Relative error of the track.
     pub track_scale: UncertainValue,
     /// Relative difference of the radii, right minus left.
     pub radius_difference: UncertainValue,
-    /// alpha, in radians.
+    /// alpha.
     pub corner_rad: f64,
-    /// beta, in radians.
+    /// beta.
     pub bend_rad: f64,
     pub left_factor: f64,
     pub right_factor: f64,
-    /// Most radians between what x and y give for alpha and beta; large beside them: no square was driven.
+    /// Largest difference between alpha or beta by x and by y; if it is large beside them, no square was driven.
     pub disagreement_rad: f64,
     pub error: SquareError,
 }
 
-/// How far squares end from home.
+/// End errors of squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareError {
-    /// Mean end error (ahead, left) of the runs clockwise, in metres.
+    /// Mean (ahead, left) of the clockwise runs.
     pub clockwise_m: [f64; 2],
     pub counter_clockwise_m: [f64; 2],
-    /// The larger distance of both means from home: E_max,syst, in metres.
+    /// The larger distance of both means from the start: E_max,syst.
     pub systematic_m: f64,
-    /// Root mean square distance of the runs from the mean of their direction, in metres.
+    /// Root mean square distance of the runs from the mean of their direction.
     pub scatter_m: f64,
 }
 
 const MIN_RUNS: usize = 1;
 
-/// The figure of merit of runs in both directions.
 pub fn square_error(runs: &[SquareRun]) -> Result<SquareError, CalibrationError> {
     let (clockwise, by_cw) = mean_of(runs, SquareDirection::Clockwise)?;
     let (counter, by_ccw) = mean_of(runs, SquareDirection::CounterClockwise)?;
@@ -127,7 +123,6 @@ fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], 
     Ok((mean, squares))
 }
 
-/// Track and wheels from the ends of squares.
 pub fn estimate_umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmark, CalibrationError> {
     for (what, value) in [("the side of the square", robot.side_m), ("the track width", robot.track_width_m)] {
         if !(value.is_finite() && value > 0.0) {
@@ -163,7 +158,7 @@ pub fn estimate_umbmark(runs: &[SquareRun], robot: SquareRobot) -> Result<Umbmar
     })
 }
 
-/// E_d; a side that is not bent has no radius.
+/// E_d; a straight side has an infinite radius.
 fn wheel_ratio(beta: f64, robot: SquareRobot) -> f64 {
     let half_track_m = 0.5 * robot.track_width_m;
     // (R + b/2) / (R - b/2) with the curvature 1/R, so that a straight side divides by nothing that is zero.
@@ -189,17 +184,17 @@ fn angle_sigma(runs: &[SquareRun], side_m: f64) -> Result<f64, CalibrationError>
 // The formulae of [`umbmark`](super::umbmark) are of first order. With typed ends they are applied once, as the paper does; here the
 // ends by odometry follow the numbers that were found, and what the first round left is the input of the next.
 
-/// Rounds after which it is said not to settle; three are usual.
+/// Rounds before it counts as not converging; three are usual.
 const MAX_ROUNDS: u32 = 12;
-/// Settled, when neither number moves by more.
+/// Converged when neither parameter changes by more.
 const CONVERGED: f64 = 1e-7;
-/// A square turns by one turn, perhaps with one corner more at its end, by a description that is off by a fifth; in radians.
+/// Plausible total turn of a square: one turn, possibly one more corner at its end, by a description that is off by a fifth.
 const TURNS_RAD: [f64; 2] = [0.75 * TAU, 1.5 * TAU];
 
-/// What recorded squares say.
+/// The calibration by recorded squares.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SquareCalibration {
-    /// The last round's numbers, added up over all rounds.
+    /// Results of the last round, accumulated over all rounds.
     pub estimate: Umbmark,
     pub before: RobotParameters,
     pub after: RobotParameters,
@@ -208,7 +203,7 @@ pub struct SquareCalibration {
     pub side_m: f64,
 }
 
-/// Calibrates by recorded squares; `side_m` is taken from the wheels' way if it is not given.
+/// Calibrates by recorded squares; without `side_m` the side is estimated from the wheel travel.
 pub fn calibrate_squares(
     config: &FilterConfig,
     paths: &[FreePath],
@@ -235,7 +230,7 @@ pub fn calibrate_squares(
     Err(CalibrationError::Diverged)
 }
 
-/// The first round with the totals of all.
+/// The first round with the accumulated corrections of all.
 fn sum_estimates(first: Option<Umbmark>, step: Umbmark, before: &RobotParameters, after: &RobotParameters) -> Umbmark {
     let first = first.unwrap_or(step);
     let difference = after.radius_difference - before.radius_difference;
@@ -248,7 +243,7 @@ fn sum_estimates(first: Option<Umbmark>, step: Umbmark, before: &RobotParameters
     }
 }
 
-/// The ends of the drives with these numbers, each in the space of its start.
+/// The ends of the drives with these parameters, each in the space of its start.
 pub fn closing_runs(
     config: &FilterConfig,
     numbers: &RobotParameters,

@@ -1,23 +1,22 @@
-//! Links and clocks whose truth is known.
+//! Simulated links and clocks with known truth.
 //!
-//! The link is that of a Bluetooth serial port: about 30 ms for the radio to turn around, jitter, and stalls that its users report.
-//! Nothing overtakes, because a serial port keeps the order.
+//! The link is that of a Bluetooth serial port: about 30 ms for the radio's turn-around, jitter, and stalls as reported by users.
+//! Messages keep their order, as on a serial port.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::ClockExchange;
 
-/// Time between two requests, s.
 const PERIOD_S: f64 = 0.1;
-/// Smallest delay each way, s.
+/// Minimum each way.
 const BASE_DELAY_S: f64 = 0.015;
-/// Mean of the exponential delay on top, s.
+/// Mean of the exponential part of the delay.
 const JITTER_S: f64 = 0.008;
-/// Share of messages that stall, and for how long, s.
+/// Probability of a stall, and its duration.
 const STALL_PROBABILITY: f64 = 0.01;
 const STALL_S: std::ops::Range<f64> = 0.05..0.5;
-/// What the clock shows when the session begins, s: the brick was on before.
+/// Remote clock at the start of the session: the brick was switched on before.
 const START_S: f64 = 1_234.5;
 
 /// A clock behind a link.
@@ -26,13 +25,13 @@ pub struct ClockCase {
     pub name: &'static str,
     pub summary: &'static str,
     pub duration_s: f64,
-    /// The error counts from this host instant on, s.
+    /// Host time from which errors count.
     pub scored_from_s: f64,
-    /// So much longer is the way to the brick, s.
+    /// Additional delay towards the brick.
     pub extra_forward_delay_s: f64,
-    /// How far the clock has gained on the host's after a host time in seconds, s.
+    /// Gain of the clock over the host's, after a host time in seconds.
     pub drift_s: fn(f64) -> f64,
-    /// Host instant at which the clock begins at zero again, s.
+    /// Host time at which the clock restarts at zero.
     pub restart_at_s: Option<f64>,
 }
 
@@ -47,7 +46,6 @@ const CRYSTAL_CASE: ClockCase = ClockCase {
     restart_at_s: None,
 };
 
-/// All cases, in the order of the table.
 pub const CLOCK_CASES: &[ClockCase] = &[
     CRYSTAL_CASE,
     ClockCase {
@@ -81,12 +79,10 @@ pub const CLOCK_CASES: &[ClockCase] = &[
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SimulatedExchange {
     pub(super) exchange: ClockExchange,
-    /// Host instant of the stamp, s.
     pub(super) answered_s: f64,
 }
 
 impl ClockCase {
-    /// What the clock shows at a host instant, s, in whole microseconds.
     fn remote_time_s(&self, host_s: f64) -> f64 {
         let exact_s = match self.restart_at_s {
             Some(restart_s) if host_s >= restart_s => {
@@ -97,7 +93,6 @@ impl ClockCase {
         (exact_s * 1e6).floor() * 1e-6
     }
 
-    /// All exchanges of one seed, in order.
     pub(super) fn exchanges(&self, seed: u64) -> Vec<SimulatedExchange> {
         let mut rng = Pcg64::seed_from_u64(seed);
         let (mut answered_s, mut received_s) = (0.0_f64, 0.0_f64);

@@ -1,31 +1,31 @@
-//! What every method of clock alignment is given and asked.
+//! The interface of clock alignment methods, and the methods.
 
 use posebridge_station::clock::Endpoint;
 use posebridge_station::clock::align::ClockAligner;
 use posebridge_station::clock::bounds::{ClockBounds, LinearOffset};
 use posebridge_telemetry::{BrickClock, Timestamp};
 
-/// One answered time request, in seconds.
+/// One answered time request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockExchange {
-    /// When the request left, host clock.
+    /// Departure of the request, host clock.
     pub sent_s: f64,
-    /// What the answering clock showed, remote clock.
+    /// Timestamp of the reply, remote clock.
     pub remote_s: f64,
-    /// When the answer arrived, host clock.
+    /// Arrival of the reply, host clock.
     pub received_s: f64,
 }
 
-/// A way to find how a remote clock runs against the host's.
+/// Estimates the offset between a remote clock and the host's.
 pub trait ClockMethod {
-    /// Learns from an answered request. A one-way method looks only at the stamp and its arrival.
+    /// A one-way method uses only the timestamp and its arrival.
     fn observe_exchange(&mut self, exchange: &ClockExchange);
 
-    /// Host minus remote at a host instant, s; `None` while it has nothing to say.
+    /// Host minus remote time at a host time, s; `None` without an estimate.
     fn offset_at(&self, host_s: f64) -> Option<f64>;
 }
 
-/// Takes the arrival for the instant of the stamp.
+/// Uses the arrival as the time of the timestamp.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ArrivalTime {
     last_offset_s: Option<f64>,
@@ -59,10 +59,9 @@ impl ClockMethod for ArrivalTime {
 
 const INITIAL_GAIN: f64 = 0.05;
 const FINAL_GAIN: f64 = 0.003;
-/// Samples until it counts as converged.
 const CONVERGENCE_SAMPLES: u32 = 500;
 const MAX_DEVIATION_S: f64 = 0.1;
-/// More of them in a row than this start it anew.
+/// More consecutive deviations restart the filter.
 const MAX_DEVIATIONS: u32 = 5;
 
 /// The filter, with its gate on the round trip.
@@ -76,7 +75,7 @@ pub struct TimeSyncFilter {
 }
 
 impl TimeSyncFilter {
-    /// A filter that uses round trips shorter than `gate_s`; infinite: all.
+    /// Uses round trips shorter than `gate_s`; infinity uses all.
     pub const fn new(gate_s: f64) -> Self {
         Self { gate_s, offset_s: 0.0, change_s: 0.0, samples: 0, deviations: 0 }
     }
@@ -85,7 +84,7 @@ impl TimeSyncFilter {
         self.samples >= CONVERGENCE_SAMPLES
     }
 
-    /// Gain of offset and of its change, which are the same numbers.
+    /// Gain of the offset and of its rate; both are equal.
     fn gain(&self) -> f64 {
         if self.has_converged() {
             return FINAL_GAIN;
@@ -143,16 +142,16 @@ impl ClockMethod for TimeSyncFilter {
 // # Source
 // ArduPilot, libraries/AP_RTC/JitterCorrection.cpp.
 
-/// No message is taken to have been on its way for longer, s.
+/// Upper bound of the assumed one-way delay.
 const MAX_LAG_S: f64 = 0.5;
-/// Number of messages after which the offset is estimated again.
+/// Messages between two estimates of the offset.
 const RENEWAL_INTERVAL: u32 = 100;
 
 /// One-way alignment by the smallest difference.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct JitterCorrection {
     offset_s: Option<f64>,
-    /// Smallest difference since the last renewal, and of how many.
+    /// Smallest difference since the last renewal, and the number of messages.
     least_s: f64,
     count: u32,
 }
@@ -176,10 +175,10 @@ impl ClockMethod for JitterCorrection {
     }
 }
 
-/// A stamp that is older than the last one by more than this is that of a restarted clock, s.
+/// A larger decrease of the timestamp means a restarted clock.
 const RESTART_S: f64 = 1.0;
 
-/// The highest line below all arrivals of the window, late by the link's smallest delay.
+/// The highest line below all arrivals of the window; late by the link's smallest delay.
 ///
 /// Source: Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements" (INFOCOM 2002).
 #[derive(Clone, Debug, Default)]

@@ -1,9 +1,8 @@
-//! Ways to align two clocks over a link, side by side: ours and those that are in use elsewhere.
+//! Comparison of methods for clock alignment over a link: ours and those of other programs.
 //!
-//! Every method receives the same exchanges, drawn by seed over links and clocks whose truth is known ([`CLOCK_CASES`]), and is
-//! asked after each which host instant the answer's stamp means. [`compare_methods`] runs all of them and gives a [`ClockRow`]
-//! for each case and method. It sees no message and no filter; what a wrong instant does to a pose is the business of
-//! [`crate::accuracy`].
+//! Every method receives the same exchanges, drawn by seed over links and clocks with known truth ([`CLOCK_CASES`]), and after each
+//! converts the reply's timestamp to host time. [`compare_methods`] runs all of them and returns a [`ClockRow`] for each case and
+//! method. It uses no messages and no filter; [`crate::accuracy`] measures the effect of time errors on a pose.
 //!
 //! # Model
 //! ```text
@@ -27,12 +26,11 @@ pub use self::methods::{
 #[derive(Clone, Copy, Debug)]
 pub struct MethodEntry {
     pub name: &'static str,
-    /// Who does it so, and how.
+    /// Who uses the method, and how.
     pub summary: &'static str,
     pub open: fn() -> Box<dyn ClockMethod>,
 }
 
-/// All methods, in the order of the table.
 pub const METHODS: &[MethodEntry] = &[
     MethodEntry {
         name: "arrival",
@@ -71,22 +69,22 @@ pub const METHODS: &[MethodEntry] = &[
     },
 ];
 
-/// How well one method did in one case, over all seeds.
+/// Error of one method in one case, over all seeds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockRow {
     pub case: &'static str,
     pub method: &'static str,
-    /// Largest error of any seed, ms; `None` if it never answered.
+    /// Largest error of any seed; `None` without estimates.
     pub worst_ms: Option<f64>,
-    /// Mean error, ms; positive: stamps are taken for later than they were.
+    /// Positive: timestamps are converted to later host times than true.
     pub mean_ms: Option<f64>,
-    /// Share of the scored exchanges, 0 to 1, at which it had an answer.
+    /// Share of the scored exchanges with an estimate, 0 to 1.
     pub answered: f64,
-    /// Whether it answered at all.
+    /// Whether it produced any estimate.
     pub started: bool,
 }
 
-/// Runs every method of [`METHODS`] over every case of [`CLOCK_CASES`] with these seeds: a row for each, case by case.
+/// Runs every method of [`METHODS`] over every case of [`CLOCK_CASES`] with these seeds: one row for each, case by case.
 ///
 /// The same seeds give the same rows. Without seeds no method starts.
 pub fn compare_methods(seeds: &[u64]) -> Vec<ClockRow> {

@@ -1,10 +1,10 @@
-//! One sensor out of all that a robot says, as samples of one number.
+//! Extracts one sensor channel from observations as a time series.
 //!
 //! ```text
 //! speed of a wheel   (phi_k - phi_(k-1)) / (t_k - t_(k-1)) at the middle of the interval      sigma = tick / dt / sqrt(6)   (18)
 //! ```
-//! The mean speed of an interval is that at its middle, to the second order of the interval over the lag. Both readings are rounded down to
-//! whole ticks: a difference of two uniform errors.
+//! The mean speed of an interval is that at its middle, to the second order of the interval over the lag. Both readings are rounded
+//! down to whole ticks: a difference of two uniform errors.
 //!
 //! # Sources
 //! docs/lab/calibration.md, section 7.
@@ -14,15 +14,13 @@ use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId
 use super::parameter_uncertainty::Sampling;
 use super::{TimedSample, sorted_by_time, sorted_finite};
 
-/// A number that a robot or a recording has.
+/// A quantity measured by a robot or a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorChannel {
-    /// The first thermometer.
     Temperature,
     LeftWheel,
     RightWheel,
     TurnRate,
-    /// The range to what is ahead.
     WallRange,
 }
 
@@ -45,7 +43,7 @@ impl SensorChannel {
         }
     }
 
-    /// The samples in the order of time, in seconds of the brick's clock; those that are not finite or not later than the one before are left out.
+    /// In time order, by the brick's clock; samples that are not finite or not later than the previous one are omitted.
     pub fn samples(self, observations: &[Observation]) -> Vec<TimedSample> {
         let values: Vec<TimedSample> = self.finite_samples(observations).collect();
         let values = sorted_by_time(&values);
@@ -55,7 +53,7 @@ impl SensorChannel {
         }
     }
 
-    /// How many of the sensor's observations [`Self::samples`] leaves out.
+    /// Number of the sensor's observations that [`Self::samples`] omits.
     pub fn excluded_count(self, observations: &[Observation]) -> usize {
         let values: Vec<TimedSample> = self.finite_samples(observations).collect();
         values.len() - sorted_by_time(&values).len()
@@ -67,7 +65,6 @@ impl SensorChannel {
         })
     }
 
-    /// What its samples are.
     pub const fn sampling(self) -> Sampling {
         match self {
             Self::LeftWheel | Self::RightWheel => Sampling::Differences,
@@ -89,7 +86,7 @@ impl SensorChannel {
         }
     }
 
-    /// The noise of a sample by the robot's description, or by the samples themselves where it says nothing; `None` where neither does.
+    /// Noise of a sample by the robot's description, else estimated from the samples; `None` where neither is possible.
     pub fn noise(self, noise: &SensorNoise, geometry: &DriveGeometry, samples: &[TimedSample]) -> Option<f64> {
         let described = match self {
             Self::Temperature => noise.temperature_k,
@@ -122,13 +119,13 @@ fn mean_interval_s(samples: &[TimedSample]) -> Option<f64> {
     (dt_s > 0.0).then_some(dt_s)
 }
 
-/// The speed of a wheel whose encoder was read at these instants, by equation (18): instants in seconds, angles in radians.
+/// Wheel speed from encoder readings by equation (18): instants in seconds, angles in radians.
 pub fn wheel_speed(readings: &[(f64, f64)]) -> Vec<TimedSample> {
     let angles: Vec<TimedSample> = readings.iter().map(|&(at_s, value)| TimedSample { at_s, value }).collect();
     differences(&sorted_finite(&angles))
 }
 
-/// The sigma of such a speed, in rad/s, of an encoder with this tick in radians; `None` for fewer than two samples.
+/// The sigma of such a speed, in rad/s; `None` for fewer than two samples.
 pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> {
     Some(tick_rad / mean_interval_s(samples)? / 6.0_f64.sqrt())
 }
@@ -148,12 +145,12 @@ pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> 
 // # Sources
 // The 75 % quantile of a Gaussian, and the variance 6 sigma^2 of the weights 1, -2, 1; docs/lab/calibration.md, section 7.
 
-/// The 75 % quantile of a standard normal: half of all draws are nearer to zero.
+/// 75 % quantile of the standard normal distribution, which is its median absolute value.
 const MEDIAN_OF_NORMAL: f64 = 0.674_49;
-/// Fewer samples than these say nothing.
+/// Fewer samples give no estimate.
 const MIN_SAMPLES: usize = 8;
 
-/// Equation (16), in the sensor's unit; `None` for too few samples, or for samples that are all the same.
+/// Equation (16), in the sensor's unit; `None` for too few samples, or if all are equal.
 pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
     let samples = sorted_finite(samples);
     if samples.len() < MIN_SAMPLES {

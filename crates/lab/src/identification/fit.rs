@@ -1,6 +1,6 @@
-//! The parameters of a step response by weighted least squares, with what is known beforehand as a prior.
+//! Fits the parameters of a step response by weighted least squares with a prior.
 //!
-//! The same fit identifies a sensor (much data, hardly a prior) and predicts its final value while it is on its way (little data, and a
+//! The same fit identifies a sensor (much data, a weak prior) and predicts its final value during the transient (little data, and a
 //! prior from other runs). With a narrow prior it is block least squares for known dynamics, with a wide one the adaptive case.
 //!
 //! # Model
@@ -13,11 +13,11 @@
 //! rho(d) = a/2 ln(1 + d' S^-1 d / a)     d = [ln tau, s] - m     a = nu + rows of d       d' S^-1 d / 2 for nu = infinity   (5)
 //! P = (sum of J' J / S + weights of the prior)^-1            var u = P_00 + 2 P_01 + P_11                               (6)
 //! ```
-//! (4) says what a model is worth: it errs by a share delta of what is left of the transient, not at once, and in errors that hold for
-//! a time T. Many samples within T therefore say no more about the end than a few, while what is faster than T is seen in full, and so
-//! is what the sensor shows once it has settled. The filter is the private `WhiteningFilter`; the columns of J go through it as the errors do.
-//! (5) is Student's t, scaled so that its peak is as sharp as the Gaussian's: what is far from what was expected is unlikely, but not
-//! impossible. The last term of (3) is there where the end of the step is known.
+//! (4) models the error of the response model: a share delta of the remaining transient, not at once, with a correlation time T. Many
+//! samples within T therefore carry no more information about the end than a few, while faster effects are fully observed, and so is
+//! the settled value. The filter is the private `WhiteningFilter`; it whitens the columns of J like the errors.
+//! (5) is Student's t, scaled so that its peak is as sharp as the Gaussian's: values far from the prior are unlikely, but not
+//! impossible. The last term of (3) exists where the end of the step is known.
 //!
 //! # Assumptions
 //! The sensor rested before the step. Errors are Gaussian around the best fit (Laplace's approximation).
@@ -31,36 +31,36 @@ use super::TimedSample;
 use super::prior::{MAX_ORDER, ResponsePrior, response_of, row};
 use super::step_response::StepResponse;
 
-/// A response with what is known about it.
+/// A fitted response with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResponseFit {
     pub response: StepResponse,
     /// P of equation (6), in the order of p.
     pub covariance: DMatrix<f64>,
-    /// The value of (3) there, and half the sum of ln (S / sigma^2): minus the logarithm of how likely the samples are.
+    /// The minimum of (3) plus half the sum of ln (S / sigma^2): the negative log-likelihood of the samples.
     pub cost: f64,
 }
 
 impl ResponseFit {
-    /// Standard deviation of what the sensor shows in the end, equation (6).
+    /// Standard deviation of the final value, equation (6).
     pub fn final_sigma(&self) -> f64 {
         let p = &self.covariance;
         let variance = p[(0, 0)] + 2.0 * p[(0, 1)] + p[(1, 1)];
         variance.max(0.0).sqrt()
     }
 
-    /// Half the logarithm of the determinant of P; `None` if P is not positive definite.
+    /// `None` if P is not positive definite.
     pub fn half_ln_determinant(&self) -> Option<f64> {
         let factor = self.covariance.clone().cholesky()?;
         Some(factor.l().diagonal().map(f64::ln).sum())
     }
 
-    /// Standard deviation of ln tau_j; infinite for a lag that is not there.
+    /// Infinite for a lag that does not exist.
     pub fn ln_lag_sigma(&self, j: usize) -> f64 {
         self.sigma_of(row::LAGS + j, self.response.lags.len(), j)
     }
 
-    /// Standard deviation of s_j; infinite for a lag that is not there. The last share has that of the sum of the others.
+    /// Infinite for a lag that does not exist. The last share has the sigma of the sum of the others.
     pub fn share_sigma(&self, j: usize) -> f64 {
         let order = self.response.lags.len();
         let first = row::LAGS + order;
@@ -83,9 +83,9 @@ impl ResponseFit {
     }
 }
 
-/// Finds the response of least (3) from a guess; `None` where the samples or the prior are no usable numbers.
+/// Minimises (3) from a guess; `None` where samples or prior are invalid.
 ///
-/// The samples are in the order of time. The guess has as many lags as the prior.
+/// Samples must be in time order. The guess has as many lags as the prior.
 pub fn fit_response(
     samples: &[TimedSample],
     noise: &ResponseNoise,
@@ -110,16 +110,16 @@ pub fn fit_response(
     Some(ResponseFit { response: response_from(&at, order), covariance: normal.cholesky()?.inverse(), cost })
 }
 
-/// How often S is computed anew.
+/// How often S is recomputed.
 const REWEIGHTINGS: usize = 2;
-/// Steps of one descent; far more than a descent that goes well takes.
+/// Iterations of one descent; far more than a normal one takes.
 const MAX_ITERATIONS: usize = 60;
 /// A descent ends when a step gains less than this share of the cost.
 const CONVERGED_GAIN: f64 = 1e-9;
-/// Damping at the start, and the largest: beyond it no step helps.
+/// Initial and largest damping: beyond it no step helps.
 const FIRST_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e12;
-/// D has no prior; this many times the noise stands for none, as in [`posebridge_estimator::filters::dynamic`].
+/// Prior of D in units of the noise, wide enough for none, as in [`posebridge_estimator::filters::dynamic`].
 const NO_PRIOR_SIGMAS: f64 = 1e5;
 /// ln tau stays within e^-30 to e^30 seconds.
 const LN_LAG_LIMIT: f64 = 30.0;
@@ -132,7 +132,7 @@ struct FitProblem<'a> {
 }
 
 impl FitProblem<'_> {
-    /// Levenberg's and Marquardt's descent; gives the place, the normal matrix and the cost.
+    /// Levenberg-Marquardt descent; returns the minimum, the normal matrix and the cost.
     fn minimize(&self, mut at: DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>, f64)> {
         let (mut normal, mut slope, mut cost) = self.normal_equations(&at);
         let mut damping = FIRST_DAMPING;
@@ -214,10 +214,10 @@ impl FitProblem<'_> {
     }
 }
 
-/// Parameters of a response of the highest order.
+/// Of a response of the highest order.
 pub(super) const MAX_PARAMETERS: usize = row::LAGS + 2 * MAX_ORDER - 1;
 
-/// The upper triangle of the normal equations, in place of a matrix for each sample.
+/// The upper triangle of the normal equations, without a matrix for each sample.
 #[derive(Default)]
 struct NormalSums {
     normal: [[f64; MAX_PARAMETERS]; MAX_PARAMETERS],
@@ -244,7 +244,7 @@ impl NormalSums {
     }
 }
 
-/// What does not change from sample to sample.
+/// Values that do not change from sample to sample.
 struct ResponseParameters {
     order: usize,
     start: f64,
@@ -291,7 +291,7 @@ impl ResponseParameters {
     }
 }
 
-/// y(t) of a response and its derivatives by the parameters; `None` for an order that no response may have.
+/// y(t) of a response and its derivatives by the parameters; `None` for an invalid order.
 pub(super) fn value_and_slopes(response: &StepResponse, at_s: f64) -> Option<(f64, [f64; MAX_PARAMETERS])> {
     let order = response.lags.len();
     let is_possible = (1..=MAX_ORDER).contains(&order);
@@ -332,14 +332,14 @@ fn response_from(at: &DVector<f64>, order: usize) -> StepResponse {
 // Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, section 3.4: generalised least squares by passing errors
 // and the columns of J through the same filter.
 
-/// How far samples may lie from the model, equation (4).
+/// Deviations of samples from the model, equation (4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResponseNoise {
-    /// sigma, white noise of a sample in the sensor's unit; positive.
+    /// White noise of a sample in the sensor's unit; positive.
     pub sigma: f64,
-    /// delta, by which share of what is left of the transient the model errs.
+    /// delta: relative error of the model in the remaining transient.
     pub model_share: f64,
-    /// T, for how long such an error holds, in seconds; not negative.
+    /// T: correlation time of the model error; not negative.
     pub error_duration_s: f64,
 }
 
@@ -349,13 +349,12 @@ impl ResponseNoise {
     }
 }
 
-/// The filter at one sample; its variances do not depend on what is filtered.
+/// The filter at one sample; its variances do not depend on the filtered data.
 pub(super) struct WhiteningStep {
     /// l_k.
     remaining: f64,
     /// f_k.
     retention: f64,
-    /// The gain of the filter.
     gain: f64,
     /// 1 / S_k.
     pub(super) weight: f64,
@@ -363,7 +362,7 @@ pub(super) struct WhiteningStep {
     ln_spread: f64,
 }
 
-/// The filter at each sample, for what is left of this response; samples in the order of time.
+/// The filter at each sample for this response; samples in time order.
 pub(super) fn whitening_steps(
     samples: &[TimedSample],
     response: &StepResponse,
@@ -390,12 +389,12 @@ pub(super) fn whitening_steps(
     samples.iter().map(of).collect()
 }
 
-/// The logarithm of the determinant of the errors' covariance, over that of white noise.
+/// Log-determinant of the errors' covariance, relative to white noise.
 pub(super) fn ln_spread(whitened: &[WhiteningStep]) -> f64 {
     whitened.iter().map(|white| white.ln_spread).sum()
 }
 
-/// The filter's estimate of g, by the errors and by each of N columns of J.
+/// The filter's estimates of g, from the errors and from each of N columns of J.
 pub(super) struct WhiteningFilter<const N: usize> {
     error_state: f64,
     jacobian_state: [f64; N],
@@ -406,7 +405,7 @@ impl<const N: usize> WhiteningFilter<N> {
         Self { error_state: 0.0, jacobian_state: [0.0; N] }
     }
 
-    /// What is new in a sample's error and in its slopes.
+    /// Innovations of a sample's error and of its slopes.
     pub(super) fn innovations(&mut self, white: &WhiteningStep, error: f64, mut by: [f64; N]) -> (f64, [f64; N]) {
         let next = |believed: &mut f64, shown: f64| {
             *believed *= white.retention;

@@ -1,11 +1,11 @@
-//! Known dynamics by the textbook: all samples at once, and one after the other.
+//! Least squares for known dynamics: block and recursive.
 //!
 //! # Model
 //! ```text
 //! block       [G  C e^(A t_k)] [u; x_ini] ~ y_k, all k, by singular values                                            (11)
 //! recursive   K = P phi / (1 + phi' P phi)     theta <- theta + K (y - phi' theta)     P <- P - K phi' P               (12)
 //! ```
-//! Both are what [`posebridge_estimator::filters::dynamic`] must equal.
+//! [`posebridge_estimator::filters::dynamic`] must give the same results.
 //!
 //! # Sources
 //! Paper 2 (Markovsky), the stacked system and its recursion; docs/lab/thermometer.md section M2.
@@ -16,7 +16,7 @@ use posebridge_telemetry::SensorId;
 
 use super::TimedSample;
 
-/// Three samples of a sensor of first order, equally far apart in time: u = (y_1 y_3 - y_2^2) / (y_1 + y_3 - 2 y_2).
+/// The final value of a first-order sensor from three equidistant samples: u = (y_1 y_3 - y_2^2) / (y_1 + y_3 - 2 y_2).
 ///
 /// `None` where the samples lie on a line.
 pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
@@ -29,14 +29,14 @@ pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalizedEstimate {
     pub value: f64,
-    /// Its standard deviation, as many times that of a sample.
+    /// Standard deviation as a multiple of a sample's.
     pub noise_gain: f64,
 }
 
-/// The stacked system of (11) with a prior in rows of its own: u is the first sample over the gain, the transient zero, each to within
-/// `prior_sigmas` times the noise of a sample.
+/// The stacked system of (11) with a prior in additional rows: u is the first sample over the gain, the transient zero, each with a
+/// sigma of `prior_sigmas` times the noise of a sample.
 ///
-/// `None` without samples, or if the model does not know the sensor.
+/// `None` without samples, or if the model does not contain the sensor.
 fn stack_samples(
     model: &DynamicModel,
     samples: &[(SensorId, TimedSample)],
@@ -61,9 +61,9 @@ fn stack_samples(
     Some((matrix, DVector::from_vec(values)))
 }
 
-/// Block least squares (11) for a quantity that is constant, seen by sensors of known dynamics.
+/// Block least squares (11) for a constant quantity, measured by sensors of known dynamics.
 ///
-/// The samples are in the order of time. `None` without samples, if the model does not know a sensor, or if the numbers are not usable.
+/// Samples must be in time order. `None` without samples, if the model does not contain a sensor, or for invalid numbers.
 pub fn block_least_squares(
     model: &DynamicModel,
     samples: &[(SensorId, TimedSample)],
@@ -79,7 +79,7 @@ pub fn block_least_squares(
     (found.value.is_finite() && found.noise_gain.is_finite()).then_some(found)
 }
 
-/// Recursive least squares (12), with the same prior; as [`block_least_squares`].
+/// Recursive least squares (12) with the same prior; otherwise like [`block_least_squares`].
 pub fn recursive_least_squares(
     model: &DynamicModel,
     samples: &[(SensorId, TimedSample)],

@@ -1,18 +1,18 @@
-//! How a sensor answers a step, found from its samples; and the prediction of its final value from the transient.
+//! Identification of a sensor's step response from its samples, and prediction of its final value from the transient.
 //!
-//! Gets samples, gives models and predictions; reads no file and no clock. The filter for known dynamics is
-//! [`posebridge_estimator::filters::dynamic`]; here stands what comes before it (which dynamics?), beside it (block least squares,
-//! which it must equal) and after it (what if they are not quite known?).
+//! Input is samples, output is models and predictions; no IO and no clock. The filter for known dynamics is
+//! [`posebridge_estimator::filters::dynamic`]; this module identifies the dynamics, provides block least squares as a reference for the
+//! filter, and treats uncertain dynamics.
 //!
 //! | step | module |
 //! |---|---|
-//! | where in a recording the step is | [`onset`] |
-//! | the response as a sum of exponentials, when it has settled, a sensor whose truth is known | [`step_response`] |
+//! | detection of the step in a recording | [`onset`] |
+//! | the response as a sum of exponentials, settling time, a simulated sensor | [`step_response`] |
 //! | least squares for its parameters, and their prior; errors of the model that hold for a while | [`fit`], [`prior`] |
 //! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
-//! | what an observation stream says of one sensor, and its noise | [`channel`] |
-//! | sigmas that hold where errors of neighbours are alike | [`parameter_uncertainty`] |
-//! | several runs of one kind of sensor: what to expect of the next; steps up against steps down | [`sensor_kind`] |
+//! | extraction of one sensor from observations, and its noise | [`channel`] |
+//! | sigmas that are valid for correlated errors | [`parameter_uncertainty`] |
+//! | several runs of one kind of sensor: the prior of the next; steps up against steps down | [`sensor_kind`] |
 //! | the final value with bounds, from sample to sample | [`prediction`] |
 //! | known dynamics: block and recursive least squares | [`known_dynamics`] |
 //! | the experiment of the lab, section by section | [`lesson`] |
@@ -58,12 +58,12 @@ pub use self::sensor_kind::{DirectionComparison, KindError, SensorKind, compare_
 pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, ModelOrder, StepOptions, identify_step};
 pub use self::step_response::{Lag, StepResponse, settling_time_s};
 
-/// What a sensor showed at an instant.
+/// One reading of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedSample {
-    /// When, in seconds of the sensor's own clock.
+    /// By the sensor's own clock.
     pub at_s: f64,
-    /// What, in the sensor's unit.
+    /// In the sensor's unit.
     pub value: f64,
 }
 
@@ -73,7 +73,7 @@ impl TimedSample {
     }
 }
 
-/// The samples that are usable: finite, and each later than the one before.
+/// Drops samples that are not finite or not later than the previous one.
 pub(crate) fn sorted_finite(samples: &[TimedSample]) -> Vec<TimedSample> {
     let mut last_s = f64::NEG_INFINITY;
     samples
@@ -89,9 +89,9 @@ pub(crate) fn sorted_finite(samples: &[TimedSample]) -> Vec<TimedSample> {
         .collect()
 }
 
-/// The samples that are usable, whatever the order in which they came: finite, by rising time, the first of those at one instant.
+/// Sorts samples by time; drops those that are not finite, and all but the first at one instant.
 ///
-/// One stamp that is too late would otherwise take everything after it along.
+/// Without sorting, one timestamp that is too late would drop everything after it.
 pub fn sorted_by_time(samples: &[TimedSample]) -> Vec<TimedSample> {
     let mut samples = samples.to_vec();
     samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));

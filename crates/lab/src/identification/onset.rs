@@ -1,7 +1,7 @@
-//! Where in a recording the step is: from rest before it to the plateau after it.
+//! Detection of a step in a recording: rest, onset, transient, plateau.
 //!
-//! A recording holds more than a step: the sensor lies in its box, is plunged, and is warmed up again for another purpose. What comes
-//! before the rest and after the plateau belongs to no step response.
+//! A recording holds more than a step: the sensor lies in its box, is dipped, and is warmed up again. Samples before the rest and after
+//! the plateau do not belong to the step response.
 //!
 //! # Method
 //! ```text
@@ -9,39 +9,40 @@
 //! onset       from there back to the last mean that is within 3 sigma / sqrt(w) of the rest before
 //! plateau     on to the farthest that the smoothed signal gets before it turns back by a tenth of its way
 //! ```
-//! The offline search sees the whole recording. [`OnsetDetector`] is its causal half: it detects from the past alone that a step has begun.
+//! The offline search uses the whole recording. [`OnsetDetector`] is its causal half: it detects from past samples that a step has
+//! begun.
 
 use super::{TimedSample, mean_of, sorted_finite};
 
-/// Least difference of a window's mean, in sigmas, that counts as a step: a false alarm in ten thousand samples has a chance below 1e-10.
+/// Difference of window means, in sigmas, that counts as a step: false alarms in ten thousand samples have a probability below 1e-10.
 const STEEP_SIGMAS: f64 = 8.0;
-/// Within this number of sigmas a mean counts as at rest.
+/// A mean within this number of sigmas counts as at rest.
 const REST_SIGMAS: f64 = 3.0;
-/// By this share of its way the signal turns back where a plateau has ended.
+/// Reversal of the signal, as a share of the step, that ends a plateau.
 const TURN_BACK: f64 = 0.1;
-/// The rest before the step that belongs to it, as a share of the time from onset to end.
+/// Duration of the rest that is kept before the step, as a share of the time from onset to end.
 const REST_SHARE: f64 = 0.125;
-/// The end of the step that counts as its final value, as a share of its samples.
+/// The last tenth of the samples gives the final value.
 const TAIL_SHARE: usize = 10;
-/// Most samples at rest that are averaged to the level before the step.
+/// Limit of the samples averaged for the level before the step.
 const REST_SAMPLES: usize = 64;
 
 /// A step within a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepSegment {
-    /// The samples that belong to it: some rest, the transient and the plateau.
+    /// Some rest, the transient and the plateau.
     pub samples: Vec<TimedSample>,
-    /// The last instant of rest, in seconds of the sensor's clock.
+    /// The last instant of rest, by the sensor's clock.
     pub onset_s: f64,
     pub start: f64,
-    /// The level at the end: the mean of the last tenth.
+    /// Final value: the mean of the last tenth.
     pub end: f64,
 }
 
-/// Finds the steepest step of a recording of a sensor with this noise (standard deviation of a sample, positive).
+/// Finds the steepest step of a recording; `sigma` is the noise of a sample, positive.
 ///
-/// `None` where nothing moves beyond the noise, or where there are fewer than eight usable samples. Samples that are not finite or
-/// not later than the one before are left out.
+/// `None` if no change exceeds the noise, or for fewer than eight usable samples. Samples that are not finite or not later than the
+/// previous one are ignored.
 pub fn find_step(samples: &[TimedSample], sigma: f64) -> Option<StepSegment> {
     let samples = sorted_finite(samples);
     if !(sigma > 0.0 && sigma.is_finite()) || samples.len() < MIN_SAMPLES {
@@ -62,10 +63,10 @@ pub fn find_step(samples: &[TimedSample], sigma: f64) -> Option<StepSegment> {
     Some(StepSegment { end: sums.mean(until - tail, until), samples: own, onset_s, start })
 }
 
-/// With fewer samples there is no rest, no transient and no plateau to tell apart.
+/// Fewer samples cannot contain rest, transient and plateau.
 const MIN_SAMPLES: usize = 8;
 
-/// Running sums, so that any mean costs two look-ups.
+/// Running sums, so that a mean costs two look-ups.
 struct PrefixSums(Vec<f64>);
 
 impl PrefixSums {
@@ -82,7 +83,7 @@ impl PrefixSums {
         self.0.len() - 1
     }
 
-    /// The mean of the samples from one index to before another; the nearest that there is where they leave the recording.
+    /// The mean of the samples in [from, until), clamped to the recording.
     fn mean(&self, from: usize, until: usize) -> f64 {
         let until = until.clamp(1, self.count());
         let from = from.min(until - 1);
@@ -92,9 +93,8 @@ impl PrefixSums {
 
 #[derive(Clone, Copy)]
 struct SteepestChange {
-    /// The sample before which it leaps.
     index: usize,
-    /// Samples of the window that detects it.
+    /// Window size in samples.
     width: usize,
 }
 
@@ -111,7 +111,6 @@ fn steepest_change(sums: &PrefixSums, sigma: f64) -> Option<SteepestChange> {
     None
 }
 
-/// The index of the last sample at rest.
 fn onset_before(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64) -> usize {
     let SteepestChange { mut index, width } = change;
     let limit = REST_SIGMAS * sigma / (width as f64).sqrt();
@@ -121,7 +120,7 @@ fn onset_before(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f6
     index.saturating_sub(1)
 }
 
-/// The index after the last sample of the plateau.
+/// Index after the last sample of the plateau.
 fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64) -> usize {
     let SteepestChange { index, width } = change;
     let count = sums.count();
@@ -143,28 +142,27 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
-/// Detects from the past alone that a step has begun.
+/// Detects the beginning of a step from past samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnsetDetector {
     sigma: f64,
 }
 
-/// What a [`OnsetDetector`] has seen.
+/// A detected step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectedOnset {
-    /// When the step began, in seconds of the sensor's clock, roughly.
+    /// Approximate onset, by the sensor's clock.
     pub onset_s: f64,
-    /// How far that may be off, one standard deviation in seconds.
     pub onset_sigma_s: f64,
     pub start: f64,
-    /// Where it goes from there: +1 up, -1 down.
+    /// +1 up, -1 down.
     pub direction: f64,
 }
 
 impl OnsetDetector {
-    /// Windows that are compared with the rest before them.
+    /// Window sizes that are compared with the rest before them, in samples.
     const WIDTHS: [usize; 5] = [1, 2, 4, 8, 16];
-    /// Samples of rest that a window is compared with, as many times its own.
+    /// Length of that rest as a multiple of the window.
     const REST_WIDTHS: usize = 4;
     /// At a hundred samples a second and five windows a false alarm every few hours.
     const SIGMAS: f64 = 5.5;
@@ -173,7 +171,7 @@ impl OnsetDetector {
         Self { sigma }
     }
 
-    /// Whether the last of these samples say that a step has begun; samples in the order of time.
+    /// Whether a step has begun by the last of these samples; in time order.
     pub fn detect(self, samples: &[TimedSample]) -> Option<DetectedOnset> {
         Self::WIDTHS.into_iter().find_map(|width| self.detect_with_width(samples, width))
     }

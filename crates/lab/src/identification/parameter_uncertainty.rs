@@ -1,9 +1,8 @@
-//! The results of a step, each with a sigma that is valid whether the errors of neighbouring samples are correlated or not.
+//! Step parameters with sigmas that are valid whether the errors of neighbouring samples are correlated or not.
 //!
-//! The covariance (6) of the fit takes errors for independent and trusts the noise that it was given. Encoder speeds are
-//! differences of whole counts: what one interval lacks the next one has, and (6) is several times too large. A filtered sensor
-//! errs the other way for a while, and (6) is too small. Here the residuals themselves say how large errors are and what
-//! neighbours have in common.
+//! The covariance (6) of the fit assumes independent errors of the given noise. Encoder speeds are differences of whole counts, whose
+//! errors are negatively correlated, and (6) is several times too large. The errors of a filtered sensor are positively correlated, and
+//! (6) is too small. Here the size and the correlation of the errors are estimated from the residuals.
 //!
 //! # Model
 //! ```text
@@ -14,11 +13,11 @@
 //! differences of readings   u_k = q_(k+1) - q_k      sum of g_k u_k = sum of (g_(k-1) - g_k) q_k: (13) with q and these slopes  (14)
 //! mean lag = sum of s_j tau_j: by so much the sensor trails a ramp                                                          (15)
 //! ```
-//! In (14) a reading that does not change errs by the same all along: its terms are added up before they are squared. Without
-//! that a counter that stands would count for as many errors as it was read.
+//! In (14) a reading that does not change has a constant error: its terms are added up before they are squared. Without that a standing
+//! counter would count as many errors as it was read.
 //!
-//! Where the model itself errs (delta of (8) is not zero) a sum over few lags cannot see all that its errors have in common: the larger
-//! one of (13) and (6) is taken then.
+//! Where the model itself errs (delta of (8) is not zero) a sum over few lags misses a part of the correlation of its errors: the
+//! larger one of (13) and (6) is used then.
 //!
 //! # Sources
 //! Newey and West (1987), (13), for errors whose statistics do not change along the step; Politis (2003), what counts as no correlation;
@@ -32,7 +31,7 @@ use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
 
-/// What a sample is.
+/// The kind of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
     #[default]
@@ -41,41 +40,41 @@ pub enum Sampling {
     Differences,
 }
 
-/// Largest lag, in samples, that is searched for correlations (Politis).
+/// Largest lag in samples that is tested for correlation (Politis).
 const CHECKED_LAGS: usize = 5;
-/// Differences of independent errors have rho(1) = -1/2; above half of that something else than the readings is noisy.
+/// Differences of independent errors have rho(1) = -1/2; above half of that another noise dominates.
 const DIFFERENCES_BELOW: f64 = -0.25;
 /// A counter stands while its speed differs by less than this share of the residuals' root mean square.
 const STEADY_BELOW: f64 = 0.05;
-/// Number of samples for one lag of the window: the variance that is found is then itself good to about 30 %.
+/// Samples per lag of the window: the estimated variance is then accurate to about 30 %.
 const SAMPLES_PER_LAG: usize = 16;
-/// The most lags, so that long recordings take no longer than they are worth.
+/// Bounds the run time for long recordings.
 const MAX_LAGS: usize = 256;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepParameters {
-    /// What the sensor shows per unit of the quantity, if the step of the quantity was given.
+    /// Sensor units per unit of the quantity, if the step of the quantity was given.
     pub gain: Option<UncertainValue>,
-    /// From the step of the quantity until the sensor begins to move, in seconds, if the former was given.
+    /// From the step of the quantity to the onset of the sensor, if the former was given.
     pub delay_s: Option<UncertainValue>,
-    /// When the sensor began to move, in seconds of its clock.
+    /// Onset, by the sensor's clock.
     pub onset_s: UncertainValue,
-    /// How far the sensor goes, in its unit.
+    /// In the sensor's unit.
     pub step: UncertainValue,
-    /// Where it ends, in its unit.
+    /// Final value, in the sensor's unit.
     pub end: UncertainValue,
-    /// The lags, the fastest first.
+    /// The fastest first.
     pub lags: Vec<IdentifiedLag>,
-    /// Equation (15), in seconds.
+    /// Equation (15).
     pub mean_lag_s: UncertainValue,
-    /// Root mean square of what the response leaves of the samples, in the sensor's unit.
+    /// Of the residuals of the response, in the sensor's unit.
     pub residual_rms: f64,
     /// Correlation of neighbouring residuals, -1 to 1.
     pub rho_1: f64,
 }
 
 impl StepParameters {
-    /// The numbers of an identified step, whose quantity stepped by `input_step` if that is known.
+    /// Parameters of an identified step; `input_step` is the step of the quantity, if known.
     pub fn from_step(found: &IdentifiedStep, input_step: Option<f64>, sampling: Sampling) -> Self {
         let residuals = WeightedResiduals::of(found);
         let covariance = residuals.covariance(found, sampling);
@@ -110,7 +109,7 @@ impl StepParameters {
     }
 }
 
-/// Slopes of s_j by the free shares; the last one is what the others leave.
+/// Derivatives of s_j by the free shares; the last share is the rest to one.
 fn share_slopes(j: usize, order: usize) -> Vec<(usize, f64)> {
     let first = row::LAGS + order;
     if j + 1 < order {
@@ -141,7 +140,7 @@ fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
     variance.max(0.0).sqrt()
 }
 
-/// What the response leaves, and how it hangs on the parameters.
+/// Residuals of the response and their derivatives by the parameters.
 struct WeightedResiduals {
     weighted: Vec<f64>,
     slopes: Vec<DVector<f64>>,
@@ -275,7 +274,7 @@ fn lagged_products(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<
     sum
 }
 
-/// The sum of products of values this number of samples apart.
+/// Sum of products of values `lag` samples apart.
 fn lagged_sum(values: &[f64], lag: usize) -> f64 {
     let pairs = values.iter().zip(values.iter().skip(lag));
     pairs.map(|(a, b)| a * b).sum()

@@ -1,14 +1,14 @@
-//! What a sensor will show in the end, from sample to sample, when its dynamics are not quite known.
+//! Prediction of a sensor's final value at each sample, with uncertain dynamics.
 //!
-//! Gets samples and what other runs say ([`ExpectedDynamics`]); at each sample it has used that sample and those before, and no
-//! later one. The onset is found on the way. The lags are estimated along with the quantity, starting from what is expected of them.
+//! Input is samples and a prior from other runs ([`ExpectedDynamics`]); a prediction at a sample uses only that sample and earlier
+//! ones. The onset is detected on the way. The lags are estimated along with the quantity, starting from their prior.
 //!
 //! # Model
-//! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which holds the
-//! noise, the lags, and the faults of the model.
+//! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which contains the
+//! noise, the uncertainty of the lags, and the error of the model.
 //!
-//! At rest, before a step is seen, the reading is the quantity. Long after it the model can no longer be wrong, so that
-//! the reading is the quantity again: nothing switches.
+//! At rest, before a step is detected, the prediction is the reading. Long after the step the error of the model vanishes, so that the
+//! prediction converges to the reading without a switch.
 
 use posebridge_estimator::numerics::statistics::quantile;
 
@@ -19,36 +19,35 @@ use super::step::IdentifiedStep;
 use super::step_response::StepResponse;
 use super::{TimedSample, sorted_finite};
 
-/// The bound contains the final value with this probability.
+/// Probability with which the bound contains the final value.
 pub const BOUND_RATE: f64 = 0.95;
-/// The two-sided quantile of a Gaussian for it.
+/// Two-sided quantile of the normal distribution for [`BOUND_RATE`].
 pub const BOUND_SIGMAS: f64 = 1.959_964;
 
-/// The predicted final value at one instant.
+/// The predicted final value of a sensor at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndPrediction {
-    /// The instant of the latest sample, in seconds of the sensor's clock.
+    /// Time of the latest sample, by the sensor's clock.
     pub at_s: f64,
     pub value: f64,
-    /// One standard deviation of it, with all that is not known about the dynamics.
+    /// One standard deviation, with the uncertainty of the dynamics.
     pub sigma: f64,
-    /// Whether a step has been seen.
+    /// Whether a step was detected.
     pub is_settling: bool,
 }
 
 impl EndPrediction {
-    /// The bound: within it the final value is with probability [`BOUND_RATE`].
+    /// The interval that contains the final value with probability [`BOUND_RATE`].
     pub fn bound(&self) -> (f64, f64) {
         let half = BOUND_SIGMAS * self.sigma;
         (self.value - half, self.value + half)
     }
 }
 
-/// Predicts from sample to sample, with dynamics that are expected to be so whichever way the step leads. `sigma` is the
-/// noise of a sample, in the sensor's unit.
+/// Predicts at each sample, with the same prior for both step directions. `sigma` is the noise of a sample, in the sensor's unit.
 ///
-/// There is a prediction for each of the first samples after the step was seen, and then for one sample in each fiftieth of the time since.
-/// Samples that are not finite or not later than the one before are left out. Empty for a noise that is not positive and finite.
+/// There is a prediction for each of the first samples after the detection, and then one per 2 % of the elapsed samples. Samples that
+/// are not finite or not later than the previous one are ignored. Empty if `sigma` is not positive and finite.
 pub fn predict_with_expectation(
     samples: &[TimedSample],
     sigma: f64,
@@ -57,7 +56,7 @@ pub fn predict_with_expectation(
     predict_series(samples, sigma, |_| Some(expectation.clone()))
 }
 
-/// The prediction after the last of these samples; the same as the last of [`predict_with_expectation`], at the cost of one fit.
+/// The prediction after the last sample; equals the last of [`predict_with_expectation`], at the cost of one fit.
 pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedDynamics) -> Option<EndPrediction> {
     let samples = sorted_finite(samples);
     let detector = OnsetDetector::new(sigma);
@@ -67,12 +66,12 @@ pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedD
     running.prediction(&samples)
 }
 
-/// After this many predictions for every sample they become sparser.
+/// Number of predictions at every sample before they become sparser.
 const DENSE_SAMPLES: usize = 60;
-/// Then there is one in each such share of the samples since the onset.
+/// Then one prediction per this fraction of the samples since the onset.
 const SPARSE_SHARE: usize = 50;
 
-/// Predicts from sample to sample; `expect` is asked once the way of the step is known.
+/// Predicts at each sample; `expect` is called once the direction of the step is known.
 pub(super) fn predict_series(
     samples: &[TimedSample],
     sigma: f64,
@@ -115,17 +114,16 @@ fn predict_at_rest(so_far: &[TimedSample], sigma: f64) -> Option<EndPrediction> 
     Some(EndPrediction { at_s: latest.at_s, value: latest.value, sigma, is_settling: false })
 }
 
-/// A step that is under way: a bank of models, one for each of several values of the slowest lag.
+/// A step in progress: a bank of models, one for each of several values of the slowest lag.
 struct PredictorBank {
     noise: ResponseNoise,
     sigma_factor: f64,
     members: Vec<BankMember>,
 }
 
-/// One model of the bank.
 struct BankMember {
     prior: ResponsePrior,
-    /// Minus the logarithm of its weight beforehand, and of the room that it had.
+    /// Negative logarithm of its prior weight and of its prior volume.
     cost: f64,
     guess: StepResponse,
 }
@@ -161,7 +159,7 @@ impl PredictorBank {
         })
     }
 
-    /// Fits all samples so far by each member, and weighs them by how likely they make the samples.
+    /// Fits each member to all samples so far, and weighs them by their likelihoods.
     fn prediction(&mut self, so_far: &[TimedSample]) -> Option<EndPrediction> {
         let latest = so_far.last()?;
         let fits: Vec<(f64, ResponseFit)> = self
@@ -196,17 +194,17 @@ impl PredictorBank {
     }
 }
 
-/// Dynamics, more about the slowest lag, and minus the logarithm of the weight beforehand.
+/// Dynamics, an additional prior of the slowest lag, and the negative logarithm of the prior weight.
 type MemberSpec = (DynamicsPrior, Option<GaussianPrior>, f64);
 
-/// The models of the bank: the dynamics of the runs before, and others of their kind. Neither is likelier beforehand.
+/// The models of the bank: the dynamics of earlier runs, and others of their kind, with equal prior weights.
 fn bank_members(expectation: &ExpectedDynamics) -> Vec<MemberSpec> {
     let same = expectation.same.iter();
     let same = same.map(|same| (same.clone(), None, same.half_ln_determinant()));
     same.chain(quadrature_nodes(&expectation.dynamics)).collect()
 }
 
-/// The values of the slowest lag that stand for a kind: Gaussians as wide as they are apart, which together are flat.
+/// Values of the slowest lag that represent a kind: Gaussians as wide as their spacing, which together are flat.
 fn quadrature_nodes(dynamics: &DynamicsPrior) -> Vec<MemberSpec> {
     let (slowest, ln_room) = (dynamics.slowest(), dynamics.half_ln_determinant());
     if slowest.sigma < ONE_NODE_BELOW {
@@ -219,21 +217,21 @@ fn quadrature_nodes(dynamics: &DynamicsPrior) -> Vec<MemberSpec> {
     (-NODES..=NODES).map(|k| (dynamics.clone(), Some(node(k)), cost)).collect()
 }
 
-/// Nodes to each side of the expected lag, and their distance in sigmas of what is expected.
+/// Nodes on each side of the expected lag, and their spacing in prior sigmas.
 const NODES: i32 = 4;
 const NODE_DISTANCE: f64 = 0.7;
-/// A lag that is known better than to a thousandth needs no bank.
+/// A lag known better than to a thousandth needs no bank.
 const ONE_NODE_BELOW: f64 = 1e-3;
 
-/// A first guess takes no less than this share of the step for gone.
+/// Minimum elapsed share of the step in a first guess.
 const MIN_ELAPSED_SHARE: f64 = 0.02;
 
-/// What predictions of a run were worth, from the onset until the sensor itself was within 2 % of the end.
+/// Accuracy of the predictions of a run, from the onset until the sensor is within 2 % of the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PredictionScore {
-    /// How far they were off, as a mean share of the step over time, none counted beyond one.
+    /// Mean over time of the absolute error as a share of the step, each limited to one.
     pub mean_error: f64,
-    /// How many of their own sigmas hold [`BOUND_RATE`] of them, as a multiple of [`BOUND_SIGMAS`]; 1 for bounds that hold at their rate.
+    /// Number of sigmas that contain [`BOUND_RATE`] of the errors, relative to [`BOUND_SIGMAS`]; 1 for consistent bounds.
     pub bound_factor: f64,
 }
 
@@ -243,7 +241,7 @@ impl Default for PredictionScore {
     }
 }
 
-/// Scores predictions by the final value of the run; `None` where none is in time.
+/// Scores predictions by the final value of the run; `None` if there is none before settling.
 pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) -> Option<PredictionScore> {
     let response = run.response();
     let step = (run.end - response.start).abs();
@@ -267,5 +265,5 @@ pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) ->
     judged.mean_error.is_finite().then_some(judged)
 }
 
-/// Within this share of the step a sensor has settled.
+/// Share of the step within which a sensor counts as settled.
 const SETTLED_SHARE: f64 = 0.02;

@@ -1,14 +1,14 @@
 //! The prior of a step response: equation (5) of [`super::fit`].
 //!
-//! [`super::sensor_kind`] makes it from the runs before; [`super::step`](mod@super::step) from next to nothing.
+//! [`super::sensor_kind`] derives it from earlier runs; [`super::step`](mod@super::step) uses a weak one.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::step_response::{Lag, StepResponse};
 
-/// The most exponentials that a response may have.
+/// Largest number of exponentials of a response.
 pub const MAX_ORDER: usize = 3;
-/// Rows of the parameters that every response has.
+/// Indices of the parameters that every response has.
 pub mod row {
     /// y_0.
     pub const START: usize = 0;
@@ -20,11 +20,11 @@ pub mod row {
     pub const LAGS: usize = 3;
 }
 
-/// The prior of one number: a Gaussian.
+/// Gaussian prior of one parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianPrior {
     pub mean: f64,
-    /// Its standard deviation; positive.
+    /// Positive.
     pub sigma: f64,
 }
 
@@ -38,7 +38,7 @@ impl GaussianPrior {
     }
 }
 
-/// The prior of the lags and the shares, equation (5).
+/// Prior of the lags and the shares, equation (5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct DynamicsPrior {
     order: usize,
@@ -51,7 +51,7 @@ pub struct DynamicsPrior {
 impl DynamicsPrior {
     /// m in the order ln tau_1 .. ln tau_n (tau in seconds), s_1 .. s_(n-1), with S and nu (positive, or infinite for a Gaussian).
     ///
-    /// `None` if the rows are not those of an order of 1 to [`MAX_ORDER`], or if S is not positive definite.
+    /// `None` if the number of rows is not that of an order of 1 to [`MAX_ORDER`], or if S is not positive definite.
     pub fn new(mean: DVector<f64>, covariance: DMatrix<f64>, freedom: f64) -> Option<Self> {
         let order = mean.len().div_ceil(2);
         let is_usable = mean.len() % 2 == 1
@@ -76,7 +76,7 @@ impl DynamicsPrior {
         )
     }
 
-    /// n, how many lags.
+    /// n, the number of lags.
     pub const fn order(&self) -> usize {
         self.order
     }
@@ -86,25 +86,25 @@ impl DynamicsPrior {
         &self.inverse
     }
 
-    /// m and the root of S for the slowest lag's ln tau.
+    /// m and sqrt(S) of the slowest lag's ln tau.
     pub fn slowest(&self) -> GaussianPrior {
         let row = self.order - 1;
         GaussianPrior { mean: self.mean[row], sigma: self.covariance[(row, row)].sqrt() }
     }
 
-    /// Half the logarithm of the determinant of S: how much room there is beforehand.
+    /// Half the log-determinant of S: the prior volume.
     pub fn half_ln_determinant(&self) -> f64 {
         let cholesky = self.inverse.clone().cholesky();
         cholesky.map_or(0.0, |factor| -factor.l().diagonal().map(f64::ln).sum())
     }
 
-    /// The response that is most likely beforehand, with a start, a step and an onset.
+    /// The response with the most likely dynamics, for a given start, step and onset.
     pub fn expected(&self, start: f64, step: f64, onset_s: f64) -> StepResponse {
         let rows = self.mean.iter().copied();
         response_of(&[start, step, onset_s], rows.clone().take(self.order), rows.skip(self.order))
     }
 
-    /// rho, its slope, and the weight of S^-1 in an equal parabola at this place.
+    /// rho, its slope, and the weight of S^-1 in a local parabola.
     pub(super) fn cost_at(&self, at: &DVector<f64>) -> (f64, DVector<f64>, f64) {
         let off = at.rows(row::LAGS, self.mean.len()) - &self.mean;
         let pull = &self.inverse * &off;
@@ -118,16 +118,15 @@ impl DynamicsPrior {
     }
 }
 
-/// What is known before the samples are looked at.
+/// Prior of a step response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResponsePrior {
-    /// Of t_0, in seconds.
+    /// t_0, in seconds.
     pub onset: GaussianPrior,
-    /// Of the lags and the shares.
     pub dynamics: DynamicsPrior,
-    /// More about the slowest lag's ln tau, for one member of a bank.
+    /// Additional prior of the slowest lag's ln tau, for one member of a bank.
     pub slowest: Option<GaussianPrior>,
-    /// u = y_0 + D, where the end of the step is known.
+    /// u = y_0 + D, if the end of the step is known.
     pub end: Option<GaussianPrior>,
 }
 
@@ -136,7 +135,7 @@ impl ResponsePrior {
         row::LAGS + self.dynamics.mean.len()
     }
 
-    /// The response that is most likely beforehand.
+    /// The response with the most likely dynamics and onset.
     pub fn expected(&self, start: f64, step: f64) -> StepResponse {
         let mut response = self.dynamics.expected(start, step, self.onset.mean);
         if let (Some(belief), Some(lag)) = (&self.slowest, response.lags.last_mut()) {
@@ -146,7 +145,7 @@ impl ResponsePrior {
     }
 }
 
-/// The response with these rows: y_0, D and t_0, the logarithms of the lags, and all shares but the last.
+/// The response with these parameters: y_0, D and t_0, the logarithms of the lags, and all shares but the last.
 pub(super) fn response_of(
     first: &[f64; 3],
     ln_lags: impl Iterator<Item = f64>,
@@ -162,7 +161,7 @@ pub(super) fn response_of(
     StepResponse { lags: lags.collect(), start: first[row::START], step: first[row::STEP], onset_s: first[row::ONSET] }
 }
 
-/// Where a step leads.
+/// The sign of a step: up or down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepDirection {
     Up,
@@ -175,25 +174,25 @@ impl StepDirection {
     }
 }
 
-/// What is expected of the dynamics of a run before it is seen.
+/// Prior of the dynamics of the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpectedDynamics {
-    /// Of the lags and the shares, if the run is one of the kind.
+    /// For a run of the same kind.
     pub dynamics: DynamicsPrior,
-    /// The same, if its dynamics are those of the runs before, which then count as equal.
+    /// For a run with dynamics equal to those of the earlier runs.
     pub same: Option<DynamicsPrior>,
-    /// delta: by which share of what is left of the transient the model errs.
+    /// delta: relative error of the model in the remaining transient.
     pub model_share: f64,
-    /// How long such an error holds, in seconds.
+    /// Correlation time of the model error.
     pub error_duration_s: f64,
-    /// By how much the sigmas of predictions are too small, as far as the runs before show; at least 1.
+    /// Correction of the predictions' sigmas by the earlier runs; at least 1.
     pub sigma_factor: f64,
 }
 
 impl ExpectedDynamics {
-    /// Dynamics that are known for certain: time constants in seconds with their shares, which add up to one.
+    /// Exactly known dynamics: time constants in seconds with their shares, which sum to one.
     ///
-    /// `None` for time constants that are not positive, or for more lags than a response may have.
+    /// `None` for time constants that are not positive, or for more lags than [`MAX_ORDER`].
     pub fn known(lags: &[(f64, f64)]) -> Option<Self> {
         let certain = |mean: f64| GaussianPrior { mean, sigma: CERTAIN_SIGMA };
         let ln_lags: Vec<GaussianPrior> = lags.iter().map(|(tau_s, _)| certain(tau_s.ln())).collect();
@@ -209,7 +208,7 @@ impl ExpectedDynamics {
     }
 }
 
-/// A millionth is nothing beside any noise.
+/// Negligible beside any noise.
 const CERTAIN_SIGMA: f64 = 1e-6;
 
 #[cfg(test)]

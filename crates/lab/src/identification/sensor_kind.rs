@@ -1,4 +1,4 @@
-//! What several identified sensors of one kind say about the next one.
+//! Prior of the next sensor of a kind from several identified ones.
 //!
 //! # Model
 //! Each run i gives ln tau_ij and shares with variances of their own, v_ij. The next run of the same kind is drawn from the same
@@ -8,25 +8,24 @@
 //! ln tau_j of the next run     Student's t, nu = n + 2, mean m_j, q_j^2 = s_j^2 (1 + 1/n) + mean of v_ij / n          (10)
 //! ```
 //! (10) is the predictive distribution of a Gaussian population whose variance has an inverse gamma prior of three degrees of freedom.
-//! Its heavy tails let the data overrule what was expected; its peak holds as long as they do not. The error of the model, (4) of
-//! [`super::fit`], is learned in the same way:
+//! Its heavy tails let the data overrule the prior; its peak dominates otherwise. The error of the model, (4) of [`super::fit`], is
+//! learned in the same way:
 //! ```text
 //! delta^2 = (3 s_0^2 + sum of delta_i^2) / (n + 3)     T = mean of T_i, or of the run's mean lag where no error was found      (13)
 //! ```
-//! No sensor is quite a sum of a few exponentials: without s_0 a short noisy run, which cannot show what is wrong with its model, would be
-//! taken for one whose model is right.
+//! No sensor is exactly a sum of a few exponentials: without s_0 a short noisy run, which cannot reveal its model error, would be
+//! assigned none.
 //!
-//! Runs that differ by no more than their own sigmas may also be one and the same; then both are kept, and the samples of the
-//! next run decide (prediction.rs). Where there are two runs or more, each is predicted by the others: the order by which they
-//! miss least is chosen, and if their bounds hold less often than they should, the sigmas of the next prediction are larger by
-//! what would have made them hold.
+//! Runs that differ by no more than their own sigmas may also have equal dynamics; then both hypotheses are kept, and the samples of
+//! the next run decide (prediction.rs). With two runs or more, each is predicted from the others: the order with the smallest error is
+//! selected, and if the bounds contain the truth too rarely, the sigmas of the next prediction are increased accordingly.
 //!
-//! Up and down are identified apart. A step the other way, without a run, is expected like those that there are, but for a
-//! scale that all its lags have in common: heat goes into a body through another film than out of it.
+//! Steps up and down are identified separately. A direction without a run gets the prior of the other, with an additional common scale
+//! of all lags: heat transfer into a body and out of it differ.
 //! ```text
 //! ln tau_j = ln s + ln tau_j of (10)          ln s of variance s_c^2, the same for all j                               (14)
 //! ```
-//! One scale is found out sooner than several lags, each by itself.
+//! One common scale is estimated faster than several lags separately.
 //!
 //! # Sources
 //! Gelman and others, Bayesian Data Analysis, third edition, sections 3.2 and 3.3; docs/lab/thermometer.md section 4.
@@ -40,27 +39,27 @@ use super::prediction::{EndPrediction, PredictionScore, predict_series, score_pr
 use super::prior::{DynamicsPrior, ExpectedDynamics, MAX_ORDER, StepDirection, row};
 use super::step::{CandidateModel, IdentifiedStep};
 
-/// s_0 of ln tau: time constants of one kind differ by a twentieth until the runs say otherwise.
+/// s_0 of ln tau: time constants of one kind differ by 5 % until the runs show otherwise.
 const LN_LAG_SPREAD: f64 = 0.05;
-/// s_c: another film of water around the sensor stretches all its lags by a fifth, more or less.
+/// s_c: another water film around the sensor scales all lags by about 20 %.
 const OTHER_DIRECTION_LN_SCALE: f64 = 0.2;
 /// s_0 of the shares.
 const SHARE_SPREAD: f64 = 0.02;
-/// s_0 of delta: no sensor is quite a sum of exponentials, even if its runs do not show it. Two lags leave 1.5, 2.0 and 3.9 % of what is
-/// still to come of three DS18B20 in ice water (root mean squares of both over the step); the worst of a kind counts.
+/// s_0 of delta: no sensor is exactly a sum of exponentials, even if its runs do not show it. Two lags leave 1.5, 2.0 and 3.9 % of the
+/// remaining transient of three DS18B20 in ice water (root mean squares of both over the step); the worst of a kind counts.
 const MODEL_SHARE: f64 = 0.04;
 
-/// How much alike runs are.
+/// Assumed similarity of runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RunSimilarity {
-    /// Sensors of one kind, or one sensor in surroundings that differ: equations (9) and (10).
+    /// Sensors of one kind, or one sensor in different surroundings: equations (9) and (10).
     #[default]
     SameKind,
-    /// The very same dynamics for a step the same way: what differs is what the identification did not find out.
+    /// Equal dynamics for a step in the same direction: differences are identification errors.
     SameDynamics,
 }
 
-/// What identified runs say about the next one.
+/// Prior of the next run from identified runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorKind {
     order: usize,
@@ -70,7 +69,7 @@ pub struct SensorKind {
     down: Vec<CandidateModel>,
 }
 
-/// Why runs make no kind.
+/// Why the runs give no prior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KindError {
@@ -81,7 +80,7 @@ pub enum KindError {
 }
 
 impl SensorKind {
-    /// Learns from identified runs. The order is the one by which the runs predict each other best; of a single run, its own.
+    /// Learns from identified runs. The order is the one by which the runs predict each other best; for a single run, its own.
     pub fn from_runs(runs: &[IdentifiedStep], likeness: RunSimilarity) -> Result<Self, KindError> {
         let first = runs.first().ok_or(KindError::NoRun)?;
         let kinds: Vec<Self> = (1..=MAX_ORDER)
@@ -103,7 +102,7 @@ impl SensorKind {
         Ok(kind)
     }
 
-    /// Learns from identified runs by their descriptions of one order; `None` if one of them has none.
+    /// Uses the candidates of one order; `None` if a run has none.
     pub fn with_order(runs: &[IdentifiedStep], order: usize, likeness: RunSimilarity) -> Option<Self> {
         let mut kind = Self { order, similarity: likeness, sigma_factor: 1.0, up: vec![], down: vec![] };
         for run in runs {
@@ -120,7 +119,7 @@ impl SensorKind {
         self.order
     }
 
-    /// Each run predicted by the others. What cannot be predicted misses by everything.
+    /// Predicts each run from the others. A run that cannot be predicted counts with the maximum error.
     fn cross_validate(&self, runs: &[IdentifiedStep]) -> PredictionScore {
         let each = (0..runs.len()).map(|judged| {
             let others: Vec<IdentifiedStep> =
@@ -138,7 +137,6 @@ impl SensorKind {
         }
     }
 
-    /// What is expected of a step this way.
     pub fn expectation(&self, direction: StepDirection) -> Option<ExpectedDynamics> {
         let (own, other) = match direction {
             StepDirection::Up => (&self.up, &self.down),
@@ -161,12 +159,12 @@ impl SensorKind {
     }
 }
 
-/// Predicts a run of this kind from sample to sample, as [`predict_with_expectation`](super::prediction::predict_with_expectation) does.
+/// Predicts a run of this kind as [`predict_with_expectation`](super::prediction::predict_with_expectation) does.
 pub fn predict(samples: &[TimedSample], sigma: f64, kind: &SensorKind) -> Vec<EndPrediction> {
     predict_series(samples, sigma, |way| kind.expectation(way))
 }
 
-/// Lags and shares of several runs, each with what is known about it.
+/// Lags and shares of several runs, with their covariances.
 struct RunParameters {
     each: Vec<(DVector<f64>, DMatrix<f64>)>,
     mean: DVector<f64>,
@@ -184,13 +182,13 @@ impl RunParameters {
         Self { mean: sum / runs.len() as f64, each }
     }
 
-    /// Covariance of the mean by what each run does not know.
+    /// Covariance of the mean from the identification errors of the runs.
     fn identification_covariance(&self) -> DMatrix<f64> {
         let sum: DMatrix<f64> = self.each.iter().map(|(_, own)| own).sum();
         sum / (self.each.len() as f64).powi(2)
     }
 
-    /// Whether the runs differ by no more than what they do not know about themselves, at a level of 5 %.
+    /// Whether the differences between runs are within their sigmas, at a level of 5 %.
     fn are_consistent(&self) -> bool {
         let squares: Option<f64> = self
             .each
@@ -208,7 +206,7 @@ impl RunParameters {
         DynamicsPrior::new(self.mean.clone(), self.identification_covariance(), f64::INFINITY)
     }
 
-    /// Equations (9) and (10), with a scale that all lags have in common by (14).
+    /// Equations (9) and (10), with a common scale of all lags by (14).
     fn of_kind(&self, ln_scale: f64, order: usize) -> Option<DynamicsPrior> {
         let count = self.each.len() as f64;
         let freedom = PRIOR_FREEDOM + count - 1.0;
@@ -225,7 +223,7 @@ impl RunParameters {
     }
 }
 
-/// The lags' ln tau and the free shares of a description.
+/// ln tau of the lags and the free shares of a candidate.
 fn parameter_rows(run: &CandidateModel, rows: usize) -> DVector<f64> {
     let lags = &run.fit.response.lags;
     let ln_lags = lags.iter().map(|lag| lag.time_constant_s.ln());
@@ -233,7 +231,7 @@ fn parameter_rows(run: &CandidateModel, rows: usize) -> DVector<f64> {
     DVector::from_iterator(rows, ln_lags.chain(shares).take(rows))
 }
 
-/// delta and T of the next run: by the runs, and within a kind also by the prior.
+/// delta and T of the next run: from the runs, and within a kind also from the prior.
 fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
     let count = runs.len() as f64;
     let squares: f64 = runs.iter().map(|run| run.model_share.powi(2)).sum();
@@ -250,10 +248,10 @@ fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
     (((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
 }
 
-/// Degrees of freedom of the prior spread: it weighs as much as this number of runs.
+/// Degrees of freedom of the prior spread, equivalent to this number of runs.
 const PRIOR_FREEDOM: f64 = 3.0;
 
-/// An order with a share that may be zero in one of the runs has lags that are anywhere.
+/// An order whose share may be zero in a run has undetermined lags.
 fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
     let mut candidates = runs.iter().map(|run| run.of_order(order));
     candidates.all(|candidate| candidate.is_some_and(IdentifiedStep::is_resolved))
@@ -269,7 +267,7 @@ fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
 // # Sources
 // The weighted mean with Birge's ratio (1932), as for physical constants; docs/lab/calibration.md, section 7.
 
-/// Both ways side by side.
+/// Steps up compared with steps down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectionComparison {
     pub up: UncertainValue,
@@ -285,10 +283,10 @@ impl DirectionComparison {
     }
 }
 
-/// The quantile of a Gaussian at 99.5 %.
+/// 99.5 % quantile of the normal distribution.
 const TWO_SIDED_SIGMAS: f64 = 2.575_829;
 
-/// Compares one number of several steps; `None` unless there are steps both ways, each with a sigma of more than zero.
+/// Compares one parameter of several steps; `None` unless there are steps in both directions, each with a positive sigma.
 pub fn compare_directions(steps: &[(StepDirection, UncertainValue)]) -> Option<DirectionComparison> {
     let of = |way: StepDirection| {
         let own = steps.iter().filter(|(which, _)| *which == way);

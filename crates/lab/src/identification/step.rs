@@ -1,4 +1,4 @@
-//! Gain, delay, lags and order of a sensor from the samples of one step.
+//! Identifies gain, delay, lags and order of a sensor from the samples of one step.
 //!
 //! # Method
 //! ```text
@@ -8,7 +8,7 @@
 //!          delta^2 = mean(e_k e_(k+1)) / mean((D r_k)^2)        c = 1 + 2 sum over i of rho_i            (8)
 //!          T = c / 2 times the distance of samples: what correlations of e^(-t / T) add up to
 //! ```
-//! A second fit with delta and T gives the sigmas: those of a fit that takes the residuals of a wrong model for white noise are too small.
+//! A second fit with delta and T gives the sigmas: a fit that treats the residuals of a wrong model as white noise underestimates them.
 //!
 //! # Sources
 //! Schwarz (1978), (7); docs/lab/thermometer.md section 3.
@@ -19,74 +19,74 @@ use super::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
 use super::step_response::{Lag, StepResponse};
 use super::{TimedSample, sorted_finite};
 
-/// How many exponentials to use.
+/// The number of exponentials, fixed or selected by the data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ModelOrder {
-    /// As many as the data ask for, by equation (7).
+    /// Selected by equation (7).
     #[default]
     Automatic,
-    /// So many, 1 to [`MAX_ORDER`].
+    /// 1 to [`MAX_ORDER`].
     Fixed(usize),
 }
 
-/// What is known about a step beforehand.
+/// Known data of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOptions {
-    /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its last digit over the root of 12.
+    /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its resolution over the root of
+    /// 12.
     pub sigma: f64,
     pub order: ModelOrder,
-    /// When the quantity stepped, in seconds of the sensor's clock; without it the delay is not observable.
+    /// Time of the quantity's step, by the sensor's clock; without it the delay is not observable.
     pub onset_s: Option<f64>,
-    /// How far the quantity stepped, in its own unit; without it the gain is not observable.
+    /// Step of the quantity, in its own unit; without it the gain is not observable.
     pub input_step: Option<f64>,
-    /// What the sensor shows in the end, if that is known; it need not be.
+    /// Final value of the sensor, if known.
     pub end: Option<f64>,
 }
 
 impl StepOptions {
-    /// Nothing is known but the noise.
+    /// Only the noise is known.
     pub const fn with_sigma(sigma: f64) -> Self {
         Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
     }
 }
 
-/// A lag with what is known about it.
+/// A lag with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IdentifiedLag {
-    /// tau, in seconds.
+    /// tau.
     pub time_constant_s: f64,
     pub time_constant_sigma_s: f64,
     pub share: f64,
     pub share_sigma: f64,
 }
 
-/// One way to describe the step.
+/// A fitted response of one order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CandidateModel {
     pub fit: ResponseFit,
-    /// Root mean square of what it leaves, in the sensor's unit.
+    /// Of the residuals, in the sensor's unit.
     pub residual_rms: f64,
     /// delta of equation (8).
     pub model_share: f64,
-    /// T of equation (8): how long an error of the model holds, in seconds; 0 where none was found.
+    /// T of equation (8): correlation time of the model error; 0 if no such error was found.
     pub error_duration_s: f64,
-    /// The criterion (7); the least is best.
+    /// The criterion (7); the smallest is best.
     pub criterion: f64,
 }
 
-/// A sensor's answer to a step.
+/// The identified step response of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdentifiedStep {
     pub samples: Vec<TimedSample>,
-    /// What the sensor shows per unit of the quantity, if the step of the quantity was given.
+    /// Sensor units per unit of the quantity, if the step of the quantity was given.
     pub gain: Option<f64>,
-    /// From the step of the quantity until the sensor begins to move, in seconds, if the former was given.
+    /// From the step of the quantity to the onset of the sensor, if the former was given.
     pub delay_s: Option<f64>,
-    /// What the sensor shows in the end: as given, else the mean of the last tenth of the samples.
+    /// Final value: as given, else the mean of the last tenth of the samples.
     pub end: f64,
-    /// Noise of a sample that was used, in the sensor's unit.
+    /// Noise of a sample in the fit, in the sensor's unit.
     pub sigma: f64,
-    /// The descriptions that were tried, by rising order.
     pub candidates: Vec<CandidateModel>,
     chosen: usize,
 }
@@ -96,7 +96,7 @@ impl IdentifiedStep {
         &self.candidates[self.chosen]
     }
 
-    /// The description of this order, if it was tried and found.
+    /// `None` if it was not tried or did not converge.
     pub fn of_order(&self, order: usize) -> Option<&CandidateModel> {
         let mut all = self.candidates.iter();
         all.find(|candidate| candidate.fit.response.lags.len() == order)
@@ -106,12 +106,12 @@ impl IdentifiedStep {
         self.response().lags.len()
     }
 
-    /// The response that was chosen; its `model` is what the dynamic measurement filter needs.
+    /// The selected response; its `model` configures the dynamic measurement filter.
     pub fn response(&self) -> &StepResponse {
         &self.chosen().fit.response
     }
 
-    /// Whether each share of this description is known to differ from zero, at a level of 5 % to one side.
+    /// Whether each share differs from zero, one-sided at a level of 5 %.
     pub fn is_resolved(candidate: &CandidateModel) -> bool {
         let fit = &candidate.fit;
         let mut lags = fit.response.lags.iter().enumerate();
@@ -131,10 +131,10 @@ impl IdentifiedStep {
     }
 }
 
-/// The quantile of a Gaussian at 95 %.
+/// 95 % quantile of the normal distribution.
 const ONE_SIDED_SIGMAS: f64 = 1.644_854;
 
-/// Why nothing was identified.
+/// Why the identification failed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
@@ -150,9 +150,9 @@ pub enum IdentificationError {
     TooFew { samples: usize, order: usize },
 }
 
-/// Identifies a sensor from the samples of a recording with a step in it.
+/// Identifies a sensor from a recording that contains a step.
 ///
-/// Samples that are not finite or not later than the one before are left out.
+/// Samples that are not finite or not later than the previous one are ignored.
 pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<IdentifiedStep, IdentificationError> {
     validate_options(options)?;
     let no_step = || IdentificationError::NoStep { samples: sorted_finite(samples).len(), sigma: options.sigma };
@@ -210,21 +210,20 @@ fn validate_options(options: &StepOptions) -> Result<(), IdentificationError> {
     Ok(())
 }
 
-/// Where next to nothing is known, shares are about equal, and lags lie within two decades of each other.
+/// Weak prior: shares are about equal, and lags lie within two decades of each other.
 const WEAK_SHARE_SIGMA: f64 = 0.5;
 const WEAK_LN_LAG_SIGMA: f64 = 1.5;
-/// The onset is known to a few hundredths of the step's duration.
+/// Weak prior: the onset is known to a few hundredths of the step's duration.
 const WEAK_ONSET_SHARE: f64 = 0.03;
-/// Lags from which the fits begin, as shares of the duration: for each order close ones and distant ones.
+/// Start values of the lags as shares of the duration: close and distant ones for each order.
 const FIRST_LAGS: [[&[f64]; 2]; MAX_ORDER] =
     [[&[0.12], &[0.3]], [&[0.04, 0.14], &[0.01, 0.15]], [&[0.02, 0.06, 0.16], &[0.005, 0.04, 0.15]]];
-/// The end of a step is known to this share of it at best.
+/// Lower bound of the end's uncertainty, as a share of the step.
 const END_SHARE: f64 = 0.002;
 
 struct StepFitter<'a> {
     segment: &'a StepSegment,
     sigma: f64,
-    /// Samples after the onset.
     samples_after_onset: usize,
     duration_s: f64,
     interval_s: f64,
@@ -249,7 +248,7 @@ impl<'a> StepFitter<'a> {
         }
     }
 
-    /// The best response of an order; `None` where there are fewer samples than parameters.
+    /// The best response of an order; `None` for fewer samples than parameters.
     fn candidate(&self, order: usize) -> Option<CandidateModel> {
         if self.samples_after_onset <= 3 + 2 * order {
             return None;
@@ -285,7 +284,6 @@ impl<'a> StepFitter<'a> {
         Some(found)
     }
 
-    /// What is known next to nothing about.
     fn weak_prior(&self, shares_of_duration: &[f64]) -> Option<ResponsePrior> {
         let order = shares_of_duration.len();
         let ln_lag = |share: &f64| GaussianPrior { mean: (share * self.duration_s).ln(), sigma: WEAK_LN_LAG_SIGMA };
@@ -302,7 +300,7 @@ impl<'a> StepFitter<'a> {
         })
     }
 
-    /// What the response leaves of each sample after the onset.
+    /// Residuals of the samples after the onset.
     fn residuals(&self, response: &StepResponse) -> Vec<f64> {
         let moving = self.segment.samples.iter();
         let moving = moving.filter(|sample| sample.at_s > self.segment.onset_s);
@@ -324,7 +322,7 @@ impl<'a> StepFitter<'a> {
         ((held.model_variance / mean_left).sqrt(), held_s)
     }
 
-    /// Gives each candidate its criterion (7), with as many independent residuals as the best one leaves.
+    /// Computes the criterion (7) of each candidate, with the number of independent residuals of the best one.
     fn score_candidates(&self, candidates: &mut [CandidateModel]) {
         let held = candidates
             .iter()
@@ -342,13 +340,12 @@ impl<'a> StepFitter<'a> {
     }
 }
 
-/// What neighbouring residuals have in common.
 struct ResidualCorrelation {
-    /// Variance of what holds from one sample to the next; 0 where that is no more than chance.
+    /// Variance of the correlated part; 0 if not significant.
     model_variance: f64,
-    /// Over how many samples that part holds.
+    /// Correlation length of that part, in samples.
     model_samples: f64,
-    /// Samples to one independent residual, white noise included.
+    /// Samples per independent residual, white noise included.
     samples_per_residual: f64,
 }
 
@@ -374,7 +371,7 @@ impl ResidualCorrelation {
     }
 }
 
-/// The mean product of residuals this number of samples apart.
+/// Mean product of residuals `lag` samples apart.
 fn covariance(residuals: &[f64], lag: usize) -> f64 {
     let pairs = residuals.iter().zip(residuals.iter().skip(lag));
     pairs.map(|(a, b)| a * b).sum::<f64>() / residuals.len().max(1) as f64

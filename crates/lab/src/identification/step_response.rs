@@ -1,12 +1,12 @@
-//! A sensor's answer to a step, as a sum of exponentials.
+//! A sensor's step response as a sum of exponentials.
 //!
 //! # Model
 //! ```text
 //! y(t) = y_0 + D h(t - t_0)      h(a) = sum over j of s_j (1 - e^(-a / tau_j)) for a > 0, else 0      sum of s_j = 1       (1)
-//! what is left of the transient   r(a) = sum over j of s_j e^(-a / tau_j)                             u = y_0 + D / G     (2)
+//! remaining transient            r(a) = sum over j of s_j e^(-a / tau_j)                             u = y_0 + D / G     (2)
 //! ```
 //! A sensor that rests before the step starts from y_0, so its transient is -D r: paper 2's C e^(A t) x_ini with x_j = -s_j D.
-//! Shares may be negative: a lag behind another lag has one.
+//! Shares may be negative, as for lags in series.
 //!
 //! # Sources
 //! Paper 2 (Markovsky), the model with known dynamics; docs/lab/thermometer.md section 1.
@@ -22,55 +22,54 @@ use super::TimedSample;
 /// One exponential of a response.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
-    /// tau, in seconds.
+    /// tau.
     pub time_constant_s: f64,
-    /// Its share of the step; the shares of a response add up to one.
+    /// Share of the step; the shares of a response sum to one.
     pub share: f64,
 }
 
-/// A whole response: where it started, where it goes, and how.
+/// Start, step, onset and lags of a response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResponse {
-    /// y_0, what the sensor showed before the step.
+    /// y_0, the value before the step.
     pub start: f64,
-    /// D, how far it will go; negative downwards.
+    /// D, final minus initial value.
     pub step: f64,
-    /// t_0, when it began to move, in seconds of the sensor's clock.
+    /// t_0, the onset, by the sensor's clock.
     pub onset_s: f64,
-    /// The exponentials, the fastest first.
+    /// The fastest first.
     pub lags: Vec<Lag>,
 }
 
 impl StepResponse {
-    /// What the sensor shows at an instant, by equation (1).
+    /// Equation (1).
     pub fn value_at(&self, at_s: f64) -> f64 {
         self.start + self.step * (1.0 - self.remaining(at_s - self.onset_s))
     }
 
-    /// r, the share of the step that is still to come after a time in seconds, by equation (2); 1 before the onset.
+    /// r, the remaining share of the step, by equation (2); 1 before the onset.
     pub fn remaining(&self, since_onset_s: f64) -> f64 {
         let since_s = since_onset_s.max(0.0);
         let of = |lag: &Lag| lag.share * (-since_s / lag.time_constant_s).exp();
         self.lags.iter().map(of).sum()
     }
 
-    /// What it shows in the end.
     pub fn final_value(&self) -> f64 {
         self.start + self.step
     }
 
-    /// These lags as a model for the dynamic measurement filter, with a gain in the sensor's unit per unit of the quantity. The filter
-    /// leaves the shares open: it estimates the transient of each lag.
+    /// These lags as a model for the dynamic measurement filter; `gain` is in sensor units per unit of the quantity. The filter does
+    /// not use the shares: it estimates the transient of each lag.
     pub fn model(&self, sensor: SensorId, gain: f64) -> Result<DynamicModel, ModelError> {
         let lags: Vec<f64> = self.lags.iter().map(|lag| lag.time_constant_s).collect();
         DynamicModel::empty().with_lags(sensor, gain, &lags)
     }
 }
 
-/// How long after the onset a series stays within `limit` of `end` for good, in seconds; `None` if its last value is not within, if
-/// it holds nothing, or if a number is not finite.
+/// Time after the onset from which a series stays within `limit` of `end`; `None` if its last value is outside, if it is empty, or if a
+/// number is not finite.
 ///
-/// The series holds instants and values in the order of time. The instant is that of the first value after which none is outside.
+/// The series holds instants and values in time order. The result is the instant of the first value after which none is outside.
 pub fn settling_time_s(series: &[(f64, f64)], onset_s: f64, end: f64, limit: f64) -> Option<f64> {
     let is_inside = |value: f64| (value - end).abs() <= limit;
     let last_outside = series.iter().rposition(|(_, value)| !is_inside(*value));
@@ -89,26 +88,25 @@ pub fn settling_time_s(series: &[(f64, f64)], onset_s: f64, end: f64, limit: f64
 // ```
 // Between two instants T is taken as a straight line, for which each z_j is known exactly.
 
-/// A sensor and how it is read.
+/// A sensor with its sampling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedSensor {
-    /// tau_j in seconds with s_j; the shares add up to one.
+    /// tau_j in seconds with s_j; the shares sum to one.
     pub lags: Vec<(f64, f64)>,
-    /// Standard deviation of n.
+    /// White noise.
     pub sigma: f64,
-    /// Size of the last digit; 0 for none.
+    /// 0 for none.
     pub resolution: f64,
-    /// Time between two samples, in seconds; positive.
+    /// Positive.
     pub period_s: f64,
 }
 
 impl SimulatedSensor {
-    /// One lag.
     pub fn first_order(tau_s: f64, sigma: f64, period_s: f64) -> Self {
         Self { lags: vec![(tau_s, 1.0)], sigma, resolution: 0.0, period_s }
     }
 
-    /// Its readings from time 0 on, this number of samples, when the quantity is `truth(t)` and was `truth(0)` forever before.
+    /// `count` readings from time 0 on, for the quantity `truth(t)`, which was `truth(0)` forever before.
     pub fn run(&self, seed: u64, count: usize, truth: impl Fn(f64) -> f64) -> Vec<TimedSample> {
         let mut random = Pcg64::seed_from_u64(seed);
         let mut states: Vec<f64> = self.lags.iter().map(|_| truth(0.0)).collect();
@@ -126,7 +124,7 @@ impl SimulatedSensor {
             .collect()
     }
 
-    /// From the sample before to this one, in short straight pieces of the truth.
+    /// Integrates from the previous sample to this one, with the truth piecewise constant.
     fn advance(&self, states: &mut [f64], until_s: f64, truth: &impl Fn(f64) -> f64) {
         let piece_s = self.period_s / f64::from(SUBSTEPS);
         for piece in (0..SUBSTEPS).rev() {
@@ -150,10 +148,10 @@ impl SimulatedSensor {
     }
 }
 
-/// Straight pieces between two samples: a step of the truth is placed to this share of a period.
+/// Integration steps between two samples, and the time resolution of a step of the truth.
 const SUBSTEPS: u32 = 16;
 
-/// A quantity that is at `before` until `at_s` and at `after` from then on.
+/// `before` until `at_s`, `after` from then on.
 pub fn step_input(before: f64, after: f64, at_s: f64) -> impl Fn(f64) -> f64 {
     move |now_s| if now_s < at_s { before } else { after }
 }

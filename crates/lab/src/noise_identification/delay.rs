@@ -1,23 +1,23 @@
-//! A camera's delay, by its motion against the wheels': equation (5) of the module's head.
+//! A camera's delay from the correlation of its motion with the wheels': equation (5) of the parent module.
 //!
 //! ```text
 //! d^       the delay of the largest correlation: a grid, then a golden section
-//! e'       de/dd, less its share along e, because g is not known either
+//! e'       de/dd, less its projection on e, because g is unknown as well
 //! var d^ = sum_|j|<=2 sum_k e'_k e'_k+j n_k n_k+j / (g sum e'_k^2)^2     whatever the noise is like (W. K. Newey, K. D. West, 1987)
 //! ```
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
-/// How to search.
+/// Settings of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DelaySearch {
-    /// The smallest delay that is looked at, in seconds; negative for a camera whose stamps are early.
+    /// The smallest delay; negative for a camera whose timestamps are early.
     pub from_s: f64,
     pub to_s: f64,
 }
 
-/// What was found.
+/// The identified delay of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixDelay {
     pub delay_s: f64,
@@ -28,7 +28,7 @@ pub struct FixDelay {
     pub curve: Vec<(f64, f64)>,
 }
 
-/// Why no delay is found.
+/// Why no delay was found.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DelayError {
     #[error("only {0} fixes lie within the wheel readings at every delay; 30 are needed")]
@@ -42,15 +42,14 @@ pub enum DelayError {
 }
 
 const MIN_FIXES: usize = 30;
-/// Sightings on either side of the one from which their mean is taken: drift slower than that does not count.
+/// Samples on either side for the moving mean: slower drift is removed.
 const MEAN_HALF_WINDOW: usize = 10;
-/// Step of the first look.
 const GRID_S: f64 = 0.01;
-/// Sections of the last two steps of the grid: 0.02 s / 1.618^30.
+/// Golden sections of the last two grid steps: 0.02 s / 1.618^30.
 const SECTIONS: u32 = 30;
-/// Half a step for the derivative: about a sampling interval of the wheels, over which they are drawn as a line.
+/// Half step of the derivative: about a sampling interval of the wheels, between which they are interpolated linearly.
 const SLOPE_HALF_WIDTH_S: f64 = 0.02;
-/// Lags of the noise that are taken for correlated: the moving mean and a camera that filters make some.
+/// Lags at which the noise may be correlated: the moving mean and a camera that filters cause some.
 const LAGS: usize = 2;
 /// Below this correlation the best delay is chance.
 const MIN_CORRELATION: f64 = 0.5;
@@ -87,7 +86,7 @@ pub fn find_delay(
     })
 }
 
-/// What the camera saw, less its moving mean, and what to hold it against.
+/// Camera motion less its moving mean, with the wheels' motion.
 struct CameraMotion<'a> {
     levels: &'a CumulativeMotion,
     axis: MotionAxis,
@@ -140,7 +139,7 @@ impl<'a> CameraMotion<'a> {
         })
     }
 
-    /// What the wheels counted so much earlier, less its moving mean.
+    /// Wheel motion `delay_s` earlier, less its moving mean.
     fn predicted(&self, delay_s: f64) -> Vec<f64> {
         let at = |at_s: &f64| self.levels.at(at_s - delay_s, self.axis).unwrap_or(0.0);
         without_mean(&self.at_s.iter().map(at).collect::<Vec<_>>())
@@ -201,25 +200,25 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Turn and path since the beginning, at instants in the order of time.
+/// Cumulative turn and path, in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CumulativeMotion {
     /// Instant in seconds, turn in radians, path in metres.
     samples: Vec<[f64; 3]>,
 }
 
-/// What a camera saw.
+/// A camera observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraSample {
-    /// When, by the clock whose delay is asked for, in seconds.
+    /// By the clock whose delay is estimated.
     pub at_s: f64,
-    /// x and y, in metres.
+    /// x and y.
     pub position_m: [f64; 2],
-    /// The heading, in radians, where it was seen.
+    /// `None` if the camera does not measure it.
     pub heading_rad: Option<f64>,
 }
 
-/// From the wheels' counts, or a foreign odometer where there are none.
+/// From wheel counts, or a foreign odometer where there are none.
 pub fn cumulative_motion_of(observations: &[Observation], geometry: &DriveGeometry) -> CumulativeMotion {
     let has_wheels =
         observations.iter().any(|observation| matches!(observation.measurement, ObservationKind::WheelAngles { .. }));
@@ -246,7 +245,7 @@ pub fn cumulative_motion_of(observations: &[Observation], geometry: &DriveGeomet
 }
 
 impl CumulativeMotion {
-    /// Later than what is there, and finite; what is not is left out.
+    /// Adds a sample; ignores one that is not finite or not later than the last.
     fn push(&mut self, sample: [f64; 3]) {
         let is_later = self.samples.last().is_none_or(|last| last[0] < sample[0]);
         if is_later && sample.iter().all(|value| value.is_finite()) {
@@ -254,12 +253,12 @@ impl CumulativeMotion {
         }
     }
 
-    /// From the first to the last instant, in seconds.
+    /// First and last instant.
     pub fn time_range_s(&self) -> Option<(f64, f64)> {
         Some((self.samples.first()?[0], self.samples.last()?[0]))
     }
 
-    /// Turn (`Of::Turn`) or path at an instant, between two samples by a straight line; `None` outside.
+    /// Turn or path at an instant, interpolated linearly; `None` outside.
     pub(super) fn at(&self, at_s: f64, of: MotionAxis) -> Option<f64> {
         let after = self.samples.partition_point(|sample| sample[0] < at_s);
         let column = of as usize;
@@ -273,7 +272,6 @@ impl CumulativeMotion {
     }
 }
 
-/// Which level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MotionAxis {
     Turn = 1,

@@ -1,7 +1,7 @@
-//! A sensor's noise, from a robot that rests or drives straight, and a sensor's delay, from its motion.
+//! A sensor's noise from rest or a straight drive, and a camera's delay from motion.
 //!
-//! Paper 1 finds its R by hand: a robot that stands, recorded, and one that drives straight. Here the same two recordings give the
-//! numbers with their standard deviations, and a third, in which a robot turns to and fro, gives the delay of a camera.
+//! Paper 1 finds its R by hand from two recordings: a standing robot, and one that drives straight. Here the same two recordings give
+//! the parameters with their standard deviations, and a third, in which a robot turns to and fro, gives the delay of a camera.
 //!
 //! # Model
 //! ```text

@@ -1,10 +1,10 @@
-//! Readings at rest, in stretches without a silence.
+//! Readings at rest, split at gaps.
 
-/// A silence of this length ends a stretch, in seconds, unless the sensor's rate is that low anyway: what happened meanwhile is unknown.
+/// A longer gap splits a stretch, unless the sensor's rate is that low: the state during it is unknown.
 const MIN_SILENCE_S: f64 = 1.0;
-/// Number of usual intervals that count as a silence of a sensor with a low rate.
+/// Gap of a sensor with a low rate, in median intervals.
 const SILENCE_INTERVALS: f64 = 3.0;
-/// Fewer readings than these do not make a mean that is worth saving; of 20 the noise is known to a sixth.
+/// Fewer readings give no useful mean; 20 determine the noise to a sixth.
 const MIN_READINGS: usize = 20;
 
 /// Why a rest has no result.
@@ -18,17 +18,17 @@ pub enum RestError {
     Silent,
 }
 
-/// Readings at rest.
+/// Readings of a sensor at rest, split at gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RestRecord {
-    /// Instant in seconds and reading, in the order of time; each stretch has at least one.
+    /// Instant in seconds and reading, in time order; each stretch has at least one.
     stretches: Vec<Vec<(f64, f64)>>,
     interval_s: f64,
     silences: Vec<f64>,
 }
 
 impl RestRecord {
-    /// Cuts stretches of (instant in s, reading), each in the order of time, where the sensor was silent.
+    /// Splits stretches of (instant in s, reading), each in time order, at gaps.
     pub fn from_stretches(stretches: &[Vec<(f64, f64)>]) -> Result<Self, RestError> {
         let readings = stretches.iter().map(Vec::len).sum();
         if readings < MIN_READINGS {
@@ -55,27 +55,25 @@ impl RestRecord {
         Ok(record)
     }
 
-    /// The stretches without a silence; none of them is empty.
+    /// The stretches without a gap; none is empty.
     pub fn stretches(&self) -> &[Vec<(f64, f64)>] {
         &self.stretches
     }
 
-    /// The usual interval from reading to reading, the median of all, in seconds.
     pub const fn interval_s(&self) -> f64 {
         self.interval_s
     }
 
-    /// How long the sensor was silent, each time that it was, in seconds.
     pub fn silences(&self) -> &[f64] {
         &self.silences
     }
 
-    /// For how long there are readings, silences left out, in seconds.
+    /// Total duration of the stretches, without gaps.
     pub fn rest_s(&self) -> f64 {
         self.stretches.iter().filter_map(|one| length_s(one)).sum()
     }
 
-    /// The longest stretch, which is never empty.
+    /// Never empty.
     pub fn longest(&self) -> &[(f64, f64)] {
         let longest = self.stretches.iter().max_by_key(|stretch| stretch.len());
         longest.map_or(&[], Vec::as_slice)
@@ -90,7 +88,7 @@ fn length_s(stretch: &[(f64, f64)]) -> Option<f64> {
     Some(stretch.last()?.0 - stretch.first()?.0)
 }
 
-/// The median interval; `None` unless it is above zero.
+/// `None` unless it is positive.
 fn median_interval_s(stretches: &[Vec<(f64, f64)>]) -> Option<f64> {
     let pairs = stretches.iter().flat_map(|stretch| stretch.windows(2));
     let mut intervals: Vec<f64> = pairs.filter_map(length_s).collect();

@@ -1,9 +1,9 @@
-//! A sensor that rests: bias, white noise, step and random walk, equation (1) of the module's head.
+//! Noise of a sensor at rest: bias, white noise, quantization and random walk, equation (1) of the parent module.
 //!
 //! ```text
 //! white    s^2 = var v - q^2 / 12: rounding to a step adds the square of the step over twelve
 //! bias     the mean; var = var v / n + K^2 T / 3 + h^2 / 2
-//! hidden   h = q / pi e^(-2 pi^2 s^2 / q^2): by so much may the mean of rounded readings be off, however many there are
+//! hidden   h = q / pi e^(-2 pi^2 s^2 / q^2): bound of the mean's rounding error, however many readings there are
 //! ```
 //! Source: B. Widrow, I. Kollár, Quantization Noise (2008), section 4.4 for q^2 / 12, and the first harmonic of the mean of the rounding
 //! error of Gaussian noise for h.
@@ -13,41 +13,39 @@ use std::f64::consts::PI;
 use super::record::{RestError, RestRecord};
 use super::white_and_walk::{NoiseDecomposition, decompose_noise};
 
-/// The noise of a sensor that rests, in its own unit.
+/// Noise of a sensor at rest, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestNoise {
     pub samples: usize,
-    /// For how long, in seconds; silences are left out.
     pub rest_s: f64,
     pub dt_s: f64,
-    /// The mean: the bias, on average over the record.
+    /// The mean, on average over the record.
     pub bias: f64,
-    /// Its standard deviation, with the walk and with what rounding hides.
+    /// With the random walk and the rounding error of the mean.
     pub bias_sigma: f64,
-    /// The sensor's quantization step; `None` if none is seen.
+    /// Quantization step; `None` if none is detected.
     pub quantum: Option<f64>,
-    /// White noise of a sample with its rounding, one standard deviation.
+    /// White noise of a sample including its rounding, one standard deviation.
     pub total: f64,
-    /// White noise without the rounding; zero where rounding alone scatters as much.
+    /// White noise without rounding; zero where rounding alone explains the scatter.
     pub white: f64,
-    /// Its standard deviation; where `white` is zero, the largest that it can be.
+    /// Its standard deviation; where `white` is zero, its upper bound.
     pub white_sigma: f64,
-    /// Angle random walk of a rate: `total` times the root of `dt_s`.
+    /// `total` times the root of `dt_s`: angle random walk of a rate.
     pub angle_random_walk: f64,
-    /// Random walk of the bias per root of a second, with its standard deviation; `None` where it does not differ from zero.
+    /// Random walk of the bias per root of a second, with its standard deviation; `None` if not significant.
     pub walk: Option<(f64, f64)>,
 }
 
 impl RestNoise {
-    /// The noise to configure in a filter that adds the rounding to `quantum` itself: never zero.
+    /// The noise to configure in a filter that adds the rounding of `quantum` itself: never zero.
     ///
-    /// Where rounding hides all other noise, the largest that it can be.
+    /// Its upper bound where rounding hides all other noise.
     pub const fn without_rounding(&self) -> f64 {
         if self.white > 0.0 { self.white } else { self.white_sigma }
     }
 }
 
-/// Finds the noise of a sensor that rests.
 pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
     let found = decompose_noise(record).ok_or(RestError::Silent)?;
     let samples: Vec<f64> = record.readings().collect();
@@ -76,7 +74,7 @@ pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
     })
 }
 
-/// White noise less its rounding to a step, with its standard deviation.
+/// White noise without the rounding to a step, with its standard deviation.
 fn without_rounding(found: &NoiseDecomposition, quantum: Option<f64>) -> (f64, f64) {
     let rounding2 = quantum.map_or(0.0, |quantum| quantum * quantum / 12.0);
     let white = (found.white * found.white - rounding2).max(0.0).sqrt();
@@ -85,18 +83,18 @@ fn without_rounding(found: &NoiseDecomposition, quantum: Option<f64>) -> (f64, f
     (white, sigma)
 }
 
-/// h of the module's head.
+/// h of the module's formulas.
 fn quantization_floor(quantum: f64, white: f64) -> f64 {
     quantum / PI * (-2.0 * (PI * white / quantum).powi(2)).exp()
 }
 
-/// A remainder of the step below this share of it is rounding of the file.
+/// Relative remainder of a division by the step that counts as rounding in the file.
 const SAME_STEP: f64 = 0.05;
 
-/// The step between readings; `None` if there is none that all distances share.
+/// The common step of all distances between readings; `None` if there is none.
 ///
-/// A link that carries a coarse sensor in finer units of its own smears each step a little: what lies close together beside the whole
-/// span counts as one value, if at least three such values are left and their distances share a step.
+/// A link that sends a coarse sensor in a finer unit smears each step slightly: readings much closer than the whole span count as one
+/// value, if at least three such values remain and their distances share a step.
 pub fn find_quantization_step(readings: &[f64]) -> Option<f64> {
     let mut sorted = readings.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -112,13 +110,13 @@ pub fn find_quantization_step(readings: &[f64]) -> Option<f64> {
     shared_distance(&sorted, 1e-9 * largest).map(|(step, _)| step)
 }
 
-/// Readings within this share of the span of all of them may be one value.
+/// Readings within this share of the whole span may be one value.
 const SMEARED: f64 = 0.01;
-/// Fewer values than these may be two biases.
+/// Fewer values may be two biases.
 const MIN_SMEARED: usize = 3;
 
-/// The step if all distances of two values are multiples of one, and how many values there are; readings no further apart than `same`
-/// are one value, which must be narrow beside the step.
+/// The step of which all distances between values are multiples, and the number of values; readings no further apart than `same` are
+/// one value, which must be narrow relative to the step.
 fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     let values = sorted.chunk_by(|before, after| after - before <= same);
     let values: Vec<&[f64]> = values.collect();
@@ -145,7 +143,7 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     Some((slope_through(&counted, &values)?, values.len()))
 }
 
-/// The slope of the line through all readings over the counts of their values.
+/// Slope of the regression of all readings over the counts of their values.
 fn slope_through(counts: &[f64], values: &[&[f64]]) -> Option<f64> {
     let all = || counts.iter().zip(values);
     let readings: f64 = values.iter().map(|value| value.len() as f64).sum();

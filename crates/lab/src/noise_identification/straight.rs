@@ -1,22 +1,22 @@
-//! A straight run: the noise of the speed that is differenced from counts, equations (3) and (4) of the module's head.
+//! Noise of a wheel speed differenced from counts, on a straight drive: equations (3) and (4) of the parent module.
 
 use posebridge_telemetry::DriveGeometry;
 
-/// The noise of a wheel's speed.
+/// Noise of a wheel's speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightNoise {
-    /// Speeds that were used: the stretch at a steady speed.
+    /// Speeds in the stretch at a steady speed.
     pub samples: usize,
     pub from: usize,
     pub speed_m_per_s: f64,
-    /// Standard deviation about a straight line through the speeds: the root of R.
+    /// About a straight line through the speeds: the root of R.
     pub sigma_m_per_s: f64,
     pub sigma_sigma_m_per_s: f64,
-    /// Correlation of successive deviations: -1/2 for rounding alone, because what one interval lacks the next one has.
+    /// Correlation of successive deviations: -1/2 for rounding alone, whose errors alternate.
     pub rho_1: f64,
 }
 
-/// Why a run has no result.
+/// Why a drive has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StraightError {
     #[error(
@@ -30,10 +30,10 @@ pub enum StraightError {
 const MIN_INTERVALS: usize = 20;
 /// The speed is steady where its mean over this number of intervals
 const MEAN_OVER: usize = 10;
-/// is off the median by no more than this share of it.
+/// deviates from the median by at most this share.
 const STEADY: f64 = 0.1;
 
-/// Finds the noise of one wheel: `travel` are intervals of time and travel, in seconds and metres.
+/// `travel` holds intervals of time and travel of one wheel, in seconds and metres.
 pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightError> {
     let is_usable = |(dt_s, by_m): &(f64, f64)| dt_s.is_finite() && *dt_s > 0.0 && by_m.is_finite();
     if !travel.iter().all(is_usable) {
@@ -61,15 +61,15 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
     })
 }
 
-/// What rounding to whole counts makes of a differenced speed, one standard deviation on average over speeds: equation (4), with the
-/// mean interval and the mean wheel radius.
+/// Standard deviation of a differenced speed due to rounding, averaged over speeds: equation (4), with the mean interval and the mean
+/// wheel radius.
 pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> f64 {
     let dt_s = travel.iter().map(|(dt_s, _)| dt_s).sum::<f64>() / travel.len() as f64;
     let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
     radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
 }
 
-/// The longest stretch at a steady speed, and where it begins.
+/// The longest stretch at a steady speed, and its first index.
 fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
     let means: Vec<f64> =
         speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();

@@ -1,37 +1,36 @@
-//! White noise and a random walk, separated: the most likely variances of a local level, equation (1) of the module's head.
+//! Separates white noise and random walk: maximum likelihood variances of a local level, equation (1) of the parent module.
 //!
 //! ```text
 //! L(l) = -1/2 m (ln s2(l) + 1) - 1/2 sum ln f_k         l = var w / var v         (var v in front is taken out)
 //! s2(l) = sum nu_k^2 / f_k / m                          nu_k, f_k of a Kalman filter with var v = 1, var w = l dt_k / dt
 //! ```
-//! The sums go over the m samples that have one before them: each stretch begins with a level that nothing is known of. dt_k is what lies
-//! between two samples, dt the usual interval: where a sample was lost, the level has walked for longer.
+//! The sums go over the m samples that have a predecessor: each stretch begins with an unknown level. dt_k is the interval before
+//! sample k, dt the median interval: where a sample was lost, the walk is longer.
 
 use super::record::RestRecord;
 
-/// What was found.
+/// White noise and random walk of a sensor, separated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseDecomposition {
     pub white: f64,
     pub white_sigma: f64,
-    /// The random walk: standard deviation that is gained in a usual interval. `None` where it does not differ from zero.
+    /// Standard deviation gained in a median interval; `None` if not significant.
     pub walk_per_step: Option<f64>,
-    /// Standard deviation of ln of that.
+    /// Standard deviation of its logarithm.
     pub walk_ln_sigma: f64,
 }
 
-/// The range of ln l that is searched: from a walk that no record of a day shows to one that hides all white noise.
+/// Search range of ln l: from a walk below the detection limit of a day's record to one that hides all white noise.
 const LN_RATIO: [f64; 2] = [-27.0, 5.0];
-/// Points of the first look over that range.
 const GRID: u32 = 33;
-/// Halvings of the interval that the search ends with: 2 / 1.618^30 is below a millionth.
+/// Golden sections of the final interval: 2 / 1.618^30 is below a millionth.
 const SECTIONS: u32 = 30;
-/// Half a step for the curvature of L in ln l.
+/// Half step of the curvature of L in ln l.
 const CURVATURE_STEP: f64 = 0.1;
-/// Least increase of L by a walk that counts as different from none: chi-square with one degree of freedom at 95 %, halved.
+/// Least increase of L for a significant walk: chi-square with one degree of freedom at 95 %, halved.
 const MIN_GAIN: f64 = 1.92;
 
-/// Separates them; `None` for fewer than ten samples that have one before them, or no noise at all.
+/// `None` for fewer than ten samples with a predecessor, or without any noise.
 pub fn decompose_noise(record: &RestRecord) -> Option<NoiseDecomposition> {
     let stretches: Vec<RestStretch> = record
         .stretches()
@@ -59,10 +58,9 @@ pub fn decompose_noise(record: &RestRecord) -> Option<NoiseDecomposition> {
     })
 }
 
-/// A stretch as the filter takes it.
 struct RestStretch {
     first: f64,
-    /// Of every further sample: usual intervals since the one before, and its value.
+    /// Of every further sample: median intervals since the previous one, and its value.
     followers: Vec<(f64, f64)>,
 }
 
@@ -78,12 +76,12 @@ impl RestStretch {
     }
 }
 
-/// m of the module's head.
+/// m of the module's formulas.
 fn count_followers(stretches: &[RestStretch]) -> f64 {
     stretches.iter().map(|stretch| stretch.followers.len() as f64).sum()
 }
 
-/// ln l with the largest L: the best of a grid, then a golden section about it.
+/// ln l with the largest L: the best of a grid, then a golden section around it.
 fn best_ratio(samples: &[RestStretch]) -> f64 {
     let value = |ln_l: f64| profile(samples, ln_l).map_or(f64::NEG_INFINITY, |(value, _)| value);
     let width = (LN_RATIO[1] - LN_RATIO[0]) / f64::from(GRID - 1);
@@ -108,7 +106,7 @@ fn best_ratio(samples: &[RestStretch]) -> f64 {
     0.5 * (low + high)
 }
 
-/// L and var v for a ratio; `None` where nothing varies.
+/// L and var v for a ratio; `None` without variation.
 fn profile(stretches: &[RestStretch], ln_l: f64) -> Option<(f64, f64)> {
     let l = ln_l.exp();
     let (mut squares, mut ln_f) = (0.0, 0.0);
@@ -130,21 +128,20 @@ fn profile(stretches: &[RestStretch], ln_l: f64) -> Option<(f64, f64)> {
     (white2 > 0.0).then(|| (-0.5 * (n * (white2.ln() + 1.0) + ln_f), white2))
 }
 
-/// One point.
+/// The Allan deviation at one averaging time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AllanPoint {
     pub tau_s: f64,
     pub deviation: f64,
-    /// Its standard deviation, from the number of averages that do not overlap.
+    /// From the number of averages that do not overlap.
     pub sigma: f64,
 }
 
-/// Points per factor of ten of the averaging time.
+/// Per factor of ten of the averaging time.
 const POINTS_PER_DECADE: f64 = 8.0;
-/// Least number of independent averages.
 const MIN_AVERAGES: usize = 9;
 
-/// The deviation of evenly sampled rates, over averaging times up to a ninth of the record.
+/// Allan deviation of evenly sampled rates, over averaging times up to a ninth of the record.
 pub fn allan_deviation(rates: &[f64], dt_s: f64) -> Vec<AllanPoint> {
     if !(dt_s.is_finite() && dt_s > 0.0) || rates.iter().any(|rate| !rate.is_finite()) {
         return Vec::new();

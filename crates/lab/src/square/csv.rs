@@ -1,4 +1,4 @@
-//! The table as text: the file that a brick's log is exported to, and that a student's own program reads.
+//! Sensor tables as text: the export format of a brick's log, for students' own programs.
 //!
 //! ```text
 //! # anything behind a hash is a remark
@@ -6,9 +6,8 @@
 //! 0,0,0,,,,,,
 //! 0.05,0,0,1,0.01,-0.02,0.001,0.002,0.4
 //! ```
-//! The first line that is no remark names the columns, in any order. `time_s` and both encoders are needed, the others may be
-//! missing; an empty cell is a sensor that said nothing. Numbers are written in the shortest form that reads back as the same
-//! number, to the last bit.
+//! The first line that is not a comment names the columns, in any order. `time_s` and both encoders are required, the others optional;
+//! an empty cell is a missing reading. Numbers are written in the shortest form that reads back as the same number, to the last bit.
 
 use std::fmt::Write as _;
 
@@ -39,7 +38,7 @@ pub fn parse(text: &str) -> Result<SensorTable, SensorTextError> {
     Ok(SensorTable { unit: layout.unit, rows })
 }
 
-/// Writes a table: those columns that have something to say.
+/// Omits columns without data.
 pub fn write(table: &SensorTable, remark: &str) -> String {
     let columns: Vec<(&str, Vec<Option<f64>>)> = COLUMNS
         .iter()
@@ -96,7 +95,7 @@ fn column(table: &SensorTable, name: &str) -> Vec<Option<f64>> {
 }
 
 struct ColumnLayout {
-    /// Of each column of [`COLUMNS`], its place in the file.
+    /// Index in the file of each column of [`COLUMNS`].
     indices: [Option<usize>; COLUMNS.len()],
     width: usize,
     unit: EncoderUnit,
@@ -125,7 +124,7 @@ impl ColumnLayout {
         self.place(name).is_some()
     }
 
-    /// Where in a line of the file the cell of a column is.
+    /// Index of a column in a line of the file.
     fn place(&self, name: &str) -> Option<usize> {
         column_index(name).and_then(|index| self.indices[index])
     }
@@ -201,7 +200,7 @@ struct RowCells<'a> {
 }
 
 impl RowCells<'_> {
-    /// The number in a column; `None` where the column is missing or the cell is empty.
+    /// `None` if the column is missing or the cell is empty.
     fn number(&self, name: &'static str) -> Result<Option<f64>, SensorTextError> {
         let cell = self.layout.place(name).and_then(|place| self.values.get(place));
         let Some(text) = cell.filter(|text| !text.is_empty()) else {
@@ -218,7 +217,6 @@ impl RowCells<'_> {
     }
 }
 
-/// Every column that may stand in a file.
 pub const COLUMNS: [&str; 15] = [
     "time_s",
     "left_counts",
@@ -241,12 +239,12 @@ fn column_index(name: &str) -> Option<usize> {
     COLUMNS.iter().position(|column| *column == name)
 }
 
-/// More rows than this are no lap: fourteen hours at 20 Hz.
+/// Longer than any lap: fourteen hours at 20 Hz.
 pub const MAX_ROWS: usize = 1_000_000;
-/// No sensor of a robot says more than this in any of our units.
+/// Larger than any reading of a robot's sensor in any of the units.
 pub(super) const MAX_VALUE: f64 = 1e9;
 
-/// Why a text is no table; lines and columns count from 1.
+/// Why a text is not a table; lines and columns count from 1.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SensorTextError {

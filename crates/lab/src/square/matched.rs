@@ -1,8 +1,8 @@
-//! The paper's two linear filters with matrices of one's own: those that follow from the sensors instead of from trimming by hand.
+//! The paper's two linear filters with configurable matrices, derived from the sensors instead of tuned by hand.
 //!
-//! The filters `wheel-kf` and `velocity-kf` hold the printed numbers. Here the same recursions take any, row by row of a table, as
-//! the element-by-element version on the brick does (`brick/filters/`). With the printed numbers they are those filters: a test
-//! holds them against each other.
+//! The filters `wheel-kf` and `velocity-kf` have the printed numbers. Here the same recursions take any, row by row of a table, as the
+//! element-by-element version on the brick does (`brick/filters/`). With the printed numbers they equal those filters, which a test
+//! checks.
 //!
 //! # Model
 //! ```text
@@ -22,7 +22,7 @@ use posebridge_telemetry::DriveGeometry;
 
 use crate::recorded_drive::rolled_step;
 
-/// The matrices of the filter of a wheel, in degrees; Q is that of one interval of 0.05 s.
+/// Matrices of the filter of a wheel, in degrees; Q is that of one interval of 0.05 s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelMatrices {
     /// Q: of the angle, of angle with rate, of the rate.
@@ -33,7 +33,7 @@ pub struct WheelMatrices {
     pub start: f64,
 }
 
-/// The matrices of the filter of the speeds v and w, SI; Q is that of one interval of 0.05 s. All are diagonal.
+/// Matrices of the filter of the speeds v and w, SI, all diagonal; Q is that of one interval of 0.05 s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedMatrices {
     /// Q of v and of w.
@@ -45,10 +45,10 @@ pub struct SpeedMatrices {
 }
 
 impl WheelMatrices {
-    /// Those of the paper: equation 19.
+    /// Equation 19 of the paper.
     pub const PRINTED: Self = Self { process: [0.1, 0.0, 10.0], variances: [1.5, 2.5], start: 10.0 };
 
-    /// Those that follow from the robot: rounding of the counters, and a wheel whose rate walks as the robot's speed does.
+    /// Derived from the robot: rounding of the counters, and a random walk of the wheel rate as of the robot's speed.
     pub fn of_robot(config: &FilterConfig) -> Self {
         let geometry = &config.geometry;
         let tick_deg = geometry.tick.0.to_degrees();
@@ -65,13 +65,13 @@ impl WheelMatrices {
 }
 
 impl SpeedMatrices {
-    /// Those of the paper: equation 23.
+    /// Equation 23 of the paper.
     pub fn printed() -> Self {
         let (v, w) = (UNITS[3] * UNITS[3], UNITS[4] * UNITS[4]);
         Self { process: [2.2 * v, 2.2 * w], variances: [5.1 * v, 1.938 * w], start: [10.0 * v, 10.0 * w] }
     }
 
-    /// Those that follow from the robot: rounding of two counts, and the accelerometers' noise over an interval.
+    /// Derived from the robot: rounding of two counts, and the accelerometers' noise over an interval.
     ///
     /// ```text
     /// R_v = (r tick / T_s)^2 / 12      R_w = (r tick / (b T_s))^2 / 3
@@ -88,7 +88,7 @@ impl SpeedMatrices {
     }
 }
 
-/// Pose and speeds: x, y, heading (counted on over full turns), v, w; SI.
+/// x, y, heading (unwrapped), v, w; SI.
 pub type DriveState = [f64; 5];
 
 /// The filter of one wheel, in degrees.
@@ -116,7 +116,7 @@ impl WheelState {
         ];
     }
 
-    /// Uses a reading of the counter, degrees, with variance R.
+    /// Updates with a counter reading, degrees, of variance R.
     pub fn update(&mut self, counted: f64, variance: f64) {
         let [p00, p01, p11] = self.covariance;
         let s = p00 + variance;
@@ -127,7 +127,7 @@ impl WheelState {
     }
 }
 
-/// Both wheels filtered, then odometry.
+/// Filters both wheels, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedWheels {
     matrices: WheelMatrices,
@@ -137,7 +137,7 @@ pub struct MatchedWheels {
     base: Option<[f64; 2]>,
 }
 
-/// Both speeds filtered, then odometry.
+/// Filters both speeds, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedSpeeds {
     matrices: SpeedMatrices,
@@ -149,7 +149,7 @@ pub struct MatchedSpeeds {
 }
 
 impl MatchedWheels {
-    /// Starts at a pose (x, y, heading), at rest.
+    /// At rest at a pose (x, y, heading).
     pub fn new(matrices: WheelMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         Self { matrices, geometry, wheels: [WheelState::at_rest(matrices.start); 2], pose, base: None }
     }
@@ -158,7 +158,7 @@ impl MatchedWheels {
         &self.wheels
     }
 
-    /// Takes both wheels' total rotation, rad, `dt_s` after the one before.
+    /// Total rotation of both wheels, rad, `dt_s` after the previous step.
     pub fn step(&mut self, dt_s: f64, turned_rad: [f64; 2]) -> DriveState {
         let Some(base) = self.base else {
             self.base = Some(turned_rad);
@@ -188,7 +188,7 @@ fn advance_pose([x, y, heading]: [f64; 3], step: BodyStep) -> [f64; 3] {
 }
 
 impl MatchedSpeeds {
-    /// Starts at a pose (x, y, heading), at rest.
+    /// At rest at a pose (x, y, heading).
     pub fn new(matrices: SpeedMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         let [x, y, heading] = pose;
         Self {
@@ -201,7 +201,7 @@ impl MatchedSpeeds {
         }
     }
 
-    /// Takes both wheels' total rotation, rad, `dt_s` after the one before, and what was felt at them by then, m/s².
+    /// Total rotation of both wheels, rad, `dt_s` after the previous step, and the accelerations at them since, m/s².
     pub fn step(&mut self, dt_s: f64, turned_rad: [f64; 2], accelerations: Option<[f64; 2]>) -> DriveState {
         if let Some(before) = self.before.replace(turned_rad) {
             self.predict(dt_s);

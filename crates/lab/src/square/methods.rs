@@ -1,4 +1,4 @@
-//! What is compared: the paper's chain with its matrices and with better ones, and what the paper leaves as its outlook.
+//! The compared methods: the paper's chain with its matrices and with derived ones, and those that the paper leaves as its outlook.
 
 use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder};
 use posebridge_estimator::{Filter, FilterConfig, FilterEntry, find_filter};
@@ -6,7 +6,7 @@ use posebridge_estimator::{Filter, FilterConfig, FilterEntry, find_filter};
 use super::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices};
 use super::table::{SensorRow, SensorTable, TableSensor};
 
-/// A way from a table of sensor readings to a path.
+/// Computes a path from a table of sensor readings.
 #[derive(Clone, Copy)]
 pub struct Method {
     pub name: &'static str,
@@ -16,14 +16,14 @@ pub struct Method {
 
 #[derive(Clone, Copy)]
 enum MethodKind {
-    /// The counters as they are: pose by the row of the table of filters, speeds by differences.
+    /// Odometry from the counters: pose by the row of the table of filters, speeds by differences.
     Raw(&'static FilterEntry),
     Filter(&'static FilterEntry),
-    /// `ekf5` with the other reading of the paper's Q.
+    /// `ekf5` with the other interpretation of the paper's Q.
     Swapped,
-    /// The wheels' filter with matrices that follow from the sensors.
+    /// The wheels' filter with matrices derived from the sensors.
     Wheels,
-    /// The speeds' filter with matrices that follow from the sensors.
+    /// The speeds' filter with matrices derived from the sensors.
     Speeds,
 }
 
@@ -49,14 +49,14 @@ fn raw() -> Option<Method> {
     })
 }
 
-/// The four of the paper's figure 7 with its matrices, from the worst to the best as it promises.
+/// The four of the paper's figure 7 with its matrices, from the worst to the best as it claims.
 pub fn printed_methods() -> Vec<Method> {
     let chain =
         [raw(), row("wheel-kf", "wheel-kf", OWN), row("velocity-kf", "velocity-kf", OWN), row("ekf5", "ekf5", OWN)];
     chain.into_iter().flatten().collect()
 }
 
-/// The printed chain with the other reading of the order of v and w in the paper's Q.
+/// The printed chain with v and w of the paper's Q in the other order.
 pub fn swapped_methods() -> Vec<Method> {
     let mut chain = printed_methods();
     if let Some(last) = chain.last_mut() {
@@ -65,7 +65,7 @@ pub fn swapped_methods() -> Vec<Method> {
     chain
 }
 
-/// The same chain with matrices that follow from the sensors, and the EKF whose integrated headings keep their errors.
+/// The same chain with matrices derived from the sensors, and the EKF that keeps the errors of its integrated headings.
 pub fn corrected_methods() -> Vec<Method> {
     let own = |name, kind| Method { name, sensors: OWN, kind };
     let chain = [
@@ -77,7 +77,7 @@ pub fn corrected_methods() -> Vec<Method> {
     chain.into_iter().flatten().collect()
 }
 
-/// What the paper leaves for later: sigma points, a camera, a compass, and all sensors in one filter.
+/// The paper's outlook: sigma points, a camera, a compass, and all sensors in one filter.
 pub fn extended() -> Vec<Method> {
     let methods = [
         row("ukf5", "ukf5", OWN),
@@ -98,8 +98,7 @@ enum MethodRunner {
 }
 
 impl Method {
-    /// Runs over a table and gives the estimate after each row; not a number where it has none. `camera_every`: of how
-    /// many images one is given.
+    /// Runs over a table and returns the estimate after each row; NaN without an estimate. Every `camera_every`-th image is used.
     pub fn run(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<DriveState> {
         let mut follower = self.runner(config);
         let unit_rad = table.unit.rad_per_unit(&config.geometry);
@@ -162,7 +161,7 @@ impl MethodRunner {
     }
 }
 
-/// v and w of wheels that turn at these rates, left and right, rad/s.
+/// v and w for these wheel rates, left and right, rad/s.
 fn speeds_of([left, right]: [f64; 2], config: &FilterConfig) -> [f64; 2] {
     use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
     let travel = WheelTravel {

@@ -1,7 +1,7 @@
-//! The square of paper 1: three filters over one table of sensor readings, and what is left of the order that the paper promises.
+//! The square of paper 1: three filters over one table of sensor readings, and a test of the ranking that the paper claims.
 //!
-//! Gets a [`SensorTable`], from a simulated drive or from a file, and a filter's configuration; gives errors, orders, pictures and the page
-//! of `posebridge lab nxt-square`. It draws no drive and reads no file; the compass that it can add draws by a given seed.
+//! Input is a [`SensorTable`], from a simulated drive or from a file, and a filter's configuration; output is errors, rankings, figures
+//! and the page of `posebridge lab nxt-square`. It simulates no drive and does no IO; the optional compass draws from a given seed.
 //!
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/lab/square.md.
 
@@ -29,14 +29,14 @@ pub use self::table::{
     delay_reference,
 };
 
-/// Fewer readings of the gyro at rest than this do not make a bias.
+/// Minimum gyro readings at rest for a bias.
 const MIN_REST_ROWS: usize = 20;
-/// What a true start is known to, m and rad; as in the Monte-Carlo scenarios.
+/// Sigma of a true start, m and rad; as in the Monte-Carlo scenarios.
 const EXACT_START_SIGMA: f64 = 1e-4;
 
-/// The configuration for one table: the start from its first row, the gyro's bias from the stop that it begins with.
+/// Filter configuration for one table: the start from its first row, the gyro's bias from the initial rest.
 ///
-/// Without a pose in the first row the configured start stays, and without that the arena's origin.
+/// Without a pose in the first row the configured start is used, else the arena's origin.
 pub fn prepare_config(table: &SensorTable, base: &FilterConfig) -> FilterConfig {
     let mut config = base.clone();
     config.start = Some(start_pose(table, base));
@@ -67,7 +67,7 @@ fn start_pose(table: &SensorTable, base: &FilterConfig) -> StartPose {
     base.start.unwrap_or(exact)
 }
 
-/// What a robot's owner does before the drive: the gyro's mean while the robot stands is its bias.
+/// The gyro's bias is its mean while the robot stands, as a user would calibrate it before the drive.
 fn bias_at_rest(table: &SensorTable, base: &FilterConfig) -> Option<UncertainValue> {
     let readings = table.at_rest().iter().filter_map(|row| row.gyro_deg_per_s);
     let readings: Vec<f64> = readings.collect();

@@ -1,7 +1,7 @@
-//! R from records instead of from trimming by hand: a stop and a straight run, as the paper does it.
+//! R from recordings instead of tuning by hand: a stop and a straight run, as in the paper.
 //!
-//! At rest a counter does not move, so a stop says nothing of its rounding: its R would be zero and the filter would trust every
-//! count. A straight run shows it, as what is left beside a straight line.
+//! At rest a counter does not move, so a stop does not show its rounding: its R would be zero and the filter would trust every count. A
+//! straight run shows it, as the residual of a straight line.
 //!
 //! # Model
 //! ```text
@@ -10,7 +10,7 @@
 //!           counters, th_enc, th_gyro: variance about a line of least squares    speeds, gyro: variance about their mean
 //! ```
 //! # Assumptions
-//! A robot that is steered on its straight run really turns a little: that stands in th_enc and th_gyro alike, and in no R.
+//! A robot that is steered on its straight run really turns a little: that is common to th_enc and th_gyro, and in no R.
 //!
 //! # Sources
 //! Paper 1 (Valera et al.): its R are "from a test at rest and from a straight run, then trimmed by hand".
@@ -21,25 +21,22 @@ use super::table::{SensorRow, SensorTable};
 use crate::mean_and_variance;
 use crate::recorded_drive::rolled_step;
 
-/// Rows at both ends of a straight run that are left out: the robot starts and stops there.
+/// Rows omitted at both ends of a straight run: the robot starts and stops there.
 const END_ROWS: usize = 8;
-/// Rows over which it is decided whether the robot drives straight.
 const WINDOW_ROWS: usize = 5;
-/// Mean turn within the window that still is straight, rad per m of travel: a kink of 15 degrees on a metre.
+/// Largest mean turn within the window, rad per m of travel: 15 degrees per metre.
 const MAX_TURN_RAD_PER_M: f64 = 0.26;
-/// Fewer rows than this are no record.
 const MIN_ROWS: usize = 10;
 
-/// A number of a record.
+/// Statistics of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanAndVariance {
-    /// Mean, or slope per second for what runs away.
+    /// Mean, or slope per second for values that drift.
     pub mean: f64,
-    /// Variance about it.
     pub variance: f64,
 }
 
-/// The results of a record; `None` where the sensor said too little. Units are those of the paper: degrees, cm.
+/// Noise of a record; `None` for too few readings. Units are those of the paper: degrees, cm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NoiseRecord {
     pub from: usize,
@@ -62,12 +59,12 @@ pub struct NoiseRecord {
     pub camera: Option<[MeanAndVariance; 2]>,
 }
 
-/// The stop that a drive begins with.
+/// Evaluates the initial rest of a drive.
 pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     record(table, 0, table.at_rest().len(), geometry)
 }
 
-/// The longest straight run.
+/// Evaluates the longest straight run.
 pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     let count = table.rows.len();
     let mut longest = (0, 0);
@@ -85,7 +82,6 @@ pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Optio
     record(table, from + END_ROWS, length.checked_sub(2 * END_ROWS)?, geometry)
 }
 
-/// Whether the robot drives, and drives straight, around a row.
 fn is_straight(table: &SensorTable, row: usize, geometry: &DriveGeometry) -> bool {
     let Some(before) = row.checked_sub(WINDOW_ROWS).and_then(|row| table.rows.get(row)) else {
         return false;
@@ -147,7 +143,7 @@ fn both<T>(one: Option<T>, other: Option<T>) -> Option<[T; 2]> {
     Some([one?, other?])
 }
 
-/// The integral of the gyro, degrees.
+/// Integral of the gyro, degrees.
 fn integrated(rows: &[SensorRow]) -> Vec<Option<f64>> {
     let mut heading_deg = 0.0;
     let mut before_s = rows.first().map_or(0.0, |row| row.time_s);

@@ -1,15 +1,15 @@
-//! A recorded drive as a table of sensor readings.
+//! Converts a recorded drive to a table of sensor readings.
 //!
 //! # Model
 //! ```text
 //! row k      an instant t_k of a wheel reading
 //! gyro       mean of the rates measured in (t_(k-1), t_k], each weighted by the time since the rate before it
 //! accel.     mean of those measured in (t_(k-1), t_k]
-//! image      a fix goes to the nearest row; the wheels carry it over what lies between:
+//! image      a fix goes to the nearest row; wheel odometry moves it by the time difference:
 //!            p + d (cos th, sin th), th + dth with d and dth the wheels' share of that time, th in the middle
 //! ```
-//! A fix without a heading is carried along the chord between the fixes beside it. Half an interval of 50 ms at 0.2 m/s is 5 mm, as much
-//! as a good camera errs; the wheels know it to a hundredth.
+//! A fix without a heading is moved along the chord between its neighbours. Half an interval of 50 ms at 0.2 m/s is 5 mm, the error of
+//! a good camera; the wheels know it to a hundredth.
 //!
 //! # Sources
 //! docs/lab/square.md, "A recording".
@@ -21,7 +21,7 @@ use posebridge_telemetry::{
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_position, moved, wheels};
 
-/// The table of a drive; where its path is the reference, the last row has the start as its true position.
+/// With the path as reference, the last row has the start as its true position.
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
     let mut told: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
     // Of several of one instant the last counts, as in a file.
@@ -56,7 +56,7 @@ pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable 
     table
 }
 
-/// The row in whose interval an instant lies; `None` before the first and after the last row.
+/// The row whose interval contains an instant; `None` before the first and after the last row.
 fn row_index(readings: &[(Timestamp<BrickClock>, [f64; 2])], stamp: Timestamp<BrickClock>) -> Option<usize> {
     let row = readings.partition_point(|(at, _)| *at < stamp);
     (row < readings.len()).then_some(row)
@@ -133,7 +133,7 @@ fn add_images(
     }
 }
 
-/// The direction from the fix before to the fix behind.
+/// Direction from the previous fix to the next.
 fn course_over_ground(seen: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
     let place = |index: usize| seen.get(index).map(|(_, fix)| fix.position);
     let here: Point2<Arena> = place(index)?;
@@ -143,7 +143,7 @@ fn course_over_ground(seen: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> O
     (x != 0.0 || y != 0.0).then(|| Heading::from_rad(y.atan2(x)))
 }
 
-/// A fix after the body went forward and turned.
+/// The fix after a body motion.
 fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) -> MeasuredPose {
     let place = mid_axle_position(fix);
     let theta_deg = fix.heading.map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());

@@ -1,4 +1,4 @@
-//! What the experiment reports.
+//! The report of the experiment.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::numerics::statistics::root_mean_square;
@@ -13,7 +13,7 @@ use super::noise::{MeanAndVariance, NoiseRecord};
 use super::score::{ErrorMetric, MethodOrder, PathErrors, true_speeds};
 use super::table::SensorTable;
 
-/// Methods in the order that the paper promises, over all drives.
+/// Methods in the order that the paper claims, over all drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MethodRanking {
     pub matrices: &'static str,
@@ -21,7 +21,7 @@ pub struct MethodRanking {
     pub runs: Vec<Vec<PathErrors>>,
 }
 
-/// Another way to read the paper, and whether its order holds then.
+/// Another interpretation of the paper, and whether its order holds under it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PaperInterpretation {
     pub name: &'static str,
@@ -30,27 +30,26 @@ pub struct PaperInterpretation {
     pub order: MethodOrder,
 }
 
-/// All that the experiment found.
+/// All results of the experiment.
 #[derive(Clone, Debug)]
 pub struct SquareReport {
     pub source: String,
     pub command: String,
     /// The paper's chain under each setting.
     pub rankings: Vec<MethodRanking>,
-    /// What the paper leaves for later.
+    /// The paper's outlook.
     pub extended: MethodRanking,
-    /// Other readings of the paper; none for a file.
+    /// Other interpretations of the paper; empty for a file.
     pub interpretations: Vec<PaperInterpretation>,
     pub stop: Option<NoiseRecord>,
     pub straight: Option<NoiseRecord>,
     pub example: SquareExample,
 }
 
-/// A line of the table of R.
 struct NoiseRow {
     name: &'static str,
     printed: Option<f64>,
-    /// What follows from the resolution of the counts alone.
+    /// From the resolution of the counts alone.
     rounding: Option<fn(&FilterConfig) -> f64>,
     pick: fn(&NoiseRecord) -> Option<MeanAndVariance>,
 }
@@ -62,7 +61,7 @@ const TURN: Format = Format::new(Unit::DegreesPerSecond, 2);
 const CM2_PER_M2: f64 = 1e4;
 const DEG2_PER_RAD2: f64 = 1.0 / (DEGREE * DEGREE);
 
-/// The paper's R, equations 19, 23 and 26, and the sensors behind them.
+/// The paper's R, equations 19, 23 and 26, and their sensors.
 const NOISE_ROWS: [NoiseRow; 9] = [
     NoiseRow {
         name: "left counter [deg^2]",
@@ -105,13 +104,13 @@ impl MethodRanking {
         super::score::compare_order(&self.names, &self.runs, metric)
     }
 
-    /// Root mean square of one method's error over the drives that have it; `None` where none has it.
+    /// Root mean square of one method's error over the drives that have it; `None` without any.
     pub fn rms(&self, method: usize, metric: ErrorMetric) -> Option<f64> {
         let errors: Vec<f64> = self.runs.iter().filter_map(|run| run.get(method)?.value(metric)).collect();
         root_mean_square(&errors)
     }
 
-    /// In how many drives one method diverged; [`MethodRanking::rms`] leaves these out.
+    /// Number of drives in which a method diverged; [`MethodRanking::rms`] omits these.
     pub fn diverged(&self, method: usize) -> usize {
         let errors = self.runs.iter().filter_map(|run| run.get(method));
         errors.filter(|errors| errors.diverged).count()
@@ -119,7 +118,7 @@ impl MethodRanking {
 }
 
 impl SquareReport {
-    /// Its tables and pictures, without data for programs.
+    /// Tables and figures, without data for programs.
     pub fn report(&self) -> Report {
         let mut report = Report::new("lab-nxt-square", "The square: encoders, wheel filter, speed filter, EKF");
         report.paragraph(self.source.as_str());
@@ -260,7 +259,7 @@ fn add_order(report: &mut Report, ranking: &MethodRanking) {
     }
 }
 
-/// How many drives an order leaves out; nothing if it leaves out none.
+/// Number of drives that an order omits; `None` for zero.
 fn excluded_text(order: &MethodOrder) -> Option<String> {
     (order.excluded > 0).then(|| {
         format!(
@@ -275,12 +274,12 @@ fn share(holds: u64, drives: u64) -> f64 {
     holds as f64 / drives.max(1) as f64
 }
 
-/// One drive and what the methods made of it.
+/// One drive with the results of the methods.
 #[derive(Clone, Debug)]
 pub struct SquareExample {
     pub table: SensorTable,
     pub config: FilterConfig,
-    /// Of how many images one is given to the filters.
+    /// Every `camera_every`-th image is used by the filters.
     pub camera_every: usize,
     pub paths: Vec<(&'static str, Vec<DriveState>)>,
 }
@@ -296,7 +295,7 @@ impl SquareExample {
         rows.filter_map(|(row, known)| Some((known.time_s, values(row)?))).collect()
     }
 
-    /// The two wheels' angles and rates, degrees: counted, and filtered with these matrices, row by row.
+    /// Angles and rates of both wheels, degrees, filtered with these matrices, row by row.
     fn wheels(&self, matrices: WheelMatrices) -> Vec<[WheelState; 2]> {
         let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
         let mut wheels = [WheelState::at_rest(matrices.start); 2];

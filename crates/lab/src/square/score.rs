@@ -1,4 +1,4 @@
-//! How far a path is from the truth, and in how many drives one method is worse than another.
+//! Errors of a path, and the number of drives in which one method is worse than another.
 //!
 //! # Model
 //! ```text
@@ -20,23 +20,23 @@ use crate::uncertain_mean;
 /// Two-sided 95 % quantile of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// What an error is an error of.
+/// The quantity of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorMetric {
-    /// Position over the whole drive, rms, m.
+    /// Over the whole drive, rms, m.
     Position,
-    /// Position after the last row, m.
+    /// After the last row, m.
     End,
-    /// Heading over the whole drive, rms, rad.
+    /// Over the whole drive, rms, rad.
     Heading,
-    /// Forward speed, rms, m/s.
+    /// Rms, m/s.
     Forward,
-    /// Turn rate, rms, rad/s.
+    /// Rms, rad/s.
     Turn,
 }
 
 impl ErrorMetric {
-    /// Its name, with the unit of the figures.
+    /// With the unit of the figures.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Position => "position rms",
@@ -48,7 +48,7 @@ impl ErrorMetric {
     }
 }
 
-/// The errors of one method over one drive; `None` where nothing could be compared, and where the method diverged.
+/// Errors of one method over one drive; `None` without a reference, and where the method diverged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathErrors {
     pub position_m: Option<f64>,
@@ -56,7 +56,6 @@ pub struct PathErrors {
     pub heading_rad: Option<f64>,
     pub forward_m_per_s: Option<f64>,
     pub turn_rad_per_s: Option<f64>,
-    /// Whether a state that was compared was not finite.
     pub diverged: bool,
 }
 
@@ -72,7 +71,7 @@ impl PathErrors {
     }
 }
 
-/// A root mean square while it is summed.
+/// Accumulates a root mean square.
 #[derive(Clone, Copy, Default)]
 struct SquareSum {
     sum: f64,
@@ -80,7 +79,7 @@ struct SquareSum {
 }
 
 impl SquareSum {
-    /// One that is not finite stays in the sum: a method that diverged has no error there.
+    /// A non-finite one stays in the sum: a method that diverged has no error.
     const fn add(&mut self, square: f64) {
         self.sum += square;
         self.count += 1;
@@ -92,7 +91,7 @@ impl SquareSum {
     }
 }
 
-/// The errors of a path that followed a table.
+/// `path` has one state for each row of the table.
 pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize) -> PathErrors {
     let [mut position, mut heading, mut forward, mut turn] = [SquareSum::default(); 4];
     let mut end_m = None;
@@ -121,7 +120,7 @@ pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize
     }
 }
 
-/// v and w at a row, by central differences of the true poses beside it.
+/// v and w at a row, by central differences of the neighbouring true poses.
 pub fn true_speeds(table: &SensorTable, row: usize) -> Option<[f64; 2]> {
     let before = table.rows.get(row.checked_sub(1)?)?;
     let after = table.rows.get(row + 1)?;
@@ -133,18 +132,18 @@ pub fn true_speeds(table: &SensorTable, row: usize) -> Option<[f64; 2]> {
     Some([forward_m / dt_s, turned_rad / dt_s])
 }
 
-/// One step of an order: is a method worse than the one that follows it?
+/// One step of an order: whether a method is worse than the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderStep {
-    /// The one that should be worse.
+    /// Should be worse.
     pub worse: &'static str,
-    /// The one that should be better.
+    /// Should be better.
     pub better: &'static str,
     pub holds: u64,
     pub drives: u64,
     pub sign_p: f64,
-    /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` below two drives, and where an
-    /// error is exactly zero.
+    /// Geometric mean of the ratio of the errors, worse over better, with its 95 % interval; `None` for fewer than two drives, and
+    /// where an error is exactly zero.
     pub ratio: Option<[f64; 3]>,
 }
 
@@ -153,12 +152,11 @@ impl OrderStep {
         self.holds as f64 / self.drives.max(1) as f64
     }
 
-    /// Whether the error falls on average: the 95 % interval of the ratio lies above one.
+    /// Whether the error decreases on average: the 95 % interval of the ratio lies above one.
     pub fn holds_on_average(&self) -> bool {
         self.ratio.is_some_and(|ratio| ratio[1] > 1.0)
     }
 
-    /// The result of the figures, in words.
     pub fn as_text(&self) -> &'static str {
         match self.ratio {
             _ if self.drives < 2 => "one drive",
@@ -177,19 +175,19 @@ pub struct MethodOrder {
     pub steps: Vec<OrderStep>,
     pub all_hold: u64,
     pub drives: u64,
-    /// How many more there were, in which a method diverged or nothing could be compared.
+    /// Drives omitted because a method diverged or had no reference.
     pub excluded: u64,
 }
 
 impl MethodOrder {
-    /// Whether the error of each step falls on average.
+    /// Whether the error of each step decreases on average.
     pub fn holds_on_average(&self) -> bool {
         !self.steps.is_empty() && self.steps.iter().all(OrderStep::holds_on_average)
     }
 }
 
-/// Compares methods that stand in the promised order, from the worst to the best. `runs` has the errors of all methods, in the
-/// same order, for each drive; a drive in which one has none is left out.
+/// Compares methods in the claimed order, from the worst to the best. `runs` has the errors of all methods, in the same order, for each
+/// drive; a drive in which one has none is omitted.
 pub fn compare_order(names: &[&'static str], runs: &[Vec<PathErrors>], metric: ErrorMetric) -> MethodOrder {
     let figures: Vec<Vec<f64>> =
         runs.iter().filter_map(|run| run.iter().map(|errors| errors.value(metric)).collect()).collect();
@@ -232,7 +230,7 @@ fn geometric_mean(logs: &[f64]) -> Option<[f64; 3]> {
     Some([mean, mean - half, mean + half].map(f64::exp))
 }
 
-/// The probability that a tossed coin falls as unevenly as this, or more so.
+/// The probability that a fair coin is at least as uneven.
 fn sign_test(one: u64, other: u64) -> f64 {
     let n = one + other;
     let fewer = one.min(other);

@@ -1,7 +1,7 @@
-//! One table of sensor readings: what a brick logged, or a simulated one would have.
+//! A table of sensor readings, logged by a brick or simulated.
 //!
-//! Both ways into the experiment go through it, so that a drive that is exported and read back is the same drive to the last bit.
-//! Units are those of the file and of the paper's brick (counts, degrees); they become SI in [`SensorTable::observations`].
+//! Recorded and simulated drives both use it, so that an exported drive reads back as the same drive to the last bit. Units are those
+//! of the file and of the paper's brick (counts, degrees); [`SensorTable::observations`] converts them to SI.
 
 use posebridge_telemetry::{
     Arena, BrickClock, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, Observation, ObservationKind,
@@ -12,7 +12,7 @@ use rand_pcg::Pcg64;
 
 const NANOS_PER_S: f64 = 1e9;
 
-/// In what the encoders' columns count.
+/// Unit of the encoder columns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum EncoderUnit {
     #[default]
@@ -21,7 +21,7 @@ pub enum EncoderUnit {
 }
 
 impl EncoderUnit {
-    /// One of it, in radians of wheel rotation.
+    /// Radians of wheel rotation.
     pub fn rad_per_unit(self, geometry: &DriveGeometry) -> f64 {
         match self {
             Self::Counts => geometry.tick.0,
@@ -30,41 +30,41 @@ impl EncoderUnit {
     }
 }
 
-/// A pose measured from outside, or the true one.
+/// A pose from an external sensor, or the true one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPose {
     pub x_m: f64,
     pub y_m: f64,
-    /// Heading against the arena's x axis, counter-clockwise, degrees; none if it was not seen.
+    /// Against the arena's x axis, counter-clockwise; `None` if not measured.
     pub theta_deg: Option<f64>,
 }
 
-/// The sensor readings of one instant; `None` where a sensor said nothing.
+/// The sensor readings of one instant; `None` for no reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorRow {
-    /// Since any zero, in seconds.
+    /// Since any zero.
     pub time_s: f64,
-    /// Rotation of the left and of the right wheel since the counters were zeroed, forward positive, in the table's unit.
+    /// Rotation of the left and the right wheel since the counters were zeroed, forward positive, in the table's unit.
     pub encoders: [f64; 2],
-    /// Mean turn rate since the row before, bias included, counter-clockwise positive, degrees/s.
+    /// Mean since the previous row, bias included, counter-clockwise positive.
     pub gyro_deg_per_s: Option<f64>,
-    /// Forward acceleration at the left and at the right wheel, m/s².
+    /// Forward, at the left and at the right wheel.
     pub accelerations_m_per_s2: Option<[f64; 2]>,
     pub camera: Option<MeasuredPose>,
-    /// Heading by the compass, as [`MeasuredPose::theta_deg`].
+    /// Like [`MeasuredPose::theta_deg`].
     pub compass_deg: Option<f64>,
     pub truth: Option<MeasuredPose>,
 }
 
-/// Rows in the order of time.
+/// Rows in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorTable {
     pub unit: EncoderUnit,
-    /// The rows; each is later than the one before.
+    /// Each is later than the previous one.
     pub rows: Vec<SensorRow>,
 }
 
-/// A sensor that not every method uses.
+/// A sensor that only some methods use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableSensor {
     Wheels,
@@ -75,7 +75,6 @@ pub enum TableSensor {
 }
 
 impl SensorRow {
-    /// A row in which no sensor has said anything yet.
     pub fn empty(stamp: Timestamp<BrickClock>) -> Self {
         Self {
             time_s: stamp.as_nanos() as f64 / NANOS_PER_S,
@@ -88,8 +87,8 @@ impl SensorRow {
         }
     }
 
-    /// Stores a sensor reading, the inverse of [`SensorRow::observations`]; kinds that have no column are left out. A
-    /// counter is a whole number of `unit_rad`.
+    /// Stores a sensor reading, the inverse of [`SensorRow::observations`]; ignores kinds without a column. `unit_rad` is the encoder
+    /// unit, to which a counter is rounded.
     pub fn record(&mut self, observed: &ObservationKind, unit_rad: f64) {
         match observed {
             ObservationKind::WheelAngles { left, right } => {
@@ -118,7 +117,7 @@ impl SensorRow {
         }
     }
 
-    /// What the sensors among `senses` said, wheels first. `unit_rad` is one of the table's encoder unit, in rad.
+    /// Observations of the sensors in `senses`, wheels first. `unit_rad` is the encoder unit.
     pub fn observations(&self, unit_rad: f64, senses: &[TableSensor]) -> impl Iterator<Item = Observation> {
         let stamp = self.stamp();
         let said = senses.iter().filter_map(move |sense| {
@@ -157,12 +156,11 @@ impl SensorRow {
 }
 
 impl MeasuredPose {
-    /// A pose as it stands in a table.
     pub fn from_pose(pose: Pose<Arena>) -> Self {
         Self { x_m: pose.x.0, y_m: pose.y.0, theta_deg: Some(pose.heading.rad().to_degrees()) }
     }
 
-    /// The same as a pose of the arena; a heading that was not seen is zero.
+    /// As a pose of the arena; a missing heading becomes zero.
     pub fn pose(&self) -> Pose<Arena> {
         let heading = Heading::from_rad(self.theta_deg.unwrap_or(0.0).to_radians());
         Pose::new(Meters(self.x_m), Meters(self.y_m), heading)
@@ -180,7 +178,7 @@ impl MeasuredPose {
 }
 
 impl SensorTable {
-    /// The rows from the first one on until a wheel counts: the stop-and-record test that a drive begins with.
+    /// The initial rows until a wheel counts: the stop before a drive.
     pub fn at_rest(&self) -> &[SensorRow] {
         let Some(first) = self.rows.first() else {
             return &self.rows;
@@ -190,8 +188,8 @@ impl SensorTable {
         &self.rows[..count]
     }
 
-    /// Of each row, whether the filters that use a camera are given its image: that of every `every`-th one. The first row's does not
-    /// count: there all begin.
+    /// Whether each row's image is passed to the filters that use a camera: every `every`-th one. The first row's is excluded, because
+    /// it is the start.
     pub fn used_images(&self, every: usize) -> Vec<bool> {
         let mut images = 0_usize;
         let rows = self.rows.iter().enumerate();
@@ -203,8 +201,8 @@ impl SensorTable {
         .collect()
     }
 
-    /// The reference for a filter in each row: the truth, or, where there is none in the whole table, an image that no filter was
-    /// given. The first row is where all begin.
+    /// The reference in each row: the truth, or, if the whole table has none, an image that no filter got. Excludes the first row,
+    /// which is the start.
     pub fn references(&self, every: usize) -> Vec<Option<MeasuredPose>> {
         let has_truth = self.has_truth();
         let rows = self.rows.iter().zip(self.used_images(every)).enumerate();
@@ -234,12 +232,11 @@ impl SensorTable {
 // a ship's compass). Sources: National Geospatial-Intelligence Agency, Handbook of Magnetic Compass Adjustment (2004), chapter 3;
 // one degree of resolution: data sheet of the HiTechnic compass.
 
-/// White noise of one reading of the compass, degrees.
 const COMPASS_SIGMA_DEG: f64 = 3.0;
-/// Standard deviation of the amplitude of its deviation, degrees: motors bend the field by some degrees.
+/// Of the amplitude of the compass deviation: motors distort the field by some degrees.
 const DEVIATION_SIGMA_DEG: f64 = 3.0;
 
-/// Standard normal numbers of a seed.
+/// Standard normal numbers from a seed.
 struct NormalSampler(Pcg64);
 
 impl NormalSampler {
@@ -280,7 +277,7 @@ pub fn add_jitter(table: &mut SensorTable, variances: [f64; 2], seed: u64) {
     }
 }
 
-/// Delays the truth by this number of rows, like that of a camera with an uncorrected delay.
+/// Delays the reference by `rows`, like a camera with an uncorrected delay.
 pub fn delay_reference(table: &mut SensorTable, rows: usize) {
     let truths: Vec<_> = table.rows.iter().map(|row| row.truth).collect();
     for (index, row) in table.rows.iter_mut().enumerate() {

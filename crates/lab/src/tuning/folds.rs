@@ -1,8 +1,8 @@
-//! How far to go from the numbers at the start towards those that the search found: as far as data that it did not see agree.
+//! Selects the step length from the start values towards the maximum of the likelihood by cross-validation.
 //!
-//! A maximum of the likelihood fits the runs that it was found on, their geometry, their floor, their way of driving. What it gains
-//! there is more than what it gains elsewhere, and a filter that trusts its wheels too much pays more for it than one that trusts them
-//! too little. So the search is repeated without a part of the data, and that part is asked.
+//! A maximum of the likelihood overfits the runs that it was found on: their geometry, floor and driving style. Its gain there is
+//! larger than elsewhere, and a filter that trusts its wheels too much pays more for it than one that trusts them too little. So the
+//! search is repeated without a part of the data, and that part is scored.
 //!
 //! # Model
 //! ```text
@@ -11,7 +11,7 @@
 //! G(s)   = sum_f g_f(s)      se = sqrt(F / (F - 1) sum_f (g_f(s*) - G(s*) / F)^2)       s* = argmax G              (3)
 //! s^     = the smallest s with G(s) >= G(s*) - se                                                                  (4)
 //! ```
-//! Where positions are known that the filter was not shown, s^ is then lowered until they are missed by no more than at the start.
+//! Where positions are known that the filter did not get, s^ is then reduced until the position error is no larger than at the start.
 //!
 //! # Source
 //! (2), (3): M. Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Statist. Soc. B 36(2), 1974.
@@ -19,14 +19,13 @@
 
 use posebridge_telemetry::{BrickClock, Observation, TimeDelta, Timestamp};
 
-/// Steps of an eighth: the way is a few standard deviations long, and no data resolve more.
+/// Eighths: the whole step is a few standard deviations long, and no data resolve more.
 pub const SHARES: [f64; 9] = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0];
-/// Fewer runs are cut into blocks of time, until there is this number of parts.
+/// Fewer runs are split into blocks of time, until there is this number of parts.
 const MIN_BLOCKS: usize = 6;
-/// More parts than that share folds: each fold costs a search.
+/// More parts share folds: each fold costs a search.
 const MAX_FOLDS: usize = 8;
 
-/// Into how many blocks of time each run is cut, by the number of runs.
 pub fn blocks_per_run(runs: usize) -> usize {
     MIN_BLOCKS.div_ceil(runs.max(1))
 }
@@ -35,7 +34,7 @@ pub fn fold_count(parts: usize) -> usize {
     parts.min(MAX_FOLDS)
 }
 
-/// A run cut into blocks of equal length in time.
+/// A run split into blocks of equal duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeBlocks {
     first: Timestamp<BrickClock>,
@@ -44,7 +43,7 @@ pub struct TimeBlocks {
 }
 
 impl TimeBlocks {
-    /// Cuts from the earliest to the latest stamp; at least one block.
+    /// From the earliest to the latest timestamp; at least one block.
     pub fn from_observations(observations: &[Observation], count: usize) -> Self {
         let stamps = || observations.iter().map(|observation| observation.stamp);
         let first = stamps().min().unwrap_or(Timestamp::ZERO);
@@ -55,7 +54,7 @@ impl TimeBlocks {
         self.count
     }
 
-    /// The block of an instant; instants before the first and after the last belong to these.
+    /// The block of an instant; earlier and later instants belong to the first and the last block.
     pub fn index(&self, stamp: Timestamp<BrickClock>) -> usize {
         let length_s = self.length.as_secs_f64();
         let into_s = (stamp - self.first).as_secs_f64().clamp(0.0, length_s);
@@ -68,7 +67,7 @@ impl TimeBlocks {
     }
 }
 
-/// Squared position errors of the filter as it runs live.
+/// Squared position errors of the online filter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SquaredErrors {
     pub sum_m2: f64,
@@ -91,47 +90,44 @@ impl SquaredErrors {
     }
 }
 
-/// What one fold says of each of [`SHARES`] of the way that was found without it.
+/// Scores of one fold at each of [`SHARES`] of the step that was found without it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoldScore {
     pub log_likelihood: [f64; SHARES.len()],
-    /// How far its positions were missed.
     pub squares: [SquaredErrors; SHARES.len()],
 }
 
-/// How far to go.
+/// The selected step length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShareChoice {
-    /// Which of [`SHARES`].
+    /// Index into [`SHARES`].
     pub index: usize,
     /// G(s) of equation (3).
     pub gains: [f64; SHARES.len()],
-    /// Standard error of the largest of them.
     pub standard_error: f64,
-    /// Root mean square position error over all folds, m; `None` where no position is known.
+    /// Over all folds; `None` without known positions.
     pub position_rms_m: [Option<f64>; SHARES.len()],
     pub reason: ChoiceReason,
 }
 
-/// What decided how far to go.
+/// The reason for the selected step length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChoiceReason {
     /// Equation (4).
     Likelihood,
-    /// Further on, positions that were not shown are missed by more than at the start.
+    /// Beyond it the errors of withheld positions are larger than at the start.
     Position,
-    /// There are no two folds that say anything: all of the way.
+    /// Fewer than two usable folds: the whole step.
     NoFolds,
 }
 
 impl ShareChoice {
-    /// The share of the way.
     pub fn share(&self) -> f64 {
         SHARES.get(self.index).copied().unwrap_or(1.0)
     }
 }
 
-/// Chooses by equation (4) and by the positions.
+/// Selects by equation (4) and by the position errors.
 pub fn choose(folds: &[FoldScore]) -> ShareChoice {
     let gains = per_share(|s| folds.iter().map(|fold| gain(fold, s)).sum());
     let position_rms_m = per_share(|s| {
@@ -175,7 +171,7 @@ fn gain(fold: &FoldScore, share: usize) -> f64 {
     fold.log_likelihood[share] - fold.log_likelihood[0]
 }
 
-/// The first of the largest.
+/// The first of equal maxima.
 fn best_index(gains: &[f64; SHARES.len()]) -> usize {
     let mut best = 0;
     for (index, gain) in gains.iter().enumerate() {
@@ -190,27 +186,27 @@ fn per_share<T>(of: impl Fn(usize) -> T) -> [T; SHARES.len()] {
     std::array::from_fn(of)
 }
 
-/// What runs that were held out are worth under one set of numbers.
+/// Scores of withheld runs under one set of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitQuality {
-    /// Mean log-likelihood of a component of their innovations; `None` without one.
+    /// Mean log-likelihood of an innovation component; `None` without one.
     pub ln_p_each: Option<f64>,
-    /// How far the filter as it runs live is off, root mean square, m; `None` where no position is known.
+    /// Of the online filter; `None` without known positions.
     pub position_rms_m: Option<f64>,
 }
 
-/// In what a set of numbers is worse than another.
+/// The criterion by which a set of parameters is worse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QualityLoss {
-    /// It explains what came less well.
+    /// Lower likelihood.
     Likelihood,
-    /// It misses the positions by more.
+    /// Larger position error.
     Position,
     Both,
 }
 
 impl FitQuality {
-    /// In what these numbers are worse than those at the start; what is no number is worse.
+    /// The criterion by which these parameters are worse than those at the start; NaN counts as worse.
     pub fn loss_against(&self, start: &Self) -> Option<QualityLoss> {
         let less_likely = matches!(
             (self.ln_p_each, start.ln_p_each),

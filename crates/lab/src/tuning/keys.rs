@@ -1,13 +1,13 @@
-//! What can be tuned: the noise of a robot by the keys of `[robot.noise]`, and the positive tunables of a filter by theirs.
+//! Tunable parameters: the noise of a robot (keys of `[robot.noise]`), and the positive tunables of a filter.
 
 use posebridge_estimator::params::{PARAMS, Param};
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{Observation, ObservationKind, SensorNoise};
 
-/// A noise of a robot.
+/// A noise parameter of a robot.
 #[derive(Debug)]
 pub struct NoiseKey {
-    /// Its key in `[robot.noise]`.
+    /// Key in `[robot.noise]`.
     pub key: &'static str,
     pub read: fn(&SensorNoise) -> f64,
     pub write: fn(&mut SensorNoise, f64),
@@ -24,7 +24,7 @@ macro_rules! noise_keys {
             write: |noise, value| noise.$key = value,
             told_by: $told_by,
         },)+];
-        /// A field that [`SensorNoise`] gains does not build until it has a line above.
+        /// Fails to compile when [`SensorNoise`] gains a field without a line above.
         const _: fn(&SensorNoise) = |noise| {
             let SensorNoise { $($key: _,)+ } = *noise;
         };
@@ -58,14 +58,14 @@ const fn is_motion_observation(seen: &ObservationKind) -> bool {
     )
 }
 
-/// One parameter that is tuned.
+/// A tuned parameter.
 #[derive(Clone, Copy)]
 pub enum TunedKey {
     Noise(&'static NoiseKey),
     Param(&'static Param),
 }
 
-/// There is nothing to tune under this name.
+/// A key that names no tunable parameter.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{key}` cannot be tuned; there are {known}, and filter.KEY for the tunables of `[filter]`")]
 pub struct UnknownKey {
@@ -74,7 +74,7 @@ pub struct UnknownKey {
 }
 
 impl TunedKey {
-    /// The parameter of this key: `fix_position_m`, `noise.fix_position_m`, `robot.noise.fix_position_m` or `filter.accel_m_s2`.
+    /// Parses a key: `fix_position_m`, `noise.fix_position_m`, `robot.noise.fix_position_m` or `filter.accel_m_s2`.
     pub fn from_name(text: &str) -> Result<Self, UnknownKey> {
         let found = if let Some(key) = text.strip_prefix("filter.") {
             PARAMS.iter().find(|row| row.key == key).map(Self::Param)
@@ -90,7 +90,7 @@ impl TunedKey {
         })
     }
 
-    /// As it is written in a configuration, below the robot or the filter: `noise.fix_position_m`, `filter.accel_m_s2`.
+    /// As in a configuration, below the robot or the filter: `noise.fix_position_m`, `filter.accel_m_s2`.
     pub fn name(&self) -> String {
         match self {
             Self::Noise(row) => format!("noise.{}", row.key),
@@ -105,7 +105,7 @@ impl TunedKey {
         }
     }
 
-    /// Multiplies it; a tunable stays within the range of its row.
+    /// Multiplies the parameter; a tunable is clamped to its range.
     pub fn scale(&self, config: &mut FilterConfig, factor: f64) {
         match self {
             Self::Noise(row) => {
@@ -122,7 +122,7 @@ fn scale_param(row: &Param, params: &mut Params, factor: f64) {
     (row.write)(params, value.clamp(*row.range.start(), *row.range.end()));
 }
 
-/// What is tuned unless something else is asked for: the noises above zero that the observations determine.
+/// Default selection: the noises above zero that the observations determine.
 pub fn default_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<TunedKey> {
     let is_told = |row: &NoiseKey| {
         let mut seen = observations.iter();

@@ -1,4 +1,4 @@
-//! How probable a run was under a filter: equations (1), (2) and (5) of the module's head.
+//! Likelihood of a run under a filter: equations (1), (2) and (5) of the parent module.
 
 use posebridge_estimator::{Filter, Params};
 use posebridge_telemetry::{
@@ -9,17 +9,17 @@ use rand_pcg::Pcg64;
 
 use super::folds::TimeBlocks;
 
-/// Share of observations that are taken for outliers: a good camera's mismatches (about 1 % in the sets of docs/recordings.md).
+/// Share of outliers: the mismatches of a good camera (about 1 % in the sets of docs/recordings.md).
 const OUTLIER_SHARE: f64 = 0.01;
-/// By so much wider are they; Huber's contamination with a spread that a gate at 99.9 % refuses.
+/// Ratio of an outlier's sigma: Huber's contamination with a spread that a gate at 99.9 % rejects.
 const OUTLIER_SIGMA_FACTOR: f64 = 10.0;
 
-/// Online adaptation of the configured noise is switched off, so that the configured values themselves are scored.
+/// Disables online adaptation of the noise, so that the configured values themselves are scored.
 ///
 /// ```text
-/// adapt_gain   0          a noise that is learned on the way hides the configured one
-/// slip_nis     infinite   a slip widens S by what is to be explained: noise of zero would explain everything
-/// gate_prob    0.999999   what is refused says nothing to the state; the density (2) takes care of gross ones
+/// adapt_gain   0          adaptive noise would hide the configured one
+/// slip_nis     infinite   a slip widens S by its own innovation: zero noise would explain everything
+/// gate_prob    0.999999   a rejected observation does not update the state; the density (2) handles gross outliers
 /// ```
 pub const fn offline_params(params: Params) -> Params {
     Params { adapt_gain: 0.0, slip_nis: f64::INFINITY, gate_probability: 0.999_999, ..params }
@@ -29,9 +29,8 @@ pub const fn offline_params(params: Params) -> Params {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFit {
     pub sensor: SensorId,
-    /// Innovations, each with one to three components.
+    /// Each with one to three components.
     pub count: u64,
-    /// Their components.
     pub components: u64,
     /// Sum of ln p.
     pub log_likelihood: f64,
@@ -74,12 +73,12 @@ impl SourceFit {
         }
     }
 
-    /// Mean normalised innovation squared per component, refused ones included; 1 is honest.
+    /// Mean normalised innovation squared per component, rejected ones included; 1 is consistent.
     pub fn nis(&self) -> Option<f64> {
         (self.components > 0).then(|| self.nis / self.components as f64)
     }
 
-    /// Correlation of successive whitened innovations; 0 for a filter that misses nothing.
+    /// Correlation of successive whitened innovations; 0 for an optimal filter.
     pub fn rho_1(&self) -> Option<f64> {
         (self.squares > 0.0).then(|| self.products / self.squares)
     }
@@ -94,10 +93,10 @@ impl SourceFit {
     }
 }
 
-/// How probable one run or many were under a filter.
+/// Likelihood of one run or many under a filter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunFit {
-    /// By sensor, in the order in which they were heard.
+    /// By sensor, in the order of their first observations.
     pub sources: Vec<SourceFit>,
 }
 
@@ -119,7 +118,7 @@ impl RunFit {
         }
     }
 
-    /// Takes what became of an observation; one that was not held against a prediction says nothing.
+    /// Adds a fusion record; ignores observations without a prediction.
     pub fn add(&mut self, record: &FusionRecord) {
         let Some(ln_p) = ln_density(record) else {
             return;
@@ -138,8 +137,7 @@ impl RunFit {
     }
 }
 
-/// Runs a filter over a run, in the order of arrival, and scores each block of time by itself: one entry per block. The filter runs
-/// through.
+/// Runs a filter over a whole run, in the order of arrival, and scores each time block separately: one entry per block.
 pub fn fit_in_blocks(observations: &[Observation], filter: &mut dyn Filter, blocks: &TimeBlocks) -> Vec<RunFit> {
     let mut fits = vec![RunFit::default(); blocks.count()];
     for observation in observations {
@@ -151,7 +149,7 @@ pub fn fit_in_blocks(observations: &[Observation], filter: &mut dyn Filter, bloc
     fits
 }
 
-/// Gives a run to a filter, in the order of arrival.
+/// `observations` are in the order of arrival.
 pub fn fit_run(observations: &[Observation], filter: &mut dyn Filter) -> RunFit {
     let mut fit = RunFit::default();
     for observation in observations {
@@ -160,7 +158,7 @@ pub fn fit_run(observations: &[Observation], filter: &mut dyn Filter) -> RunFit 
     fit
 }
 
-/// How well the numbers to start from are known, as a standard deviation of their logarithm: ln 3, a factor of three either way.
+/// Prior standard deviation of the logarithm of a start value: ln 3, a factor of three either way.
 pub const PRIOR_SIGMA: f64 = 1.098_612_288_668_109_8;
 
 /// The second term of equation (3).
@@ -169,7 +167,7 @@ pub fn ln_prior(log_scales: &[f64]) -> f64 {
     -0.5 * squares
 }
 
-/// ln of equation (2); the record's own log-likelihood has the determinant of S in it.
+/// ln of equation (2); the record's own log-likelihood contains the determinant of S.
 fn ln_density(record: &FusionRecord) -> Option<f64> {
     let d = f64::from(record.degrees_of_freedom);
     let is_judged = d > 0.0 && record.nis.is_finite() && record.log_likelihood.is_finite();
@@ -185,18 +183,16 @@ fn ln_density(record: &FusionRecord) -> Option<f64> {
     Some(at_centre + more + (less - more).exp().ln_1p())
 }
 
-/// How the truth is shown to the filter.
+/// Settings of position fixes sampled from the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SyntheticFixes {
-    /// Time between two of them.
     pub every: TimeDelta,
-    /// Noise of x and of y, one standard deviation, in metres.
+    /// White noise of x and of y, one standard deviation.
     pub sigma_m: f64,
-    /// Seed of that noise.
     pub seed: u64,
 }
 
-/// Positions out of the truth, with seeded normal noise, as a camera would have seen them.
+/// Position fixes sampled from the truth, with seeded normal noise, as a camera would measure them.
 pub fn fixes_from_truth(
     truth: &[(Timestamp<BrickClock>, Point2<Arena>)],
     glimpses: &SyntheticFixes,

@@ -1,7 +1,7 @@
-//! Noise parameters from recordings: what a person finds by trial, found by the likelihood of the innovations.
+//! Tunes noise parameters on recordings by the likelihood of the innovations.
 //!
-//! A filter predicts each observation before it uses it. Of two sets of noise parameters that one is better under which what then
-//! came was more probable. No truth is needed for that.
+//! A filter predicts each observation before it uses it. Of two sets of noise parameters the better one gives the observations the
+//! higher likelihood. No ground truth is needed.
 //!
 //! # Model
 //! ```text
@@ -12,13 +12,13 @@
 //! var x_j ~ -1 / (second derivative of that by x_j)     with the other parameters held                             (4)
 //! rho(1) = sum_k u_k u_k-1 / sum_k u_k^2                u_ki = nu_ki / sqrt(S_kii), per source; white: 0           (5)
 //! ```
-//! The second term of (3) says that the numbers to start from are right within a factor of three. It weighs as much as one or two
-//! observations: a parameter that the data determine stays free, and any other stays where it was.
+//! The second term of (3) is a prior: the start values are correct within a factor of three. It weighs as much as one or two
+//! observations, so parameters determined by the data are hardly affected, and the others keep their start values.
 //!
-//! Equation (2) is the normal density with one observation in a hundred taken for an outlier ten times as wide: refused observations
-//! count, so that nothing is gained by refusing them, and a few gross ones do not decide.
+//! Equation (2) is the normal density with one observation in a hundred as an outlier of ten times the sigma: rejected observations
+//! count, so that rejecting them gains nothing, and a few gross outliers do not dominate.
 //!
-//! How far to go from the start towards x^ is then decided by data that the search did not see: the module `folds` has the equations.
+//! Data that the search did not use then select the step length from the start towards x^: the module `folds` has the equations.
 //!
 //! # Source
 //! (1): F. C. Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Inform. Theory 11(1), 1965.

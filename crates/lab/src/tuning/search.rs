@@ -1,21 +1,19 @@
-//! The largest value of a function of a few variables, without derivatives: polls along the axes, all of a round at once.
+//! Derivative-free maximisation of a function of a few variables: polls along the axes, all points of a round at once.
 //!
-//! A round asks for the value one step up and one step down along each axis. Then it asks for three combinations: all steps that
-//! helped together, the same twice as long, and the best single one twice as long. The best of all is the next centre; where
-//! nothing helped the step is halved. All points of a round are asked for together, so that the caller may evaluate them on all cores.
+//! A round evaluates one step up and one step down along each axis. Then it evaluates three combinations: all successful steps
+//! together, the same twice as long, and the best single one twice as long. The best point is the next centre; without an improvement
+//! the step is halved. All points of a round are evaluated together, so that the caller may use all cores.
 
-/// How to search.
+/// Settings of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchOptions {
-    /// The first step.
     pub first_step: f64,
-    /// The search ends when the step is smaller than this.
+    /// The search ends when the step is smaller.
     pub last_step: f64,
-    /// No variable leaves [-bound, bound].
+    /// Each variable stays in [-bound, bound].
     pub bound: f64,
-    /// What improves the value by less than this is chance: a flat direction stays where it is.
+    /// Smaller improvements count as noise, so that flat directions do not drift.
     pub min_gain: f64,
-    /// Most rounds.
     pub max_rounds: u32,
 }
 
@@ -36,14 +34,13 @@ impl Default for SearchOptions {
     }
 }
 
-/// One round.
+/// Value, position and step after a round of the search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchRound {
-    /// The largest value after it.
+    /// Largest value so far.
     pub value: f64,
-    /// Where that is.
+    /// Its position.
     pub at: Vec<f64>,
-    /// The step that it took.
     pub step: f64,
 }
 
@@ -52,37 +49,31 @@ pub struct SearchRound {
 pub enum SearchTermination {
     /// No step of the smallest size helped.
     Converged,
-    /// The rounds were used up.
     RoundLimit,
 }
 
-/// What a search has found.
+/// The maximum that a search found, with its history.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchResult {
-    /// The value at the start, where all variables are zero.
+    /// At zero.
     pub start_value: f64,
-    /// Where the largest value is.
     pub at: Vec<f64>,
-    /// The largest value.
     pub value: f64,
-    /// The rounds, in their order.
     pub rounds: Vec<SearchRound>,
-    /// One standard deviation of each variable, with the others held: the curvature of a log-likelihood; `None` where it is flat.
+    /// One standard deviation of each variable with the others fixed, from the curvature of a log-likelihood; `None` where it is flat.
     pub sigma: Vec<Option<f64>>,
-    /// Why it ended.
     pub termination: SearchTermination,
 }
 
-/// Distance of the points by which the curvature is measured: far enough for a rough function.
+/// Step of the second difference: large enough for a rough function.
 const CURVATURE_STEP: f64 = 0.2;
 
-/// A point with the value there.
 struct SearchPoint {
     at: Vec<f64>,
     value: f64,
 }
 
-/// Searches from zero. `evaluate` gets all points of a round and gives one value for each; what is not finite counts as the worst.
+/// Starts at zero. `evaluate` returns one value for each point of a round; a non-finite value counts as the worst.
 pub fn maximise(
     variables: usize,
     search: &SearchOptions,
@@ -134,7 +125,7 @@ fn poll_points(centre: &[f64], step: f64, bound: f64) -> Vec<Vec<f64>> {
     (0..centre.len()).flat_map(|j| [along(j, step), along(j, -step)]).collect()
 }
 
-/// All steps that helped, the same twice, and the best single one twice; nothing where nothing helped.
+/// All successful steps, the same doubled, and the best single one doubled; empty without an improvement.
 fn combinations(best: &SearchPoint, polled: &[Vec<f64>], values: &[f64], search: &SearchOptions) -> Vec<Vec<f64>> {
     let centre = &best.at;
     let mut together = vec![0.0; centre.len()];

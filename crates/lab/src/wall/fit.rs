@@ -1,52 +1,49 @@
-//! A step test as it is done by a computer: one drive through all readings of all steps, with how sure it is.
+//! Least-squares evaluation of step tests: one drive model fitted to all readings of all steps, with uncertainties.
 //!
 //! ```text
 //! min over v_ss, a, z_0j of   sum over steps j and readings i of   (z_ij - z_0j + v_ss phi_a(t_ij))^2
 //! ```
-//! For a given a the rest is linear; a itself is searched on a grid and then by golden section. The sigmas are those of least
-//! squares with the noise that the residuals show.
+//! For a given a the rest is linear; a itself is found by grid search and golden section. The sigmas are those of least squares with
+//! the noise of the residuals.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 
 use super::log::{ResponseSample, WallLog, responses};
 
-/// Rates that are searched, 1/s: time constants from 20 ms to 20 s.
+/// Search range of the rate: time constants from 20 ms to 20 s.
 const MIN_RATE_PER_S: f64 = 0.05;
 const MAX_RATE_PER_S: f64 = 50.0;
-/// Points of the grid between them, equal in ratio; golden section then halves the bracket about 60 times.
+/// Points of the grid, equal in ratio; golden section then halves the bracket about 60 times.
 const GRID: u32 = 80;
 const GOLDEN_STEPS: u32 = 60;
 
-/// What is found, each with one standard deviation.
+/// The fitted values, each with one standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFit {
-    /// Steady speed under the input 1, m/s.
+    /// Steady speed under the input 1.
     pub steady_m_per_s: (f64, f64),
-    /// Time to 90 % of it, s.
+    /// Time to 90 % of it.
     pub rise_90_s: (f64, f64),
-    /// d, s/m.
+    /// d.
     pub drag_s_per_m: (f64, f64),
-    /// m, s²/m.
+    /// m.
     pub mass_s2_per_m: (f64, f64),
-    /// The noise of a reading, as the residuals show it, m.
+    /// Noise of a reading, from the residuals.
     pub range_sigma_m: f64,
-    /// Readings that were used.
     pub readings: usize,
 }
 
 impl StepFit {
-    /// The drive as the filter's model has it.
     pub const fn model(&self) -> WallApproachModel {
         WallApproachModel { drag_s_per_m: self.drag_s_per_m.0, mass_s2_per_m: self.mass_s2_per_m.0 }
     }
 
-    /// The share of the steady speed that the car has at a time in seconds after the drive began: a fit to steps that end early
-    /// extrapolates.
+    /// Share of the steady speed at a time after the start: a fit to steps that end early extrapolates.
     pub fn share_reached(&self, after_s: f64) -> f64 {
         -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()
     }
 
-    /// Time, reading and what this drive makes of it, in s, m and m; the distance at rest is the one that fits the log best.
+    /// Time, reading and fitted distance, in s, m and m; the distance at rest is the one that fits the log best.
     pub fn fitted_curve(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
         let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
         let readings = responses(log, rate_per_s);
@@ -61,7 +58,7 @@ impl StepFit {
     }
 }
 
-/// Finds the drive that explains all steps best. Each begins at rest, at a distance of its own.
+/// Fits one drive to all steps. Each begins at rest, at its own distance.
 pub fn fit_steps(logs: &[WallLog]) -> Result<StepFit, WallStepError> {
     if logs.iter().any(|log| log.drives_from_s().is_none()) {
         return Err(WallStepError::NoInput);
@@ -84,7 +81,7 @@ pub fn fit_steps(logs: &[WallLog]) -> Result<StepFit, WallStepError> {
     Ok(step_fit(best.steady_m_per_s, rate_per_s, covariance, variance_m2.sqrt(), readings))
 }
 
-/// From v_ss and a with their covariance [vv, va, aa] to what people call them.
+/// Converts v_ss and a, with their covariance [vv, va, aa], to the result.
 fn step_fit(v: f64, a: f64, covariance: [f64; 3], range_sigma_m: f64, readings: usize) -> StepFit {
     let [vv, va, aa] = covariance;
     let mass = 1.0 / (v * a);
@@ -120,7 +117,7 @@ fn best_rate(logs: &[WallLog]) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// What is best for a given rate.
+/// The best linear parameters for a given rate.
 struct LinearFit {
     steady_m_per_s: f64,
     cost_m2: f64,
@@ -150,7 +147,7 @@ fn means(readings: &[ResponseSample]) -> Option<(f64, f64)> {
     (count > 0.0).then_some((way_m, range_m))
 }
 
-/// Covariance [vv, va, aa] by least squares about the best.
+/// Covariance [vv, va, aa] by least squares about the minimum.
 fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64; 3]> {
     // Central differences; a relative step of a thousandth leaves an error of its square.
     let h = 1e-3 * a;
@@ -173,11 +170,11 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
     (determinant > 0.0).then(|| [n_aa, -n_va, n_vv].map(|entry| variance_m2 * entry / determinant))
 }
 
-/// A speed towards the wall and the instant that it is of.
+/// Speed towards the wall at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedSample {
     pub at_s: f64,
-    /// The speed, m/s; positive towards the wall.
+    /// Positive towards the wall.
     pub towards_m_per_s: f64,
 }
 
@@ -193,22 +190,20 @@ pub enum WallStepError {
     NoMotion,
 }
 
-/// What is found by hand.
+/// The result of the evaluation by hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ManualStepFit {
-    /// Speed at which it settles, from the steepest line, m/s.
+    /// Steady speed, from the steepest line.
     pub steady_m_per_s: f64,
-    /// The same by the difference of the first and the last reading of that piece, m/s.
+    /// The same by the difference of the first and the last reading of that piece.
     pub steady_by_difference_m_per_s: f64,
-    /// When the drive began, s.
     pub start_s: f64,
-    /// Time from there to 90 % of the steady speed, s; between two lines it is interpolated.
+    /// Time to 90 % of the steady speed, interpolated between two lines.
     pub rise_90_s: f64,
     /// d and m from the two.
     pub model: WallApproachModel,
 }
 
-/// Speeds between neighbouring readings.
 pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     let pairs = readings.windows(2).filter(|pair| pair[1].0 > pair[0].0);
@@ -220,13 +215,13 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
         .collect()
 }
 
-/// Slopes of lines by least squares through pieces of this number of readings, each overlapping half of the one before.
+/// Slopes of regression lines through pieces of `piece` readings, each overlapping half of the previous one.
 pub fn overlapping_lines(log: &WallLog, piece: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     segments(&readings, piece).filter_map(slope).collect()
 }
 
-/// Pieces of this number of readings that overlap by half; the last ends with the last reading.
+/// Pieces of `piece` readings that overlap by half; the last ends with the last reading.
 fn segments(readings: &[(f64, f64)], piece: usize) -> impl Iterator<Item = &[(f64, f64)]> {
     let piece = piece.max(2);
     let last = readings.len().checked_sub(piece);
@@ -249,10 +244,11 @@ fn slope(piece: &[(f64, f64)]) -> Option<SpeedSample> {
     (along > 0.0).then_some(SpeedSample { at_s, towards_m_per_s: -across / along })
 }
 
-/// Evaluates a step by hand: lines through pieces of this number of readings.
+/// Evaluates a step as by hand: lines through pieces of `piece` readings.
 ///
-/// A line's slope is the mean speed of its piece, below that at its end while the car speeds up, and the steepest of several noisy
-/// lines is too steep: figures of this kind are good to some per cent. [`fit_steps`](super::fit_steps) is better and says how good.
+/// A line's slope is the mean speed of its piece, lower than at its end while the car accelerates, and the steepest of several noisy
+/// lines is too steep: such results are accurate to some per cent. [`fit_steps`](super::fit_steps) is more accurate and returns its
+/// uncertainty.
 pub fn fit_by_hand(log: &WallLog, piece: usize) -> Result<ManualStepFit, WallStepError> {
     let start_s = log.drives_from_s().ok_or(WallStepError::NoInput)?;
     let readings: Vec<(f64, f64)> = log.readings().filter(|(at_s, _)| *at_s >= start_s).collect();
@@ -282,7 +278,7 @@ pub fn fit_by_hand(log: &WallLog, piece: usize) -> Result<ManualStepFit, WallSte
     })
 }
 
-/// The mean over several steps; `None` of none.
+/// `None` for no steps.
 pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
     let count = steps.len() as f64;
     let mean = |of: fn(&ManualStepFit) -> f64| steps.iter().map(of).sum::<f64>() / count;
@@ -297,7 +293,7 @@ pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
     })
 }
 
-/// When the speed first reaches this, from rest at the start.
+/// When the speed first reaches `level`, from rest at the start.
 fn crossing(lines: &[(SpeedSample, &[(f64, f64)])], start_s: f64, level: f64) -> Option<f64> {
     let mut before = (start_s, 0.0);
     for (line, _) in lines {

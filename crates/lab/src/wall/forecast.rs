@@ -1,4 +1,4 @@
-//! Each reading held against what was foretold before it was seen.
+//! Compares each reading with its prediction from earlier readings.
 
 use posebridge_estimator::Params;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -10,28 +10,27 @@ use super::replay_filter::{
     ApproachEstimator, GATE_SIGMAS, KalmanNoise, LinearExtrapolation, WallKalman, innovation_sigma,
 };
 
-/// A reading and what was foretold of it, in m.
+/// A reading and its predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeForecast {
     pub at_s: f64,
-    /// Its prediction.
     pub range_m: f64,
-    /// By the filter, with the drive and the noise as the readings before have shown them.
+    /// By the filter, with drive and noise identified from the earlier readings.
     pub kalman_m: f64,
     /// By the line through the last two; `None` before there are two.
     pub line_m: Option<f64>,
-    /// The model of the car.
     pub plant: Plant,
-    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading that is further from what was foretold is refused, m. `None` where
-    /// the filter held it against nothing.
+    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading further from its prediction is rejected. `None` without a
+    /// prediction.
     pub gate_m: Option<f64>,
     pub is_gated: bool,
 }
 
-/// The drive is identified anew when the number of readings has grown by this factor; early, at each. It keeps the work of long logs small.
+/// Growth of the number of readings after which the drive is identified again; early, at each reading. Bounds the run time for long
+/// logs.
 const REFIT_GROWTH: f64 = 1.02;
 
-/// Foretells every reading but the first from those before it.
+/// Predicts every reading but the first from the earlier ones.
 pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
     let least_gate_m = Params::default().wall_gate_m;
     let mut foreseen = Vec::new();
@@ -70,17 +69,15 @@ pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
     foreseen
 }
 
-/// What the gate did with the readings of a log.
+/// Statistics of the gate over a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GateStatistics {
-    /// Readings that were held against a prediction.
     pub readings: usize,
     pub gated: usize,
-    /// The gate's mean half-width, m.
     pub mean_m: f64,
 }
 
-/// Sums up the gate; `None` if no reading was held against a prediction.
+/// `None` if no reading had a prediction.
 pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
     let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
     if gates.is_empty() {
@@ -93,7 +90,7 @@ pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
     })
 }
 
-/// Root mean squares of readings minus what was foretold, in m, over the readings that both sides foretold.
+/// Root mean square prediction errors, over the readings that both methods predicted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForecastScore {
     pub readings: usize,
@@ -101,7 +98,7 @@ pub struct ForecastScore {
     pub other_rms_m: f64,
 }
 
-/// Scores the filter against another one; `other` gives what that one foretold. `None` if there is no common reading.
+/// Scores the filter against another method; `other` returns that method's prediction. `None` without a common reading.
 pub fn score_forecasts(
     foreseen: &[RangeForecast],
     other: impl Fn(&RangeForecast) -> Option<f64>,
@@ -137,42 +134,40 @@ pub fn score_forecasts(
 // # Assumptions
 // One drive for the whole log. A reading five sigmas off says no more against a candidate than one of just that.
 
-/// The time constant of the paper's car, s, and others: nimble and heavy ones.
+/// The time constant of the paper's car, and others: faster and slower ones.
 const TIME_CONSTANTS_S: [f64; 4] = [0.2, USUAL_TIME_CONSTANT_S, 0.9, 1.8];
 const USUAL_TIME_CONSTANT_S: f64 = 0.433;
 /// Shares of the paper's process noise.
 const PROCESS_SHARES: [f64; 5] = [1.0, 0.4, 0.2, 0.1, 0.04];
-/// Multiples of the reading's noise that the robot's file gives: what a bad target or daylight makes of it.
+/// Multiples of the configured reading noise: the effect of a bad target or daylight.
 const RANGE_FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 10.0];
-/// Each doubling away from what is usual counts like this much log-likelihood: half a nat, so that a handful of readings decides.
+/// Log-prior of each doubling away from the usual value: half a nat, so that a handful of readings decides.
 const PER_DOUBLING: f64 = 0.5;
-/// One standard deviation of the speed of small cars under full drive, m/s.
+/// Prior of the steady speed of small cars.
 const STEADY_SIGMA_M_PER_S: f64 = 2.0;
 /// Five sigmas, squared.
 const MAX_NIS: f64 = 25.0;
-/// The step of the paper's loop, for which its process noise is given, s.
+/// The control period of the paper, for which its process noise is given.
 const PAPER_STEP_S: f64 = 0.0076;
 
-/// The model of a car.
+/// The first-order model of a car before a wall, and its noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plant {
-    /// Steady speed per unit of input, m/s; negative where a positive input drives away from the wall.
+    /// Per unit of input; negative where a positive input drives away from the wall.
     pub steady_m_per_s: f64,
-    /// Time constant, s.
     pub time_constant_s: f64,
-    /// The configured noise of the filter.
     pub noise: KalmanNoise,
 }
 
-/// What is known before the first reading.
+/// Prior knowledge before the first reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantSearch {
-    /// Noise of a reading by the robot's file, m.
+    /// Configured noise of a reading.
     pub range_sigma_m: f64,
 }
 
 impl PlantSearch {
-    /// The candidate that explains a log best, with its filter at the log's end. An empty log gives the usual one.
+    /// The candidate with the highest likelihood, with its filter at the log's end. An empty log gives the usual one.
     pub(super) fn best(self, log: &WallLog) -> (Plant, PlantFilter) {
         let mut best: Option<(f64, Plant, PlantFilter)> = None;
         for time_constant_s in TIME_CONSTANTS_S {
@@ -198,7 +193,7 @@ impl PlantSearch {
         best.map_or_else(|| self.usual(), |(_, plant, runner)| (plant, runner))
     }
 
-    /// Every cost was no number.
+    /// Fallback if every cost is NaN.
     fn usual(self) -> (Plant, PlantFilter) {
         let plant = Plant {
             steady_m_per_s: 0.0,
@@ -209,7 +204,6 @@ impl PlantSearch {
     }
 }
 
-/// The filter with a plant.
 pub(super) struct PlantFilter {
     kalman: WallKalman,
     steady_m_per_s: f64,
@@ -225,7 +219,7 @@ impl PlantFilter {
         }
     }
 
-    /// Takes an entry; gives what it costs.
+    /// Processes an entry; returns its cost.
     pub(super) fn observe(&mut self, at_s: f64, reading: WallReading) -> f64 {
         match reading {
             WallReading::Input(input) => {
@@ -239,12 +233,10 @@ impl PlantFilter {
         }
     }
 
-    /// Processes a reading and returns its outcome.
     pub(super) fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
         self.kalman.fuse(at_s, range_m)
     }
 
-    /// Its estimated distance, m.
     pub(super) fn distance_m(&self, at_s: f64) -> Option<f64> {
         self.kalman.estimate(at_s).map(|belief| belief.distance_m)
     }
@@ -257,7 +249,7 @@ fn run_plant(log: &WallLog, plant: Plant) -> (f64, PlantFilter) {
     (cost, runner)
 }
 
-/// From reading to reading: time, change of the distance, and way of a unit of steady speed.
+/// Between readings: time, change of the distance, and travel per unit of steady speed.
 fn steps(log: &WallLog, rate_per_s: f64) -> Vec<(f64, f64, f64)> {
     let readings = responses(log, rate_per_s);
     let pairs = readings.windows(2);

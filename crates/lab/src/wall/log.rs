@@ -1,34 +1,32 @@
-//! What is known of a drive before a wall: readings and motor inputs in the order of time.
+//! The log of a drive before a wall: readings and motor inputs in time order.
 
 use posebridge_telemetry::UncertainValue;
 
 use crate::uncertain_mean;
 
-/// What an entry says.
+/// The content of an entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WallReading {
-    /// A reading of the distance, in metres.
     Range(f64),
     /// The motor input from here on; 1 is the input of the step test, or full drive.
     Input(f64),
 }
 
-/// One entry.
+/// A reading or motor input with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallEntry {
     pub at_s: f64,
     pub reading: WallReading,
 }
 
-/// A drive before a wall.
+/// Readings and motor inputs of a drive before a wall.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WallLog {
     entries: Vec<WallEntry>,
 }
 
 impl WallLog {
-    /// Puts entries in the order of time; of one instant, an input comes first. Entries that are not finite, and ranges below
-    /// zero, are left out.
+    /// Sorts entries by time; at one instant, an input comes first. Omits non-finite entries and negative ranges.
     pub fn new(mut entries: Vec<WallEntry>) -> Self {
         entries.retain(|entry| {
             let is_sound = match entry.reading {
@@ -46,7 +44,7 @@ impl WallLog {
         &self.entries
     }
 
-    /// Time and distance of the readings, in s and m.
+    /// Time and distance, in s and m.
     pub fn readings(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.entries.iter().filter_map(|entry| match entry.reading {
             WallReading::Range(range_m) => Some((entry.at_s, range_m)),
@@ -54,7 +52,6 @@ impl WallLog {
         })
     }
 
-    /// Time and size of the inputs.
     pub fn inputs(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.entries.iter().filter_map(|entry| match entry.reading {
             WallReading::Input(input) => Some((entry.at_s, input)),
@@ -68,8 +65,7 @@ impl WallLog {
         inputs.find(|(_, input)| *input != 0.0).map(|(at_s, _)| at_s)
     }
 
-    /// The same log, with full drive from its first instant on if it holds no input other than zero: of a car that was driven and
-    /// did not write it down.
+    /// If the log has no input other than zero, adds full drive from its first instant on: for cars whose log has no inputs.
     pub fn with_assumed_drive(self) -> Self {
         let Some(first) = self.entries.first().copied() else {
             return self;
@@ -82,7 +78,7 @@ impl WallLog {
         Self::new(std::iter::once(driven).chain(readings).collect())
     }
 
-    /// Intervals between the inputs, which a program of this kind gives once in a turn of its loop: mean, shortest and longest, s.
+    /// Intervals between the inputs, which a control program sends once per cycle: mean, shortest and longest.
     pub fn loop_intervals_s(&self) -> Option<(f64, f64, f64)> {
         let times: Vec<f64> = self.inputs().map(|(at_s, _)| at_s).collect();
         let gaps = times.windows(2).map(|pair| pair[1] - pair[0]);
@@ -93,15 +89,15 @@ impl WallLog {
     }
 }
 
-/// The mean interval between the inputs of logs, in seconds; its sigma is that of a mean of intervals that are independent of each other.
+/// The mean interval between the inputs of logs, in seconds; its sigma assumes independent intervals.
 ///
-/// `None` where there are fewer than three intervals, as in a log without its inputs.
+/// `None` for fewer than three intervals, as in a log without inputs.
 pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
     let intervals = logs.iter().map(|log| gaps(&log.inputs().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
     mean(&intervals.flatten().collect::<Vec<_>>())
 }
 
-/// The same between the readings: a reading that is missed makes a gap twice as long.
+/// The same between the readings: a missed reading doubles an interval.
 pub fn reading_period(logs: &[WallLog]) -> Option<UncertainValue> {
     let intervals = logs.iter().map(|log| gaps(&log.readings().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
     mean(&intervals.flatten().collect::<Vec<_>>())
@@ -116,7 +112,7 @@ fn mean(intervals: &[f64]) -> Option<UncertainValue> {
     if intervals.len() < 3 { None } else { uncertain_mean(intervals) }
 }
 
-/// A reading with the way that a steady speed of 1 m/s per unit of input would have led by then, in metres.
+/// A reading with the travel by then at a steady speed of 1 m/s per unit of input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ResponseSample {
     pub(super) at_s: f64,
@@ -124,7 +120,7 @@ pub(super) struct ResponseSample {
     pub(super) distance_m: f64,
 }
 
-/// The readings of a log with their ways; exact, as the input is held from one entry to the next. At rest at the first entry.
+/// The readings of a log with their travel; exact, because the input is held between entries. At rest at the first entry.
 pub(super) fn responses(log: &WallLog, rate_per_s: f64) -> Vec<ResponseSample> {
     let mut readings = Vec::new();
     let Some(first) = log.entries().first() else {
@@ -145,7 +141,6 @@ pub(super) fn responses(log: &WallLog, rate_per_s: f64) -> Vec<ResponseSample> {
     readings
 }
 
-/// Logs for the tests of these modules.
 #[cfg(test)]
 pub(super) mod test_logs {
     use super::{WallEntry, WallLog, WallReading};

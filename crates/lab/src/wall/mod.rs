@@ -1,15 +1,15 @@
-//! Before a wall: the parameters of a car from a step test, the wall filter's estimates from its readings, and how well it
-//! predicts the next.
+//! Car before a wall: its parameters from a step test, the wall filter's estimates from its readings, and the filter's prediction
+//! errors.
 //!
-//! The experiments of paper 3 by computation alone: a [`WallLog`] goes in, from the simulator or from a recording, numbers come out.
-//! The filter itself is the estimator's `range-kf` with its corrected twin; nothing here estimates beside it but the yardstick that
-//! the paper compares with, the line through the last two readings.
+//! The offline evaluation of paper 3: a [`WallLog`] from the simulator or a recording gives numbers. The filter itself is the
+//! estimator's `range-kf` with its corrected twin; the only other estimator here is the baseline of the paper, the line through the
+//! last two readings.
 //!
 //! # Model
 //! ```text
 //! dz/dt = -v        dv/dt = (u - d v) / m        u the motor input: 1 at the PWM of the step
 //! d = 1 / v_ss      m = d t_90 / ln 10           a = d / m
-//! z(t) = z_0 - v_ss phi_a(t)                     phi_a: the way that a unit input has led in the time since the log began
+//! z(t) = z_0 - v_ss phi_a(t)                     phi_a: travel of a unit input since the log began
 //! ```
 //! # Sources
 //! Paper 3 (Lab 7: step test, piecewise lines, d and m); docs/lab/wall.md.

@@ -1,4 +1,4 @@
-//! Who says how far the wall is: the last reading, a line through the last two, or the wall filter.
+//! Distance estimators for the approach: the last reading, a line through the last two, or the wall filter.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::{RangeFilter, RangeFilterVariant};
@@ -10,24 +10,22 @@ use posebridge_telemetry::{
 
 use super::log::{WallLog, WallReading};
 
-/// The estimate for an instant.
+/// Estimated distance and speed towards the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachEstimate {
     pub distance_m: f64,
     pub towards_m_per_s: f64,
 }
 
-/// A filter that computes a distance from readings and inputs. Times are the brick's, in s.
+/// Estimates a distance from readings and inputs. Times are the brick's.
 pub trait ApproachEstimator {
-    /// Takes a reading, in m.
     fn observe_range(&mut self, at_s: f64, range_m: f64);
-    /// Takes the motor input that holds from an instant on; 1 is that of the step test.
+    /// Processes the motor input that holds from `at_s` on; 1 is that of the step test.
     fn observe_input(&mut self, at_s: f64, input: f64);
-    /// Its estimate for an instant; `None` before the first reading.
+    /// `None` before the first reading.
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate>;
 }
 
-/// The last two readings, time and distance.
 #[derive(Clone, Copy, Debug, Default)]
 struct LastTwoReadings {
     last: Option<(f64, f64)>,
@@ -64,7 +62,7 @@ impl ApproachEstimator for LastReading {
     }
 }
 
-/// Extrapolates the line through the last two readings: linear extrapolation.
+/// Extrapolates the line through the last two readings.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinearExtrapolation(LastTwoReadings);
 
@@ -94,7 +92,7 @@ impl KalmanNoise {
     pub const PAPER: Self = Self { process_m: 0.05, range_m: 0.02 };
 }
 
-/// The wall filter of the estimator.
+/// The wall filter of the estimator, for offline replay.
 pub struct WallKalman {
     filter: RangeFilter,
     drag_s_per_m: f64,
@@ -118,7 +116,6 @@ impl WallKalman {
         Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m }
     }
 
-    /// Processes a reading, in m, and returns its outcome.
     pub fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
         self.observe(at_s, ObservationKind::WallRange(Meters(range_m)))
     }
@@ -138,7 +135,7 @@ impl ApproachEstimator for WallKalman {
         self.fuse(at_s, range_m);
     }
 
-    /// The filter takes commands in the speed at which the car would settle.
+    /// Converts the input to the steady speed, which the filter expects.
     fn observe_input(&mut self, at_s: f64, input: f64) {
         let observed = ObservationKind::BodyVelocity {
             forward: MetersPerSecond(input / self.drag_s_per_m),
@@ -157,7 +154,6 @@ fn timestamp(at_s: f64) -> Timestamp<BrickClock> {
     Timestamp::from_secs_f64(at_s)
 }
 
-/// The wall filter knows no wheels.
 const UNUSED_GEOMETRY: DriveGeometry = DriveGeometry {
     left_wheel_radius: Meters(1.0),
     right_wheel_radius: Meters(1.0),
@@ -168,25 +164,25 @@ const UNUSED_GEOMETRY: DriveGeometry = DriveGeometry {
 /// The paper's gate, in standard deviations of the innovation.
 pub(super) const GATE_SIGMAS: f64 = 3.0;
 
-/// What the filter did with a log.
+/// Statistics of the filter over a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Validation {
-    /// Turns of the loop: each is a prediction.
+    /// Control cycles: each is a prediction.
     pub turns: usize,
     pub used: usize,
     pub gated: usize,
-    /// Mean share of a reading in the distance: K.
+    /// Mean of K, the weight of a reading in the distance.
     pub gain: f64,
-    /// Mean half-width of the gate, 3 sqrt(S), m.
+    /// Mean half-width of the gate, 3 sqrt(S).
     pub gate_m: f64,
-    /// Root mean square of readings minus their prediction, m.
+    /// Root mean square of readings minus predictions.
     pub innovation_rms_m: f64,
-    /// Mean normalised innovation squared; 1 if the filter knows how wrong it is.
+    /// Mean normalised innovation squared; 1 is consistent.
     pub nis: f64,
 }
 
 impl Validation {
-    /// Share of the turns that had no reading: the paper has 77.4 %.
+    /// Share of the control cycles without a reading: the paper has 77.4 %.
     pub fn predicted_share(&self) -> f64 {
         if self.turns == 0 {
             return 0.0;
@@ -241,18 +237,16 @@ pub(super) fn innovation_sigma(record: &FusionRecord) -> Option<f64> {
     (record.degrees_of_freedom == 1 && s_m2 > 0.0).then_some(s_m2)
 }
 
-/// What the filter did with a reading that was made wrong on purpose.
+/// Outcome of a reading with an added error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GateTrial {
     pub index: usize,
-    /// What was added to it, m.
     pub added_m: f64,
     pub is_gated: bool,
-    /// By how much the estimate jumped, m.
     pub jumped_m: f64,
 }
 
-/// Adds `added_m` to reading number `index`; `None` if there is no such reading, or nothing was predicted for it.
+/// Adds `added_m` to reading number `index`; `None` if there is no such reading, or it had no prediction.
 pub fn gate_trial(
     log: &WallLog,
     model: WallApproachModel,
@@ -287,37 +281,37 @@ pub fn gate_trial(
     None
 }
 
-/// So near the target counts as a hit, m.
+/// Tolerance of a stop at the target.
 pub const NEAR_WALL_M: f64 = 0.02;
 
-/// How an approach ended.
+/// Error, time and speed of an approach that stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopResult {
-    /// Distance from the wall minus the target, m; negative is too near.
+    /// Distance from the wall minus the target; negative is too near.
     pub error_m: f64,
-    /// From the start to the stand, s.
+    /// From start to standstill.
     pub time_s: f64,
-    /// Approach speed: the way driven over that time, m/s.
+    /// Mean speed of the approach.
     pub approach_m_per_s: f64,
 }
 
-/// Approaches of one kind.
+/// Statistics over approaches of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StopSummary {
     pub runs: usize,
     pub stopped: usize,
-    /// Those that stopped within [`NEAR_WALL_M`] of the target.
+    /// Stopped within [`NEAR_WALL_M`] of the target.
     pub near: usize,
-    /// Mean error of those that stopped, m.
+    /// Of those that stopped.
     pub mean_error_m: f64,
-    /// Its root mean square, m.
+    /// Root mean square error.
     pub rms_error_m: f64,
     pub worst_error_m: f64,
     pub mean_time_s: f64,
     pub mean_approach_m_per_s: f64,
 }
 
-/// Sums up approaches; `None` is one that did not end.
+/// `None` is an approach that did not stop.
 pub fn summarise_stops(stops: &[Option<StopResult>]) -> StopSummary {
     let mut sum = StopSummary { runs: stops.len(), ..StopSummary::default() };
     let mut squares = 0.0;
@@ -340,7 +334,7 @@ pub fn summarise_stops(stops: &[Option<StopResult>]) -> StopSummary {
     sum
 }
 
-/// In how many runs one did better than another in the same world.
+/// Number of runs in which one method did better than another in the same world.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StopComparison {
     pub nearer: usize,
@@ -348,7 +342,8 @@ pub struct StopComparison {
     pub both: usize,
 }
 
-/// Compares run by run. A method that did not stop is neither nearer nor faster than another; who stopped is both than one who did not.
+/// Compares run by run. A method that did not stop is neither nearer nor faster; one that stopped is both compared with one that did
+/// not.
 pub fn compare_stops(ours: &[Option<StopResult>], theirs: &[Option<StopResult>]) -> StopComparison {
     let mut found = StopComparison::default();
     for (ours, theirs) in ours.iter().zip(theirs) {

@@ -1,21 +1,21 @@
-//! A drive as a calibration takes it: what the wheels did, and where the robot was seen.
+//! Input of the calibration: wheel travel and external position fixes of a drive.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::motion::{MotionReading, MotionTrack, TravelSegment};
 use posebridge_telemetry::{BrickClock, Observation, StartPose, Timestamp};
 
-/// A drive.
+/// A drive for the calibration: wheel travel and external fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreePath {
     pub name: String,
     pub start: PathStart,
-    /// What the wheels did, by the nominal geometry, in the order of time; rest is left out.
+    /// By the nominal geometry, in time order; rest is omitted.
     pub steps: Vec<TravelStep>,
     pub fixes: Vec<PositionFix>,
 }
 
-/// Where a drive begins, and how well that is known.
+/// Start of a drive with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathStart {
     /// x, y in metres, heading in radians; a guess where the sigmas are large.
@@ -24,45 +24,43 @@ pub struct PathStart {
     pub heading_sigma_rad: f64,
 }
 
-/// The wheels' travel from one instant to the next, along an arc.
+/// Wheel travel between two instants, along an arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TravelStep {
-    /// When it begins, in seconds of the recording's clock.
+    /// Start, by the recording's clock.
     pub from_s: f64,
     pub until_s: f64,
     pub travel: WheelTravel,
 }
 
-/// One look at the robot from outside.
+/// An external position fix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionFix {
-    /// Its stamp, in seconds of the same clock.
+    /// Timestamp, by the recording's clock.
     pub at_s: f64,
-    /// Where the tag was seen, x, y in metres.
     pub position_m: [f64; 2],
-    /// One standard deviation of each, in metres.
+    /// Of each axis.
     pub sigma_m: f64,
-    /// The tag in the body's space as it is configured: forward, left, in metres.
+    /// Configured position of the tag on the body: forward, left.
     pub tag_m: [f64; 2],
 }
 
-/// Sights closer than this, in seconds, say the same twice: what errs at both is the path.
+/// Fixes closer than this carry the same information: the error of the path is common to both.
 const MIN_FIX_SPACING_S: f64 = 0.19;
 
-/// A fix of an unknown start: a guess, and no news.
+/// Sigma of an unknown start: carries no information.
 const UNKNOWN_POSITION_M: f64 = 1e3;
 const UNKNOWN_HEADING_RAD: f64 = 10.0;
 
-/// A stamp in seconds.
 pub fn seconds(stamp: Timestamp<BrickClock>) -> f64 {
     stamp.as_nanos() as f64 / 1e9
 }
 
 impl FreePath {
-    /// A drive from observations in any order; `config` brings the nominal geometry, the start and the limits of the wheels.
+    /// A drive from observations in any order; `config` supplies nominal geometry, start and the limits of the wheels.
     ///
-    /// Motion that is not known (a counter that jumped) counts as none. Sights that are not finite are left out, and so are those
-    /// that follow another within a fifth of a second. Without a start the drive begins at its first sight, with any heading.
+    /// Unknown motion (a counter that jumped) counts as zero. Non-finite fixes, and those within a fifth of a second after another, are
+    /// omitted. Without a configured start the drive begins at its first fix, with an unknown heading.
     pub fn new(
         name: &str,
         config: &FilterConfig,

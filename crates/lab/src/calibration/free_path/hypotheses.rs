@@ -1,16 +1,16 @@
-//! Mistakes in a description that no fine adjustment can cure: wheels exchanged, half the track, counts per turn off by a factor.
+//! Errors of a description that no small correction can fix: wheels exchanged, half the track, counts per turn off by a factor.
 //!
-//! Every combination is a hypothesis. Each predicts the shape of the way; the one under which the sights are most likely wins, and
-//! is reported if it is not the description as given.
+//! Every combination is a hypothesis. Each predicts the shape of the path; the one with the highest likelihood of the fixes is
+//! selected, and reported if it is not the given description.
 //!
 //! # Model
 //! ```text
 //! the drive is cut into pieces; each piece is laid onto its sights by the best turn and shift      (Umeyama 1991, without scale)
 //! ln L = -n ln(sum |rest|^2)              n places of two numbers each, with equal and independent errors
 //! ```
-//! Laid on by its own turn and shift, a piece is blind to start, heading and drift, and so are the hypotheses. In exchange wheels
-//! that are exchanged look like wheels that both count backwards: the first moves against a known heading, the second along with it.
-//! A negative track looks like exchanged wheels altogether.
+//! Aligned by its own rotation and translation, a piece is independent of start, heading and drift, and so is the comparison. Therefore
+//! exchanged wheels look like wheels that both count backwards; a known heading distinguishes them: the first moves against it, the
+//! second along with it. A negative track is indistinguishable from exchanged wheels.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -21,23 +21,23 @@ use posebridge_telemetry::quantities::wrap_rad;
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
 
-/// What may be wrong with the two counters.
+/// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wiring {
     AsGiven,
-    /// The left wheel is called right, or the track has the wrong sign.
+    /// Left and right exchanged, or the track has the wrong sign.
     Swapped,
     BothReversed,
     LeftReversed,
     RightReversed,
-    /// Exchanged, and what is called left counts backwards.
+    /// Exchanged, and the counter called left counts backwards.
     SwappedLeftReversed,
-    /// Exchanged, and what is called right counts backwards.
+    /// Exchanged, and the counter called right counts backwards.
     SwappedRightReversed,
 }
 
 impl Wiring {
-    /// All of them, in the order of preference where two are as likely.
+    /// All, in the order of preference among equally likely ones.
     pub const ALL: [Self; 7] = [
         Self::AsGiven,
         Self::Swapped,
@@ -60,7 +60,7 @@ impl Wiring {
         }
     }
 
-    /// Both wheels' travel as it is if this is what is wrong.
+    /// The true travel of both wheels if this is the error.
     pub const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
         let (left_m, right_m) = match self {
             Self::AsGiven => (left_m, right_m),
@@ -75,7 +75,7 @@ impl Wiring {
     }
 }
 
-/// One way in which a description may be wrong.
+/// One possible error of a description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     pub wiring: Wiring,
@@ -85,7 +85,6 @@ pub struct Hypothesis {
     pub travel_factor: f64,
 }
 
-/// The description as given.
 pub const AS_GIVEN: Hypothesis = Hypothesis { wiring: Wiring::AsGiven, track_factor: 1.0, travel_factor: 1.0 };
 
 /// Radius for diameter, half track for track, a quadrature decoder's 2 and 4.
@@ -93,35 +92,34 @@ const TRACK_FACTORS: [f64; 3] = [1.0, 2.0, 0.5];
 const TRAVEL_FACTORS: [f64; 5] = [1.0, 2.0, 0.5, 4.0, 0.25];
 
 const SEGMENT_FIXES: usize = 24;
-/// Fewest sights in all that can tell hypotheses apart.
 const MIN_FIXES: usize = 8;
-/// A mistake is only reported if correcting it makes the path fit better by this factor: what fine adjustment cures is less.
+/// An error is only reported if its correction improves the fit by this factor: small corrections gain less.
 const MIN_IMPROVEMENT: f64 = 1.6;
-/// Two fits so close are the same.
+/// Two fits within this ratio are equal.
 const EQUAL_FIT_FACTOR: f64 = 1.02;
 
-/// How a description stands against its rivals.
+/// Comparison of the description with other hypotheses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypothesisTest {
-    /// What is most likely; [`AS_GIVEN`] unless another one is clearly better.
+    /// The most likely hypothesis; [`AS_GIVEN`] unless another one is clearly better.
     pub found: Hypothesis,
-    /// Root mean square distance of the sights from the pieces of the way as described, in metres.
+    /// Root mean square distance of the fixes from the pieces of the path as described.
     pub described_rms_m: f64,
     pub found_rms_m: f64,
-    /// ln L of what was found less that of the description.
+    /// ln L of `found` minus that of the description.
     pub log_likelihood_gain: f64,
     pub compared: usize,
 }
 
 impl HypothesisTest {
-    /// Whether something is wrong that calibration cannot cure.
+    /// Whether the description has no error that calibration cannot correct.
     pub fn is_sound(&self) -> bool {
         self.found == AS_GIVEN
     }
 }
 
 impl FreePath {
-    /// The drive as it was if a hypothesis is true; the track is not part of it.
+    /// The drive corrected by a hypothesis, except its track.
     pub fn with_hypothesis(&self, hypothesis: &Hypothesis) -> Self {
         let factor = hypothesis.travel_factor;
         let steps = self.steps.iter().map(|step| {
@@ -139,11 +137,11 @@ impl FreePath {
 struct ScoredHypothesis {
     hypothesis: Hypothesis,
     square_m2: f64,
-    /// Turn from the reckoned start to the seen one, in radians, of the runs whose heading at the start is known.
+    /// Rotation from the predicted to the observed path, for runs with a known start heading.
     start_off_rad: Option<f64>,
 }
 
-/// Compares all hypotheses; `None` with too few sights.
+/// `None` with too few fixes.
 pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<HypothesisTest> {
     let sights: usize = paths.iter().map(|path| path.fixes.len()).sum();
     if sights < MIN_FIXES {
@@ -200,15 +198,15 @@ fn score_hypothesis(prediction: &PathPredictor<'_>, paths: &[FreePath], hypothes
     ScoredHypothesis { hypothesis, square_m2, start_off_rad }
 }
 
-/// Tracks that are tried, over the one of the prediction.
+/// Track factors that are tried, relative to the prediction.
 const COARSE_FROM: f64 = 0.7;
 const COARSE_STEP: f64 = 0.01;
 const COARSE_STEPS: u32 = 70;
 
-/// The track under which pieces of the way fit best, over that of the prediction: where a descent may begin.
+/// The track factor under which pieces of the path fit best: the start of the descent.
 ///
-/// Over a long drive the heading is wrong by whole turns for a track that is off by a few percent, and a descent ends in one of many
-/// side minima. A piece is too short for that.
+/// Over a long drive a track error of a few percent accumulates to whole turns, and a descent ends in one of many local minima. A piece
+/// is too short for that.
 pub(super) fn coarse_track_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> f64 {
     let factor = |step: u32| COARSE_FROM + COARSE_STEP * f64::from(step);
     let scored = (0..=COARSE_STEPS).map(|step| {
@@ -228,7 +226,7 @@ struct PathAlignment {
     length_m: f64,
 }
 
-/// Turns and shifts `ours` onto `theirs` by least squares.
+/// Rotates and shifts `ours` onto `theirs` by least squares.
 fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
     let count = ours.len().max(1) as f64;
     let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
@@ -269,16 +267,16 @@ fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
 
 /// Least length of a window, in sigmas of its fixes.
 const MIN_CHORD_SIGMAS: f64 = 20.0;
-/// And turns by no more than this, in radians.
+/// Largest turn within a window.
 const MAX_TURN_RAD: f64 = 0.5;
-/// How many windows on count as neighbours.
+/// Number of following windows that count as neighbours.
 const NEIGHBOURS: usize = 3;
-/// Fewest windows whose scatter means something.
+/// Fewest windows for an estimate of the scatter.
 const MIN_WINDOWS: usize = 3;
 
-/// The mean wheel size against the numbers with which the path was reckoned: a factor, and how many windows it stands on.
+/// The mean wheel size relative to the predicted path: a factor, and the number of windows behind it.
 ///
-/// `None`: fewer than three windows are long enough.
+/// `None` if fewer than three windows are long enough.
 pub(super) fn length_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<(UncertainValue, usize)> {
     let runs: Vec<Vec<PathChord>> = paths.iter().map(|path| chords(prediction, path)).collect();
     let chords = || runs.iter().flatten();
@@ -304,8 +302,8 @@ pub(super) fn length_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) 
 
 /// The variance of `sum (c_k - factor c0_k) c0_k` over one run.
 ///
-/// Neighbours share a sight, whose noise makes one window longer and the other one shorter by as much, so that most of it is gone
-/// from the sum. The products of neighbours say how much, weighted as Newey and West (1987) do, which keeps the sum positive.
+/// Neighbours share a fix, whose noise lengthens one window and shortens the other, so that most of it cancels in the sum. The products
+/// of neighbours measure that, weighted as by Newey and West (1987), which keeps the sum positive.
 fn residual_variance_m4(run: &[PathChord], factor: f64) -> f64 {
     let scores: Vec<f64> = run.iter().map(|chord| chord.predicted_m * chord.residual_m(factor)).collect();
     let at_lag = |lag: usize| -> f64 {
@@ -323,7 +321,7 @@ fn residual_variance_m4(run: &[PathChord], factor: f64) -> f64 {
 struct PathChord {
     predicted_m: f64,
     measured_m: f64,
-    /// Variance of the distance by the described noise of both sights.
+    /// Variance of the distance by the described noise of both fixes.
     noise_m2: f64,
 }
 
@@ -333,7 +331,7 @@ impl PathChord {
     }
 }
 
-/// Reckoned and seen length of each window.
+/// Predicted and observed length of each window.
 fn chords(prediction: &PathPredictor<'_>, path: &FreePath) -> Vec<PathChord> {
     let reckoned = prediction.predict_tags(path, path.start.pose[2]);
     let mut chords = Vec::new();

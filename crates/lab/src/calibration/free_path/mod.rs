@@ -1,19 +1,19 @@
-//! Wheels, track, tag and camera delay from any drive that was watched: by a camera, by a truth, or by a tape at a few places.
+//! Calibrates wheels, track, tag and camera delay from any drive with external positions: from a camera, a ground truth, or a tape at a
+//! few points.
 //!
 //! # Model
 //! ```text
-//! 1. sanity      wheels exchanged? half the track? counts off by a factor? The likeliest description goes on.
+//! 1. sanity      wheels exchanged? half the track? counts off by a factor? Continue with the likeliest description.
 //! 2. length      e_m from the length of the way over short windows: no heading takes part in it
 //! 3. shape       e_b, e_d, tau, l_f, l_l and headings at the start by least squares over whitened innovations, e_m given; a heading
 //!                that is roughly known pulls by (th - th_0) / sigma
 //! ```
-//! The order matters. In one fit over everything a heading that was wrong by a degree at the start bends wheel size and track to
-//! make up for it; the length of the way does not know headings. What it finds is not the optimum of one likelihood but of two, each
-//! where it is blind to the other's mistakes.
+//! The order matters. In a single fit a start heading error of one degree would bias wheel size and track; the length of the path does
+//! not depend on headings. So the result is not the optimum of one likelihood but of two, each insensitive to the errors of the other.
 //!
-//! A number is only estimated where its prior has a sigma, where the drive determines it better than the prior, and where it does not
-//! blur the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Else it stays where the
-//! description has it, the report says why, and the other numbers are as uncertain as its prior makes them (Schmidt, 1966).
+//! A parameter is only estimated where its prior has a sigma, where the drive determines it better than the prior, and where it does
+//! not degrade the track: on a drive that turns to one side only, unequal wheels and a wrong track look alike. Otherwise it keeps its
+//! described value, the report states why, and the uncertainty of its prior enters the other parameters (Schmidt, 1966).
 //!
 //! # Source
 //! docs/lab/calibration.md section 3.
@@ -38,10 +38,10 @@ pub use self::predict::{
 };
 pub use self::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 
-/// Rounds over the second and the third step; the second changes by hundredths of its sigma.
+/// Rounds over the second and the third step; the second round changes values by hundredths of their sigmas.
 const MAX_ROUNDS: u32 = 3;
 
-/// Calibrates a robot from drives; `config` is its description with the priors.
+/// `config` is the robot's description with the priors.
 pub fn calibrate_path(config: &FilterConfig, paths: &[FreePath]) -> Result<PathCalibration, CalibrationError> {
     check_data(paths)?;
     let before = RobotParameters::from_config(config);

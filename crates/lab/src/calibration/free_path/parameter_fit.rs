@@ -1,4 +1,4 @@
-//! The second and the third step of a calibration: the length of the path, then everything that its shape determines.
+//! The second and the third step of a calibration: the length of the path, then all parameters that its shape determines.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::{WheelTravel, step_noise};
@@ -12,16 +12,16 @@ use super::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstim
 use crate::calibration::CalibrationError;
 use crate::calibration::least_squares::{LeastSquaresFit, Residuals, fit, solution_shift};
 
-/// An unknown blurs the track if it makes the track's sigma larger by this factor.
+/// An unknown is inseparable from the track if it increases the track's sigma by this factor.
 const INSEPARABLE_FACTOR: f64 = 3.0;
 /// An unknown is determined if its sigma is below this share of the prior's.
 const INFORMATIVE_SHARE: f64 = 0.5;
-/// A heading that is known so well is not estimated, in radians: about what a person or a tracker can do.
+/// A heading known better than this is not estimated: about the accuracy of a person or a tracker.
 const KNOWN_HEADING_RAD: f64 = 0.02;
-/// Half width of the central difference of a heading, in radians.
+/// Half width of the central difference of a heading.
 const HEADING_STEP_RAD: f64 = 1e-4;
 
-/// The second and the third step: which unknowns are free, and what they are.
+/// Second and third step: selects the free unknowns and estimates them.
 #[derive(Clone)]
 pub(super) struct ParameterSolver<'a> {
     config: &'a FilterConfig,
@@ -29,13 +29,13 @@ pub(super) struct ParameterSolver<'a> {
     base_track_m: f64,
     /// As described, with the wheel size of the second step.
     parameters: RobotParameters,
-    /// As the last round has found them: what the second step reckons with.
+    /// Result of the last round, used by the second step.
     latest: RobotParameters,
     radius_scale: Option<UncertainValue>,
-    /// Where the descent of the track begins.
+    /// Start of the descent of the track.
     first_track_scale: f64,
     headings_rad: Vec<f64>,
-    /// The runs whose heading is estimated.
+    /// The runs whose start heading is estimated.
     free_headings: Vec<usize>,
 }
 
@@ -78,7 +78,7 @@ impl<'a> ParameterSolver<'a> {
         }
     }
 
-    /// Finds a place from which the track can be descended to.
+    /// Finds a start value from which the descent of the track converges.
     pub(super) fn initialize_track(&mut self) {
         if self.is_fixed(CalibrationUnknown::TrackScale) {
             return;
@@ -98,7 +98,7 @@ impl<'a> ParameterSolver<'a> {
         unknown.prior(&self.config.calibration).sigma <= 0.0
     }
 
-    /// The second step; returns how many windows it stands on.
+    /// The second step; returns the number of windows behind it.
     pub(super) fn estimate_length(&mut self) -> Option<usize> {
         let prior = CalibrationUnknown::RadiusScale.prior(&self.config.calibration);
         if self.is_fixed(CalibrationUnknown::RadiusScale) {
@@ -256,7 +256,7 @@ impl<'a> ParameterSolver<'a> {
         }
     }
 
-    /// How far each unknown moves by a heading that wanders as the robot's noise says, one sigma.
+    /// Change of each unknown by one sigma of the heading's random walk under the robot's noise.
     fn shift_by_heading_noise(&self, chosen: &ParameterFit) -> [f64; UNKNOWNS.len()] {
         let (unknowns, values) = (&chosen.unknowns, &chosen.fit.values);
         let (numbers, headings) = self.robot(unknowns, values);
@@ -292,8 +292,8 @@ impl<'a> ParameterSolver<'a> {
         squares.map(f64::sqrt)
     }
 
-    /// How far each unknown moves when what is not free in the third step is wrong by its sigma: the wheel size of the second
-    /// step, and what the drive does not determine.
+    /// Change of each unknown when a value that is fixed in the third step is wrong by its sigma: the wheel size of the second step,
+    /// and the undetermined unknowns.
     fn shift_by_other_unknowns(&self, chosen: &ParameterFit, standings: &[UnknownStatus]) -> [f64; UNKNOWNS.len()] {
         let mut others = Vec::new();
         if let Some(radius) = self.radius_scale {
@@ -341,13 +341,12 @@ const JUMPS_PER_PATH: usize = 24;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct HeadingJump {
-    /// The step that turns by more.
     step: usize,
-    /// Variance of the heading over the piece that it stands for, in rad².
+    /// Variance of the heading over the piece, in rad².
     pub(super) var_rad2: f64,
 }
 
-/// The jumps that stand for the wandering of a drive, for a track of this width.
+/// Jumps that represent the heading random walk of a drive.
 pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorNoise) -> Vec<HeadingJump> {
     let geometry = nominal(track_width_m);
     let length = path.steps.len().div_ceil(JUMPS_PER_PATH).max(1);
@@ -359,7 +358,7 @@ pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorN
     jumps.filter(|jump| jump.var_rad2 > 0.0).collect()
 }
 
-/// The drive with a heading that jumps by `by_rad`.
+/// The drive with a heading jump of `by_rad`.
 pub(super) fn apply_jump(path: &FreePath, jump: HeadingJump, by_rad: f64, track_width_m: f64) -> FreePath {
     let mut path = path.clone();
     if let Some(step) = path.steps.get_mut(jump.step) {

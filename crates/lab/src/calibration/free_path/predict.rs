@@ -1,4 +1,4 @@
-//! Where a robot with given numbers would have been seen, and how unlikely it is that it was seen elsewhere.
+//! Predicts the fixes of a robot with given parameters, and the innovations of the observed ones.
 //!
 //! # Model
 //! ```text
@@ -9,10 +9,9 @@
 //! z = p + R(th) l + v       v ~ N(0, sigma^2 I)                     the camera
 //! p <- p + d e(th) + w e(th)      w ~ N(0, k_w^2 (|s_L| + |s_R|)/4 + k_d^2 |d|)      slip along the way
 //! ```
-//! The heading has no noise here: all of it is the work of the numbers that are looked for. So a heading that ends wrong after a
-//! hundred turns counts in full, which is what finds a track; slip along the way is forgiven after a while, which keeps one bump
-//! from bending the rest. The whitened innovations of this Kalman filter of two states are the residuals; log S hardly depends
-//! on the unknowns and is left out.
+//! The heading has no noise here: the parameters explain all of its error. So a heading error after a hundred turns counts in full,
+//! which determines the track; slip along the path is absorbed after a while, so that one bump does not bias the rest. The whitened
+//! innovations of this Kalman filter of two states are the residuals; log S hardly depends on the unknowns and is omitted.
 //!
 //! # Source
 //! Larsen, Hansen, Andersen and Ravn (1999), Proceedings of FUSION (calibration by innovations); docs/lab/calibration.md section 3.
@@ -25,23 +24,23 @@ use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 
 use super::drive::{FreePath, TravelStep};
 
-/// A robot's numbers: factors on nominal travel and track, and how it is seen.
+/// Parameters of a robot: factors on nominal travel and track, camera delay and tag.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotParameters {
     /// e_m.
     pub radius_scale: f64,
     /// e_d.
     pub radius_difference: f64,
-    /// b, in metres.
+    /// b.
     pub track_width_m: f64,
-    /// tau, in seconds.
+    /// tau.
     pub fix_delay_s: f64,
-    /// Added to the tag's configured place, forward and left, in metres.
+    /// Added to the tag's configured position: forward, left.
     pub tag_m: [f64; 2],
 }
 
 impl RobotParameters {
-    /// As a description has them: its geometry with the values of its calibration.
+    /// The described geometry with the values of its calibration.
     pub fn from_config(config: &FilterConfig) -> Self {
         let known = &config.calibration;
         Self {
@@ -60,7 +59,6 @@ pub(super) struct PathPredictor<'a> {
     pub(super) noise: &'a SensorNoise,
 }
 
-/// Whether a sight corrects the position that comes after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FixHandling {
     Correct,
@@ -77,14 +75,14 @@ struct PathFilter<'a> {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PredictedTag {
-    /// x, y in metres of the tag.
+    /// x, y.
     pub(super) tag_m: [f64; 2],
-    /// Heading, not wrapped, in radians.
+    /// Not wrapped.
     pub(super) heading_rad: f64,
 }
 
 impl PathPredictor<'_> {
-    /// The whitened innovations of a drive that begins with this heading.
+    /// Whitened innovations of a drive with this start heading.
     pub(super) fn innovations(&self, path: &FreePath, heading_rad: f64) -> Vec<[f64; 2]> {
         let mut white = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::Correct, |_, innovation| {
@@ -93,7 +91,7 @@ impl PathPredictor<'_> {
         white
     }
 
-    /// Where dead reckoning from the start would have been seen.
+    /// Predicted fixes by dead reckoning from the start.
     pub(super) fn predict_tags(&self, path: &FreePath, heading_rad: f64) -> Vec<PredictedTag> {
         let mut seen = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::CompareOnly, |reckoned, _| {
@@ -137,7 +135,7 @@ impl PathPredictor<'_> {
     }
 }
 
-/// Only the track is asked of it.
+/// Only its track is used.
 pub(super) const fn nominal(track_width_m: f64) -> DriveGeometry {
     DriveGeometry {
         left_wheel_radius: Meters(1.0),
@@ -148,7 +146,7 @@ pub(super) const fn nominal(track_width_m: f64) -> DriveGeometry {
 }
 
 impl PathFilter<'_> {
-    /// Rolls along a part of a step and returns the rest of it.
+    /// Drives a part of a step and returns its rest.
     fn drive_until(&mut self, step: TravelStep, until_s: f64) -> TravelStep {
         let share = (until_s - step.from_s) / (step.until_s - step.from_s);
         let part =
@@ -179,7 +177,7 @@ impl PathFilter<'_> {
         PredictedTag { tag_m: [x + cos * forward_m - sin * left_m, y + sin * forward_m + cos * left_m], heading_rad }
     }
 
-    /// Takes the two numbers of a sight one after the other and returns the whitened innovations.
+    /// Corrects with the two coordinates of a fix in turn and returns the whitened innovations.
     fn correct(&mut self, reckoned_m: [f64; 2], seen_m: [f64; 2], sigma_m: f64) -> [f64; 2] {
         let mut corrected_m = [0.0; 2];
         let mut white = [0.0; 2];
@@ -199,7 +197,7 @@ impl PathFilter<'_> {
     }
 }
 
-/// Distances between dead reckoning and sights, in metres.
+/// Distances between dead reckoning and fixes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeadReckoningError {
     pub rms_m: f64,
@@ -207,15 +205,15 @@ pub struct DeadReckoningError {
     pub end_m: f64,
 }
 
-/// A drive by dead reckoning alone, compared with its sights.
+/// A drive by dead reckoning alone, compared with its fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeadReckonedPath {
-    /// Where the tag would have been seen, of each sight: x, y in metres.
+    /// x, y of the predicted tag at each fix.
     pub positions_m: Vec<[f64; 2]>,
     pub error: DeadReckoningError,
 }
 
-/// The heading with which a drive begins when its own description is followed: as given, or the best one if it is unknown.
+/// The start heading of a drive by its description: as given, or the best fit if it is unknown.
 pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &FreePath) -> f64 {
     if path.start.heading_sigma_rad <= 1.0 {
         return path.start.pose[2];
@@ -223,7 +221,7 @@ pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &Fr
     estimate_start_heading(&predictor(config, numbers), path)
 }
 
-/// The turn and the heading at which a drive fits its fixes best, for an unknown start: turned about the start.
+/// The rotation about the start, equal to the start heading, at which a drive fits its fixes best.
 pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
     let reckoned = prediction.predict_tags(path, 0.0);
     let [x, y, _] = path.start.pose;
@@ -237,7 +235,7 @@ pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &Free
     cross.atan2(dot)
 }
 
-/// Reckons a drive with these numbers from a start with this heading.
+/// Dead reckoning with these parameters from a start with this heading.
 pub fn dead_reckon(
     config: &FilterConfig,
     numbers: &RobotParameters,
@@ -259,7 +257,6 @@ pub fn dead_reckon(
     DeadReckonedPath { positions_m: places_m, error }
 }
 
-/// The mean of each figure over runs.
 pub fn mean_error(errors: &[DeadReckoningError]) -> DeadReckoningError {
     let mean = |of: fn(&DeadReckoningError) -> f64| statistics::mean(errors.iter().map(of)).unwrap_or(0.0);
     DeadReckoningError {

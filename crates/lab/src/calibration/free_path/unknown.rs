@@ -1,11 +1,11 @@
-//! What a drive may determine, and what became of it.
+//! The unknowns of a drive calibration, and their results.
 
 use posebridge_telemetry::{Calibration, UncertainValue};
 
 use super::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest};
 use super::predict::RobotParameters;
 
-/// What a drive may determine.
+/// A parameter that a drive may determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CalibrationUnknown {
     /// e_m: relative error of the mean wheel radius.
@@ -14,15 +14,15 @@ pub enum CalibrationUnknown {
     TrackScale,
     /// e_d: relative difference of the radii, right minus left.
     RadiusDifference,
-    /// tau: how much earlier than its stamp a sight was true, in seconds.
+    /// tau: time by which a fix was valid before its timestamp, in seconds.
     FixDelay,
-    /// l_f: where the tag is, forward of where it is said to be, in metres.
+    /// l_f: offset of the tag from its configured position, forward, in metres.
     TagForward,
     /// l_l: the same to the left.
     TagLeft,
 }
 
-/// All of them, in the order in which they are tried.
+/// All, in the order in which they are tried.
 pub const UNKNOWNS: [CalibrationUnknown; 6] = [
     CalibrationUnknown::RadiusScale,
     CalibrationUnknown::TrackScale,
@@ -33,7 +33,7 @@ pub const UNKNOWNS: [CalibrationUnknown; 6] = [
 ];
 
 impl CalibrationUnknown {
-    /// Its key in `[robot.calibration]`.
+    /// Key in `[robot.calibration]`.
     pub const fn key(self) -> &'static str {
         match self {
             Self::RadiusScale => "radius_scale",
@@ -56,7 +56,8 @@ impl CalibrationUnknown {
         }
     }
 
-    /// The half width of its central difference, in its own unit. A delay has kinks at the counters' readings: it wants a wide one.
+    /// Half width of its central difference, in its own unit. The residual over the delay has kinks at the counters' readings, so its
+    /// step is wide.
     pub(super) const fn step(self) -> f64 {
         match self {
             Self::RadiusScale | Self::TrackScale | Self::RadiusDifference => 1e-5,
@@ -77,39 +78,39 @@ impl CalibrationUnknown {
     }
 }
 
-/// What became of an unknown.
+/// The result for an unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnknownStatus {
     Estimated,
-    /// Its prior has no sigma: taken as given.
+    /// Its prior has no sigma.
     Fixed,
-    /// The drive determines it less well than the prior: left where it was.
+    /// The drive determines it less well than the prior: unchanged.
     Unobservable,
-    /// It cannot be separated from the track on this drive: left where it was.
+    /// It cannot be separated from the track on this drive: unchanged.
     NotSeparable,
 }
 
-/// An unknown with its value.
+/// An unknown of the calibration before and after.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnknownEstimate {
     pub unknown: CalibrationUnknown,
     pub before: UncertainValue,
-    /// What is known after; equal to `before` unless found.
+    /// Equal to `before` unless estimated.
     pub after: UncertainValue,
     pub status: UnknownStatus,
 }
 
-/// The results of drives for a robot.
+/// The calibration of a robot from drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathCalibration {
     /// One per unknown, in the order of [`UNKNOWNS`]; relative to the description under [`Self::hypothesis_test`].
     pub entries: Vec<UnknownEstimate>,
-    /// The description against its rivals; `None` with too few sights.
+    /// `None` with too few fixes.
     pub hypothesis_test: Option<HypothesisTest>,
-    /// How many windows the wheel size stands on; `None` if it was not taken from the length of the way.
+    /// Number of windows behind the wheel size; `None` if it was not estimated from the length of the path.
     pub length_windows: Option<usize>,
     pub headings_rad: Vec<f64>,
-    /// Sum of the squared whitened innovations over their number: about one if the noise is as described.
+    /// Mean squared whitened innovation: about one if the noise is as described.
     pub consistency: f64,
     pub before: RobotParameters,
     pub after: RobotParameters,
@@ -121,7 +122,7 @@ impl PathCalibration {
         self.entries[place.unwrap_or(0)]
     }
 
-    /// The mistake under which the numbers hold.
+    /// The hypothesis under which the values hold.
     pub fn hypothesis(&self) -> Hypothesis {
         self.hypothesis_test.as_ref().map_or(AS_GIVEN, |sanity| sanity.found)
     }

@@ -1,4 +1,4 @@
-//! Where the quantity is not constant, and where the sensor rounds.
+//! Sections on a quantity that is not constant, and on a sensor that rounds.
 
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
@@ -17,12 +17,12 @@ use crate::identification::{TimedSample, settling_time_s};
 
 const TAU_S: f64 = 20.0;
 const SIGMA_K: f64 = 0.1;
-/// How fast the quantity may walk in the extended filter, in kelvin per root of a second.
+/// Random walk of the quantity in the extended filter, in kelvin per root of a second.
 const WALK: f64 = 0.05;
 
 type FilteredSeries = Vec<(f64, f64, f64)>;
 
-/// The paper's filter, and the one that lets the quantity walk.
+/// The paper's filter, and the one with a random walk of the quantity.
 fn run_filters(samples: &[TimedSample]) -> [FilteredSeries; 2] {
     [0.0, WALK].map(|walk_per_sqrt_s| {
         let known = DynamicFilterConfig { walk_per_sqrt_s, ..DynamicFilterConfig::constant(SIGMA_K) };
@@ -30,7 +30,7 @@ fn run_filters(samples: &[TimedSample]) -> [FilteredSeries; 2] {
     })
 }
 
-/// Mean error and mean sigma over the last half, and the share of samples at which the truth is within the bound.
+/// Mean error and mean sigma over the last half, and the share of samples whose bound contains the truth.
 fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let half = followed.len() / 2;
     let last = followed.get(half..).unwrap_or_default();
@@ -144,11 +144,11 @@ pub(super) fn quantised(seed: u64) -> LessonSection {
     section
 }
 
-/// What the filter makes of samples of several sensors: instant, value and sigma after each.
+/// A filter over samples of several sensors; returns instant, value and sigma after each.
 pub(super) struct DynamicFilterConfig {
     pub(super) sigma: f64,
     pub(super) walk_per_sqrt_s: f64,
-    /// One standard deviation of the start; the filter's own if not given.
+    /// One standard deviation of the start; `None` for the filter's default.
     pub(super) prior_sigma: Option<f64>,
 }
 
@@ -178,7 +178,6 @@ impl DynamicFilterConfig {
             .collect()
     }
 
-    /// The same for one thermometer.
     pub(super) fn run_sensor(&self, model: &DynamicModel, samples: &[TimedSample]) -> Vec<(f64, f64, f64)> {
         let of = |sample: &TimedSample| (SensorId::THERMOMETER, *sample);
         self.run_sensors(model, &samples.iter().map(of).collect::<Vec<_>>())
@@ -207,20 +206,19 @@ impl DynamicFilterConfig {
     }
 }
 
-/// A sensor of first order; one without states for a time constant that is none.
+/// A first-order sensor; without states if the time constant is not positive.
 pub(super) fn first_order(tau_s: f64) -> DynamicModel {
     DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
 }
 
-/// By what every lag of the next sensor is multiplied.
+/// Factors on all lags of the next sensor.
 const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
 /// Runs for each factor; the median is reported.
 const RUNS: u64 = 3;
-/// Where the step begins and ends, in degrees Celsius.
 const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };
 const SHARE: f64 = 0.05;
 
-/// What one run gave: seconds until within 5 % for good, shown, taken for certain and estimated.
+/// Settling times to 5 % of one run: of the reading, with lags taken as exact, and with lags estimated.
 type SettlingTimes = [Option<f64>; 3];
 
 const METHODS: [&str; 3] = ["shown", "certain", "estimated"];
@@ -261,7 +259,7 @@ fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes,
     (all, [share_inside(&certain), share_inside(&estimated)])
 }
 
-/// The share of bounds that contain the end, once a step was seen.
+/// Share of bounds that contain the end, after a step was detected.
 fn share_inside(predictions: &[EndPrediction]) -> f64 {
     let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
     let held = moving.iter().filter(|p| {
@@ -286,7 +284,7 @@ fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f6
     section.rows.push(row);
 }
 
-/// The middle one; a run that never settles is later than all others.
+/// A run that never settles counts as the largest.
 fn median(mut all: Vec<Option<f64>>) -> Option<f64> {
     all.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
     all.get(all.len() / 2).copied().flatten()

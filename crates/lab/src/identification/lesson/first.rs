@@ -1,4 +1,4 @@
-//! What the paper shows first: the worked example, three ways that are one, the start, the price in noise, several sensors.
+//! First sections: the worked example, three equivalent methods, the start, the price in noise, several sensors.
 
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::numerics::statistics::mean;
@@ -15,10 +15,10 @@ use crate::identification::sensor_kind::{RunSimilarity, SensorKind};
 use crate::identification::step::{ModelOrder, StepOptions, identify_step};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 
-/// The worked example of the paper: a minute apart, of a thermometer that goes from 21 to 3 degrees.
+/// The worked example of the paper: three readings a minute apart, of a thermometer that goes from 21 to 3 degrees.
 const EXAMPLE: [f64; 3] = [21.0, 15.0, 11.0];
 const MINUTE_S: f64 = 60.0;
-/// Noise of a sample of a good thermometer, in kelvin.
+/// Of a good thermometer.
 const SIGMA_K: f64 = 0.1;
 const FIRST_SENSOR: SensorId = SensorId::THERMOMETER;
 const SECOND_SENSOR: SensorId = SensorId(20);
@@ -55,7 +55,6 @@ pub(super) fn worked_example(_seed: u64) -> LessonSection {
     section
 }
 
-/// Sensors of several kinds.
 fn models() -> Vec<(&'static str, DynamicModel)> {
     let two_lags = DynamicModel::empty().with_lags(FIRST_SENSOR, 1.0, &[5.3, 22.0]);
     // (s + 1/4)(s + 1/15)
@@ -72,7 +71,7 @@ fn models() -> Vec<(&'static str, DynamicModel)> {
     .collect()
 }
 
-/// Samples of these sensors: steps of 20 K with noise, a sample every two seconds.
+/// Noisy steps of 20 K, a sample every two seconds.
 fn samples_of(model: &DynamicModel, seed: u64) -> Vec<(SensorId, TimedSample)> {
     let sensor = SimulatedSensor::first_order(15.0, SIGMA_K, 2.0);
     let has_other = model.row_of(SECOND_SENSOR).is_some();
@@ -250,15 +249,14 @@ pub(super) fn several_sensors(seed: u64) -> LessonSection {
 const TAU_S: f64 = 5.0;
 const PERIOD_S: f64 = 0.25;
 const DIPPED_S: f64 = 5.0;
-/// The step that the sensor is identified by is small, the one that it is used for is large: what is not known about tau then counts.
+/// Steps for identification (small) and for use (large), so that the uncertainty of tau matters.
 const IDENTIFICATION_STEP: (f64, f64) = (20.0, 18.0);
 const PREDICTED_STEP: (f64, f64) = (20.0, 4.0);
-/// Seconds after the step at which the bound is looked at: half a time constant, one, and two.
+/// Times after the step at which the bound is tested: half a time constant, one, and two.
 const CHECKED_AT_S: [f64; 3] = [2.5, 5.0, 10.0];
-/// What is known about the dynamics.
 const METHODS: [&str; 3] = ["known", "taken_for_known", "identified"];
 
-/// What one run has shown: for each instant and method whether the final value was within the bound; `None` where there was no bound.
+/// For each instant and method whether the bound contained the final value; `None` without a bound.
 pub type BoundRun = [[Option<bool>; 3]; 3];
 
 /// Identifies the sensor by one noisy step and predicts the end of another.
@@ -293,7 +291,6 @@ pub fn bound_run(seed: u64) -> BoundRun {
     })
 }
 
-/// The section from all runs.
 pub fn bounds_section(runs: &[BoundRun]) -> LessonSection {
     let count = runs.len().max(1) as f64;
     // Two standard deviations of a share of this number of runs.

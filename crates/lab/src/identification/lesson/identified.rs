@@ -1,4 +1,4 @@
-//! Dynamics that have to be found out first: orders, other data, heating and cooling.
+//! Sections on dynamics that are identified first: orders, other data, heating and cooling.
 
 use posebridge_report::chart::{Curve, CurveShape, Plot};
 
@@ -12,16 +12,15 @@ use crate::identification::{TimedSample, settling_time_s};
 
 const SIGMA_K: f64 = 0.05;
 const PERIOD_S: f64 = 0.5;
-/// When the thermometer is dipped in, in seconds.
 pub(super) const DIPPED_S: f64 = 20.0;
-/// A probe in a sleeve: a third of it follows quickly.
+/// A probe in a sleeve: a third of the step is fast.
 pub(super) const LAGS: [(f64, f64); 2] = [(3.0, 0.35), (15.0, 0.65)];
 
 fn sensor(lags: &[(f64, f64)]) -> SimulatedSensor {
     SimulatedSensor { lags: lags.to_vec(), sigma: SIGMA_K, resolution: 0.0, period_s: PERIOD_S }
 }
 
-/// The temperatures before and after a probe is dipped, in degrees Celsius.
+/// Temperatures before and after a probe is dipped, in degrees Celsius.
 #[derive(Clone, Copy)]
 pub(super) struct DipTemperatures {
     pub(super) before: f64,
@@ -41,7 +40,7 @@ fn identify(samples: &[TimedSample]) -> Result<IdentifiedStep, IdentificationErr
     identify_step(samples, &StepOptions::with_sigma(SIGMA_K))
 }
 
-/// What stands in a section whose data gave nothing; it does not happen with the seeds of the tests, and says why if it does.
+/// The section for data that cannot be identified; does not happen with the seeds of the tests.
 fn failed_section(mut section: LessonSection, why: impl std::fmt::Display) -> LessonSection {
     section.paragraphs.push(format!("This run could not be identified: {why}."));
     section
@@ -155,7 +154,7 @@ pub(super) fn other_data(seed: u64) -> LessonSection {
     section
 }
 
-/// What one run says about the next: for certain, and as far as it can.
+/// Models identified from one run for predicting the next: with exact lags and with uncertain ones.
 pub(super) struct IdentifiedModels {
     certain: ExpectedDynamics,
     kind: SensorKind,
@@ -171,7 +170,7 @@ impl IdentifiedModels {
         Ok(Self { certain, kind })
     }
 
-    /// By the lags taken for certain, and with the lags estimated along.
+    /// With exact lags, and with lags estimated along.
     pub(super) fn predictions(&self, samples: &[TimedSample]) -> (Vec<EndPrediction>, Vec<EndPrediction>) {
         (predict_with_expectation(samples, SIGMA_K, &self.certain), predict(samples, SIGMA_K, &self.kind))
     }
@@ -182,7 +181,7 @@ impl IdentifiedModels {
     }
 }
 
-/// Instants, values and sigmas by both.
+/// Instants, values and sigmas of both.
 struct FilterPredictions {
     certain: Vec<(f64, f64, f64)>,
     estimated: Vec<(f64, f64, f64)>,

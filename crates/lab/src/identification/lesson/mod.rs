@@ -1,7 +1,7 @@
-//! The lesson of the slow thermometer: one section for each thing that paper 2 shows or leaves open, on a simulated sensor.
+//! The lesson of the slow thermometer: one section for each result or open question of paper 2, on a simulated sensor.
 //!
-//! A section is a value: words, a table, a picture and named numbers. The shell makes pages, terminal text and JSON of them.
-//! docs/lab/thermometer.md is the text for people; the sections have its order.
+//! A section is a value: text, a table, a plot and named numbers. The program renders pages, terminal text and JSON.
+//! docs/lab/thermometer.md has the same order.
 
 mod changing;
 mod first;
@@ -15,7 +15,7 @@ pub use self::section::LessonSection;
 
 pub type SectionBuilder = fn(u64) -> LessonSection;
 
-/// The sections on the simulated sensor in their order, but for [`bounds_section`], which is added up from many runs.
+/// In order, except [`bounds_section`], which accumulates many runs.
 pub const SECTIONS: [SectionBuilder; 12] = [
     first::worked_example,
     first::three_ways,

@@ -1,4 +1,4 @@
-//! The same on recordings: what was identified, and how predictions did on runs that were not used for it.
+//! Sections on recordings: the identified models, and predictions of runs that were not used for them.
 
 use posebridge_report::chart::{Curve, CurveShape};
 
@@ -10,32 +10,31 @@ use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
 use crate::identification::settling_time_s;
 use crate::identification::step::IdentifiedStep;
 
-/// A run of a recording that holds a step.
+/// A recorded run with a step.
 #[derive(Clone, Debug)]
 pub struct RecordedRun {
     pub name: String,
-    /// What was identified on it. Of a run that is only predicted, this finds the step and its end.
+    /// Of a run that is only predicted, this finds the step and its end.
     pub identified: IdentifiedStep,
 }
 
-/// A run that was predicted, with those by which it was.
+/// A predicted run, with the runs it was predicted from.
 #[derive(Clone, Debug)]
 pub struct RecordedPrediction {
     pub name: String,
     pub identified_from: Vec<String>,
     pub order: usize,
-    /// One prediction for each sample, or sparser later on.
+    /// One for each sample, fewer later on.
     pub predictions: Vec<EndPrediction>,
-    /// Until the sensor is within 10, 5 and 2 % of its step for good, in seconds.
+    /// Settling times of the sensor to 10, 5 and 2 % of its step.
     pub shown_s: [Option<f64>; 3],
-    /// The same of the prediction.
     pub predicted_s: [Option<f64>; 3],
-    /// The share of predictions whose 95 % bound contained the end.
+    /// Share of predictions whose 95 % bound contained the end.
     pub inside: Option<f64>,
 }
 
 impl RecordedPrediction {
-    /// Predicts a run by others; `None` where there are none, or none of a common order.
+    /// Predicts a run from others; `None` without others, or without a common order.
     pub fn predict_run(run: &RecordedRun, others: &[&RecordedRun], likeness: RunSimilarity) -> Option<Self> {
         let used: Vec<IdentifiedStep> = others.iter().map(|other| other.identified.clone()).collect();
         let kind = SensorKind::from_runs(&used, likeness).ok()?;
@@ -66,7 +65,7 @@ fn settling_times_s(step: &IdentifiedStep, series: &[(f64, f64)]) -> [Option<f64
     SHARES.map(|share| settling_time_s(series, response.onset_s, step.end, share * size))
 }
 
-/// The sections on recordings: what was identified, and a section for each run that was predicted.
+/// The identified models, and a section for each predicted run.
 pub fn recorded_sections(
     identified: &[RecordedRun],
     predicted: &[(RecordedRun, RecordedPrediction)],

@@ -1,21 +1,21 @@
-//! A section of the lesson, and the cells and curves that the sections share.
+//! A section of the lesson, and its common cells and curves.
 
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 
 use crate::identification::TimedSample;
 use crate::identification::prediction::BOUND_SIGMAS;
 
-/// A section of the lesson.
+/// Text, table, plot and named numbers of one section.
 #[derive(Clone, Debug, Default)]
 pub struct LessonSection {
     pub name: &'static str,
     pub title: String,
     pub paragraphs: Vec<String>,
-    /// The names of the table's columns; none for no table.
+    /// Column names; empty for no table.
     pub header: Vec<String>,
     pub rows: Vec<Vec<String>>,
     pub figure: Option<(Plot, String)>,
-    /// The figures that count, by their names. A figure that cannot be had is `None`.
+    /// Named results; `None` where a result is not available.
     pub values: Vec<(String, Option<f64>)>,
 }
 
@@ -30,7 +30,7 @@ impl LessonSection {
         }
     }
 
-    /// One of its numbers; `None` if it has none of this name, or no value for it.
+    /// `None` if there is no such name, or no value for it.
     pub fn value(&self, name: &str) -> Option<f64> {
         let mut all = self.values.iter();
         all.find(|(known, _)| known == name).and_then(|(_, value)| *value)
@@ -45,7 +45,7 @@ pub(super) fn seconds(value: Option<f64>) -> String {
     value.map_or_else(|| "never".to_owned(), |value| format!("{value:.2}"))
 }
 
-/// The band of 95 % around values with their sigmas.
+/// The 95 % band around values with sigmas.
 pub(super) fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
     let half = BOUND_SIGMAS;
     let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
@@ -62,7 +62,6 @@ pub(super) fn sample_points(samples: &[TimedSample]) -> Vec<(f64, f64)> {
     samples.iter().map(of).collect()
 }
 
-/// A picture of temperatures over time, one panel for each set of curves.
 pub(super) fn temperatures(title: &str, panels: Vec<Vec<Curve>>) -> Plot {
     let axes = panels.into_iter().map(|curves| Axes::new("time [s]", "temperature [degrees C]", 240.0, curves));
     Plot::new(title, "", axes.collect())
