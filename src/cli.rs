@@ -99,7 +99,7 @@ pub enum Command {
     Man(ManArgs),
 }
 
-/// Executes what the command line asks for; without a subcommand that is `run`.
+/// Without a subcommand executes `run`.
 pub fn execute(cli: Cli) -> Result<(), Failure> {
     match cli.command.unwrap_or(Command::Run(cli.run)) {
         Command::Run(args) => station::run::execute(&args),

@@ -1,8 +1,7 @@
-//! What the person who runs the program reads: lines on stderr, results on stdout, progress bars.
+//! Console output: messages on stderr, results on stdout, progress bars.
 //!
-//! A stderr that cannot be written is no reason to stop. While the terminal view has the screen, lines go to its panel of events
-//! and not across the screen ([`redirect_stderr`]). They are kept as well, and written when the screen is given back, so that no
-//! message is lost with it.
+//! Errors of writing to stderr are ignored. While the terminal view owns the screen, messages go to its event panel
+//! ([`redirect_stderr`]). They are also retained and printed when the screen is restored, so that no message is lost with it.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -11,12 +10,11 @@ use std::sync::{Mutex, PoisonError, TryLockError};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Most lines that wait for the terminal view, which looks twenty times a second; then they are only kept.
+/// Bound of the messages for the terminal view, which polls twenty times a second; further ones are only retained.
 const QUEUE_LINES: usize = 256;
-/// Most lines that are kept to be written afterwards; of more, the first go and are counted.
+/// Bound of the retained messages; the oldest are dropped and counted.
 const MAX_RETAINED_LINES: usize = 200;
 
-/// Where lines go, if not to stderr.
 static REDIRECTION: Mutex<Option<Redirection>> = Mutex::new(None);
 
 struct Redirection {
@@ -26,12 +24,12 @@ struct Redirection {
     route: RedirectMode,
 }
 
-/// Whether stderr is the screen that the view has.
+/// Whether stderr is the terminal of the view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RedirectMode {
-    /// It is: lines wait until the view is gone.
+    /// It is: messages are retained until the view ends.
     Replace,
-    /// It is a file or another program, which gets them as ever.
+    /// It is a file or pipe, which also gets every message.
     Tee,
 }
 
@@ -43,7 +41,7 @@ pub fn print_line(line: &str) {
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
-/// Where the log is written to: the same way as every other message. Each write is one entry.
+/// Writes log entries as console messages. Each write is one entry.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LogWriter;
 
@@ -58,7 +56,7 @@ impl Write for LogWriter {
     }
 }
 
-/// Lets lines go to a receiver instead, until [`restore_stderr`].
+/// Redirects messages to a receiver until [`restore_stderr`].
 pub fn redirect_stderr() -> Receiver<String> {
     let route = if std::io::stderr().is_terminal() { RedirectMode::Replace } else { RedirectMode::Tee };
     let (sender, receiver) = sync_channel(QUEUE_LINES);
@@ -67,8 +65,8 @@ pub fn redirect_stderr() -> Receiver<String> {
     receiver
 }
 
-/// Writes what was kept, and everything from here on, to stderr. Never waits for a thread that is printing at this moment: it may be
-/// the thread that panics.
+/// Prints the retained messages to stderr and ends the redirection. Never waits for a thread that is printing: it may be the one that
+/// panics.
 pub fn restore_stderr() {
     let ended = match REDIRECTION.try_lock() {
         Ok(mut redirection) => redirection.take(),
@@ -86,7 +84,7 @@ pub fn restore_stderr() {
     }
 }
 
-/// Hands a line to the receiver; the way it takes, if there is one.
+/// Sends a line to the receiver; `None` without a redirection.
 fn capture(line: &str) -> Option<RedirectMode> {
     let mut redirection = REDIRECTION.lock().unwrap_or_else(PoisonError::into_inner);
     let redirection = redirection.as_mut()?;
@@ -102,7 +100,7 @@ fn capture(line: &str) -> Option<RedirectMode> {
     Some(redirection.route)
 }
 
-/// Prints a result on stdout. A reader that closes the pipe is no error.
+/// Prints a result on stdout. A broken pipe is not an error.
 pub fn print_result(text: &str) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -111,7 +109,7 @@ pub fn print_result(text: &str) -> std::io::Result<()> {
     }
 }
 
-/// A progress bar with this number of `units` (runs, laps) for long work; it is drawn on stderr if that is a terminal, and nowhere else.
+/// Progress bar over `count` of `units` (runs, laps); drawn on stderr only if that is a terminal.
 pub fn progress_bar(count: u64, units: &str) -> anyhow::Result<ProgressBar> {
     let template = format!("{{bar:40}} {{pos}}/{{len}} {units}, {{eta}} left");
     Ok(ProgressBar::new(count).with_style(ProgressStyle::with_template(&template)?))

@@ -1,17 +1,16 @@
-//! How a command ends: at which stage it failed and with which exit code, or by a signal.
+//! Exit codes of commands and signal handling.
 
 use anyhow::Result;
 
 #[derive(Debug)]
 pub enum Failure {
-    /// It could not start: exit code 2.
+    /// Exit code 2.
     CouldNotStart(anyhow::Error),
-    /// It ran and failed: exit code 1.
+    /// Exit code 1.
     Failed(anyhow::Error),
 }
 
 impl Failure {
-    /// 1 ran and failed, 2 could not start.
     pub const fn exit_code(&self) -> u8 {
         match self {
             Self::CouldNotStart(_) => 2,
@@ -40,7 +39,7 @@ impl<T, E: Into<anyhow::Error>> ExitStage<T> for Result<T, E> {
     }
 }
 
-/// Ctrl-C and requests to terminate, listened for from the beginning: they must not get lost while links open.
+/// Handlers of Ctrl-C and SIGTERM, installed at the start so that no signal is lost while links open.
 pub(crate) struct Signals {
     interrupt: tokio::signal::unix::Signal,
     terminate: tokio::signal::unix::Signal,

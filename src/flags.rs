@@ -1,4 +1,4 @@
-//! Flags that several commands share, and the values that flags take.
+//! Flags that several commands share, and their value types.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -82,7 +82,6 @@ pub struct StationLink {
 }
 
 impl StationLink {
-    /// The link that the flags ask for, not yet open.
     pub(crate) fn to_link(&self, timer: HostTimer) -> Result<Link> {
         let (text, role) = match (&self.listen, &self.link) {
             (Some(url), _) => (url, ConnectRole::Listen),
@@ -93,8 +92,8 @@ impl StationLink {
         Ok(Link::new(config, timer))
     }
 
-    /// Opens that link, or leaves it trying if waiting may help, and says where it listens. Fails where no waiting will help: an address in
-    /// use, no permission.
+    /// Opens the link, or keeps retrying if that may help, and prints where it listens. Fails on permanent errors: an address in use,
+    /// no permission.
     pub(crate) async fn open(&self, link: &mut Link) -> Result<String> {
         let name = link.url().to_string();
         link.try_open().await.with_context(|| format!("opening `{name}`"))?;
@@ -137,7 +136,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
-/// `KEY=VALUE` of a tunable of the filters, as a setting of the configuration.
+/// Parses `KEY=VALUE` of a filter tunable.
 fn a_param(text: &str) -> Result<Setting, String> {
     let setting = Setting::parse(text)?;
     let (key, value) = (setting.path.join("."), setting.value.to_string());

@@ -1,10 +1,10 @@
-//! The program: it wires links, engine, recorder, simulated brick and reports together.
+//! The program: connects links, engine, recorder, simulated brick and reports.
 //!
-//! No formula and no byte layout stands here: physics is in the crates, and what happens to data between a socket and a reply is
-//! the station's business. The program opens files and links, owns the threads and prints for people.
+//! It contains no formulas and no byte formats: physics is in the crates, and the station processes the data between a socket and a
+//! reply. The program opens files and links, owns the threads and prints messages.
 //!
-//! Its parts lie in layers, and each may use those before it: [`config`], [`station`], [`tools`], `lab`, [`cli`]. Nothing but `cli`
-//! names `lab`, and the feature of that name takes it out of the program.
+//! Its modules form layers, and each may use those before it: [`config`], [`station`], [`tools`], `lab`, [`cli`]. Only `cli` uses
+//! `lab`, which the feature of that name can remove.
 
 pub mod cli;
 pub mod config;

@@ -23,7 +23,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The levels of POSEBRIDGE_LOG, e.g. `warn,posebridge=info`; without it, or where it cannot be read, warnings and errors.
+/// The levels of POSEBRIDGE_LOG, e.g. `warn,posebridge=info`; warnings and errors if it is unset or invalid.
 fn log_filter() -> Targets {
     let levels = std::env::var("POSEBRIDGE_LOG").ok();
     levels.and_then(|levels| levels.parse().ok()).unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN))

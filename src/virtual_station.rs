@@ -1,4 +1,4 @@
-//! Simulated brick and station in one loop in virtual time: no socket, no thread, no clock, and the same result every time.
+//! Simulated brick and station in one loop in virtual time: no socket, no thread, no clock, and deterministic.
 //!
 //! It runs the same simulation and the same station as a live run, over a link without delay or one of [`posebridge_sim::impairment`].
 //! `lab links`, the comparison of steerings after a run, and tests use it.
@@ -18,7 +18,6 @@ use posebridge_telemetry::{
 
 use crate::station::event_collector::EventCollector;
 
-/// How long the brick sends after the end of its path.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
 /// Limit for a scenario that does not end by itself.
 const MAX_DURATION: TimeDelta = TimeDelta::from_millis(3_600_000);
@@ -26,17 +25,16 @@ const MAX_DURATION: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// Limit of the units in transit that are tracked for their delays; a link holds fewer.
 const MAX_IN_TRANSIT: usize = 65_536;
 
-/// The link between brick and station.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VirtualLink {
     pub profile: LinkProfile,
-    /// Seed of its randomness; that of the world is the scenario's.
+    /// Seed of the link; the world uses the scenario's.
     pub seed: u64,
-    /// Probability that what is sent at once (one or more whole frames) is lost, on top of the profile's losses.
+    /// Probability that a send (one or more whole frames) is lost, in addition to the profile's losses.
     pub extra_loss: f64,
-    /// Delay of each direction on top of the profile's, in milliseconds.
+    /// Additional delay of each direction.
     pub extra_delay_ms: f64,
-    /// Rate error of the brick's clock instead of the scenario's, in parts per million; positive runs fast.
+    /// Rate error of the brick's clock instead of the scenario's; positive runs fast.
     pub brick_skew_ppm: Option<f64>,
 }
 
@@ -54,22 +52,21 @@ pub struct VirtualRun {
     pub simulation: Simulation,
     pub collector: EventCollector,
     pub link: LinkTotals,
-    /// Transit time of each unit that arrived.
     pub delays_to_station: Vec<TimeDelta>,
     pub delays_to_brick: Vec<TimeDelta>,
 }
 
-/// Runs a scenario against a station whose first link is the brick's, without delay. The second link is the camera's where the brick does
+/// Runs a scenario against a station whose first link is the brick's, without delay. The second link is the camera's if the brick does
 /// not share its own.
 pub fn run(scenario: Scenario, config: StationConfig) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
     run_on(scenario, config, link)
 }
 
-/// Runs a scenario as [`run`] does, over a link with faults.
+/// Like [`run`], over an impaired link.
 ///
-/// The station gets bytes at the instant of their arrival; the brick, whose world advances in steps of a millisecond, takes what has
-/// arrived since its last step. The station gets an outage as a live link reports it.
+/// The station gets bytes at the instant of their arrival; the brick, whose world advances in steps of a millisecond, gets the bytes
+/// since its last step. The station gets an outage as a live link reports it.
 pub fn run_over_link(
     mut scenario: Scenario,
     mut config: StationConfig,
@@ -89,12 +86,9 @@ pub fn run_over_link(
     run_on(scenario, config, link)
 }
 
-/// What an observer of a run is called with, in the order in which it happens.
 #[derive(Clone, Copy, Debug)]
 pub enum RunEvent<'a> {
-    /// The station handles this.
     Input(&'a Input),
-    /// The station emits this.
     Event(&'a Event),
 }
 
@@ -103,17 +97,16 @@ pub type RunObserver<'a> = dyn FnMut(Timestamp<HostClock>, RunEvent<'_>) + 'a;
 
 /// Commands, limits and observer of a run.
 pub struct RunScript<'a> {
-    /// Commands for the station with their world times, in the order of time. What the station then requests of the brick is done.
+    /// Commands for the station with their world times, in time order. The resulting requests to the brick are executed.
     pub commands: &'a [(TimeDelta, Command)],
-    /// The run ends then, if not before.
     pub until: TimeDelta,
-    /// The brick still sends for this long after its path has ended.
+    /// Time for which the brick still sends after the end of its path.
     pub linger: TimeDelta,
     /// Called with every input and event.
     pub observer: &'a mut RunObserver<'a>,
 }
 
-/// Runs a scenario as [`run`] does, with commands and an observer.
+/// Like [`run`], with commands and an observer.
 pub fn run_with(scenario: Scenario, config: StationConfig, script: RunScript<'_>) -> Result<VirtualRun, BuildError> {
     let link = ImpairedLink::new(&LinkProfile::default(), 0, Timestamp::ZERO);
     let RunScript { commands, until, linger, observer } = script;
@@ -127,10 +120,9 @@ fn run_on(scenario: Scenario, config: StationConfig, link: ImpairedLink) -> Resu
     Ok(VirtualSession::new(scenario, config, link)?.drive(MAX_DURATION, LINGER_AFTER_END))
 }
 
-/// Brick, link and station.
 struct VirtualSession<'a> {
     id: LinkId,
-    /// The link of a camera that does not share the brick's.
+    /// Of a camera that does not share the brick's link.
     camera: Option<LinkId>,
     station: Station,
     simulation: Simulation,
@@ -139,18 +131,16 @@ struct VirtualSession<'a> {
     outages: u64,
     to_station: TransitTimes,
     to_brick: TransitTimes,
-    /// Commands that are not due yet, with their times.
     commands: VecDeque<(TimeDelta, Command)>,
-    /// Commands of the station that change the link, for the next step.
+    /// Commands of the station to the link, for the next step.
     pending_link_commands: VecDeque<SimulatorCommand>,
     unplugged_until: Option<TimeDelta>,
     observer: Option<&'a mut RunObserver<'a>>,
 }
 
-/// Transit times in one direction.
 #[derive(Debug, Default)]
 struct TransitTimes {
-    /// Number of each unit that may still arrive, and when it was offered.
+    /// Number of each unit that may still arrive, and the time of its offer.
     in_transit: VecDeque<(u64, Timestamp<HostClock>)>,
     delays: Vec<TimeDelta>,
 }
@@ -163,7 +153,7 @@ impl TransitTimes {
         self.in_transit.push_back((unit, at));
     }
 
-    /// Takes the deliveries out of the link's log.
+    /// Processes the deliveries in the link's log.
     fn follow(&mut self, log: &[LogEntry]) {
         for entry in log {
             let ByteOutcome::Delivered { at } = entry.outcome else {
@@ -196,7 +186,7 @@ impl VirtualSession<'_> {
         })
     }
 
-    /// Lets the brick drive to the end of its path and then for `linger`, but not beyond `until`.
+    /// Drives to the end of the path and then for `linger`, but not beyond `until`.
     fn drive(mut self, until: TimeDelta, linger: TimeDelta) -> VirtualRun {
         self.report_link_state(Timestamp::ZERO, self.id, LinkState::Up);
         if let Some(camera) = self.camera {
@@ -223,7 +213,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// Passes on the commands that are due, and changes the link.
+    /// Executes the commands that are due, and impairs the link.
     fn run_due_commands(&mut self, now: Timestamp<HostClock>) {
         let elapsed = self.simulation.elapsed();
         while let Some((at, command)) = self.commands.front().copied()
@@ -264,7 +254,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// One step of the world with everything that is due until its end.
+    /// One step of the world, with all events until its end.
     fn step(&mut self) {
         self.simulation.step();
         let now = Timestamp::<HostClock>::ZERO + self.simulation.elapsed();
@@ -289,7 +279,7 @@ impl VirtualSession<'_> {
         }
     }
 
-    /// Delivers what is due until `now`, each unit at its instant, so that an answer leaves when the question has arrived.
+    /// Delivers all units due until `now` at their instants, so that an answer leaves when the question has arrived.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
             while let Some(event) = self.link.poll(at) {

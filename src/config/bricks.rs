@@ -1,4 +1,4 @@
-//! The sections of robots and cameras that speak a protocol of their own: `[robot.nxt]`, `[robot.ev3]`, `[robot.line]`, `[camera.json]`.
+//! Configuration of robots and cameras without MAVLink: `[robot.nxt]`, `[robot.ev3]`, `[robot.line]`, `[camera.json]`.
 
 use std::collections::BTreeMap;
 
@@ -393,7 +393,6 @@ fn separator(text: &str) -> Result<Separator> {
     Ok(separator)
 }
 
-/// A camera that is later than this sees another world.
 const LONGEST_DELAY_MS: f64 = 60_000.0;
 
 /// Cameras that speak JSON.

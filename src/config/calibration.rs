@@ -1,7 +1,8 @@
-//! `[robot.noise]` and `[robot.calibration]`: a table each of keys, defaults and limits, from which the struct, its checks and its use follow.
+//! `[robot.noise]` and `[robot.calibration]`: tables of keys, defaults and limits that generate the structs, their validation and their
+//! use.
 //!
-//! An entry of a calibration is a value with one standard deviation. A sigma of zero takes the value as given; anything else lets a filter that
-//! can learn it do so.
+//! A calibration entry is a value with one standard deviation. A sigma of zero fixes the value; any other lets an adaptive filter
+//! estimate it.
 
 use anyhow::{Result, ensure};
 use posebridge_telemetry::{Calibration, SensorNoise, UncertainValue};
@@ -13,7 +14,7 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LowerBound {
     Zero,
-    /// A sensor that is used alone cannot be exact: its update would divide by nothing.
+    /// A sensor that is used alone cannot be exact: its update would divide by zero.
     AboveZero,
 }
 
@@ -113,18 +114,18 @@ impl From<UncertainValue> for CalibrationEntry {
     }
 }
 
-/// Beyond this no entry makes sense: neither the value, on either side of zero, nor its sigma.
+/// Limit of an entry's absolute value and of its sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct MaxMagnitude(f64);
 
 impl MaxMagnitude {
-    /// A relative error of half: what is further off is a wrong geometry, not a calibration.
+    /// A larger relative error is a wrong geometry, not a calibration.
     const RATIO: Self = Self(0.5);
-    /// 57 degrees per second at rest: no gyro.
+    /// 57 degrees per second at rest: a defective gyro.
     const TURN_RATE: Self = Self(1.0);
-    /// No camera is later, and the filter's longest history ends there.
+    /// Longer than any camera's delay, and the filter's longest history.
     const DELAY: Self = Self(60.0);
-    /// The longest lever arm that a filter takes, and more than any radio's offset.
+    /// The filters' limit of a lever arm, and more than any radio's offset.
     const LENGTH: Self = Self(1e3);
 
     fn check(self, key: &str, entry: CalibrationEntry) -> Result<UncertainValue> {
@@ -137,7 +138,7 @@ impl MaxMagnitude {
 }
 
 pub struct CalibrationKey {
-    /// Its key in files and in the JSON object.
+    /// In files and in JSON.
     pub key: &'static str,
     pub read: fn(&Calibration) -> UncertainValue,
 }
@@ -165,7 +166,7 @@ macro_rules! calibration_table {
         }
 
         impl RobotCalibration {
-            /// In the vocabulary's type; `power_up_bias` is the sigma of a gyro's bias when nothing else is known about it, in rad/s.
+            /// Converts to the telemetry type; `power_up_bias` is the prior sigma of a gyro's bias, in rad/s.
             pub fn checked(&self, power_up_bias: f64) -> Result<Calibration> {
                 let gyro_bias_rad_per_s = match self.gyro_bias_rad_per_s {
                     Some(entry) => MaxMagnitude::TURN_RATE.check("gyro_bias_rad_per_s", entry)?,
@@ -187,7 +188,7 @@ macro_rules! calibration_table {
             }
         }
 
-        /// Every entry of a calibration, in the order of reports.
+        /// In the order of reports.
         pub const CALIBRATION_KEYS: &[CalibrationKey] = &[
             $(CalibrationKey { key: stringify!($key), read: |learned| learned.$key },)+
             CalibrationKey { key: "gyro_bias_rad_per_s", read: |learned| learned.gyro_bias_rad_per_s },

@@ -1,4 +1,4 @@
-//! The links of a station: what each opens and speaks, what it sends, signs and passes on.
+//! The links of a station: transport, protocol, outputs, signing and routing.
 
 use std::fmt;
 use std::net::IpAddr;
@@ -93,7 +93,7 @@ pub enum AtInstant {
 }
 
 impl LinkSection {
-    /// A link for ground stations. TCP waits for their calls, and so does UDP at an address of this computer.
+    /// A link for ground stations. TCP listens, and so does UDP at an address of this computer.
     pub fn for_ground_stations(url: &str) -> Result<Self> {
         let LinkTarget::Url(parsed) = LinkTarget::parse(url)? else {
             bail!("`{url}` is a simulated brick; a ground station is reached by udp:// or tcp://");
@@ -135,12 +135,11 @@ impl LinkSection {
     }
 }
 
-/// What a brick needs to steer by.
 fn outputs_for_bricks() -> Vec<OutputSection> {
     vec![output("planar_pose", 0)]
 }
 
-/// What ground stations draw: 10 Hz are smooth to the eye, and together they take about 4 kB/s.
+/// The outputs for the displays of ground stations: 10 Hz look smooth, and together they take about 4 kB/s.
 fn outputs_for_ground_stations() -> Vec<OutputSection> {
     vec![
         output("attitude", 100),
@@ -238,12 +237,12 @@ const SIM_SCHEME: &str = "sim://";
 #[derive(Clone, Debug)]
 pub enum LinkTarget {
     Url(LinkUrl),
-    /// A brick that this program simulates: the scenario's name or file.
+    /// A simulated brick in this process: the scenario's name or file.
     Sim(String),
 }
 
 impl LinkTarget {
-    /// Understands `sim://NAME`, `sim://FILE.toml` and the URLs of every transport.
+    /// Parses `sim://NAME`, `sim://FILE.toml` and the URLs of every transport.
     pub fn parse(text: &str) -> Result<Self, UrlError> {
         if let Some(scenario) = text.strip_prefix(SIM_SCHEME) {
             return Ok(Self::Sim(scenario.to_owned()));
@@ -280,10 +279,10 @@ pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
     Scenario::from_toml_with(&text, &mut read).with_context(|| format!("scenario `{name_or_file}`"))
 }
 
-/// The protocol whose participants need no codec of their own.
+/// The protocol that needs no brick codec.
 const MAVLINK: &str = "mavlink";
 
-/// The settings of a link's codec; `None` for MAVLink.
+/// `None` for MAVLink.
 pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSection) -> Result<Option<BrickLink>> {
     let Some(name) = &link.brick else {
         return Ok(None);
@@ -311,7 +310,6 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSec
     Ok(Some(BrickLink { protocol, settings }))
 }
 
-/// Every codec's part of the robot's file; what is not said there is as usual.
 fn codec_settings(robot: &RobotFile) -> Result<CodecSettings> {
     let nxt = robot.nxt.clone().unwrap_or_default();
     let ev3 = robot.ev3.clone().unwrap_or_default();

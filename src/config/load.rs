@@ -1,4 +1,4 @@
-//! From files and flags to a [`Config`], and where each value comes from; every error names the file, the line and the key.
+//! Loads a [`Config`] from files and flags, and tracks the origin of each value; every error names the file, the line and the key.
 
 use std::fmt::{self, Write as _};
 use std::path::Path;
@@ -9,13 +9,13 @@ use super::profile::RobotProfile;
 use super::robot_blocks::split_robot_list;
 use super::station::Config;
 
-/// The configuration that `posebridge` alone uses, and the documentation of every key.
+/// The default configuration, which documents every key.
 pub const DEFAULT_TOML: &str = include_str!("../../config/default.toml");
 
 #[derive(Clone, Debug)]
 pub struct Loaded {
     pub config: Config,
-    /// The file's own table, for telling where a value comes from.
+    /// The parsed file, to tell the origin of each value.
     pub file: toml::Table,
     pub settings: Vec<Setting>,
 }
@@ -31,7 +31,7 @@ pub enum ConfigError {
     WrongSetting { setting: String, why: String },
 }
 
-/// Loads a file, or the embedded default where there is none, and lays settings over it.
+/// Loads a file, or the embedded default without a path, and applies settings.
 pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigError> {
     let Some(path) = path else {
         let loaded = load_text("config/default.toml (embedded)", DEFAULT_TOML, settings)?;
@@ -54,8 +54,8 @@ pub fn load_text(name: &str, text: &str, settings: &[Setting]) -> Result<Loaded,
     Ok(Loaded { config: apply_overrides(&config, settings)?, file, settings: settings.to_vec() })
 }
 
-/// A configuration with some keys set. They are checked together: a section that has no default may be made of several.
-/// An error names the setting that is to blame, or all if that is not known.
+/// Applies settings together, because several keys may form one section without a default. An error names the setting at fault, or all
+/// if it cannot be determined.
 pub fn apply_overrides(config: &Config, settings: &[Setting]) -> Result<Config, ConfigError> {
     let all: Vec<&Setting> = settings.iter().collect();
     with_overrides(config, &all).map_err(|why| {
@@ -74,7 +74,7 @@ fn with_overrides(config: &Config, settings: &[&Setting]) -> Result<Config, Stri
     laid.map_err(|error: toml::de::Error| error.message().to_owned())
 }
 
-/// The one without which the others make sense; else the one whose key the error names; else all.
+/// The setting without which the others are valid; else the one whose key the error names; else all.
 fn offending_settings<'a>(config: &Config, settings: &[&'a Setting], why: &str) -> Vec<&'a Setting> {
     let others = |guilty: usize| -> Vec<&Setting> {
         let others = settings.iter().enumerate().filter(|(at, _)| *at != guilty);
@@ -117,7 +117,7 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// Understands `a.b=VALUE`; a value that is no TOML is taken as text.
+    /// Parses `a.b=VALUE`; a value that is not TOML is a string.
     pub fn parse(text: &str) -> Result<Self, String> {
         let (key, value) = text.split_once('=').ok_or_else(|| format!("`{text}` has no `=`: write KEY=VALUE"))?;
         let path: Vec<String> = key.trim().split('.').map(str::to_owned).collect();
@@ -131,7 +131,7 @@ impl Setting {
         Ok(Self { path, value })
     }
 
-    /// Lays the value over a table, making tables on the way.
+    /// Creates missing tables.
     pub fn apply_to(&self, table: &mut toml::Table) -> Result<(), String> {
         let Some((last, way)) = self.path.split_last() else {
             return Ok(());
@@ -157,15 +157,15 @@ impl fmt::Display for Setting {
     }
 }
 
-/// What is laid over the configuration that a recording was made with.
+/// Changes to the configuration of a recording.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Overlay<'a> {
     pub robot: Option<&'a Path>,
-    /// Single keys; they go over the robot, too.
+    /// Single keys; they also override the robot.
     pub settings: &'a [Setting],
 }
 
-/// The recording's configuration with another robot, if there is one, and single keys on top.
+/// The recording's configuration with another robot, if given, and single keys on top.
 pub fn config_with_overlay(header: &str, overlay: Overlay<'_>) -> Result<Config> {
     let origin = "the recording's own configuration";
     let mut config = load_text(origin, header, &[])?.config;

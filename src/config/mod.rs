@@ -1,8 +1,7 @@
-//! The configuration: from a file and flags to validated values.
+//! The configuration: from files and flags to validated values.
 //!
-//! `config/default.toml` is compiled in and is the documentation of every key; the structs below are its schema. A key that is
-//! not there is an error that names it. Units stand in the keys; here they become the types of the vocabulary, and
-//! nothing behind this module checks them again.
+//! `config/default.toml` is compiled in and documents every key; the structs below are its schema. An unknown key is an error that
+//! names it. Units are in the keys; here they become the types of the telemetry crate, and no later code validates them again.
 
 mod bricks;
 mod calibration;

@@ -1,4 +1,4 @@
-//! Robot profiles: a robot from any file that describes one, and a calibrated robot as a file that `--robot` loads again.
+//! Robot profiles: reads a robot from any file that describes one, and writes a calibrated robot as a file for `--robot`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,25 +12,24 @@ use super::Config;
 use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
 use super::robot::{RobotFile, RobotStart};
 
-/// What `--robot FILE` takes over: a robot profile's, a station's or a descriptor's `[robot]` and `[filter]`.
+/// Content of the file of `--robot FILE`: `[robot]` and `[filter]` of a robot profile, a station's configuration or a descriptor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotProfile {
     pub robot: RobotFile,
     pub filter: ProfileFilter,
 }
 
-/// The `[filter]` of a profile or a descriptor: what it does not name stays as it was.
+/// The `[filter]` of a profile or a descriptor; missing keys keep their values.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
 #[serde(default)]
 pub struct ProfileFilter {
     pub name: Option<String>,
-    /// Tunables, by key.
     #[serde(flatten)]
     pub params: BTreeMap<String, f64>,
 }
 
 impl RobotProfile {
-    /// Reads a TOML file: a robot profile, a station's configuration or a recording's descriptor.
+    /// A robot profile, a station's configuration or a recording's descriptor.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
@@ -54,7 +53,7 @@ impl RobotProfile {
 }
 
 impl Config {
-    /// This configuration with the robot of a profile and the tunables that fit it.
+    /// Replaces the robot and applies the profile's tunables.
     pub fn with_robot(mut self, profile: RobotProfile) -> Self {
         self.robot = profile.robot;
         self.filter.params.extend(profile.filter.params);
@@ -65,7 +64,7 @@ impl Config {
     }
 }
 
-/// The `[start]` of a descriptor, where it names a pose; one that is taken from the data is left to the first fixes.
+/// The `[start]` of a descriptor, if it contains a pose; a start from the data is left to the first fixes.
 fn start_of(start: &toml::Table) -> Option<RobotStart> {
     let number = |key: &str| {
         let value = start.get(key)?;
@@ -84,26 +83,26 @@ fn start_of(start: &toml::Table) -> Option<RobotStart> {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedRobot {
-    /// The robot as it was configured, its geometry the one that the filter worked with.
+    /// As configured, with the geometry that the filter used.
     pub robot: RobotFile,
-    /// What was learned, relative to that geometry.
+    /// Relative to that geometry.
     pub learned: Calibration,
     pub provenance: Provenance,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Provenance {
-    /// When, in microseconds since 1970 (UTC).
+    /// Microseconds since 1970 (UTC).
     pub utc_micros: u64,
     pub source: String,
     pub filter: String,
 }
 
 impl CalibratedRobot {
-    /// The robot that the profile describes.
+    /// The robot in the profile.
     ///
-    /// Where it started belongs to the run, not to the robot. Its own description would bring back the geometry to which the
-    /// calibration does not belong, so it is not adopted.
+    /// Without a start pose, which belongs to the run. The brick's own description is not adopted: it would bring back the geometry to
+    /// which the calibration does not belong.
     pub fn profile(&self) -> RobotFile {
         RobotFile {
             start: None,
@@ -113,8 +112,8 @@ impl CalibratedRobot {
         }
     }
 
-    /// What will be known at the next power-up: a gyro's bias is another one each time, so that the last value is a better guess
-    /// than zero, but known no better than before.
+    /// The calibration at the next power-up: a gyro's bias changes each time, so its last value is a better guess than zero, but with
+    /// the original sigma.
     fn profile_calibration(&self) -> Calibration {
         let bias = self.learned.gyro_bias_rad_per_s;
         Calibration {
@@ -123,8 +122,7 @@ impl CalibratedRobot {
         }
     }
 
-    /// The profile as a text.
-    /// Refuses what was learned if it is so far off that `--robot` would refuse it.
+    /// The profile as TOML. Fails if a learned value is outside the limits that `--robot` accepts.
     pub fn to_toml(&self) -> Result<String> {
         let profile = self.profile();
         profile.calibration().context("what was learned is no calibration")?;
@@ -176,7 +174,7 @@ const DAYS_BEFORE_EPOCH: u64 = 719_468;
 /// Days of 400 Gregorian years, after which the calendar repeats.
 const DAYS_OF_ERA: u64 = 146_097;
 
-/// Date and time of day in the notation of RFC 3339, to the second.
+/// Date and time of day as in RFC 3339, to the second.
 ///
 /// Years are counted from March, so that the leap day is the last of its year and months follow a pattern of 153 days in five.
 pub fn utc_date(utc_micros: u64) -> String {

@@ -1,4 +1,4 @@
-//! A robot as a file describes it: geometry, noise, calibration, start, thermometers.
+//! The robot section of a configuration: geometry, noise, calibration, start, thermometers.
 
 use anyhow::{Context, Result, ensure};
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
@@ -129,7 +129,7 @@ impl RobotFile {
         }))
     }
 
-    /// Thermometers in the station's types. Refuses a channel that is named twice.
+    /// Fails if a channel is named twice.
     pub(super) fn thermometers(&self) -> Result<Vec<ThermometerConfig>> {
         let mut known: Vec<ThermometerConfig> = Vec::with_capacity(self.thermometers.len());
         for (index, thermometer) in self.thermometers.iter().enumerate() {
@@ -144,7 +144,7 @@ impl RobotFile {
         Ok(known)
     }
 
-    /// This robot with another geometry, such as the one that its brick has described.
+    /// Replaces the geometry, for instance by the one that the brick described.
     pub fn with_geometry(&self, geometry: &DriveGeometry) -> Self {
         Self {
             left_wheel_radius_m: geometry.left_wheel_radius.0,

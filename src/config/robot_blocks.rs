@@ -1,7 +1,7 @@
-//! `[[robot]]` blocks: robots with a configuration of their own.
+//! `[[robot]]` blocks: a list of robots, each with its own configuration.
 //!
-//! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, but for at most one, which is for all
-//! robots that no other block matches. A block takes from that one what it does not say itself.
+//! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, except at most one, which applies to
+//! all robots that no other block matches. The others inherit missing keys from that one.
 
 use std::collections::BTreeMap;
 
@@ -13,9 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use super::robot::RobotFile;
 
-/// What is plugged into a robot, by the protocol of its link.
+/// Robot sections that configure a link's protocol.
 const LINK_SECTIONS: [&str; 3] = ["nxt", "ev3", "line"];
-/// Longest name of a robot in a list, in letters: with its ids it fits into two parts of a STATUSTEXT.
+/// In characters: with its ids the name fits into two parts of a STATUSTEXT.
 const MAX_NAME_CHARS: usize = 50;
 
 /// A robot with a configuration of its own, as `[[robot]]` with a `match` in a file.
@@ -48,9 +48,8 @@ pub struct RobotMatchSection {
 }
 
 impl RobotBlockSection {
-    /// What people call the robot, if the block gives it another name than `default`, that of all other robots.
-    /// Refuses names that are too long or have characters that are not for showing: the file may come from anywhere, and the name goes to
-    /// terminals and pages.
+    /// The robot's name, if the block has another one than `default`. Rejects names that are too long or contain non-printable
+    /// characters: the file is untrusted, and the name is shown in terminals and pages.
     pub(super) fn own_name(&self, default: &str) -> Result<Option<String>> {
         let name = &self.robot.name;
         let is_shown = |letter: char| letter.is_alphanumeric() || matches!(letter, ' '..='~');
@@ -72,8 +71,8 @@ impl RobotMatchSection {
     }
 }
 
-/// Splits a list `[[robot]]` into the table `robot` and the list `robots`; whether there was one.
-/// Refuses a list with two entries without `match`, and a section for the robot of a link that would not be read.
+/// Splits a list `[[robot]]` into the table `robot` and the list `robots`; returns whether there was one. Rejects a list with two
+/// entries without `match`, and a link section that no link would read.
 pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
     let Some(toml::Value::Array(entries)) = file.get("robot") else {
         return Ok(false);
@@ -111,8 +110,8 @@ pub(super) fn split_robot_list(file: &mut toml::Table) -> Result<bool, String> {
     Ok(true)
 }
 
-/// Refuses what no link would read: what is plugged into a robot is read once for its link, from the first block that names it.
-/// `by_link` has the blocks before, by the links that they name.
+/// Rejects link sections that would be ignored: a link reads them once, from the first block that names it. `by_link` maps each link to
+/// an earlier block.
 fn check_link_sections(index: usize, block: &toml::Table, by_link: &mut BTreeMap<i64, usize>) -> Result<(), String> {
     let link = block.get("match").and_then(|matches| matches.get("link")).and_then(toml::Value::as_integer);
     let first = link.map(|link| (link, *by_link.entry(link).or_insert(index)));

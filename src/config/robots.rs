@@ -1,8 +1,8 @@
-//! The robots of `config/robots/`, within the program, and a commented configuration for one of them: `config/default.toml` with the robot's
-//! file laid into it.
+//! The bundled robots of `config/robots/`, and a commented configuration for one of them: `config/default.toml` merged with the robot's
+//! file.
 //!
-//! Every comment of a template comes from one of the two files. What the robot's file says stands as it is; every other key stands there as a
-//! comment with its default, so that a reader sees what there is, and a later default is taken over. Lines are moved, values are not read.
+//! Every comment of a template comes from one of the two files. The keys of the robot's file are kept as they are; all other keys
+//! become comments with their defaults, so that a reader sees them and later defaults apply. Lines are moved, values are not parsed.
 
 use super::load::DEFAULT_TOML;
 
@@ -14,7 +14,7 @@ pub struct BundledRobot {
 
 macro_rules! bundled {
     ($($name:literal),+ $(,)?) => {
-        /// Every robot of `config/robots/`, by name. Adding one: a file there and a line here.
+        /// Adding one: a file in `config/robots/` and a line here.
         pub const ROBOTS: &[BundledRobot] = &[
             $(BundledRobot {
                 name: $name,
@@ -38,7 +38,7 @@ impl BundledRobot {
         found.copied().ok_or_else(|| UnknownRobot { name: name.to_owned() })
     }
 
-    /// What it is, as the first line of its file says.
+    /// The first line of the robot's file.
     pub fn summary(&self) -> &'static str {
         let line = self.text.lines().next().unwrap_or_default();
         line.strip_prefix("# ").unwrap_or_default()
@@ -54,21 +54,21 @@ pub fn list() -> String {
 pub struct TemplateLink {
     pub url: String,
     pub is_listening: bool,
-    /// Where the URL comes from, for the comment behind it.
+    /// Origin of the URL, for the comment after it.
     pub origin: String,
     pub notes: Vec<String>,
 }
 
-/// A header with the lines up to the next one; the lines before the first have no header.
+/// A header with its lines; the lines before the first header have none.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct TomlSection<'a> {
     above: Vec<&'a str>,
-    /// `[robot.noise]`, with the comment behind it.
+    /// `[robot.noise]`, with the comment after it.
     header: &'a str,
     lines: Vec<&'a str>,
 }
 
-/// The configuration of a robot at this link; `file` is the name that it shows to the reader.
+/// The configuration of a robot at this link; `file` is the name in its comments.
 pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String {
     let (_, default) = blocks_of(DEFAULT_TOML);
     let (preamble, own) = blocks_of(robot.text);
@@ -103,7 +103,7 @@ fn head_of(robot: BundledRobot, file: &str) -> String {
     )
 }
 
-/// The blocks of the robot's file that the default does not have, of those whose names begin so.
+/// Sections of the robot's file that the default lacks and whose names begin with `family`.
 fn further_blocks<'a, 'b>(
     own: &'b [TomlSection<'a>],
     default: &'b [TomlSection<'a>],
@@ -114,7 +114,7 @@ fn further_blocks<'a, 'b>(
     })
 }
 
-/// A block of the default with what the robot's file says there.
+/// A section of the default merged with that of the robot's file.
 fn merged(block: &TomlSection<'_>, own: Option<&TomlSection<'_>>, link: &TemplateLink) -> Vec<String> {
     let mut lines: Vec<String> = block.above.iter().map(ToString::to_string).collect();
     let mut known: Vec<&str> = Vec::new();
@@ -156,7 +156,7 @@ fn link_lines(link: &TemplateLink) -> Vec<String> {
     lines
 }
 
-/// The lines of the default without the known keys, their values commented out. A comment belongs to the key below it, and goes with it.
+/// The lines of the default without the known keys, with their values commented out. A comment belongs to the key below it.
 fn others(lines: &[&str], known: &[&str]) -> Vec<String> {
     let mut kept = Vec::new();
     let mut comments: Vec<String> = Vec::new();
@@ -186,7 +186,7 @@ fn whole(block: &TomlSection<'_>) -> Vec<String> {
     lines.map(ToString::to_string).collect()
 }
 
-/// Adds lines behind an empty one, without empty ones at their own ends.
+/// Appends a paragraph: an empty line, then the lines without empty ones at their ends.
 fn push_part<T: AsRef<str>>(text: &mut String, lines: &[T]) {
     let lines: Vec<&str> = lines.iter().map(AsRef::as_ref).collect();
     let joined = lines.join("\n");
@@ -198,7 +198,7 @@ fn push_part<T: AsRef<str>>(text: &mut String, lines: &[T]) {
     }
 }
 
-/// What stands before the first header and is not right above it, and the blocks.
+/// The introduction before the first header and its comment, and the sections.
 fn blocks_of(text: &str) -> (Vec<&str>, Vec<TomlSection<'_>>) {
     let mut preamble = Vec::new();
     let mut blocks: Vec<TomlSection<'_>> = Vec::new();

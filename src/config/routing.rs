@@ -1,4 +1,4 @@
-//! What passes between the links: the keys of `[[link]]` and `[routing]` that docs/routing.md explains.
+//! Forwarding between links: the keys of `[[link]]` and `[routing]` that docs/routing.md explains.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,8 @@ use posebridge_telemetry::{ComponentId, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The largest message id, 24 bits.
 const LARGEST_ID: u32 = 0x00FF_FFFF;
-/// A longer memory for frames costs more than any loop is long.
+/// Limit of the duplicate window: longer than any routing loop.
 const LONGEST_WINDOW_MS: u32 = 60_000;
 
 /// What holds for all links.
@@ -22,8 +21,8 @@ pub struct RoutingSection {
 }
 
 impl Default for RoutingSection {
-    /// Longer than a frame may be on its way round: a Bluetooth link stalls for up to 10 s (config/links/bluetooth-spp.toml), and
-    /// the 64 KiB of forwarded frames that may wait for a line take 11.4 s at 57600 baud.
+    /// Longer than a frame may travel in a loop: a Bluetooth link stalls for up to 10 s (config/links/bluetooth-spp.toml), and a queue
+    /// of 64 KiB takes 11.4 s at 57600 baud.
     fn default() -> Self {
         Self { duplicate_window_ms: 15_000 }
     }

@@ -36,7 +36,7 @@ impl FilterSection {
             .ok_or_else(|| anyhow!("`filter.name` is `{}`; there are: {}", self.name, names_of_filters()))
     }
 
-    /// Why it would never give a pose, where that is so; with what to do about it.
+    /// Warns if this filter can never produce a pose, with a remedy.
     pub fn warning(&self, robot: &RobotFile) -> Option<String> {
         let name = &self.name;
         match find_filter(name)?.initialization {
@@ -51,7 +51,7 @@ impl FilterSection {
         }
     }
 
-    /// The tunables, the defaults where none is given.
+    /// With defaults for missing ones.
     pub fn params(&self) -> Result<Params> {
         let mut params = Params::default();
         for (key, value) in &self.params {
@@ -66,8 +66,7 @@ pub fn names_of_filters() -> String {
     names.join(", ")
 }
 
-/// What a filter of this robot is built from: a live station and a replayed recording both come through here, so that the same
-/// files give the same filter.
+/// The filter's configuration for a robot, used by both live stations and replays, so that the same files give the same filter.
 pub fn filter_config(robot: &RobotFile, filter: &FilterSection, world: ArenaMap) -> Result<FilterConfig> {
     Ok(FilterConfig {
         geometry: robot.geometry()?,
@@ -211,16 +210,14 @@ impl RecordSection {
     }
 }
 
-/// When a recording goes on in a new file, when it ends, and what stands beside the inputs.
+/// Limits of a recording's parts, disk space and output rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecordingLimits {
-    /// A part ends when it is so large, in bytes.
     pub part_bytes: Option<u64>,
-    /// A part ends when it is so old.
     pub part_duration: Option<TimeDelta>,
-    /// The recording ends when the disk has less room than this, in bytes.
+    /// The recording ends when the disk has less free space.
     pub min_free_bytes: u64,
-    /// Estimates beside the inputs lie at least so far apart.
+    /// Minimum interval between stored estimates.
     pub output_interval: TimeDelta,
 }
 
@@ -230,7 +227,7 @@ impl Default for RecordingLimits {
     }
 }
 
-/// Where the dashboard listens unless configured: loopback, at a port that IANA has not assigned.
+/// Default address of the dashboard: loopback, at a port that IANA has not assigned.
 const DEFAULT_LISTEN: &str = "127.0.0.1:4680";
 
 /// The dashboard.
@@ -265,7 +262,7 @@ impl DashboardSection {
     }
 }
 
-/// Where PlotJuggler's UDP server listens by default, on this computer. Source: its plugin `DataStreamUDP`.
+/// Default address of PlotJuggler's UDP server. Source: its plugin `DataStreamUDP`.
 pub const PLOTJUGGLER_ADDRESS: &str = "127.0.0.1:9870";
 
 /// JSON datagrams for PlotJuggler.

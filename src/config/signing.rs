@@ -1,4 +1,4 @@
-//! The signing of a link: which key, under which number, and what may come without.
+//! The signing of a link: key, link id, and frames accepted without a signature.
 
 use std::collections::BTreeSet;
 
@@ -74,7 +74,6 @@ const fn default_required() -> bool {
 }
 
 impl SigningSection {
-    /// What the station needs, with the key and with what the link begins with.
     pub fn to_signing_config(&self, key: Key, memory: SigningState) -> SigningConfig {
         let accepted: BTreeSet<u32> = self.accept_unsigned.iter().copied().collect();
         SigningConfig {
@@ -87,7 +86,6 @@ impl SigningSection {
 }
 
 impl MemoryRecord {
-    /// A memory as it is written down.
     pub fn of(key: &Key, memory: &SigningState) -> Self {
         let stream = |(id, heard): (&StreamId, &SignedStreamState)| StreamRecord {
             system: id.source.system.0,
@@ -106,7 +104,6 @@ impl MemoryRecord {
         }
     }
 
-    /// The memory that was written down.
     pub fn memory(&self) -> SigningState {
         let stream = |stream: &StreamRecord| {
             let id = StreamId { source: Address::new(stream.system, stream.component), link_id: stream.link_id };

@@ -1,4 +1,4 @@
-//! The station's own part of the configuration, and how it becomes a station.
+//! The station section of the configuration, and its conversion to a `StationConfig`.
 
 use std::collections::BTreeMap;
 
@@ -101,7 +101,6 @@ impl Default for CameraConfig {
 }
 
 impl CameraConfig {
-    /// When cameras are asked for a fix.
     fn fix_requests(&self) -> Result<FixRequestConfig> {
         for (key, limit) in [("ask_above_m", self.ask_above_m), ("ask_above_deg", self.ask_above_deg)] {
             ensure!(
@@ -149,7 +148,7 @@ impl Default for Config {
 }
 
 impl Default for StationSection {
-    /// 1/197: the same system as the robot, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
+    /// 1/197: the robot's system, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
     fn default() -> Self {
         Self { system: 1, component: 197, robot_system: 0, max_robots: 64 }
     }
@@ -166,19 +165,18 @@ impl Config {
         self.filter_config_of(&self.robot)
     }
 
-    /// The filter's configuration for a robot of this configuration.
     pub fn filter_config_of(&self, robot: &RobotFile) -> Result<FilterConfig> {
         self.filter.entry()?;
         filter_config(robot, &self.filter, self.world.checked()?)
     }
 
-    /// What the configuration says of a station's robot: its block, else `[robot]`, which also stands for a robot that was not heard.
+    /// The robot's block, else `[robot]`, which also applies before a robot was seen.
     pub fn robot_file(&self, robot: Option<&Robot>) -> &RobotFile {
         let block = robot.and_then(Robot::block).and_then(|block| self.robots.get(block));
         block.map_or(&self.robot, |block| &block.robot)
     }
 
-    /// What is plugged into the robot of a link that speaks no MAVLink: as the first block says that names the link, else `[robot]`.
+    /// The robot of a link without MAVLink: the first block that names the link, else `[robot]`.
     fn robot_of_link(&self, link: usize) -> &RobotFile {
         let names_it = |block: &&RobotBlockSection| block.matches.link.is_some_and(|named| usize::from(named) == link);
         self.robots.iter().find(names_it).map_or(&self.robot, |block| &block.robot)
@@ -206,7 +204,7 @@ impl Config {
         blocks.collect()
     }
 
-    /// The station's configuration, without the keys of signed links; see [`crate::station::signing`].
+    /// Without the keys of signed links; see [`crate::station::signing`].
     pub fn station_config(&self) -> Result<StationConfig> {
         self.check_signing()?;
         let rules = rules_of(&self.links)?.into_iter();
@@ -239,7 +237,7 @@ impl Config {
         })
     }
 
-    /// A simulated robot's tag is where its scenario says, unless the configuration says otherwise.
+    /// Takes the tag position from the scenario unless the configuration has one.
     pub fn with_tag_of(mut self, scenario: &Scenario) -> Self {
         if (self.camera.tag_x_m, self.camera.tag_y_m) == (0.0, 0.0) {
             self.camera.tag_x_m = scenario.camera.tag_x_m;
@@ -248,7 +246,7 @@ impl Config {
         self
     }
 
-    /// Refuses signing that cannot work; reads no key.
+    /// Rejects invalid signing; reads no key.
     fn check_signing(&self) -> Result<()> {
         let mut used = BTreeMap::new();
         for (index, link) in self.links.iter().enumerate() {

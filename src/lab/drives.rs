@@ -1,4 +1,4 @@
-//! Monte-Carlo drives as commands want them: the scenario by its name or from its file, what a filter may know, what the scoring must.
+//! Monte-Carlo drives for commands: scenario files, the filter's prior, and the reference for the score.
 
 use posebridge_telemetry::StartPose;
 use std::path::Path;
@@ -10,7 +10,7 @@ use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive};
 use posebridge_report::TimedPose;
 use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};
 
-/// A bundled scenario by its name, else one from a TOML file, which is called like it.
+/// A bundled scenario by its name, else one from a TOML file, named after the file.
 pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
     let path = Path::new(asked);
     let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);

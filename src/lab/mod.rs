@@ -1,4 +1,4 @@
-//! Experiments: `posebridge lab`, `calibrate`, `identify` and `tune`. Nothing but the command line names this part.
+//! Experiments: `posebridge lab`, `calibrate`, `identify` and `tune`. Only the command line depends on this module.
 
 pub mod calibrate;
 pub mod drives;

@@ -1,4 +1,4 @@
-//! Jobs on all cores, with results in the order of the jobs: what comes out does not depend on how many cores there are.
+//! Runs jobs on all cores; results are in the order of the jobs, independent of the number of cores.
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,10 +9,10 @@ use anyhow::Result;
 
 use crate::console::progress_bar;
 
-/// Results that wait to be taken; a worker that is far ahead waits rather than pile them up.
+/// Bound of the results in the channel; a worker that is far ahead blocks.
 const RESULTS_UNDER_WAY: usize = 64;
 
-/// Runs every job; `ended` is called once for each, in the order in which they end.
+/// Runs every job; `ended` is called for each completed job, in the order of completion.
 ///
 /// # Panics
 /// A job has panicked.
@@ -49,7 +49,7 @@ pub fn run_all<Job: Sync, Done: Send>(
     done.into_iter().map(|(_, done)| done).collect()
 }
 
-/// Runs every job behind a progress bar that counts in these units.
+/// With a progress bar that counts in `units`.
 pub fn run_with_bar<Job: Sync, Done: Send>(
     jobs: &[Job],
     units: &str,
@@ -61,7 +61,7 @@ pub fn run_with_bar<Job: Sync, Done: Send>(
     Ok(done)
 }
 
-/// Runs every case as often as `runs` says, behind a progress bar; the results of each case are in the order of its runs.
+/// Runs each case `runs(case)` times with a progress bar; the results of each case are in the order of its runs.
 pub fn run_cases<Case: Sync, Done: Send>(
     cases: &[Case],
     runs: impl Fn(&Case) -> u32,

@@ -1,7 +1,7 @@
-//! The dashboard's place in the station: what it receives, what it may request, and where its address is printed.
+//! The station's side of the dashboard: its events, its requests, and the output of its address.
 //!
-//! The station loop sends to it through [`DashboardHandle`], which never blocks; commands come back through the same. The server
-//! itself, with a thread and a runtime of its own, is in `crates/dashboard`.
+//! The station loop sends to it through [`DashboardHandle`], which never blocks and also receives commands. The server itself, with its
+//! own thread and runtime, is in `crates/dashboard`.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -27,31 +27,31 @@ use crate::config::Config;
 use crate::console::print_line;
 use crate::flags::DashboardFlags;
 
-/// The shard's ends of the channels to and from the dashboard.
+/// The station loop's ends of the channels to and from the dashboard.
 pub struct DashboardHandle {
     feed: EventFeed,
     commands: mpsc::Receiver<Input>,
     timer: HostTimer,
-    /// How the simulated brick was set when the run began, if there is one.
+    /// Initial settings of the simulated brick, if there is one.
     simulator: Option<SimulatorNow>,
 }
 
-/// The simulated bricks of a run, as the page shows them.
+/// The simulated bricks of a run, as shown on the page.
 pub struct SimulatedBrickInfo<'a> {
     pub name: &'a str,
-    /// What each of them drives; there is always one.
+    /// One per brick; never empty.
     pub scenarios: Vec<&'a Scenario>,
     pub truth: Vec<TruthTap>,
 }
 
-/// An address that was taken for the dashboard, as it was asked for.
+/// A bound address, with the requested one.
 pub struct ReservedListener {
     bound: BoundListener,
     listen: ListenAddress,
 }
 
-/// Takes the dashboard's address, if there is to be one: before anything is made that a start that fails would leave behind.
-/// That all ports behind the default are taken is no error: a robot may wait.
+/// Binds the dashboard's address, if it is enabled, before anything else is created that a failed start would leave behind. It is no
+/// error if all default ports are taken: a robot may wait.
 pub fn reserve(flags: &DashboardFlags, config: &Config) -> Result<Option<ReservedListener>> {
     let Some(listen) = listen_config(flags, config)? else {
         return Ok(None);
@@ -150,7 +150,7 @@ fn open_in_browser(url: String) -> Result<()> {
     std::thread::Builder::new().name("open".to_owned()).spawn(work).map(drop).context("starting a browser")
 }
 
-/// Gives what was shown since it was asked last, one by one.
+/// Returns the samples since the last call, one by one.
 fn truth_of(mut taps: Vec<TruthTap>) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Send> {
     let mut waiting = VecDeque::new();
     Box::new(move || {
@@ -214,7 +214,7 @@ fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
 }
 
 impl DashboardHandle {
-    /// Sends the outputs of an input; drops it if the dashboard is behind.
+    /// Sends the outputs of an input; drops them if the dashboard is behind.
     pub fn publish_events(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         self.feed.publish(EventBatch {
             now,
@@ -224,7 +224,7 @@ impl DashboardHandle {
         });
     }
 
-    /// Sends the present state, and how the simulated brick was set since the run began.
+    /// Sends the present state with the changed settings of the simulated brick.
     pub fn publish_status(&self, now: Timestamp<HostClock>, status: StationStatus, overrides: SimulatorOverrides) {
         let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
             steering: overrides.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
@@ -235,7 +235,7 @@ impl DashboardHandle {
     }
 }
 
-/// The next command from the page; without a dashboard, or when it is gone, never.
+/// The next command from the page; pending forever without a dashboard.
 pub async fn next_command(handle: &mut Option<DashboardHandle>) -> Input {
     if let Some(handle) = handle
         && let Some(command) = handle.commands.recv().await

@@ -1,8 +1,8 @@
-//! What fails while the rest goes on: kept until the end, and then reported together.
+//! Errors that do not stop a run: collected and reported together at its end.
 
 use anyhow::{Result, anyhow};
 
-/// Most errors kept in full; repeated requests for a recording on a full disk add no more.
+/// Errors kept in full; bounds repeated requests for a recording on a full disk.
 const MAX_ERRORS: usize = 8;
 
 #[derive(Debug, Default)]
@@ -12,7 +12,7 @@ pub struct DeferredErrors {
 }
 
 impl DeferredErrors {
-    /// Takes note of a result; gives what there is of it.
+    /// Stores an error; returns the value of a success.
     pub fn record<T>(&mut self, result: Result<T>) -> Option<T> {
         match result {
             Ok(value) => Some(value),

@@ -1,4 +1,4 @@
-//! What a run leaves behind for tables and pictures, gathered from its events.
+//! Collects estimates and counts from the events of a run, for tables and figures.
 
 use std::collections::BTreeMap;
 
@@ -11,34 +11,33 @@ use posebridge_telemetry::{
 
 use super::link_report::LinkReport;
 
-/// Most estimates that are kept; from then on every second one is, and so on: a run of days must not fill the memory.
+/// When full, every second estimate is dropped, and so on: a run of days must not fill the memory.
 const MAX_ESTIMATES: usize = 50_000;
-/// The same for a live run, whose memory must not grow after its first minute: still more than a picture has columns.
+/// Capacity for a live run, whose memory must not grow after its first minute: still more than a figure has columns.
 const MAX_ESTIMATES_LIVE: usize = 2_048;
-/// Of a live run without an end at least so much is kept, and the oldest goes: as much as its simulated brick remembers.
+/// Minimum history of an endless live run, like that of the simulated brick; older estimates are dropped.
 const HISTORY_LIVE: TimeDelta = HISTORY_DURATION;
-/// A track is not interpolated across a longer silence.
+/// Tracks are not interpolated across a longer gap.
 pub const MAX_INTERPOLATION_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Debug, Default)]
 pub struct EventCollector {
-    /// Estimates whose position and heading were valid.
+    /// Only those with a valid position and heading.
     pub estimates: ThinnedSeries<Estimate>,
     pub fixes: ThinnedSeries<FixMark>,
     pub sources: Vec<SourceTally>,
     pub observations: u64,
     pub links: BTreeMap<LinkId, LinkReport>,
     pub restarts: u64,
-    /// Every observation as the estimator was given it, for the offline smoother; nothing unless
-    /// [`Self::with_observations`].
+    /// Every observation of the estimator, for the offline smoother; empty unless [`Self::with_observations`].
     pub retained_observations: Vec<Observation>,
-    /// A live run of days must not fill the memory.
+    /// False in live runs, which would fill the memory.
     retains_observations: bool,
     last_fix: Option<Point2<Arena>>,
 }
 
 impl EventCollector {
-    /// One for a live run without a known end: it takes all of its memory at once.
+    /// For a live run without a known end: allocates all of its memory at once.
     pub fn live() -> Self {
         Self {
             estimates: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
@@ -47,7 +46,7 @@ impl EventCollector {
         }
     }
 
-    /// One that keeps every observation: for recordings, whose length is known.
+    /// Retains every observation: for recordings, whose length is known.
     pub fn with_observations() -> Self {
         Self { retains_observations: true, ..Self::default() }
     }
@@ -99,8 +98,8 @@ impl EventCollector {
     }
 }
 
-/// A list that keeps every item, then every second, then every fourth, so that it never holds more than a fixed number. One for the recent
-/// past stops to thin once it reaches back far enough, and forgets the oldest instead.
+/// A bounded list that keeps every item, then every second, then every fourth. With a window it stops thinning once the items cover it,
+/// and drops the oldest instead.
 #[derive(Debug)]
 pub struct ThinnedSeries<T> {
     items: Vec<T>,
@@ -110,7 +109,7 @@ pub struct ThinnedSeries<T> {
     recent: Option<RecentWindow<T>>,
 }
 
-/// How far back a list of the recent past has to reach, and how old its items are.
+/// Minimum duration of a list of recent items, and their timestamps.
 #[derive(Debug)]
 struct RecentWindow<T> {
     duration: TimeDelta,
@@ -124,12 +123,12 @@ impl<T> Default for ThinnedSeries<T> {
 }
 
 impl<T> ThinnedSeries<T> {
-    /// An empty list that never holds more than `most` items.
+    /// Holds at most `capacity` items.
     pub fn with_capacity(capacity: usize) -> Self {
         Self { items: Vec::new(), capacity, stride: 1, pushed: 0, recent: None }
     }
 
-    /// An empty list with room for `most` items that reaches back at least so far.
+    /// Holds at most `most` items that cover at least `duration`.
     fn with_window(most: usize, duration: TimeDelta, stamp_of: fn(&T) -> Timestamp<BrickClock>) -> Self {
         Self {
             items: Vec::with_capacity(most),
@@ -158,7 +157,7 @@ impl<T> ThinnedSeries<T> {
         }
     }
 
-    /// Whether three quarters of the list would still reach back far enough.
+    /// Whether three quarters of the list would still cover the window.
     fn covers_window(&self) -> bool {
         let Some(recent) = &self.recent else {
             return false;
@@ -171,7 +170,7 @@ impl<T> ThinnedSeries<T> {
         self.pushed
     }
 
-    /// The items that were kept, oldest first.
+    /// Oldest first.
     pub fn items(&self) -> &[T] {
         &self.items
     }

@@ -1,4 +1,4 @@
-//! What kind of recording a file is, and its bytes, unpacked if they are packed; of a telemetry log its records.
+//! Detects the kind of a recording file and reads it: bytes, unpacked if compressed, or the records of a telemetry log.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -13,18 +13,18 @@ use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
 use crate::console::{print_line, progress_bar};
 
 const CHUNK: usize = 256 * 1024;
-/// The first bytes of a gzip file (RFC 1952, section 2.3.1).
+/// RFC 1952, section 2.3.1.
 const GZIP: [u8; 2] = [0x1F, 0x8B];
-/// The first bytes of an MCAP file (MCAP specification 0, "Magic").
+/// MCAP specification 0, "Magic".
 const MCAP: &[u8] = b"\x89MCAP";
-/// Where the first frame of a .tlog file begins, behind its time.
+/// Offset of the first frame of a .tlog file, after its time.
 const TLOG_FRAME: usize = posebridge_recording::tlog::TIME_BYTES;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputKind {
     Own,
     Tlog,
-    /// Bytes as they came off a link, without times.
+    /// Bytes from a link, without times.
     Bytes,
     Descriptor,
 }
@@ -32,16 +32,16 @@ pub enum InputKind {
 pub struct InputFile {
     pub kind: InputKind,
     pub name: String,
-    /// Its size on the disk, in bytes; packed, if it is.
+    /// Bytes on disk, before unpacking.
     pub size: u64,
-    /// A packed file that ends in the middle: everything before was given.
+    /// A compressed file was truncated; all data before was read.
     pub is_truncated: bool,
     is_compressed: bool,
     reader: Box<dyn BufRead>,
 }
 
 impl InputFile {
-    /// Opens a file and finds out what it is: by its first bytes, and where they are ambiguous by its name.
+    /// Opens a file and detects its kind by the first bytes, and by the name where they are ambiguous.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).with_context(|| format!("reading the recording `{name}`"))?;
@@ -57,13 +57,12 @@ impl InputFile {
         Ok(Self { kind, name, size, is_truncated: false, is_compressed: is_packed, reader })
     }
 
-    /// The first bytes; they stay in the stream.
+    /// The first bytes, without consuming them.
     pub fn peek(&mut self) -> Result<&[u8]> {
         beginning(&mut self.reader, &self.name)
     }
 
-    /// Gives the bytes in chunks, to the end of the file.
-    /// What came before an error was given.
+    /// Passes the bytes in chunks until the end of the file. On an error the bytes before it were passed.
     pub fn chunks(&mut self, mut take: impl FnMut(&[u8])) -> Result<()> {
         self.chunks_while(|chunk| {
             take(chunk);
@@ -71,8 +70,8 @@ impl InputFile {
         })
     }
 
-    /// Gives the bytes in chunks for as long as more are wanted, at most to the end of the file. A packed file that was cut ends where
-    /// it was cut ([`Self::is_truncated`]).
+    /// Passes the bytes in chunks until `wants_more` returns false or the file ends. A truncated compressed file ends there
+    /// ([`Self::is_truncated`]).
     pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
             let chunk = match self.reader.fill_buf() {
@@ -96,7 +95,7 @@ impl InputFile {
         }
     }
 
-    /// All bytes, at most `most` of them; of a packed file that was cut those before, and a note says so.
+    /// At most `most` bytes; of a truncated compressed file those before the truncation, with a printed note.
     pub fn read_all(mut self, most: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if !self.is_compressed {
@@ -123,12 +122,12 @@ impl InputFile {
     }
 }
 
-/// Whether reading ended because a packed file was cut: it has an end of its own, so that this is known.
+/// Whether the error means that a compressed file was truncated; its format marks the end.
 fn ends_early(error: &std::io::Error) -> bool {
     error.kind() == ErrorKind::UnexpectedEof
 }
 
-/// What lies ready to be read; nothing at the end.
+/// The buffered bytes; empty at the end.
 fn beginning<'a>(reader: &'a mut impl BufRead, name: &str) -> Result<&'a [u8]> {
     reader.fill_buf().with_context(|| format!("reading `{name}`"))
 }
@@ -161,8 +160,8 @@ fn has_extension(path: &Path, wanted: &str) -> bool {
     path.extension().and_then(OsStr::to_str).is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
 }
 
-/// Gives every record of a file whose frame is whole or of an unknown message, and then the reader, which has counted.
-/// What came before an error was given.
+/// Passes every record whose frame is intact or of an unknown message; returns the reader with its counts. On an error the records
+/// before it were passed.
 pub fn tlog_records(mut file: InputFile, mut take: impl FnMut(TlogRecord<'_, ()>)) -> Result<TlogReader> {
     let mut reader = TlogReader::new();
     let bar = progress_bar(file.size, "bytes")?;
@@ -176,7 +175,7 @@ pub fn tlog_records(mut file: InputFile, mut take: impl FnMut(TlogRecord<'_, ()>
     Ok(reader)
 }
 
-/// Gives the first records of a file for as long as more are wanted.
+/// Passes the first records until `wants_more` returns false.
 pub fn first_tlog_records(mut file: InputFile, mut wants_more: impl FnMut(TlogRecord<'_, ()>) -> bool) -> Result<()> {
     let mut reader = TlogReader::new();
     let mut is_wanted = true;

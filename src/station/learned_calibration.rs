@@ -1,4 +1,4 @@
-//! What a filter has learned about a robot in one run: printed, and saved as a robot profile.
+//! The calibration that a filter estimated in a run: printed, and saved as a robot profile.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -11,20 +11,19 @@ use posebridge_telemetry::{Calibration, DriveGeometry};
 use super::per_robot::file_parts;
 use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, RobotFile};
 
-/// A robot, what was known of it before a run, and what is known after.
+/// A robot's calibration before and after a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LearnedCalibration {
     pub run: String,
-    /// The robot, its geometry the one that the filter worked with.
+    /// With the geometry that the filter used.
     pub robot: RobotFile,
-    /// What was known before.
     pub prior: Calibration,
     pub calibration: Calibration,
 }
 
 impl LearnedCalibration {
-    /// What the filters of a session have learned, robot by robot: of those that learn something and were observed. With several
-    /// robots `run` is followed by the robot.
+    /// Calibrations of the session's robots, if their filters are adaptive and got observations. With several robots, the robot is
+    /// appended to `run`.
     pub fn of_session(station: &Station, run: &str, config: &Config) -> Result<Vec<Self>> {
         let robots = station.robots();
         let mut names = RobotNames::default();
@@ -39,7 +38,7 @@ impl LearnedCalibration {
         Ok(learned)
     }
 
-    /// What a robot's filter has learned; `None` if it learns nothing, or nothing was observed.
+    /// `None` if the filter is not adaptive, or without observations.
     pub fn of_robot(robot: &Robot, run: &str, file: &RobotFile, prior: &Calibration) -> Option<Self> {
         robot.latest_time()?;
         Some(Self {
@@ -51,13 +50,13 @@ impl LearnedCalibration {
     }
 }
 
-/// A robot may have described another geometry than its file: what was learned belongs to that one.
+/// Replaces the file's geometry by the one in use, which a robot may have described: the calibration is relative to it.
 fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
     let is_own = robot.geometry().is_ok_and(|own| own == used);
     if is_own { robot.clone() } else { robot.with_geometry(&used) }
 }
 
-/// One line for each number that a run was allowed to learn; nothing if there is none.
+/// One line for each estimated constant; empty without any.
 pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     let mut text = String::new();
     for learned in runs {
@@ -77,7 +76,7 @@ pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     text
 }
 
-/// Writes each robot with what was learned as a profile: one to the path, of several each beside it under a name of its own.
+/// Writes each robot with its calibration as a profile: one to the path; for several, file names derived from it.
 pub fn save_all(path: &Path, learned: &[LearnedCalibration], provenance: &Provenance) -> Result<()> {
     if let [learned] = learned {
         return save(path, learned, provenance);

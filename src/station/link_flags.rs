@@ -1,6 +1,6 @@
-//! `--link URL` and `--listen URL`: the links of a run, in the order in which they stand on the command line.
+//! `--link URL` and `--listen URL`: the links of a run, in the order of the command line.
 //!
-//! `--brick` speaks of the first of them, and reports number them, so their order must not depend on which end connects. A derived
+//! `--brick` applies to the first of them, and reports number them, so their order must not depend on which end connects. A derived
 //! parser keeps the order within one flag only.
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};

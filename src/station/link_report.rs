@@ -1,4 +1,4 @@
-//! How the links are doing, for people: a few lines in the status block, tables at the end.
+//! Link health as text: a few lines in the status block, tables at the end.
 
 use std::fmt::Write as _;
 
@@ -58,8 +58,7 @@ pub struct LinkReport {
     pub sources: Vec<SourceHealth>,
 }
 
-/// The state of a link besides its rates: the timing, and everything that went wrong. Nothing is said of what did not
-/// happen.
+/// The state of a link besides its rates: the timing, and all errors. Counters at zero are omitted.
 pub fn condition(report: &LinkReport) -> String {
     let health = &report.health;
     let mut parts = Vec::new();
@@ -94,7 +93,7 @@ fn losses(report: &LinkReport) -> String {
     text
 }
 
-/// Tables of all links: what came, what left, who sent.
+/// Tables of all links: received, sent, senders.
 pub fn tables<'a>(links: impl Iterator<Item = (&'a LinkId, &'a LinkReport)> + Clone) -> String {
     let mut text = link_table("received on", &RECEIVED_COLUMNS, links.clone());
     text += "\n";

@@ -14,7 +14,7 @@ use super::simulator::{BrickStart, EmbeddedBrick, EmbeddedBricks};
 use crate::config::{Config, LinkTarget, load_scenario};
 use crate::console::print_line;
 
-/// Several simulated bricks call the station there; the system chooses the port.
+/// Listening address of the station for several simulated bricks; the system chooses the port.
 const SHARED_PORT: &str = "udp://127.0.0.1:0";
 
 pub(super) struct EmbeddedLink {
@@ -24,7 +24,7 @@ pub(super) struct EmbeddedLink {
 }
 
 impl EmbeddedLink {
-    /// The bricks; there is always one.
+    /// Never empty.
     pub(super) fn bricks(&self) -> &[EmbeddedBrick] {
         &self.embedded.bricks
     }
@@ -35,13 +35,12 @@ pub(super) struct FinishedSimulation {
     pub(super) scenario: Scenario,
     pub(super) name: String,
     pub(super) link: LinkId,
-    /// Which robot it was; `None` for the only one.
+    /// `None` for the only one.
     pub(super) robot: Option<RobotId>,
-    /// Whether it drove its path to the end: a lap that was cut short cannot be compared with a whole one.
+    /// Whether it completed its path: an aborted lap cannot be compared with a whole one.
     pub(super) is_complete: bool,
 }
 
-/// What a simulated brick has to know of the session that it is in.
 #[derive(Clone, Copy)]
 pub(super) struct SimulatedSession<'a> {
     pub(super) timer: HostTimer,
@@ -66,7 +65,7 @@ impl LapLimit {
     }
 }
 
-/// Stops all tasks and waits for the simulated bricks, if there are any.
+/// Stops all tasks and joins the simulated bricks, if there are any.
 pub(super) fn stop_bricks(link: Option<EmbeddedLink>, stop: &CancellationToken) -> Result<Vec<FinishedSimulation>> {
     // A stopped task is finished as well.
     let is_complete = link.as_ref().is_some_and(|link| link.embedded.finished.is_cancelled());
@@ -87,7 +86,7 @@ pub(super) fn stop_bricks(link: Option<EmbeddedLink>, stop: &CancellationToken) 
     Ok(finished.collect())
 }
 
-/// Opens what must open at once and starts simulated bricks.
+/// Opens links, with an error where retrying cannot help, and starts simulated bricks.
 pub(super) async fn open_links(
     args: &RunArgs,
     config: &Config,
@@ -149,16 +148,15 @@ pub(super) async fn open_links(
     Ok((ports, embedded))
 }
 
-/// The link of the simulated bricks while the others are opened.
+/// State of the simulated bricks' link while the others are opened.
 enum SimulatedLink {
     None,
-    /// One brick, behind a terminal that must be there before the station opens it.
+    /// One brick, behind a terminal that must exist before the station opens it.
     Started(EmbeddedLink),
-    /// Several, who call the station once its port is open.
+    /// Several bricks, which connect once the station's port is open.
     Planned(PlannedBricks),
 }
 
-/// Simulated bricks that were not started yet.
 struct PlannedBricks {
     scenarios: Vec<Scenario>,
     name: String,
@@ -181,7 +179,7 @@ fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>
 }
 
 impl EmbeddedLink {
-    /// Starts a brick for each scenario, on the link that `ends` makes for it.
+    /// Starts a brick for each scenario, on the link that `ends` creates for it.
     fn start(
         planned: PlannedBricks,
         session: SimulatedSession<'_>,

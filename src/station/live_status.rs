@@ -1,5 +1,5 @@
-//! The live status block: time, link, clocks, pose, last fix, thermometers; and how far off odometry and estimate are where a simulated
-//! brick sends the truth.
+//! The live status block: time, link, clocks, pose, last fix, thermometers; with a simulated brick also the errors of odometry and
+//! estimate.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
@@ -18,13 +18,13 @@ use super::link_report::{LinkReport, condition};
 use super::simulator::TruthTap;
 use crate::console::print_line;
 
-/// Without a terminal a plain line is written this often instead.
+/// Interval of a plain line without a terminal.
 const PLAIN_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
-/// With a simulated brick a short line is written this often instead: who is how far off.
+/// Interval of the short error line with a simulated brick.
 const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 const BAR_STEPS: u64 = 1_000;
 
-/// Most robots with a line in the block, so that it fits into a small terminal.
+/// Lines of robots in the block, so that it fits into a small terminal.
 const MAX_ROBOT_LINES: usize = 8;
 
 #[derive(Clone, Debug, Default)]
@@ -43,7 +43,7 @@ pub struct LiveView {
     links: BTreeMap<LinkId, LinkView>,
     clock: Option<(TimeDelta, f64, TimeDelta)>,
     robots: BTreeMap<RobotId, RobotView>,
-    /// What each thermometer shows, and what it will show in the end.
+    /// Reading and predicted final value of each thermometer.
     thermometers: BTreeMap<(RobotId, ChannelName), (Celsius, Option<ScalarEstimate>)>,
     is_silent: bool,
     repeats: RepeatFilter,
@@ -102,7 +102,7 @@ impl LiveView {
         self
     }
 
-    /// A block that says nothing, for measurements.
+    /// Prints nothing, for benchmarks.
     pub fn silent() -> Self {
         Self { is_silent: true, ..Self::new(None) }
     }
@@ -149,7 +149,7 @@ impl LiveView {
         }
     }
 
-    /// Draws the block, or without a terminal a line now and then.
+    /// Draws the block, or without a terminal prints a periodic line.
     pub fn draw(&mut self) {
         if let Some(repeated) = self.repeats.flush_due(self.now) {
             self.print(&repeated);
@@ -170,7 +170,7 @@ impl LiveView {
         self.bar.set_message(self.block() + &off);
     }
 
-    /// A line from time to time, where the block is not shown.
+    /// Prints a periodic line where the block is not shown.
     fn write_plainly(&mut self) {
         let period = if self.error_to_truth.is_empty() { PLAIN_PERIOD } else { ERROR_PERIOD };
         if self.now - self.last_written < period {
@@ -195,7 +195,7 @@ impl LiveView {
         self.bar.finish_and_clear();
     }
 
-    /// Says a line, and of one that comes again and again how often.
+    /// Prints a line; counts repetitions of the same one.
     fn print_line(&mut self, line: &str) {
         let shown = self.repeats.push(self.now, line);
         if let Some(repeated) = shown.repeat_summary {
@@ -217,7 +217,7 @@ impl LiveView {
         }
     }
 
-    /// A line for each of the first robots; the page shows all.
+    /// One line for each of the first robots; the dashboard shows all.
     fn robot_lines(&self) -> String {
         let mut lines = String::new();
         for (robot, view) in self.robots.iter().take(MAX_ROBOT_LINES) {
@@ -288,7 +288,7 @@ impl RobotView {
     }
 }
 
-/// What a thermometer shows, what it will show in the end, and the bound that holds that with 95 %.
+/// Reading, predicted final value and its 95 % bound.
 fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settled: Option<ScalarEstimate>) -> String {
     let place = brick.address;
     let settled = settled
@@ -309,18 +309,18 @@ fn pose_line(name: &str, estimate: &Estimate) -> String {
     )
 }
 
-/// So much truth is kept: an estimate to steer by is newer.
+/// Truth kept for comparison; estimates for steering are newer.
 const TRUTH_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
 
-/// How far off odometry and estimate are, in metres.
+/// Present errors of odometry and estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurrentErrors {
     pub odometry_m: f64,
-    /// Of the estimate; `None` while none can be compared.
+    /// `None` while no estimate can be compared.
     pub estimate_m: Option<f64>,
 }
 
-/// A line for people about one robot or several; `None` before anything is known.
+/// Errors of one robot or several as text; `None` without data.
 pub fn error_line(errors: &[CurrentErrors]) -> Option<String> {
     let largest = |values: &mut dyn Iterator<Item = f64>| values.reduce(f64::max);
     let odometry_m = largest(&mut errors.iter().map(|errors| errors.odometry_m))?;
@@ -332,15 +332,15 @@ pub fn error_line(errors: &[CurrentErrors]) -> Option<String> {
     Some(if errors.len() > 1 { format!("{} robots: {line}", errors.len()) } else { line })
 }
 
-/// Holds estimates against the truth as it comes.
+/// Compares estimates with the ground truth as it arrives.
 pub struct ErrorToTruth {
     tap: TruthTap,
     truth: VecDeque<TruthSample>,
-    /// Of the same time; some of them are ahead of the truth, which comes at its own instants.
+    /// In time order; some are newer than the truth, which arrives at its own instants.
     estimates: VecDeque<TimedPose>,
 }
 
-/// Most estimates that are kept: 2 s of a brick that is as fast as any.
+/// 2 s of the fastest brick.
 const MAX_ESTIMATES: usize = 1_024;
 
 impl ErrorToTruth {
@@ -348,7 +348,7 @@ impl ErrorToTruth {
         Self { tap, truth: VecDeque::new(), estimates: VecDeque::new() }
     }
 
-    /// The errors of now; `None` before anything is known.
+    /// `None` without data.
     pub fn errors(&mut self) -> Option<CurrentErrors> {
         self.drain_truth();
         let newest = self.truth.back()?;
@@ -365,7 +365,7 @@ impl ErrorToTruth {
         }
     }
 
-    /// How far the last estimate whose instant the truth has reached was off then, in metres.
+    /// Error of the last estimate that is not newer than the truth.
     fn estimate_m(&self) -> Option<f64> {
         let samples = self.truth.iter().map(|sample| TimedPose { time: sample.brick_time, pose: sample.pose });
         let really = PoseTrack::new(samples, MAX_INTERPOLATION_GAP);

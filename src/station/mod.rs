@@ -1,7 +1,7 @@
 //! `posebridge run`: the station.
 //!
-//! The station loop decodes, fuses and answers without a queue between socket and reply. The others hang off bounded channels that drop and
-//! count when they are full. The recorder's is long, and the recording says what it lacks, because with holes its replay is not exact.
+//! The station loop decodes, fuses and answers without a queue between socket and reply. All other consumers use bounded channels that
+//! drop and count when full. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
 pub mod dashboard;

@@ -1,4 +1,4 @@
-//! The thread that watches the events: the live status block, the event file, and what the report needs at the end.
+//! The thread that consumes the events: live status block, event file, and data for the report.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -16,8 +16,8 @@ use super::event_collector::EventCollector;
 use super::live_status::LiveView;
 use super::per_robot::PerRobot;
 
-/// Most batches that wait for the terminal before further ones are dropped and counted: forty seconds of a brick that is read 100
-/// times a second.
+/// Batches queued for the terminal before further ones are dropped and counted: forty seconds of a brick that is read 100 times a
+/// second.
 const QUEUE_CAPACITY: usize = 4_096;
 const DRAW_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 
@@ -25,12 +25,12 @@ pub struct Observer {
     sender: Sender<(Timestamp<HostClock>, Arc<[Event]>)>,
     thread: JoinHandle<Result<PerRobot<EventCollector>>>,
     dropped: u64,
-    /// With an event file nothing may be missing: then the station loop waits for the disk.
+    /// With an event file no event may be missing: the station loop then waits for the disk.
     blocks_when_full: bool,
 }
 
 pub struct ObserverConfig<'a> {
-    /// Every event goes there as a line of text.
+    /// Output file of every event as a line of text.
     pub events: Option<&'a Path>,
     pub view: LiveView,
 }
@@ -47,7 +47,7 @@ impl Observer {
         Ok(Self { sender, thread, dropped: 0, blocks_when_full: config.events.is_some() })
     }
 
-    /// Shows what an input has led to; drops it if the terminal is far behind, unless there is an event file.
+    /// Queues the outputs of an input; drops them if the terminal is far behind, unless there is an event file.
     pub fn push(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         if events.is_empty() {
             return;
@@ -60,7 +60,7 @@ impl Observer {
         }
     }
 
-    /// Ends the thread and gives what it gathered, with the number of events that were dropped.
+    /// Joins the thread; returns its data and the number of dropped events.
     pub fn finish(self) -> Result<(PerRobot<EventCollector>, u64)> {
         drop(self.sender);
         let collectors = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))??;

@@ -1,4 +1,4 @@
-//! The state and the trails of a station as the page shows them. Those of a recording come from the same engine and the same views as live.
+//! State and trails of a station for the dashboard page. Those of a recording come from the same engine and the same views as live.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -17,13 +17,13 @@ use super::recorder::Recorder;
 use super::signing::recorded_station_config;
 use crate::config::{CALIBRATION_KEYS, Config, Overlay, config_with_overlay};
 
-/// How often the state is sent, as in a live session.
+/// Period of the state, as in a live session.
 const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
-/// A replay of the page shares memory and cores with a station that steers: more than 256 MiB, some hours of the bundled brick,
-/// are replayed by `posebridge replay`, or from a later part on.
+/// A replay in the page shares memory and cores with a steering station: larger recordings, some hours of the bundled brick, require
+/// `posebridge replay`, or start with a later part.
 const MEMORY_LIMIT: MemoryLimit = MemoryLimit { max_bytes: 256 << 20, on_excess: ExcessPolicy::Skip };
 
-/// Runs a recording through the engine and gathers what it shows. What is missing, damaged or cut off stands first in its log.
+/// Replays a recording through the engine and collects its trails. Missing, damaged or truncated data comes first in its log.
 pub fn build_history(path: &Path) -> Result<Frame> {
     let name = path.display();
     let (bytes, found) = own_recording_bytes(path, MEMORY_LIMIT)?;
@@ -49,16 +49,15 @@ pub fn build_history(path: &Path) -> Result<Frame> {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct RobotClock {
-    /// As the last exchange of times with the brick had it.
     exchanged: Option<ClockAlignment>,
-    /// As the last estimate came, for a brick that never answers a question for its time.
+    /// From the last estimate, for a brick that never answers time requests.
     heard: Option<ClockAlignment>,
 }
 
 struct PageHistoryBuilder {
     station: Station,
     views: SessionViews,
-    /// Of each robot in the order of its own clock; `None` is the only one.
+    /// Sorted by each robot's own clock; `None` is the only one.
     truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>>,
     clocks: BTreeMap<RobotId, RobotClock>,
     begun: Option<Timestamp<HostClock>>,
@@ -82,7 +81,7 @@ impl PageHistoryBuilder {
         })
     }
 
-    /// Shows what an input has led to, and the truth up to it.
+    /// Adds the outputs of an input, and the truth until then.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         self.begun.get_or_insert(now);
         while let Some(output) = self.station.poll() {
@@ -109,7 +108,7 @@ impl PageHistoryBuilder {
         }
     }
 
-    /// Shows the truth as live: each sample at its own instant, by the alignment that was in force.
+    /// Adds the truth as in a live session: each sample at its own instant, by the clock alignment valid then.
     fn publish_truth(&mut self, until: Timestamp<HostClock>) {
         for (robot, truth) in &mut self.truth {
             let clock = match robot {
@@ -155,7 +154,6 @@ impl PageHistoryBuilder {
     }
 }
 
-/// What stands in a station, and into which file it is recorded.
 pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> StationStatus {
     let params = station.params();
     let recording = recorder.map(Recorder::current);
@@ -194,7 +192,7 @@ fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
     rows.collect()
 }
 
-/// The unit that stands in a key's name.
+/// Unit in the suffix of a key.
 fn unit_of(key: &str) -> &'static str {
     let units = [("_rad_per_s", "rad/s"), ("_s", "s"), ("_m", "m")];
     let found = units.iter().find(|(ending, _)| key.ends_with(ending));

@@ -1,11 +1,11 @@
-//! One value for each robot of a session, made at the robot's first event.
+//! One value for each robot of a session, created at the robot's first event.
 
 use std::collections::BTreeSet;
 
 use posebridge_recording::robot_names::RobotNames;
 use posebridge_telemetry::{Event, RobotId};
 
-/// A value for each robot. There is always a first one: before any robot was heard it belongs to none.
+/// A value for each robot. The first exists before any robot was seen.
 pub struct PerRobot<T> {
     entries: Vec<RobotEntry<T>>,
     names: RobotNames,
@@ -14,15 +14,15 @@ pub struct PerRobot<T> {
 
 #[derive(Debug)]
 pub struct RobotEntry<T> {
-    /// The robot; `None` if none was heard.
+    /// `None` before any robot was seen.
     pub robot: Option<RobotId>,
-    /// What people call it: its name, or `link/system/component`; no two robots have the same. Empty if none was heard.
+    /// Name, or `link/system/component`; unique. Empty before any robot was seen.
     pub label: String,
     pub value: T,
 }
 
-/// The labels of robots as parts of file names, in their order. A robot may have any name; no two parts are the same, and none differs
-/// from another by capital letters only, which some file systems do not tell apart.
+/// The labels of robots as parts of file names, in order. A robot may have any name; the parts are unique, also on file systems that
+/// ignore case.
 pub fn file_parts<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<String> {
     let mut taken = BTreeSet::new();
     let unique = |label: &str| {
@@ -39,13 +39,13 @@ pub fn file_parts<'a>(labels: impl IntoIterator<Item = &'a str>) -> Vec<String> 
 }
 
 impl<T> PerRobot<T> {
-    /// A first value, made as those of further robots are.
+    /// `make` creates the values.
     pub fn new(make: impl Fn() -> T + Send + 'static) -> Self {
         let first = RobotEntry { robot: None, label: String::new(), value: make() };
         Self { entries: vec![first], names: RobotNames::default(), make: Box::new(make) }
     }
 
-    /// The robots, in the order in which they were heard.
+    /// In the order of the robots' first events.
     pub fn entries(&self) -> &[RobotEntry<T>] {
         &self.entries
     }
@@ -58,7 +58,7 @@ impl<T> PerRobot<T> {
         self.entries
     }
 
-    /// Gives a robot's event to its own value, and any other to all.
+    /// Passes a robot's event to its own value, and any other to all.
     pub fn try_push<E>(
         &mut self,
         event: &Event,
@@ -70,7 +70,7 @@ impl<T> PerRobot<T> {
         }
     }
 
-    /// Gives a robot's event to its own value, and any other to all.
+    /// Passes a robot's event to its own value, and any other to all.
     pub fn push(&mut self, event: &Event, mut push: impl FnMut(&mut T, &Event)) {
         match self.route(event) {
             Some(robot) => push(&mut self.entry(robot).value, event),
@@ -78,7 +78,7 @@ impl<T> PerRobot<T> {
         }
     }
 
-    /// The robot that an event is for; a robot's name is kept on the way.
+    /// The robot of an event; also stores a robot's name.
     fn route(&mut self, event: &Event) -> Option<RobotId> {
         if let Event::RobotNamed { robot, .. } = event {
             self.names.observe(event);
@@ -94,7 +94,7 @@ impl<T> PerRobot<T> {
         &mut self.entries[index]
     }
 
-    /// The first robot takes the value that belonged to none.
+    /// The first robot takes the value that existed before.
     fn add(&mut self, robot: RobotId) -> usize {
         let label = self.names.label(robot);
         match self.entries.first_mut() {
@@ -111,7 +111,7 @@ impl<T> PerRobot<T> {
     }
 }
 
-/// The robot that an event is about. Senders that are heard or lost may also be cameras and ground stations.
+/// The robot of an event. Events about senders are excluded: these may also be cameras and ground stations.
 const fn robot_of(event: &Event) -> Option<RobotId> {
     match event {
         Event::RobotNamed { robot, .. }

@@ -1,8 +1,8 @@
-//! What happens, as JSON datagrams for PlotJuggler's UDP server (docs/dashboard.md).
+//! Sends events as JSON datagrams to PlotJuggler's UDP server (docs/dashboard.md).
 //!
-//! Fed with the messages of the page through a channel that drops and counts ([`FrameTap`]). Sending a datagram never blocks, and
-//! needs no listener. A datagram is one thing that happened, with its time: nested objects of numbers, because that is what PlotJuggler makes
-//! curves of; a number that is not finite is left out. Units are SI and stand in the names.
+//! Input is the messages of the dashboard page through a channel that drops and counts ([`FrameTap`]). Sending a datagram never blocks,
+//! and needs no receiver. A datagram is one event with its time: nested objects of numbers, which PlotJuggler plots as curves;
+//! non-finite numbers are omitted. Units are SI and part of the names.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
@@ -15,27 +15,24 @@ use posebridge_dashboard::model::{
 };
 use serde::{Serialize, Serializer};
 
-/// Most messages that wait for the sender, a bit more than a second of them.
+/// Messages queued for the sender: a bit more than a second.
 pub const WAITING_FRAMES: usize = 64;
 
-/// A running sender; it ends when the station does.
+/// A running sender; it ends with the station.
 pub struct PlotJuggler {
     thread: JoinHandle<SendCounts>,
 }
 
-/// What became of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SendCounts {
-    /// Datagrams that were sent.
     pub datagrams: u64,
-    /// Datagrams that the system did not take: its buffer was full, or there is no way to the address.
+    /// Datagrams that the system rejected: its buffer was full, or the address is unreachable.
     pub dropped: u64,
-    /// Messages of the station that were missed because this sender was slow.
+    /// Messages of the station missed because this sender was slow.
     pub missed: u64,
 }
 
 impl PlotJuggler {
-    /// Starts to send to an address.
     pub fn start(address: SocketAddr, frames: FrameTap) -> Result<Self> {
         let socket =
             socket_for(address).with_context(|| format!("plotjuggler: opening a UDP socket to send to {address}"))?;
@@ -46,14 +43,14 @@ impl PlotJuggler {
         Ok(Self { thread })
     }
 
-    /// Waits for the last datagram; to be called when the station has ended.
+    /// Waits for the last datagram; call it after the station has ended.
     pub fn finish(self) -> Result<SendCounts> {
         let joined = self.thread.join();
         joined.map_err(|_panic| anyhow!("PlotJuggler's thread died"))
     }
 }
 
-/// A socket that never waits. Where the other side is on this computer, ours is as well.
+/// A non-blocking socket; for a receiver on this computer it is bound to loopback.
 fn socket_for(address: SocketAddr) -> std::io::Result<UdpSocket> {
     let any: IpAddr = match (address.ip().is_loopback(), address.is_ipv4()) {
         (true, true) => Ipv4Addr::LOCALHOST.into(),
@@ -85,13 +82,11 @@ fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut SendC
     }
 }
 
-/// A field of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlotField {
-    /// Where it stands: the names of the objects around it and its own, with slashes between. ID, SENSOR and N stand for those of a
+    /// Path of the field: names of the enclosing objects and its own, with slashes between. ID, SENSOR and N are placeholders for a
     /// robot, a sensor, a link.
     pub name: &'static str,
-    /// What it is.
     pub help: &'static str,
 }
 
@@ -99,8 +94,8 @@ const fn field(name: &'static str, help: &'static str) -> PlotField {
     PlotField { name, help }
 }
 
-/// Every field of the datagrams. docs/dashboard.md has the same table, and tests compare both with what is sent. Adding one: a row here, one in
-/// the page, and a field in an object below.
+/// Every field of the datagrams. docs/dashboard.md has the same table, and tests compare both with the sent datagrams. Adding one: a
+/// row here, one in the page, and a field in an object below.
 pub const FIELDS: &[PlotField] = &[
     field("timestamp", "seconds of the session, by the station's clock"),
     field("robot_ID/estimate/x_m", "estimate, east"),
@@ -154,7 +149,7 @@ pub const FIELDS: &[PlotField] = &[
     field("clock/uncertainty_s", "half the distance between the bounds of the offset"),
 ];
 
-/// The name in [`FIELDS`] of a field that was sent.
+/// The pattern in [`FIELDS`] that matches a sent field.
 pub fn pattern_of(name: &str) -> Option<&'static str> {
     let sent: Vec<&str> = name.split('/').collect();
     let fits = |field: &&PlotField| {
@@ -174,7 +169,7 @@ fn fits_part(known: &str, sent: &str) -> bool {
     }
 }
 
-/// Components of an innovation by the observation's kind, as docs/maths/pose.md orders them; for fixes they are those of the robot's body.
+/// Components of an innovation by the observation's kind, in the order of docs/maths/pose.md; those of fixes are in the body's axes.
 const COMPONENTS: &[(&str, &[&str])] = &[
     ("fix", &["forward_m", "left_m", "heading_rad"]),
     ("wheel_angles", &["turn_rad"]),
@@ -185,7 +180,6 @@ const COMPONENTS: &[(&str, &[&str])] = &[
     ("landmark", &["range_m", "bearing_rad"]),
 ];
 
-/// One datagram.
 #[derive(Serialize)]
 struct Message<'a, T: Serialize> {
     timestamp: f64,
@@ -193,7 +187,6 @@ struct Message<'a, T: Serialize> {
     object: BTreeMap<&'a str, T>,
 }
 
-/// The fields of an object in their order.
 struct Object(Vec<(&'static str, Value)>);
 
 #[derive(Serialize)]
@@ -203,7 +196,6 @@ enum Value {
     /// Not rounded to the digits of a [`Number`].
     Exact(f64),
     Count(u64),
-    /// A number for each component of an innovation.
     Components(BTreeMap<&'static str, Number>),
 }
 
@@ -229,7 +221,7 @@ impl From<Number> for Value {
     }
 }
 
-/// The datagrams of a message of the station.
+/// Converts a message of the station to datagrams.
 fn messages(frame: &Frame) -> Vec<String> {
     let mut all = Vec::new();
     for robot in &frame.robots {
@@ -258,7 +250,7 @@ fn messages(frame: &Frame) -> Vec<String> {
     all
 }
 
-/// Plain objects of numbers can always be written.
+/// Objects of numbers always serialise.
 fn message(timestamp: f64, name: &str, object: impl Serialize) -> String {
     let object = BTreeMap::from([(name, object)]);
     serde_json::to_string(&Message { timestamp, object }).unwrap_or_default()

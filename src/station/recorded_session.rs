@@ -1,7 +1,7 @@
-//! A recording of ours as an input: its parts joined in memory, what is missing or damaged in words, and the alignment of its clocks.
+//! A posebridge recording as input: its parts joined in memory, messages about missing or damaged data, and its clock alignments.
 //!
-//! A part is known to follow by its number and by the name of the file that it says it continues; what else lies in the folder under such
-//! a name is left alone. What was damaged or missing is reported, because the joined recording no longer shows it.
+//! A following part is identified by its number and by the file name that it continues; other files with such a name are ignored.
+//! Damaged or missing data is reported, because the joined recording no longer shows it.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -14,34 +14,34 @@ use super::input_file::InputFile;
 use super::recording_parts::part_path;
 use crate::console::print_line;
 
-/// A recording lies in memory while it is worked on: how much of it is taken.
+/// Memory limit of a recording, which is processed in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryLimit {
     pub max_bytes: u64,
     pub on_excess: ExcessPolicy,
 }
 
-/// What becomes of the parts of a recording for which there is no room.
+/// What happens to the parts of a recording that exceed the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExcessPolicy {
     Reject,
-    /// They are left out, and a note says so.
+    /// They are skipped, with a note.
     Skip,
 }
 
 impl Default for MemoryLimit {
-    /// As much as an interactive computer may have to spare.
+    /// Typical free memory of an interactive computer.
     fn default() -> Self {
         Self { max_bytes: 4 << 30, on_excess: ExcessPolicy::Reject }
     }
 }
 
-/// The bytes of a recording of ours with the parts that continue it, as far as there is room for them; and what was left out.
+/// The bytes of a posebridge recording with the parts that continue it, as far as the limit allows; and notes on skipped data.
 pub fn own_recording_bytes(path: &Path, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     own_bytes(path, InputFile::open(path)?, room)
 }
 
-/// The bytes of a recording of ours that is open, with the parts that continue it.
+/// The bytes of an open posebridge recording, with the parts that continue it.
 pub fn own_bytes(path: &Path, mut file: InputFile, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     let (name, size) = (file.name.clone(), file.size);
     // Looked at before it is read: what is none may be large.
@@ -52,9 +52,8 @@ pub fn own_bytes(path: &Path, mut file: InputFile, room: MemoryLimit) -> Result<
     join_parts(path, file.read_all(room.max_bytes)?, room)
 }
 
-/// The recording in `first`, the content of the file at `path`, with the parts that continue it and for which there is room; and what they
-/// lack, in words. As it is if nothing continues it.
-/// A `first` that is no recording comes back as it is: opening it reports the error.
+/// Joins `first`, the content of the file at `path`, with the parts that continue it within the memory limit; returns notes on missing
+/// data. Unchanged without further parts. Returns a `first` that is no recording unchanged: opening it reports the error.
 fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     let mut room = RemainingMemory::new(room, first.len() as u64);
     let Ok(reader) = RecordingReader::open(&first) else {
@@ -90,7 +89,7 @@ fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>
     Ok((writer.finish()?.into_inner(), notes))
 }
 
-/// The names of the parts that continue the one whose content is `first`, in the file at `path`.
+/// File names of the parts that continue the one with content `first` at `path`.
 pub(crate) fn continuation_names(path: &Path, first: &[u8]) -> Result<Vec<String>> {
     let mut names = Vec::new();
     let Ok(reader) = RecordingReader::open(first) else {
@@ -108,7 +107,6 @@ pub(crate) fn continuation_names(path: &Path, first: &[u8]) -> Result<Vec<String
     }
 }
 
-/// What is left of the room, and what found none.
 struct RemainingMemory {
     limit: MemoryLimit,
     remaining: u64,
@@ -120,7 +118,7 @@ impl RemainingMemory {
         Self { limit, remaining: limit.max_bytes.saturating_sub(taken), skipped: None }
     }
 
-    /// Whether a part of this size still fits; one that has to is an error.
+    /// Reserves memory for a part; false if it does not fit and may be skipped, else an error.
     fn reserve(&mut self, path: &Path, size: u64) -> Result<bool> {
         if size <= self.remaining {
             return Ok(true);
@@ -146,7 +144,7 @@ impl RemainingMemory {
     }
 }
 
-/// The part behind part `number`, which is the file at `path`; takes its bytes from the room.
+/// The part after part `number` at `path`; reserves memory for it.
 fn continuation(path: &Path, number: u32, room: &mut RemainingMemory) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
@@ -167,7 +165,7 @@ fn continuation(path: &Path, number: u32, room: &mut RemainingMemory) -> Result<
     Ok(continues.then_some((next, bytes)))
 }
 
-/// The path of the first part, from that of part `number`.
+/// The path of the first part, given that of part `number`.
 fn first_path(path: &Path, number: u32) -> PathBuf {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let of_part = format!(".{number}");
@@ -206,7 +204,7 @@ fn name_of(path: &Path) -> String {
 
 const MAX_NOTES: usize = 50;
 
-/// The first of them in words, the others as a number.
+/// Warnings about a recording: the first ones as text, the others as a count.
 #[derive(Debug, Default)]
 pub struct RecordingWarnings {
     lines: Vec<String>,
@@ -228,19 +226,17 @@ impl RecordingWarnings {
         }
     }
 
-    /// Says what of the session is before the recording.
     pub fn add_missing_start(&mut self, beginning: &PartHeader) {
         if let Some(lack) = missing_start(beginning) {
             self.add(format!("{lack}; the replay is not that of the live run"));
         }
     }
 
-    /// Says what cannot be read; what is whole behind it is still worth replaying.
+    /// Reports unreadable data; the intact data after it is still replayed.
     pub fn add_damage(&mut self, error: &ReadError) {
         self.add(format!("{error}; the replay is not that of the live run any more"));
     }
 
-    /// Says where the recording was cut off, if it was.
     pub fn add_ending(&mut self, ending: &RecordingEnd) {
         if let RecordingEnd::Truncated { offset, what } = ending {
             self.add(format!("cut off at byte {offset} ({what}); everything before was replayed"));
@@ -255,7 +251,7 @@ impl RecordingWarnings {
     }
 }
 
-/// What a recording lacks of its session's beginning, in words; `None` if it begins with the session.
+/// Describes the missing beginning of the session; `None` if the recording begins with it.
 pub fn missing_start(beginning: &PartHeader) -> Option<String> {
     let before = beginning.inputs_before;
     let holder = match &beginning.continues {
@@ -265,7 +261,7 @@ pub fn missing_start(beginning: &PartHeader) -> Option<String> {
     (before > 0).then(|| format!("it lacks the first {before} inputs of its session ({holder})"))
 }
 
-/// Gives every input of a recording. What is damaged or cut off is printed; what is whole is used.
+/// Passes every input of a recording. Damage and truncation are printed; the intact inputs are used.
 pub fn for_each_input(
     name: &str,
     reader: &mut RecordingReader<'_>,
@@ -283,17 +279,17 @@ pub fn for_each_input(
     Ok(())
 }
 
-/// An instant by both clocks, and how fast one goes against the other.
+/// One instant by both clocks, and the rate between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockAlignment {
     pub host: Timestamp<HostClock>,
     pub brick: Timestamp<BrickClock>,
-    /// Rate of the brick's clock against the host's, minus one, in parts per million.
+    /// Rate of the brick's clock relative to the host's, minus one.
     pub skew_ppm: f64,
 }
 
 impl ClockAlignment {
-    /// What an event says of the clocks, if it does.
+    /// `None` if the event contains no alignment.
     pub const fn from_event(event: &Event) -> Option<Self> {
         if let Event::BrickClockAligned { host, brick, skew_ppm, .. } = *event {
             return Some(Self { host, brick, skew_ppm });
@@ -301,13 +297,13 @@ impl ClockAlignment {
         None
     }
 
-    /// An instant of the host's clock by the brick's.
+    /// Converts host time to brick time.
     pub fn brick_at(&self, host: Timestamp<HostClock>) -> Timestamp<BrickClock> {
         let since_s = (host - self.host).as_secs_f64();
         self.brick + TimeDelta::from_secs_f64(since_s * self.rate())
     }
 
-    /// An instant of the brick's clock by the host's.
+    /// Converts brick time to host time.
     pub fn host_at(&self, brick: Timestamp<BrickClock>) -> Timestamp<HostClock> {
         let since_s = (brick - self.brick).as_secs_f64();
         self.host + TimeDelta::from_secs_f64(since_s / self.rate())

@@ -1,7 +1,7 @@
-//! The thread that owns the recording's files.
+//! The thread that writes the recording's files.
 //!
-//! No other thread waits for it: what does not fit into its queue is dropped and counted, outputs of the station first and inputs
-//! last. The recording states what it lacks.
+//! No other thread waits for it: items that do not fit into its queue are dropped and counted, outputs of the station first and inputs
+//! last. The recording states its gaps.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,9 +19,9 @@ use crate::config::RecordingLimits;
 
 pub use super::recording_parts::RecordingTotals;
 
-/// Most items that wait for the disk: several seconds of a busy link.
+/// Several seconds of a busy link.
 const QUEUE_CAPACITY: usize = 8_192;
-/// From this number of waiting items on, only inputs are accepted.
+/// Number of queued items from which only inputs are accepted.
 const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
 
 enum RecorderItem {
@@ -35,11 +35,11 @@ enum RecorderItem {
 }
 
 pub struct Recorder {
-    /// Boxed: the channel has memory for as many items as may wait.
+    /// Boxed, because the channel allocates its full capacity.
     sender: Sender<Box<RecorderItem>>,
     thread: JoinHandle<Result<RecordingTotals>>,
     first: PathBuf,
-    /// Which part is being written; the thread tells.
+    /// Part number, updated by the thread.
     part: Arc<AtomicU32>,
     given: u64,
     lost: u64,
@@ -47,23 +47,21 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates the file and starts the thread, at the start of a session and with the usual limits.
-    /// A file that is there already is never overwritten.
+    /// Creates the file and starts the thread, at the start of a session and with the default limits. Never overwrites a file.
     pub fn start(path: &Path, header: &RecordingHeader) -> Result<Self> {
         Self::start_limited(path, header, RecordingLimits::default())
     }
 
-    /// Creates the file and starts the thread, at the start of a session.
-    /// A file that is there already is never overwritten.
+    /// Creates the file and starts the thread, at the start of a session. Never overwrites a file.
     pub fn start_limited(path: &Path, header: &RecordingHeader, limits: RecordingLimits) -> Result<Self> {
         let parts = RecordingParts::create(path, header.clone(), limits, 0)?;
         Self::spawn(path, 0, move || Ok(parts))
     }
 
-    /// Starts the thread in the middle of a session, after this number of inputs. The thread creates the file, so that the caller
-    /// does not wait for the disk. If it could not, the next [`Self::record`] reports it.
+    /// Starts the thread within a session, after `inputs_before` inputs. The thread creates the file, so that the caller does not wait
+    /// for the disk. If that fails, the next [`Self::record`] reports it.
     ///
-    /// The recording lacks what came before and says so in its header: replaying it is not replaying the session.
+    /// The header states the missing inputs: replaying the recording does not replay the session.
     pub fn start_in_session(
         path: &Path,
         header: &RecordingHeader,
@@ -85,8 +83,8 @@ impl Recorder {
         Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
     }
 
-    /// Records an input; never waits. What the disk is too slow for is counted.
-    /// Fails when the recorder has stopped, because its file could not be written: [`Self::finish`] says why.
+    /// Records an input without waiting; counts it as lost if the queue is full. Fails if the recorder has stopped because of a write
+    /// error: [`Self::finish`] returns it.
     pub fn record(&mut self, now: Timestamp<HostClock>, input: Input) -> Result<()> {
         let item = RecorderItem::Input(now, self.given, input);
         self.given += 1;
@@ -105,36 +103,35 @@ impl Recorder {
         }
     }
 
-    /// Records what came out of the station for viewers; never waits, and gives way to the inputs.
+    /// Records outputs of the station for viewers, without waiting and with lower priority than inputs.
     pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         if events.iter().any(Event::is_for_viewers) {
             self.offer(RecorderItem::Events(now, Arc::clone(events)));
         }
     }
 
-    /// Records what the filter has learned about a robot, as [`Self::record_events`].
+    /// Records the estimated constants of a robot, like [`Self::record_events`].
     pub fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: RobotId, calibration: Calibration) {
         self.offer(RecorderItem::Calibration(now, robot, Box::new(calibration)));
     }
 
-    /// Records a line for people with its MAVLink severity, as [`Self::record_events`].
+    /// Records a log line with its MAVLink severity, like [`Self::record_events`].
     pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) {
         self.offer(RecorderItem::Line(now, severity, text.to_owned()));
     }
 
-    /// Inputs, and batches of what came out, that were dropped so far.
+    /// Inputs, and batches of outputs, dropped so far.
     pub const fn losses(&self) -> (u64, u64) {
         (self.lost, self.lost_outputs)
     }
 
-    /// Records where a simulated robot really was, as [`Self::record_events`]; in the order of time.
+    /// Records true poses of a simulated robot, in time order, like [`Self::record_events`].
     pub fn record_truth(&mut self, truth: Vec<TruthSample>) {
         if !truth.is_empty() {
             self.offer(RecorderItem::Truth(truth));
         }
     }
 
-    /// The file that is being written: that of the latest part.
     pub fn current(&self) -> PathBuf {
         part_path(&self.first, self.part.load(Ordering::Relaxed))
     }
@@ -147,7 +144,7 @@ impl Recorder {
         StoppingRecorder { thread: self.thread }
     }
 
-    /// Writes what still waits, ends the file and says what it holds.
+    /// Writes the queued items, ends the file and returns its totals.
     pub fn finish(self) -> Result<RecordingTotals> {
         // A thread that has gone says why when it is joined.
         drop(self.sender.send(Box::new(RecorderItem::End(self.given))));
@@ -155,7 +152,7 @@ impl Recorder {
         StoppingRecorder { thread: self.thread }.wait()
     }
 
-    /// Hands over something that gives way to the inputs.
+    /// Queues an item of lower priority than inputs.
     fn offer(&mut self, item: RecorderItem) {
         let is_crowded = self.sender.len() >= OUTPUT_QUEUE_CAPACITY;
         if is_crowded || self.try_send(item).is_err() {

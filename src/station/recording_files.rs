@@ -1,4 +1,4 @@
-//! What a run writes into its folder: the names of the files, the header of a recording, and how recording and telemetry log begin.
+//! Output files of a run: names, recording header, and start of recording and telemetry log.
 
 use std::path::{Path, PathBuf};
 
@@ -14,11 +14,10 @@ use crate::config::Config;
 
 const MAX_NAMES: u32 = 10_000;
 
-/// The name of a run's first recording in its folder; those that follow have a number before the dot.
+/// File name of a run's first recording; later ones have a number before the dot.
 pub const RECORDING: &str = "recording.mcap";
 
-/// This name in the folder if there is no such file and 1 is the first number; else with the first number before its dot that is free.
-/// Gives the number as well.
+/// `name` in the folder if it is unused and `first` is 1; else with the first free number before its dot. Returns the number as well.
 pub(super) fn unused_path(folder: &Path, name: &str, first: u32) -> Result<(PathBuf, u32)> {
     let (stem, ending) = name.split_once('.').unwrap_or((name, ""));
     let numbers = first..first.saturating_add(MAX_NAMES);
@@ -42,7 +41,7 @@ pub fn header(config: &Config, utc_start_micros: u64) -> Result<RecordingHeader>
     })
 }
 
-/// What was done with which file: its name first, because the end of a long text is cut on its way to a ground station.
+/// Message about a file: its name comes first, because long texts are truncated on the way to a ground station.
 pub(super) fn done_message(what: &str, path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().display();
     let folder = path.parent().unwrap_or(path).display();
@@ -78,8 +77,8 @@ pub(super) fn start_recorder(
     or_continue_without("recording", started, path, failures)
 }
 
-/// A file that cannot be begun is reported once and costs the exit code, not the run: a robot may steer by us. One that is there
-/// already is a slip of who started the run, and cheap to mend before the robot drives.
+/// An error while creating a file is deferred and affects the exit code, not the run, because a robot may be steering by this station.
+/// An existing file is an error at once: a user's mistake that is easy to correct before the drive.
 fn or_continue_without<T>(
     what: &str,
     started: Result<T>,

@@ -1,7 +1,7 @@
-//! The files of a recording: one after another, each readable by itself.
+//! The files of a recording: consecutive parts, each readable by itself.
 //!
-//! Knows no thread and no queue, so that tests drive it as they like. It flushes 600 ms after the last flush, and once
-//! a second looks whether the file is still there, whether the disk has room, and whether the part is large or old enough.
+//! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, and once a second checks that the file exists,
+//! that the disk has space, and whether the part is large or old enough.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt as _;
@@ -16,19 +16,18 @@ use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDe
 
 use crate::config::RecordingLimits;
 
-/// What was recorded reaches the system at least this often, so that a killed program loses less than a second, 400 ms of sparse inputs and a late thread
-/// included. Each time a chunk ends, and what the file's index needs of it stays in memory until the part ends: more often would let a long
-/// recording's memory grow.
+/// Maximum time between flushes, so that a killed program loses less than a second, with 400 ms of sparse inputs and scheduling delays
+/// included. Each flush ends a chunk, whose index entry stays in memory until the part ends: more frequent flushes would let the memory
+/// of a long recording grow.
 pub const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(600);
-/// The message about everything that comes after a part that could not be ended, or the next one begun.
+/// The error of all inputs after a part that could not be ended, or a next one that could not begin.
 const RECORDING_ENDED: &str = "the recording has ended: it could not go on in another file";
-/// File and disk are looked at this often.
 const DISK_CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecordingTotals {
     pub inputs: u64,
-    /// Inputs that it lacks because the disk was too slow.
+    /// Inputs lost because the disk was too slow.
     pub lost: u64,
     pub parts: u32,
 }
@@ -44,7 +43,7 @@ pub struct RecordingParts {
     first: PathBuf,
     header: RecordingHeader,
     limits: RecordingLimits,
-    /// The part that is being written; none once it could not go on in another one.
+    /// The part being written; `None` after a failed change of parts.
     part: Option<OpenPart>,
     totals: RecordingTotals,
     /// Number of the next input of the session.
@@ -70,8 +69,7 @@ impl OpenPart {
 }
 
 impl RecordingParts {
-    /// Creates the first file. `inputs_before` were given to the station before the recording begins.
-    /// A file that is there already is never overwritten.
+    /// Creates the first file, after `inputs_before` inputs of the session. Never overwrites a file.
     pub fn create(path: &Path, header: RecordingHeader, limits: RecordingLimits, inputs_before: u64) -> Result<Self> {
         let begins = PartHeader { inputs_before, ..PartHeader::default() };
         let part = OpenPart::create(path, &header, &begins, limits.output_interval)?;
@@ -88,8 +86,8 @@ impl RecordingParts {
         })
     }
 
-    /// Records the input with this number in the session; those that are missing before it are a gap.
-    /// Fails when the recording has ended, and says why; what was written before stays readable.
+    /// Records the input with this number in the session; missing numbers before it become a gap. Fails with the reason if the
+    /// recording has ended; earlier data stays readable.
     pub fn record(&mut self, now: Timestamp<HostClock>, number: u64, input: &Input) -> Result<()> {
         self.record_gap(now, number)?;
         self.check_disk(now)?;
@@ -126,35 +124,34 @@ impl RecordingParts {
         self.write(|writer| writer.record_log_message(now, severity, text))
     }
 
-    /// Records where a simulated robot really was.
+    /// Records true poses of simulated robots.
     pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
         let last = self.last;
         self.write(|writer| writer.record_truth(last, truth))
     }
 
-    /// Hands over to the system what waits.
     pub fn flush(&mut self) -> Result<()> {
         self.write(RecordingWriter::flush)
     }
 
-    /// Ends the file; `given` is the number of the session's inputs up to here.
+    /// Ends the file; `given` is the number of the session's inputs so far.
     pub fn finish(mut self, given: u64) -> Result<RecordingTotals> {
         self.record_gap(self.last, given)?;
         self.end_part()?;
         Ok(self.totals)
     }
 
-    /// The number that the next input of the session has.
+    /// Number of the session's next input.
     pub const fn next(&self) -> u64 {
         self.next
     }
 
-    /// The number of the part that is being written, from 1.
+    /// Number of the part being written, from 1.
     pub const fn part(&self) -> u32 {
         self.totals.parts
     }
 
-    /// The part that is being written.
+    /// The part being written.
     fn open(&mut self) -> Result<&mut OpenPart> {
         self.part.as_mut().context(RECORDING_ENDED)
     }
@@ -164,7 +161,7 @@ impl RecordingParts {
         one(&mut part.writer).with_context(|| part.file.name())
     }
 
-    /// Ends it; gives back its path and what the next part has to know.
+    /// Ends the part; returns its path and the state for the next.
     fn end_part(&mut self) -> Result<(PathBuf, OutputHandover)> {
         let ended = self.part.take().context(RECORDING_ENDED)?;
         let handover = ended.writer.finish_part();
@@ -183,7 +180,6 @@ impl RecordingParts {
         self.write(|writer| writer.record_gap(&gap))
     }
 
-    /// Looks at the file and its disk when it is time for it.
     fn check_disk(&mut self, now: Timestamp<HostClock>) -> Result<()> {
         if now - self.last_disk_check < DISK_CHECK_PERIOD {
             return Ok(());
@@ -199,7 +195,7 @@ impl RecordingParts {
         if is_full { self.begin_next_part() } else { Ok(()) }
     }
 
-    /// The one before ends first, so that never two of them are in memory: what a file's index needs is the most that a recorder keeps.
+    /// Ends the previous part first, so that only one index is in memory: it is a recorder's largest allocation.
     fn begin_next_part(&mut self) -> Result<()> {
         let number = self.totals.parts + 1;
         let (before, handover) = self.end_part()?;
@@ -229,18 +225,17 @@ pub fn part_path(first: &Path, number: u32) -> PathBuf {
     }
 }
 
-/// A file that was made and is being written.
+/// A file being written, identified by its inode.
 #[derive(Debug)]
 pub struct WatchedFile {
     description: &'static str,
     path: PathBuf,
-    /// Device and number by which the system knows it.
+    /// Device and inode.
     identity: (u64, u64),
 }
 
 impl WatchedFile {
-    /// Creates the file; `what` it is stands in every error.
-    /// A file that is there already is never overwritten.
+    /// Creates the file; `what` names it in errors. Never overwrites a file.
     pub fn create(what: &'static str, path: &Path) -> Result<(File, Self)> {
         let name = path.display();
         let file = File::create_new(path).with_context(|| format!("creating the {what} `{name}`"))?;
@@ -258,8 +253,7 @@ impl WatchedFile {
         format!("{} `{}`", self.description, self.path.display())
     }
 
-    /// How large it is.
-    /// Fails if it was deleted or moved: what is written goes nowhere.
+    /// Fails if the file was deleted or moved: further writes would be lost.
     pub fn file_size(&self) -> Result<u64> {
         let found = std::fs::metadata(&self.path).ok();
         match found.filter(|found| (found.dev(), found.ino()) == self.identity) {
@@ -268,7 +262,7 @@ impl WatchedFile {
         }
     }
 
-    /// Looks whether the disk has more room than this.
+    /// Fails if the disk has less free space.
     pub fn check_free_space(&self, floor_bytes: u64) -> Result<()> {
         // A file system that cannot be asked may well have room.
         let Ok(disk) = statvfs(&self.path) else {

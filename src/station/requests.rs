@@ -1,12 +1,11 @@
-//! What the station asks of the program around it: to write the tunables down, to begin and to end a recording, to do something to the
-//! simulated brick.
+//! Executes the station's requests to the program: saving the tunables, starting and stopping a recording, controlling the simulated
+//! brick.
 //!
-//! What is saved is the whole configuration of the run with the tunables as they are set, as a file of its own in the run's folder:
-//! `--config` reads it back. A file that this run has not written is never touched. What became of a request goes back into the
-//! station as a line for people, and so into the recording.
+//! A saved file is the whole configuration of the run with the present tunables, in the run's folder, for `--config`. Files that this
+//! run has not written are never overwritten. The outcome of a request returns to the station as a log line, and so into the recording.
 //!
-//! It stands between a robot and what steers it: what may have to wait for a disk is done by threads (`ConfigSaver`, and the recorder
-//! makes its file itself). Here a new recording costs one look at a name.
+//! It runs in the station loop, between a robot and its steering: threads do what may wait for a disk (`ConfigSaver`, and the recorder
+//! creates its file itself). Here a new recording costs one file name lookup.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,44 +29,41 @@ use super::simulator::CommandSender;
 use crate::config::Config;
 use crate::console::print_line;
 
-/// Recordings that are begun on request begin at least so far apart: each leaves a file, and a person who plays with a button wants no
-/// hundreds of them.
+/// Minimum interval between recordings started on request: each creates a file, and repeated clicks should not create hundreds.
 const MIN_START_INTERVAL: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Carries out what the station asks for.
 pub struct RequestHandler {
     folder: PathBuf,
     timer: HostTimer,
-    /// As it was given, for the file that is saved.
+    /// As loaded, for the saved file.
     config: Config,
     recorded_config: Config,
-    /// The writer of saved configurations, from the first request on.
+    /// The thread that saves configurations; started by the first request.
     saver: Option<ConfigSaver>,
-    /// Which recording is being written, if any.
     current: Option<PathBuf>,
-    /// Recordings that were ended while the run goes on.
+    /// Recordings that ended during the run.
     ended_recordings: Vec<(PathBuf, StoppingRecorder)>,
-    /// The number that the next recording tries first: those before it are taken, or will be as soon as the disk comes to it.
+    /// First number to try for the next recording: lower ones are in use, or will be when the thread creates their files.
     next_number: u32,
-    /// When the last one was begun on request.
+    /// Start of the last recording on request.
     last_started: Option<Timestamp<HostClock>>,
     links: BTreeMap<LinkId, LinkState>,
     bricks: Vec<ReachableBrick>,
     overrides: SimulatorOverrides,
 }
 
-/// A simulated brick that commands can be sent to.
+/// A simulated brick that accepts commands.
 pub struct ReachableBrick {
-    /// Which robot it is; `None` for the only one.
+    /// `None` for the only one.
     pub robot: Option<RobotId>,
     pub commands: CommandSender,
 }
 
-/// How the simulated brick was set last; `None` before that.
+/// Latest settings of the simulated brick; `None` before the first change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SimulatorOverrides {
     pub steering: Option<SteeringSource>,
-    /// The profile that its link is as bad as.
+    /// Link profile of the simulated link.
     pub link_profile: Option<ChannelName>,
 }
 
@@ -90,8 +86,7 @@ impl SimulatorOverrides {
 }
 
 impl RequestHandler {
-    /// For a run of this configuration in this folder; `recorded_config` is what a recording holds of it, `current` is the recording that
-    /// is being written.
+    /// `recorded_config` is the configuration for the header of a recording, `current` the recording being written.
     pub fn new(
         folder: PathBuf,
         timer: HostTimer,
@@ -115,36 +110,33 @@ impl RequestHandler {
         }
     }
 
-    /// The same for a station that has simulated bricks of its own.
     pub fn with_bricks(mut self, bricks: Vec<ReachableBrick>) -> Self {
         self.bricks = bricks;
         self
     }
 
-    /// Takes note of what a recording that begins later has to begin with.
+    /// Remembers inputs with which a later recording has to begin.
     pub fn on_input(&mut self, input: &Input) {
         if let Input::Link { link, state } = input {
             self.links.insert(*link, *state);
         }
     }
 
-    /// The recording that is being written.
     pub fn current(&self) -> Option<&Path> {
         self.current.as_deref()
     }
 
-    /// How the simulated brick was set last.
     pub const fn overrides(&self) -> SimulatorOverrides {
         self.overrides
     }
 
-    /// The recorder has failed and is gone.
+    /// The recorder has failed.
     pub fn drop_recording(&mut self) {
         self.current = None;
     }
 
-    /// Carries out a request that was made after `input_count` inputs and returns its outcome for the station; `None` if the station has
-    /// reported it already. The outcome of what takes longer comes by [`Self::next_report`].
+    /// Executes a request made after `input_count` inputs and returns its outcome as an input of the station; `None` if the station has
+    /// already reported it. Outcomes of longer requests come from [`Self::next_report`].
     pub fn execute(
         &mut self,
         now: Timestamp<HostClock>,
@@ -168,8 +160,7 @@ impl RequestHandler {
         Some(report_input(outcome))
     }
 
-    /// What became of something that took longer; never, while nothing of the kind is being done. Nothing is lost when it is not waited
-    /// for any longer.
+    /// The outcome of the next longer request; pending forever if there is none. Cancel safe.
     pub async fn next_report(&mut self) -> Input {
         match &mut self.saver {
             Some(saver) => saver.next_report().await,
@@ -177,8 +168,8 @@ impl RequestHandler {
         }
     }
 
-    /// Waits for what is being saved, and for the recordings that were ended; which there are, with what they hold. One that could not
-    /// be written to its end does not keep the others from being reported.
+    /// Waits for pending saves and ended recordings; returns these with their totals. A failed one does not prevent the report of the
+    /// others.
     pub fn finish(self, failures: &mut DeferredErrors) -> Vec<(PathBuf, RecordingTotals)> {
         if let Some(saver) = self.saver {
             saver.finish();
@@ -191,7 +182,7 @@ impl RequestHandler {
         finished.collect()
     }
 
-    /// Hands a command to a robot's simulated brick, or to the first; never waits.
+    /// Sends a command to a robot's simulated brick, or to the first; never waits.
     fn forward_to_simulator(&mut self, robot: Option<RobotId>, command: &SimulatorCommand) -> Result<()> {
         let name = command.name();
         let wanted = |brick: &ReachableBrick| robot.is_none() || brick.robot.is_none() || brick.robot == robot;
@@ -277,9 +268,9 @@ fn with_tunables(config: &Config, values: &[(ParameterName, f64)]) -> Config {
     config
 }
 
-/// The name of the saved configuration.
+/// File name of the saved configuration.
 const SAVED: &str = "parameters.toml";
-/// Most configurations that wait for the disk; each is a person's request.
+/// Queued configurations; each is a user's request.
 const QUEUE_CAPACITY: usize = 4;
 
 struct ConfigSaver {
@@ -289,7 +280,7 @@ struct ConfigSaver {
 }
 
 impl ConfigSaver {
-    /// Starts the thread. What this run saves goes into one file of the folder; a file of another program is never touched.
+    /// Starts the thread. All configurations of this run go into one file of the folder; foreign files are never overwritten.
     fn start(folder: PathBuf) -> Result<Self> {
         let (jobs, waiting) = sync_channel(QUEUE_CAPACITY);
         let (reports, waiting_reports) = mpsc::channel(QUEUE_CAPACITY);
@@ -307,7 +298,7 @@ impl ConfigSaver {
         })
     }
 
-    /// What became of the next one; never, while nothing waits.
+    /// The outcome of the next save; pending forever if there is none.
     async fn next_report(&mut self) -> Input {
         match self.reports.recv().await {
             Some(report) => report,
@@ -315,7 +306,7 @@ impl ConfigSaver {
         }
     }
 
-    /// Waits until all is written; results that were not received yet are printed.
+    /// Waits for pending saves; prints results that were not received yet.
     fn finish(mut self) {
         drop(self.jobs);
         self.reports.close();
@@ -327,7 +318,7 @@ impl ConfigSaver {
         }
     }
 
-    /// What became of the next one, for tests without a runtime.
+    /// The outcome of the next save, for tests without a runtime.
     #[cfg(test)]
     fn wait(&mut self) -> Option<Input> {
         self.reports.blocking_recv()
@@ -365,7 +356,6 @@ fn save(folder: &Path, saved: &mut Option<PathBuf>, config: &Config) -> Result<S
     Ok(message)
 }
 
-/// The outcome of a request as an input of the station.
 fn report_input(outcome: Result<String>) -> Input {
     match outcome {
         Ok(text) => Input::Report { severity: INFO, text },

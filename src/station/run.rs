@@ -1,9 +1,9 @@
 //! `posebridge run`: the station.
 //!
-//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records everything that came in, and shows one
-//! status block, until Ctrl-C, `--duration` or `--until-silent`. A simulated brick of its own drives its path again and again;
-//! with `--laps` the run ends with the last of them. With `--tui` a terminal view has the screen meanwhile. In the end stand
-//! tables and two pictures, with a simulated brick also who was how far off.
+//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records all inputs, and shows one status block, until
+//! Ctrl-C, `--duration` or `--until-silent`. An embedded simulated brick drives its path repeatedly; with `--laps` the run ends with
+//! the last lap. With `--tui` a terminal view owns the screen. At the end come tables and two figures, with a simulated brick also the
+//! errors.
 
 use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
@@ -41,8 +41,8 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     failures.into_result().while_running()
 }
 
-/// Records a robot without any report of its own: for those who evaluate the recording at once. It is recorded whatever the
-/// configuration says, into the file of this name in the flags' folder; gives how the observations of each sensor fared, as a table.
+/// Records a robot without a report, for callers that evaluate the recording. Overrides the configured recording by this file in the
+/// flags' folder; returns the fusion outcomes of each sensor as a table.
 pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let mut config = configuration(args).before_start()?;
     config.record.enabled = true;
@@ -63,7 +63,7 @@ fn run_in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T
     result
 }
 
-/// The configuration with the command line's flags laid over it.
+/// Applies the command line's flags.
 fn configuration(args: &RunArgs) -> Result<Config> {
     let is_of = |setting: &Setting, sections: &[&str]| {
         let section = setting.path.first();

@@ -1,4 +1,4 @@
-//! The end of a run: tables of who was how far off, two pictures, and what was learned.
+//! The end of a run: tables of errors, two figures, and the estimated calibration.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ use crate::config::{Config, Provenance};
 use crate::console::print_result;
 use crate::virtual_station;
 
-/// What the simulator alone knows.
+/// Ground truth and odometry of a simulation.
 pub struct SimulationTruth {
     pub track: PoseTrack,
     pub odometry: PoseTrack,
@@ -51,14 +51,14 @@ impl SimulationTruth {
     }
 }
 
-/// Errors of the estimate and of the brick's own odometry.
+/// Errors of the estimate and of the brick's odometry.
 pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSummary, ErrorSummary) {
     let estimate = summarise(&errors_of_estimates(collector.estimates.items(), &truth.track));
     let odometry = summarise(&errors_of_track(&truth.odometry, &truth.track));
     (estimate, odometry)
 }
 
-/// The table of a run whose truth is known; `other` is the same world steered the other way.
+/// The error table of a run with known truth; `other` is the same world with the other steering.
 fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
     let mut text = run_table(&[
@@ -79,7 +79,7 @@ fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&Sim
     text
 }
 
-/// Draws every figure into a folder and says where.
+/// Draws every figure into a folder and prints the paths.
 fn draw_figures(
     folder: &Path,
     title: &str,
@@ -104,7 +104,7 @@ fn draw_figures(
     Ok(drawn)
 }
 
-/// Of more robots what was learned is not printed line by line.
+/// With more robots the calibrations are not printed line by line.
 const MAX_LEARNED_TABLES: usize = 4;
 
 pub(super) fn finish(
@@ -146,7 +146,6 @@ pub(super) fn finish(
     drawn.map(drop).context("not all pictures are drawn")
 }
 
-/// A robot when the run is over.
 struct RobotOutcome<'r> {
     label: String,
     collector: &'r EventCollector,
@@ -169,7 +168,7 @@ impl RobotOutcome<'_> {
     }
 }
 
-/// The robots that were heard, or the one that was not, each with its simulation if it has one.
+/// The robots of the session, or the unseen one, each with its simulation if it has one.
 fn robots_of<'r>(
     collectors: &'r PerRobot<EventCollector>,
     simulations: &'r [FinishedSimulation],
@@ -210,7 +209,6 @@ fn several_robots(robots: &[RobotOutcome<'_>]) -> String {
     text
 }
 
-/// Pictures of a robot alone, or of the first of several.
 fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
     let Some(robot) = robots.first() else {
         return Ok(Vec::new());
@@ -225,7 +223,7 @@ fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
     draw_figures(folder, &title, robot.collector, robot.truth.as_ref())
 }
 
-/// Prints and saves what the filters have learned about the robots.
+/// Prints and saves the estimated calibrations.
 pub(super) fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
     let learned = &session.learned;
     if learned.len() <= MAX_LEARNED_TABLES {
@@ -248,7 +246,7 @@ pub(super) fn report_learned(args: &RunArgs, config: &Config, session: &Session)
     save_all(path, learned, &provenance)
 }
 
-/// The same world, steered by the brick's own odometry where the run steered by the estimate, and the other way round.
+/// The same world, steered by odometry if the run steered by the estimate, and vice versa.
 fn simulate_other_steering(config: &Config, driven: &FinishedSimulation) -> Result<SimulationTruth> {
     let other = match driven.scenario.steering {
         Steering::Odometry => Steering::Estimate,
@@ -260,7 +258,7 @@ fn simulate_other_steering(config: &Config, driven: &FinishedSimulation) -> Resu
     Ok(SimulationTruth::from_simulation(&run.simulation))
 }
 
-/// What tables and pictures are made of, where it is not the whole run.
+/// Describes the part that tables and figures cover, if not the whole run.
 fn covered_by_tables(simulation: &Simulation) -> Option<String> {
     let first = simulation.truth().first()?;
     (first.sim_time > TimeDelta::ZERO).then(|| {

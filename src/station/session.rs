@@ -1,4 +1,4 @@
-//! A session: the station from its start until something ends it.
+//! A session: the station from start to end.
 
 use std::path::{Path, PathBuf};
 
@@ -35,14 +35,12 @@ pub(super) struct Session {
     pub(super) recorded: RecordedFiles,
     pub(super) simulations: Vec<FinishedSimulation>,
     pub(super) learned: Vec<LearnedCalibration>,
-    /// Whether the stamps of signed links were kept.
     pub(super) signing_result: Result<()>,
-    /// What could not be written to its end.
     pub(super) failures: DeferredErrors,
 }
 
 impl Session {
-    /// Whether everything was written that had to be.
+    /// Fails if a required output is incomplete: signing state, recording or telemetry log.
     pub(super) fn into_result(self) -> Result<()> {
         let mut failures = self.failures;
         failures.record(self.signing_result);
@@ -125,7 +123,7 @@ pub(super) async fn session(
     })
 }
 
-/// Runs the station loop until its run is over, or it is stopped.
+/// Runs the station loop until its end conditions or a signal.
 async fn wait_for_end(
     station_loop: &mut StationLoop,
     ending: &StopConditions,
@@ -173,7 +171,7 @@ fn live_view(embedded: Option<&EmbeddedLink>) -> LiveView {
     LiveView::new(progress).with_truth(errors)
 }
 
-/// When the run ends by itself: at the latest with its simulated brick.
+/// The end conditions: at the latest the end of the simulated brick.
 fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &CancellationToken) -> StopConditions {
     StopConditions {
         stop: embedded.map_or_else(|| stop.clone(), |link| link.embedded.finished.clone()),
@@ -183,7 +181,7 @@ fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &Cance
     }
 }
 
-/// The engine; a filter that learns nothing is refused where what it learns shall be saved, before the robot drives for nothing.
+/// Builds the engine; fails if a calibration shall be saved but the filter is not adaptive, before the robot drives in vain.
 fn build_station(args: &RunArgs, config: &Config, signing: &SigningSession) -> Result<Station> {
     let mut station_config = config.station_config()?;
     signing.apply_to(&mut station_config);
@@ -200,7 +198,7 @@ struct StoppedStation {
     failures: DeferredErrors,
 }
 
-/// Closes the links, then lets recorder and observer finish what waits.
+/// Closes the links, then waits for recorder and observer.
 fn close(station_loop: StationLoop) -> Result<StoppedStation> {
     let StationLoop { recorder, tlog, observer, links: ports, mut failures, requests, .. } = station_loop;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();

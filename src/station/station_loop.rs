@@ -21,20 +21,20 @@ use super::signing::SigningStateWriter;
 use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
 
-/// How often the station gets the counters of its links: as often as it reports their health.
+/// Period of the link counters, equal to that of the health reports.
 const COUNTS_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// An observation makes three events: it came, it was fused, this is the estimate.
+/// An observation causes three events: received, fused, estimate.
 const USUAL_EVENTS: usize = 4;
 
 #[derive(Clone, Debug)]
 pub struct StopConditions {
-    /// It was requested, or the simulated brick has finished.
+    /// Cancelled on request, or by the end of the simulated brick.
     pub stop: CancellationToken,
-    /// How much of its drive the simulated brick has done, if there is one; at 1 it pulls its plug.
+    /// Progress of the simulated brick, if there is one; at 1 it disconnects.
     pub progress: Option<watch::Receiver<f64>>,
     pub at: Option<Timestamp<HostClock>>,
-    /// No byte for this long, once one has come.
+    /// Maximum time without a byte, after the first one.
     pub silence: Option<TimeDelta>,
 }
 
@@ -42,25 +42,25 @@ pub struct StationLoop {
     pub station: Station,
     pub links: LinkSet,
     pub timer: HostTimer,
-    /// The recording, if there is one. It can be taken away and another one put here while the station loop runs; such a one begins after
-    /// [`Self::input_count`] inputs.
+    /// The recording, if there is one. It can be removed and replaced while the loop runs; a new one begins after [`Self::input_count`]
+    /// inputs.
     pub recorder: Option<Recorder>,
     pub input_count: u64,
-    /// The telemetry log beside it, if there is one.
+    /// `None` without a telemetry log.
     pub tlog: Option<TlogRecorder>,
     pub observer: Observer,
     pub dashboard: Option<DashboardHandle>,
-    /// What ended before the run, a recording or the telemetry log, and why.
+    /// Errors of a recording or telemetry log that ended before the run.
     pub failures: DeferredErrors,
-    /// What keeps the stamps of signed links, if there are any.
+    /// `None` without signed links.
     pub signing: Option<SigningStateWriter>,
     pub requests: RequestHandler,
     pub truth: Vec<TruthTap>,
 }
 
 impl StationLoop {
-    /// Runs until the ending says so; the recorder and the observer then finish what waits.
-    /// A recorder that fails is put away with its reason: a full disk must not stop a robot that steers by us.
+    /// Runs until an end condition; recorder and observer then process their queues. A failed recorder is removed with its error: a
+    /// full disk must not stop a robot that steers by this station.
     pub async fn run(&mut self, ending: &StopConditions) {
         let mut next_counts = self.timer.now() + COUNTS_PERIOD;
         let mut last_byte: Option<Timestamp<HostClock>> = None;
@@ -110,7 +110,7 @@ impl StationLoop {
         }
     }
 
-    /// Writes down with which stamps the signed links have ended; nothing may be handled after it.
+    /// Saves the final timestamps of the signed links; no frame may be handled after it.
     pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
         keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
@@ -123,7 +123,7 @@ impl StationLoop {
         }
     }
 
-    /// Says so when the computer's date was set: the recording goes on by the date at its start.
+    /// Reports a change of the computer's date: the recording continues with the date at its start.
     fn check_clock_step(&mut self, now: Timestamp<HostClock>, clock_step: &mut ClockStepDetector) {
         let Some(leap) = clock_step.detect(self.timer.utc_drift()) else {
             return;
@@ -138,7 +138,7 @@ impl StationLoop {
         }
     }
 
-    /// Keeps what the filters have learned beside the inputs.
+    /// Records the filters' estimated constants as outputs.
     fn record_calibration(&mut self, now: Timestamp<HostClock>) {
         let Some(recorder) = &mut self.recorder else {
             return;
@@ -157,7 +157,7 @@ impl StationLoop {
         }
     }
 
-    /// Keeps where the simulated robots really were beside the inputs.
+    /// Records the true poses of simulated robots as outputs.
     pub fn record_truth(&mut self) {
         for tap in &mut self.truth {
             let missed = tap.missed();
@@ -231,7 +231,7 @@ impl StationLoop {
         }
     }
 
-    /// Hands the recorder what came in and what came out. One that has failed is dropped; then returns a report.
+    /// Passes an input and its outputs to the recorder. Removes a failed one and returns a report.
     fn record(&mut self, now: Timestamp<HostClock>, input: Input, events: &Arc<[Event]>) -> Option<Input> {
         let recorder = self.recorder.as_mut()?;
         if recorder.record(now, input).is_ok() {
@@ -249,8 +249,7 @@ impl StationLoop {
         Some(report)
     }
 
-    /// Gives the telemetry log what came and what was sent for it. One that fails is dropped, as a recorder is; then returns
-    /// a report.
+    /// Passes received and sent bytes to the telemetry log. Removes a failed one and returns a report.
     fn log_traffic(
         &mut self,
         now: Timestamp<HostClock>,
@@ -309,7 +308,7 @@ fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timesta
     }
 }
 
-/// Less than this is the steady correction of a clock, not a leap.
+/// A smaller change is the steady correction of a clock, not a step.
 const STEP_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -318,7 +317,7 @@ pub struct ClockStepDetector {
 }
 
 impl ClockStepDetector {
-    /// Takes by how much the date runs ahead of the session's clock, and returns by how much it has leapt since the last report.
+    /// `ahead` is the date minus the session's clock; returns the step since the last report.
     pub fn detect(&mut self, ahead: TimeDelta) -> Option<TimeDelta> {
         let leapt = ahead - self.reported;
         if leapt < STEP_THRESHOLD && leapt > -STEP_THRESHOLD {

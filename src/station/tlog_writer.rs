@@ -1,11 +1,11 @@
-//! The frames of a session as a telemetry log: found in what links brought, and written beside those that were sent. Offline that is
-//! [`TrafficLog`], for `posebridge export`; live a thread writes it beside the recording ([`TlogRecorder`]).
+//! Writes the frames of a session as a telemetry log: received and sent ones. Offline that is [`TrafficLog`], for `posebridge export`;
+//! live a thread writes it beside the recording ([`TlogRecorder`]).
 //!
-//! The thread hangs off the same place as the recorder but never makes the station loop wait: what does not fit into its queue is dropped
-//! and counted, because the recording is whole without it.
+//! The station loop never waits for the thread: chunks that do not fit into its queue are dropped and counted, because the recording is
+//! complete without the log.
 //!
-//! It is one file, however long the run, because its readers know no parts. Once a second it is looked at as a recording is: one that was
-//! taken away, and one on a disk without room, ends with a reason.
+//! It is one file, however long the run, because its readers support no parts. Once a second it is checked like a recording: a deleted
+//! file, or a disk without space, ends it with an error.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -24,9 +24,9 @@ use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, TimeDelta
 
 use super::recording_parts::WatchedFile;
 
-/// Most chunks and frames that wait for the disk; further ones are dropped.
+/// Queued chunks and frames; further ones are dropped.
 const QUEUE_CAPACITY: usize = 16_384;
-/// What was written reaches the system at least this often; then file and disk are looked at.
+/// Period of flushes and of the checks of file and disk.
 const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 struct Traffic {
@@ -37,7 +37,7 @@ struct Traffic {
 }
 
 enum Direction {
-    /// A chunk that one peer of the link has sent.
+    /// A chunk from one peer of the link.
     In(PeerId),
     Out(Priority),
 }
@@ -53,14 +53,13 @@ pub struct TlogRecorder {
 pub struct TlogWritten {
     pub path: PathBuf,
     pub frames: u64,
-    /// Chunks and frames that are missing in it because the disk was too slow.
+    /// Chunks and frames lost because the disk was too slow.
     pub dropped: u64,
 }
 
 impl TlogRecorder {
-    /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no
-    /// MAVLink nothing is written. The log ends when the disk has less room than `floor_bytes`.
-    /// A file that is there already is never overwritten.
+    /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; links whose bricks do not use
+    /// MAVLink are not logged. The log ends when the disk has less free space than `floor_bytes`. Never overwrites a file.
     pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
         let (out, file) = WatchedFile::create("telemetry log", path)?;
         let (sender, traffic) = bounded(QUEUE_CAPACITY);
@@ -101,7 +100,7 @@ impl TlogRecorder {
     }
 }
 
-/// Writes until all senders are gone, and returns the number of frames.
+/// Writes until all senders are dropped; returns the number of frames.
 fn write(
     mut log: TrafficLog<BufWriter<File>>,
     traffic: &Receiver<Traffic>,
@@ -139,7 +138,7 @@ fn write(
     Ok(frames)
 }
 
-/// What one peer of a link has sent, up to the middle of a frame.
+/// The stream of one peer of a link, which may end within a frame.
 struct TrafficStream {
     last_seen: Timestamp<HostClock>,
     framer: Framer,
@@ -154,7 +153,7 @@ pub struct TrafficLog<W: Write> {
 }
 
 impl<W: Write> TrafficLog<W> {
-    /// Begins a log. `utc_start_micros` is the date at the host clock's zero; of links whose bricks speak no MAVLink nothing is written.
+    /// `utc_start_micros` is the date at the host clock's zero; links whose bricks do not use MAVLink are not logged.
     pub fn new(out: W, utc_start_micros: u64, links: &[LinkConfig]) -> Self {
         Self {
             writer: TlogWriter::new(out),
@@ -165,7 +164,7 @@ impl<W: Write> TrafficLog<W> {
         }
     }
 
-    /// Writes the frames that become whole by a chunk of one peer.
+    /// Writes the frames that a chunk of one peer completes.
     pub fn received(
         &mut self,
         now: Timestamp<HostClock>,
@@ -200,7 +199,7 @@ impl<W: Write> TrafficLog<W> {
         written
     }
 
-    /// Writes a frame that was sent; one that was only passed on stands there already, as it came, and what a codec sends is none.
+    /// Writes a sent frame; a forwarded one is already in the log as received, and output of a brick codec is not MAVLink.
     pub fn sent(
         &mut self,
         now: Timestamp<HostClock>,
@@ -224,7 +223,7 @@ impl<W: Write> TrafficLog<W> {
         Ok((self.writer.finish()?, self.frames))
     }
 
-    /// The time of a record: the date, with the number of the link in its two lowest bits.
+    /// The timestamp of a record: the date, with the link number in its two lowest bits.
     fn utc_micros(&self, now: Timestamp<HostClock>, link: LinkId) -> u64 {
         let since_start = u64::try_from(now.as_micros()).unwrap_or(0);
         let micros = self.utc_start_micros.saturating_add(since_start);
@@ -232,7 +231,7 @@ impl<W: Write> TrafficLog<W> {
     }
 }
 
-/// Makes room: what the most silent peer had begun to send is lost with him, and it is seldom anything.
+/// Evicts the peer that was silent longest; the frame it may have begun is lost.
 fn evict_oldest_peer(heard: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
     let silent = heard.iter().min_by_key(|(_, heard)| heard.last_seen);
     let silent = silent.map(|(key, _)| *key);
@@ -241,7 +240,7 @@ fn evict_oldest_peer(heard: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
     }
 }
 
-/// How a link's bytes are scanned; `None` if they are no MAVLink.
+/// `None` if the link is not MAVLink.
 fn scanner_config(link: &LinkConfig) -> Option<(LinkId, FramerConfig)> {
     link.brick.is_none().then(|| {
         let config = FramerConfig {

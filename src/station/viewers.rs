@@ -1,4 +1,4 @@
-//! The viewers of a running station: the page, the terminal view, PlotJuggler. None of them is waited for by the station loop.
+//! The viewers of a running station: dashboard, terminal view, PlotJuggler. The station loop waits for none of them.
 
 use std::path::Path;
 
@@ -17,18 +17,17 @@ use super::tui::{self, TerminalInputs, TerminalView};
 use crate::config::Config;
 use crate::console::print_line;
 
-/// The viewers that were started.
 #[derive(Default)]
 pub(super) struct Viewers {
     terminal: Option<TerminalView>,
     plotjuggler: Option<PlotJuggler>,
-    /// Dropped after the others: its end is theirs.
+    /// Dropped last, because its end ends the others.
     dashboard: Option<Dashboard>,
     quit: CancellationToken,
 }
 
 impl Viewers {
-    /// Starts them; gives the station loop's end of the channels to and from them, if there are any.
+    /// Starts them; returns the station loop's end of the channels, if there are any.
     pub(super) fn start(
         reserved: Option<ReservedListener>,
         args: &RunArgs,
@@ -80,17 +79,17 @@ impl Viewers {
         })
     }
 
-    /// Until a person ends the run in the terminal view.
+    /// Completes when the user quits in the terminal view.
     pub(super) async fn quit(&self) {
         self.quit.cancelled().await;
     }
 
-    /// Gives the terminal back, so that messages can be read again.
+    /// Restores the terminal, so that messages are visible again.
     pub(super) fn close_terminal(&mut self) {
         self.terminal = None;
     }
 
-    /// Ends the others, and says what could not be sent.
+    /// Stops the others, and reports unsent data.
     pub(super) fn finish(self) -> Result<()> {
         drop(self.terminal);
         drop(self.dashboard);

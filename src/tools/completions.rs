@@ -12,7 +12,7 @@ pub struct CompletionsArgs {
     pub shell: clap_complete::Shell,
 }
 
-/// Prints the script for the program of this command line.
+/// `program` is the definition of the command line.
 pub fn execute(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "posebridge", &mut script);

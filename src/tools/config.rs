@@ -1,4 +1,4 @@
-//! `posebridge config`: print the configuration with origins, check it, or print its schema or its parameters.
+//! `posebridge config`: prints the configuration with origins, checks it, or prints its schema or its parameters.
 
 use std::fmt::Write as _;
 
@@ -56,7 +56,7 @@ fn load_config(flags: &ConfigFlags) -> Result<Loaded, Failure> {
     Ok(loaded)
 }
 
-/// The tunables, one line each: key, default, range, unit and meaning.
+/// One line each: key, default, range, unit and meaning.
 pub fn params() -> String {
     let mut text = String::new();
     for row in posebridge_estimator::PARAMS {
@@ -67,7 +67,7 @@ pub fn params() -> String {
     text
 }
 
-/// The schema, with the filters and their tunables from their tables.
+/// With the filters and their tunables from their tables.
 pub fn schema() -> serde_json::Value {
     let mut schema = schemars::schema_for!(Config).to_value();
     let filters: Vec<_> = posebridge_estimator::FILTERS.iter().map(|entry| entry.name).collect();

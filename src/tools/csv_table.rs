@@ -1,4 +1,4 @@
-//! Small tables with the names of their columns in the first line: a person typed them, or a program wrote them.
+//! Small CSV tables with column names in the first line.
 
 use std::path::Path;
 
@@ -11,7 +11,6 @@ pub struct CsvTable {
     rows: Vec<(usize, StringRecord)>,
 }
 
-/// One row, which knows its line.
 pub struct CsvRow<'a> {
     table: &'a CsvTable,
     line: usize,
@@ -19,8 +18,8 @@ pub struct CsvRow<'a> {
 }
 
 impl CsvTable {
-    /// Reads a file; lines that begin with `#` and empty ones are left out.
-    /// Refuses a row with more cells than there are columns: a decimal comma would shift what follows.
+    /// Reads a file; lines that begin with `#` and empty ones are ignored. Rejects a row with more cells than columns: a decimal comma
+    /// would shift the rest.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
@@ -61,17 +60,15 @@ impl CsvTable {
         Ok(Self { name, columns, rows })
     }
 
-    /// Whether there is such a column.
     pub fn has(&self, column: &str) -> bool {
         self.columns.iter().any(|name| name == column)
     }
 
-    /// The names of the columns, as the first line has them.
+    /// As in the first line.
     pub fn columns(&self) -> &StringRecord {
         &self.columns
     }
 
-    /// The rows in their order.
     pub fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
         self.rows.iter().map(|(line, cells)| CsvRow { table: self, line: *line, cells })
     }
@@ -98,7 +95,7 @@ impl CsvRow<'_> {
         }
     }
 
-    /// Where the row stands, for a complaint.
+    /// File and line, for error messages.
     pub fn location(&self) -> String {
         format!("`{}` line {}", self.table.name, self.line)
     }

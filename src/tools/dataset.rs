@@ -1,4 +1,4 @@
-//! Recordings of real robots as the commands need them: descriptor, robot, runs.
+//! Foreign recordings for the commands: descriptor, robot, runs.
 
 use std::path::{Path, PathBuf};
 
@@ -11,24 +11,22 @@ use crate::config::{FilterSection, ProfileFilter, RobotFile, Setting, filter_con
 use crate::console::print_line;
 use crate::flags::DataFlags;
 
-/// A descriptor with the runs that were asked for.
 pub struct DataSet {
     pub descriptor: Descriptor,
     pub runs: Vec<String>,
     root: PathBuf,
 }
 
-/// One run with the robot that made it.
 pub struct RobotRun {
     pub run: dataset::DatasetRun,
-    /// The robot, as the descriptor and the flags describe it.
+    /// Described by the descriptor and the flags.
     pub robot: RobotFile,
     pub filter: FilterSection,
     pub filter_config: FilterConfig,
 }
 
 impl DataSet {
-    /// Reads a descriptor and chooses its runs.
+    /// Reads a descriptor and selects its runs.
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;
@@ -55,7 +53,7 @@ impl DataSet {
         Ok(RobotRun { run, robot, filter, filter_config: config })
     }
 
-    /// The robot and the tunables of a run, with the flags laid over them.
+    /// Robot and tunables of a run, with the flags applied.
     fn robot_and_filter(&self, run: &str, settings: &[Setting]) -> Result<(RobotFile, FilterSection)> {
         let robot: RobotFile =
             self.descriptor.robot_for(run).try_into().with_context(|| format!("robot of run `{run}`"))?;
@@ -85,7 +83,6 @@ impl DataSet {
     }
 }
 
-/// The places that a recording contains.
 fn world_of(run: &dataset::DatasetRun) -> ArenaMap {
     ArenaMap {
         landmarks: run.landmarks.iter().copied().collect(),
@@ -94,7 +91,7 @@ fn world_of(run: &dataset::DatasetRun) -> ArenaMap {
     }
 }
 
-/// Says how many readings of a sensor were of no use.
+/// Prints the number of unusable readings of a sensor.
 pub fn report_skipped(name: &str, left_out: usize) {
     if left_out > 0 {
         print_line(&format!(
@@ -103,7 +100,7 @@ pub fn report_skipped(name: &str, left_out: usize) {
     }
 }
 
-/// Names the rows that could not be used; they are counted and do not end the run.
+/// Prints the bad rows, which do not end the run; returns their number.
 pub fn report_bad_rows(robot_run: &RobotRun) -> u64 {
     let bad = &robot_run.run.bad_rows;
     for row in &bad.listed {

@@ -1,4 +1,4 @@
-//! Where a report goes: a page, its pictures, and numbers for people or programs.
+//! Output of a report: page, figures, and numbers as text or JSON.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// Makes the folder, before minutes are spent on what could not be kept.
+    /// Creates the folder before an experiment that may take minutes.
     pub fn folder(&self) -> Result<PathBuf, Failure> {
         if self.png {
             raster::check().before_start()?;
@@ -37,9 +37,9 @@ impl OutputArgs {
         Ok(folder)
     }
 
-    /// Writes the page and its pictures into `folder`, prints the numbers, and says where the page is.
+    /// Writes the page and its figures into `folder`, prints the numbers and the path of the page.
     ///
-    /// The pictures are called `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is one; those with a name of their own
+    /// The figures are named `<name>-<n>.svg`, counted from 1, or `<name>.svg` if there is one; those with a name of their own
     /// `<name>-<their name>.svg`.
     pub fn write_outcome(&self, folder: &Path, report: &Report) -> Result<(), Failure> {
         let (name, page) = (report.name(), report.page());
@@ -69,7 +69,7 @@ impl OutputArgs {
     }
 }
 
-/// Those that are elements of the page.
+/// Figures that are elements of the page.
 fn pictures_of(part: &ReportBlock) -> &[ReportFigure] {
     let ReportBlock::FigureGrid(pictures) = part else {
         return &[];

@@ -1,6 +1,7 @@
-//! `posebridge export`: what a recording holds and what the engine makes of it, for other programs.
+//! `posebridge export`: converts a recording and its estimates to files for other programs.
 //!
-//! Reads recordings of ours, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the files.
+//! Reads posebridge recordings, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the
+//! files.
 
 use std::fs::File;
 use std::io::{BufWriter, Cursor};
@@ -104,7 +105,7 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses what cannot be; says what the file is.
+/// Rejects invalid combinations; returns the kind of the file.
 fn check(args: &ExportArgs) -> Result<InputKind> {
     let name = args.recording.display();
     let kind = InputFile::open(&args.recording)?.kind;
@@ -136,7 +137,7 @@ fn write_mcap(args: &ExportArgs) -> Result<()> {
     fresh.finish()
 }
 
-/// The whole frames of a telemetry log, with their times the right way round and never stepping back.
+/// Copies the valid frames of a telemetry log, with big-endian times that never decrease.
 fn copy_tlog(args: &ExportArgs) -> Result<()> {
     let (out, fresh) = create_new(args, "tlog")?;
     let mut writer = TlogWriter::new(BufWriter::new(out));
@@ -154,28 +155,27 @@ fn copy_tlog(args: &ExportArgs) -> Result<()> {
     fresh.finish()
 }
 
-/// A recording with everything that a run through the engine needs.
+/// A recording with the data of an engine run.
 struct ExportSession {
     name: String,
     bytes: Vec<u8>,
     config: Config,
-    /// What a descriptor's run is held against.
     scorer: Option<Scorer>,
     truth: Option<PoseTrack>,
 }
 
-/// What a run has made besides files.
+/// Results of a run besides files.
 struct ExportedRun {
-    /// The robots of a recording of ours; there is always one.
+    /// Of a posebridge recording; never empty.
     robots: Vec<RobotPoses>,
     /// A descriptor's run at the instants of its truth or withheld fixes.
     pairs: Option<Vec<PosePair>>,
 }
 
 struct RobotPoses {
-    /// What it is called, where there are several.
+    /// `None` with a single robot.
     label: Option<String>,
-    /// The estimates whose position and heading were valid, in the order in which they were made.
+    /// With valid position and heading, in the order of publication.
     estimates: Vec<TimedPose>,
     truth: Option<PoseTrack>,
 }
@@ -221,7 +221,7 @@ impl ExportSession {
         Ok(Self { name, bytes, config, scorer, truth: known.truth })
     }
 
-    /// Runs the engine and writes the files of the wanted formats but TUM, which needs the whole run.
+    /// Runs the engine and writes the files of all requested formats except TUM, which needs the whole run.
     fn run(self, args: &ExportArgs, wanted: &[Format]) -> Result<ExportedRun> {
         let mut reader = RecordingReader::open(&self.bytes)?;
         let station_config = recorded_station_config(&self.config, &args.keys)?;
@@ -279,7 +279,7 @@ fn robot_poses(
     robots.collect()
 }
 
-/// The truth or the withheld fixes of the one run that the flags choose.
+/// The reference of the one selected run: truth or withheld fixes.
 fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
     let data = DataSet::open(&args.recording, &args.data)?;
     let [run] = data.runs.as_slice() else { anyhow::bail!("choose one run with --run: {}", data.runs.join(", ")) };
@@ -292,7 +292,7 @@ fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
     Ok(Scorer::new(&robot_run.run, &robot_run.filter_config.calibration))
 }
 
-/// Opens streams in a folder; what an export before this one has left there is overwritten.
+/// Opens streams in a folder; overwrites those of an earlier export.
 fn streams(folder: &Path) -> CsvWriter<'static, File> {
     let folder = folder.to_owned();
     CsvWriter::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))))
@@ -355,10 +355,9 @@ fn valid_pose(event: &Event) -> Option<TimedPose> {
     is_valid.then_some(TimedPose { time: estimate.stamp, pose: estimate.pose })
 }
 
-/// The last digit of a stamp in such a file.
 const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
 
-/// Writes `estimate.tum`, and `truth.tum` where there is truth; of several robots `estimate-NAME.tum` and `truth-NAME.tum` each.
+/// Writes `estimate.tum`, and `truth.tum` if there is truth; with several robots `estimate-NAME.tum` and `truth-NAME.tum` each.
 fn write_trajectories(args: &ExportArgs, run: &ExportedRun) -> Result<()> {
     if let Some(pairs) = &run.pairs {
         let at = |time, pose| TimedPose { time, pose };
@@ -372,7 +371,7 @@ fn write_trajectories(args: &ExportArgs, run: &ExportedRun) -> Result<()> {
     Ok(())
 }
 
-/// `part` stands for the robot in file names, where there are several.
+/// `part` is the robot's part of the file names, used with several robots.
 fn write_robot(args: &ExportArgs, robot: &RobotPoses, part: &str) -> Result<()> {
     let suffix = robot.label.as_ref().map_or_else(String::new, |_| format!("-{part}"));
     let (estimate, truth) = trajectories(robot);
@@ -408,8 +407,8 @@ fn trajectories(robot: &RobotPoses) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) 
     (with_unique_times(estimates.into_iter()), Some(with_unique_times(truth.into_iter())))
 }
 
-/// The poses in the order of their stamps, at least a microsecond apart, because tools pair poses by their stamps. A late fix makes a
-/// second estimate for an instant; it counts for the score as it does in a replay.
+/// Sorts poses by timestamp, at least a microsecond apart, because tools pair poses by timestamp. A late fix makes a second estimate
+/// for an instant; it counts for the score as it does in a replay.
 fn with_unique_times(poses: impl Iterator<Item = TimedPose>) -> Vec<TimedPose> {
     let mut poses: Vec<TimedPose> = poses.collect();
     poses.sort_by_key(|one| one.time);
@@ -429,7 +428,7 @@ fn write_one(args: &ExportArgs, name: &str, poses: &[TimedPose]) -> Result<()> {
     Ok(())
 }
 
-/// A file that is being written beside the place where it belongs; dropped before [`AtomicFile::finish`] it leaves nothing behind.
+/// A temporary file beside its target; dropping it before [`AtomicFile::finish`] removes it.
 struct AtomicFile {
     path: PathBuf,
     temporary: PathBuf,
@@ -437,7 +436,7 @@ struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Begins one; what is at `path` already is not touched. What a killed export left beside it is written over.
+    /// Never overwrites `path`, but a temporary file that a killed export left.
     fn create(path: PathBuf) -> Result<(File, Self)> {
         ensure!(
             !path.exists(),
@@ -472,13 +471,12 @@ impl Drop for AtomicFile {
     }
 }
 
-/// Begins the file of this extension in the folder, with the recording's own name; what is there already is not touched.
+/// Creates a file named after the recording in the folder; never overwrites a file.
 fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, AtomicFile)> {
     let name = format!("{}.{extension}", stem(&args.recording));
     AtomicFile::create(args.out.join(name))
 }
 
-/// The name of a file without folder and extensions.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = name.strip_suffix(".gz").unwrap_or(&name);

@@ -1,5 +1,5 @@
-//! What is known of a robot's recorded run besides what the engine makes of it: where the robot was, and where its own odometry placed it.
-//! The simulator's truth is a CSV file, written by `posebridge sim --truth` and read by `posebridge replay --truth`, or in the recording.
+//! Reference data of a recorded robot run: ground truth and the brick's odometry. A simulation's truth is a CSV file, written by
+//! `posebridge sim --truth` and read by `posebridge replay --truth`, or in the recording.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,7 +12,7 @@ use posebridge_telemetry::{Heading, Meters, Pose, RobotId, Timestamp};
 use super::csv_table::CsvTable;
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 
-/// Where the robot was, and where its own odometry placed it, as far as the recording or a file beside it contains them.
+/// True poses and the brick's odometry, as far as the recording or a file contains them.
 #[derive(Debug, Default)]
 pub struct GroundTruth {
     pub truth: Option<PoseTrack>,
@@ -24,11 +24,11 @@ impl GroundTruth {
         Ok(Self { truth: truth.map(open_truth_file).transpose()?, odometry: None })
     }
 
-    /// The truth in a file, else that of one robot in the recording of this name and these bytes; empty if it contains none of that robot.
+    /// Loads the truth from a file, else from the recording with this name and these bytes; empty if there is none for the robot.
     ///
-    /// `None` is the robot whose samples name none; where all name one, the robot with the lowest id. `Some` is that robot, and where no
-    /// sample names a robot, the only simulated one: programs that served one robot wrote no more. Then it answers for any robot, and a
-    /// caller that asks for several has to know which of them was simulated.
+    /// `None` selects the samples without a robot id; if all samples have one, the robot with the lowest id. `Some` selects that robot;
+    /// if no sample has an id, the samples belong to the only simulated robot, as written by programs that served one robot. Then they
+    /// match any robot, and a caller with several must know which one was simulated.
     pub fn load(name: &str, recording: &[u8], truth: Option<&Path>, robot: Option<RobotId>) -> Result<Self> {
         if truth.is_some() {
             return Self::from_file(truth);

@@ -1,7 +1,7 @@
 //! `posebridge init`: writes a commented configuration for a robot.
 //!
-//! The file is `config/default.toml` with the robot's own file laid into it ([`template`]). It is loaded as any configuration is before it is
-//! written, so that what stands there runs. Nothing is opened or changed but that file.
+//! The file is `config/default.toml` merged with the robot's own file ([`template`]). It is loaded like any configuration before it is
+//! written, so that it is known to be valid. Nothing else is opened or changed.
 
 use std::fs::OpenOptions;
 use std::io::{BufRead, ErrorKind, IsTerminal, Write};
@@ -92,7 +92,7 @@ fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
     Ok(guess(usual, &SystemRoots::host()))
 }
 
-/// What is written is a configuration that can run: its own loader says so.
+/// Loads the text to make sure that it is a valid configuration.
 fn check(text: &str) -> Result<()> {
     let loaded = config::load_text("of posebridge init", text, &[])?;
     loaded.config.targets()?;
@@ -101,7 +101,7 @@ fn check(text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Writes a new file, or over one if that is asked for; what stands there is never lost by a disk that is full.
+/// Writes a new file, or overwrites one on request; a full disk never destroys an existing file.
 fn write(args: &InitArgs, text: &str) -> Result<()> {
     let path = &args.out;
     let name = path.display();
@@ -132,12 +132,11 @@ fn replace(path: &Path, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// So often a person may err.
 const TRIES: u32 = 3;
-/// No answer is longer, in bytes.
+/// Limit of an answer, in bytes.
 const LONGEST_ANSWER: u64 = 1_000;
 
-/// Shows the robots with numbers and takes a number or a name.
+/// Prints the robots with numbers and reads a number or a name.
 fn prompt(answers: &mut impl BufRead, terminal: &mut impl Write) -> Result<BundledRobot> {
     writeln!(terminal, "Which robot is it most like?")?;
     for (number, robot) in (1..).zip(ROBOTS) {
@@ -174,14 +173,13 @@ fn parse_choice(answer: &str) -> Option<BundledRobot> {
     }
 }
 
-/// How a URL of a serial port begins.
+/// Prefix of a serial port URL.
 const SERIAL: &str = "serial://";
-/// A board on a USB cable is one or the other, by its chip.
+/// A board on a USB cable has one or the other, depending on its chip.
 const USB_PREFIXES: [&str; 2] = ["ttyACM", "ttyUSB"];
-/// Most further ports that are listed.
 const MAX_LISTED: usize = 8;
 
-/// The robot's usual link, with a port that is there in the place of its own.
+/// The robot's default link, with an existing port in place of its own.
 fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
     let as_usual = |origin: &str, notes| TemplateLink {
         url: usual.url.clone(),
@@ -208,7 +206,6 @@ fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
     }
 }
 
-/// The name of the device that a serial URL opens.
 fn serial_device(url: &str) -> Option<String> {
     let path = url.strip_prefix(SERIAL)?;
     let path = path.split('?').next().unwrap_or(path);
@@ -219,7 +216,6 @@ fn options_of(url: &str) -> &str {
     url.find('?').and_then(|at| url.get(at..)).unwrap_or("")
 }
 
-/// Whether a port is of the kind that is usual.
 fn is_alike(name: &str, usual: &str) -> bool {
     let kind = |name: &str| {
         let stem = name.trim_end_matches(|character: char| character.is_ascii_digit());
@@ -234,7 +230,7 @@ fn describe_ports(ports: &[&SerialPort], what: &str) -> Vec<String> {
     lines.collect()
 }
 
-/// Its device and what is plugged in; names of foreign devices are one line.
+/// Device and connected hardware; foreign device names are reduced to one line.
 fn describe_port(port: &SerialPort) -> String {
     let device = port.device.display();
     let name = port.usb.as_ref().map(|usb| usb.name.as_str());

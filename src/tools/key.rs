@@ -26,7 +26,7 @@ pub enum KeyAction {
     },
 }
 
-/// Makes a key and prints its name.
+/// Creates a key and prints its name.
 pub fn execute(args: &KeyArgs) -> Result<(), Failure> {
     let KeyAction::New { file } = &args.action;
     let key = create_key(file).before_start()?;

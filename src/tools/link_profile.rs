@@ -1,11 +1,11 @@
-//! A link's profile by the name that a person gives: bundled, or in a file.
+//! Loads link profiles by bundled name or from a file.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use posebridge_sim::impairment::LinkProfile;
 
-/// A bundled profile by its name (`none` is the clean link), or one from a TOML file.
+/// A bundled profile by its name (`none` has no impairments), or one from a TOML file.
 pub fn load(name_or_file: &str) -> Result<LinkProfile> {
     let is_file = Path::new(name_or_file).extension().is_some_and(|extension| extension == "toml");
     if !is_file {

@@ -1,4 +1,4 @@
-//! `posebridge man`: manual pages, made from the definition of the command line.
+//! `posebridge man`: manual pages, generated from the definition of the command line.
 
 use std::path::{Path, PathBuf};
 
@@ -17,15 +17,15 @@ pub struct ManArgs {
     pub out: Option<PathBuf>,
 }
 
-/// A page: the name of its file and its text in roff.
+/// File name and roff text of a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ManPage {
-    /// `posebridge-run.1`.
+    /// Such as `posebridge-run.1`.
     pub file: String,
     pub roff: String,
 }
 
-/// Prints the page of the program of this command line, or writes all pages into a folder.
+/// Prints the page of the program, or writes all pages into a folder.
 pub fn execute(args: &ManArgs, program: Command) -> Result<(), Failure> {
     let pages = pages(program).while_running()?;
     let Some(folder) = &args.out else {
@@ -51,7 +51,7 @@ fn write(folder: &Path, pages: &[ManPage]) -> Result<()> {
     Ok(())
 }
 
-/// The page of a program, then one of each subcommand, however deep.
+/// The page of a program, then one for each subcommand, recursively.
 pub fn pages(program: Command) -> Result<Vec<ManPage>> {
     // `posebridge help` shows the same text.
     let mut program = program.disable_help_subcommand(true);

@@ -1,4 +1,4 @@
-//! The other commands, a module each: what works on files and links. Beside them stands what only they use.
+//! All other commands, one module each, for files and links, with their helper modules.
 
 pub mod completions;
 pub mod config;

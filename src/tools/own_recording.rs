@@ -1,4 +1,4 @@
-//! A recording of ours as calibrations and experiments want it: what its station made of the bytes, for one robot.
+//! A posebridge recording for calibrations and experiments: observations of one robot, decoded by its station.
 
 use std::path::Path;
 
@@ -17,23 +17,23 @@ use crate::console::print_line;
 use crate::station::recorded_session::{ClockAlignment, for_each_input, missing_start};
 use crate::station::signing::recorded_station_config;
 
-/// A thermometer's clock that falls by more than this was restarted; what is late by less was overtaken on its way. As the
-/// station checks a brick's clock (`clock::unwrap`).
+/// Decrease of a thermometer's clock that means a restart; smaller ones are overtaken messages. Equal to the station's limit for a
+/// brick's clock (`clock::unwrap`).
 const RESTART_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Everything that was observed in one session.
+/// All observations of one session.
 #[derive(Clone, Debug)]
 pub struct OwnRecordingRun {
     pub name: String,
-    /// The robot, with the geometry that its brick has described.
+    /// With the geometry that its brick described.
     pub robot: RobotFile,
-    /// What a filter of this robot is built from.
+    /// For a filter of this robot.
     pub config: FilterConfig,
-    /// What was observed, in the order of arrival, in brick time.
+    /// In the order of arrival, in brick time.
     pub observations: Vec<Observation>,
-    /// When each of them arrived, in brick time; `None` if the brick never answered a question for its time.
+    /// Arrival of each observation, in brick time; `None` if the brick never answered a time request.
     pub arrivals: Option<Vec<Timestamp<BrickClock>>>,
-    /// What each thermometer showed, in the order in which they were first heard.
+    /// In the order of their first readings.
     pub thermometers: Vec<ThermometerReadings>,
 }
 
@@ -41,7 +41,6 @@ pub struct OwnRecordingRun {
 pub struct ThermometerReadings {
     brick: RobotId,
     pub channel: ChannelName,
-    /// The latest stamp so far.
     latest: Timestamp<BrickClock>,
     /// In the order of arrival, by the clock of its brick.
     readings: Vec<Observation>,
@@ -49,8 +48,8 @@ pub struct ThermometerReadings {
 }
 
 impl ThermometerReadings {
-    /// Its readings in the order of arrival, by the clock of its brick.
-    /// Fails if the brick was restarted: its clock began anew, at an unknown time of the old one.
+    /// In the order of arrival, by the clock of its brick. Fails if the brick was restarted: its clock began again at an unknown time
+    /// of the old one.
     pub fn readings(&self) -> Result<&[Observation]> {
         ensure!(
             !self.is_restarted,
@@ -61,7 +60,7 @@ impl ThermometerReadings {
         Ok(&self.readings)
     }
 
-    /// How it is called among these: by its channel, and by its brick as well where two bricks have a channel of that name.
+    /// Unique name among `all`: the channel, with the brick if two bricks have such a channel.
     pub fn name_among(&self, all: &[Self]) -> String {
         let mut namesakes = all.iter().filter(|one| one.channel == self.channel);
         if namesakes.any(|one| one.brick != self.brick) {
@@ -71,7 +70,6 @@ impl ThermometerReadings {
     }
 }
 
-/// The content of a recording's events.
 #[derive(Debug, Default)]
 struct SessionObservations {
     observations: Vec<Observation>,
@@ -134,7 +132,7 @@ impl SessionObservations {
         }
     }
 
-    /// The arrivals by the brick's clock, each by the alignment that was in force.
+    /// Arrivals in brick time, each by the clock alignment valid then.
     fn arrivals_on_brick_clock(&self) -> Option<Vec<Timestamp<BrickClock>>> {
         let first = self.aligned.first()?;
         let converted = self.arrivals.iter().map(|arrival| {
@@ -146,12 +144,12 @@ impl SessionObservations {
     }
 }
 
-/// Whether a path names a recording of ours and not a descriptor of foreign data.
+/// Whether a path is a posebridge recording and not a descriptor of foreign data.
 pub fn is_own(path: &Path) -> bool {
     path.extension().is_none_or(|extension| extension != "toml")
 }
 
-/// Reads a recording as far as it goes; what is cut off or damaged is reported on stderr.
+/// Reads a recording as far as possible; truncation or damage is reported on stderr.
 pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     let name = path.display().to_string();
     let station = StationOptions { config: None, robot: overlay.robot, settings: overlay.settings };

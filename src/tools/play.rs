@@ -1,8 +1,7 @@
-//! `posebridge play`: a recording of a real robot out of a link, as a brick would send it.
+//! `posebridge play`: sends a recording of a real robot over a link, as a brick would.
 //!
-//! Observations leave at the instants at which they arrived, in real time or faster, stamped by the recording's own clock. The
-//! player describes the robot, answers requests for its time and sends its heartbeat once per second. Truth and withheld fixes stay
-//! here.
+//! Observations are sent at their arrival times, in real time or faster, with the recording's own timestamps. The player describes the
+//! robot, answers time requests and sends its heartbeat once per second. Truth and withheld fixes are not sent.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -38,11 +37,11 @@ pub struct PlayArgs {
     pub at_once: bool,
 }
 
-/// The player looks after its session at least this often.
+/// Maximum period of session updates.
 const SESSION_PERIOD: TimeDelta = TimeDelta::from_millis(20);
-/// While it waits, the player sends a heartbeat once per second.
+/// Heartbeat period while it waits for the station.
 const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// What was sent last must reach the station before the link closes.
+/// Time for the last bytes to reach the station before the link closes.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(300);
 
 pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
@@ -69,7 +68,7 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     })
 }
 
-/// How the recording's time runs against the host's.
+/// Maps host time to recording time.
 #[derive(Clone, Copy)]
 struct DataClock {
     start: Timestamp<HostClock>,
@@ -78,7 +77,7 @@ struct DataClock {
 }
 
 impl DataClock {
-    /// Recorded time since the first observation; it stands still after the last.
+    /// Recording time since the first observation; constant after the last.
     fn elapsed(&self, now: Timestamp<HostClock>) -> TimeDelta {
         TimeDelta::from_secs_f64((now - self.start).as_secs_f64() * self.speed).min(self.total)
     }
@@ -122,7 +121,7 @@ impl Player {
         }
     }
 
-    /// Until a byte comes. A station that was connected to must notice the peer.
+    /// Waits for the first byte. A station that listens must notice the peer, so heartbeats are sent.
     async fn wait_for_station(&mut self, brick: &mut RecordedRobot) {
         loop {
             let next = self.timer.now() + ANNOUNCE_PERIOD;
@@ -143,7 +142,7 @@ impl Player {
         }
     }
 
-    /// Lets what was sent last go out. The recording's clock stands: time requests are not answered any more.
+    /// Waits until the last bytes are sent. The recording's clock has stopped: time requests are no longer answered.
     async fn linger(&mut self) {
         let end = self.timer.now() + LINGER_AFTER_END;
         while self.timer.now() < end {

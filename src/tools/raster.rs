@@ -1,14 +1,14 @@
-//! Pictures as pixels, for programs that do not show SVG.
+//! Converts figures to pixels, for programs that do not show SVG.
 //!
-//! Only with the feature `png`, and in tests: the rasteriser takes longer to build than most of the rest. It knows one font, which is in the
-//! program, so that a picture is the same on every computer.
+//! Only with the feature `png`, and in tests: the rasteriser takes longer to build than most other crates. Its only font is embedded,
+//! so that figures are the same on every computer.
 
 use anyhow::Result;
 
-/// Pixels for each of the picture's units, so that small letters can be read on paper and on a dense screen.
+/// Pixels per unit of the figure, so that small text is legible on paper and on a dense screen.
 #[cfg(any(test, feature = "png"))]
 const SCALE: f32 = 2.0;
-/// The font of all letters, under the Ubuntu font licence.
+/// Embedded, under the Ubuntu font licence.
 #[cfg(any(test, feature = "png"))]
 const FAMILY: &str = "Ubuntu";
 
@@ -22,13 +22,13 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// The picture as PNG, on white.
+/// On a white background.
 #[cfg(not(feature = "png"))]
 pub fn png(_svg: &str) -> Result<Vec<u8>> {
     check().map(|()| Vec::new())
 }
 
-/// The picture as PNG, on white.
+/// On a white background.
 #[cfg(feature = "png")]
 pub fn png(svg: &str) -> Result<Vec<u8>> {
     render(svg)

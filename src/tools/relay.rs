@@ -1,9 +1,8 @@
-//! `posebridge relay`: two real links, and between them a link as bad as one likes.
+//! `posebridge relay`: connects two real links through an impaired one.
 //!
-//! What one end sends is offered to the model of a link ([`posebridge_sim::impairment`]) and handed to the other end when it has
-//! arrived there. A datagram is one unit, and so is whatever one read of a stream brings; frames are decoded only to report at
-//! the end how many of each sender arrived complete. An outage of the model is silence; the real links stay open. It never sends
-//! back what an end has sent, so the peers of one end do not receive each other's frames.
+//! Bytes from one end go through the link model ([`posebridge_sim::impairment`]) to the other end. A datagram is one unit, and so is
+//! one read of a stream; frames are decoded only for the final report of complete frames per sender. An outage of the model is silence;
+//! the real links stay open. An end never gets its own data back, so the peers of one end do not receive each other's frames.
 
 mod ends;
 
@@ -54,12 +53,12 @@ pub struct RelayArgs {
     pub json: bool,
 }
 
-/// How long a chunk that an end does not take waits before it is offered again: a timer's width.
+/// Retry period of a chunk that an end does not accept: the resolution of a timer.
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(2);
-/// What has arrived when the relay is stopped is still handed over, but not for longer than this.
+/// Limit of the time for delivering arrived data when the relay is stopped.
 const DRAIN_TIMEOUT: TimeDelta = TimeDelta::from_millis(1_000);
 
-/// Relays until Ctrl-C, `--duration`, or the end of a file that is played.
+/// Runs until Ctrl-C, `--duration`, or the end of a played file.
 pub fn execute(args: &RelayArgs) -> Result<(), Failure> {
     let profile = link_profile::load(&args.impair).before_start()?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
@@ -98,9 +97,9 @@ async fn relay(args: &RelayArgs, profile: &LinkProfile) -> Result<(), Failure> {
     relay.finish(args, start)
 }
 
-/// The link of the recording that holds what reached the station: a replay estimates what a station there would have.
+/// Link id of the data to the station in the recording, so that a replay estimates what a station there would.
 const TO_STATION: LinkId = LinkId(0);
-/// The link of the recording that holds what reached the brick.
+/// Link id of the data to the brick in the recording.
 const TO_BRICK: LinkId = LinkId(1);
 
 fn start_recorder(args: &RelayArgs, timer: &HostTimer) -> Result<Option<Recorder>> {
@@ -117,14 +116,11 @@ fn url_of(end: &StationLink) -> &str {
     end.listen.as_deref().or(end.link.as_deref()).unwrap_or_default()
 }
 
-/// A real link at one end.
 struct RelayEndpoint {
     name: &'static str,
     port: Link,
     outbox: RelayQueue,
-    /// Opened at least once.
     was_up: bool,
-    /// A file that was played to its end.
     is_finished: bool,
 }
 
@@ -164,7 +160,7 @@ struct Relay {
     brick: RelayEndpoint,
     station: RelayEndpoint,
     link: ImpairedLink,
-    /// What became of the frames on their way to each end.
+    /// Outcome of the frames on their way to each end.
     to_station: FrameLedger,
     to_brick: FrameLedger,
     outages: u64,
@@ -261,7 +257,7 @@ impl Relay {
         }
     }
 
-    /// The ledger of the frames that travel to an end.
+    /// Frames that travel to `end`.
     const fn ledger_mut(&mut self, end: LinkEnd) -> &mut FrameLedger {
         match end {
             LinkEnd::Brick => &mut self.to_brick,
@@ -269,12 +265,11 @@ impl Relay {
         }
     }
 
-    /// Whether an end still has to take something.
     fn has_waiting(&self) -> bool {
         !self.brick.outbox.is_empty(&self.brick.port) || !self.station.outbox.is_empty(&self.station.port)
     }
 
-    /// Whether a file has been played and nothing of it is left. A file that is appended to has no backlog.
+    /// Whether a file was played completely. False for a file that is still appended to.
     fn is_played(&self) -> bool {
         let mut is_played = false;
         for (from, to, end) in
@@ -292,7 +287,7 @@ impl Relay {
         is_played
     }
 
-    /// What has arrived goes out; what is on the way stays there, and nothing is taken in any more.
+    /// Delivers arrived data; drops data in transit and reads no more.
     async fn flush_remaining(&mut self) {
         let end = self.timer.now() + DRAIN_TIMEOUT;
         while self.has_waiting() && self.timer.now() < end {
@@ -343,20 +338,19 @@ async fn sleep_until(timer: HostTimer, wake: Option<Timestamp<HostClock>>) {
     }
 }
 
-/// Most bytes that wait; what comes beyond is dropped and counted.
+/// Bound of the queued bytes; on overflow they are dropped and counted.
 const CAPACITY_BYTES: usize = 16 * 1024 * 1024;
 
-/// What waits for one end.
 #[derive(Debug, Default)]
 struct RelayQueue {
     chunks: VecDeque<Vec<u8>>,
     bytes: usize,
-    /// Bytes that were not handed over: the end was not there, or too slow for too long.
+    /// Undelivered bytes: the end was closed, or too slow for too long.
     untaken_bytes: u64,
 }
 
 impl RelayQueue {
-    /// Takes a chunk for a port and gives the port what it can take.
+    /// Queues a chunk, then sends what the port accepts.
     fn push(&mut self, chunk: Vec<u8>, port: &mut Link) {
         if self.bytes + chunk.len() > CAPACITY_BYTES {
             self.untaken_bytes += chunk.len() as u64;
@@ -367,7 +361,7 @@ impl RelayQueue {
         self.flush(port);
     }
 
-    /// Gives the port what it can take.
+    /// Sends what the port accepts.
     fn flush(&mut self, port: &mut Link) {
         while port.port_counts().queued_frames == 0 {
             let Some(chunk) = self.chunks.pop_front() else {
@@ -382,19 +376,17 @@ impl RelayQueue {
         }
     }
 
-    /// Whether nothing waits, neither here nor in the port.
+    /// Whether neither this queue nor the port's holds data.
     fn is_empty(&self, port: &Link) -> bool {
         self.chunks.is_empty() && port.port_counts().queued_frames == 0
     }
 }
 
-/// The end of a relay.
 #[derive(Clone, Debug, Serialize)]
 struct RelayReport {
     profile: String,
     seed: u64,
     duration_s: f64,
-    /// How often the model of the link went down.
     outages: u64,
     to_station: DirectionReport,
     to_brick: DirectionReport,
@@ -402,14 +394,13 @@ struct RelayReport {
 
 #[derive(Clone, Debug, Serialize)]
 struct DirectionReport {
-    /// What the model of the link did.
     #[serde(flatten)]
     link: Counters,
-    /// Bytes that were delivered and that the real end did not take: it was not there, or too slow.
+    /// Delivered bytes that the real end did not accept: it was closed, or too slow.
     bytes_untaken: u64,
     /// Chunks that the real end's port dropped.
     chunks_dropped: u64,
-    /// What became of the frames of each sender, `system/component`.
+    /// By sender, `system/component`.
     frames: BTreeMap<String, FrameCounts>,
 }
 

@@ -1,12 +1,13 @@
-//! `posebridge replay`: the estimators over a recording, offline, with the same engine as live.
+//! `posebridge replay`: runs estimators over a recording, offline, with the same engine as live.
 //!
-//! A recording of ours (`*.mcap`) is given to the station exactly as it was given live, so its events are those of the live run,
-//! bit for bit. A descriptor of a foreign recording (`*.toml`) is read into observations; each estimator is then scored against the
-//! truth or against the fixes that were withheld.
+//! The station gets the inputs of a posebridge recording (`*.mcap`) exactly as live, so its events are those of the live run, bit for
+//! bit. A descriptor of a foreign recording (`*.toml`) is converted to observations; each estimator is then scored against the truth or
+//! against the withheld fixes.
 //!
-//! Several estimators of one recording of ours run side by side, input by input; those of a descriptor one after the other. `--from`
-//! and `--to` choose what counts: the filter is given all that came before, so that it is the filter that ran, but its events, tallies
-//! and errors begin there. Flags that change the configuration make it another run than the one that was recorded, and a note says so.
+//! Several estimators of one posebridge recording run in parallel, input by input; those of a descriptor one after the other. `--from`
+//! and `--to` select the evaluated part: the filter also gets the inputs before it, so that its state is that of the live run, but
+//! events, tallies and errors begin there. Flags that change the configuration make it another run than the recorded one, and a note
+//! says so.
 
 pub mod foreign;
 pub mod own;
@@ -38,7 +39,7 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     save_calibration(args, &replayed, timer.utc_start()).while_running()
 }
 
-/// Writes the robot that the last estimator which learns at all has learned.
+/// Writes the robot as calibrated by the last adaptive estimator.
 fn save_calibration(args: &ReplayArgs, replayed: &ReplayResult, utc_micros: u64) -> Result<()> {
     let Some(path) = &args.save_calibration else {
         return Ok(());
@@ -104,7 +105,7 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
     Ok(())
 }
 
-/// User and system time of this process.
+/// User plus system time of this process.
 fn cpu_time() -> Result<TimeDelta> {
     use nix::sys::resource::{UsageWho, getrusage};
     let usage = getrusage(UsageWho::RUSAGE_SELF)?;
@@ -144,7 +145,7 @@ struct SmootherEntry<'a> {
 #[derive(Serialize)]
 struct Estimator<'a> {
     name: &'a str,
-    /// Only where the recording has several robots.
+    /// `None` for a single robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     robot: Option<&'a str>,
     position_rms_m: Option<f64>,
@@ -175,7 +176,7 @@ pub(super) struct SourceEntry {
     consistency: &'static str,
 }
 
-/// The object as one line of text.
+/// The JSON object as one line of text.
 fn json_text(replayed: &ReplayResult, wall: TimeDelta, cpu: TimeDelta) -> Result<String> {
     let report = Report {
         recording: &replayed.recording,
@@ -209,7 +210,7 @@ fn estimator(outcome: &FilterResult) -> Estimator<'_> {
     }
 }
 
-/// What was found of each run; `None` if it was not asked for.
+/// Smoother results of each run; `None` if not requested.
 fn smooth(runs: &[SmoothedRun]) -> Option<BTreeMap<&str, SmootherEntry<'_>>> {
     let by_run = runs.iter().map(|run| (run.run.as_str(), smooth_of(run)));
     (!runs.is_empty()).then(|| by_run.collect())
@@ -232,7 +233,7 @@ fn smooth_of(run: &SmoothedRun) -> SmootherEntry<'_> {
     }
 }
 
-/// What was learned in each run; `None` for an estimator that learns nothing.
+/// Calibration of each run; `None` for an estimator that is not adaptive.
 fn calibration(runs: &[LearnedCalibration]) -> Option<BTreeMap<&str, CalibrationEntries>> {
     let entries = |learned: &LearnedCalibration| {
         let entry = |key: &CalibrationKey| (key.key, (key.read)(&learned.calibration).into());

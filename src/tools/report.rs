@@ -1,7 +1,7 @@
-//! `posebridge report`: a recording as a page that needs nothing else, with every picture as a file of its own.
+//! `posebridge report`: a recording as a self-contained page, with every figure also as a file.
 //!
-//! All that it says comes from the recorded inputs, given to the engine that runs live, by the code of `replay`; nothing is read that
-//! the live run has computed but the truth of a simulated one. Docs: docs/reports.md.
+//! All results come from replaying the recorded inputs through the engine, by the code of `replay`; no output of the live run is used,
+//! except the ground truth of a simulated one. Docs: docs/reports.md.
 
 use std::path::PathBuf;
 
@@ -26,9 +26,8 @@ use crate::station::event_collector::EventCollector;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::per_robot::{PerRobot, RobotEntry};
 
-/// The filter of a foreign recording unless another is asked for.
 const DEFAULT_FILTER: &str = "pose";
-/// The filter that shows what the wheels alone give, where the brick has sent no odometry of its own.
+/// Filter for the odometry if the brick sent none.
 const DEAD_RECKONING: &str = "odometry";
 /// A page of more runs would be too long to read.
 const MOST_RUNS: usize = 12;
@@ -50,7 +49,6 @@ pub struct ReportArgs {
     pub output: OutputArgs,
 }
 
-/// Makes the page.
 pub fn execute(args: &ReportArgs) -> Result<(), Failure> {
     let window = Window::from_flags(&args.session).before_start()?;
     let session = if is_own(&args.session.recording) {
@@ -112,13 +110,12 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     Ok(SessionSummary { facts, recording: recording.name, filter: config.filter.name, changed, notes, runs })
 }
 
-/// The robots of a recording that the page is about.
 struct ChosenRobots {
     chosen: Vec<RobotEntry<SessionHistory>>,
     are_several: bool,
 }
 
-/// The robots that the flags name, else the first; a note says what is left out.
+/// The robots named by the flags, else the first; adds a note about omitted ones.
 fn chosen_robots(
     args: &ReportArgs,
     robots: Vec<RobotEntry<SessionHistory>>,
@@ -144,13 +141,12 @@ fn chosen_robots(
     Ok(ChosenRobots { chosen, are_several })
 }
 
-/// A filter's estimates of the robot; `None` if it never knew.
+/// A filter's estimates of the robot; `None` without any.
 fn track_of(collector: &EventCollector) -> Option<PoseTrack> {
     let track = collector.track();
     (!track.samples().is_empty()).then_some(track)
 }
 
-/// A robot without a name has a path all the same.
 fn title_of(robot: &RobotFile) -> String {
     if robot.name.is_empty() { "Path".to_owned() } else { robot.name.clone() }
 }

@@ -1,10 +1,10 @@
-//! An estimator against data that it did not get: truth, or fixes that were withheld.
+//! Scores an estimator against data that it did not get: ground truth, or withheld fixes.
 //!
-//! The estimate for an instant is taken as soon as the motion up to that instant has been observed, with the fixes that had come
-//! by then: the filter's own history interpolates the motion inside an encoder interval.
+//! The estimate for an instant is taken as soon as the motion until that instant has been observed, with the fixes that had arrived by
+//! then: the filter's history interpolates the motion within an encoder interval.
 //!
-//! A camera that stamps its fixes late stamps the withheld ones late, too. An estimator that learns the delay is scored at the
-//! stamp less the delay that it estimates at that moment; what it would have got at the stamp itself is kept beside it.
+//! A camera with a timestamp delay also delays the withheld fixes. An estimator of the delay is scored at the timestamp minus its
+//! present estimate of the delay; the score at the timestamp itself is kept as well.
 
 use posebridge_recording::dataset::{DatasetRun, TruthPose, WithheldFix};
 use posebridge_report::PoseError;
@@ -14,7 +14,6 @@ use posebridge_telemetry::{
     Timestamp, Transform2,
 };
 
-/// What an estimator is held against at one instant.
 #[derive(Clone, Copy, Debug)]
 struct ErrorReference {
     time: Timestamp<BrickClock>,
@@ -26,9 +25,9 @@ struct ErrorReference {
 
 pub trait EstimateSource {
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
-    /// What it has learned so far.
+    /// The present calibration; `None` if it is not adaptive.
     fn calibration(&self) -> Option<Calibration>;
-    /// The latest instant that was observed.
+    /// The latest observed instant.
     fn latest(&self) -> Option<Timestamp<BrickClock>>;
 }
 
@@ -44,31 +43,29 @@ impl EstimateSource for Station {
     }
 }
 
-/// Scores one estimator over one run.
 pub struct Scorer {
     references: std::vec::IntoIter<ErrorReference>,
     next: Option<ErrorReference>,
-    /// Withheld fixes come late by what the estimator learns.
+    /// Whether the timestamps of withheld fixes are corrected by the estimated delay.
     is_delay_learned: bool,
     pub errors: Vec<PoseError>,
-    /// Errors at the fixes' own stamps; empty unless the others are corrected for a delay.
+    /// Errors at the fixes' own timestamps; empty unless the others are corrected for a delay.
     pub uncorrected: Vec<PoseError>,
-    /// What the errors are between, in their order.
+    /// The compared poses, in the order of the errors.
     pub pairs: Vec<PosePair>,
 }
 
-/// The estimate for one instant, and the reference that it is compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PosePair {
     pub time: Timestamp<BrickClock>,
-    /// The truth, or the withheld fix; heading 0 where it has none.
+    /// Truth or withheld fix; heading 0 if it has none.
     pub expected: Pose<Arena>,
     /// The same point of the robot by the estimate.
     pub estimated: Pose<Arena>,
 }
 
 impl Scorer {
-    /// Truth where there is some, else the withheld fixes; `prior` is what the estimator knew of systematic errors before the run.
+    /// Uses truth if available, else the withheld fixes; `prior` is the estimator's calibration before the run.
     pub fn new(run: &DatasetRun, prior: &Calibration) -> Self {
         let has_truth = !run.truth.is_empty();
         let mut all_references: Vec<ErrorReference> = if has_truth {
@@ -106,21 +103,20 @@ impl Scorer {
         }
     }
 
-    /// Leaves out what was scored so far.
     pub fn reset(&mut self) {
         self.errors.clear();
         self.uncorrected.clear();
         self.pairs.clear();
     }
 
-    /// At the end: what lies behind the last motion, as far as anything was observed.
+    /// At the end: scores references after the last motion, up to the last observation.
     pub fn finish(&mut self, belief: &impl EstimateSource) {
         if let Some(latest) = belief.latest() {
             self.score_until(latest, belief);
         }
     }
 
-    /// Scores what has been observed: a delay that is estimated as negative must not ask for the future.
+    /// Scores observed references: a negative estimate of the delay must not require future data.
     fn score_until(&mut self, until: Timestamp<BrickClock>, belief: &impl EstimateSource) {
         let delay = self.learned_delay(belief);
         let true_at = |reference: &ErrorReference| reference.time - delay.unwrap_or(TimeDelta::ZERO);
@@ -168,7 +164,7 @@ fn reference_from_withheld(withheld: &WithheldFix) -> ErrorReference {
     }
 }
 
-/// The error of the observed point, and of the heading where the reference has one. A covariance can only be tested against real truth: a
+/// The error of the observed point, and of the heading if the reference has one. A covariance can only be tested against truth: a
 /// withheld fix has an error of its own.
 fn error(estimate: &Estimate, reference: &ErrorReference) -> Option<(PoseError, PosePair)> {
     if !estimate.validity.position {
@@ -189,7 +185,7 @@ fn error(estimate: &Estimate, reference: &ErrorReference) -> Option<(PoseError, 
     Some((error, pair))
 }
 
-/// A point of the arena as the figures want it.
+/// A position as a pose; heading 0 if there is none.
 pub fn pose_at(position: Point2<Arena>, heading: Option<Heading>) -> Pose<Arena> {
     Pose::new(Meters(position.x.0), Meters(position.y.0), heading.unwrap_or_default())
 }

@@ -1,8 +1,8 @@
-//! What happened in a session, over its time: gathered from the engine's events, in bounded memory.
+//! Time series of a session, collected from the engine's events in bounded memory.
 //!
-//! Times are seconds since the first input, by the host's clock. Tests and tallies see everything; what is only drawn is thinned in
-//! sessions of hours ([`ThinnedSeries`]). [`EventTimeline`] has in words and in order what a person would have noted down: what comes many
-//! times a second is not in it, damage is named once for each link and kind, and the tables of the links count it.
+//! Times are seconds since the first input, by the host's clock. Tests and tallies use all data; plotted series are thinned in sessions
+//! of hours ([`ThinnedSeries`]). [`EventTimeline`] lists noteworthy events as text: frequent ones are excluded, damage is listed once
+//! for each link and kind, and the tables of the links count it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,12 +20,10 @@ use crate::config::CALIBRATION_KEYS;
 use crate::station::event_collector::{EventCollector, ThinnedSeries};
 use crate::station::per_robot::PerRobot;
 
-/// Most samples of a curve that are kept; an hour at 50 Hz has fewer.
+/// Samples per curve; an hour at 50 Hz has fewer.
 const MAX_SAMPLES: usize = 200_000;
-/// What was learned is asked for this often.
 const LEARNED_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 
-/// The history of one sensor.
 #[derive(Debug)]
 pub struct SourceHistory {
     pub sensor: SensorId,
@@ -34,7 +32,6 @@ pub struct SourceHistory {
     pub samples: ThinnedSeries<InnovationSample>,
 }
 
-/// The estimates of one systematic error.
 #[derive(Debug)]
 pub struct CalibrationHistory {
     pub key: &'static str,
@@ -43,14 +40,12 @@ pub struct CalibrationHistory {
 
 #[derive(Debug)]
 pub struct SessionHistory {
-    /// What the tables of a replay need, by the same code.
+    /// Data for the tables of a replay, by the same code.
     pub collector: EventCollector,
-    /// By sensor, in the order in which they were first heard.
+    /// In the order of their first observations.
     pub sources: Vec<SourceHistory>,
     pub links: BTreeMap<LinkId, ThinnedSeries<LinkSample>>,
-    /// Alignments of the brick's clock.
     pub clock: ThinnedSeries<ClockSample>,
-    /// What happened, in words.
     pub timeline: EventTimeline,
     origin: Timestamp<HostClock>,
     last: Timestamp<HostClock>,
@@ -60,7 +55,7 @@ pub struct SessionHistory {
 }
 
 impl SessionHistory {
-    /// One that counts time from the first input.
+    /// Times count from `origin`, the first input.
     pub fn new(origin: Timestamp<HostClock>) -> Self {
         let learned = CALIBRATION_KEYS
             .iter()
@@ -79,19 +74,18 @@ impl SessionHistory {
         }
     }
 
-    /// The estimates whose position was valid.
+    /// With a valid position.
     pub fn estimates(&self) -> Vec<Estimate> {
         let estimates = self.estimates.items().iter();
         estimates.map(|(_, estimate)| *estimate).collect()
     }
 
-    /// How far each estimate was from the truth.
     pub fn errors(&self, truth: &PoseTrack) -> Vec<ErrorSample> {
         let estimates = self.estimates.items().iter();
         estimates.filter_map(|(t_s, estimate)| ErrorSample::from_estimate(*t_s, estimate, truth)).collect()
     }
 
-    /// What was not known from the beginning, and was learned: its sigma has fallen.
+    /// Constants whose sigma has decreased.
     pub fn learned(&self) -> impl Iterator<Item = &CalibrationHistory> {
         self.learned.iter().filter(|series| {
             let samples = series.samples.items();
@@ -107,7 +101,6 @@ impl SessionHistory {
         tallies.find(|tally| tally.sensor == sensor)
     }
 
-    /// From the first input to the last.
     pub fn length(&self) -> TimeDelta {
         self.last - self.origin
     }
@@ -181,7 +174,6 @@ impl EventWatcher for SessionHistory {
     }
 }
 
-/// One history for each robot.
 impl EventWatcher for PerRobot<SessionHistory> {
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()> {
         self.try_push(event, |history, event| history.observe(now, event))
@@ -198,7 +190,6 @@ impl EventWatcher for PerRobot<SessionHistory> {
 }
 
 impl SessionHistory {
-    /// Keeps now and then what a robot's filter has learned.
     fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: Option<&Robot>) {
         self.last = self.last.max(now);
         let is_due = self.last_calibration_poll.is_none_or(|asked| now - asked >= LEARNED_PERIOD);
@@ -217,22 +208,22 @@ impl SessionHistory {
     }
 }
 
-/// Most events that are kept; the rest is counted.
+/// Bound of the listed events; the rest is counted.
 const MAX_ENTRIES: usize = 400;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimelineEntry {
-    /// When, in seconds since the first input.
+    /// Since the first input.
     pub t_s: f64,
     pub text: String,
 }
 
 #[derive(Debug, Default)]
 pub struct EventTimeline {
-    /// In their order.
+    /// In order.
     pub entries: Vec<TimelineEntry>,
     pub omitted: u64,
-    /// Events that are listed once.
+    /// Events that are listed only once.
     pushed_once: BTreeSet<String>,
     resets: Option<u8>,
     is_dead_reckoning: Option<bool>,

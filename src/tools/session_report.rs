@@ -1,5 +1,5 @@
-//! The report of a session, or of the runs of a foreign recording: verdict first, then path, errors, sensors, what was learned, links, clock,
-//! and what happened. `report --json` prints the same as one object, documented in docs/reports.md.
+//! The report of a session, or of the runs of a foreign recording: verdict, path, errors, sensors, calibration, links, clock, and
+//! events. `report --json` prints the same as one object, documented in docs/reports.md.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -20,7 +20,6 @@ use super::session_history::SessionHistory;
 use crate::config::CALIBRATION_KEYS;
 use crate::station::learned_calibration::LearnedCalibration;
 
-/// What is reported of each link.
 pub const LINK_COUNTERS: [LinkCounter; 8] = [
     LinkCounter::FRAMES_IN,
     LinkCounter::FRAMES_OUT,
@@ -34,10 +33,9 @@ pub const LINK_COUNTERS: [LinkCounter; 8] = [
 
 pub struct SessionSummary {
     pub recording: String,
-    /// Its own description: name and value.
     pub facts: Vec<(String, String)>,
     pub filter: String,
-    /// What was laid over the recording's own configuration.
+    /// Changes of the recorded configuration.
     pub changed: Vec<String>,
     pub notes: Vec<String>,
     /// The whole session, or the runs of a descriptor.
@@ -47,35 +45,31 @@ pub struct SessionSummary {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScoreReference {
     Truth,
-    /// Fixes that the filter was not given.
     WithheldFixes,
-    /// Nothing.
     None,
 }
 
 pub struct RunSummary {
     pub name: String,
     pub history: SessionHistory,
-    /// How far off the estimate was, as `replay` has it.
+    /// As in `replay`.
     pub errors: ErrorSummary,
     pub reference: ScoreReference,
     pub truth: Option<PoseTrack>,
-    /// The path by the brick's own odometry, or by the wheels alone.
+    /// By the brick's own odometry, or by the wheels alone.
     pub odometry: Option<PoseTrack>,
     pub learned: Option<LearnedCalibration>,
 }
 
-/// What is to be thought of one sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct SourceSummary {
     pub sensor: SensorId,
-    /// What became of its observations, as `replay` has it.
+    /// As in `replay`.
     pub tally: SourceTally,
     pub assessment: InnovationVerdict,
 }
 
 impl RunSummary {
-    /// A verdict for every sensor that was heard.
     pub fn source_summaries(&self) -> Vec<SourceSummary> {
         let sources = self.history.sources.iter();
         sources
@@ -110,7 +104,6 @@ impl RunSummary {
     }
 }
 
-/// The name of the reference, for people.
 impl ScoreReference {
     pub const fn description(self) -> &'static str {
         match self {
@@ -121,7 +114,7 @@ impl ScoreReference {
     }
 }
 
-/// The report, without data for programs: in a terminal errors and verdicts, on the page all of it.
+/// The report without the data for programs: in a terminal errors and verdicts, on the page everything.
 pub fn report(session: &SessionSummary) -> Report {
     let mut report = Report::new("report", format!("Report of {}, filter {}", session.recording, session.filter));
     add_summary(&mut report, session);
@@ -169,7 +162,7 @@ fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
     }
 }
 
-/// How long, how many, how far off: in one sentence each.
+/// Duration, counts and errors in one sentence each.
 fn in_figures(run: &RunSummary) -> String {
     let history = &run.history;
     let mut text = format!("{:.1} s, {} observations.", history.length().as_secs_f64(), history.collector.observations);

@@ -1,7 +1,7 @@
-//! `posebridge sim`: simulated bricks as a process of their own.
+//! `posebridge sim`: simulated bricks in a separate process.
 //!
-//! It waits on a link for a station, or calls one, drives its path and writes the truth to a file if asked. The truth never
-//! goes over the link. The camera of a brick that speaks no MAVLink has a link of its own.
+//! It listens for a station, or connects to one, drives its path and writes the truth to a file on request. The truth is never sent
+//! over the link. The camera of a brick without MAVLink has a separate link.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::StationLink;
 use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
 
-/// Stands for a robot's system in a URL or a file's name.
+/// Placeholder for a robot's system in a URL or file name.
 const SYSTEM_PLACEHOLDER: &str = "{}";
 
 /// How the simulated brick steers.
@@ -141,7 +141,7 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
     Ok(scenario)
 }
 
-/// What several robots would share and cannot is refused.
+/// Rejects settings that several robots cannot share.
 fn check_robots(args: &SimArgs, personality: Personality) -> Result<()> {
     if args.robots.is_none_or(|count| count == 1) {
         return Ok(());
@@ -166,12 +166,12 @@ fn check_robots(args: &SimArgs, personality: Personality) -> Result<()> {
     Ok(())
 }
 
-/// A text with the robot's system in the place of the placeholder.
+/// Replaces the placeholder by the robot's system.
 fn for_system(text: &str, system: u8) -> String {
     text.replace(SYSTEM_PLACEHOLDER, &system.to_string())
 }
 
-/// A link that would stay silent is refused.
+/// Rejects a link that would stay silent.
 fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
     let has_camera_link = args.camera.camera_listen.is_some() || args.camera.camera_link.is_some();
     if has_camera_link && personality.shares_link_with_camera() {
@@ -183,7 +183,7 @@ fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
     Ok(())
 }
 
-/// The world; without a file for its truth it keeps none, so that it may run for days.
+/// Without a truth file the simulation keeps no history, so that it may run for days.
 fn simulation(scenario: Scenario, args: &SimArgs) -> Simulation {
     let mut simulation = Simulation::new(scenario);
     if args.images_listen.is_some() {
@@ -221,7 +221,7 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
     .while_running()
 }
 
-/// All ports of a brick, open, and where they are, for people.
+/// All open ports of a brick, and a description of them.
 async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(BrickPorts, String)> {
     let (brick, mut place) = open(link, timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
@@ -255,7 +255,7 @@ async fn open(link: &StationLink, timer: HostTimer) -> Result<(Link, String)> {
     Ok((port, place))
 }
 
-/// What an EV3 that listens there says of itself.
+/// The UDP beacon of an EV3 that listens on this port.
 fn beacon_of(tcp_port: Option<u16>) -> Result<Vec<u8>> {
     match tcp_port {
         // Four digits is what the clients of the real brick look for.

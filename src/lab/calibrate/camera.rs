@@ -1,4 +1,4 @@
-//! `posebridge calibrate camera`: from what the overhead camera sees to the floor.
+//! `posebridge calibrate camera`: calibrates an overhead camera to the floor.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::exit::{ExitStage, Failure};
 use crate::tools::csv_table::CsvTable;
 use crate::tools::experiment_output::OutputArgs;
 
-/// Leaving out one point improves the fit of the others by this factor: the point is probably mistyped.
+/// Improvement of the fit without one point that makes the point suspect.
 const SUSPECT: f64 = 3.0;
 
 const RESIDUAL: Format = Format::new(Unit::Millimetres, 2);

@@ -1,7 +1,7 @@
-//! `posebridge calibrate`: what a robot's own numbers are, from squares, from any watched drive, at rest, and of the camera above.
+//! `posebridge calibrate`: calibrates a robot from squares, from any drive with external positions, or at rest, and an overhead camera.
 //!
-//! docs/lab/calibration.md says what to drive and what the figures mean. The estimates are `posebridge_lab::calibration`'s; here
-//! files are read, and profiles, tables and pages written.
+//! docs/lab/calibration.md explains the drives and the results. The estimation is in `posebridge_lab::calibration`; this module reads
+//! files, and writes profiles, tables and pages.
 
 mod camera;
 mod path;

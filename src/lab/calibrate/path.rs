@@ -1,4 +1,4 @@
-//! `posebridge calibrate path`: a robot from any recorded drive that was watched.
+//! `posebridge calibrate path`: calibrates a robot from any recorded drive with external positions.
 
 use std::path::{Path, PathBuf};
 
@@ -27,9 +27,8 @@ use crate::tools::csv_table::{CsvRow, CsvTable};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
-/// The default error of an instrument's truth: its own millimetre, and a body that sways.
+/// Default sigma of ground truth: the instrument's millimetre, and a body that sways.
 const TRUTH_SIGMA_M: f64 = 0.005;
-/// The same for a person with a tape.
 const TAPE_SIGMA_M: f64 = 0.01;
 
 const TASK: &str = "drive about in the camera's sight, for a minute or two, with turns in both directions";
@@ -69,7 +68,7 @@ pub(super) struct PathDataset {
     robot: RobotFile,
     config: FilterConfig,
     paths: Vec<FreePath>,
-    /// What the result is tried on; none of it is among the `paths`.
+    /// Drives for validation, not among `paths`.
     validation_paths: Vec<FreePath>,
 }
 
@@ -135,7 +134,7 @@ fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<CalibrationDrives, F
     source::load(recording, data, reference_settings(args).before_start()?)
 }
 
-/// The runs that `--try-on` names, each once.
+/// The runs of `--try-on`, without duplicates.
 fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Failure> {
     let mut others: Vec<CalibrationDrive> = Vec::new();
     if let (Some(path), false) = (&args.recording, args.try_on.is_empty())
@@ -206,7 +205,7 @@ fn load_segments(args: &PathArgs, file: &Path) -> Result<PathDataset> {
     })
 }
 
-/// The robot with what `--hold` and `--free` say of its priors.
+/// Applies `--hold` and `--free` to the robot's priors.
 fn with_flags(args: &PathArgs, robot: &RobotFile) -> Result<RobotFile> {
     let mut robot = robot.clone();
     let held = args.held.iter().map(|number| (*number, 0.0));
@@ -437,15 +436,15 @@ fn report(recording: &str, learned: &LearnedCalibration) -> Report {
     report
 }
 
-/// How well a person puts a robot onto its start line, in radians.
+/// Accuracy with which a person aligns a robot with its start line.
 const START_HEADING_SIGMA_RAD: f64 = 0.03;
-/// And onto its start point, in metres.
+/// Accuracy with which a person places a robot on its start point.
 const START_POSITION_SIGMA_M: f64 = 0.01;
 
 /// Reads a table of the columns `run`, `left_before_mm`, `left_after_mm`, `right_before_mm`, `right_after_mm`, `measured_x_mm` and
-/// `measured_y_mm`: one row per part of a drive, in order. Every run begins at the origin and looks along x.
+/// `measured_y_mm`: one row per part of a drive, in order. Every run begins at the origin with heading 0.
 ///
-/// The parts take a second each, as good as any other time: only their order counts.
+/// Each part gets a duration of one second: only the order matters.
 fn read_segments(path: &Path, sigma_m: f64) -> Result<Vec<FreePath>> {
     let listing = CsvTable::read(path)?;
     let mut paths: Vec<FreePath> = Vec::new();

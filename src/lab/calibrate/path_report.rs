@@ -1,4 +1,4 @@
-//! What `calibrate path` reports and draws.
+//! Report and figures of `calibrate path`.
 
 use posebridge_lab::calibration::free_path::{
     DeadReckonedPath, DeadReckoningError, FreePath, PathCalibration, UnknownStatus, Wiring, mean_error,
@@ -11,9 +11,9 @@ use serde_json::{Map, Value, json};
 use crate::config::RobotFile;
 
 const MAX_PLOTTED_RUNS: usize = 3;
-/// From here on the numbers do not explain the drive.
+/// Consistency from which the parameters do not explain the drive.
 const UNEXPLAINED: f64 = 100.0;
-/// Sigmas are about so rough: a description whose noise is this many times off deserves a word.
+/// Ratio by which a described noise must be wrong to be reported; sigmas are about as uncertain.
 const ROUGH: f64 = 4.0;
 
 pub(super) struct PathCalibrationResult {
@@ -27,7 +27,6 @@ pub(super) struct PathCalibrationResult {
     pub(super) validation_runs: Vec<RunComparison>,
 }
 
-/// A run by dead reckoning, before and after.
 pub(super) struct RunComparison {
     pub(super) path: FreePath,
     pub(super) before: DeadReckonedPath,
@@ -153,7 +152,7 @@ impl PathCalibrationResult {
         json!(sanity)
     }
 
-    /// What is wrong with the description, and what to change in which file.
+    /// Errors of the description, and what to change in which file.
     fn findings(&self) -> Vec<String> {
         let mut findings = Vec::new();
         if self.fit.consistency > UNEXPLAINED {
@@ -251,7 +250,7 @@ const fn standing_key(standing: UnknownStatus) -> &'static str {
     }
 }
 
-/// A table of the errors of runs; their mean comes first.
+/// A table of the errors of runs, with their mean first.
 fn add_errors(report: &mut Report, what: &str, runs: &[RunComparison]) {
     if runs.is_empty() {
         return;

@@ -1,4 +1,4 @@
-//! The robot profile that a calibration leaves: `run --robot FILE` and `replay --robot FILE` take it.
+//! The robot profile of a calibration, for `run --robot FILE` and `replay --robot FILE`.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -9,12 +9,12 @@ use posebridge_telemetry::{Calibration, UncertainValue};
 use crate::config::{CalibratedRobot, Provenance, RobotFile};
 
 pub(super) struct CalibratedProfile {
-    /// Its geometry is the calibrated one.
+    /// With the calibrated geometry.
     pub(super) robot: RobotFile,
-    /// What is left to be known, relative to that geometry.
+    /// Remaining calibration, relative to that geometry.
     pub(super) calibration: Calibration,
     pub(super) source: String,
-    /// `calibrate path` and so on.
+    /// The command, such as `calibrate path`.
     pub(super) method: &'static str,
     /// Residuals and findings; each becomes a comment.
     pub(super) remarks: Vec<String>,
@@ -44,7 +44,7 @@ impl CalibratedProfile {
     }
 }
 
-/// The robot with what was found in its geometry, and what is left: the same sigmas about zero.
+/// Moves the calibration into the robot's geometry; the remaining calibration has the same sigmas about zero.
 pub(super) fn fold_into_geometry(robot: &RobotFile, found: Calibration) -> Result<(RobotFile, Calibration)> {
     let (scale, difference) = (found.radius_scale, found.radius_difference);
     let robot = RobotFile {

@@ -1,4 +1,4 @@
-//! `posebridge calibrate rest`: gyro and accelerometers from the times at which a robot stood.
+//! `posebridge calibrate rest`: gyro and accelerometers from the intervals at rest.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! Drives for a calibration: the runs of a descriptor, or a recording of ours.
+//! Drives for a calibration: runs of a descriptor, or a posebridge recording.
 
 use std::path::Path;
 
@@ -23,15 +23,13 @@ pub enum CalibrationReference {
     Truth,
 }
 
-/// One run with everything that was known of its robot.
 pub(crate) struct CalibrationDrive {
     pub(crate) name: String,
     pub(crate) robot: RobotFile,
     pub(crate) config: FilterConfig,
     pub(crate) observations: Vec<Observation>,
-    /// The thermometers of a recording of ours; those of a descriptor are among the observations.
+    /// Thermometers of a posebridge recording; those of a descriptor are among the observations.
     pub(crate) thermometers: Vec<ThermometerReadings>,
-    /// Where the robot was observed, and by what.
     pub(crate) references: Vec<PositionFix>,
     pub(crate) reference: CalibrationReference,
 }
@@ -41,7 +39,7 @@ pub(crate) struct CalibrationDrives {
     pub(crate) drives: Vec<CalibrationDrive>,
 }
 
-/// Which sights are taken, and how good a truth is.
+/// Source of the external positions, and their accuracy.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReferenceSettings {
     /// `None`: fixes if there are any.
@@ -49,10 +47,10 @@ pub(crate) struct ReferenceSettings {
     pub(crate) truth_sigma_m: f64,
 }
 
-/// Two descriptions of one robot differ by no more than this share: a brick describes itself in single precision.
+/// Relative tolerance of equal geometries: a brick describes itself in single precision.
 const SAME_GEOMETRY_TOLERANCE: f64 = 1e-6;
 
-/// Whether all these drives, by name, are of one robot: nobody can fit one to several.
+/// Fails unless all drives, by name, have the same robot geometry.
 pub(crate) fn check_same_robot<'a>(drives: impl IntoIterator<Item = (&'a str, &'a DriveGeometry)>) -> Result<()> {
     let mut drives = drives.into_iter();
     let Some((first, geometry)) = drives.next() else {
@@ -73,7 +71,6 @@ fn is_same_geometry(one: &DriveGeometry, other: &DriveGeometry) -> bool {
     pairs.all(|(one, other)| (one - other).abs() <= SAME_GEOMETRY_TOLERANCE * one.abs())
 }
 
-/// Loads the runs that the flags choose.
 pub(crate) fn load(
     recording: &Path,
     flags: &DataFlags,
@@ -129,7 +126,6 @@ fn load_descriptor(path: &Path, flags: &DataFlags, watch: ReferenceSettings) -> 
     Ok(CalibrationDrives { recording: data.descriptor.name, drives })
 }
 
-/// A recording of ours: one drive.
 fn load_recording(path: &Path, flags: &DataFlags, watch: ReferenceSettings) -> Result<CalibrationDrives> {
     ensure!(
         watch.reference != Some(CalibrationReference::Truth),

@@ -27,9 +27,9 @@ use crate::lab::experiments::live::{LiveArgs, LiveRobot};
 use crate::tools::csv_table::CsvTable;
 use crate::tools::experiment_output::OutputArgs;
 
-/// A tape's or a tracker's sigma: only its being finite matters here.
+/// Nominal sigma of a tape or tracker; the result does not depend on its value.
 const OBSERVED_SIGMA_M: f64 = 0.005;
-/// Largest difference between the results from x and y, relative to them, before the drives are suspect.
+/// Ratio of the difference between the results from x and y to the results, above which the drives are suspect.
 const SUSPECT_RATIO: f64 = 0.5;
 
 const TASK: &str = "drive one square before the camera, back to where it began, in one direction, and stop there";
@@ -81,9 +81,9 @@ struct UmbmarkResult {
     side_m: f64,
     result: Umbmark,
     runs_before: Vec<SquareRun>,
-    /// Recorded wheels can be reckoned anew.
+    /// Only for recorded wheels, which can be evaluated again.
     runs_after: Vec<SquareRun>,
-    /// Squares that took no part, before and after.
+    /// Validation squares, before and after.
     validation_errors: Option<[SquareError; 2]>,
     /// Of a simulated robot: its true track scale and wheel difference.
     truth: Option<[f64; 2]>,
@@ -141,7 +141,7 @@ fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
     Ok(UmbmarkResult::new(names(&drives), first.robot.clone(), squares))
 }
 
-/// The squares of all recordings, that of the live robot last.
+/// The squares of all recordings; that of the live robot is last.
 fn drives(args: &UmbmarkArgs) -> Result<Vec<CalibrationDrive>, Failure> {
     let watch = ReferenceSettings { reference: None, truth_sigma_m: OBSERVED_SIGMA_M };
     let robot = LiveRobot { file: None, settings: &args.data.settings };
@@ -154,7 +154,7 @@ fn drives(args: &UmbmarkArgs) -> Result<Vec<CalibrationDrive>, Failure> {
     Ok(drives)
 }
 
-/// With what to do when a direction is missing: one recording is one square, unless a descriptor chooses several.
+/// Adds advice to an error about a missing direction: one recording is one square, unless a descriptor selects several.
 fn with_advice(error: anyhow::Error, drives: &[CalibrationDrive]) -> anyhow::Error {
     let is_too_little = matches!(error.downcast_ref(), Some(CalibrationError::TooFewData { .. }));
     let are_seen = drives.iter().all(|drive| !drive.references.is_empty());
@@ -339,13 +339,13 @@ const fn direction_name(direction: SquareDirection) -> &'static str {
     }
 }
 
-/// The simulated squares; every number stands there with its meaning.
+/// The simulated squares; the file documents every number.
 const SCENARIO: &str = include_str!("../../../config/calibrate/umbmark.toml");
-/// Truth of the simulation, in metres: exact, but no sight may be.
+/// Sigma of the simulation's ground truth: exact, but a sigma must be positive.
 const EXACT_M: f64 = 1e-4;
 
-/// Ends of squares, measured minus odometry, from the columns `direction` (cw or ccw), `x_mm`, `y_mm` and, if the brick showed
-/// something else than home, `odometry_x_mm`, `odometry_y_mm`.
+/// Reads ends of squares, measured minus odometry, from the columns `direction` (cw or ccw), `x_mm`, `y_mm` and, if the odometry did
+/// not end at the start, `odometry_x_mm`, `odometry_y_mm`.
 pub(super) fn read_squares(path: &Path) -> Result<Vec<SquareRun>> {
     let listing = CsvTable::read(path)?;
     let has_odometry = listing.has("odometry_x_mm") || listing.has("odometry_y_mm");
@@ -373,7 +373,7 @@ pub(super) struct SimulatedSquares {
     pub(super) side_m: f64,
 }
 
-/// Drives `runs` squares in each direction, and four times as many for trying.
+/// Drives `runs` squares in each direction, and four times as many for validation.
 pub(super) fn simulate(runs: u32, seed: Option<u64>) -> Result<SimulatedSquares> {
     let mut scenario = Scenario::from_toml(SCENARIO).context("the bundled squares")?;
     let Course::Laps(laps) = &mut scenario.path else { bail!("the bundled squares are no laps") };

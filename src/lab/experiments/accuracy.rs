@@ -1,6 +1,6 @@
-//! `posebridge lab accuracy`: every estimator over the Monte-Carlo scenarios, as a table and a picture.
+//! `posebridge lab accuracy`: every estimator over the Monte-Carlo scenarios, as a table and a figure.
 //!
-//! Scenarios and their numbers are files (`config/scenarios/accuracy/`); docs/lab/accuracy.md says what they are for.
+//! Scenarios are files (`config/scenarios/accuracy/`); docs/lab/accuracy.md explains them.
 
 use anyhow::Result;
 use clap::Args;
@@ -42,7 +42,7 @@ pub struct LabAccuracyArgs {
     pub output: OutputArgs,
 }
 
-/// What `lab accuracy` can run, from the tables.
+/// Help text with all scenarios and estimators, from their tables.
 pub(super) fn accuracy_help() -> String {
     let scenarios = SCENARIOS.iter().map(|(name, _)| format!("  {name}\n"));
     let estimators =
@@ -120,7 +120,7 @@ struct EstimatorRow<'a> {
     scores: &'a EstimatorScores,
 }
 
-/// Adds what people read of a scenario; the object is for programs.
+/// Adds the text of a scenario to the report and returns its JSON object.
 fn add_scenario(report: &mut Report, scored: &ScenarioScores, names: &[String]) -> Value {
     let (bound_m, bound_note) = (scored.bound_rms_m(), scored.bound_kind.note());
     let rows: Vec<EstimatorRow<'_>> = names
@@ -183,7 +183,7 @@ fn source_json(tally: &SourceTally) -> Value {
     })
 }
 
-/// The runs for which an estimator gives no result; the first reason stands for all.
+/// The runs without a result; only the first reason is named.
 fn refusal_summary(row: &EstimatorRow<'_>) -> Option<String> {
     let (run, reason) = row.scores.refusals.first()?;
     let count = row.scores.refusals.len();
@@ -232,17 +232,16 @@ struct PlannedScenario {
 struct ScenarioScores {
     planned: PlannedScenario,
     results: Vec<EstimatorScores>,
-    /// What no filter can be better than, where there is such a bound.
+    /// Lower bound of any filter's error, where it applies.
     bound: Option<BoundSum>,
     bound_kind: BoundKind,
-    /// What the bound has cost, on one core.
     bound_duration: TimeDelta,
 }
 
 #[derive(Clone, Default)]
 struct EstimatorScores {
     score: FilterScore,
-    /// The runs for which it gives no result, and why.
+    /// The runs without a result, and why.
     refusals: Vec<(u32, OfflineError)>,
 }
 
@@ -300,7 +299,7 @@ impl ScenarioScores {
         self.bound_duration += driven.bound_duration;
     }
 
-    /// Root mean square of the bound over steps and runs, in metres.
+    /// Root mean square of the bound over steps and runs.
     fn bound_rms_m(&self) -> Option<f64> {
         self.bound.as_ref().and_then(BoundSum::rms_m)
     }

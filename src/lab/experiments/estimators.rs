@@ -1,4 +1,4 @@
-//! What the experiments can run over a drive: every filter that estimates a pose, and references that no robot can have.
+//! Estimators of the experiments: every filter that estimates a pose, and idealised references.
 
 use posebridge_estimator::smoother::{OfflineError, batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
@@ -12,31 +12,30 @@ use crate::lab::drives::filter_config;
 
 /// The filter that also runs with the true geometry, as a reference.
 const MAIN_FILTER: &str = "pose";
-/// What a clairvoyant filter's name ends in.
+/// Name suffix of a filter with the true geometry.
 const CLAIRVOYANT: &str = "-true-geometry";
 const SMOOTH: &str = "smooth";
 const RTS: &str = "rts";
 
-/// An estimator that can be run over a drive.
+/// An estimator for a drive.
 ///
-/// One that is no row of the table of filters (the offline smoother, a foreign program) is a variant here, a line in
-/// [`Estimator::all`] and an arm in [`Estimator::score`].
+/// An estimator outside the table of filters (the offline smoother, a foreign program) is a variant here, a line in [`Estimator::all`]
+/// and an arm in [`Estimator::score`].
 #[derive(Clone, Copy)]
 pub enum Estimator {
-    /// A row of the table of filters, with the prior of the scenario.
+    /// With the prior of the scenario.
     Filter(&'static FilterEntry),
-    /// A row of the table, with the true geometry of the run: the bound for every filter that has to learn it.
+    /// With the true geometry of the run: the bound for every filter that estimates the geometry.
     TrueGeometry(&'static FilterEntry),
-    /// The flagship run forwards and back.
+    /// The main filter run forwards and backwards.
     Rts,
     Smooth,
 }
 
-/// What an estimator made of a drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EstimatorResult {
     pub score: FilterScore,
-    /// Why it says nothing at all; only a smoother can refuse a whole drive.
+    /// Why there is no result; only a smoother can reject a whole drive.
     pub refusal: Option<OfflineError>,
 }
 
@@ -53,7 +52,7 @@ impl From<SmootherScore> for EstimatorResult {
 }
 
 impl Estimator {
-    /// Every estimator of a pose, in the order of tables and pictures.
+    /// In the order of tables and figures.
     pub fn all() -> Vec<Self> {
         let filters = FILTERS.iter().filter(|entry| entry.quantity == EstimatedQuantity::Pose).map(Self::Filter);
         let clairvoyant = find_filter(MAIN_FILTER).map(Self::TrueGeometry);
@@ -96,7 +95,7 @@ impl Estimator {
         }
     }
 
-    /// Runs it over a drive. `known` is the same drive as the scoring wants it.
+    /// `known` is the same drive in the form of the score.
     pub fn score(&self, drive: &Drive, known: &ReferenceDrive) -> EstimatorResult {
         match self {
             Self::Filter(entry) => {
@@ -129,7 +128,6 @@ pub struct UnknownEstimator {
 // The bound takes the robot that the filters are configured with. Where the true one is drawn otherwise there is no bound; where
 // something is added that no filter knows, the bound is that of the drive without it, and says so.
 
-/// What the bound of a scenario is worth.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum BoundKind {
     Excluding(Vec<&'static str>),
@@ -179,7 +177,7 @@ impl BoundKind {
         }
     }
 
-    /// What it leaves out, or why there is none; `None` where nothing is to be said.
+    /// What the bound omits, or why there is none; `None` without a restriction.
     pub(super) fn note(&self) -> Option<String> {
         match self {
             Self::Unavailable(reason) => Some((*reason).to_owned()),

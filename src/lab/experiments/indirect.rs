@@ -1,7 +1,7 @@
-//! `posebridge lab indirect`: paper 4's square, by wheels alone and with the indirect filter.
+//! `posebridge lab indirect`: the square of paper 4, by wheels alone and with the indirect filter.
 //!
-//! Every run is one round of the square, simulated or driven by a real robot; what differs between the rows is who looks at which
-//! sensors. docs/lab/indirect.md is the lesson.
+//! Every run is one round of the square, simulated or by a real robot; the rows differ in the sensors that the filter uses.
+//! docs/lab/indirect.md is the lesson.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,6 @@ use crate::lab::drives::{self, filter_config};
 use crate::lab::parallel::run_with_bar;
 use crate::tools::experiment_output::OutputArgs;
 
-/// The square as it comes with the program.
 const SQUARE: &str = include_str!("../../../config/scenarios/lab/indirect.toml");
 
 /// Flags of `lab indirect`.
@@ -72,7 +71,7 @@ fn scenario(args: &LabIndirectArgs) -> Result<Scenario> {
 
 const TASK: &str = "leave the robot standing for two seconds, then drive the closed square, and let it stand again";
 
-/// Every row over every drive, on all cores. Rows for sensors that a recording does not hold are left out.
+/// Runs every row over every drive on all cores. Rows with sensors that a recording lacks are omitted.
 fn rounds_of(drives: &RobotDrives) -> Result<RoundsResult> {
     for one in &drives.drives {
         ensure!(
@@ -98,7 +97,7 @@ fn is_acceleration(observed: &ObservationKind) -> bool {
     matches!(observed, ObservationKind::WheelAccelerations { .. })
 }
 
-/// One drive by every row; the fixes are for its end alone.
+/// Runs every row over one drive; fixes are used only for its end.
 fn recorded_round(one: &RobotDrive, rows: &[FilterRow]) -> Vec<FilteredDrive> {
     let courses = rows.iter().filter_map(|row| {
         let mut filter = (find_filter(row.filter)?.build)(&one.config);
@@ -108,9 +107,9 @@ fn recorded_round(one: &RobotDrive, rows: &[FilterRow]) -> Vec<FilteredDrive> {
     courses.collect()
 }
 
-/// The end of the paper's own run, in x and y, m: what the fused ends are held against.
+/// End error of the paper's own run, in x and y: the reference for the fused ends.
 const PAPER_END_M: (f64, f64) = (0.235, 0.32);
-/// What is left of an accelerometer's bias after it was zeroed by eye, m/s²: 5 mg; docs/lab/indirect.md section M4.
+/// Residual accelerometer bias after zeroing by eye: 5 mg; docs/lab/indirect.md section M4.
 const BIAS_SIGMA_M_PER_S2: f64 = 0.05;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,7 +118,7 @@ struct FilterRow {
     sensors: SensorSet,
 }
 
-/// Which sensors are looked at, beside the wheels.
+/// Sensors used besides the wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SensorSet {
     Wheels,
@@ -136,7 +135,7 @@ impl SensorSet {
         }
     }
 
-    /// Whether an observation of this kind is looked at; whatever else a robot says, such as fixes, is not.
+    /// Whether an observation of this kind is used; all others, such as fixes, are not.
     const fn accepts(self, observed: &ObservationKind) -> bool {
         match observed {
             ObservationKind::WheelAngles { .. } => true,
@@ -154,7 +153,7 @@ impl SensorSet {
     }
 }
 
-/// The rows, in the order of the table; the first is what the others are held against.
+/// In the order of the table; the first is the reference.
 const ROWS: [FilterRow; 5] = [
     row("odometry", SensorSet::Wheels),
     row("indirect", SensorSet::Accelerometers),
@@ -171,19 +170,18 @@ struct RowResult {
     row: FilterRow,
     ends: Vec<Option<PoseError>>,
     summary: EndErrorSummary,
-    /// Rounds in which it ends nearer than the wheels alone.
+    /// Rounds that end nearer than with the wheels alone.
     nearer_than_wheels: usize,
-    /// Rounds in which it ends nearer than the other way to feed back, from the same sensors.
+    /// Rounds that end nearer than with the other feedback method on the same sensors.
     nearer_than_twin: Option<usize>,
-    /// By how much its squared errors are smaller than those of the other way.
+    /// Reduction of the squared errors against the other method.
     gain_on_twin: Option<PairedDifference>,
-    /// The way of the first round.
     path_m: Vec<(f64, f64)>,
 }
 
 struct RoundsResult {
     rows: Vec<RowResult>,
-    /// The true way of the first round; of a recording, where the camera saw it.
+    /// True path of the first round; for a recording, the camera's positions.
     truth_m: Vec<(f64, f64)>,
 }
 
@@ -194,7 +192,7 @@ fn drive_all(scenario: &Scenario, runs: u32) -> Result<RoundsResult> {
     Ok(evaluate(&ROWS, &rounds, truth_m))
 }
 
-/// What the courses of all rounds say of each row; `truth_m` is the path of the first round by an independent instrument.
+/// Summarises the rounds for each row; `truth_m` is the path of the first round by an independent instrument.
 fn evaluate(wanted: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f64, f64)>) -> RoundsResult {
     let mut rows: Vec<RowResult> = Vec::new();
     for (index, row) in wanted.iter().copied().enumerate() {
@@ -221,7 +219,7 @@ fn evaluate(wanted: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f
     RoundsResult { rows, truth_m }
 }
 
-/// Whether another row sees the same sensors by the other filter.
+/// Whether another row uses the same sensors in the other filter.
 fn is_twin(other: &FilterRow, row: FilterRow) -> bool {
     other.sensors == row.sensors && other.filter != row.filter
 }
@@ -276,7 +274,7 @@ fn recordings_report(drives: &RobotDrives, found: &RoundsResult) -> Report {
     report
 }
 
-/// `truth` is what is called true in the pictures.
+/// `truth` is the label of the reference in the figures.
 fn report(headline: String, command: String, truth: &str, found: &RoundsResult) -> Report {
     let mut report = Report::new("lab-indirect", "The indirect Kalman filter on a square");
     report.background(

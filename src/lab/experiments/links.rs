@@ -1,7 +1,7 @@
-//! `posebridge lab links`: what a link does to clocks and poses, in virtual time.
+//! `posebridge lab links`: the effect of a link on clocks and poses, in virtual time.
 //!
-//! One part holds every way to align two clocks over links of known delays, the other drives the same lap over link profiles with
-//! more loss, delay and clock skew. docs/impairment.md says what is measured.
+//! One part compares all clock alignment methods over links of known delays, the other drives the same lap over link profiles with
+//! additional loss, delay and clock skew. docs/impairment.md explains the measurements.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ use crate::tools::experiment_output::OutputArgs;
 use crate::tools::link_profile;
 use crate::virtual_station::{self, VirtualLink};
 
-/// Seeds of the table of clocks: as many as docs/maths/clock.md shows.
+/// The seeds of docs/maths/clock.md.
 const CLOCK_SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
 
 /// Flags of `lab links`.
@@ -60,7 +60,7 @@ fn a_delay_ms(text: &str) -> Result<f64, String> {
     number_within(text, 0.0..=10_000.0)
 }
 
-/// As far off as the alignment allows.
+/// Limited by the range of the alignment.
 fn a_skew_ppm(text: &str) -> Result<f64, String> {
     let most_ppm = posebridge_station::clock::MAX_SKEW * 1e6;
     number_within(text, -most_ppm..=most_ppm)
@@ -108,7 +108,7 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<LinkCase>> {
     Ok(cases)
 }
 
-/// A bundled profile by its name, else one from a file, which is called like it.
+/// A bundled profile by its name, else one from a file, named after the file.
 fn load_profile(asked: &str) -> Result<(String, LinkProfile)> {
     let profile = link_profile::load(asked)?;
     let file_name = asked.strip_suffix(".toml").and_then(|path| Path::new(path).file_name());
@@ -126,18 +126,18 @@ fn pose_rows(cases: &[LinkCase], runs: u32) -> Result<Vec<PoseRow>> {
 }
 
 const SCENARIO: &str = "square";
-/// The share of delays and ages that a figure named p99 leaves out.
+/// Tail of delays and ages beyond p99.
 const TAIL_SHARE: f64 = 0.01;
-/// Delays of each way that are combined with each of the other's.
+/// Delays of each direction that are combined with each of the other's.
 const QUANTILE_SAMPLES: usize = 1_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct LinkConditions {
-    /// Probability that what is sent at once is lost, each way.
+    /// Probability of loss per send, each way.
     loss: f64,
-    /// Delay of each way, ms.
+    /// Of each direction.
     delay_ms: f64,
-    /// Rate error of the brick's clock, ppm.
+    /// Rate error of the brick's clock.
     skew_ppm: f64,
 }
 
@@ -161,21 +161,21 @@ struct LapResult {
 struct PoseRow {
     profile: String,
     conditions: LinkConditions,
-    /// Root of the mean over the laps of the squared error, m; `None` when some lap had no estimate.
+    /// Root mean squared error over the laps; `None` if a lap had no estimate.
     position_rms_m: Option<f64>,
-    /// The same of the brick's own odometry, m.
+    /// Of the brick's own odometry.
     odometry_rms_m: Option<f64>,
-    /// Age of the estimates when the brick had them, ms.
+    /// Age of the estimates on arrival at the brick.
     age_p50_ms: Option<f64>,
-    /// The same, exceeded by one in a hundred.
+    /// 99 % quantile.
     age_p99_ms: Option<f64>,
-    /// The delay there and back, exceeded by one pair of pieces in a hundred, ms.
+    /// 99 % quantile of the round trip.
     link_delay_p99_ms: Option<f64>,
-    /// Times the link went down, in all laps.
+    /// In all laps.
     outages: u64,
 }
 
-/// Drives one lap; world and link differ from run to run, and are the same for every case.
+/// Drives one lap; the seeds of world and link depend on the run and not on the case.
 fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
     let seed = case.seed.wrapping_add(u64::from(run));
     let scenario = Scenario::bundled(SCENARIO)?.with_seed(seed).with_steering(Steering::Estimate);
@@ -200,8 +200,8 @@ fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
     })
 }
 
-/// How old each instant's first estimate was when the brick had it. A fix that comes late corrects an instant for which the brick
-/// already has an estimate: that is no new instant, and its age says nothing about the link.
+/// Age of the first estimate of each instant on arrival at the brick. A late fix corrects an instant for which the brick already has an
+/// estimate: it is not counted, because its age does not depend on the link.
 fn ages(received: &[ReceivedEstimate]) -> Vec<TimeDelta> {
     let mut latest = None;
     let mut ages = Vec::with_capacity(received.len());
@@ -241,8 +241,8 @@ fn quantile_ms(sorted: &[TimeDelta], share: f64) -> Option<f64> {
     sorted.get(index).map(|span| span.as_millis_f64())
 }
 
-/// The quantile of the delay there and back, if each way had its delays independently of the other. A sum of both ways' quantiles would not
-/// do: where one piece in a hundred stalls, one in fifty does there or back.
+/// Quantile of the round trip, assuming independent delays of both directions. The sum of both quantiles would be wrong: where one
+/// piece in a hundred stalls, one in fifty does there or back.
 fn round_trip_ms(ways: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
     let [there, back] = ways.each_ref().map(|way| even_sample(way));
     let mut sums: Vec<TimeDelta> = there.iter().flat_map(|there| back.iter().map(move |back| *there + *back)).collect();
@@ -250,7 +250,7 @@ fn round_trip_ms(ways: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
     quantile_ms(&sums, share)
 }
 
-/// Values at even steps through a sorted sample, enough that ten of them lie beyond the 99 % quantile.
+/// Evenly spaced order statistics, enough that ten of them lie beyond the 99 % quantile.
 fn even_sample(sorted: &[TimeDelta]) -> Vec<TimeDelta> {
     let step = |index: usize| sorted.get((2 * index + 1) * sorted.len() / (2 * QUANTILE_SAMPLES));
     (0..QUANTILE_SAMPLES).filter_map(step).copied().collect()
@@ -321,7 +321,7 @@ fn chart(rows: &[PoseRow]) -> AccuracyChart {
     AccuracyChart { title: "Position error of a lap over links".to_owned(), panels }
 }
 
-/// What comes on top of a profile, in words.
+/// The additional impairments in words.
 fn conditions_text(of: &LinkConditions) -> String {
     format!("{} % more loss, {} ms more delay, clock {} ppm off", 100.0 * of.loss, of.delay_ms, of.skew_ppm)
 }

@@ -1,6 +1,6 @@
 //! A live robot for an experiment: recorded by the engine of `posebridge run`, then evaluated like any other recording.
 //!
-//! The recording stays: an experiment can be repeated, with other flags, without the robot.
+//! The recording is kept, so that an experiment can be repeated with other flags and without the robot.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ use crate::station::link_flags::{LinkFlag, LinkFlags};
 use crate::station::run;
 use crate::tools::experiment_output::OutputArgs;
 
-/// The recording's name in the folder of the results.
+/// File name in the output folder.
 const RECORDING: &str = "live.mcap";
 
 /// Flags that let an experiment listen to a live robot. One of the group `real_robot`: recorded data and live ones exclude each
@@ -48,8 +48,8 @@ impl LiveArgs {
         self.link.is_some() || self.listen.is_some()
     }
 
-    /// Records the robot into the folder of the results, after it has printed the instructions; gives the recording. `None` if no live
-    /// robot was asked for.
+    /// Prints the instructions and records the robot into the output folder; returns the recording. `None` if no live robot was
+    /// requested.
     pub fn record(&self, output: &OutputArgs, robot: LiveRobot<'_>, task: &str) -> Result<Option<PathBuf>, Failure> {
         if !self.is_requested() {
             return Ok(None);
@@ -73,8 +73,8 @@ impl LiveArgs {
         Ok(Some(recording))
     }
 
-    /// The recording to look at: that of the live robot, which is made first, or the one that was named. `data` has the keys that are
-    /// set; runs and fixes are chosen in a descriptor's data alone.
+    /// The recording of the live robot, which is made first, or the one that was named. `data` contains the keys that are set; runs and
+    /// fixes can only be selected in a descriptor.
     pub fn or_named(
         &self,
         named: Option<&Path>,
@@ -90,7 +90,7 @@ impl LiveArgs {
             .before_start()
     }
 
-    /// A live robot has one run, and all of it is used.
+    /// Rejects selections: a live robot has one run, and all of it is used.
     pub fn reject_data_flags(&self, data: &DataFlags) -> Result<(), Failure> {
         if self.is_requested() && (data.run.is_some() || data.use_every.is_some()) {
             let why = "--run and --use-every choose from a descriptor's data, not from a live robot's";

@@ -1,4 +1,4 @@
-//! Drives of a real robot for the experiments on a square: recordings of ours, or a live robot that is recorded first.
+//! Drives of a real robot for the experiments on a square: posebridge recordings, or a live robot that is recorded first.
 
 use std::path::PathBuf;
 
@@ -54,7 +54,7 @@ impl EndReference {
 pub(super) struct RobotDrive {
     pub(super) name: String,
     pub(super) drive: RecordedDrive,
-    /// The configuration of the filters, the start included.
+    /// The filter's configuration with the start.
     pub(super) config: FilterConfig,
 }
 
@@ -64,7 +64,7 @@ pub(super) struct RobotDrives {
 }
 
 impl RecordedArgs {
-    /// Records the live robot, telling it the `task`, or reads the recordings; `None` if neither was asked for.
+    /// Records the live robot after printing `task`, or reads the recordings; `None` if neither was requested.
     pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
         let robot = LiveRobot { file: self.robot.as_deref(), settings: &self.settings };
         if let Some(recording) = self.live.record(output, robot, task)? {
@@ -93,7 +93,7 @@ impl RecordedArgs {
 }
 
 impl RobotDrives {
-    /// Says at which stage something failed: a live robot has driven already.
+    /// Assigns the exit stage of an error: a live robot has already driven.
     pub(super) fn with_exit_stage<T>(&self, result: Result<T>) -> Result<T, Failure> {
         if self.is_live { result.while_running() } else { result.before_start() }
     }
@@ -102,13 +102,12 @@ impl RobotDrives {
         self.drives.iter().map(|drive| drive.name.as_str()).collect()
     }
 
-    /// The command that gives the same again.
+    /// The command line that reproduces the result.
     pub(super) fn command(&self) -> String {
         let live = self.names().first().copied();
         rerun_command(live.filter(|_| self.is_live))
     }
 
-    /// The reference, in words for people.
     pub(super) fn reference_name(&self) -> &'static str {
         let is_closed = |drive: &RobotDrive| drive.drive.end_reference == DriveEndReference::Start;
         let closed = self.drives.iter().filter(|drive| is_closed(drive)).count();
@@ -120,15 +119,15 @@ impl RobotDrives {
     }
 }
 
-/// How a live robot is recorded. Its recording holds the robot and the keys that were set.
+/// Flags of the live recording. The recording contains their effect.
 const LIVE_ROBOT_FLAGS: [&str; 6] = ["--link", "--listen", "--duration", "--config", "--robot", "--set"];
 
-/// Where results go, which is nothing that a page shows.
+/// The output folder, which does not affect a page.
 const OUTPUT_FLAG: &str = "--out";
-/// How they are printed; without a value.
+/// The output format; takes no value.
 const JSON_FLAG: &str = "--json";
 
-/// The arguments of this process that a page depends on; with what a live robot left in the robot's place.
+/// The arguments of this process that affect a page, with a live robot replaced by its recording.
 pub(super) fn rerun_command(live_recording: Option<&str>) -> String {
     let args = std::env::args_os().skip(1);
     let args: Vec<String> = args.map(|arg| arg.to_string_lossy().into_owned()).collect();

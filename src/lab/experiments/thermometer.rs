@@ -1,6 +1,6 @@
-//! `posebridge lab thermometer`: what a slow sensor will show in the end, told while it is on its way (paper 2).
+//! `posebridge lab thermometer`: predicts the final value of a slow sensor during its transient (paper 2).
 //!
-//! Without `--recording` on a simulated sensor, section by section; with it on recorded steps. docs/lab/thermometer.md is its page.
+//! Without `--recording` on a simulated sensor, section by section; with it on recorded steps. docs/lab/thermometer.md is the lesson.
 
 use std::path::{Path, PathBuf};
 
@@ -104,7 +104,7 @@ fn add_section(report: &mut Report, section: &LessonSection) {
     }
 }
 
-/// `{name: {number: value}}` of the sections that have numbers; a figure that cannot be had is null.
+/// `{name: {number: value}}` of the sections with numbers; an unavailable number is null.
 fn sections_json(sections: &[LessonSection]) -> Value {
     let of = |section: &LessonSection| {
         let numbers = section.values.iter();
@@ -159,7 +159,7 @@ impl LabThermometerArgs {
     }
 }
 
-/// Half a last digit of a thermometer with sixteen steps per kelvin, where the descriptor gives no noise; as the filter takes it.
+/// Default noise: half the resolution of a thermometer with sixteen steps per kelvin, as the filter uses it.
 const DEFAULT_SIGMA_K: f64 = 0.03;
 
 const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
@@ -197,7 +197,7 @@ struct ThermometerRun {
 }
 
 impl ThermometerRun {
-    /// The readings of the first thermometer: a descriptor may hold further ones, and the experiment is about the first.
+    /// Uses only the first thermometer.
     fn from_readings(run: &str, readings: &[Observation], config: &FilterConfig) -> Self {
         report_skipped(run, SensorChannel::Temperature.excluded_count(readings));
         let noise = config.noise.temperature_k;
@@ -209,7 +209,7 @@ impl ThermometerRun {
     }
 }
 
-/// The runs of a descriptor that were asked for, each loaded once.
+/// The selected runs of a descriptor, each loaded once.
 fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(RunRoles, Vec<ThermometerRun>)> {
     let flags = DataFlags {
         data: args.data.clone(),
@@ -238,7 +238,7 @@ fn of_descriptor(args: &LabThermometerArgs, descriptor: &Path) -> Result<(RunRol
     Ok((chosen, shown))
 }
 
-/// Each thermometer of each recording is a run; without other flags the earlier recordings foretell a live one.
+/// Each thermometer of each recording is a run; by default earlier recordings predict a live one.
 fn of_recordings(
     args: &LabThermometerArgs,
     recordings: &[PathBuf],
@@ -292,7 +292,7 @@ struct RunRoles {
 }
 
 impl RunRoles {
-    /// From `all` runs. The `usual` ones are identified and predicted unless others are named.
+    /// Selects roles from `all` runs; `usual` are the default runs to identify and to predict.
     fn resolve(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
         let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
             for name in asked {
@@ -323,7 +323,7 @@ impl RunRoles {
         self.identify.contains(run) || self.predict.contains(run)
     }
 
-    /// Each run that shall be predicted, with those by which: the identified ones without itself.
+    /// Each run to predict, with the identified runs other than itself.
     fn jobs<'a>(&self, runs: &'a [RecordedRun]) -> Vec<(&'a RecordedRun, Vec<&'a RecordedRun>)> {
         let by_name = |name: &String| runs.iter().find(|run| run.name == *name);
         let predicted = self.predict.iter().filter_map(by_name);

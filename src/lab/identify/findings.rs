@@ -1,11 +1,11 @@
-//! What an experiment of `identify` has found: quantities, notes and plots, and the report that they make.
+//! The results of `identify`: quantities, notes and plots, and their report.
 
 use posebridge_report::chart::Plot;
 use posebridge_report::report::{Format, Report, Table, Unit};
 use serde_json::{Map, Value, json};
 
 pub(super) struct Quantity {
-    /// The run, where there are several.
+    /// The run, if there are several.
     pub(super) of: Option<String>,
     pub(super) name: String,
     pub(super) unit: &'static str,
@@ -19,7 +19,7 @@ impl Quantity {
         Self { of: None, name: name.into(), unit, value: Some(value), sigma, truth: None }
     }
 
-    /// One that is not significantly different from zero.
+    /// `None` is not significantly different from zero.
     pub(super) fn optional(name: &str, unit: &'static str, found: Option<(f64, Option<f64>)>) -> Self {
         Self {
             of: None,
@@ -31,13 +31,11 @@ impl Quantity {
         }
     }
 
-    /// The same of one of several runs.
     pub(super) fn for_run(mut self, run: &str) -> Self {
         self.of = Some(run.to_owned());
         self
     }
 
-    /// The same with what is true.
     pub(super) fn with_truth(mut self, truth: Option<f64>) -> Self {
         self.truth = truth;
         self

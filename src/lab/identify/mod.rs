@@ -1,8 +1,8 @@
-//! `posebridge identify`: a sensor's noise, a camera's delay, the step response of a sensor or a motor, and the drive of a car
-//! before a wall.
+//! `posebridge identify`: a sensor's noise, a camera's delay, the step response of a sensor or a motor, and the drive of a car before a
+//! wall.
 //!
-//! Without a recording each experiment looks at something simulated whose numbers are known, and says how far it was off.
-//! docs/lab/calibration.md, section 7, has the equations.
+//! Without a recording each experiment uses a simulation with known parameters and reports its error. docs/lab/calibration.md, section
+//! 7, has the equations.
 
 mod findings;
 mod noise;

@@ -1,4 +1,4 @@
-//! The three experiments: what is taken out of a run, given to the analysis, and reported.
+//! The three noise experiments: data selection, analysis and report.
 
 use std::path::{Path, PathBuf};
 
@@ -45,7 +45,7 @@ pub(super) fn rest(data: &ExperimentData) -> Result<Findings> {
     Ok(Findings { quantities, notes, plots, ..Findings::new("identify-rest", "A gyro at rest") })
 }
 
-/// The gyro while the robot stood; remarks about it go to the notes.
+/// Gyro readings at rest; remarks go to `notes`.
 fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestChannel> {
     let mut observations: Vec<Observation> = data.observations.iter().map(|one| one.observation).collect();
     observations.sort_by_key(|observation| observation.stamp);
@@ -82,7 +82,7 @@ fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
     Ok(resting)
 }
 
-/// The Allan deviation of the longest stretch, and remarks about it.
+/// The Allan deviation of the longest stretch; remarks go to `notes`.
 fn longest_allan(record: &RestRecord, notes: &mut Vec<String>) -> Vec<AllanPoint> {
     if record.stretches().len() > 1 {
         notes.push(format!(
@@ -170,7 +170,7 @@ pub(super) fn straight(data: &ExperimentData) -> Result<Findings> {
     Ok(Findings { quantities, notes, plots, ..Findings::new("identify-straight", "Encoder speed of a straight run") })
 }
 
-/// Each instant, s, with how far both wheels have rolled by then, m: by rising time, whatever the order of arrival, each instant once.
+/// Time, s, and cumulative travel of both wheels, m; sorted by time, without repeated instants.
 fn travels(data: &ExperimentData) -> Vec<[f64; 3]> {
     let mut counts: Vec<[f64; 3]> = Vec::new();
     for one in &data.observations {
@@ -298,7 +298,7 @@ pub struct SourceArgs {
 }
 
 pub(super) struct ArrivedObservation {
-    /// By the clock of the stamps; `None` where it is unknown.
+    /// By the clock of the timestamps; `None` where it is unknown.
     pub(super) arrival_s: Option<f64>,
     pub(super) observation: Observation,
 }
@@ -307,7 +307,7 @@ pub(super) struct ExperimentData {
     pub(super) name: String,
     pub(super) observations: Vec<ArrivedObservation>,
     pub(super) geometry: DriveGeometry,
-    /// What is true, of a simulated drive.
+    /// The truth of a simulated drive.
     pub(super) scenario: Option<Scenario>,
 }
 

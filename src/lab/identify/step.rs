@@ -1,6 +1,6 @@
 //! `posebridge identify step`: gain, dead time and lags of a sensor or a motor, from the samples of one step or several.
 //!
-//! Without a recording on a simulated sensor whose numbers are known. docs/lab/calibration.md, section 7, has the equations.
+//! Without a recording on a simulated sensor with known parameters. docs/lab/calibration.md, section 7, has the equations.
 
 use std::path::Path;
 
@@ -67,8 +67,8 @@ fn check(args: &StepArgs) -> Result<()> {
     Ok(())
 }
 
-/// An instant that is further from the samples than their own length is implausible; one from before them may be that of a command that
-/// started the recording.
+/// Rejects an onset further from the samples than their own length; one before the first sample may be that of a command that started
+/// the recording.
 fn check_onset(args: &StepArgs, name: &str, samples: &[TimedSample]) -> Result<()> {
     let (Some(onset_s), [first, .., last]) = (args.onset, samples) else {
         return Ok(());
@@ -81,7 +81,7 @@ fn check_onset(args: &StepArgs, name: &str, samples: &[TimedSample]) -> Result<(
     Ok(())
 }
 
-/// Samples by the time since the first one, as far as --from and --to let them.
+/// Samples with times since the first one, limited by --from and --to.
 fn crop(args: &StepArgs, samples: &[TimedSample]) -> Vec<TimedSample> {
     let first_s = samples.first().map_or(0.0, |sample| sample.at_s);
     let until_s = args.to.unwrap_or(f64::INFINITY);
@@ -124,14 +124,13 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     })
 }
 
-/// The readings of one sensor during a drive.
 struct StepPart<'a> {
     name: String,
     drive: &'a CalibrationDrive,
     observations: &'a [Observation],
 }
 
-/// Every thermometer of a recording of ours by itself; else the drive as a whole, which has each sensor once.
+/// Each thermometer of a posebridge recording separately; else the whole drive, which has each sensor once.
 fn parts(asked: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_>>> {
     if asked != ChannelName::Temperature || drive.thermometers.is_empty() {
         return Ok(vec![StepPart { name: drive.name.clone(), drive, observations: &drive.observations }]);

@@ -1,4 +1,4 @@
-//! What `identify step` works on: its flags, and the samples of its runs.
+//! Flags and input of `identify step`: the samples of its runs.
 
 use std::path::PathBuf;
 
@@ -139,7 +139,7 @@ impl TimeUnit {
 }
 
 impl StepArgs {
-    /// What is known of a step beforehand: what the flags say, and the noise that the source knows.
+    /// The known data of a step: the flags, and the noise of the source.
     pub(super) fn options(&self, sigma: f64) -> StepOptions {
         StepOptions {
             sigma: self.noise.unwrap_or(sigma),
@@ -156,12 +156,12 @@ impl StepArgs {
 }
 
 pub(super) struct StepDataset {
-    /// For people.
+    /// In words.
     pub(super) source: String,
     pub(super) sensor: String,
-    /// Its unit; empty where it is not known.
+    /// Empty if unknown.
     pub(super) unit: &'static str,
-    /// That of its gain; empty where it is not known.
+    /// Empty if unknown.
     pub(super) gain_unit: &'static str,
     pub(super) runs: Vec<StepRun>,
 }
@@ -169,7 +169,7 @@ pub(super) struct StepDataset {
 #[derive(Clone)]
 pub(super) struct StepRun {
     pub(super) name: String,
-    /// In seconds after the first sample.
+    /// Times are relative to the first sample.
     pub(super) samples: Vec<TimedSample>,
     pub(super) options: StepOptions,
     pub(super) sampling: Sampling,

@@ -1,4 +1,4 @@
-//! What `identify step` reports about its runs.
+//! The report of `identify step` about its runs.
 
 use posebridge_lab::identification::{
     DirectionComparison, IdentifiedStep, StepDirection, StepParameters, compare_directions,
@@ -12,7 +12,7 @@ use super::step_dataset::{StepDataset, StepRun, StepTruth};
 
 const STEP_PX: f64 = 280.0;
 const REST_PX: f64 = 160.0;
-/// Samples that are drawn: more do not fit beside each other.
+/// Number of plotted samples; more do not fit side by side.
 const DRAWN: usize = 600;
 
 pub(super) struct StepResult {
@@ -90,7 +90,7 @@ fn quantities(material: &StepDataset, found: &StepResult) -> Vec<Quantity> {
     all
 }
 
-/// The true lag, where as many were found as there are.
+/// The true lag, if the identified order is the true one.
 fn true_lag(truth: Option<&StepTruth>, order: usize, j: usize) -> Option<(f64, f64)> {
     let lags = &truth?.lags;
     (lags.len() == order).then(|| lags.get(j).copied())?

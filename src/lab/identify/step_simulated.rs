@@ -1,4 +1,4 @@
-//! Sensors and a motor whose numbers are known, for `identify step` without a recording.
+//! Simulated sensors and a motor with known parameters, for `identify step` without a recording.
 
 use anyhow::{Result, ensure};
 use posebridge_lab::identification::Sampling;
@@ -8,14 +8,11 @@ use posebridge_sim::motor_bench::{ENCODER_TICK_RAD, MotorBench};
 
 use super::step_dataset::{SimulatedSource, StepArgs, StepDataset, StepRun, StepTruth};
 
-/// When the water is poured, in seconds.
 const IMMERSION_S: f64 = 10.0;
-/// Time between two samples of a thermometer, in seconds.
 const PERIOD_S: f64 = 0.1;
-/// Until the warmth has reached the sensor, in seconds. The odd part puts the step into the middle of one of the pieces in which the simulated
-/// sensor sees the world, so that the dead time is just this.
+/// From immersion to the sensor's response. The fraction puts the step into the middle of an integration step of the simulated sensor,
+/// so that the dead time is exact.
 const DEAD_TIME_S: f64 = 1.0 + PERIOD_S / 32.0;
-/// Cold and warm water, in °C.
 const COLD_C: f64 = 20.0;
 const WARM_C: f64 = 60.0;
 
@@ -36,7 +33,7 @@ const SHEATHED: ImmersionTest = ImmersionTest {
     sigma_k: 0.05,
     samples: 1_600,
 };
-/// Last digit of the simulated thermometers, in K: 12 bits of a DS18B20 (data sheet).
+/// Resolution of the simulated thermometers: 12 bits of a DS18B20 (data sheet).
 const RESOLUTION_K: f64 = 0.0625;
 
 pub(super) fn material(args: &StepArgs) -> Result<StepDataset> {

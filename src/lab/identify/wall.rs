@@ -1,7 +1,8 @@
-//! `posebridge identify wall`: what drives a car before a wall, from step tests: d and m, steady speed, rise time, measured dt.
+//! `posebridge identify wall`: identifies the drive of a car before a wall from step tests: d and m, steady speed, rise time, measured
+//! dt.
 //!
-//! Without a recording on the simulated car, whose numbers are known. docs/lab/calibration.md, section 7, has the equations, `lab wall` what the numbers
-//! are good for.
+//! Without a recording on the simulated car with known parameters. docs/lab/calibration.md, section 7, has the equations; `lab wall`
+//! uses the results.
 
 use std::path::PathBuf;
 

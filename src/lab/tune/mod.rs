@@ -1,6 +1,7 @@
-//! `posebridge tune`: noise parameters from recordings or from simulated drives, by the likelihood of the innovations.
+//! `posebridge tune`: noise parameters from recordings or simulated drives, by the likelihood of the innovations.
 //!
-//! docs/lab/calibration.md, section 8, has the equations, what is switched off meanwhile, how far the numbers may move, and how to read the result.
+//! docs/lab/calibration.md, section 8, has the equations, the disabled parts of the filter, the limits of the parameters, and how to
+//! read the result.
 
 mod args;
 mod report;
@@ -132,7 +133,7 @@ fn tune(
     })
 }
 
-/// The tuned numbers are kept if they moved and are no worse on data that was not used for tuning.
+/// Keeps the tuned parameters if they moved and are no worse on data that was not used for tuning.
 fn decide_kept(choice: &ShareChoice, before: &[RunScore], proposed: &[RunScore]) -> KeptValues {
     if choice.share() == 0.0 {
         return KeptValues::StartByFolds(choice.reason);

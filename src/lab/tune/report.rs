@@ -1,4 +1,4 @@
-//! What `tune` prints and draws.
+//! Text and figures of `tune`.
 
 use posebridge_estimator::numerics::statistics::mean;
 use posebridge_lab::tuning::{
@@ -14,7 +14,6 @@ use super::runs::{RunScore, RunSet};
 
 const PANEL_PX: f64 = 220.0;
 
-/// Why parts of the filter stand still while it is tuned.
 const SWITCHED_OFF: &str = "While tuning, the filter takes its noise as told: adapt_gain = 0 (noise that is learned on line would hide the one that is tuned), \
 no slip test (a slip widens S by what is to be explained, so that too small a noise would cost nothing) and the widest gate. \
 The position error is that of the filter as it runs live, with all of them on.";
@@ -22,24 +21,24 @@ The position error is that of the filter as it runs live, with all of them on.";
 pub(super) struct TuneResult {
     pub(super) keys: Vec<TunedKey>,
     pub(super) optimum: SearchResult,
-    /// How far towards what was found, by data that the search did not see.
+    /// Step length towards the maximum, selected by data that the search did not use.
     pub(super) choice: ShareChoice,
     pub(super) kept: KeptValues,
     pub(super) start_factor: f64,
-    /// Values of the keys in the first training run.
+    /// Of the first training run.
     pub(super) values: Vec<ParameterValues>,
     pub(super) before: Vec<RunScore>,
-    /// With the numbers that the choice gives, kept or not.
+    /// With the parameters of the selected step length, kept or not.
     pub(super) proposed: Vec<RunScore>,
-    /// With the numbers of the file, where the search started from others.
+    /// With the parameters of the file, if the search started from others.
     pub(super) as_given: Option<Vec<RunScore>>,
 }
 
 pub(super) struct ParameterValues {
     pub(super) before: f64,
-    /// Where the likelihood of all training runs is largest.
+    /// At the maximum likelihood of all training runs.
     pub(super) at_maximum: f64,
-    /// So far as other data agree.
+    /// At the selected step length.
     pub(super) proposed: f64,
     pub(super) after: f64,
 }
@@ -47,9 +46,9 @@ pub(super) struct ParameterValues {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum KeptValues {
     Tuned,
-    /// Those to start from: on data that the search did not see no other ones were better.
+    /// The start values: no other ones were better on data that the search did not use.
     StartByFolds(ChoiceReason),
-    /// Those to start from: on the runs that were held out the tuned ones are worse.
+    /// The start values: the tuned ones are worse on the withheld runs.
     StartByHeldOut(QualityLoss),
 }
 
@@ -126,7 +125,7 @@ fn add_search(report: &mut Report, tuned: &TuneResult) {
     report.data("rounds", json!(found.rounds.len()));
 }
 
-/// How far to go: what data that the search did not see say of each share of the way.
+/// Scores of each step length on data that the search did not use.
 fn add_shares(report: &mut Report, tuned: &TuneResult) {
     let choice = &tuned.choice;
     let rows: Vec<_> = SHARES.iter().zip(&choice.gains).zip(&choice.position_rms_m).enumerate().collect();
@@ -187,7 +186,7 @@ struct RunGroup<'a> {
     fit: RunFit,
 }
 
-/// The sets of runs with the kinds of noise that are compared; none without runs.
+/// Groups of runs with the compared parameters; empty without runs.
 fn run_groups(tuned: &TuneResult) -> Vec<RunGroup<'_>> {
     let proposed = if tuned.kept == KeptValues::Tuned { "after" } else { "tuned, not kept" };
     let compared = [
@@ -218,11 +217,10 @@ fn add_groups(report: &mut Report, groups: &[RunGroup<'_>]) {
     report.table("", &table);
 }
 
-/// A sensor's innovations in the runs of a group.
 struct SourceRow<'a> {
     group: &'a RunGroup<'a>,
     fit: &'a SourceFit,
-    /// How it fared in the filter as it runs live.
+    /// Fusion outcomes in the online filter.
     live: Option<SourceTally>,
 }
 

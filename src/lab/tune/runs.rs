@@ -1,4 +1,4 @@
-//! The runs that are tuned on or held out.
+//! Training runs and withheld runs.
 
 use std::path::Path;
 
@@ -23,16 +23,16 @@ use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::own_recording;
 use crate::tools::score::{EstimateSource, Scorer};
 
-/// All runs, which are of one robot, and that robot as the first training run describes it.
+/// All runs, of one robot, and that robot as described by the first training run.
 pub(super) struct TuneDataset {
     pub(super) runs: Vec<TuneRun>,
     pub(super) robot: RobotFile,
-    /// Whence they come, for the profile.
+    /// Origin of the runs, for the profile.
     pub(super) source: String,
 }
 
 impl TuneDataset {
-    /// Reads recordings or draws drives.
+    /// Reads recordings or simulates drives.
     pub(super) fn load(args: &TuneArgs) -> Result<Self> {
         let material = match &args.sim {
             Some(asked) => simulated(args, asked)?,
@@ -88,7 +88,7 @@ fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
     DataFlags { data: args.data.clone(), run, use_every: args.use_every, settings: args.settings.clone() }
 }
 
-/// Every run of a descriptor; a recording of ours is one.
+/// Every run of a descriptor; a posebridge recording is one run.
 fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
     if own_recording::is_own(path) {
         return Ok(vec![name_of(path)]);
@@ -96,7 +96,7 @@ fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
     Ok(DataSet::open(path, &flags(args, None))?.descriptor.runs)
 }
 
-/// The runs that begin with one of the prefixes; the usual ones without a prefix.
+/// Runs that begin with one of the prefixes; the default runs without a prefix.
 fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
     if prefixes.is_empty() && !own_recording::is_own(path) {
         return Ok(DataSet::open(path, &flags(args, None))?.runs);
@@ -106,7 +106,7 @@ fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String
     Ok(runs)
 }
 
-/// A prefix that fits no run is a slip of the pen.
+/// Rejects a prefix that matches no run: probably a typing error.
 fn check_prefixes(args: &TuneArgs, known: &[String]) -> Result<()> {
     for prefix in args.run.iter().chain(&args.hold_out) {
         ensure!(
@@ -186,7 +186,6 @@ pub(super) enum RunReference {
 pub(super) struct TuneRun {
     pub(super) name: String,
     pub(super) set: RunSet,
-    /// In the order of arrival.
     pub(super) observations: Vec<Observation>,
     pub(super) config: FilterConfig,
     pub(super) reference: RunReference,
@@ -195,22 +194,21 @@ pub(super) struct TuneRun {
 pub(super) struct RunScore {
     pub(super) name: String,
     pub(super) set: RunSet,
-    /// As the search sees it: what the filter learns on line switched off.
+    /// As in the search: with the filter's adaptation disabled.
     pub(super) fit: RunFit,
-    /// Of the filter as it runs live, against truth or withheld fixes.
+    /// Of the online filter, against truth or withheld fixes.
     pub(super) position_rms_m: Option<f64>,
-    /// Of the filter as it runs live.
+    /// Of the online filter.
     pub(super) sources: Vec<SourceTally>,
 }
 
 impl TuneRun {
-    /// The likelihood of the run, with what the filter does about its noise on line switched off.
+    /// Likelihood of the run, with the filter's adaptation disabled.
     pub(super) fn fit(&self, entry: &FilterEntry, mut config: FilterConfig) -> RunFit {
         config.params = offline_params(config.params);
         fit_run(&self.observations, (entry.build)(&config).as_mut())
     }
 
-    /// The same, each block of time by itself.
     pub(super) fn fit_in_blocks(
         &self,
         entry: &FilterEntry,
@@ -221,8 +219,7 @@ impl TuneRun {
         fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
     }
 
-    /// The squared position errors of the filter as it runs live, each block of time by itself; empty sums where nothing is known
-    /// of where the robot was.
+    /// Squared position errors of the online filter for each time block; empty sums without known positions.
     pub(super) fn squares_in_blocks(
         &self,
         entry: &FilterEntry,
@@ -255,7 +252,7 @@ impl TuneRun {
         squares
     }
 
-    /// The likelihood as the search sees it, and the error of the filter as it runs live.
+    /// Likelihood as in the search, and error of the online filter.
     pub(super) fn score(&self, entry: &FilterEntry, config: FilterConfig) -> RunScore {
         let mut live = (entry.build)(&config);
         let (position_rms_m, sources) = match &self.reference {
@@ -285,7 +282,7 @@ impl TuneRun {
     }
 }
 
-/// Gives a drive to a filter as it arrives, and returns its error at the end of each step that counts.
+/// Passes a drive to a filter in the order of arrival, and its error at each scored step to `error`.
 fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
     let mut arrivals = drive.arrivals.iter().peekable();
     for (step, truth) in drive.truth.iter().enumerate() {
@@ -299,7 +296,7 @@ fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl 
     }
 }
 
-/// A filter as the scoring asks it.
+/// Adapts a filter to the scoring interface.
 struct FilterEstimates<'a>(&'a dyn Filter);
 
 impl EstimateSource for FilterEstimates<'_> {
@@ -314,12 +311,12 @@ impl EstimateSource for FilterEstimates<'_> {
     }
 }
 
-/// How a recording is called among the runs: its path as it was given.
+/// Name of a recording among the runs: its path as given.
 pub(super) fn name_of(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// The recording as one run. With --use-every the fixes in between are what it is scored on.
+/// A posebridge recording as one run. With --use-every the fixes in between are withheld for the score.
 pub(super) fn load_own(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(TuneRun, RobotFile)> {
     let name = name_of(path);
     ensure!(
@@ -334,7 +331,7 @@ pub(super) fn load_own(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(Tun
     Ok((run, own.robot))
 }
 
-/// What the filter is shown, and the fixes that are kept from it: of `every` fixes all but the first; all with zero.
+/// Splits off withheld fixes: all but the first of `every` fixes; all for zero.
 fn split(observations: &[Observation], every: usize) -> (Vec<Observation>, Vec<WithheldFix>) {
     let mut shown = Vec::new();
     let mut withheld = Vec::new();

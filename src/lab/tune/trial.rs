@@ -1,4 +1,4 @@
-//! The search over the training runs, and the same without a part of them: on all cores.
+//! The search over the training runs, and the cross-validation, on all cores.
 
 use std::collections::BTreeMap;
 
@@ -11,22 +11,20 @@ use posebridge_lab::tuning::{
 use super::runs::TuneRun;
 use crate::lab::parallel::run_all;
 
-/// Rounds that the searches, with and without folds, mostly take together: they come past the same points.
+/// Typical total rounds of the searches with and without folds: they share points.
 const USUAL_ROUNDS: u64 = 30;
 
-/// What is searched on.
 pub(super) struct TuneSearch<'a> {
     pub(super) filter: &'static FilterEntry,
     pub(super) keys: &'a [TunedKey],
-    /// The logarithm of what the tuned numbers are multiplied with before the search.
+    /// Logarithm of the factor on the tuned parameters before the search.
     pub(super) start: f64,
     training: Vec<(&'a TuneRun, TimeBlocks)>,
     blocks: usize,
-    /// ln L of each part, run by run and block by block, at the points where it was asked for.
+    /// ln L of each part, run by run and block by block, at the evaluated points.
     cache: BTreeMap<Vec<i64>, Vec<f64>>,
 }
 
-/// What one run says under one set of numbers, block by block.
 struct BlockScores {
     log_likelihoods: Vec<f64>,
     squares: Vec<SquaredErrors>,
@@ -44,7 +42,7 @@ impl<'a> TuneSearch<'a> {
         Self { filter, keys, start, training: training.iter().map(cut).collect(), blocks, cache: BTreeMap::new() }
     }
 
-    /// About how many times a run goes through the filter before the numbers are chosen, for the bar.
+    /// Approximate number of filter runs until the parameters are selected, for the progress bar.
     pub(super) fn expected_passes(&self) -> u64 {
         let polled = 2 * self.keys.len() as u64 + 3;
         let searched = USUAL_ROUNDS * polled * self.training.len() as u64;
@@ -68,7 +66,7 @@ impl<'a> TuneSearch<'a> {
         (run * self.blocks + block) % self.folds()
     }
 
-    /// The maximum over all parts but those of one fold.
+    /// The maximum over all parts except those of one fold.
     pub(super) fn maximum(&mut self, search: &SearchOptions, without: Option<usize>, ended: &dyn Fn()) -> SearchResult {
         let keys = self.keys.len();
         maximise(keys, search, |points| {
@@ -77,7 +75,7 @@ impl<'a> TuneSearch<'a> {
         })
     }
 
-    /// Runs the filter at all points at which it has not yet run: the searches without a fold come past the same ones.
+    /// Runs the filter at all points that are not cached: the searches without a fold share points.
     fn evaluate(&mut self, points: &[Vec<f64>], ended: &dyn Fn()) {
         let mut new: Vec<&Vec<f64>> = Vec::new();
         for point in points {
@@ -100,7 +98,7 @@ impl<'a> TuneSearch<'a> {
         }
     }
 
-    /// ln L at a point that was learned, without a fold.
+    /// ln L at a cached point, without a fold.
     fn sum(&self, point: &[f64], without: Option<usize>) -> f64 {
         let Some(parts) = self.cache.get(&cache_key(point)) else {
             return f64::NEG_INFINITY;
@@ -109,7 +107,7 @@ impl<'a> TuneSearch<'a> {
         indexed.filter(|(part, _)| Some(part % self.folds()) != without).map(|(_, value)| value).sum()
     }
 
-    /// How far to go: each fold is asked about the way that was found without it.
+    /// Cross-validation: scores each fold with the maximum found without it.
     pub(super) fn validate(&mut self, search: &SearchOptions, ended: &dyn Fn()) -> ShareChoice {
         let scores: Vec<FoldScore> = (0..self.folds())
             .map(|fold| {
@@ -154,7 +152,7 @@ impl<'a> TuneSearch<'a> {
     }
 }
 
-/// A point as a key: in steps far below what a search takes, so that the same point by another sum is the same.
+/// A point as a cache key: rounded far below the steps of a search, so that rounding errors of a sum do not matter.
 fn cache_key(point: &[f64]) -> Vec<i64> {
     // Bounded by the search: the cast loses nothing but the fraction.
     point.iter().map(|x| (x * 1e9).round() as i64).collect()

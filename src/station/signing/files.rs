@@ -1,11 +1,11 @@
-//! The files of signing: the key, 64 hexadecimal digits that only its owner can read, and beside it, one per link id, the stamps that signing
-//! goes on from, with a lock that keeps other stations out.
+//! The signing files: the key, 64 hexadecimal digits readable only by its owner, and one state file per link id with the last
+//! timestamps, with a lock against other stations.
 //!
-//! Two stations that sign with one key and one link id would refuse each other's frames and use stamps twice, so the second
-//! is refused. The lock is a file of its own, because the state is replaced and never written in place.
+//! Two stations that sign with one key and one link id would reject each other's frames and reuse timestamps, so the second is refused.
+//! The lock is a separate file, because the state file is replaced and never written in place.
 //!
-//! Anyone who may write the state can wind the timestamps back, and a replacement that is lost in a power failure restores the
-//! state before: so others may not change the file, and what was written is on the disk with its name before anything goes on.
+//! Anyone with write access to the state can reset the timestamps, and a replacement that is lost in a power failure restores the
+//! previous state: so others must not have write access, and each write is synced with its directory before the program continues.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -21,15 +21,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::MemoryRecord;
 
-/// Read and write for the owner, nothing for others.
 pub(super) const OWNER_ONLY: u32 = 0o600;
-/// Whatever group and others may do.
 const ANYBODY_ELSE: u32 = 0o077;
-/// More than a key file has, and little enough to read whatever the path leads to.
+/// Larger than a key file, small enough to read whatever the path refers to.
 const LONGEST: u64 = 1_024;
 
-/// Reads a key.
-/// Refuses a file that other users can read or change. No error shows anything of its content.
+/// Rejects a file that other users can read or change. No error shows its content.
 pub fn read_key(path: &Path) -> Result<Key> {
     let name = path.display();
     let file = File::open(path)
@@ -53,8 +50,7 @@ pub fn read_key(path: &Path) -> Result<Key> {
     text.parse().with_context(|| format!("`{name}` holds no key"))
 }
 
-/// Makes a key from random bytes of the operating system and writes it to a new file.
-/// A file that is there already is never overwritten.
+/// Creates a key from random bytes of the operating system and writes it to a new file. Never overwrites a file.
 pub fn create_key(path: &Path) -> Result<Key> {
     let name = path.display();
     let mut bytes = [0; 32];
@@ -74,13 +70,13 @@ pub fn create_key(path: &Path) -> Result<Key> {
 
 const VERSION: u32 = 1;
 
-/// What group and others must not be allowed: to write. There is nothing secret in the file.
+/// Write permission of group and others. The file contains no secret.
 const OTHERS_WRITE: u32 = 0o022;
 
 #[derive(Debug)]
 pub(super) struct StateFile {
     path: PathBuf,
-    /// Held for as long as this value lives.
+    /// Held for the lifetime of this value.
     _lock: Flock<File>,
 }
 
@@ -88,13 +84,12 @@ pub(super) struct StateFile {
 #[serde(deny_unknown_fields)]
 struct State {
     version: u32,
-    /// The session that wrote it has ended and used no stamp after it.
+    /// The session that wrote it has ended and used no later timestamp.
     closed: bool,
     memory: MemoryRecord,
 }
 
 impl StateFile {
-    /// Takes the state of a key and link id, for this station alone.
     pub(super) fn lock(key_file: &Path, link_id: u8) -> Result<Self> {
         let lock_path = path_beside(key_file, link_id, "lock");
         let name = lock_path.display();
@@ -119,8 +114,7 @@ impl StateFile {
         Ok(Self { path: path_beside(key_file, link_id, "state"), _lock: lock })
     }
 
-    /// What the last session with this key has left behind.
-    /// A state that cannot be understood is an error: to go on without it would let old frames in.
+    /// The state of the last session with this key. An invalid state is an error: without it old frames would be accepted.
     pub(super) fn read(&self, key: &Key) -> Result<Option<(SigningState, ShutdownKind)>> {
         let name = self.path.display();
         let mut file = match File::open(&self.path) {
@@ -163,7 +157,7 @@ impl StateFile {
         Ok(())
     }
 
-    /// Replaces what is kept; a reader, and a restart after a crash, finds the old state or the new one.
+    /// Replaces the state atomically; a reader, and a restart after a crash, finds the old state or the new one.
     pub(super) fn write(&self, memory: &MemoryRecord, ending: ShutdownKind) -> Result<()> {
         let name = self.path.display();
         let state = State { version: VERSION, closed: ending == ShutdownKind::Clean, memory: memory.clone() };
@@ -172,7 +166,7 @@ impl StateFile {
     }
 }
 
-/// Replaces a file as a whole; `sync` brings a file or a directory to the disk.
+/// Replaces a file atomically; `sync` flushes a file or a directory to the disk.
 fn replace(path: &Path, text: &str, mut sync: impl FnMut(&File) -> std::io::Result<()>) -> std::io::Result<()> {
     let mut new = path.as_os_str().to_owned();
     new.push(".new");

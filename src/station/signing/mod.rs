@@ -1,8 +1,7 @@
-//! Signing: from a configuration to links that sign, live with the key files and what is kept beside them, in a replay with what was recorded.
+//! Signing of links: from the key and state files in a live session, from the recording in a replay.
 //!
-//! The station signs and verifies; here the keys are read, the stamps are kept from one session to the next, and a warning is
-//! printed where any sender is accepted. A key leaves its file only into the station: recordings, events, logs and errors show
-//! its name.
+//! The station signs and verifies; this module reads the keys, keeps the timestamps between sessions, and warns where any sender is
+//! accepted. Keys are passed only to the station: recordings, events, logs and errors contain their names.
 
 mod files;
 mod state_writer;
@@ -24,15 +23,14 @@ use crate::console::print_line;
 pub use files::{create_key, read_key};
 pub use state_writer::SigningStateWriter;
 
-/// A date that stands further back than this is reported: peers may be a little ahead of us without anything being wrong.
+/// A larger lag of the date behind the state is reported: peers may be slightly ahead without an error.
 const TOLERATED_LAG: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Debug, Default)]
 pub struct SigningSession(Vec<SignedLink>);
 
 impl SigningSession {
-    /// Reads the keys of all links that are to be signed and goes on from the stamps that are kept beside them.
-    /// `utc_start_micros` is the date at the host clock's zero.
+    /// Reads the keys of all signed links and their saved timestamps. `utc_start_micros` is the date at the host clock's zero.
     pub fn open(config: &Config, utc_start_micros: u64) -> Result<Self> {
         let date = SigningTime::from_unix_micros(utc_start_micros);
         let mut session = Self::default();
@@ -51,7 +49,7 @@ impl SigningSession {
         Ok(session)
     }
 
-    /// Refuses a link that would sign as one stream with another one, however the paths of their key files are spelt.
+    /// Rejects a link that would sign the same stream as another one, however the paths of their key files are spelt.
     fn check_unused(&self, key: &Key, link_id: u8, name: &str) -> Result<()> {
         let is_same = |link: &&SignedLink| link.signing.key == *key && link.signing.link_id == link_id;
         if let Some(other) = self.0.iter().find(is_same) {
@@ -72,7 +70,7 @@ impl SigningSession {
         }
     }
 
-    /// The configuration as a recording needs it: with what each signed link began with, and without the keys.
+    /// The configuration for a recording: with the initial state of each signed link, without the keys.
     pub fn config_for_recording(&self, config: &Config) -> Config {
         let mut config = config.clone();
         for SignedLink { link, signing, .. } in &self.0 {
@@ -84,7 +82,7 @@ impl SigningSession {
         config
     }
 
-    /// Begins to keep the stamps; `None` where no link is signed.
+    /// Starts saving the timestamps; `None` without signed links.
     pub fn start_writer(self) -> Result<Option<SigningStateWriter>> {
         if self.0.is_empty() { Ok(None) } else { SigningStateWriter::start(self.0).map(Some) }
     }
@@ -120,8 +118,7 @@ fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
     }
 }
 
-/// The station's configuration of a recorded session. The keys of signed links come from these files, or else from where they were when it
-/// was recorded.
+/// The station's configuration of a recorded session. The keys of signed links come from these files, else from the original paths.
 pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<StationConfig> {
     let mut station_config = config.station_config()?;
     let given = files.iter().map(|path| read_key(path));
@@ -143,7 +140,7 @@ pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<Sta
     Ok(station_config)
 }
 
-/// The key of that name: one of those given, or else the one in the file that held it.
+/// The key with this name: from the given ones, else from its original file.
 fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
     if let Some(key) = given.iter().find(|key| key.name() == wanted) {
         return Ok(key.clone());
@@ -160,7 +157,7 @@ fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<
     Ok(key)
 }
 
-/// Warns of every link that listens beyond this computer and accepts frames from any sender.
+/// Warns about every link that listens beyond this computer and accepts frames from any sender.
 pub fn warn_of_open_listeners(ports: &LinkSet, config: &Config) {
     for (index, (port, section)) in ports.iter().zip(&config.links).enumerate() {
         let address = port.local_address().filter(|_| port.is_listening());

@@ -1,4 +1,4 @@
-//! The thread that writes the stamps down while a session runs: a disk that hangs must not hold up a robot.
+//! The thread that saves the signing timestamps during a session: a blocked disk must not delay a robot.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,15 +15,13 @@ use crate::config::MemoryRecord;
 
 #[derive(Debug)]
 pub(super) struct SignedLink {
-    /// What the link is called when it is spoken of.
     pub(super) name: String,
     pub(super) link: LinkId,
-    /// Its key, and the state that the session began with.
     pub(super) signing: SigningConfig,
     pub(super) file: StateFile,
 }
 
-/// The stamps of all signed links at one instant, in the order of the links that are kept.
+/// The timestamps of all signed links at one instant, in the order of `SignedLink`s.
 struct StateSnapshot {
     memories: Vec<Option<SigningState>>,
     ending: ShutdownKind,
@@ -33,17 +31,17 @@ struct StateSnapshot {
 pub struct SigningStateWriter {
     links: Vec<LinkId>,
     sender: SyncSender<StateSnapshot>,
-    /// Whether the thread still has a snapshot to write. While it has, none is taken: to copy all streams for every datagram
-    /// would hold up the robot that the thread is there to spare.
+    /// Whether the thread is writing a snapshot. Meanwhile none is taken: copying all streams for every datagram would delay the
+    /// station loop.
     is_writing: Arc<AtomicBool>,
     thread: JoinHandle<Result<()>>,
     due: Timestamp<HostClock>,
-    /// How many streams had been met at the last one.
+    /// Number of streams in the last snapshot.
     known_streams: u64,
 }
 
 impl SigningStateWriter {
-    /// Writes down that a session has begun, before anything is signed, and starts the thread.
+    /// Saves the start of a session, before anything is signed, and starts the thread.
     pub(super) fn start(kept: Vec<SignedLink>) -> Result<Self> {
         for link in &kept {
             let record = MemoryRecord::of(&link.signing.key, &link.signing.state);
@@ -67,8 +65,8 @@ impl SigningStateWriter {
         })
     }
 
-    /// Has the timestamps written if it is time or if there is a new sender. Never waits: while the disk is behind, the next
-    /// call tries again.
+    /// Saves the timestamps periodically, and when there is a new sender. Never waits: while the disk is behind, the next call tries
+    /// again.
     pub fn save_if_due(&mut self, now: Timestamp<HostClock>, station: &Station) {
         let met = station.signing_stream_count();
         if now < self.due && met == self.known_streams || self.is_writing.load(Ordering::Acquire) {
@@ -81,8 +79,7 @@ impl SigningStateWriter {
         (self.due, self.known_streams) = (now + SigningState::WRITE_PERIOD, met);
     }
 
-    /// Writes down where the session has ended, and that it has.
-    /// If that fails, the next session goes on as after a crash.
+    /// Saves the final timestamps and that the session has ended. If that fails, the next session continues as after a crash.
     pub fn finish(self, now: Timestamp<HostClock>, station: &Station) -> Result<()> {
         let last = self.snapshot(now, station, ShutdownKind::Clean);
         // A thread that has died says so below.
@@ -97,7 +94,7 @@ impl SigningStateWriter {
     }
 }
 
-/// Writes every snapshot; the result is that of the last.
+/// Writes every snapshot; returns the result of the last.
 fn write_all(kept: &[SignedLink], snapshots: &Receiver<StateSnapshot>, is_writing: &AtomicBool) -> Result<()> {
     let mut last = Ok(());
     for snapshot in snapshots {
@@ -114,7 +111,7 @@ fn write_all(kept: &[SignedLink], snapshots: &Receiver<StateSnapshot>, is_writin
     last
 }
 
-/// Writes what can be written; the first failure is the one to report.
+/// Writes all links; returns the first error.
 fn write(kept: &[SignedLink], snapshot: &StateSnapshot) -> Result<()> {
     let mut first = Ok(());
     for (link, memory) in kept.iter().zip(&snapshot.memories) {

@@ -1,4 +1,4 @@
-//! The cable between a simulated brick and its end of the link: whole, as bad as a profile says, or pulled out.
+//! The cable between a simulated brick and its end of the link: intact, impaired by a profile, or disconnected.
 
 use anyhow::Result;
 use posebridge_link::{HostTimer, Link, LinkEvent, LinkOpenConfig};
@@ -8,9 +8,8 @@ use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 
 pub struct SimulatedCable {
     port: Option<Link>,
-    /// What is opened when it is put in again; a port that another program has opened stays.
+    /// Settings for reconnection; a port that another program opened stays open.
     reopen_config: Option<(LinkOpenConfig, HostTimer)>,
-    /// When it is put in again.
     replug_at: Timestamp<HostClock>,
     station: Option<PeerId>,
     impairment: Option<ImpairedLink>,
@@ -21,7 +20,6 @@ impl SimulatedCable {
         Self { port: Some(port), reopen_config: None, replug_at: Timestamp::ZERO, station: None, impairment: None }
     }
 
-    /// A cable that can be pulled out and put in again.
     pub fn pluggable(config: LinkOpenConfig, timer: HostTimer) -> Self {
         Self { reopen_config: Some((config.clone(), timer)), ..Self::fixed(Link::new(config, timer)) }
     }
@@ -34,7 +32,7 @@ impl SimulatedCable {
         }
     }
 
-    /// Waits for something to come; for ever, while it is out.
+    /// The next event of the port; pending while disconnected.
     pub async fn next_event(&mut self) -> LinkEvent {
         match &mut self.port {
             Some(port) => port.next_event().await,
@@ -65,7 +63,7 @@ impl SimulatedCable {
         }
     }
 
-    /// Sends what the brick has to say, and delivers what a bad cable lets through by now.
+    /// Sends the brick's bytes, and delivers what has arrived through an impaired cable by `now`.
     pub fn transfer(&mut self, now: Timestamp<HostClock>, simulation: &mut Simulation) {
         self.replug_if_due(now, simulation);
         while let Some(bytes) = simulation.poll() {
@@ -94,12 +92,12 @@ impl SimulatedCable {
         }
     }
 
-    /// Makes the cable as bad as this, or whole; what was on its way through a bad one is lost.
+    /// Impairs the cable, or restores it; bytes in transit through an impaired one are lost.
     pub fn impair(&mut self, now: Timestamp<HostClock>, profile: Option<&LinkProfile>, seed: u64) {
         self.impairment = profile.map(|profile| ImpairedLink::new(profile, seed, now));
     }
 
-    /// Pulls the cable out for so long, if it is one that can be pulled out.
+    /// Disconnects the cable for `duration`, if it can be disconnected.
     pub fn unplug(&mut self, now: Timestamp<HostClock>, duration: TimeDelta) {
         if self.reopen_config.is_some() {
             // The terminal disappears with its port, and its reader gets a hang-up.

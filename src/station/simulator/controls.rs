@@ -1,4 +1,4 @@
-//! What people do to a simulated brick while it drives, and what it shows them that a real brick could not.
+//! Commands to a simulated brick during its drive, and its ground truth.
 
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::{CommandExecutor, Simulation, TruthSample};
@@ -8,15 +8,15 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::cable::SimulatedCable;
 
-/// Most commands that wait for the brick, which polls every 2 ms; more are refused.
+/// Commands queued for the brick, which polls every 2 ms; more are rejected.
 pub const COMMAND_CAPACITY: usize = 64;
-/// Most samples that wait for each receiver, at 20 per second 12 s; a slower one misses the oldest, and learns how many.
+/// Samples queued for each receiver, 12 s at 20 per second; a slow one misses the oldest and gets their number.
 const SAMPLE_CAPACITY: usize = 256;
 
-/// What really happened at one instant, as soon as it has happened.
+/// Ground truth at one instant, without delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedTruthSample {
-    /// The instant by the session's clock.
+    /// By the session's clock.
     pub at: Timestamp<HostClock>,
     pub sample: TruthSample,
 }
@@ -26,14 +26,14 @@ pub type CommandSender = mpsc::Sender<SimulatorCommand>;
 #[derive(Clone, Debug)]
 pub struct SimulatorControls {
     pub commands: CommandSender,
-    /// The true pose. A subscriber receives the samples from then on. Lossy, and what is lost is counted by the receiver.
+    /// Ground truth. A subscriber receives later samples. Lossy, and the receiver counts the losses.
     pub truth: broadcast::Sender<TimedTruthSample>,
 }
 
 pub struct ControlReceiver {
     commands: mpsc::Receiver<SimulatorCommand>,
     truth: broadcast::Sender<TimedTruthSample>,
-    /// Samples of the simulation's truth that were shown.
+    /// Published samples of the simulation's truth.
     published: u64,
 }
 
@@ -60,7 +60,7 @@ impl ControlReceiver {
         }
     }
 
-    /// Shows what has happened since the last time; `start` is when the world began.
+    /// Publishes the new samples; `start` is the host time at which the world began.
     pub fn publish_truth(&mut self, start: Timestamp<HostClock>, simulation: &Simulation) {
         let fresh = simulation.truth_samples() - self.published;
         let kept = simulation.truth();
@@ -96,7 +96,7 @@ fn change_link(now: Timestamp<HostClock>, command: &SimulatorCommand, cable: &mu
     }
 }
 
-/// Takes what was shown since it looked last. Who is too slow misses the oldest samples, and they are counted.
+/// Receives ground truth. A slow receiver misses the oldest samples, which are counted.
 pub struct TruthTap {
     receiver: broadcast::Receiver<TimedTruthSample>,
     robot: Option<RobotId>,
@@ -104,17 +104,17 @@ pub struct TruthTap {
 }
 
 impl TruthTap {
-    /// A receiver of a robot's truth from now on; `None` for the only one.
+    /// Receives later samples of a robot's truth; `None` for the only one.
     pub fn new(truth: &broadcast::Sender<TimedTruthSample>, robot: Option<RobotId>) -> Self {
         Self { receiver: truth.subscribe(), robot, missed: 0 }
     }
 
-    /// Whose truth it is; `None` for that of the only robot.
+    /// `None` for the only robot.
     pub const fn robot(&self) -> Option<RobotId> {
         self.robot
     }
 
-    /// What was shown since the last time; never waits.
+    /// The samples since the last call; never waits.
     pub fn drain(&mut self) -> Vec<TimedTruthSample> {
         let mut samples = Vec::new();
         loop {

@@ -1,4 +1,4 @@
-//! Simulated bricks in real time, behind real links: a thread of their own when they are embedded, the whole process in `posebridge sim`.
+//! Simulated bricks in real time behind real links: on a thread in `run`, as the whole process in `posebridge sim`.
 
 mod cable;
 mod controls;
@@ -19,23 +19,23 @@ pub use self::controls::{
     COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, TruthTap, controls,
 };
 
-/// The world is stepped in chunks of this length: the host's timers are a millisecond wide, and telemetry of 200 Hz is still on time.
+/// Step of the real-time loop: host timers have a resolution of a millisecond, and telemetry of 200 Hz is still on time.
 const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
-/// After the path's end the brick still sends for this long, so that the last late fixes are used.
+/// Time for which the brick still sends after the path's end, so that the last late fixes are used.
 const LINGER_AFTER_END: TimeDelta = TimeDelta::from_millis(600);
 
 const ANNOUNCE_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 pub struct BrickPorts {
     pub brick: SimulatedCable,
-    /// The camera's own, where it does not share the brick's. Without it such a camera is not received.
+    /// The camera's own link, if it does not share the brick's. Without it the camera is not received.
     pub camera: Option<Link>,
-    /// Where the camera's images go, if another program looks through it.
+    /// Output of the camera's images for another program.
     pub images: Option<Link>,
     pub announcement: Option<Announcement>,
 }
 
-/// A text that is sent again and again.
+/// A text that is sent periodically.
 pub struct Announcement {
     port: Link,
     text: Vec<u8>,
@@ -43,7 +43,7 @@ pub struct Announcement {
 }
 
 impl Announcement {
-    /// Sends `text` on `port` from now on.
+    /// Sends `text` periodically on `port`.
     pub const fn new(port: Link, text: Vec<u8>) -> Self {
         Self { port, text, due: TimeDelta::ZERO }
     }
@@ -61,7 +61,7 @@ impl BrickPorts {
         Self { brick, camera: None, images: None, announcement: None }
     }
 
-    /// Waits for something to happen and gives it to the simulation, which lives until then first.
+    /// Waits for the next event, advances the simulation to its time and handles it.
     async fn serve(&mut self, simulation: &mut Simulation, timer: HostTimer, start: Timestamp<HostClock>) {
         tokio::select! {
             event = self.brick.next_event() => {
@@ -100,7 +100,7 @@ impl BrickPorts {
     }
 }
 
-/// The next event of a port; never, without one.
+/// The next event of a port; pending forever without one.
 async fn next_of(port: Option<&mut Link>) -> LinkEvent {
     match port {
         Some(port) => port.next_event().await,
@@ -111,9 +111,9 @@ async fn next_of(port: Option<&mut Link>) -> LinkEvent {
 pub struct BrickDrive {
     pub simulation: Simulation,
     pub ports: BrickPorts,
-    /// Receives how much of the path is driven, 0 to 1.
+    /// Driven share of the path, 0 to 1.
     pub progress: watch::Sender<f64>,
-    /// Through which people reach it, if they can.
+    /// Commands and truth output, if enabled.
     pub controls: Option<ControlReceiver>,
 }
 
@@ -123,7 +123,7 @@ impl BrickDrive {
         Self { simulation, ports, progress: watch::channel(0.0).0, controls: None }
     }
 
-    /// Drives in real time until the path ends or it is stopped; gives the simulation back.
+    /// Drives in real time until the path ends or it is stopped; returns the simulation.
     async fn run(self, timer: HostTimer, stop: CancellationToken) -> Simulation {
         let Self { mut simulation, mut ports, progress, mut controls } = self;
         let start = timer.now();
@@ -153,8 +153,8 @@ impl BrickDrive {
     }
 }
 
-/// Drives bricks in real time on this thread until all of their paths end or `stop` is cancelled; gives their simulations back in
-/// the same order.
+/// Drives bricks in real time on this thread until all of their paths end or `stop` is cancelled; returns their simulations in the same
+/// order.
 pub async fn drive(bricks: Vec<BrickDrive>, timer: HostTimer, stop: &CancellationToken) -> Result<Vec<Simulation>> {
     let tasks = LocalSet::new();
     let running: Vec<_> = bricks.into_iter().map(|brick| tasks.spawn_local(brick.run(timer, stop.clone()))).collect();
@@ -181,40 +181,40 @@ pub struct BrickStart {
     pub scenario: Scenario,
     /// Its end of the link to the station.
     pub link: LinkOpenConfig,
-    /// Which robot of the station it is; `None` for the only one.
+    /// `None` for the only one.
     pub robot: Option<RobotId>,
 }
 
 pub struct EmbeddedBrick {
     pub scenario: Scenario,
-    /// Which robot of the station it is; `None` for the only one.
+    /// `None` for the only one.
     pub robot: Option<RobotId>,
-    /// How much of the path is driven, 0 to 1.
+    /// Driven share of the path, 0 to 1.
     pub progress: watch::Receiver<f64>,
     pub controls: SimulatorControls,
-    /// The receiver of the truth from the very start, until it is taken.
+    /// Receives the truth from the start; taken once.
     pub truth: Option<TruthTap>,
 }
 
 impl EmbeddedBrick {
-    /// One more receiver of the truth, from now on.
+    /// Another receiver of later truth samples.
     pub fn truth_tap(&self) -> TruthTap {
         TruthTap::new(&self.controls.truth, self.robot)
     }
 }
 
-/// Bricks in a thread of their own. Dropped, they stop and take their terminals away: a start that fails behind them leaves none.
+/// Bricks on a thread. Dropping stops them and removes their terminals, so that a failed start leaves none.
 pub struct EmbeddedBricks {
     thread: Option<JoinHandle<Result<Vec<Simulation>>>>,
     stop: CancellationToken,
-    /// Cancelled when all paths are driven to their ends.
+    /// Cancelled when all paths are complete.
     pub finished: CancellationToken,
-    /// The bricks, in the order in which they were given.
+    /// In the order of `starts`.
     pub bricks: Vec<EmbeddedBrick>,
 }
 
 impl EmbeddedBricks {
-    /// Starts bricks, each on its link. What they show bears the stamps of `timer`.
+    /// Starts each brick on its link. `timer` timestamps their outputs.
     pub fn start(starts: Vec<BrickStart>, timer: HostTimer, stop: CancellationToken) -> Result<Self> {
         let finished = CancellationToken::new();
         let (ready, is_ready) = sync_channel::<Result<()>>(1);
@@ -236,7 +236,7 @@ impl EmbeddedBricks {
         Ok(Self { thread: Some(thread), stop, finished, bricks })
     }
 
-    /// Waits for the thread and gives the simulations with their truth, in the order of the bricks.
+    /// Joins the thread and returns the simulations with their truth, in the order of the bricks.
     pub fn finish(mut self) -> Result<Vec<Simulation>> {
         let ended = self.thread.take().map(JoinHandle::join);
         let ended = ended.context("the simulated bricks have ended already")?;

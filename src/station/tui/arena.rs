@@ -12,17 +12,17 @@ use ratatui::widgets::canvas::{Canvas, Context, Line, Points};
 use super::model::{Model, Robot};
 use super::theme::{StyleRole, Theme, sanitize};
 
-/// Fixes are shown for so long, as on the page.
+/// Display duration of fixes, as on the page.
 const FIXES_SPAN_S: f64 = 20.0;
-/// An accepted fix counts as late when it was applied so far behind the filter's time; as on the page (web/model/marks.js).
+/// Lag behind the filter's time from which an accepted fix counts as late, as on the page (web/model/marks.js).
 const LATE_FROM_S: f64 = 0.15;
-/// Where nothing is known, the map shows so much to each side, in metres.
+/// Half width of the map without data.
 const LEAST_HALF_WIDTH_M: f64 = 0.5;
-/// So much of the map is left free around what it shows.
+/// Margin around the content, as a factor.
 const MARGIN: f64 = 1.08;
-/// Braille dots of a cell, side by side and one above the other; they lie about evenly.
+/// Braille dots per cell, horizontal and vertical; their spacing is about equal.
 const DOTS: (u16, u16) = (2, 4);
-/// Dashes of the odometry: this number of points is drawn, and as many are left out.
+/// Dashes of the odometry: points drawn, and as many omitted.
 const DASH: usize = 12;
 
 type MapPoint = (f64, f64);
@@ -47,7 +47,6 @@ pub(super) fn draw(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer)
     buffer.set_stringn(area.x, row, scale, usize::from(area.width), theme.style(StyleRole::Quiet));
 }
 
-/// What the letters and signs of the legend take, with the blanks between.
 const LEGEND_WIDTH: usize = 46;
 
 fn legend(theme: Theme, area: Rect, buffer: &mut Buffer) {
@@ -78,7 +77,7 @@ struct Map<'a> {
     others: Vec<OtherRobot>,
 }
 
-/// A robot that is not chosen: where it is and what it is called.
+/// A robot that is not selected: position and label.
 struct OtherRobot {
     place: MapPoint,
     heading_rad: Number,
@@ -117,7 +116,7 @@ impl<'a> Map<'a> {
         }
     }
 
-    /// Every place that has to be seen. Fixes may be anywhere.
+    /// Points that the map must contain; fixes are excluded, because they may be anywhere.
     fn visible_points(&self) -> impl Iterator<Item = &MapPoint> {
         let lines = [&self.path, &self.truth, &self.odometry, &self.estimate];
         lines.into_iter().flatten().chain(self.others.iter().map(|other| &other.place))
@@ -169,7 +168,7 @@ fn draw_polyline(places: &[MapPoint], theme: Theme, role: StyleRole, context: &m
     }
 }
 
-/// The outline that holds the position with 95 %, closed.
+/// Outline of the 95 % ellipse, closed.
 fn ellipse_of(estimate: &EstimatePoint) -> Option<Vec<MapPoint>> {
     let (x_m, y_m) = map_point(estimate.x_m, estimate.y_m)?;
     let ellipse = Ellipse {
@@ -182,7 +181,6 @@ fn ellipse_of(estimate: &EstimatePoint) -> Option<Vec<MapPoint>> {
     Some(closed.map(|corner| (corner.x.0, corner.y.0)).collect())
 }
 
-/// What a fix is drawn as, as its verdict has it.
 fn mark_of(fix: &FixPoint) -> (&'static str, StyleRole) {
     let is_late = fix.lag_s.get().is_some_and(|lag_s| lag_s >= LATE_FROM_S);
     match fix.verdict.as_str() {
@@ -210,7 +208,7 @@ fn map_point(x_m: Number, y_m: Number) -> Option<MapPoint> {
     Some((x_m.get()?, y_m.get()?))
 }
 
-/// What the map shows: all that has to be seen, with as many metres to a dot across as up.
+/// Axis limits: all required points, with equal scales.
 fn bounds(map: &Map<'_>, area: Rect) -> ([f64; 2], [f64; 2]) {
     let (mut least, mut most) = ((f64::MAX, f64::MAX), (f64::MIN, f64::MIN));
     for (x, y) in map.visible_points() {

@@ -1,8 +1,8 @@
-//! Keys: from the bytes that a terminal sends to what is to be done. What a key does to the simulated brick are the commands of the page's
-//! buttons, with the values that stand there at first.
+//! Key bindings: parses the bytes of a terminal to actions. The keys for the simulated brick send the commands of the page's buttons,
+//! with their default values.
 //!
-//! Own code, because crossterm's reader waits inside a sequence that was sent in part and turns for ever when the terminal is hung up; the
-//! few sequences that are needed are those of ECMA-48 as xterm sends them (XTerm Control Sequences, "PC-Style Function Keys").
+//! Own code, because crossterm's reader blocks within an incomplete sequence and spins after a terminal hang-up; the few sequences in
+//! use are those of ECMA-48 as xterm sends them (XTerm Control Sequences, "PC-Style Function Keys").
 
 use posebridge_telemetry::simulator::SlippingWheel;
 use posebridge_telemetry::{Command, SensorSwitch, SimulatorCommand, TimeDelta};
@@ -40,7 +40,7 @@ pub struct KeyBinding {
     pub action: UiAction,
 }
 
-/// Every key. Adding one: a row here.
+/// Adding one: a row here.
 pub const KEYS: &[KeyBinding] = &[
     KeyBinding {
         key_presses: &[KeyPress::Letter('q'), KeyPress::Interrupt],
@@ -126,7 +126,7 @@ pub fn action_of(key_press: KeyPress) -> Option<UiAction> {
     key.map(|key| key.action)
 }
 
-/// The keys in what a terminal has sent. Whatever else it sends is passed over.
+/// Parses key presses; ignores other bytes and sequences.
 pub fn parse_key_presses(mut bytes: &[u8]) -> Vec<KeyPress> {
     let mut found = Vec::new();
     while let [first, rest @ ..] = bytes {
@@ -150,7 +150,7 @@ pub fn parse_key_presses(mut bytes: &[u8]) -> Vec<KeyPress> {
     found
 }
 
-/// The key whose sequence ends so.
+/// The key of an escape sequence with this final byte.
 const fn parse_escape(end: u8) -> Option<KeyPress> {
     Some(match end {
         b'A' => KeyPress::Up,
@@ -177,7 +177,7 @@ pub enum CameraState {
 }
 
 impl OperatorAction {
-    /// As a command; the camera is turned into what it is not.
+    /// Converts to a command; the camera is toggled.
     pub const fn command(self, camera: CameraState) -> Command {
         Command::Simulator(match self {
             Self::Kidnap => SimulatorCommand::Kidnap { forward_m: 0.3, left_m: 0.2, turn_rad: 60_f64.to_radians() },

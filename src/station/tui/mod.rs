@@ -1,8 +1,8 @@
-//! The terminal view: what the page shows, for people on ssh (docs/dashboard.md).
+//! The terminal view: the content of the dashboard page, for users on ssh (docs/dashboard.md).
 //!
-//! It is fed with the messages of the page through a channel that drops and counts ([`FrameTap`]), and gives its commands by the same way
-//! as the page. From a [`Model`] to the cells of the screen goes a pure function ([`render::render`]); [`tty`] takes the terminal, never
-//! waits for it, and gives it back as it was: at the end, after an error, and when something panics.
+//! It receives the messages of the page through a channel that drops and counts ([`FrameTap`]), and sends commands like the page. A
+//! pure function converts a [`Model`] to the cells of the screen ([`render::render`]); [`tty`] takes the terminal, never waits for it,
+//! and restores it: at the end, after an error, and on a panic.
 
 mod arena;
 pub mod keys;
@@ -36,23 +36,23 @@ use self::theme::Theme;
 use self::tty::{TerminalWriter, Tty};
 use crate::console::{redirect_stderr, restore_stderr};
 
-/// Most messages that wait for the view, a bit more than a second of them; it looks twenty times a second.
+/// Queued messages: a bit more than a second; the view polls twenty times a second.
 pub const WAITING_FRAMES: usize = 64;
-/// A key is waited for so long before the screen is drawn anew: twenty pictures a second are more than an eye needs for numbers.
+/// Redraw period and timeout of waiting for a key: twenty frames a second suffice for numbers.
 const DRAW_PERIOD_MILLIS: u16 = 50;
-/// Most lines of the program that are read between two pictures.
+/// Messages of the program read between two frames.
 const MAX_LINES: usize = 256;
 
 pub struct TerminalInputs {
     pub frames: FrameTap,
     pub commands: CommandSubmitter,
     pub quit: CancellationToken,
-    /// The simulated brick, if the station has one of its own.
+    /// `None` without an embedded simulated brick.
     pub simulator: Option<SimulatorFacts>,
     pub greeting: String,
 }
 
-/// A view that has the terminal. It gives it back when it is dropped.
+/// Owns the terminal; restores it when dropped.
 pub struct TerminalView {
     tty: Arc<Tty>,
     is_over: Arc<AtomicBool>,
@@ -90,7 +90,7 @@ impl Drop for TerminalView {
     }
 }
 
-/// A message about a panic belongs on the screen as it was, behind the earlier lines, which `print_rest` prints.
+/// Restores the screen before a panic message, after the retained messages that `print_rest` prints.
 fn restore_on_panic(tty: &Arc<Tty>, print_rest: fn()) {
     let tty = Arc::downgrade(tty);
     let before = std::panic::take_hook();
@@ -125,7 +125,7 @@ impl TerminalLoop {
         }
     }
 
-    /// Draws once, then waits for a key as long as a picture lasts.
+    /// Draws once, then waits for a key for one frame period.
     fn step(&mut self) -> Result<()> {
         while let TapPoll::Frame(frame) = self.inputs.frames.try_recv() {
             self.model.on_frame(&frame);
@@ -204,7 +204,7 @@ pub fn choose(model: &mut Model, action: UiAction) {
 #[cfg(test)]
 mod tests;
 
-/// A terminal with what it shows, so that only what changes is sent.
+/// A terminal with its content, so that only changes are sent.
 struct Screen {
     tty: Arc<Tty>,
     theme: Theme,
@@ -219,7 +219,7 @@ impl Screen {
         Ok(Self { tty, theme, terminal, area })
     }
 
-    /// Shows a model, unless the terminal has not taken all of the last picture yet.
+    /// Draws a model, unless the terminal has not accepted all of the last frame yet.
     fn show(&mut self, model: &Model) -> Result<()> {
         if !self.tty.drain()? {
             return Ok(());

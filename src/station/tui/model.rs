@@ -1,6 +1,6 @@
-//! All that the terminal view knows: made of the same messages as the page, and of what a person has chosen.
+//! State of the terminal view: built from the messages of the page and the user's selection.
 //!
-//! A value without clock and terminal. Everything in it is bounded: trails by [`RecentPoints`], robots, sensors and lines by the constants
+//! It has no clock and no terminal. Everything in it is bounded: trails by [`RecentPoints`], robots, sensors and lines by the constants
 //! here.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -12,42 +12,39 @@ use posebridge_dashboard::model::{
 use posebridge_report::RecentNis;
 use posebridge_telemetry::severity::NOTICE;
 
-/// Most robots that are shown; a class has fewer.
+/// A class has fewer.
 const MAX_ROBOTS: usize = 64;
-/// Most lines that are kept, as on the page.
+/// As on the page.
 const MAX_LINES: usize = 300;
-/// What was done is shown for so long, to be read in passing.
 const NOTICE_DURATION_S: f64 = 5.0;
 
 #[derive(Clone, Debug, Default)]
 pub struct Model {
-    /// The simulated brick, if the station has one of its own.
+    /// `None` without an embedded simulated brick.
     pub simulator: Option<SimulatorFacts>,
-    /// The session's time, in seconds.
     pub now_s: f64,
     pub robots: Vec<Robot>,
-    /// Where the only simulated robot really was.
+    /// Of the only simulated robot.
     truth: RecentPoints<TruthPoint>,
-    /// How far odometry and estimate of the first simulated robot are from the truth.
     errors: Option<ErrorsRow>,
     pub links: Vec<LinkRow>,
     pub clock: Option<ClockRow>,
     pub recording: Option<RecordingNow>,
-    /// Lines for people, oldest first.
+    /// Oldest first.
     pub log: VecDeque<LogLine>,
-    /// Messages that this view has missed because the terminal was slow.
+    /// Messages missed because the terminal was slow.
     pub missed: u64,
     pub selection: Selection,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
-    /// Which of [`Model::visible_robots`] robots.
+    /// Index into [`Model::visible_robots`].
     pub robot: usize,
-    /// Which panel has the whole screen; `None` for all of them together.
+    /// The panel shown on the whole screen; `None` for all.
     pub panel: Option<usize>,
     pub has_help: bool,
-    /// The robots whose simulated cameras were covered from here.
+    /// Robots whose simulated cameras were covered from this view.
     pub covered_cameras: BTreeSet<String>,
     pub notice: Option<(f64, &'static str)>,
 }
@@ -101,13 +98,12 @@ impl Model {
         self.selection.notice = Some((self.now_s, what));
     }
 
-    /// What was done last, as long as it is new.
     pub fn notice(&self) -> Option<&'static str> {
         let (noted_s, what) = self.selection.notice?;
         (self.now_s - noted_s <= NOTICE_DURATION_S).then_some(what)
     }
 
-    /// The robots to choose from: those with an estimate. A camera is heard as well but has none. Without any, all.
+    /// Robots for selection: those with an estimate, which excludes cameras. All, if none has one.
     pub fn visible_robots(&self) -> Vec<&Robot> {
         let estimated: Vec<&Robot> = self.robots.iter().filter(|robot| !robot.estimates.is_empty()).collect();
         if estimated.is_empty() { self.robots.iter().collect() } else { estimated }
@@ -119,13 +115,11 @@ impl Model {
         shown.get(self.selection.robot.min(last)).copied()
     }
 
-    /// Where the chosen robot really was, if it is simulated.
     pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
         let own = self.selected_robot().map(|robot| &robot.truth).filter(|truth| !truth.is_empty());
         own.or_else(|| (self.visible_robots().len() <= 1).then_some(&self.truth))
     }
 
-    /// How far odometry and estimate of the chosen robot are from its truth.
     pub fn selected_errors(&self) -> Option<&ErrorsRow> {
         let own = self.selected_robot().and_then(|robot| robot.errors.as_ref());
         own.or_else(|| self.errors.as_ref().filter(|_| self.visible_robots().len() <= 1))
@@ -152,7 +146,7 @@ impl Model {
     }
 }
 
-/// A robot has a handful of sensors; more than this is not a robot but nonsense.
+/// Bounds the sensors of a robot, which has a handful.
 const MAX_SOURCES: usize = 32;
 
 #[derive(Clone, Debug, Default)]
@@ -161,9 +155,8 @@ pub struct Robot {
     pub name: Option<String>,
     pub estimates: RecentPoints<EstimatePoint>,
     pub fixes: RecentPoints<FixPoint>,
-    /// Where it really was, if it is one of several simulated robots.
+    /// Empty unless it is one of several simulated robots.
     pub truth: RecentPoints<TruthPoint>,
-    /// How far odometry and estimate are from that.
     pub errors: Option<ErrorsRow>,
     pub sources: BTreeMap<String, SourceModel>,
     pub calibration: Vec<CalibrationRow>,
@@ -182,7 +175,7 @@ impl Robot {
         Self { id: id.to_owned(), ..Self::default() }
     }
 
-    /// What people read: the name, else the id.
+    /// The name, else the id.
     pub fn label(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.id)
     }
@@ -233,9 +226,9 @@ impl Robot {
     }
 }
 
-/// Trails are so long, as those of the page.
+/// Duration of trails, as on the page.
 const WINDOW_S: f64 = 60.0;
-/// Most points that are kept: 80 s at the 50 Hz of a station.
+/// 80 s at the 50 Hz of a station.
 const MAX_POINTS: usize = 4_096;
 
 /// The latest points, oldest first.
@@ -251,7 +244,7 @@ impl<T> Default for RecentPoints<T> {
 }
 
 impl<T> RecentPoints<T> {
-    /// Takes a point of this instant, in seconds of the session.
+    /// `t_s` is session time.
     pub fn push(&mut self, t_s: f64, point: T) {
         self.points.push_back((t_s, point));
         while self.points.len() > MAX_POINTS

@@ -1,6 +1,6 @@
 //! The panels and their table.
 //!
-//! A panel draws what a [`Model`] holds into a part of a buffer. It knows no terminal and no clock: the same model gives the same cells.
+//! A panel draws a [`Model`] into a part of a buffer. It has no terminal and no clock: the same model gives the same cells.
 
 use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine};
 use posebridge_report::Consistency;
@@ -16,13 +16,12 @@ use super::theme::{StyleRole, Theme, degrees, fixed, sanitize, signed};
 
 pub struct Panel {
     pub title: &'static str,
-    /// The number of lines that it needs to show everything.
     pub lines: fn(&Model) -> usize,
     pub draw: fn(&Model, Theme, Rect, &mut Buffer),
 }
 
-/// Every panel, in the order in which Tab shows them. Adding one: a function here and a row in this table. The first has the large place
-/// where all are shown together, the last the broad one below; the others stand between as far as there is room.
+/// In the order of the Tab key. Adding one: a function here and a row in this table. In the overview the first panel has the large
+/// area, the last the wide one at the bottom; the others are between as far as they fit.
 pub const PANELS: &[Panel] = &[
     Panel { title: "Arena", lines: |_| usize::from(u16::MAX), draw: arena::draw },
     Panel { title: "Pose", lines: |_| 4, draw: draw_pose },
@@ -47,7 +46,7 @@ fn draw_pose(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     Paragraph::new(lines).render(area, buffer);
 }
 
-/// How far odometry and estimate are from the truth; that of a real robot is unknown.
+/// Errors of odometry and estimate; unknown for a real robot.
 fn error_line(model: &Model, theme: Theme) -> Line<'static> {
     match model.selected_errors() {
         Some(errors) => Line::from(vec![
@@ -84,11 +83,10 @@ fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
     [Line::from(place), Line::from(heading), Line::from(vec![fix, resets])]
 }
 
-/// Most robots with a line beside the other panels; the panel on the whole screen shows as many as fit.
+/// Robots listed in the overview; the full-screen panel shows as many as fit.
 const MAX_LINES: usize = 8;
-/// A robot whose last estimate is older is silent; as on the page (web/model/silence.js).
+/// Age of the last estimate from which a robot counts as silent, as on the page (web/model/silence.js).
 const SILENT_FROM_S: f64 = 1.0;
-/// The column of names, in characters.
 const NAME_WIDTH: usize = 16;
 
 fn robot_lines(model: &Model) -> usize {
@@ -134,11 +132,10 @@ fn robot_row(robot: &Robot, now_s: f64, selected: Option<&str>, theme: Theme) ->
     Line::from(spans)
 }
 
-/// Seen, gated, NIS, claims, last.
+/// Seen, gated, NIS, consistency, last.
 const SOURCE_WIDTHS: [u16; 5] = [5, 5, 4, 10, 8];
-/// Blanks between the columns.
 const GAPS: u16 = SOURCE_WIDTHS.len() as u16;
-/// `landmarks`: in a terminal of 80 columns so long a name leaves the other columns whole.
+/// `landmarks`: this width leaves the other columns complete in a terminal of 80 columns.
 const NAME_AT_LEAST: usize = 9;
 
 fn draw_sources(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
@@ -156,7 +153,7 @@ fn draw_sources(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
         .render(area, buffer);
 }
 
-/// A name in this number of columns, with a sign where it is cut.
+/// Cuts a name to `columns`, with a mark.
 fn truncate(name: &str, columns: usize) -> String {
     let name = sanitize(name);
     if name.chars().count() <= columns {
@@ -184,7 +181,7 @@ fn source_row(name: String, source: &SourceModel, theme: Theme) -> Row<'static> 
     ])
 }
 
-/// A number of zero or more in four characters, as long as it has no more digits than that.
+/// A non-negative number in four characters, if it has no more digits.
 fn four_digits(number: f64) -> String {
     match number {
         ..9.995 => format!("{number:.2}"),
@@ -193,7 +190,7 @@ fn four_digits(number: f64) -> String {
     }
 }
 
-/// What the filter is, going by one source: the words of docs/dashboard.md, which are short.
+/// Short text of a consistency verdict, as in docs/dashboard.md.
 const fn consistency_label(verdict: Consistency) -> (&'static str, StyleRole) {
     match verdict {
         Consistency::OverConfident => ("too sure", StyleRole::Bad),
@@ -251,7 +248,7 @@ fn link_lines(link: &LinkRow, theme: Theme) -> [Line<'static>; 2] {
 /// Value, sigma, name.
 const CALIBRATION_WIDTHS: [Constraint; 3] = [Constraint::Length(9), Constraint::Length(10), Constraint::Min(0)];
 
-/// Numbers with a sigma: the others are taken as given.
+/// Estimated constants; those without a sigma are fixed.
 fn learned(model: &Model) -> impl Iterator<Item = &CalibrationRow> {
     let robot = model.selected_robot().into_iter();
     let rows = robot.flat_map(|robot| &robot.calibration);

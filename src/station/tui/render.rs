@@ -1,4 +1,4 @@
-//! The whole screen: from a model to the cells of a buffer, as a pure function.
+//! The whole screen: a pure function from a model to the cells of a buffer.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -10,13 +10,13 @@ use super::model::Model;
 use super::panels::{PANELS, Panel};
 use super::theme::{StyleRole, Theme, bytes, fixed, sanitize};
 
-/// Below this size one panel is shown at a time: beside each other their lines would be cut.
+/// Below this size one panel is shown at a time, because lines would be cut.
 const LEAST_FOR_ALL: (u16, u16) = (64, 16);
-/// The column of numbers takes so much, if the map keeps as much: its widest table.
+/// Width of the column of numbers, that of its widest table; the map has priority.
 const NUMBERS_WIDTH: u16 = 52;
-/// The events take so much of the height when all panels are shown.
+/// Divisor of the height for the events in the overview.
 const EVENTS_SHARE: u16 = 4;
-/// A frame takes a line above and one below.
+/// Border lines above and below.
 const FRAME: u16 = 2;
 
 pub fn render(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
@@ -32,7 +32,6 @@ pub fn render(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// Which panels are shown where in the body of the screen.
 fn panel_layout(model: &Model, screen: Rect, body: Rect) -> Vec<(&'static Panel, Rect)> {
     let is_small = screen.width < LEAST_FOR_ALL.0 || screen.height < LEAST_FOR_ALL.1;
     let chosen = match (model.selection.panel, is_small) {
@@ -131,7 +130,7 @@ fn foot_line(model: &Model, theme: Theme) -> Line<'static> {
     Line::from(line)
 }
 
-/// The keys that do anything: those for the simulated brick only where there is one.
+/// The active keys: those for the simulated brick only if there is one.
 fn keys_for(model: &Model) -> impl Iterator<Item = &'static KeyBinding> + use<> {
     let has_brick = model.simulator.is_some();
     KEYS.iter().filter(move |key| has_brick || !matches!(key.action, UiAction::Do(_)))

@@ -1,5 +1,4 @@
-//! How things look: with the terminal's own colours, or without any where NO_COLOR is set (<https://no-color.org>), and how numbers and
-//! texts are written.
+//! Styles and number formats: the terminal's own colours, or none if NO_COLOR is set (<https://no-color.org>).
 //!
 //! Colour alone never carries information: lines differ in their dots, fixes in their marks, verdicts in their words.
 
@@ -10,13 +9,12 @@ use ratatui::style::{Color, Modifier, Style};
 pub enum Theme {
     /// The sixteen of the terminal, which are legible on its own background, dark or light.
     Coloured,
-    /// None.
     Plain,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StyleRole {
-    /// Frames, units, what is only there to help.
+    /// Borders, units, hints.
     Quiet,
     Strong,
     Path,
@@ -25,12 +23,12 @@ pub enum StyleRole {
     Estimate,
     Good,
     Late,
-    /// One that was refused, or something that is wrong.
+    /// A rejected fix, or an error.
     Bad,
 }
 
 impl Theme {
-    /// What a person asked for by `NO_COLOR`: any value but an empty one.
+    /// `NO_COLOR` set to any non-empty value.
     pub fn from_env(no_color: Option<&std::ffi::OsStr>) -> Self {
         if no_color.is_some_and(|value| !value.is_empty()) { Self::Plain } else { Self::Coloured }
     }
@@ -42,7 +40,6 @@ impl Theme {
         }
     }
 
-    /// The colour of a line or mark on the map.
     pub const fn colour(self, role: StyleRole) -> Color {
         match self {
             Self::Coloured => colour(role),
@@ -77,7 +74,7 @@ const fn weight(role: StyleRole) -> Modifier {
     }
 }
 
-/// A number with this number of decimals, or a dash if there is none.
+/// A dash for a missing number.
 pub(super) fn fixed(number: Number, decimals: usize) -> String {
     number.get().map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
 }
@@ -91,7 +88,6 @@ pub(super) fn degrees(radians: Number, decimals: usize) -> String {
     fixed(degrees.into(), decimals)
 }
 
-/// A number of bytes for people.
 pub(super) fn bytes(number: u64) -> String {
     match number {
         ..1_000 => format!("{number} B"),
@@ -100,7 +96,7 @@ pub(super) fn bytes(number: u64) -> String {
     }
 }
 
-/// A text from outside without what would steer a terminal: escape sequences go, other control characters become blanks.
+/// Sanitises foreign text: escape sequences are removed, other control characters become spaces.
 pub(super) fn sanitize(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     let mut rest = text.chars().peekable();

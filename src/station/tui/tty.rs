@@ -1,8 +1,8 @@
-//! The person's terminal: taken, written to without ever waiting for it, and given back as it was.
+//! The user's terminal: non-blocking output, and restoration of its modes.
 //!
-//! It is opened anew instead of using standard output, so that only this program's end becomes non-blocking: a terminal that hangs
-//! (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is gone, and the view still receives its
-//! messages. Source of the modes: termios(3), `cfmakeraw`.
+//! It is opened again instead of using standard output, so that only this program's descriptor becomes non-blocking: a terminal that
+//! hangs (a frozen ssh, a stopped tmux) then fills `Tty::pending`, nothing is drawn until that is empty, and the view still receives
+//! its messages. Source of the modes: termios(3), `cfmakeraw`.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, IsTerminal, Read, Write};
@@ -23,25 +23,24 @@ use ratatui::crossterm::style::ResetColor;
 use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen};
 use ratatui::layout::Rect;
 
-/// At the end the terminal may take so long for each piece of what is still to be written before it is left as it is.
+/// Timeout of each final write before the rest is dropped.
 const WRITE_TIMEOUT_MILLIS: u16 = 500;
-/// So much of what was typed is read at a time; a person types far less, and what is pasted waits.
+/// Bytes read at a time; keystrokes are far fewer, and pasted text waits.
 const MAX_INPUT_BYTES: usize = 1_024;
-/// A terminal of more columns or lines is no screen.
 const MAX_CELLS: u16 = 1_000;
-/// Cancels an escape sequence that was written in part (ECMA-48, CAN).
+/// Cancels an incomplete escape sequence (ECMA-48, CAN).
 const CANCEL: u8 = 0x18;
 
-/// A terminal that was taken; given back at the latest when it is dropped.
+/// A terminal in raw mode; restored at the latest when dropped.
 pub struct Tty {
     file: File,
     saved_settings: Mutex<Termios>,
-    /// What was drawn and not yet written: one picture at most, because the next is drawn when this is empty.
+    /// Drawn bytes that are not yet written: one frame at most, because the next is drawn when this is empty.
     pending: Mutex<Vec<u8>>,
     is_taken: AtomicBool,
 }
 
-/// Whether there is a terminal for output and for keys.
+/// Fails unless input and output are terminals.
 pub fn ensure_terminal() -> Result<()> {
     ensure!(io::stdout().is_terminal(), "--tui: standard output is no terminal; run it in one, or without --tui");
     ensure!(
@@ -56,14 +55,13 @@ pub fn ensure_terminal() -> Result<()> {
 }
 
 impl Tty {
-    /// Takes the terminal of standard output.
+    /// The terminal of standard output.
     pub fn open() -> Result<Arc<Self>> {
         let name = nix::unistd::ttyname(io::stdout()).context("--tui: the terminal has no name")?;
         // That of another user, as after `su`, may be opened by the name that every process has for its own.
         Self::open_at(&name).or_else(|error| Self::open_at(Path::new("/dev/tty")).map_err(|_neither| error))
     }
 
-    /// Takes the terminal of this name.
     pub fn open_at(name: &Path) -> Result<Arc<Self>> {
         let flags = OFlag::O_NONBLOCK | OFlag::O_NOCTTY;
         let file = OpenOptions::new()
@@ -86,7 +84,7 @@ impl Tty {
         }))
     }
 
-    /// Writes what the terminal takes at once; whether nothing is left.
+    /// Writes what the terminal accepts without blocking; returns whether nothing is left.
     pub fn drain(&self) -> io::Result<bool> {
         let mut pending = self.pending();
         while !pending.is_empty() {
@@ -100,7 +98,7 @@ impl Tty {
         Ok(true)
     }
 
-    /// What was typed, after this number of milliseconds at the latest.
+    /// Typed bytes; waits at most `within_millis`.
     pub fn read(&self, within_millis: u16) -> io::Result<Vec<u8>> {
         let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
         match poll(&mut asked, PollTimeout::from(within_millis)) {
@@ -121,7 +119,7 @@ impl Tty {
         }
     }
 
-    /// How large it is; a terminal that does not know is taken for one of 80 columns and 24 lines.
+    /// Size of the terminal; 80 columns and 24 lines if it is unknown.
     pub fn area(&self) -> io::Result<Rect> {
         let size = rustix::termios::tcgetwinsize(&self.file)?;
         Ok(match (size.ws_col, size.ws_row) {
@@ -130,7 +128,7 @@ impl Tty {
         })
     }
 
-    /// Gives it back as it was. What it does not take within half a second stays unwritten; its modes are restored in any case.
+    /// Restores the terminal. Output that it does not accept within half a second is dropped; its modes are restored in any case.
     pub fn restore(&self) {
         if !self.is_taken.swap(false, Ordering::SeqCst) {
             return;
@@ -151,7 +149,7 @@ impl Tty {
         let _ = tcsetattr(&self.file, SetArg::TCSANOW, &before);
     }
 
-    /// Number of bytes that were drawn and not yet written.
+    /// Number of drawn bytes that are not yet written.
     #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
         self.pending().len()
@@ -185,7 +183,7 @@ fn is_would_block(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
-/// What is drawn on: it only collects, and [`Tty::drain`] writes.
+/// Collects drawn bytes; [`Tty::drain`] writes them.
 pub struct TerminalWriter(pub Arc<Tty>);
 
 impl Write for TerminalWriter {

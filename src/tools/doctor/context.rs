@@ -1,4 +1,4 @@
-//! What a check looks at and what it says: the folders through which Linux shows itself, who asks, the running processes, and a result.
+//! Input and output of the checks: Linux system folders, user permissions, running processes, results.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,27 +6,26 @@ use std::path::{Path, PathBuf};
 use nix::unistd::{AccessFlags, Gid, Uid, User, access};
 use serde::Serialize;
 
-/// What is to be looked at.
+/// The configuration, links and system to check.
 #[derive(Clone, Debug)]
 pub struct DiagnosticContext {
     pub roots: SystemRoots,
     pub user: UserPermissions,
-    /// The configuration file; without it the embedded default is checked, and no link is opened.
+    /// `None` checks the embedded default and opens no link.
     pub config: Option<PathBuf>,
-    /// The links to listen on, as they were given.
+    /// Links to listen on, as given.
     pub links: Vec<String>,
-    /// How long to listen on each, and at each speed, in seconds.
+    /// Listening time for each link and each speed.
     pub listen_for_s: f64,
 }
 
-/// How a check came out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
     Skipped,
     Ok,
     Warning,
-    /// It will not work like this.
+    /// It will not work.
     Problem,
 }
 
@@ -41,12 +40,12 @@ impl Status {
     }
 }
 
-/// What one check says about one thing.
+/// The result of a check for one item.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CheckResult {
     pub status: Status,
     pub message: String,
-    /// What to do; empty where nothing needs to be done.
+    /// What to do; empty if nothing.
     pub advice: String,
 }
 
@@ -55,17 +54,16 @@ impl CheckResult {
         Self::new(Status::Ok, what, "")
     }
 
-    /// There was nothing to look at.
     pub fn skipped(what: impl Into<String>) -> Self {
         Self::new(Status::Skipped, what, "")
     }
 
-    /// Something that may be a reason for trouble, with its cure.
+    /// A possible cause of problems, with a remedy.
     pub fn warning(what: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::new(Status::Warning, what, advice)
     }
 
-    /// Something that does not work like this, with its cure.
+    /// A certain cause of problems, with a remedy.
     pub fn problem(what: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::new(Status::Problem, what, advice)
     }
@@ -75,14 +73,13 @@ impl CheckResult {
     }
 }
 
-/// One verdict with the name of its check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
     pub name: &'static str,
     pub result: CheckResult,
 }
 
-/// The folders through which Linux shows itself.
+/// The folders of the Linux system interfaces.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SystemRoots {
     /// `/sys`: devices and drivers.
@@ -91,19 +88,18 @@ pub struct SystemRoots {
     pub dev: PathBuf,
     /// `/proc`: processes and limits.
     pub proc: PathBuf,
-    /// `/run`: what services and udev have left.
+    /// `/run`: runtime data of services and udev.
     pub run: PathBuf,
-    /// `/var/lib`: what services remember, such as paired devices.
+    /// `/var/lib`: persistent data of services, such as paired devices.
     pub var_lib: PathBuf,
 }
 
 impl SystemRoots {
-    /// Those of the computer that this program runs on.
     pub fn host() -> Self {
         Self::under(Path::new("/"))
     }
 
-    /// Those of a computer whose root folder is `root`.
+    /// The folders of a computer whose root folder is `root`.
     pub fn under(root: &Path) -> Self {
         Self {
             sys: root.join("sys"),
@@ -115,27 +111,25 @@ impl SystemRoots {
     }
 }
 
-/// The person who runs the program, as far as permissions go.
+/// Permissions of the user of this process.
 #[derive(Clone, Debug)]
 pub struct UserPermissions {
-    /// Numbers of the groups that this session has.
+    /// Group ids of this session.
     pub groups: Vec<u32>,
     /// Whether a device may be opened for reading and writing.
     pub can_open: fn(&Path) -> bool,
     pub group: fn(u32) -> UserGroup,
 }
 
-/// A group of the system.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UserGroup {
-    /// Its name, or its number where it has none.
+    /// Its name, or its number if it has none.
     pub name: String,
-    /// Whether the system lists the person as a member. It takes effect with the next login.
+    /// Whether the user is listed as a member. Effective from the next login.
     pub lists_user: bool,
 }
 
 impl UserPermissions {
-    /// The one who has started this program.
     pub fn current() -> Self {
         let groups = nix::unistd::getgroups().unwrap_or_default();
         Self {
@@ -154,7 +148,7 @@ fn host_group(number: u32) -> UserGroup {
     UserGroup { lists_user: person.is_some_and(|person| group.mem.contains(&person.name)), name: group.name }
 }
 
-/// The names in a folder, sorted; none if it cannot be read.
+/// Names in a folder, sorted; empty if it cannot be read.
 pub(super) fn names_in(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut names: Vec<_> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
@@ -162,13 +156,13 @@ pub(super) fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// What stands in a file of one value, without its line end.
+/// Content of a file without its line end.
 pub(super) fn value_in(path: &Path) -> Option<String> {
     let text = fs::read_to_string(path).ok()?;
     Some(text.trim().to_owned())
 }
 
-/// The last part of where a link leads.
+/// File name of a symbolic link's target.
 pub(super) fn link_name(path: &Path) -> Option<String> {
     let target = fs::read_link(path).ok()?;
     Some(target.file_name()?.to_string_lossy().into_owned())
@@ -177,13 +171,13 @@ pub(super) fn link_name(path: &Path) -> Option<String> {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Process {
     pub(super) pid: u32,
-    /// Its name, cut to 15 characters by the kernel: proc(5), `/proc/pid/comm`.
+    /// Cut to 15 characters by the kernel: proc(5), `/proc/pid/comm`.
     pub(super) name: String,
     folder: PathBuf,
 }
 
 impl Process {
-    /// The files that it holds open; `None` if that is hidden from us, as it is for processes of other people.
+    /// Files that it holds open; `None` if hidden, as for processes of other users.
     pub(super) fn open_files(&self) -> Option<Vec<PathBuf>> {
         let descriptors = fs::read_dir(self.folder.join("fd")).ok()?;
         let targets = descriptors.flatten().filter_map(|descriptor| fs::read_link(descriptor.path()).ok());
@@ -201,12 +195,12 @@ pub(super) fn processes(roots: &SystemRoots) -> Vec<Process> {
     found
 }
 
-/// A process that ends while we look is none.
+/// `None` if the process has ended.
 fn process(pid: u32, folder: &Path) -> Option<Process> {
     Some(Process { pid, name: value_in(&folder.join("comm"))?, folder: folder.to_owned() })
 }
 
-/// The process whose name is one of these.
+/// A process with one of these names.
 pub(super) fn running(roots: &SystemRoots, names: &[&str]) -> Option<Process> {
     processes(roots).into_iter().find(|process| names.contains(&process.name.as_str()))
 }

@@ -1,8 +1,8 @@
-//! Checks of the computer besides its serial ports: Bluetooth, the service that keeps its date right, and the receive buffer of UDP links.
+//! Checks of the computer besides its serial ports: Bluetooth, time synchronisation, and the receive buffer of UDP links.
 //!
 //! Sources: the kernel's Documentation/ABI/stable/sysfs-class-rfkill (type, soft, hard); BlueZ keeps paired devices in
-//! `/var/lib/bluetooth/<adapter>/<device>/info`, which only root may read on most systems; systemd-timesyncd(8) (the file `synchronized`);
-//! chronyd(8) (its command socket); socket(7), SO_RCVBUF: a larger wish is cut to net.core.rmem_max.
+//! `/var/lib/bluetooth/<adapter>/<device>/info`, which only root may read on most systems; systemd-timesyncd(8) (the file
+//! `synchronized`); chronyd(8) (its command socket); socket(7), SO_RCVBUF: limited by net.core.rmem_max.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use posebridge_link::UDP_RECEIVE_BUFFER_BYTES as WANTED_BYTES;
 
 use super::context::{CheckResult, DiagnosticContext, SystemRoots, names_in, running, value_in};
 
-/// Looks at adapters, switches and pairings; a computer without a radio is skipped.
+/// Checks adapters, rfkill switches and pairings; skipped without a radio.
 pub(super) fn check_bluetooth(context: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &context.roots;
     let mut verdicts = check_blocked_radios(roots);
@@ -34,7 +34,7 @@ pub(super) fn check_bluetooth(context: &DiagnosticContext) -> Vec<CheckResult> {
     verdicts
 }
 
-/// The adapters; an open connection is listed beside them as `hci0:11`.
+/// Excludes open connections, which are listed beside them as `hci0:11`.
 fn adapters(roots: &SystemRoots) -> Vec<String> {
     let mut names = names_in(&roots.sys.join("class/bluetooth"));
     names.retain(|name| name.starts_with("hci") && !name.contains(':'));
@@ -64,7 +64,7 @@ fn check_radio(radio: &Path) -> Option<CheckResult> {
         .then(|| CheckResult::problem(format!("Bluetooth radio {name} is blocked"), "run `rfkill unblock bluetooth`"))
 }
 
-/// The devices that are paired, where that can be read.
+/// Paired devices, if readable.
 fn check_paired(var_lib: &Path) -> CheckResult {
     let folder = var_lib.join("bluetooth");
     if std::fs::read_dir(&folder).is_err() {
@@ -98,10 +98,10 @@ fn paired_devices(adapter: &Path) -> Vec<String> {
         .collect()
 }
 
-/// Services that set the date, by the names of their processes, cut to 15 characters.
+/// Time services, by process name, cut to 15 characters.
 const SERVICES: &[&str] = &["systemd-timesyn", "chronyd", "ntpd", "ntpsec", "openntpd"];
 
-/// Looks for a service, and for whether it has succeeded where it says so.
+/// Checks for a service, and whether it reports success.
 pub(super) fn check_time_sync(context: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &context.roots;
     let run = &roots.run;
@@ -126,7 +126,7 @@ pub(super) fn check_time_sync(context: &DiagnosticContext) -> Vec<CheckResult> {
     vec![verdict]
 }
 
-/// Compares the limit with the wish.
+/// Compares the limit with the requested size.
 pub(super) fn check_receive_buffer(context: &DiagnosticContext) -> Vec<CheckResult> {
     let path = context.roots.proc.join("sys/net/core/rmem_max");
     let granted = value_in(&path).and_then(|text| text.parse::<usize>().ok());

@@ -1,7 +1,7 @@
-//! Checks of links: whether the configuration makes sense and its links open, and what is heard on the given links, on a serial port also
-//! the speed at which it makes sense.
+//! Checks of links: whether the configuration is valid and its links open, and what the given links receive, for a serial port also its
+//! correct speed.
 //!
-//! Nothing is sent. A brick that only answers when it is asked stays silent here.
+//! Nothing is sent. A brick that only answers requests stays silent here.
 
 use std::fs;
 use std::path::Path;
@@ -17,7 +17,7 @@ use super::context::{CheckResult, DiagnosticContext};
 use crate::config::{self, Config, LinkTarget, load_scenario};
 use crate::console::print_line;
 
-/// Loads the configuration, then opens each link of a given file once and closes it.
+/// Loads the configuration, then opens and closes each link of a given file.
 pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResult> {
     let path = context.config.as_deref();
     let name = path.map_or("the embedded default".to_owned(), |path| path.display().to_string());
@@ -83,16 +83,13 @@ async fn open_link(link: &str, url: &LinkUrl, role: ConnectRole, timer: HostTime
     }
 }
 
-/// How an attempt to open a link ended.
 enum OpenOutcome {
-    /// Bytes can flow; with what was opened, for people.
     Up(Box<Link>, String),
-    /// It is not there, and may come.
     Unavailable(String),
     Rejected(OpenError),
 }
 
-/// Opens a link; takes at most the deadline of the transports, five seconds.
+/// Opens a link within the deadline of the transports, five seconds.
 async fn open(url: &LinkUrl, role: ConnectRole, timer: HostTimer) -> OpenOutcome {
     let config = LinkOpenConfig { id: LinkId(0), url: url.clone(), role };
     let tuning = LinkTuning { line_settings: LineSettingsPolicy::Restore, ..LinkTuning::default() };
@@ -110,7 +107,7 @@ async fn open(url: &LinkUrl, role: ConnectRole, timer: HostTimer) -> OpenOutcome
     }
 }
 
-/// Runs what opens links. An attempt to open a device that hangs is left behind, so that it does not keep the program alive.
+/// Runs a future in a new runtime. A blocked attempt to open a device is abandoned, so that it does not keep the program alive.
 fn run_in_runtime(look: impl Future<Output = Vec<CheckResult>>) -> Vec<CheckResult> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     match runtime {
@@ -123,7 +120,7 @@ fn run_in_runtime(look: impl Future<Output = Vec<CheckResult>>) -> Vec<CheckResu
     }
 }
 
-/// The result for a link that may come up later.
+/// The result for a link that may become available.
 fn unavailable_result(link: &str, reason: &str) -> CheckResult {
     CheckResult::warning(
         format!("{link} is not there: {reason}"),
@@ -131,26 +128,24 @@ fn unavailable_result(link: &str, reason: &str) -> CheckResult {
     )
 }
 
-/// The result for a link that a person has to change. The errors say what is wrong and, behind a colon, what to do.
+/// The result for a link that the user has to change. The errors contain the reason and, after a colon, a remedy.
 fn rejected_result(link: &str, error: &OpenError) -> CheckResult {
     let message = error.to_string();
     let (what, advice) = message.split_once(": ").unwrap_or((&message, "docs/links.md says how a link is written"));
     CheckResult::problem(format!("{link} does not open: {what}"), advice)
 }
 
-/// Frames with a checksum after which nothing more has to be heard.
+/// Valid frames after which listening stops.
 const ENOUGH_FRAMES: usize = 5;
-/// Most that is kept: more than a minute of a 115200 baud line would say nothing new.
+/// Bound of the received bytes: more than a minute of a 115200 baud line adds nothing.
 const MAX_BYTES: usize = 1 << 20;
-/// Bytes between two looks at what has come, so that a fast link is not looked at a thousand times over.
+/// Bytes between two detections, so that a fast link is not analysed for each read.
 const DETECT_INTERVAL_BYTES: usize = 256;
 
-/// What a link has brought.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct ListenResult {
-    /// The bytes, in the order in which they came.
+    /// In the order of arrival.
     bytes: Vec<u8>,
-    /// Why the link was lost meanwhile, if it was.
     lost_reason: Option<String>,
 }
 
@@ -165,7 +160,7 @@ impl ListenResult {
     }
 }
 
-/// Listens for this long, or until what is heard leaves no doubt.
+/// Listens for `listen_for`, or until the protocol is certain.
 async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> ListenResult {
     let end = timer.now() + listen_for;
     let mut heard = ListenResult::default();
@@ -193,11 +188,10 @@ async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> Lis
     }
 }
 
-/// Speeds that are tried after the one of the link, the usual ones first: telemetry radios and Bluetooth modules leave the
-/// factory at 57600 and 9600, boards are programmed for the rest.
+/// Speeds tried after the configured one, the common ones first: telemetry radios and Bluetooth modules have factory settings of 57600
+/// and 9600, boards are programmed for the rest.
 const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
 
-/// Listens on each link in turn.
 pub(super) fn check_listening(context: &DiagnosticContext) -> Vec<CheckResult> {
     if context.links.is_empty() {
         return vec![CheckResult::skipped(
@@ -241,7 +235,7 @@ impl LinkListener {
         }
     }
 
-    /// Opens the link, listens and closes it; a verdict if it does not open.
+    /// Opens the link, listens and closes it; the error is the result of a failed open.
     async fn attempt(self, url: &LinkUrl) -> Result<ListenResult, CheckResult> {
         let link = url.to_string();
         print_line(&format!("listening on {link}"));
@@ -253,7 +247,7 @@ impl LinkListener {
     }
 }
 
-/// Listens at the link's own speed and, if that is noise, at the others.
+/// Listens at the link's own speed and, if that gives noise, at the others.
 async fn try_speeds(
     url: &LinkUrl,
     mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<ListenResult, CheckResult>,
@@ -300,14 +294,13 @@ fn role_of(url: &LinkUrl) -> ConnectRole {
     }
 }
 
-/// The speed of a serial link, in bits per second.
 fn baud_of(url: &LinkUrl) -> u32 {
     let options = url.transport().options();
     let baud = options.iter().find(|option| option.name == "baud");
     baud.map_or(0, |option| url.integer(option))
 }
 
-/// The same port with the same options at another speed; `None` for a path that cannot be written in a link.
+/// The same port and options at another speed; `None` for a path that cannot be written as a URL.
 fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
     let path = url.path().to_str()?;
     let others = url.transport().options().iter().filter_map(|option| {
@@ -320,7 +313,7 @@ fn at_speed(url: &LinkUrl, baud: u32) -> Option<LinkUrl> {
     (other.path() == url.path()).then_some(other)
 }
 
-/// What a line is whose speed is only a number: a pseudo-terminal or a Bluetooth link.
+/// The kind of a line without a physical speed: a pseudo-terminal or a Bluetooth link.
 fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
     let device = fs::canonicalize(path).ok()?;
     let name = device.file_name()?.to_str()?;
@@ -331,7 +324,7 @@ fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
     }
 }
 
-/// Names what was heard, and what it means for the station.
+/// Classifies the received data and its meaning for the station.
 fn classify(place: &str, heard: &ListenResult) -> CheckResult {
     let found = heard.detect();
     let description = describe(place, heard, found);

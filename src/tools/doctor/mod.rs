@@ -1,8 +1,8 @@
-//! `posebridge doctor`: says why a robot cannot be heard, and what to do about it.
+//! `posebridge doctor`: finds out why no data of a robot arrives, and suggests remedies.
 //!
-//! Each check looks at one cause and gives verdicts; a new check is a function and a line in [`CHECKS`]. Checks look, they
-//! change nothing: they send no byte, what they open they close, and a serial line gets its settings back. Where the system is
-//! read from stands in [`SystemRoots`], so that tests look at a made-up computer. docs/getting-started.md is the manual.
+//! Each check tests one cause and returns results; a new check is a function and a line in [`CHECKS`]. Checks change nothing: they send
+//! no byte, close what they open, and restore the settings of a serial line. They read the system through [`SystemRoots`], so that
+//! tests can use a simulated computer. docs/getting-started.md is the manual.
 
 mod context;
 mod host;
@@ -38,7 +38,7 @@ pub struct DoctorArgs {
     pub json: bool,
 }
 
-/// Every check, in the order of the report. Adding one: a file here and a line there.
+/// In the order of the report. Adding one: a file here and a line there.
 pub const CHECKS: &[Check] = &[
     Check::new("serial-ports", serial_ports::check_ports),
     Check::new("permissions", serial_ports::check_permissions),
@@ -54,7 +54,7 @@ pub const CHECKS: &[Check] = &[
 #[derive(Clone, Copy, Debug)]
 pub struct Check {
     pub name: &'static str,
-    /// Looks, and gives at least one verdict.
+    /// Returns at least one result.
     pub run: fn(&DiagnosticContext) -> Vec<CheckResult>,
 }
 
@@ -64,8 +64,7 @@ impl Check {
     }
 }
 
-/// Runs the checks and prints their results.
-/// A problem is a failure: exit code 1.
+/// Runs the checks and prints their results. Any problem gives exit code 1.
 pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
     let context = DiagnosticContext {
         roots: SystemRoots::host(),
@@ -84,7 +83,7 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
     }
 }
 
-/// The verdicts of all checks, in the order of [`CHECKS`].
+/// In the order of [`CHECKS`].
 pub fn run_checks(context: &DiagnosticContext) -> Vec<Finding> {
     let findings_of = |check: &Check| {
         let name = check.name;
@@ -94,7 +93,7 @@ pub fn run_checks(context: &DiagnosticContext) -> Vec<Finding> {
     CHECKS.iter().flat_map(findings_of).collect()
 }
 
-/// A number of seconds of more than zero and up to an hour.
+/// A number of seconds, positive and up to an hour.
 fn up_to_an_hour(text: &str) -> Result<f64, String> {
     match positive(text) {
         Ok(seconds) if seconds <= 3_600.0 => Ok(seconds),
@@ -102,7 +101,7 @@ fn up_to_an_hour(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The object of `doctor --json`.
+/// The JSON object of `doctor --json`.
 #[derive(Serialize)]
 struct DoctorReport<'a> {
     version: &'static str,
@@ -119,7 +118,6 @@ struct CheckRow<'a> {
     advice: Option<&'a str>,
 }
 
-/// How many findings came out so.
 fn count(findings: &[Finding], status: Status) -> usize {
     findings.iter().filter(|finding| finding.result.status == status).count()
 }
@@ -147,7 +145,7 @@ impl<'a> CheckRow<'a> {
     }
 }
 
-/// A line per finding, the cure below it, and the sum.
+/// One line per finding, its remedy below it, and totals.
 fn text_report(findings: &[Finding]) -> String {
     let name_width = findings.iter().map(|finding| finding.name.len()).max().unwrap_or(0);
     let lines: Vec<_> = findings.iter().map(|finding| format_finding(finding, name_width)).collect();
@@ -168,7 +166,6 @@ fn format_finding(finding: &Finding, name_width: usize) -> String {
     }
 }
 
-/// Width of the longest word for a status.
 const STATUS_WIDTH: usize = "problem".len();
 
 fn summary_line(findings: &[Finding]) -> String {

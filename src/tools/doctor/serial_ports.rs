@@ -1,8 +1,7 @@
-//! Checks of serial ports: which there are and what is plugged in, whether the person may use them, which programs hold them, and whether
-//! ModemManager writes to them.
+//! Checks of serial ports: ports and connected devices, user permissions, programs that hold them, and access by ModemManager.
 //!
-//! ModemManager opens USB boards (`ttyACM*`) when they appear and sends AT commands for some seconds, unless udev says that it must not.
-//! udev's properties are in `/run/udev/data`, by the numbers of the device.
+//! ModemManager opens USB boards (`ttyACM*`) when they appear and sends AT commands for some seconds, unless a udev tag forbids it.
+//! udev's properties are in `/run/udev/data`, by device number.
 //!
 //! Source: ModemManager's reference manual, "Common udev tags" (ID_MM_DEVICE_IGNORE, ID_MM_PORT_IGNORE); systemd,
 //! sd-device (the files `c<major>:<minor>` with a line `E:KEY=VALUE` per property).
@@ -18,34 +17,33 @@ use super::context::{
     CheckResult, DiagnosticContext, SystemRoots, UserPermissions, link_name, names_in, processes, running, value_in,
 };
 
-/// How the names of ports begin that a robot may be behind: USB adapters, USB boards, bound Bluetooth links, and the
-/// pins of a single-board computer. The kernel's documentation, admin-guide/devices.txt, lists them.
+/// Name prefixes of ports for robots: USB adapters, USB boards, bound Bluetooth links, and the pins of a single-board computer. Source:
+/// the kernel's admin-guide/devices.txt.
 const PREFIXES: &[&str] = &["ttyUSB", "ttyACM", "rfcomm", "ttyAMA"];
 
-/// A serial port, as the system describes it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SerialPort {
-    /// Its name, such as ttyUSB0.
+    /// Such as ttyUSB0.
     pub name: String,
     pub device: PathBuf,
-    /// The name that stays when the number changes.
+    /// The stable name, independent of the number.
     pub by_id: Option<PathBuf>,
     pub driver: Option<String>,
     pub usb: Option<UsbIds>,
-    /// The folders of the device and of all devices that it is a part of, from the inside out.
+    /// Sysfs folders of the device and of its parents, innermost first.
     pub sys_folders: Vec<PathBuf>,
 }
 
-/// The numbers by which a USB device is known, four hexadecimal digits each.
+/// Vendor and product id of a USB device, four hexadecimal digits each.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UsbIds {
     pub vendor: String,
     pub product: String,
-    /// Its name for people; empty where it has none.
+    /// Product name; empty if it has none.
     pub name: String,
 }
 
-/// Lists the ports; a computer without one gets a warning, because a robot may as well come by network.
+/// Lists the ports; without any it is only a warning, because a robot may use the network.
 pub fn check_ports(context: &DiagnosticContext) -> Vec<CheckResult> {
     let ports = serial_ports(&context.roots);
     if ports.is_empty() {
@@ -69,7 +67,7 @@ fn describe(port: &SerialPort) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// The ports of the computer, by name.
+/// Sorted by name.
 pub fn serial_ports(roots: &SystemRoots) -> Vec<SerialPort> {
     let names = names_in(&roots.dev);
     let is_port = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
@@ -90,7 +88,7 @@ fn port(roots: &SystemRoots, name: &str) -> SerialPort {
     }
 }
 
-/// The folder and those above it, as far as they lie in `root`.
+/// The folder and its parents within `root`.
 fn folders_up(folder: &Path, root: &Path) -> Vec<PathBuf> {
     let root = fs::canonicalize(root).unwrap_or_else(|_missing| root.to_owned());
     folder.ancestors().take_while(|above| above.starts_with(&root) && **above != root).map(Path::to_owned).collect()
@@ -109,10 +107,9 @@ fn by_id(roots: &SystemRoots, name: &str) -> Option<PathBuf> {
     names_in(&folder).into_iter().map(|id| folder.join(id)).find(|link| link_name(link).as_deref() == Some(name))
 }
 
-/// Reading and writing for the group, in a file's mode.
 const GROUP_READ_WRITE: u32 = 0o060;
 
-/// Looks at every port; a port that is closed to the person is a problem.
+/// Checks every port; a port that the user may not open is a problem.
 pub fn check_permissions(context: &DiagnosticContext) -> Vec<CheckResult> {
     let ports = serial_ports(&context.roots);
     if ports.is_empty() {
@@ -157,7 +154,7 @@ fn permission_advice(metadata: &Metadata, person: &UserPermissions) -> String {
     format!("it belongs to group {name}: run `sudo usermod -aG {name} $USER`, then log out and in again")
 }
 
-/// Looks for holders of every port, and of the devices of the given links.
+/// Checks for processes that hold a port, or a device of the given links.
 pub fn check_holders(context: &DiagnosticContext) -> Vec<CheckResult> {
     let devices = devices(context);
     if devices.is_empty() {
@@ -171,7 +168,7 @@ pub fn check_holders(context: &DiagnosticContext) -> Vec<CheckResult> {
     verdicts
 }
 
-/// The devices, links followed: that is how they stand in `/proc`.
+/// The devices with links resolved, as in `/proc`.
 fn devices(context: &DiagnosticContext) -> BTreeSet<PathBuf> {
     let ports = serial_ports(&context.roots);
     let of_ports = ports.into_iter().map(|port| port.device);
@@ -215,7 +212,7 @@ impl DeviceHolder {
     }
 }
 
-/// Who holds which device, and how many processes cannot be looked into.
+/// Processes that hold a device, and the number of processes that cannot be inspected.
 fn holders(roots: &SystemRoots, devices: &BTreeSet<PathBuf>) -> (Vec<DeviceHolder>, usize) {
     let mut found = Vec::new();
     let mut hidden = 0;
@@ -237,7 +234,7 @@ fn holders(roots: &SystemRoots, devices: &BTreeSet<PathBuf>) -> (Vec<DeviceHolde
 const PROBED: &str = "ttyACM";
 const IGNORE_TAGS: [&str; 2] = ["E:ID_MM_DEVICE_IGNORE=1", "E:ID_MM_PORT_IGNORE=1"];
 
-/// Looks whether it runs, and which ports it may probe.
+/// Checks whether it runs, and which ports it may probe.
 pub fn check_modem_manager(context: &DiagnosticContext) -> Vec<CheckResult> {
     let roots = &context.roots;
     if running(roots, &["ModemManager"]).is_none() {
@@ -271,7 +268,7 @@ fn modem_manager_result(port: &SerialPort) -> CheckResult {
     )
 }
 
-/// Whether udev has tagged the port, or the device that it is a part of.
+/// Whether udev has tagged the port or a parent device.
 fn is_ignored(port: &SerialPort, roots: &SystemRoots) -> bool {
     port.sys_folders
         .iter()

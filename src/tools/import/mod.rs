@@ -1,7 +1,7 @@
-//! `posebridge import`: foreign files as recordings of ours, so that everything that works on recordings works on them.
+//! `posebridge import`: converts foreign files to posebridge recordings, so that all commands for recordings support them.
 //!
-//! A telemetry log and a descriptor's run become the inputs that a station would have been given, with a configuration in the header.
-//! docs/recordings.md says what is kept and what is lost.
+//! A telemetry log or a descriptor's run becomes the inputs of a station, with a configuration in the header. docs/recordings.md states
+//! what is kept and what is lost.
 
 mod timeline;
 mod tlog;
@@ -69,13 +69,13 @@ fn create(args: &ImportArgs) -> Result<File> {
     File::create_new(&args.out).with_context(|| format!("creating `{}`", args.out.display()))
 }
 
-/// With which station a file without a configuration is read.
+/// The station's configuration for a file without one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StationOptions<'a> {
-    /// A station's configuration; without it the default one.
+    /// `None` for the default configuration.
     pub config: Option<&'a Path>,
     pub robot: Option<&'a Path>,
-    /// Single keys; they go over both.
+    /// Single keys; they override `config` and robot.
     pub settings: &'a [Setting],
 }
 
@@ -93,27 +93,27 @@ impl StationOptions<'_> {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ImportSummary {
     pub inputs: u64,
-    /// What was left out or changed, in words for people.
+    /// Messages about omitted or changed data.
     pub notes: Vec<String>,
 }
 
-/// What a session was given, and how its station was configured.
+/// The inputs of a session, with the configuration of its station.
 pub struct ImportedSession {
-    /// The configuration, and what else the result depends on.
+    /// The configuration, and other data that affects the result.
     pub header: RecordingHeader,
-    /// What was left out, as far as that is known before the inputs are read; in words.
+    /// Messages about omitted data that is known before the inputs are read.
     pub notes: Vec<String>,
     pub inputs: InputSource,
 }
 
 pub enum InputSource {
     Recorded(Vec<u8>),
-    /// In a telemetry log, from which they are made one by one.
+    /// A telemetry log, converted to inputs one by one.
     Logged(Box<TlogSource>),
 }
 
-/// Gives the frames of a telemetry log with their times, microseconds since 1970, cleared of damage and of steps of the date, so that they never
-/// fall; says in words what was wrong with them.
+/// Passes the frames of a telemetry log with their times, microseconds since 1970, corrected for damage and date changes so that they
+/// never decrease; returns messages about the corrections.
 pub fn logged_frames(
     path: &Path,
     station: StationOptions<'_>,
@@ -123,7 +123,7 @@ pub fn logged_frames(
     timed_frames(path, Address::new(own.system, own.component), take)
 }
 
-/// Writes a telemetry log or a descriptor's run as a recording of ours.
+/// Writes a telemetry log or a descriptor's run as a posebridge recording.
 pub fn import<W: Write + Seek>(
     path: &Path,
     data: &DataFlags,
@@ -148,8 +148,8 @@ pub fn import<W: Write + Seek>(
     }
 }
 
-/// The bytes of a recording of ours: those of the file with all parts that continue it, or made from a telemetry log in memory; and what
-/// was left out.
+/// The bytes of a posebridge recording: those of the file with all parts that continue it, or converted from a telemetry log in memory;
+/// and messages about omitted data.
 pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<u8>, Vec<String>)> {
     let file = InputFile::open(path)?;
     if file.kind != InputKind::Tlog {
@@ -162,7 +162,7 @@ pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<
     Ok((out.into_inner(), account.notes))
 }
 
-/// A recording of ours with all parts that continue it, or a telemetry log.
+/// A posebridge recording with all parts that continue it, or a telemetry log.
 pub fn session(path: &Path, station: StationOptions<'_>) -> Result<ImportedSession> {
     if InputFile::open(path)?.kind == InputKind::Tlog {
         let source = TlogSource::open(path, station.config()?)?;
@@ -192,7 +192,7 @@ fn write<W: Write + Seek>(
 }
 
 struct DescriptorSource {
-    /// The robot, its tunables, and what stands in its arena.
+    /// Robot, tunables and arena.
     config: Config,
     robot_run: RobotRun,
 }

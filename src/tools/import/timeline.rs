@@ -1,4 +1,4 @@
-//! The times of a telemetry log, made to run on: what is damaged, and where the computer's date was set, is found by looking ahead.
+//! Corrects the times of a telemetry log: damaged times, and changes of the computer's date, are detected by looking ahead.
 //!
 //! # Model
 //! ```text
@@ -8,7 +8,7 @@
 //!   date     two of the run agree, and a sender's stamps did not advance as much as the times: they go on by the stamps
 //!   silence  two of the run agree, and a sender's stamps advanced as much, or no stamps decide
 //! ```
-//! A fall is never a silence: where no stamps decide, time goes on where it was.
+//! A decrease is never a silence: without a sender's clock, time continues where it was.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
@@ -16,29 +16,28 @@ use std::collections::{BTreeMap, VecDeque};
 use posebridge_recording::tlog::NEWEST_MICROS;
 use posebridge_telemetry::Address;
 
-/// Times further apart than this do not follow each other; a fall by less is the disorder of a writer.
+/// Larger differences between consecutive times are steps; smaller decreases are caused by a writer's order.
 const STEP_THRESHOLD_MICROS: u64 = 60_000_000;
-/// Number of records that decide what a leap is: some seconds of the slowest of our robots, and 70 KiB of the longest frames.
+/// Number of records for classifying a step: some seconds of the slowest robot, and 70 KiB of the longest frames.
 const LOOKAHEAD: usize = 256;
-/// Most senders whose messages' stamps are kept; what more send is not looked at.
+/// Senders whose clocks are used; further ones are ignored.
 const MAX_CLOCKS: usize = 64;
 
-/// A reading of a sender's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ClockReading {
-    /// Whose clock, by sender and message: a sender may stamp its messages by several.
+    /// Sender and message id: a sender may use different clocks for its messages.
     pub(super) clock: (Address, u32),
-    /// The reading, microseconds since a zero of its own.
+    /// Microseconds since an arbitrary zero.
     pub(super) micros: i64,
-    /// After how many microseconds it begins anew, if its messages have no room for more.
+    /// Wrap period in microseconds; `None` if it does not wrap.
     pub(super) wrap_period_micros: Option<i64>,
-    /// Whether it is the host's own clock, which is exact: of the others some delay lies between stamp and time.
+    /// Whether it is the host's own clock, which is exact: readings of other clocks are older than the record's time.
     pub(super) is_host_clock: bool,
 }
 
 impl ClockReading {
-    /// How far the clock went since this reading, microseconds; `None` if it fell, because it began anew. A fall by all but a minute of
-    /// its range is that it wrapped.
+    /// Microseconds since this reading; `None` if the clock decreased, because it was restarted. A decrease by nearly the whole range
+    /// (except a minute) is a wrap.
     fn advanced_since(&self, sender_micros: i64) -> Option<i64> {
         let advanced = self.micros - sender_micros;
         if advanced >= 0 {
@@ -49,16 +48,16 @@ impl ClockReading {
     }
 }
 
-/// Readings of a clock, each with the time that counts, microseconds.
+/// First and last reading of a clock, each with the corrected time in microseconds.
 #[derive(Clone, Copy, Debug)]
 struct SenderClock {
-    /// Since it last began anew.
+    /// Since its last restart.
     first: (u64, i64),
     last: (u64, i64),
 }
 
 impl SenderClock {
-    /// Whether it goes at all: some senders leave the place of a stamp empty.
+    /// Whether it advances at all: some senders leave the timestamp zero.
     const fn is_running(&self) -> bool {
         let passed = self.last.0.abs_diff(self.first.0) as i64;
         let advanced = self.last.1 - self.first.1;
@@ -68,16 +67,16 @@ impl SenderClock {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct TimedRecord<'f> {
-    /// Its time, microseconds since 1970, as the file says.
+    /// Time in the file, microseconds since 1970.
     pub(super) micros: u64,
-    /// The reading of its sender's clock, if the frame has one.
+    /// Of the sender, if the frame has a timestamp.
     pub(super) clock_reading: Option<ClockReading>,
-    /// The frame. Most are handed on at once, and need not be copied.
+    /// Borrowed, because most frames are passed on at once.
     pub(super) frame: Cow<'f, [u8]>,
 }
 
 impl TimedRecord<'_> {
-    /// As one that may wait.
+    /// For a record that has to wait.
     fn into_owned(self) -> TimedRecord<'static> {
         TimedRecord {
             micros: self.micros,
@@ -92,12 +91,12 @@ pub(super) struct TimelineDefects {
     pub(super) damaged: u64,
     pub(super) steps_back: u64,
     pub(super) steps_ahead: u64,
-    /// Long silences for which no clock stands.
+    /// Long gaps that no sender's clock confirms.
     pub(super) silences: u64,
 }
 
 impl TimelineDefects {
-    /// In words, without what did not occur.
+    /// As text; zero counts are omitted.
     pub(super) fn notes(&self) -> Vec<String> {
         let all = [
             (self.damaged, "times that are damaged, not used"),
@@ -113,7 +112,7 @@ impl TimelineDefects {
     }
 }
 
-/// Takes records with the times that count, microseconds since 1970; they never fall.
+/// Receives records with the corrected times, microseconds since 1970; they never decrease.
 pub(super) type FrameSink<'t> = dyn FnMut(u64, &[u8]) + 't;
 
 pub(super) struct Timeline {
@@ -125,7 +124,7 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    /// A timeline that begins at a time with which others are known to agree.
+    /// Starts at a time that is known to be plausible.
     pub(super) const fn new(first_micros: u64) -> Self {
         Self {
             latest_micros: first_micros,
@@ -136,7 +135,7 @@ impl Timeline {
         }
     }
 
-    /// Takes a record, and passes on the records whose time is known.
+    /// Adds a record, and passes on the records whose time is known.
     pub(super) fn push(&mut self, record: TimedRecord<'_>, take: &mut FrameSink<'_>) {
         if self.run.is_empty() && !self.is_outlier(&record) {
             return self.emit(&record, take);
@@ -153,7 +152,7 @@ impl Timeline {
         }
     }
 
-    /// Hands on what still waits, and says what was found.
+    /// Passes on the waiting records, and returns the defects.
     pub(super) fn finish(mut self, take: &mut FrameSink<'_>) -> TimelineDefects {
         while !self.run.is_empty() {
             self.resolve_run(take);
@@ -161,7 +160,7 @@ impl Timeline {
         self.defects
     }
 
-    /// The time that counts, before it is held against others.
+    /// The time with the present correction.
     fn shifted(&self, micros: u64) -> u64 {
         micros.saturating_add_signed(self.shift_micros)
     }
@@ -191,7 +190,7 @@ impl Timeline {
         }
     }
 
-    /// How many of the first waiting records have no time of their own.
+    /// Passes on the first `count` waiting records with the latest valid time, because their own are invalid.
     fn drop_times(&mut self, count: usize, take: &mut FrameSink<'_>) {
         for record in self.run.drain(..count) {
             self.defects.damaged += 1;
@@ -199,7 +198,7 @@ impl Timeline {
         }
     }
 
-    /// Finds out what the run is; afterwards at least one record less waits.
+    /// Classifies the run of waiting records; afterwards at least one record less waits.
     fn resolve_run(&mut self, take: &mut FrameSink<'_>) {
         let Some(base) = self.base() else {
             return self.drop_times(self.run.len(), take);
@@ -212,8 +211,8 @@ impl Timeline {
         }
     }
 
-    /// Where in the run time goes on: at the first record with which the next one agrees. Where each is long after the one before, as in a
-    /// log of rare messages, at the first.
+    /// Index of the record at which time continues: the first one that is consistent with the next. The first record, if all are far
+    /// apart, as in a log of rare messages.
     fn base(&self) -> Option<usize> {
         let times = || self.run.iter().map(|record| record.micros);
         let agreeing = times().zip(times().skip(1)).position(|(one, other)| are_consistent(one, other));
@@ -222,7 +221,7 @@ impl Timeline {
         agreeing.or(is_rising.then_some(0))
     }
 
-    /// Classifies the step to the first record of the run, which others agree with.
+    /// Classifies the step to the first record of the run, which is consistent with others.
     fn step(&mut self) {
         let Some(base) = self.run.front() else {
             return;
@@ -248,7 +247,7 @@ impl Timeline {
         self.latest_micros = self.latest_micros.max(self.run.front().map_or(0, |first| self.shifted(first.micros)));
     }
 
-    /// By how much the times of the run advanced more than a sender's clock did; `None` if none decides. A clock that fell began anew.
+    /// Advance of the run's times minus that of a sender's clock; `None` without a usable clock. A clock that decreased was restarted.
     fn clock_error(&self) -> Option<i64> {
         let base = self.run.front()?;
         let of_run = self.run.iter().zip(self.run.iter().skip(1));
@@ -276,13 +275,13 @@ impl Timeline {
         Some((reading.is_host_clock, passed - reading.advanced_since(sender_micros)?))
     }
 
-    /// Whole numbers of links: the two lowest bits of a time stay what they are.
+    /// Multiples of the link number's range: the two lowest bits of a time stay unchanged.
     const fn shift(&mut self, by_micros: i64) {
         self.shift_micros = self.shift_micros.saturating_add(by_micros & !0b11);
     }
 }
 
-/// Whether a record with one of these times may follow one with the other.
+/// Whether two records with these times may be consecutive.
 pub(super) const fn are_consistent(one_micros: u64, other_micros: u64) -> bool {
     is_possible(one_micros) && is_possible(other_micros) && one_micros.abs_diff(other_micros) <= STEP_THRESHOLD_MICROS
 }

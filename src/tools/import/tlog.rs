@@ -1,14 +1,14 @@
-//! A telemetry log: the frames of all senders but the station, at the times in the file.
+//! Imports a telemetry log: the frames of all senders but the station, at the times in the file.
 //!
 //! # Model
 //! ```text
 //! host time = time of the record - zero
 //! zero      = time - stamp of the station's own first time request, which is by the host's clock; else the first time that counts
 //! ```
-//! Only times of verified frames with which the time before or behind them agrees say where zero is.
-//! The station's frames are left out, because a replay makes its own. Its time requests are kept as instants: a station that is
-//! woken at them asks at them, and so the answers in the file are answers to it. The file does not contain when links came and
-//! went and how chunks were cut: such a replay is close to what was live, not the same bit for bit.
+//! Only times of verified frames that are consistent with a neighbouring time determine zero. The station's frames are omitted, because
+//! a replay makes its own. Its time requests are kept as instants: the replayed station wakes at them and sends its requests then, so
+//! that the answers in the file match. The file does not contain link states and chunk boundaries: such a replay is close to the live
+//! run, not bit for bit the same.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -25,18 +25,17 @@ use crate::config::{Config, LinkSection};
 use crate::station::input_file::{InputFile, first_tlog_records, tlog_records};
 
 const LINK: LinkId = LinkId(0);
-/// Number of records that are searched for the station.
+/// Number of records searched for the station's frames.
 const SEARCH_RECORDS: usize = 20_000;
-/// In a silence the station is woken so often, to find out that a robot was lost.
+/// Interval of station wake-ups during a silence, so that it detects a lost robot.
 const TICK: TimeDelta = TimeDelta::from_millis(1_000);
-/// No silence is longer than this many ticks to a station: it has found out by then.
+/// Further ticks in a silence change nothing: the station has detected all losses by then.
 const MAX_TICKS: u32 = 60;
 
-/// Takes the inputs of a file as they are found.
 pub type InputSink<'s> = dyn FnMut(Timestamp<HostClock>, &Input) -> Result<()> + 's;
 
 pub struct TlogSource {
-    /// The station that the log is read with; one link, and nothing is sent on it.
+    /// The station's configuration for the log; one link, without outputs.
     pub(super) config: Config,
     /// The host clock's zero, microseconds since 1970.
     pub(super) epoch_micros: u64,
@@ -46,7 +45,7 @@ pub struct TlogSource {
 }
 
 impl TlogSource {
-    /// Looks for the zero of the host's clock.
+    /// Determines the zero of the host's clock.
     pub(super) fn open(path: &Path, station: Config) -> Result<Self> {
         let own = Address::new(station.station.system, station.station.component);
         let config = Config {
@@ -67,7 +66,7 @@ impl TlogSource {
         })
     }
 
-    /// Gives the inputs in the order of their times, the first one always at [`Timestamp::ZERO`]. Says in words what was left out.
+    /// Passes the inputs in time order, the first one always at [`Timestamp::ZERO`]. Returns messages about omitted data.
     pub fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
         let mut inputs = InputBuilder {
             own: self.own,
@@ -94,15 +93,15 @@ impl TlogSource {
     }
 }
 
-/// Gives the frames of a log with the times that count, microseconds since 1970, which never fall; says in words what was wrong with those
-/// in the file.
+/// Passes the frames of a log with corrected times, microseconds since 1970, which never decrease; returns messages about the
+/// corrections.
 pub(super) fn timed_frames(path: &Path, own: Address, take: &mut FrameSink<'_>) -> Result<Vec<String>> {
     let first_micros = find_origin(path, own)?.first_micros;
     let (_, found) = process_times(path, own, first_micros, take)?;
     Ok(found.notes())
 }
 
-/// Also says how many bytes lie outside of frames.
+/// Also returns the number of bytes outside frames.
 fn process_times(
     path: &Path,
     own: Address,
@@ -146,7 +145,7 @@ fn clock_reading(frame: &FrameRef<'_>, own: Address) -> Option<ClockReading> {
     })
 }
 
-/// The host instant of a time request, if a frame is one of the station's own.
+/// The host time in a frame, if it is the station's own time request.
 fn own_request(frame: &FrameRef<'_>, own: Address) -> Option<Timestamp<HostClock>> {
     if frame.source != own {
         return None;
@@ -159,9 +158,8 @@ fn own_request(frame: &FrameRef<'_>, own: Address) -> Option<Timestamp<HostClock
     }
 }
 
-/// Where the times of a log begin, microseconds since 1970.
+/// Start times of a log, microseconds since 1970.
 struct TimeOrigin {
-    /// Zero of the host's clock.
     zero_micros: u64,
     first_micros: u64,
 }
@@ -171,7 +169,7 @@ struct OriginSearch {
     record_count: usize,
     /// Offset and time of the first verified record.
     lone: Option<(u64, u64)>,
-    /// Time of the verified record before, and the zero that follows from it.
+    /// Time of the previous verified record, and the zero derived from it.
     before: Option<(u64, Option<u64>)>,
     first: Option<u64>,
     zero: Option<u64>,
@@ -229,13 +227,13 @@ struct InputBuilder<'a, 's> {
     latest: Timestamp<HostClock>,
     of_station: u64,
     failure: Option<anyhow::Error>,
-    /// The memory in which a frame is given.
+    /// Reused for each frame.
     buffer: Vec<u8>,
     sink: &'a mut InputSink<'s>,
 }
 
 impl InputBuilder<'_, '_> {
-    /// Takes a frame with the time that counts.
+    /// Adds a frame with the corrected time.
     fn push_frame(&mut self, micros: u64, frame: &[u8]) {
         let since_zero = micros.saturating_sub(self.epoch_micros);
         let mut at = Timestamp::from_micros(i64::try_from(since_zero).unwrap_or(i64::MAX));
@@ -265,7 +263,7 @@ impl InputBuilder<'_, '_> {
         }
     }
 
-    /// Gives an input, and ticks in the silence before it.
+    /// Passes an input, and ticks in the silence before it.
     fn emit(&mut self, at: Timestamp<HostClock>, input: &Input) {
         let at = at.max(self.latest);
         for _ in 0..MAX_TICKS {

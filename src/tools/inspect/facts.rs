@@ -1,5 +1,5 @@
-//! What a file holds: telemetry logs and bare captures frame by frame; of recordings of ours the bytes of each MAVLink link as they were
-//! scanned live, of the other links the amount; of descriptors the runs, by kind of observation.
+//! Content of a file: telemetry logs and raw captures frame by frame; posebridge recordings by link, MAVLink links with their frames,
+//! others by bytes; descriptors by run and kind of observation.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,33 +19,31 @@ use crate::station::input_file::{InputFile, tlog_records};
 use crate::station::recorded_session::{continuation_names, missing_start};
 use crate::tools::dataset::DataSet;
 
-/// What was found in a file of frames.
 #[derive(Debug, Default)]
 pub(super) struct FramedFacts {
-    /// Bytes of the file, or of its MAVLink links, unpacked.
+    /// Unpacked bytes of the file, or of its MAVLink links.
     pub(super) bytes: u64,
     pub(super) census: TrafficStatistics,
     pub(super) unknown_frames: u64,
-    /// Their bytes, with the times before them.
+    /// With the times before them.
     pub(super) unknown_bytes: u64,
-    /// Bytes in no verified frame; those of unknown ones are among them.
+    /// In no verified frame; includes the bytes of unknown ones.
     pub(super) bytes_outside: u64,
-    /// The zero of the census's times, in microseconds since 1970; `None` if the file has no times.
+    /// Zero of the statistics' times, in microseconds since 1970; `None` if the file has no times.
     pub(super) epoch_micros: Option<u64>,
     pub(super) tlog: Option<TlogFacts>,
     pub(super) own: Option<RecordingFacts>,
 }
 
-/// What only a telemetry log has.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TlogFacts {
     pub(super) order: ByteOrder,
-    /// How many times end in each value of the two lowest bits.
+    /// Number of times with each value of the two lowest bits.
     pub(super) link_bits: [u64; 4],
 }
 
 impl TlogFacts {
-    /// The numbers of links that the times hold, if they do: the lowest bits of times that hold none are spread evenly.
+    /// Link numbers in the times, if they contain any: otherwise the lowest bits are evenly distributed.
     pub(super) fn links(&self) -> Vec<usize> {
         let all: u64 = self.link_bits.iter().sum();
         let used = |share: &u64| *share > 0;
@@ -58,7 +56,6 @@ impl TlogFacts {
     }
 }
 
-/// Everything that is reported of a file.
 pub(super) enum InspectResult {
     Framed(Box<FramedFacts>),
     Runs(Vec<RunFacts>),
@@ -70,22 +67,21 @@ impl InspectResult {
     }
 }
 
-/// What only a recording of ours has.
 #[derive(Debug)]
 pub(super) struct RecordingFacts {
     pub(super) header: RecordingHeader,
     pub(super) inputs: u64,
-    /// Observations that came without bytes, from a foreign recording.
+    /// Observations without bytes, from a foreign recording.
     pub(super) observations: u64,
     pub(super) commands: u64,
     pub(super) links: BTreeMap<LinkId, LinkFacts>,
-    /// When the first input was given; a later part of a session begins late.
+    /// Time of the first input; a later part of a session begins late.
     pub(super) first: Option<Timestamp<HostClock>>,
-    /// Which part of its session this is; the first is 1.
+    /// Part number in the session, from 1.
     pub(super) part: u32,
-    /// What it lacks of its session's beginning, in words.
+    /// Message about the missing beginning of the session.
     pub(super) missing_start: Option<String>,
-    /// The names of the parts that continue it; they are not counted.
+    /// File names of the parts that continue it; they are not counted.
     pub(super) continued_by: Vec<String>,
     pub(super) last: Timestamp<HostClock>,
     pub(super) truncation: Option<String>,
@@ -93,7 +89,7 @@ pub(super) struct RecordingFacts {
 }
 
 impl RecordingFacts {
-    /// From its first input to its last, s.
+    /// From the first input to the last.
     pub(super) fn duration_s(&self) -> f64 {
         let first = self.first.unwrap_or(self.last);
         (self.last - first).as_secs_f64()
@@ -103,7 +99,7 @@ impl RecordingFacts {
 #[derive(Debug, Default)]
 pub(super) struct LinkFacts {
     pub(super) url: String,
-    /// The protocol of its brick, if that is not MAVLink.
+    /// `None` for MAVLink.
     pub(super) brick: Option<String>,
     pub(super) chunks: u64,
     pub(super) bytes: u64,
@@ -111,7 +107,7 @@ pub(super) struct LinkFacts {
     pub(super) downs: u64,
 }
 
-/// The only link of a file that does not tell links apart.
+/// The link id of a file without link numbers.
 const LINK: LinkId = LinkId(0);
 
 pub(super) fn inspect_tlog(file: InputFile) -> Result<FramedFacts> {
@@ -144,7 +140,6 @@ fn record_tlog_frame(framed: &mut FramedFacts, facts: &mut TlogFacts, record: &T
     }
 }
 
-/// Inspects bytes as they came off a link.
 pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {
     let mut framed = FramedFacts::default();
     let mut framer = inspection_framer();
@@ -161,12 +156,11 @@ pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {
     Ok(framed)
 }
 
-/// A framer for recordings of other programs: of both versions and every dialect.
+/// A framer for foreign recordings: both versions and every dialect.
 pub(super) fn inspection_framer() -> Framer {
     Framer::with_all_dialects(FramerConfig { accept_v1: true, ..FramerConfig::default() })
 }
 
-/// Counts what a framer has found.
 pub(super) fn record_frame(
     framed: &mut FramedFacts,
     link: LinkId,
@@ -183,7 +177,7 @@ pub(super) fn record_frame(
     }
 }
 
-/// A recording lies in memory while it is inspected; more than that is not read.
+/// Size limit of a recording, which is inspected in memory.
 const MAX_BYTES: u64 = 4 << 30;
 
 const MAX_DAMAGES: usize = 20;
@@ -290,11 +284,9 @@ pub(super) struct RunFacts {
     pub(super) observations: Vec<(String, Series)>,
     pub(super) truth: usize,
     pub(super) withheld: usize,
-    /// Rows that could not be used, by reason.
     pub(super) bad_rows: Vec<(&'static str, u64)>,
 }
 
-/// Observations of one kind and sensor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Series {
     pub(super) count: u64,
@@ -304,14 +296,13 @@ pub(super) struct Series {
 }
 
 impl Series {
-    /// Observations per second; `None` of fewer than two.
+    /// `None` for fewer than two observations.
     pub(super) fn rate_hz(&self) -> Option<f64> {
         let elapsed_s = (self.last - self.first).as_secs_f64();
         (self.count > 1 && elapsed_s > 0.0).then(|| (self.count - 1) as f64 / elapsed_s)
     }
 }
 
-/// Inspects the runs of a descriptor that the flags choose.
 pub(super) fn inspect_descriptor(path: &Path, flags: &DataFlags) -> Result<Vec<RunFacts>> {
     let data = DataSet::open(path, flags)?;
     let runs = data.runs.iter().map(|name| {

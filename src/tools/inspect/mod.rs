@@ -1,8 +1,7 @@
-//! `posebridge inspect`: what a file carries, without estimating anything.
+//! `posebridge inspect`: prints the content of a file without estimation.
 //!
-//! Reads recordings of ours, telemetry logs, bare captures of a link's bytes and descriptors of foreign recordings; the first three
-//! within a fixed memory, recordings of ours apart. Frames are verified with the checksum seeds of every known dialect.
-//! docs/recordings.md describes the JSON object.
+//! Reads posebridge recordings, telemetry logs, raw captures of a link and descriptors of foreign recordings; logs and captures in
+//! bounded memory. Frames are verified with the checksum seeds of every known dialect. docs/recordings.md describes the JSON object.
 
 mod facts;
 mod report;

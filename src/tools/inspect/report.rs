@@ -1,4 +1,4 @@
-//! What `inspect` prints: tables for people, or one JSON object, whose keys are described in docs/recordings.md.
+//! Output of `inspect`: text tables, or one JSON object, whose keys are described in docs/recordings.md.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use serde_json::{Map, Value, json};
 use super::facts::{FramedFacts, InspectResult, RecordingFacts, RunFacts, TlogFacts};
 use crate::station::input_file::InputKind;
 
-/// The object as text, with a line feed.
+/// With a line feed.
 pub(super) fn json_text(file: &str, kind: InputKind, size: u64, found: &InspectResult) -> String {
     let mut object = Map::new();
     object.insert("file".to_owned(), json!(file));
@@ -29,7 +29,6 @@ pub(super) fn json_text(file: &str, kind: InputKind, size: u64, found: &InspectR
     format!("{:#}\n", Value::Object(object))
 }
 
-/// The name of a kind of file.
 pub(super) const fn kind_name(kind: InputKind) -> &'static str {
     match kind {
         InputKind::Own => "posebridge",
@@ -89,7 +88,7 @@ fn utc_micros(framed: &FramedFacts, at: Option<Timestamp<HostClock>>) -> Value {
     json!(utc.and_then(|utc| u64::try_from(utc).ok()))
 }
 
-/// From the first to the last, s; nothing without times, or where the last lies before the first: such times give no duration.
+/// From the first to the last; `None` without times, or if the last is earlier than the first, because such times give no duration.
 pub(super) fn duration_s(all: &MessageStatistics) -> Option<f64> {
     let duration_s = (all.last? - all.first?).as_secs_f64();
     (duration_s >= 0.0).then_some(duration_s)
@@ -132,7 +131,7 @@ fn message_of(id: u32, tally: &MessageStatistics) -> Value {
     })
 }
 
-/// Nothing without times.
+/// `None` without times.
 fn silence_s(tally: &MessageStatistics) -> Option<f64> {
     tally.first.map(|_| tally.longest_silence.as_secs_f64())
 }
@@ -204,10 +203,8 @@ fn run_of(run: &RunFacts) -> Value {
     })
 }
 
-/// Most gaps that are listed.
 const MAX_GAPS: usize = 5;
 
-/// The tables, one below the other.
 pub(super) fn table_text(file: &str, kind: InputKind, found: &InspectResult) -> String {
     let mut text = format!("{file}: {}\n", kind_in_words(kind));
     match found {

@@ -1,18 +1,15 @@
-//! The two ends of a relay on the command line: called or awaited, in the order in which they are written.
+//! The two ends of a relay on the command line: connecting or listening, in the given order.
 //!
-//! The order matters, because a profile knows the brick's end from the station's; a derived parser would forget it.
+//! The order matters, because a profile distinguishes the brick's end from the station's; a derived parser would lose it.
 
 use clap::error::ErrorKind;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
 
 use crate::flags::StationLink;
 
-/// Id and name of the links that are called.
 const CALLED: &str = "url";
-/// Id and name of the links that are waited on.
 const AWAITED: &str = "listen";
 
-/// Both ends of a relay.
 #[derive(Clone, Debug)]
 pub struct RelayEnds {
     pub brick: StationLink,
@@ -70,7 +67,7 @@ impl FromArgMatches for RelayEnds {
     }
 }
 
-/// The values of an argument with the places at which they were written.
+/// The values of an argument with their positions on the command line.
 fn ends_in_order(matches: &ArgMatches, id: &str, end: impl Fn(&String) -> StationLink) -> Vec<(usize, StationLink)> {
     let places = matches.indices_of(id).into_iter().flatten();
     let values = matches.get_many::<String>(id).into_iter().flatten();

@@ -1,4 +1,4 @@
-//! A foreign recording: each estimator over each run, scored against the truth or against the fixes that were withheld.
+//! Replays a foreign recording: each estimator over each run, scored against the truth or against the withheld fixes.
 
 use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_report::metrics::summarise;
@@ -23,12 +23,11 @@ use crate::station::per_robot::PerRobot;
 use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::score::{Scorer, pose_at};
 
-/// Number of observations between two moves of the bar.
+/// Observations between two updates of the progress bar.
 const PROGRESS_STEP: u64 = 1_024;
-/// The estimators of a foreign recording unless others are asked for.
 const DEFAULT_FILTERS: [&str; 2] = ["odometry", "pose"];
 
-/// A descriptor with the runs and the robot that the flags choose.
+/// A descriptor with the selected runs and robot.
 pub struct ForeignRecording {
     pub data: DataSet,
     flags: DataFlags,
@@ -102,7 +101,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     Ok(replayed)
 }
 
-/// The filters that were asked for, else the usual ones.
+/// The requested filters, else the default ones.
 fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
     if args.filters.is_empty() {
         return Ok(DEFAULT_FILTERS.map(str::to_owned).to_vec());
@@ -111,7 +110,6 @@ fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
     Ok(args.filters.clone())
 }
 
-/// Whether there is such a filter.
 pub fn check_filter(filter: &str) -> Result<()> {
     ensure!(
         posebridge_estimator::find_filter(filter).is_some(),
@@ -121,19 +119,17 @@ pub fn check_filter(filter: &str) -> Result<()> {
     Ok(())
 }
 
-/// One run under one filter.
 pub struct ReplayScores {
     /// Against the truth or the withheld fixes.
     pub errors: ErrorSummary,
-    /// Without the delay that the estimator has learned.
+    /// Without the correction of the estimated delay.
     pub uncorrected: ErrorSummary,
     pub learned: Option<LearnedCalibration>,
-    /// From the first observation to the last that was given.
+    /// From the first to the last replayed observation.
     pub duration: TimeDelta,
     pub observations: u64,
 }
 
-/// All runs under one filter.
 #[derive(Default)]
 struct ScoreTotals {
     errors: Vec<ErrorSummary>,
@@ -168,7 +164,6 @@ impl ScoreTotals {
     }
 }
 
-/// Gives one run to one filter.
 pub fn replay_run(
     robot_run: &RobotRun,
     filter: &str,
@@ -256,7 +251,7 @@ fn write_run_charts(
     write_charts(args, &robot_run.run.name, collector, tracks)
 }
 
-/// The truth of a run, where it has some.
+/// `None` without truth.
 pub fn truth_of(robot_run: &RobotRun) -> Option<PoseTrack> {
     let truth = &robot_run.run.truth;
     let poses = truth.iter().map(|truth| TimedPose { time: truth.time, pose: pose_at(truth.position, truth.heading) });

@@ -1,4 +1,4 @@
-//! A recording of ours: the station is given what it was given live, so its events are those of the live run, bit for bit.
+//! Replays a posebridge recording: the station gets the same inputs as live, so its events are those of the live run, bit for bit.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -29,10 +29,9 @@ use crate::station::signing::recorded_station_config;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, ImportedSession, InputSource, StationOptions};
 
-/// What a recording of ours is called among runs.
 pub const WHOLE_RUN: &str = "recording";
 
-/// Replays it with the filter of its configuration, or others.
+/// Replays with the configured filter, or others.
 pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     if let (Some(_), [_, _, ..]) = (&args.events, args.filters.as_slice()) {
         return Err(anyhow!("--events writes the events of one estimator: give --filter once")).before_start();
@@ -72,7 +71,6 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     })
 }
 
-/// One estimator when all is over.
 struct FilterReplay<'m> {
     config: &'m Config,
     station: &'m Station,
@@ -87,7 +85,7 @@ fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
     filters.map(|name| recording.config(&args.session, Some(name.as_str()))).collect()
 }
 
-/// The last one has the event file and the status block; each keeps what tables need.
+/// The last watcher has the event file and the status block; each collects data for tables.
 fn create_watchers<'e>(
     args: &ReplayArgs,
     count: usize,
@@ -107,7 +105,7 @@ fn create_watchers<'e>(
     all
 }
 
-/// Results of every estimator for every robot. Pictures and the smoothed path are those of the last estimator.
+/// Results of every estimator for every robot. Figures and the smoothed path are those of the last estimator.
 fn summarize(
     args: &ReplayArgs,
     recording: &OwnRecording,
@@ -141,14 +139,13 @@ fn summarize(
     Ok(result)
 }
 
-/// One robot as one estimator followed it.
 struct RobotReplay<'m> {
     config: &'m Config,
     file: &'m RobotFile,
     filter_config: FilterConfig,
     /// `None` if the station received nothing from a robot.
     robot: Option<&'m Robot>,
-    /// What results call it, where there are several robots.
+    /// `None` for a single robot.
     label: Option<String>,
     collector: EventCollector,
 }
@@ -165,14 +162,14 @@ impl<'m> RobotReplay<'m> {
         Ok(Self { config, file, filter_config: config.filter_config_of(file)?, robot, label, collector: entry.value })
     }
 
-    /// The path in hindsight, with the geometry that the robot described, where it did.
+    /// The smoothed path, with the geometry that the robot described, if it did.
     fn smooth(&self, truth: Option<&PoseTrack>) -> SmoothedRun {
         let mut filter_config = self.filter_config.clone();
         filter_config.geometry = self.robot.map_or(filter_config.geometry, Robot::geometry);
         smoothed(self.label.as_deref().unwrap_or(WHOLE_RUN), &filter_config, &self.collector, truth)
     }
 
-    /// Draws the estimates beside truth, odometry and the smoothed path.
+    /// Draws the estimates with truth, odometry and the smoothed path.
     fn write_charts(
         &self,
         args: &ReplayArgs,
@@ -201,13 +198,13 @@ impl<'m> RobotReplay<'m> {
     }
 }
 
-/// Every published estimate against the truth at its own stamp.
+/// Errors of every published estimate at its own timestamp.
 pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSummary {
     truth
         .map_or_else(ErrorSummary::default, |truth| summarise(&errors_of_estimates(collector.estimates.items(), truth)))
 }
 
-/// The whole recording in hindsight, held against the truth at its own stamps as the filter's estimates are at theirs.
+/// Smooths the whole recording; scores the path at the truth's timestamps like the filter's estimates.
 fn smoothed(run: &str, config: &FilterConfig, collector: &EventCollector, truth: Option<&PoseTrack>) -> SmoothedRun {
     if collector.restarts > 0 {
         return SmoothedRun::failed(run, SmoothError::Restarted(collector.restarts));
@@ -219,10 +216,10 @@ fn smoothed(run: &str, config: &FilterConfig, collector: &EventCollector, truth:
     smoothed
 }
 
-/// Number of bytes between two moves of the bar.
+/// Bytes between two updates of the progress bar.
 const PROGRESS_STEP_BYTES: u64 = 256 * 1024;
 
-/// A recording of ours, in memory, or a telemetry log in its place.
+/// A posebridge recording in memory, or a telemetry log instead.
 pub struct OwnRecording {
     pub name: String,
     pub header: RecordingHeader,
@@ -230,17 +227,16 @@ pub struct OwnRecording {
     notes: Vec<String>,
 }
 
-/// What came of giving a recording to the engine.
 #[derive(Debug, Default)]
 pub struct ReplaySummary {
-    /// From the first input to the last that was given.
+    /// From the first to the last replayed input.
     pub duration: TimeDelta,
-    /// What is missing or damaged, in words.
+    /// Messages about missing or damaged data.
     pub notes: Vec<String>,
 }
 
 impl OwnRecording {
-    /// Reads it; of a telemetry log only the beginning.
+    /// Reads the file; of a telemetry log only the beginning.
     pub fn open(flags: &SessionFlags) -> Result<Self> {
         ensure!(
             flags.data.run.is_none() && flags.data.use_every.is_none(),
@@ -253,7 +249,7 @@ impl OwnRecording {
         Ok(Self { name, header, inputs, notes })
     }
 
-    /// The configuration that it was made with, and what the flags and the filter change of it.
+    /// The recorded configuration with the changes by flags and filter.
     pub fn config(&self, flags: &SessionFlags, filter: Option<&str>) -> Result<Config> {
         let origin = "the recording's own configuration";
         let settings = profile_settings(flags, &["robot"])?;
@@ -264,7 +260,7 @@ impl OwnRecording {
         Ok(config)
     }
 
-    /// What is changed of the configuration that it was made with, in words; empty if nothing is.
+    /// Messages about changes of the recorded configuration; empty without changes.
     pub fn changes(&self, flags: &SessionFlags, filters: &[String]) -> Result<Vec<String>> {
         let recorded = config::load_text("the recording's own configuration", &self.header.config_toml, &[])?;
         let others = filters.iter().filter(|name| **name != recorded.config.filter.name);
@@ -277,7 +273,7 @@ impl OwnRecording {
         Ok(Station::new(recorded_station_config(config, &flags.keys)?, Timestamp::ZERO)?)
     }
 
-    /// The truth of a robot: that of a file, else that of the recording.
+    /// The truth of a robot: from a file, else from the recording.
     pub fn ground_truth(&self, truth: Option<&Path>, robot: Option<RobotId>) -> Result<GroundTruth> {
         match &self.inputs {
             InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth, robot),
@@ -285,7 +281,6 @@ impl OwnRecording {
         }
     }
 
-    /// When its first input was given.
     pub fn origin(&self) -> Timestamp<HostClock> {
         let InputSource::Recorded(bytes) = &self.inputs else {
             return Timestamp::ZERO;
@@ -295,7 +290,7 @@ impl OwnRecording {
         first.map_or(Timestamp::ZERO, |(now, _)| now)
     }
 
-    /// Gives every lane what the station was given live, at the same instants.
+    /// Passes the recorded inputs at their instants to every lane.
     pub fn run(
         &self,
         lanes: &mut [ReplayLane<'_>],
@@ -333,7 +328,7 @@ impl OwnRecording {
     }
 }
 
-/// The lanes on their way through a session.
+/// The progress of the lanes through a session.
 struct ReplayCursor<'c, 'l> {
     lanes: &'c mut [ReplayLane<'l>],
     window: Window,
@@ -387,7 +382,6 @@ fn run_recorded(bytes: &[u8], cursor: &mut ReplayCursor<'_, '_>, notes: &mut Rec
     Ok(())
 }
 
-/// What flags lay over a configuration, in words.
 pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
     let robot = flags.robot.iter();
     let mut changes: Vec<String> = robot.map(|path| format!("robot of {}", path.display())).collect();
@@ -396,8 +390,8 @@ pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
     changes
 }
 
-/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is where the robot's table is in what they
-/// are laid over.
+/// The profile's keys, then those of `--set`, then those of `--param`; `robot_path` is the path of the robot's table in the changed
+/// configuration.
 pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Result<Vec<Setting>> {
     let mut settings = Vec::new();
     if let Some(path) = &flags.robot {
@@ -414,7 +408,7 @@ pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Res
     Ok(settings)
 }
 
-/// The filter is chosen by `--filter`, and where a robot started belongs to the recording.
+/// Excludes the filter's name, which `--filter` selects, and the robot's start, which belongs to the recording.
 fn of_table(page: &toml::Table, name: &str, path: &[&str]) -> Vec<Setting> {
     let table = page.get(name).and_then(toml::Value::as_table);
     let entries = table.into_iter().flatten();

@@ -1,8 +1,8 @@
-//! The flags of a replay, and what it finds: errors, tallies and calibrations of each estimator, and with `--smooth` the most likely path of
-//! each run, found when it is over, beside what the filters knew in time.
+//! Flags and results of a replay: errors, tallies and calibrations of each estimator, and with `--smooth` the smoothed path of each
+//! run.
 //!
-//! The smoother gets the observations that the filters were given and their configuration, and is compared with the same reference. It reads
-//! wheels, gyro and fixes; what else a recording has is counted and named.
+//! The smoother gets the observations and the configuration of the filters, and is scored against the same reference. It uses wheels,
+//! gyro and fixes; other observations are counted by sensor.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -51,24 +51,23 @@ pub struct ReplayArgs {
     pub json: bool,
 }
 
-/// What one estimator did over everything that was replayed.
 pub struct FilterResult {
     pub name: String,
-    /// Which robot it followed, where the recording has several.
+    /// `None` for a single robot.
     pub robot: Option<String>,
-    /// Its errors, the mean over the runs.
+    /// The mean over the runs.
     pub errors: ErrorSummary,
-    /// Its root mean square position error at the withheld fixes' own stamps, where `errors` is corrected for a delay that it
-    /// has learned; the mean over the runs.
+    /// Root mean square position error at the withheld fixes' own timestamps, if `errors` is corrected for an estimated delay; the mean
+    /// over the runs.
     pub position_rms_uncorrected_m: Option<f64>,
-    /// What it has learned about the robot, one per run; empty for a filter that learns nothing.
+    /// One per run; empty for a filter that is not adaptive.
     pub learned: Vec<LearnedCalibration>,
-    /// How each sensor's observations fared, over all runs.
+    /// Over all runs.
     pub sources: Vec<SourceTally>,
 }
 
 impl FilterResult {
-    /// Its name, and its robot where there are several.
+    /// With its robot if there are several.
     pub fn label(&self) -> String {
         self.robot.as_ref().map_or_else(|| self.name.clone(), |robot| format!("{} {robot}", self.name))
     }
@@ -79,30 +78,28 @@ pub struct ReplayResult {
     pub recording: String,
     pub runs: Vec<String>,
     pub observations: u64,
-    /// Rows that could not be used.
     pub bad_rows: u64,
     pub outcomes: Vec<FilterResult>,
-    /// One per run; empty unless it was asked for.
+    /// One per run; empty unless requested.
     pub smoothed: Vec<SmoothedRun>,
-    /// How much time was replayed, over all runs, once and not for each estimator.
+    /// Replayed time over all runs, counted once and not for each estimator.
     pub duration: TimeDelta,
-    /// What was laid over the recording's own configuration, in words.
+    /// Changes of the recorded configuration, as text.
     pub changed_settings: Vec<String>,
 }
 
 pub struct SmoothedRun {
     pub run: String,
-    /// Its errors against the reference of the filters.
+    /// Against the reference of the filters.
     pub errors: ErrorSummary,
-    /// Those at the withheld fixes' own stamps, where `errors` is corrected for a delay that was found.
+    /// At the withheld fixes' own timestamps, if `errors` is corrected for an estimated delay.
     pub uncorrected: ErrorSummary,
     pub result: Result<SmoothedResult, SmoothError>,
     pub elapsed: TimeDelta,
-    /// Observations of kinds that it does not read, by the name of their sensor.
+    /// Observations that the smoother does not use, by sensor.
     pub ignored: BTreeMap<&'static str, u64>,
 }
 
-/// A path and how it was found.
 pub struct SmoothedResult {
     path: SmoothedPath,
     calibration: Calibration,
@@ -112,12 +109,11 @@ pub struct SmoothedResult {
     pub iterations: u32,
 }
 
-/// Why there is no path.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SmoothError {
     #[error(transparent)]
     Offline(#[from] OfflineError),
-    /// One path needs one clock.
+    /// A path needs one continuous clock.
     #[error("the brick restarted {0} time(s): its clock began anew, and what came before and after is not one run")]
     Restarted(u64),
 }
@@ -155,7 +151,6 @@ impl SmoothedRun {
         }
     }
 
-    /// A run that cannot be smoothed.
     pub fn failed(run: &str, reason: SmoothError) -> Self {
         Self {
             run: run.to_owned(),
@@ -167,7 +162,7 @@ impl SmoothedRun {
         }
     }
 
-    /// Holds it against the truth or the withheld fixes of a foreign recording.
+    /// Scores it against the truth or the withheld fixes of a foreign recording.
     pub fn with_scores(mut self, run: &DatasetRun, prior: &Calibration) -> Self {
         if let Ok(found) = &self.result {
             let mut scorer = Scorer::new(run, prior);
@@ -178,7 +173,7 @@ impl SmoothedRun {
         self
     }
 
-    /// Its estimates at its own stamps; none without a path.
+    /// At its own timestamps; empty without a path.
     pub fn estimates(&self) -> Vec<Estimate> {
         let found = self.result.as_ref().ok();
         found.map_or_else(Vec::new, |found| found.path.estimates().collect())

@@ -1,4 +1,4 @@
-//! Which part of a recording counts, how fast it is given, who sees what the engine makes of it, and the files that are kept of that.
+//! Evaluated window and pace of a replay, observers of its events, and their files.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -16,15 +16,15 @@ use crate::station::live_status::LiveView;
 use crate::station::observer::write_event;
 use crate::station::per_robot::PerRobot;
 
-/// Sees what one estimator's station does.
+/// Observes the events of one estimator's station.
 pub trait EventWatcher {
-    /// Something happened when the input of `now` was handled.
+    /// An event caused by the input at `now`.
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()>;
-    /// All that follows from the input of `now` has happened.
+    /// Called after all events of the input at `now`.
     fn after_input(&mut self, _now: Timestamp<HostClock>, _station: &Station) {}
 }
 
-/// For a caller that needs no more than tracks and counts.
+/// For callers that need only tracks and counts.
 impl EventWatcher for EventCollector {
     fn observe(&mut self, _now: Timestamp<HostClock>, event: &Event) -> Result<()> {
         self.on_event(event);
@@ -32,7 +32,6 @@ impl EventWatcher for EventCollector {
     }
 }
 
-/// The same for each robot.
 impl EventWatcher for PerRobot<EventCollector> {
     fn observe(&mut self, _now: Timestamp<HostClock>, event: &Event) -> Result<()> {
         self.push(event, EventCollector::on_event);
@@ -42,19 +41,17 @@ impl EventWatcher for PerRobot<EventCollector> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WindowPosition {
-    /// Before the part that counts: only the filter needs it.
+    /// Before the window: only the filter gets it.
     Before,
     Within,
-    /// Behind it.
     After,
 }
 
-/// The part of a recording that counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Window {
-    /// Behind the first input.
+    /// Since the first input.
     from: Option<TimeDelta>,
-    /// Behind the first input.
+    /// Since the first input.
     to: Option<TimeDelta>,
 }
 
@@ -70,7 +67,7 @@ impl Window {
         self == Self::default()
     }
 
-    /// Where an instant lies, by the time since the first input.
+    /// `elapsed` is the time since the first input.
     pub fn position(self, elapsed: TimeDelta) -> WindowPosition {
         if self.to.is_some_and(|to| elapsed > to) {
             WindowPosition::After
@@ -82,7 +79,7 @@ impl Window {
     }
 }
 
-/// Waits until an input's turn has come.
+/// Waits until an input is due.
 pub struct ReplayPacer {
     runtime: tokio::runtime::Runtime,
     timer: HostTimer,
@@ -91,7 +88,7 @@ pub struct ReplayPacer {
 }
 
 impl ReplayPacer {
-    /// One that begins when its first input does.
+    /// Starts at the first input.
     pub fn new(speed: f64) -> Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         let timer = HostTimer::start();
@@ -102,7 +99,7 @@ impl ReplayPacer {
         self.start = self.timer.now();
     }
 
-    /// Waits until so much of the recording is due.
+    /// Waits until this part of the recording is due.
     pub fn wait(&self, elapsed: TimeDelta) {
         let due = self.start + TimeDelta::from_secs_f64(elapsed.as_secs_f64() / self.speed);
         if due > self.timer.now() {
@@ -111,7 +108,6 @@ impl ReplayPacer {
     }
 }
 
-/// One estimator with its watcher.
 pub struct ReplayLane<'w> {
     pub station: Station,
     pub watcher: &'w mut dyn EventWatcher,
@@ -132,12 +128,12 @@ impl ReplayLane<'_> {
     }
 }
 
-/// The status block is drawn this often, by the clock of the recording at its real speed.
+/// Draw period of the status block, in recording time at real speed.
 const DRAW_PERIOD_S: f64 = 0.2;
 
 pub(super) struct ReplayWatcher<'e> {
     collectors: PerRobot<EventCollector>,
-    /// Every event goes there as a line of text.
+    /// Receives every event as a line of text.
     pub(super) events: Option<&'e mut BufWriter<File>>,
     view: Option<TimedView>,
 }
@@ -150,7 +146,7 @@ struct TimedView {
 }
 
 impl ReplayWatcher<'_> {
-    /// One that keeps what tables need.
+    /// Collects data for tables.
     pub(super) fn new(collectors: PerRobot<EventCollector>) -> Self {
         Self { collectors, events: None, view: None }
     }
@@ -189,12 +185,11 @@ impl EventWatcher for ReplayWatcher<'_> {
     }
 }
 
-/// Writes what still waits: a writer that is dropped does not report that the disk is full.
+/// Flushes explicitly: dropping a writer does not report a full disk.
 pub(super) fn finish_events(mut events: BufWriter<File>) -> Result<()> {
     events.flush().context("writing the events")
 }
 
-/// What is drawn beside the estimates.
 #[derive(Clone, Copy, Default)]
 pub(super) struct ReferenceTracks<'a> {
     pub(super) truth: Option<&'a PoseTrack>,
@@ -202,7 +197,7 @@ pub(super) struct ReferenceTracks<'a> {
     pub(super) smoothed: Option<&'a PoseTrack>,
 }
 
-/// Draws the estimates of a collector and these tracks.
+/// Draws a collector's estimates with these tracks.
 pub(super) fn write_charts(
     args: &ReplayArgs,
     title: &str,

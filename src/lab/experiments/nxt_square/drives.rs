@@ -12,8 +12,8 @@ use posebridge_telemetry::Calibration;
 use crate::lab::parallel::run_cases;
 
 const SCENARIO: &str = "paper-square";
-/// The zenithal camera: it is the paper's truth, so it sees the robot at every sample. Its noise is that of a printed tag
-/// under a webcam, as in the other scenarios.
+/// The overhead camera: it is the paper's ground truth, so it has a fix for every sample. Its noise is that of a printed tag under a
+/// webcam, as in the other scenarios.
 const CAMERA: Camera = Camera {
     sees: CameraSees::Pose,
     every_steps: 1,
@@ -25,7 +25,7 @@ const CAMERA: Camera = Camera {
     outliers: None,
     blackout: None,
 };
-/// The sigma of the compass that filters get, in degrees: noise and deviation together, see docs/lab/square.md.
+/// The compass sigma in the filter's configuration: noise and deviation together, see docs/lab/square.md.
 const COMPASS_SIGMA_DEG: f64 = 5.0;
 
 pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
@@ -68,7 +68,7 @@ pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
     table
 }
 
-/// For what the drives themselves do not draw.
+/// Seed of the random numbers outside the drive itself.
 fn seed_of(scenario: &Scenario, run: u32) -> u64 {
     scenario.seed.wrapping_mul(0x9e37_79b9).wrapping_add(u64::from(run))
 }
@@ -90,7 +90,6 @@ pub(super) struct MethodSeries {
     pub(super) adjust: fn(&mut SensorTable, u64),
 }
 
-/// The errors of every method over every drive of every series.
 pub(super) fn all_errors(series: &[MethodSeries], runs: u32, camera_every: usize) -> Result<Vec<Vec<Vec<PathErrors>>>> {
     run_cases(
         series,
@@ -166,7 +165,7 @@ fn uncalibrated_and_long_rest(scenario: &mut Scenario) {
     laps(scenario, |laps| laps.rest_s = 30.0);
 }
 
-/// A gyro of the MEMS class: 0.1 deg/s, no rounding, little walk.
+/// A MEMS gyro: 0.1 deg/s, no rounding, little walk.
 fn good_gyro(scenario: &mut Scenario) {
     scenario.gyro.resolution_deg_per_s = 0.0;
     scenario.gyro.sigma_deg_per_s = 0.1;
@@ -198,7 +197,7 @@ fn slippery(scenario: &mut Scenario) {
     scenario.motion.turn_rad_per_sqrt_rad *= 5.0;
 }
 
-/// Speeds that rise and fall over two seconds.
+/// Speed ramps of two seconds.
 fn gentle(scenario: &mut Scenario) {
     laps(scenario, |laps| laps.ramp_steps = 40);
 }
@@ -208,7 +207,7 @@ fn gentle_and_good_accelerometers(scenario: &mut Scenario) {
     good_accelerometers(scenario);
 }
 
-/// White noise of the variance that the paper's equation 19 gives the counters.
+/// White noise of the counter variance in the paper's equation 19.
 fn noisy_counters(table: &mut SensorTable, seed: u64) {
     add_jitter(table, WheelMatrices::PRINTED.variances, seed);
 }

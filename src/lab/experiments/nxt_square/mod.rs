@@ -1,7 +1,6 @@
-//! `posebridge lab nxt-square`: the three filters of paper 1 on its square, what is left of their order, and its outlook.
+//! `posebridge lab nxt-square`: the three filters of paper 1 on its square, a test of their ranking, and its outlook.
 //!
-//! On simulated drives, on a file of exported sensor data, on recordings, or on a live robot. docs/lab/square.md is the page
-//! for people.
+//! Input is simulated drives, a file of exported sensor data, recordings, or a live robot. docs/lab/square.md is the lesson.
 
 mod drives;
 
@@ -136,7 +135,7 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
     Ok(report(source, command, &runs, Vec::new(), example))
 }
 
-/// The configuration of the filters: the robot of a file, or the simulated one.
+/// The filter's configuration: the robot of a file, or the simulated one.
 fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
     let config = filter_config(&scenario(args.seed)?);
     let Some(path) = &args.real.robot else {
@@ -155,7 +154,7 @@ fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
     of_file().with_context(|| format!("robot `{}`", path.display()))
 }
 
-/// Every method once: the paper's chain, the corrected one, the outlook.
+/// Each method once: the paper's chain, the corrected one, the outlook.
 fn groups() -> [(&'static str, Vec<Method>); 4] {
     [
         ("the paper's matrices", printed_methods()),
@@ -165,7 +164,7 @@ fn groups() -> [(&'static str, Vec<Method>); 4] {
     ]
 }
 
-/// Cuts the errors of all methods, in the order of [`groups`], into chains.
+/// Splits the errors of all methods, in the order of [`groups`], into chains.
 fn chains(runs: &[Vec<PathErrors>]) -> (Vec<MethodRanking>, MethodRanking) {
     let mut from = 0;
     let mut all: Vec<MethodRanking> = Vec::new();
@@ -218,7 +217,7 @@ fn report(
 
 const TASK: &str = "leave the robot standing for two seconds, then drive the square, and let it stand again";
 
-/// Every method over every drive; the first one is drawn.
+/// Runs every method over every drive; the first one is plotted.
 fn recorded_report(drives: &RobotDrives, camera_every: usize) -> Result<SquareReport> {
     let tables: Vec<(&RobotDrive, SensorTable)> =
         drives.drives.iter().map(|one| (one, table_of(&one.drive, &one.config.geometry))).collect();
@@ -253,7 +252,7 @@ fn describe_drive((one, table): &(&RobotDrive, SensorTable)) -> String {
     )
 }
 
-/// Adds what programs get; `recordings` are the files of a real robot's drives.
+/// Adds the JSON data; `recordings` are the files of a real robot's drives.
 fn add_json(report: &mut Report, found: &SquareReport, recordings: &[String]) {
     let readings = found.interpretations.iter().map(|reading| {
         json!({

@@ -1,4 +1,4 @@
-//! Approaches by every source of the distance, over many runs, on all cores.
+//! Approaches with every distance estimator, over many runs, on all cores.
 
 use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -16,21 +16,19 @@ use posebridge_sim::wall::{
 use super::steps::StepResults;
 use crate::lab::parallel::run_cases;
 
-/// The corrected filter's process noise where the drive has been measured, m per step of 7.6 ms; docs/lab/wall.md section M5.
+/// Process noise of the corrected filter with an identified drive, per step of 7.6 ms; docs/lab/wall.md section M5.
 const MEASURED_DRIVE_PROCESS_M: f64 = 0.01;
 
-/// Who says how far the wall is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DistanceSource {
     LastReading,
     Line,
     /// `range-kf` with the paper's noise.
     Faithful,
-    /// `range-kf-corrected` with the noise of the readings that the steps have shown.
+    /// `range-kf-corrected` with the reading noise identified from the steps.
     Corrected,
 }
 
-/// Where that one sits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EstimatorPlacement {
     Brick,
@@ -42,7 +40,6 @@ pub(super) struct ApproachCase {
     pub(super) source: DistanceSource,
     pub(super) placement: EstimatorPlacement,
     pub(super) gains: Gains,
-    /// Which gains they are.
     pub(super) tuning: &'static str,
     pub(super) max_pwm: f64,
 }
@@ -84,13 +81,13 @@ pub(super) struct ApproachResult {
     pub(super) case: ApproachCase,
     pub(super) stops: Vec<Option<StopResult>>,
     pub(super) summary: StopSummary,
-    /// Against the line with the same tuned gains at the drive of the step.
+    /// Compared with the line at the same tuned gains and the PWM of the step.
     pub(super) against_line: StopComparison,
-    /// The first run, for the picture.
+    /// The first run, for the figure.
     pub(super) first: Approach,
 }
 
-/// The kinds of approach: the paper's gains, tuned gains, twice the drive, and the host.
+/// Cases: the paper's gains, tuned gains, twice the PWM, and the host.
 fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     use DistanceSource::{Corrected, Faithful, LastReading, Line};
     use EstimatorPlacement::{Brick, Host};
@@ -118,13 +115,13 @@ fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     cases
 }
 
-/// The differential part takes the drive's own lag away: kd = kp m / d, from the step test.
+/// The differential gain cancels the drive's lag: kd = kp m / d, from the step test.
 fn tuned(scene: &WallScene, model: WallApproachModel) -> Gains {
     let kp = scene.approach.tuned_kp_pwm_per_m;
     Gains { kp_pwm_per_m: kp, ki_pwm_per_m_s: 0.0, kd_pwm_s_per_m: kp / model.rate_per_s() }
 }
 
-/// Drives every kind of approach this number of times.
+/// Runs each case `runs` times.
 pub(super) fn drive_all(
     scene: &WallScene,
     steps: &StepResults,
@@ -184,7 +181,7 @@ fn stopped(scene: &WallScene, approach: &Approach) -> Option<StopResult> {
     })
 }
 
-/// Lets a source of the analysis sit in the simulator's car.
+/// Adapts an estimator of the analysis to the simulator's interface.
 struct EstimatorAdapter {
     estimator: Box<dyn ApproachEstimator>,
     reference_pwm: f64,

@@ -1,8 +1,8 @@
-//! `posebridge lab wall`: paper 3's car before a wall, on the simulated car, on a recording or on a live robot.
+//! `posebridge lab wall`: the car of paper 3 before a wall, on the simulated car, on a recording or on a live robot.
 //!
-//! Simulated: step tests, the drive found from them, the filter held against the step's own readings, and approaches by every
-//! source of the distance, on board and over a link. On a recording: the step by hand and by fit, and each reading foretold from
-//! those before it. docs/lab/wall.md is the lesson.
+//! Simulated: step tests, identification of the drive, validation of the filter on the step's own readings, and approaches with every
+//! distance estimator, on board and over a link. On a recording: the step by hand and by fit, and the prediction of each reading from
+//! earlier ones. docs/lab/wall.md is the lesson.
 
 mod approaches;
 mod pictures;
@@ -108,7 +108,7 @@ fn choice(args: &LabWallArgs) -> recorded::RunSelection<'_> {
     }
 }
 
-/// The scene of a file, or that of the paper, with another seed if one is given.
+/// The scene of a file, or that of the paper; `seed` overrides its seed.
 pub(in crate::lab) fn scene(file: Option<&Path>, seed: Option<u64>) -> anyhow::Result<WallScene> {
     let scene = match file {
         None => WallScene::from_toml(DEFAULT_SCENE)?,

@@ -1,4 +1,4 @@
-//! The pictures of the experiment.
+//! The figures of the experiment.
 
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
@@ -11,7 +11,7 @@ use posebridge_sim::wall::WallScene;
 use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
 use super::steps::{PIECE, StepResults};
 
-/// A way is drawn by every so manieth turn of the loop: 30 ms are less than a line's width.
+/// Plots every n-th control cycle: 30 ms are less than a line's width.
 const DRAWN_EVERY: usize = 4;
 
 fn axes(y_name: &str, curves: impl IntoIterator<Item = Curve>) -> Axes {
@@ -52,7 +52,7 @@ pub(super) fn step(steps: &StepResults) -> Plot {
     )
 }
 
-/// The filter's distance with the paper's three sigmas, less the fitted model's readings.
+/// The filter's distance with the paper's three sigmas, minus the fitted distance.
 pub(super) fn validation(steps: &StepResults) -> Plot {
     let mut curves = vec![Curve::dots("readings", steps.log.readings())];
     for process_m in [0.01, 0.05, 0.5] {
@@ -72,7 +72,7 @@ pub(super) fn validation(steps: &StepResults) -> Plot {
     Plot::new("range-kf on the step's own readings", "", vec![axes("distance [m]", curves)])
 }
 
-/// The first run of each kind with tuned gains on the brick, and where all runs stopped.
+/// The first run of each case with tuned gains on the brick, and the stops of all runs.
 pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     // The faithful filter's dots would lie under the corrected one's.
     let is_drawn = |driven: &&ApproachResult| {
@@ -108,7 +108,7 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     )
 }
 
-/// Readings of a recording and what was foretold of each.
+/// Readings of a recording and their predictions.
 pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f64)]) -> Plot {
     let by = |value: &dyn Fn(&RangeForecast) -> Option<f64>| -> Vec<(f64, f64)> {
         let points = foreseen.iter();

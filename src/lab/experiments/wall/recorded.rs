@@ -1,4 +1,4 @@
-//! The experiment on a recording: each run's step, and its readings foretold.
+//! The experiment on a recording: each run's step, and the predictions of its readings.
 
 use std::path::Path;
 
@@ -20,9 +20,8 @@ use crate::lab::parallel::run_with_bar;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording;
 
-/// Names that people give to a column of PWM.
 const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
-/// And to the distance that their filter gave.
+/// Common names of a column with another filter's distance.
 const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
 
 pub(in crate::lab) struct RecordedRuns {
@@ -33,7 +32,7 @@ pub(in crate::lab) struct RecordedRuns {
 pub(in crate::lab) struct RunLog {
     pub(in crate::lab) name: String,
     pub(in crate::lab) log: WallLog,
-    /// Whether the files have the motors' commands.
+    /// Whether the files contain motor commands.
     pub(in crate::lab) knows_input: bool,
     /// Time and distance of another program's filter, in order.
     foreign_filter: Vec<(f64, f64)>,
@@ -43,21 +42,20 @@ pub(in crate::lab) struct RunLog {
 pub(super) const TASK: &str =
     "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
-/// What to read of a recording.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::lab) struct RunSelection<'a> {
     pub(in crate::lab) data: Option<&'a Path>,
-    /// The beginning of the names of a descriptor's runs; all without it.
+    /// Prefix of a descriptor's runs; `None` for all.
     pub(in crate::lab) run: Option<&'a str>,
-    /// Keys of the robot's table, or of the configuration of a recording of ours.
+    /// Keys of the robot's table, or of the configuration of a posebridge recording.
     pub(in crate::lab) settings: &'a [Setting],
-    /// The column of the motor's PWM, instead of one with a usual name.
+    /// Column of the motor's PWM; `None` for a common name.
     pub(in crate::lab) command_column: Option<&'a str>,
-    /// The column of another program's filter, instead of one with a usual name.
+    /// Column of another program's filter; `None` for a common name.
     pub(in crate::lab) kalman_column: Option<&'a str>,
 }
 
-/// Reads every run that was asked for: of a descriptor, or a recording of ours, which is one run.
+/// Reads the selected runs of a descriptor, or a posebridge recording, which is one run.
 pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
     if own_recording::is_own(path) {
         return prepare_own(path, choice);
@@ -78,7 +76,7 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection<'_>) -> Result<
     Ok(RecordedRuns { descriptor: path.display().to_string(), runs })
 }
 
-/// A recording of ours has ranges but no motor commands: full drive is assumed, as for others who wrote it down nowhere.
+/// A posebridge recording has ranges but no motor commands: full drive is assumed.
 fn prepare_own(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
     ensure!(
         choice.run.is_none() && choice.command_column.is_none() && choice.kalman_column.is_none(),
@@ -146,7 +144,7 @@ impl RunReader<'_> {
         })
     }
 
-    /// The run with a column more: the one that was asked for, which must be there, or the first usual name that is.
+    /// The run with an additional column: the requested one, which must exist, or the first common name that exists.
     fn column<'c>(
         &mut self,
         asked: Option<&'c str>,
@@ -238,11 +236,9 @@ pub(super) struct RunResult {
     pub(super) fit: Result<StepFit, WallStepError>,
     pub(super) forecasts: Vec<RangeForecast>,
     pub(super) foreign_filter: Vec<(f64, f64)>,
-    /// What the filter's gate did.
     pub(super) gate: Option<GateStatistics>,
-    /// Against the line through two.
+    /// Compared with the line through the last two readings.
     pub(super) score_against_line: Option<ForecastScore>,
-    /// Against another program's filter.
     pub(super) score_against_foreign: Option<ForecastScore>,
 }
 
@@ -351,9 +347,9 @@ fn object(run: &RunResult) -> Value {
 // The descriptor's text gets two streams more, bound to the file of the run's range readings; everything else (units, stamps, bad
 // rows) stays with the reader of recordings.
 
-/// The sensor of another program's filtered distance; no descriptor of ours uses it.
+/// Sensor id of another program's filtered distance, unused in the bundled descriptors.
 pub(super) const FOREIGN_FILTER: SensorId = SensorId(250);
-/// One in a column of PWM is this much input: 80 is full drive, as in the paper.
+/// Motor input per PWM: 80 is full drive, as in the paper.
 const PER_PWM: f64 = 1.0 / 80.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -362,7 +358,7 @@ pub(super) enum ExtraColumn<'a> {
     Filtered(&'a str),
 }
 
-/// The descriptor's text with one more stream for a run; `None` if the run has no stream of ranges.
+/// Adds a stream for a run to the descriptor's text; `None` if the run has no stream of ranges.
 pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Result<Option<String>> {
     let table: toml::Table = text.parse().context("reading the descriptor again")?;
     let streams = table.get("wall_range").and_then(toml::Value::as_array);

@@ -1,4 +1,4 @@
-//! The experiment on the simulated car: what is driven, and its report.
+//! The experiment on the simulated car, and its report.
 
 use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -14,7 +14,7 @@ use super::pictures;
 use super::steps::{StepResults, steps};
 use crate::lab::experiments::recorded::rerun_command;
 
-/// The figures of the paper's own step: v_ss in m/s and t_90 in s.
+/// Result of the paper's own step: v_ss in m/s and t_90 in s.
 const PAPER_STEP: (f64, f64) = (1.225, 0.997);
 
 const WHOLE_MM: Format = Format::new(Unit::Millimetres, 0);

@@ -1,4 +1,4 @@
-//! The simulated step tests, the drive that is identified from them, and how it predicts.
+//! The simulated step tests, the drive identified from them, and its predictions.
 
 use anyhow::{Context, Result};
 use posebridge_estimator::models::wall_approach::WallApproachModel;
@@ -9,15 +9,14 @@ use posebridge_lab::wall::{
 };
 use posebridge_sim::wall::{StepRun, WallScene, simulate_step};
 
-/// Readings in a line of the evaluation by hand.
+/// Readings per line in the evaluation by hand.
 pub(in crate::lab) const PIECE: usize = 5;
-/// What is added to a reading to try the gate, m.
+/// Errors added to a reading to test the gate.
 const ADDED_M: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
-/// The process sigmas that are compared, m: the paper's three and the noise of its readings.
+/// Compared process sigmas: the paper's three and the noise of its readings.
 const PROCESS_M: [f64; 4] = [0.01, 0.02, 0.05, 0.5];
 
 pub(super) struct StepResults {
-    /// The drive as the scene has it.
     pub(super) truth: WallApproachModel,
     pub(super) first: StepRun,
     pub(super) log: WallLog,
@@ -65,7 +64,7 @@ pub(super) fn steps(scene: &WallScene, count: u32) -> Result<StepResults> {
     })
 }
 
-/// Inputs count from the PWM that the scene calls 1.
+/// Inputs are relative to the scene's reference PWM.
 pub(in crate::lab) fn log_of(scene: &WallScene, run: &StepRun) -> WallLog {
     let inputs = run.commands.iter().map(|command| WallEntry {
         at_s: command.at_s,
