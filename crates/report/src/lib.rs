@@ -22,6 +22,7 @@ pub mod chart;
 mod markup;
 pub mod metrics;
 pub mod page;
+pub mod quantity;
 pub mod report;
 pub mod tables;
 pub mod track;

@@ -3,7 +3,8 @@
 //! Values are in SI units. A [`Format`] defines their text; JSON contains them unchanged, under stable keys.
 //!
 //! ```
-//! use posebridge_report::report::{Format, Quantity, Report, Unit};
+//! use posebridge_report::quantity::{Format, Quantity, Unit};
+//! use posebridge_report::report::Report;
 //! let mut report = Report::new("demo", "Track width");
 //! report.values([Quantity::new("track_m", "track width", 0.1123, Format::new(Unit::Millimetres, 1)).with_sigma(0.0004)]);
 //! assert_eq!(report.text(), "Track width\n\ntrack width  112.3 ± 0.4 mm\n");
@@ -15,150 +16,12 @@ use serde_json::{Map, Value, json};
 use super::chart::{Plot, render_plot};
 use super::metrics::VerdictTone;
 use super::page::{ReportBlock, ReportPage};
-use super::tables::{NO_VALUE, TextTable, three_digits};
+use super::quantity::{Format, Quantity, Unit};
+use super::tables::{NO_VALUE, TextTable};
 
 const LINE_WIDTH: usize = 80;
 /// Between two columns of a [`TextTable`].
 const GUTTER_WIDTH: usize = 2;
-
-/// Display unit of an SI value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
-    /// The SI unit, or no unit, without a name.
-    None,
-    /// The value's own unit, with this name.
-    Named(&'static str),
-    Millimetres,
-    Degrees,
-    Milliseconds,
-    MillimetresPerSecond,
-    DegreesPerSecond,
-    Percent,
-}
-
-impl Unit {
-    fn scale(self) -> f64 {
-        match self {
-            Self::None | Self::Named(_) => 1.0,
-            Self::Millimetres | Self::Milliseconds | Self::MillimetresPerSecond => 1e3,
-            Self::Degrees | Self::DegreesPerSecond => 1_f64.to_degrees(),
-            Self::Percent => 100.0,
-        }
-    }
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::None => "",
-            Self::Named(name) => name,
-            Self::Millimetres => "mm",
-            Self::Degrees => "deg",
-            Self::Milliseconds => "ms",
-            Self::MillimetresPerSecond => "mm/s",
-            Self::DegreesPerSecond => "deg/s",
-            Self::Percent => "%",
-        }
-    }
-
-    fn append_to(self, text: &str) -> String {
-        let name = self.name();
-        if name.is_empty() { text.to_owned() } else { format!("{text} {name}") }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Precision {
-    Decimals(usize),
-    /// For values over several decades.
-    ThreeDigits,
-}
-
-/// Text format of a value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Format {
-    unit: Unit,
-    precision: Precision,
-    /// With a plus sign for values that are not negative.
-    is_signed: bool,
-}
-
-impl Format {
-    /// `digits` after the point.
-    pub const fn new(unit: Unit, digits: usize) -> Self {
-        Self { unit, precision: Precision::Decimals(digits), is_signed: false }
-    }
-
-    pub const fn three_digits(unit: Unit) -> Self {
-        Self { unit, precision: Precision::ThreeDigits, is_signed: false }
-    }
-
-    /// Adds a plus sign to values that are not negative.
-    pub const fn signed(self) -> Self {
-        Self { is_signed: true, ..self }
-    }
-
-    /// Without unit; a dash for `None`.
-    pub fn number(self, value: Option<f64>) -> String {
-        match (value.map(|value| value * self.unit.scale()), self.precision) {
-            (None, _) => NO_VALUE.to_owned(),
-            (value, Precision::ThreeDigits) => three_digits(value),
-            (Some(value), Precision::Decimals(digits)) if self.is_signed => format!("{value:+.digits$}"),
-            (Some(value), Precision::Decimals(digits)) => format!("{value:.digits$}"),
-        }
-    }
-
-    /// Number and standard deviation, without unit.
-    fn uncertain_number(self, value: Option<f64>, sigma: Option<f64>) -> String {
-        let number = self.number(value);
-        match value.and(sigma) {
-            Some(sigma) => format!("{number} ± {}", Self { is_signed: false, ..self }.number(Some(sigma))),
-            None => number,
-        }
-    }
-
-    pub fn text(self, value: f64) -> String {
-        self.unit.append_to(&self.number(Some(value)))
-    }
-}
-
-/// A named value with unit and optional standard deviation.
-#[derive(Clone, Debug)]
-pub struct Quantity {
-    key: &'static str,
-    label: String,
-    value: Option<f64>,
-    sigma: Option<f64>,
-    format: Format,
-}
-
-impl Quantity {
-    /// `key` is for JSON, `label` for the text. An empty key omits it from JSON.
-    pub fn new(key: &'static str, label: impl Into<String>, value: f64, format: Format) -> Self {
-        Self { key, label: label.into(), value: Some(value), sigma: None, format }
-    }
-
-    /// `None` is `null` in JSON and omitted from the text.
-    pub fn optional(key: &'static str, label: impl Into<String>, value: Option<f64>, format: Format) -> Self {
-        Self { key, label: label.into(), value, sigma: None, format }
-    }
-
-    /// In JSON an object of `value` and `sigma`.
-    pub fn with_sigma(self, sigma: f64) -> Self {
-        Self { sigma: Some(sigma), ..self }
-    }
-
-    /// Without the label.
-    fn text(&self) -> Option<String> {
-        self.value?;
-        Some(self.format.unit.append_to(&self.format.uncertain_number(self.value, self.sigma)))
-    }
-
-    fn json(&self) -> Value {
-        match self.sigma {
-            Some(sigma) => json!({ "value": self.value, "sigma": sigma }),
-            None => json!(self.value),
-        }
-    }
-}
 
 enum Cell {
     Text(String),
@@ -280,7 +143,7 @@ impl<'a, R> Table<'a, R> {
     }
 
     fn header(&self) -> Vec<String> {
-        let shown = |column: &Column<'_, R>| Some(column.format.unit.append_to(column.heading.as_deref()?));
+        let shown = |column: &Column<'_, R>| Some(column.format.append_unit(column.heading.as_deref()?));
         self.columns.iter().filter_map(shown).collect()
     }
 

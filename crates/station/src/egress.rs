@@ -154,6 +154,14 @@ mod tests {
     const BEAT: Message =
         Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 });
 
+    #[test]
+    fn a_link_of_version_1_is_known_as_such() {
+        let version_1 = LinkConfig { send_version: WireVersion::V1, ..link_config(LINK) };
+        let egress = Egress::new(&[version_1], Timestamp::ZERO);
+        assert_eq!(egress.send_version(LINK), Some(WireVersion::V1));
+        assert_eq!(egress.send_version(LinkId(3)), None);
+    }
+
     fn link_with_limits(limits: RateLimits) -> LinkConfig {
         LinkConfig { rules: LinkRules { limits, ..LinkRules::default() }, ..link_config(LINK) }
     }

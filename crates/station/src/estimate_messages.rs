@@ -228,6 +228,12 @@ mod tests {
     use posebridge_telemetry::TimeDelta;
 
     #[test]
+    fn an_estimate_travels_for_half_of_a_round_trip() {
+        assert_eq!(travel_time(Some(TimeDelta::from_micros(7_000))), TimeDelta::from_micros(3_500));
+        assert_eq!(travel_time(None), TimeDelta::ZERO);
+    }
+
+    #[test]
     fn an_array_holds_what_its_page_says_in_that_order() {
         let record = FusionRecord {
             sensor: SensorId::CAMERA,

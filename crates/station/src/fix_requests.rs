@@ -152,4 +152,16 @@ mod tests {
         let requested = requests.due(Timestamp::ZERO, &config, None);
         assert_eq!(requested, (0..MAX_CAMERAS).map(sender).collect::<Vec<_>>());
     }
+
+    #[test]
+    fn a_camera_that_sends_no_fix_rests_for_five_seconds() {
+        let config = FixRequestConfig { above_m: Some(0.1), ..FixRequestConfig::default() };
+        let camera = (LinkId(0), Address::new(9, 100));
+        let heartbeat = Heartbeat { vehicle_type: MAV_TYPE_CAMERA, autopilot: 8, base_mode: 0, system_status: 4 };
+        let mut requests = FixRequests::default();
+        requests.observe_message(camera, &Message::Heartbeat(heartbeat));
+        let times = (0..=5_750).step_by(250);
+        let asked = times.filter(|millis| !requests.due(Timestamp::from_millis(*millis), &config, None).is_empty());
+        assert_eq!(asked.collect::<Vec<_>>(), [0, 250, 500, 750, 5_750]);
+    }
 }

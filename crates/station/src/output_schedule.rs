@@ -251,6 +251,17 @@ mod tests {
     }
 
     #[test]
+    fn one_missed_message_is_made_up_for_and_two_are_not() {
+        for (late, then_due) in [(299, 300), (300, 400)] {
+            let mut schedule = OutputSchedule::new(&[odometry(100)]);
+            assert_eq!(schedule.due(at(0)).count(), 1);
+            assert_eq!(schedule.due(at(late)).count(), 1);
+            let next = (late + 1..1_000).find(|now| schedule.due(at(*now)).count() == 1);
+            assert_eq!(next, Some(then_due), "late at {late} ms");
+        }
+    }
+
+    #[test]
     fn a_requested_interval_of_zero_restores_the_configured_one() {
         let pose = OutputStream { kind: OutputKind::PlanarPose, ..odometry(40) };
         let mut schedule = OutputSchedule::new(&[pose, odometry(100)]);

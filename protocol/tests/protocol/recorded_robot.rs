@@ -28,7 +28,7 @@ fn decoded(bytes: &[u8]) -> Vec<Message> {
     let mut framer = Framer::new(FramerConfig::default());
     let mut messages = Vec::new();
     framer.push(at(0), bytes, &mut |found| match found {
-        FramerOutput::Frame(frame) => messages.extend(decode(&frame).unwrap()),
+        FramerOutput::Frame(frame) => messages.extend(decode(&frame).expect("a whole message")),
         other => panic!("{other:?}"),
     });
     messages

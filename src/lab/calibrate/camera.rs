@@ -7,7 +7,8 @@ use anyhow::{Context, Result};
 use clap::Args;
 use posebridge_lab::calibration::camera::{CalibrationPoint, CameraFit, Similarity, fit_homography, fit_similarity};
 use posebridge_report::chart::{Axes, Curve, Plot};
-use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Quantity, Unit};
+use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
 use crate::exit::{ExitStage, Failure};

@@ -11,7 +11,8 @@ use posebridge_lab::calibration::free_path::{
     UnknownEstimate, calibrate_path, dead_reckon, start_heading,
 };
 use posebridge_link::HostTimer;
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::{Calibration, ObservationKind, UncertainValue};
 use serde_json::{Value, json};
 

@@ -4,7 +4,8 @@ use posebridge_lab::calibration::free_path::{
     DeadReckonedPath, DeadReckoningError, FreePath, PathCalibration, UnknownStatus, Wiring, mean_error,
 };
 use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot};
-use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Quantity, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Calibration;
 use serde_json::{Map, Value, json};
 

@@ -8,7 +8,8 @@ use posebridge_lab::calibration::at_rest::{RestChannel, RestObservations};
 use posebridge_lab::noise_identification::RestNoise;
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
 use super::profile::CalibratedProfile;

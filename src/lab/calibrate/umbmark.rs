@@ -13,7 +13,8 @@ use posebridge_lab::calibration::umbmark::{
 };
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, Plot};
-use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Quantity, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_sim::montecarlo::{Course, Drive, Scenario};
 use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, StartPose, UncertainValue};
 use serde_json::json;

@@ -12,7 +12,8 @@ use posebridge_lab::end_errors::{
 };
 use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::metrics::PoseError;
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_report::tables::NO_VALUE;
 use posebridge_sim::frame_accelerometers::FrameAccelerometers;
 use posebridge_sim::montecarlo::{Drive, MAX_RUNS, Scenario};

@@ -1,7 +1,8 @@
 //! The results of `identify`: quantities, notes and plots, and their report.
 
 use posebridge_report::chart::Plot;
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use serde_json::{Map, Value, json};
 
 pub(super) struct Quantity {

@@ -7,7 +7,8 @@ use posebridge_lab::tuning::{
 use posebridge_report::SourceTally;
 use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::metrics::merge_tally;
-use posebridge_report::report::{Format, Quantity, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Quantity, Unit};
+use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
 use super::runs::{RunScore, RunSet};

@@ -24,7 +24,7 @@ use posebridge_report::metrics::consistency::nees;
 use posebridge_report::metrics::{
     Anees, Consistency, ConsistencyBand, PoseError, SourceTally, add_to_tallies, merge_tally,
 };
-use posebridge_report::report::{Format, Unit};
+use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::tables::NO_VALUE;
 use posebridge_report::track::SmoothedPath;
 use posebridge_report::track::TimedPose;

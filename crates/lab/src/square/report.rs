@@ -4,7 +4,8 @@ use posebridge_estimator::FilterConfig;
 use posebridge_estimator::numerics::statistics::root_mean_square;
 use posebridge_estimator::papers::paper1::DEGREE;
 use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot, render_plot};
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_report::tables::NO_VALUE;
 use posebridge_telemetry::DriveGeometry;
 

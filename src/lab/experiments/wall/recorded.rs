@@ -8,7 +8,8 @@ use posebridge_lab::wall::{
     WallStepError, fit_by_hand, fit_steps, forecast, gate_statistics, score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
-use posebridge_report::report::{Format, Report, Table, Unit};
+use posebridge_report::quantity::{Format, Unit};
+use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::{Observation, ObservationKind, SensorId};
 use serde_json::{Value, json};
 
