@@ -72,8 +72,8 @@ fn measure(name: &str, stream: &[u8], contenders: &[Contender]) -> Vec<(Duration
 #[expect(clippy::disallowed_methods, reason = "a benchmark reads a clock")]
 fn time(run: impl FnOnce() -> usize) -> (Duration, usize) {
     let start = Instant::now();
-    let seen = run();
-    (start.elapsed(), seen)
+    let scanned = run();
+    (start.elapsed(), scanned)
 }
 
 fn scan_all(stream: &[u8]) -> usize {

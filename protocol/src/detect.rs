@@ -100,9 +100,9 @@ fn text_lines(bytes: &[u8]) -> Option<UnitCounts> {
     let is_text = |byte: &&u8| is_printable(**byte) || b"\r\n\t".contains(*byte);
     let text_bytes = bytes.iter().filter(is_text).count();
     let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
-    let whole = bytes.iter().rposition(|byte| *byte == end)? + 1;
+    let complete_bytes = bytes.iter().rposition(|byte| *byte == end)? + 1;
     (20 * text_bytes >= 19 * bytes.len())
-        .then_some(UnitCounts { frames: memchr::memchr_iter(end, bytes).count(), bytes: whole })
+        .then_some(UnitCounts { frames: memchr::memchr_iter(end, bytes).count(), bytes: complete_bytes })
 }
 
 /// Text, or the announcement of an EV3 by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
@@ -197,7 +197,7 @@ impl UnitCounts {
 const NXT_MAX_BYTES: usize = 128;
 /// Longest that an EV3 sends: its buffer for replies.
 const EV3_MAX_BYTES: usize = 1024;
-/// Largest offset of the first whole telegram, the EV3's longest.
+/// Largest offset of the first complete telegram, the EV3's longest.
 const MAX_SKIPPED: usize = EV3_MAX_BYTES + LENGTH_BYTES;
 const LENGTH_BYTES: usize = 2;
 /// Least number of telegrams in a row when they do not start at the first byte.

@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unsigned_frame_on_a_link_with_a_key_is_rejected_and_counts_for_nobody() {
+    fn an_unsigned_frame_on_a_link_with_a_key_is_rejected_and_counted_for_no_sender() {
         let signing = SigningConfig {
             key: Key::from_bytes([7; 32]),
             link_id: 1,

@@ -110,17 +110,17 @@ impl RecordedRobot {
     }
 
     pub fn receive(&mut self, bytes: &[u8]) {
-        let mut heard = Vec::new();
+        let mut received = Vec::new();
         // The framer only measures silence with its clock: any clock will do.
         let now = Timestamp::<HostClock>::from_nanos(self.now.as_nanos());
         self.framer.push(now, bytes, &mut |scanned| {
             if let FramerOutput::Frame(frame) = scanned
                 && let Ok(Some(message)) = decode(&frame)
             {
-                heard.push((frame.source, message));
+                received.push((frame.source, message));
             }
         });
-        for (source, message) in heard {
+        for (source, message) in received {
             self.session.handle(self.now, source, &message);
         }
         self.drain_session();
@@ -178,9 +178,9 @@ impl RecordedRobot {
     fn wheels(&self, stamp: WireStamp, left_rad: f64, right_rad: f64) -> Message {
         let counts = [left_rad, right_rad].map(|angle_rad| angle_rad / self.geometry.tick.0);
         let [left, right] = counts.map(f64::round);
-        let whole = (counts[0] - left).abs() < COUNT_TOLERANCE && (counts[1] - right).abs() < COUNT_TOLERANCE;
+        let are_integers = (counts[0] - left).abs() < COUNT_TOLERANCE && (counts[1] - right).abs() < COUNT_TOLERANCE;
         let fits = left.abs() < f64::from(i32::MAX) && right.abs() < f64::from(i32::MAX);
-        match (whole && fits, stamp) {
+        match (are_integers && fits, stamp) {
             (true, WireStamp::Micros64(micros)) => Message::WheelTicks(WheelTicks {
                 stamp: WireStamp::Micros32(micros as u32),
                 left: EncoderTicks(left as i64),

@@ -23,7 +23,7 @@ use crate::framing::{FrameRef, SequenceCounter, WireVersion};
 /// Shortest silence of all senders that is reported: it normally contains several heartbeats.
 pub const MIN_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 /// Most gaps that are kept; the others are only counted.
-const MAX_KEPT_GAPS: usize = 100;
+const MAX_GAPS: usize = 100;
 /// Most distinguished senders; the frames of others are counted together. A flood of invented addresses must not fill
 /// the memory, and no fleet on one link is larger.
 const MAX_SOURCES: usize = 4_096;
@@ -160,7 +160,7 @@ pub struct TrafficStatistics {
     all: MessageStatistics,
     versions: [u64; 2],
     signed: u64,
-    crowd: u64,
+    untracked: u64,
     gaps: Vec<TrafficGap>,
     gap_count: u64,
     backwards: u64,
@@ -204,7 +204,7 @@ impl TrafficStatistics {
         }
         self.signed += u64::from(frame.is_signed());
         let index = self.source_index(link, frame);
-        self.crowd += u64::from(index.is_none());
+        self.untracked += u64::from(index.is_none());
         self.sources.get_mut(index?)
     }
 
@@ -243,7 +243,7 @@ impl TrafficStatistics {
 
     /// Frames of senders beyond the limit.
     pub const fn untracked_frames(&self) -> u64 {
-        self.crowd
+        self.untracked
     }
 
     /// The first silences of [`MIN_GAP`] or more, and the number of all.
@@ -264,7 +264,7 @@ impl TrafficStatistics {
         let length = at - last;
         if length >= MIN_GAP {
             self.gap_count += 1;
-            if self.gaps.len() < MAX_KEPT_GAPS {
+            if self.gaps.len() < MAX_GAPS {
                 self.gaps.push(TrafficGap { from: last, length });
             }
         }
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_runs_fast_or_begins_anew_is_told() {
+    fn a_clock_that_runs_fast_or_restarts_is_reported() {
         let mut frames = Vec::new();
         for step in 0..=200_u32 {
             // 1001 ms of the sender's clock per second.

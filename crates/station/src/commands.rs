@@ -95,8 +95,8 @@ impl Station {
         self.report_own_text(severity::WARNING, why);
     }
 
-    pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, asked: &str) {
-        let why = format!("no parameter `{}`", ParameterName::from_bytes(asked.as_bytes()));
+    pub(crate) fn handle_unknown_parameter(&mut self, link: LinkId, requested: &str) {
+        let why = format!("no parameter `{}`", ParameterName::from_bytes(requested.as_bytes()));
         self.send_text_answer(link, severity::WARNING, &why);
         self.report_own_text(severity::WARNING, why);
     }

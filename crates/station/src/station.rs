@@ -376,7 +376,7 @@ impl Station {
                 SessionOutput::ParameterUnsupported { index, kind, .. } => {
                     self.handle_unsupported_type(id, index, kind);
                 }
-                SessionOutput::ParameterUnknown { asked, .. } => self.handle_unknown_parameter(id, &asked),
+                SessionOutput::ParameterUnknown { requested, .. } => self.handle_unknown_parameter(id, &requested),
             }
         }
     }

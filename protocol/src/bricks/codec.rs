@@ -49,7 +49,7 @@ pub enum CodecEvent<'a> {
         severity: u8,
         text: String,
     },
-    /// A whole frame with an unknown message id: forward it unchanged.
+    /// A complete frame with an unknown message id: forward it unchanged.
     ForwardFrame(FrameRef<'a>),
     /// Damaged or missing input.
     Error(ReceiveError),

@@ -1,27 +1,27 @@
 //! Wheel totals from motor counters that may be reset while the station runs.
 //!
 //! A program that starts or stops on a LEGO brick sets the counters of the motors to zero. That is no motion. Nor is a damaged byte in a
-//! telegram without a checksum. Both bricks that are asked for their counts share this rule.
+//! telegram without a checksum. Both bricks whose counts are polled share this rule.
 //!
 //! # Model
 //! ```text
 //! dt           since the last sample that was accepted                        v: speed before, w: speed after
 //! reached      |change| <= fastest dt + margin                                of both wheels
-//! zeroed       both stand nearer to zero than before, 0 reaches them in dt, and no third motor has kept its count
+//! zeroed       both are nearer to zero than before, 0 reaches them in dt, and no third motor has kept its count
 //! explained    change within hull(0, v dt), widened by a dt'^2 / 2 + 3 + |v| dt / 4,  dt' <= 0.1 s
 //!
 //! a sample that is reached, and not zeroed or else explained                  motion
 //! any other                                                                   rejected for now; the next one decides:
-//!    only the one before reaches it                                             the doubted one was damaged; motion
-//!    only the doubted one reaches it                                            the counters began anew: at zero if zeroed, else
-//!    where it stands both, and zeroed                                                           the less surprising of motion
+//!    only the one before reaches it                                             the suspect was damaged; motion
+//!    only the suspect reaches it                                                the counters restarted: at zero if zeroed, else
+//!    where both reach it, and zeroed                                                            the less surprising of motion
 //!    and a beginning at zero: distance of the change from hull(0, v dt, w dt)
 //! ```
 //! What the wheels have turned since the counters were set to zero is motion.
 //!
 //! # What cannot be known
 //! Wheels that turn back against their speed in a silence, far, and to near where they began, look as if they had been set to
-//! zero; and counters that are set to zero while few counts stand in them look like motion: three to eight counts at 30 ms, 1 to
+//! zero; and counters that are set to zero while they are small look like motion: three to eight counts at 30 ms, 1 to
 //! 4 mm with wheels of 56 mm.
 //!
 //! # Sources
@@ -77,7 +77,7 @@ pub(super) struct MotorCounters {
     /// Time since the first sample.
     now_s: f64,
     last: Option<CounterSample>,
-    doubtful: Option<CounterSample>,
+    suspect: Option<CounterSample>,
     is_restarted: bool,
 }
 
@@ -95,13 +95,13 @@ struct CounterSample {
 enum CounterInterpretation {
     Motion,
     FromZero,
-    FromDoubtful,
+    FromSuspect,
     Unexplained,
 }
 
 impl MotorCounters {
     pub(super) const fn new(limits: MotorLimits) -> Self {
-        Self { limits, now_s: 0.0, last: None, doubtful: None, is_restarted: false }
+        Self { limits, now_s: 0.0, last: None, suspect: None, is_restarted: false }
     }
 
     /// The brick was restarted: its counters began at zero, whatever they show at the next reading.
@@ -120,22 +120,22 @@ impl MotorCounters {
             return CounterUpdate::Rebased(self.store(counts, last.total_from([0; 2], counts), None));
         }
         let now = CounterSample { at_s: self.now_s, counts, ..last };
-        let Some(doubted) = self.doubtful else {
+        let Some(suspect) = self.suspect else {
             if self.is_motion(&last, &now) {
                 return CounterUpdate::Total(self.accept_motion(&last, &now));
             }
-            self.doubtful = Some(now);
+            self.suspect = Some(now);
             return CounterUpdate::Rejected;
         };
-        match self.interpret(&last, &doubted, &now) {
+        match self.interpret(&last, &suspect, &now) {
             CounterInterpretation::Motion => CounterUpdate::Total(self.accept_motion(&last, &now)),
             CounterInterpretation::Unexplained => {
-                self.doubtful = Some(now);
+                self.suspect = Some(now);
                 CounterUpdate::Rejected
             }
-            meaning @ (CounterInterpretation::FromZero | CounterInterpretation::FromDoubtful) => {
-                let from = if meaning == CounterInterpretation::FromZero { [0; 2] } else { doubted.counts.wheels };
-                let speed = doubted.speed_to(&now);
+            meaning @ (CounterInterpretation::FromZero | CounterInterpretation::FromSuspect) => {
+                let from = if meaning == CounterInterpretation::FromZero { [0; 2] } else { suspect.counts.wheels };
+                let speed = suspect.speed_to(&now);
                 CounterUpdate::Rebased(self.store(counts, last.total_from(from, counts), speed))
             }
         }
@@ -145,17 +145,17 @@ impl MotorCounters {
         last.is_reachable(now, self.limits) && (!last.may_have_been_zeroed(now, self.limits) || last.is_predicted(now))
     }
 
-    fn interpret(&self, last: &CounterSample, doubted: &CounterSample, now: &CounterSample) -> CounterInterpretation {
+    fn interpret(&self, last: &CounterSample, suspect: &CounterSample, now: &CounterSample) -> CounterInterpretation {
         let runs_on = last.is_reachable(now, self.limits);
-        if !doubted.is_reachable(now, self.limits) {
+        if !suspect.is_reachable(now, self.limits) {
             return if runs_on { CounterInterpretation::Motion } else { CounterInterpretation::Unexplained };
         }
-        let is_zeroed = last.may_have_been_zeroed(doubted, self.limits);
+        let is_zeroed = last.may_have_been_zeroed(suspect, self.limits);
         match (runs_on, is_zeroed) {
-            (true, true) => last.more_likely_meaning(doubted, now),
+            (true, true) => last.more_likely_meaning(suspect, now),
             (true, false) => CounterInterpretation::Motion,
             (false, true) => CounterInterpretation::FromZero,
-            (false, false) => CounterInterpretation::FromDoubtful,
+            (false, false) => CounterInterpretation::FromSuspect,
         }
     }
 
@@ -165,7 +165,7 @@ impl MotorCounters {
     }
 
     fn store(&mut self, counts: MotorCounts, total: [i64; 2], speed: Option<[f64; 2]>) -> [i64; 2] {
-        self.doubtful = None;
+        self.suspect = None;
         self.last = Some(CounterSample { at_s: self.now_s, counts, total, speed });
         total
     }
@@ -182,8 +182,9 @@ impl CounterSample {
         let zeroed = Self { counts: MotorCounts { wheels: [0; 2], third: None }, ..*self };
         let pairs = self.counts.wheels.iter().zip(&now.counts.wheels);
         let is_nearer = pairs.into_iter().all(|(last, found)| found.unsigned_abs() <= last.unsigned_abs());
-        let is_kept = now.counts.third.is_some_and(|third| third != 0) && now.counts.third == self.counts.third;
-        is_nearer && !is_kept && zeroed.is_reachable(now, limits)
+        let is_third_unchanged =
+            now.counts.third.is_some_and(|third| third != 0) && now.counts.third == self.counts.third;
+        is_nearer && !is_third_unchanged && zeroed.is_reachable(now, limits)
     }
 
     fn is_predicted(&self, now: &Self) -> bool {
@@ -201,12 +202,12 @@ impl CounterSample {
     }
 
     /// Whether the change to a rejected sample is motion, or motion since zero, by the speeds before and after.
-    fn more_likely_meaning(&self, doubted: &Self, now: &Self) -> CounterInterpretation {
-        let dt_s = doubted.at_s - self.at_s;
+    fn more_likely_meaning(&self, suspect: &Self, now: &Self) -> CounterInterpretation {
+        let dt_s = suspect.at_s - self.at_s;
         let before = self.speed.unwrap_or_default();
-        let after = doubted.speed_to(now).unwrap_or_default();
+        let after = suspect.speed_to(now).unwrap_or_default();
         let surprise = |from: [i32; 2]| {
-            let changes = count_changes(from, doubted.counts.wheels);
+            let changes = count_changes(from, suspect.counts.wheels);
             let led = before.iter().zip(after);
             changes
                 .iter()
@@ -319,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_third_motor_that_keeps_its_count_says_that_nothing_fell() {
+    fn a_third_motor_that_keeps_its_count_excludes_a_reset() {
         for (third, expected) in [(90, CounterUpdate::Total([0, 0])), (0, CounterUpdate::Rejected)] {
             let mut counters = MotorCounters::new(LIMITS);
             let reading = |left, third| MotorCounts { wheels: [left, 0], third: Some(third) };
@@ -355,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_restart_the_counters_began_at_zero_however_far_they_are() {
+    fn after_a_restart_counters_count_from_zero_at_any_distance() {
         let mut bench = Bench::new();
         bench.push([30, 30]);
         bench.0.brick_restarted();
@@ -364,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn counters_that_fall_in_a_silence_of_a_robot_that_stands_are_no_motion() {
+    fn counters_that_fall_in_a_silence_of_a_resting_robot_are_no_motion() {
         for silence_millis in [100, 1_000, 2_500, 30_000] {
             let silence = TimeDelta::from_millis(silence_millis);
             for left in [0, 30, -20] {
@@ -390,13 +391,13 @@ mod tests {
     #[test]
     fn a_robot_that_drives_on_with_counters_that_fell_in_a_silence_has_moved_since() {
         let mut bench = Bench::moving(15, 1_000);
-        let doubted = bench.after(TimeDelta::from_millis(2_000), [600; 2]);
-        assert_eq!(doubted, CounterUpdate::Rejected);
+        let update = bench.after(TimeDelta::from_millis(2_000), [600; 2]);
+        assert_eq!(update, CounterUpdate::Rejected);
         assert_eq!(bench.push([615; 2]), CounterUpdate::Rebased([1_615; 2]));
     }
 
     #[test]
-    fn the_speed_after_a_silence_tells_a_way_back_from_a_new_beginning() {
+    fn the_speed_after_a_silence_distinguishes_driving_back_from_a_reset() {
         let silence = TimeDelta::from_millis(2_500);
         for (next, expected) in [(380, CounterUpdate::Total([380; 2])), (420, CounterUpdate::Rebased([900 + 420; 2]))] {
             let mut bench = Bench::moving(0, 900);

@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_line_is_whole_and_a_longer_one_is_dropped_to_its_end() {
+    fn the_longest_line_is_complete_and_a_longer_one_is_dropped_to_its_end() {
         let mut bytes = vec![b'x'; LONGEST];
         bytes.push(b'\n');
         assert_eq!(cuts(&bytes), [Ok(vec![b'x'; LONGEST])]);

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_messages_shadow_none_that_is_spoken_and_stand_in_the_order_of_their_ids() {
+    fn foreign_messages_shadow_none_of_ours_and_are_sorted_by_id() {
         assert!(FOREIGN_MESSAGES.is_sorted_by(|one, next| one.id < next.id));
         for message in FOREIGN_MESSAGES {
             assert_eq!(CATALOGUE.layout(message.id), None, "{}", message.name);

@@ -36,7 +36,7 @@ pub const SUPPORTED_COMMANDS: [u16; 7] = [
     ids::COMMAND_SOURCE,
 ];
 
-/// Largest valid yaw, degrees: a whole turn either way. Larger angles are damage, and too coarse in a float.
+/// Largest valid yaw, degrees: a full turn in either direction. Larger angles are damage, and too coarse in a float.
 const MAX_YAW_DEG: f32 = 360.0;
 
 /// Why a command is invalid.
@@ -98,7 +98,7 @@ pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
 }
 
 fn decode_storage(command: &CommandLong) -> Result<Command, CommandError> {
-    // Parameter 3 would start or stop a log: done in silence it would be a lie to say that it was accepted.
+    // Parameter 3 would start or stop a log: an accepting reply would be false.
     if bounded_parameter(command, 3) != 0.0 {
         return Err(parameter_error(command, 3, "0, or command 2510"));
     }
@@ -140,13 +140,13 @@ fn decode_set_pose(command: &CommandLong) -> Result<Command, CommandError> {
 /// A parameter with a few valid whole numbers.
 fn integer_parameter(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
     let value = bounded_parameter(command, index);
-    let whole = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
-    if whole { Ok(value as u8) } else { Err(parameter_error(command, index, wanted)) }
+    let is_byte = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
+    if is_byte { Ok(value as u8) } else { Err(parameter_error(command, index, wanted)) }
 }
 
 fn bounded_parameter(command: &CommandLong, index: u8) -> f32 {
-    let place = usize::from(index).wrapping_sub(1);
-    command.params.get(place).copied().unwrap_or_default()
+    let position = usize::from(index).wrapping_sub(1);
+    command.params.get(position).copied().unwrap_or_default()
 }
 
 fn parameter_error(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {

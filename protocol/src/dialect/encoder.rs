@@ -29,7 +29,7 @@ impl Encoder {
         Self { version, sequences: BTreeMap::new() }
     }
 
-    /// Appends one whole frame, unsigned, to `out` and returns its length.
+    /// Appends one complete frame, unsigned, to `out` and returns its length.
     ///
     /// Returns 0 and appends nothing when the message has no MAVLink 1 form: ids above 255 (ODOMETRY, WHEEL_DISTANCE and
     /// our own dialect).
@@ -37,7 +37,7 @@ impl Encoder {
         self.write(from, message, None, out)
     }
 
-    /// Appends one whole frame with its signature to `out` and returns its length, signature included.
+    /// Appends one complete frame with its signature to `out` and returns its length, signature included.
     ///
     /// Returns 0 and appends nothing for a MAVLink 1 encoder: those frames cannot be signed.
     pub fn encode_signed(
@@ -86,7 +86,7 @@ impl Encoder {
         out.len() - start
     }
 
-    /// Gives a whole frame a sender's address, its own or another, and the next sequence number of that sender on this
+    /// Gives a complete frame a sender's address, its own or another, and the next sequence number of that sender on this
     /// link. Updates the checksum; nothing else changes.
     ///
     /// The checksum's seed is computed from the old checksum, so that messages of unknown dialects can be changed as
@@ -127,7 +127,7 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
             (ids::SYSTEM_TIME, services::write_system_time(version, *unix_micros, *since_boot))
         }
         Message::TimeSync(sync) => (ids::TIMESYNC, services::write_time_sync(version, sync)),
-        Message::SetMessageInterval(wanted) => (ids::COMMAND_LONG, services::write_interval(version, wanted)),
+        Message::SetMessageInterval(request) => (ids::COMMAND_LONG, services::write_interval(version, request)),
         Message::Command(command) => (ids::COMMAND_LONG, services::write_command(version, command)),
         Message::CommandInt(command) => (ids::COMMAND_INT, services::write_command_int(version, command)),
         Message::CommandAck(ack) => (ids::COMMAND_ACK, services::write_ack(version, *ack)),
@@ -149,14 +149,20 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
         Message::ParamValue { name, value, count, index } => {
             (ids::PARAM_VALUE, services::write_param_value(version, name, *value, *count, *index))
         }
-        Message::AutopilotVersion(said) => (ids::AUTOPILOT_VERSION, services::write_autopilot_version(version, *said)),
-        Message::ProtocolVersion(said) => (ids::PROTOCOL_VERSION, services::write_protocol_version(version, *said)),
-        Message::ComponentInformation(said) => {
-            (ids::COMPONENT_INFORMATION_BASIC, services::write_component_information(version, said))
+        Message::AutopilotVersion(message) => {
+            (ids::AUTOPILOT_VERSION, services::write_autopilot_version(version, *message))
         }
-        Message::MessageInterval(said) => (ids::MESSAGE_INTERVAL, services::write_message_interval(version, *said)),
-        Message::NamedValue(said) => (ids::NAMED_VALUE_FLOAT, services::write_named_value(version, said)),
-        Message::FloatArray(said) => (ids::DEBUG_FLOAT_ARRAY, services::write_float_array(version, said)),
+        Message::ProtocolVersion(message) => {
+            (ids::PROTOCOL_VERSION, services::write_protocol_version(version, *message))
+        }
+        Message::ComponentInformation(message) => {
+            (ids::COMPONENT_INFORMATION_BASIC, services::write_component_information(version, message))
+        }
+        Message::MessageInterval(message) => {
+            (ids::MESSAGE_INTERVAL, services::write_message_interval(version, *message))
+        }
+        Message::NamedValue(message) => (ids::NAMED_VALUE_FLOAT, services::write_named_value(version, message)),
+        Message::FloatArray(message) => (ids::DEBUG_FLOAT_ARRAY, services::write_float_array(version, message)),
         Message::WheelDistance { stamp, left, right } => {
             (ids::WHEEL_DISTANCE, sensors::write_wheel_distance(version, *stamp, *left, *right))
         }
@@ -183,7 +189,7 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
     })
 }
 
-/// Changes a whole, unsigned frame and updates its checksum. The checksum's seed is computed from the old checksum, so
+/// Changes a complete, unsigned frame and updates its checksum. The checksum's seed is computed from the old checksum, so
 /// that messages of unknown dialects can be changed as well. After an error the frame is unchanged.
 pub(crate) fn rewrite(
     frame: &mut [u8],
@@ -219,7 +225,7 @@ pub enum RenumberError {
     Damaged,
 }
 
-/// Whether a whole frame has a signature; false for other bytes.
+/// Whether a complete frame has a signature; false for other bytes.
 pub fn is_signed(frame: &[u8]) -> bool {
     FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
 }

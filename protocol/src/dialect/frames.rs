@@ -6,7 +6,7 @@
 //! forward-right     f = x, r = -y, yaw = -heading
 //! body rates        yaw rate = -turn rate, forward = forward
 //! ```
-//! Every one of these maps is its own inverse, so each function serves both ways. Covariances are upper triangles, row
+//! Every one of these maps is its own inverse, so each function serves both directions. Covariances are upper triangles, row
 //! by row: xx, xy, x-heading, yy, y-heading, heading-heading.
 //!
 //! # Sources
@@ -67,11 +67,11 @@ pub(super) fn triangle(planar: Option<[f64; 6]>) -> [f32; TRIANGLE_LEN] {
         full[0] = f32::NAN;
         return full;
     };
-    for (place, value) in PLANAR.into_iter().zip(planar) {
-        full[place] = value as f32;
+    for (index, value) in PLANAR.into_iter().zip(planar) {
+        full[index] = value as f32;
     }
-    for place in UNOBSERVED {
-        full[place] = UNOBSERVED_VARIANCE;
+    for index in UNOBSERVED {
+        full[index] = UNOBSERVED_VARIANCE;
     }
     full
 }
@@ -79,7 +79,7 @@ pub(super) fn triangle(planar: Option<[f64; 6]>) -> [f32; TRIANGLE_LEN] {
 /// The planar part of MAVLink's 6 x 6 triangle. NaN in the first element means unknown; so do two position variances of
 /// zero, which is what a sender without the extension field leaves behind.
 pub(super) fn planar(triangle: &[f32; TRIANGLE_LEN]) -> Option<[f64; 6]> {
-    let planar = PLANAR.map(|place| f64::from(triangle[place]));
+    let planar = PLANAR.map(|index| f64::from(triangle[index]));
     let [xx, _, _, yy, ..] = planar;
     let is_absent = xx.is_nan() || (xx == 0.0 && yy == 0.0);
     (!is_absent).then_some(planar)

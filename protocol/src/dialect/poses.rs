@@ -358,8 +358,8 @@ mod tests {
         );
         let mut bytes = [0; 255];
         bytes[..payload.bytes().len()].copy_from_slice(payload.bytes());
-        for (place, byte) in changes {
-            bytes[*place] = *byte;
+        for (offset, byte) in changes {
+            bytes[*offset] = *byte;
         }
         match odometry(&bytes)? {
             Some(Message::Odometry(odometry)) => Ok(odometry),
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn the_floor_of_who_looks_from_outside_is_the_arena_and_of_others_it_drifts() {
+    fn an_outside_observers_floor_is_the_arena_and_others_drift() {
         let yaw_rad = ((0.25 - FRAC_PI_2) * 1e6).round() / 1e6;
         for estimator in [ESTIMATOR_VISION, ESTIMATOR_MOCAP] {
             let odometry = decoded(&[(FRAME, 20), (ESTIMATOR, estimator)]).unwrap();
@@ -408,12 +408,12 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_says_why() {
-        for (changes, said) in
+    fn an_unusable_pose_is_refused_with_the_reason() {
+        for (changes, expected) in
             [([(FRAME, 5)], "MAV_FRAME 5"), ([(FRAME, 18)], "MAV_FRAME 18"), ([(QUALITY, 0xFF)], "it has failed")]
         {
             let error = decoded(&changes).unwrap_err().to_string();
-            assert!(error.contains(said), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
         assert_eq!(decoded(&[(QUALITY, 0)]).unwrap().quality, 0);
     }

@@ -20,7 +20,7 @@ const MILLI_RAD_PER_S: f64 = 1e-3;
 /// Unit of DISTANCE_SENSOR's distances.
 const CENTIMETER_M: f64 = 1e-2;
 /// MAV_SENSOR_ROTATION_NONE: looks forward.
-const LOOKS_FORWARD: u8 = 0;
+const ORIENTATION_FORWARD: u8 = 0;
 /// DISTANCE_SENSOR.covariance when the sender does not know it.
 const VARIANCE_UNKNOWN: u8 = u8::MAX;
 /// DISTANCE_SENSOR.signal_quality of a reading that must not be used.
@@ -139,7 +139,7 @@ pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     reader.skip::<24>();
     let quality = reader.u8();
     let is_in_range = current_cm >= min_cm && (current_cm < max_cm || max_cm == 0);
-    if orientation != LOOKS_FORWARD || quality == QUALITY_INVALID || !is_in_range {
+    if orientation != ORIENTATION_FORWARD || quality == QUALITY_INVALID || !is_in_range {
         return None;
     }
     Some(Message::DistanceSensor {
@@ -165,7 +165,7 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
         .u16(current_cm)
         .u8(RANGER_UNKNOWN)
         .u8(id)
-        .u8(LOOKS_FORWARD)
+        .u8(ORIENTATION_FORWARD)
         .u8(variance_cm2)
         .finish(version)
 }

@@ -22,7 +22,7 @@ const MAVLINK_VERSION: u8 = 3;
 /// MAV_PARAM_TYPE_REAL32.
 const PARAM_TYPE_REAL32: u8 = 9;
 /// The values of MAV_PARAM_TYPE that fit into the slot and are whole numbers.
-mod whole {
+mod integer_type {
     pub(super) const UINT8: u8 = 1;
     pub(super) const INT8: u8 = 2;
     pub(super) const UINT16: u8 = 3;
@@ -127,12 +127,12 @@ pub(super) fn write_command(version: WireVersion, command: &CommandLong) -> Payl
         .finish(version)
 }
 
-pub(super) fn write_interval(version: WireVersion, wanted: &SetMessageInterval) -> Payload {
-    let micros = wanted.interval.map_or(STOP_INTERVAL, |span| (span.as_nanos().max(0) as f64 * 1e-3) as f32);
+pub(super) fn write_interval(version: WireVersion, request: &SetMessageInterval) -> Payload {
+    let micros = request.interval.map_or(STOP_INTERVAL, |interval| (interval.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
-    params[0] = wanted.message_id as f32;
+    params[0] = request.message_id as f32;
     params[1] = micros;
-    let command = CommandLong { target: wanted.target, command: COMMAND_SET_MESSAGE_INTERVAL, params };
+    let command = CommandLong { target: request.target, command: COMMAND_SET_MESSAGE_INTERVAL, params };
     write_command(version, &command)
 }
 
@@ -195,12 +195,12 @@ fn param_number(slot: f32, kind: u8) -> Option<f32> {
     let bits = slot.to_bits();
     Some(match kind {
         PARAM_TYPE_REAL32 => slot,
-        whole::UINT8 => f32::from(bits as u8),
-        whole::INT8 => f32::from(bits as u8 as i8),
-        whole::UINT16 => f32::from(bits as u16),
-        whole::INT16 => f32::from(bits as u16 as i16),
-        whole::UINT32 => bits as f32,
-        whole::INT32 => bits as i32 as f32,
+        integer_type::UINT8 => f32::from(bits as u8),
+        integer_type::INT8 => f32::from(bits as u8 as i8),
+        integer_type::UINT16 => f32::from(bits as u16),
+        integer_type::INT16 => f32::from(bits as u16 as i16),
+        integer_type::UINT32 => bits as f32,
+        integer_type::INT32 => bits as i32 as f32,
         _ => return None,
     })
 }
@@ -265,10 +265,10 @@ pub(super) fn autopilot_version(payload: &[u8]) -> Message {
     Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.u32().to_be_bytes() })
 }
 
-pub(super) fn write_autopilot_version(version: WireVersion, said: AutopilotVersion) -> Payload {
+pub(super) fn write_autopilot_version(version: WireVersion, message: AutopilotVersion) -> Payload {
     let no_uid = 0;
-    let writer = PayloadWriter::new().u64(said.capabilities).u64(no_uid);
-    let writer = writer.u32(u32::from_be_bytes(said.software));
+    let writer = PayloadWriter::new().u64(message.capabilities).u64(no_uid);
+    let writer = writer.u32(u32::from_be_bytes(message.software));
     let writer = writer.raw(&NO_HARDWARE[..40]).extensions();
     writer.raw(&NO_HARDWARE[..18]).finish(version)
 }
@@ -282,9 +282,14 @@ pub(super) fn protocol_version(payload: &[u8]) -> Message {
     })
 }
 
-pub(super) fn write_protocol_version(version: WireVersion, said: ProtocolVersion) -> Payload {
+pub(super) fn write_protocol_version(version: WireVersion, message: ProtocolVersion) -> Payload {
     let no_hashes = [0; 16];
-    PayloadWriter::new().u16(said.version).u16(said.min_version).u16(said.max_version).raw(&no_hashes).finish(version)
+    PayloadWriter::new()
+        .u16(message.version)
+        .u16(message.min_version)
+        .u16(message.max_version)
+        .raw(&no_hashes)
+        .finish(version)
 }
 
 pub(super) fn component_information(payload: &[u8]) -> Message {
@@ -304,19 +309,19 @@ pub(super) fn component_information(payload: &[u8]) -> Message {
 }
 
 /// Its texts must end with a zero, so each is one byte shorter than its field.
-pub(super) fn write_component_information(version: WireVersion, said: &ComponentInformation) -> Payload {
+pub(super) fn write_component_information(version: WireVersion, message: &ComponentInformation) -> Payload {
     let unknown_date = 0;
     let no_hardware_version = [0; SHORT_NAME];
     let no_serial_number = [0; LONG_NAME];
     PayloadWriter::new()
-        .u64(said.capabilities)
-        .u32(millis32(said.stamp))
+        .u64(message.capabilities)
+        .u32(millis32(message.stamp))
         .u32(unknown_date)
-        .text::<{ LONG_NAME - 1 }>(&said.vendor)
+        .text::<{ LONG_NAME - 1 }>(&message.vendor)
         .u8(0)
-        .text::<{ LONG_NAME - 1 }>(&said.model)
+        .text::<{ LONG_NAME - 1 }>(&message.model)
         .u8(0)
-        .text::<{ SHORT_NAME - 1 }>(&said.software_version)
+        .text::<{ SHORT_NAME - 1 }>(&message.software_version)
         .u8(0)
         .raw(&no_hardware_version)
         .raw(&no_serial_number)
@@ -329,11 +334,11 @@ pub(super) fn message_interval(payload: &[u8]) -> Message {
     Message::MessageInterval(MessageInterval { message_id: reader.u16(), interval_micros })
 }
 
-pub(super) fn write_named_value(version: WireVersion, said: &NamedValue) -> Payload {
+pub(super) fn write_named_value(version: WireVersion, message: &NamedValue) -> Payload {
     PayloadWriter::new()
-        .u32(millis32(said.stamp))
-        .f32(said.value)
-        .text::<NAME_BYTES>(said.name.as_str())
+        .u32(millis32(message.stamp))
+        .f32(message.value)
+        .text::<NAME_BYTES>(message.name.as_str())
         .finish(version)
 }
 
@@ -349,17 +354,17 @@ pub(super) fn float_array(payload: &[u8]) -> Message {
     Message::FloatArray(FloatArray { stamp, name, id, values })
 }
 
-pub(super) fn write_float_array(version: WireVersion, said: &FloatArray) -> Payload {
-    let held = said.values.len().min(ARRAY);
+pub(super) fn write_float_array(version: WireVersion, message: &FloatArray) -> Payload {
+    let held = message.values.len().min(ARRAY);
     PayloadWriter::new()
-        .u64(micros64(said.stamp))
-        .u16(said.id)
-        .text::<NAME_BYTES>(said.name.as_str())
+        .u64(micros64(message.stamp))
+        .u16(message.id)
+        .text::<NAME_BYTES>(message.name.as_str())
         .extensions()
-        .f32s(&said.values[..held])
+        .f32s(&message.values[..held])
         .finish(version)
 }
 
-pub(super) fn write_message_interval(version: WireVersion, said: MessageInterval) -> Payload {
-    PayloadWriter::new().i32(said.interval_micros).u16(said.message_id).finish(version)
+pub(super) fn write_message_interval(version: WireVersion, message: MessageInterval) -> Payload {
+    PayloadWriter::new().i32(message.interval_micros).u16(message.message_id).finish(version)
 }

@@ -1,6 +1,6 @@
 //! Classifies a candidate frame by its header alone, and keeps frames with an unknown id until they are decided.
 //!
-//! Early classification keeps a torn or invented header from delaying the frames after it: flags that no protocol
+//! Early classification keeps a truncated or invented header from delaying the frames after it: flags that no protocol
 //! version has and lengths that the claimed message cannot have are rejected before their bytes have come. The framer
 //! verifies the checksums.
 //!
@@ -29,7 +29,7 @@ pub(super) struct FrameHeader {
     source: Address,
     sequence: u8,
     payload_len: usize,
-    /// Length of the whole frame, signature included.
+    /// Length of the complete frame, signature included.
     pub(super) total: usize,
 }
 
@@ -57,7 +57,7 @@ pub(super) enum FrameCandidate {
 pub enum VerifiedFrame<'a> {
     /// A frame of any known dialect whose checksum matches.
     Frame(FrameRef<'a>),
-    /// A whole frame by its length, with an unknown id.
+    /// A complete frame by its length, with an unknown id.
     UnknownFrame(FrameRef<'a>),
     Invalid,
 }
@@ -279,11 +279,11 @@ impl UnknownSpans {
         self.0 = alive;
     }
 
-    /// Shifts the claims after the first `gone` bytes of the buffer were dropped; no claim begins before them.
-    pub(super) fn shift(&mut self, gone: usize) {
+    /// Shifts the claims after the first `dropped` bytes of the buffer were dropped; no claim begins before them.
+    pub(super) fn shift(&mut self, dropped: usize) {
         for claim in &mut self.0 {
-            claim.start -= gone;
-            claim.end -= gone;
+            claim.start -= dropped;
+            claim.end -= dropped;
         }
     }
 }
@@ -353,15 +353,15 @@ mod unknown_spans_tests {
 
     #[test]
     fn a_claim_lives_while_its_end_lies_ahead_or_another_claim_begins_there() {
-        let mut kept = claims(&[(0, 12), (5, 9), (12, 30)]);
-        kept.prune(14);
-        assert_eq!(kept.first_start(), Some(0));
-        kept.prune(31);
-        assert!(kept.is_empty());
+        let mut remaining = claims(&[(0, 12), (5, 9), (12, 30)]);
+        remaining.prune(14);
+        assert_eq!(remaining.first_start(), Some(0));
+        remaining.prune(31);
+        assert!(remaining.is_empty());
     }
 
     #[test]
-    fn the_oldest_claim_gives_way_when_there_are_too_many() {
+    fn the_oldest_claim_is_dropped_when_there_are_too_many() {
         let mut many = UnknownSpans::default();
         for start in 0..=MAX_SPANS {
             many.push(UnknownSpan { start, end: start + 12 });

@@ -55,7 +55,7 @@ pub struct Framer {
     is_overdue: bool,
     /// The gap has passed once for candidates before this offset of `pending`: they may still be completed, but are dropped when
     /// complete frames follow them.
-    doubtful_end: usize,
+    overdue_end: usize,
     counters: FramerCounters,
 }
 
@@ -73,14 +73,14 @@ enum WaitPolicy {
     /// Only those that begin at or after this offset; 0 waits for all.
     WaitFrom(usize),
     /// None: no more bytes will come.
-    GiveUp,
+    Never,
 }
 
 impl WaitPolicy {
     const fn has_expired_at(self, offset: usize) -> bool {
         match self {
             Self::WaitFrom(limit) => offset < limit,
-            Self::GiveUp => true,
+            Self::Never => true,
         }
     }
 }
@@ -94,7 +94,7 @@ impl Framer {
             progress: ScanProgress::default(),
             last_byte: Timestamp::ZERO,
             is_overdue: false,
-            doubtful_end: 0,
+            overdue_end: 0,
             counters: FramerCounters::default(),
         }
     }
@@ -113,7 +113,7 @@ impl Framer {
             return;
         }
         if !self.pending.is_empty() && now - self.last_byte >= self.config.gap {
-            self.doubtful_end = self.pending.len();
+            self.overdue_end = self.pending.len();
         }
         self.last_byte = now;
         if self.pending.is_empty() {
@@ -144,7 +144,7 @@ impl Framer {
         if self.deadline().is_none_or(|deadline| now < deadline) {
             return;
         }
-        let hidden = self.end_of_hidden_frames(&self.pending, WaitPolicy::GiveUp);
+        let hidden = self.end_of_hidden_frames(&self.pending, WaitPolicy::Never);
         if hidden == Some(self.pending.len()) {
             self.finish(sink);
             return;
@@ -169,14 +169,14 @@ impl Framer {
     /// Ends the stream: drops the pending bytes, so that every byte is in a frame or counted.
     pub fn finish(&mut self, sink: &mut FramerSink<'_>) {
         let buffer = std::mem::take(&mut self.pending);
-        self.run(&buffer, WaitPolicy::GiveUp, sink);
+        self.run(&buffer, WaitPolicy::Never, sink);
         self.forget_pending();
     }
 
     /// Handles a loss of the link: emits the complete frames that follow an incomplete one. The remaining bytes were neither damaged
     /// nor late, so they are dropped without an error.
     pub fn handle_link_loss(&mut self, sink: &mut FramerSink<'_>) {
-        if self.end_of_hidden_frames(&self.pending, WaitPolicy::GiveUp).is_some() {
+        if self.end_of_hidden_frames(&self.pending, WaitPolicy::Never).is_some() {
             self.finish(sink);
         }
         self.forget_pending();
@@ -186,7 +186,7 @@ impl Framer {
         self.pending.clear();
         self.progress = ScanProgress::default();
         self.is_overdue = false;
-        self.doubtful_end = 0;
+        self.overdue_end = 0;
     }
 
     pub const fn counters(&self) -> &FramerCounters {
@@ -199,17 +199,17 @@ impl Framer {
         self.progress.cursor -= decided;
         self.progress.decided = 0;
         self.progress.frames_end = 0;
-        self.doubtful_end = self.doubtful_end.saturating_sub(decided);
+        self.overdue_end = self.overdue_end.saturating_sub(decided);
     }
 
     /// Which candidates in `buffer` to wait for, now that its last bytes have arrived.
     fn wait_policy(&self, buffer: &[u8]) -> WaitPolicy {
         match self.config.transport {
-            TransportKind::Datagram => WaitPolicy::GiveUp,
+            TransportKind::Datagram => WaitPolicy::Never,
             TransportKind::Stream => {
-                let skip_doubtful = WaitPolicy::WaitFrom(self.doubtful_end);
-                if self.doubtful_end > 0 && self.end_of_hidden_frames(buffer, skip_doubtful).is_some() {
-                    skip_doubtful
+                let skip_overdue = WaitPolicy::WaitFrom(self.overdue_end);
+                if self.overdue_end > 0 && self.end_of_hidden_frames(buffer, skip_overdue).is_some() {
+                    skip_overdue
                 } else {
                     WaitPolicy::WaitFrom(0)
                 }
@@ -285,7 +285,7 @@ impl ScanPass<'_, '_, '_> {
             }
         }
         match wait_policy {
-            WaitPolicy::GiveUp => self.decide_to(self.buffer.len()),
+            WaitPolicy::Never => self.decide_to(self.buffer.len()),
             WaitPolicy::WaitFrom(_) => self.advance_decided(),
         }
     }

@@ -1,9 +1,9 @@
 //! Bytes to frames: finds MAVLink frames in whatever a link delivers.
 //!
-//! Gets chunks and their arrival times from a link; returns whole, verified frames that borrow from the chunk, and a
+//! Gets chunks and their arrival times from a link; returns complete, verified frames that borrow from the chunk, and a
 //! record of everything else. [`crate::dialect`] decodes the payloads; signatures are passed on, not verified.
 //!
-//! It exists beside the `mavlink` crate's reader because that one cannot give up a torn frame, counts nothing, drops
+//! It exists beside the `mavlink` crate's reader because that one cannot drop a truncated frame, counts nothing, drops
 //! unknown messages, and spends most of its time in a bytewise checksum.
 //!
 //! # Sources
@@ -44,7 +44,7 @@ pub enum TransportKind {
     /// A stream of bytes, cut anywhere.
     #[default]
     Stream,
-    /// Datagrams that hold whole frames; each push is one datagram.
+    /// Datagrams that hold complete frames; each push is one datagram.
     Datagram,
 }
 
@@ -106,7 +106,7 @@ pub struct FrameRef<'a> {
     pub sequence: u8,
     /// As on the wire; trailing zeros may be truncated.
     pub payload: &'a [u8],
-    /// The whole frame, start byte to checksum or signature.
+    /// The complete frame, start byte to checksum or signature.
     pub raw: &'a [u8],
 }
 
@@ -121,7 +121,7 @@ impl FrameRef<'_> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FramerOutput<'a> {
     Frame(FrameRef<'a>),
-    /// A frame that is whole by its length but has an unknown id, so that its checksum cannot be verified. Forward it
+    /// A frame that is complete by its length but has an unknown id, so that its checksum cannot be verified. Forward it
     /// unchanged; do not trust it.
     UnknownFrame(FrameRef<'a>),
     /// Damaged input was skipped.

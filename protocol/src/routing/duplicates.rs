@@ -15,7 +15,7 @@
 //! checksum; their payloads are equal. For a message with the sender's time in it that is enough to recognize the copy. For
 //! others it is not: two heartbeats or two equal commands are two.
 //!
-//! A link may echo, and a ring of stations brings every broadcast back: that is no news. But a frame under our address that we
+//! A link may echo, and a ring of stations brings every broadcast back: that is normal. But a frame under our address that we
 //! never sent comes from a sender with the same address, by default another station. Neither receives the other then, and both
 //! must be warned.
 //!
@@ -80,7 +80,7 @@ fn hash<const N: usize>(parts: [&[u8]; N]) -> u64 {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct SeenFrame {
+struct ReceivedFrame {
     arrival: Timestamp<HostClock>,
     endpoint: Endpoint,
 }
@@ -94,11 +94,11 @@ struct SeenFrame {
 #[derive(Clone, Debug)]
 pub(super) struct DuplicateGuard {
     window: TimeDelta,
-    seen: HashMap<FrameKey, SeenFrame>,
+    recent: HashMap<FrameKey, ReceivedFrame>,
     /// Every record, oldest first; a key that was recorded again is in it twice.
     expiry_order: VecDeque<(Timestamp<HostClock>, FrameKey)>,
     /// Records that are not sorted in, oldest first.
-    unsorted: VecDeque<(FrameKey, SeenFrame)>,
+    unsorted: VecDeque<(FrameKey, ReceivedFrame)>,
     /// The endpoints of the records, at most [`MAX_ENDPOINTS`].
     endpoints: BTreeSet<Endpoint>,
     /// The endpoint of the last record, and when a record last came from another endpoint than the one before it.
@@ -111,7 +111,7 @@ impl DuplicateGuard {
     pub(super) fn new(window: TimeDelta) -> Self {
         Self {
             window,
-            seen: HashMap::with_capacity(RESERVED_KEYS),
+            recent: HashMap::with_capacity(RESERVED_KEYS),
             expiry_order: VecDeque::with_capacity(RESERVED_KEYS),
             unsorted: VecDeque::with_capacity(MAX_WAITING),
             endpoints: BTreeSet::new(),
@@ -132,7 +132,7 @@ impl DuplicateGuard {
         if self.last_endpoint.replace(endpoint) != Some(endpoint) {
             self.last_endpoint_change = now;
         }
-        self.unsorted.push_back((key, SeenFrame { arrival: now, endpoint }));
+        self.unsorted.push_back((key, ReceivedFrame { arrival: now, endpoint }));
         None
     }
 
@@ -147,7 +147,7 @@ impl DuplicateGuard {
             return None;
         }
         let waiting = self.unsorted.iter().rev().find(|(other, _)| *other == key);
-        let note = waiting.map(|(_, note)| note).or_else(|| self.seen.get(&key))?;
+        let note = waiting.map(|(_, note)| note).or_else(|| self.recent.get(&key))?;
         (now - note.arrival < self.window).then_some(note.endpoint).filter(|first| *first != endpoint)
     }
 
@@ -165,7 +165,7 @@ impl DuplicateGuard {
                 if self.endpoints.len() < MAX_ENDPOINTS {
                     self.endpoints.insert(note.endpoint);
                 }
-                self.seen.insert(key, note);
+                self.recent.insert(key, note);
                 self.expiry_order.push_back((note.arrival, key));
             }
         }
@@ -194,8 +194,8 @@ impl DuplicateGuard {
                 break;
             }
             self.expiry_order.pop_front();
-            if self.seen.get(&key).is_some_and(|last| last.arrival == noted) {
-                self.seen.remove(&key);
+            if self.recent.get(&key).is_some_and(|last| last.arrival == noted) {
+                self.recent.remove(&key);
             }
         }
     }
@@ -231,7 +231,7 @@ impl SentFrameLog {
     }
 }
 
-/// `None` for bytes that are no whole frame.
+/// `None` for bytes that are no complete frame.
 fn fingerprint(frame: &[u8]) -> Option<u32> {
     let (beside, length, sequence, id) = match *frame {
         [START_BYTE_V2, length, _, _, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V2, length, sequence, id),
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn another_way_within_the_window_is_a_repeat_and_the_same_way_is_not() {
+    fn a_copy_from_another_endpoint_within_the_window_is_a_duplicate() {
         let mut guard = DuplicateGuard::new(WINDOW);
         let key = FrameKey::Frame(7);
         assert_eq!(guard.record(at(0), endpoint(0), key), None);
@@ -315,21 +315,21 @@ mod tests {
 
     #[test]
     fn when_keys_are_sorted_in_makes_no_difference() {
-        // Two ways that bring much of the same, at times one alone for longer than the window.
+        // Two endpoints that bring many of the same frames, at times one alone for longer than the window.
         let brought = (0..40_000_u64).map(|i| {
             let is_alone = (i / 5_000).is_multiple_of(2);
-            let way = endpoint(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
-            (at(i as i64), way, FrameKey::Frame(i * 31 % 997))
+            let source = endpoint(if is_alone { 0 } else { (i * 7 % 3) as u16 % 2 });
+            (at(i as i64), source, FrameKey::Frame(i * 31 % 997))
         });
         let run = |settles_every: usize| -> Vec<Option<Endpoint>> {
             let mut guard = DuplicateGuard::new(WINDOW);
             let steps = brought.clone().enumerate();
             steps
-                .map(|(index, (now, way, key))| {
+                .map(|(index, (now, source, key))| {
                     if index.is_multiple_of(settles_every) {
                         guard.sort_and_expire(now);
                     }
-                    guard.record(now, way, key)
+                    guard.record(now, source, key)
                 })
                 .collect()
         };
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn no_window_knows_nothing_again_and_a_waiting_key_is_found() {
+    fn without_a_window_nothing_is_a_duplicate_and_a_waiting_key_is_found() {
         let mut off = DuplicateGuard::new(TimeDelta::ZERO);
         assert_eq!(off.record(at(0), endpoint(0), FrameKey::Frame(1)), None);
         assert_eq!(off.record(at(0), endpoint(1), FrameKey::Frame(1)), None);
@@ -361,7 +361,7 @@ mod tests {
                 guard.record(at(0), endpoint((key % links) as u16), FrameKey::Frame(key));
             }
             guard.sort_and_expire(at(0));
-            assert_eq!((guard.seen.len(), guard.expiry_order.len()), (expected, expected), "{links} links");
+            assert_eq!((guard.recent.len(), guard.expiry_order.len()), (expected, expected), "{links} links");
         }
     }
 }
@@ -379,44 +379,44 @@ mod sent_frames_tests {
     }
 
     #[test]
-    fn what_was_said_is_known_in_both_versions_and_nothing_else_is() {
+    fn only_sent_frames_are_recognized_in_both_versions() {
         for version in [WireVersion::V1, WireVersion::V2] {
             let mut encoder = Encoder::new(version);
-            let mut words = SentFrameLog::default();
+            let mut log = SentFrameLog::default();
             let mut next = |status| {
                 let mut bytes = Vec::new();
                 encoder.encode(Address::new(1, 197), &heartbeat(status), &mut bytes);
                 bytes
             };
             let (first, second) = (next(4), next(4));
-            words.record(&first);
-            assert!(words.contains(&first), "{version:?}");
-            assert!(!words.contains(&second), "{version:?}: never said");
+            log.record(&first);
+            assert!(log.contains(&first), "{version:?}");
+            assert!(!log.contains(&second), "{version:?}: never said");
             let other = {
                 let mut bytes = Vec::new();
                 let source = Address::new(1, 197);
                 Encoder::new(version).encode(source, &heartbeat(3), &mut bytes);
                 bytes
             };
-            assert!(!words.contains(&other), "{version:?}: the same number");
+            assert!(!log.contains(&other), "{version:?}: the same number");
         }
     }
 
     #[test]
-    fn what_is_no_frame_is_nobody_s_word_and_the_memory_is_bounded() {
-        let mut words = SentFrameLog::default();
-        for torn in [&[][..], &[START_BYTE_V2; 4], &[START_BYTE_V2; 20], &[START_BYTE_V1; 7], &[0; 40]] {
-            words.record(torn);
-            assert!(!words.contains(torn), "{torn:?}");
+    fn invalid_frames_are_not_recorded_and_the_memory_is_bounded() {
+        let mut log = SentFrameLog::default();
+        for invalid in [&[][..], &[START_BYTE_V2; 4], &[START_BYTE_V2; 20], &[START_BYTE_V1; 7], &[0; 40]] {
+            log.record(invalid);
+            assert!(!log.contains(invalid), "{invalid:?}");
         }
         let mut frame = [START_BYTE_V1, 0, 0, 1, 197, 0, 0, 0];
         for k in 0..20_000_u16 {
             [frame[6], frame[7]] = k.to_le_bytes();
-            words.record(&frame);
+            log.record(&frame);
         }
-        assert!(words.contains(&frame) && words.0.len() == MAX_SENT_FRAMES);
+        assert!(log.contains(&frame) && log.0.len() == MAX_SENT_FRAMES);
         [frame[6], frame[7]] = [0, 0];
-        assert!(!words.contains(&frame));
+        assert!(!log.contains(&frame));
     }
 }
 

@@ -69,7 +69,7 @@ impl RouteTable {
         let highest = Endpoint { link: LinkId(u16::MAX), peer: PeerId(u32::MAX) };
         self.0
             .range((first, lowest)..=(last, highest))
-            .filter(|(_, heard)| now - **heard <= LIFETIME)
+            .filter(|(_, last_seen)| now - **last_seen <= LIFETIME)
             .map(|((_, endpoint), _)| *endpoint)
             .collect()
     }
@@ -78,7 +78,7 @@ impl RouteTable {
     /// with the most, at once, so that a flood costs no search per frame. If no endpoint has many, the flood comes from
     /// invented endpoints, and the link with the most routes loses as many.
     fn evict_routes(&mut self, now: Timestamp<HostClock>) {
-        self.0.retain(|_, heard| now - *heard <= LIFETIME);
+        self.0.retain(|_, last_seen| now - *last_seen <= LIFETIME);
         if self.0.len() < MAX_ROUTES {
             return;
         }
@@ -99,8 +99,8 @@ impl RouteTable {
     }
 
     fn evict_older_half(&mut self, is_one: impl Fn(Endpoint) -> bool) {
-        let found = self.0.iter().filter(|((_, endpoint), _)| is_one(*endpoint));
-        let mut by_silence: Vec<_> = found.map(|(key, heard)| (*heard, *key)).collect();
+        let routes = self.0.iter().filter(|((_, endpoint), _)| is_one(*endpoint));
+        let mut by_silence: Vec<_> = routes.map(|(key, last_seen)| (*last_seen, *key)).collect();
         by_silence.sort_unstable();
         for (_, key) in by_silence.iter().take(by_silence.len().div_ceil(2)) {
             self.0.remove(key);
@@ -165,7 +165,7 @@ pub fn target_of(message_id: u32, payload: &[u8]) -> MessageTarget {
     }
 }
 
-/// Changes the target of a whole frame: the system, and the component if the frame names one. Updates the checksum;
+/// Changes the target of a complete frame: the system, and the component if the frame names one. Updates the checksum;
 /// nothing else changes. A frame without a target is unchanged, as after an error.
 pub fn retarget(message_id: u32, frame: &mut [u8], to: Address) -> Result<(), RenumberError> {
     let index = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn who_invents_senders_pushes_out_his_own() {
+    fn invented_senders_evict_routes_of_their_own_endpoint() {
         let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
         routes.observe(at(0), robot, endpoint(0, 0));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn who_invents_ways_as_well_pushes_nobody_out_on_another_link() {
+    fn invented_endpoints_evict_no_route_of_another_link() {
         let mut routes = RouteTable::default();
         let robot = Address::new(1, 1);
         routes.observe(at(0), robot, endpoint(0, 0));

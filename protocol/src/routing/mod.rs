@@ -7,10 +7,10 @@
 //! # Model
 //! ```text
 //! target          0, none, or message id unknown    every other link, and the other peers of the same link
-//! system s        s ≠ own, or component 0           the endpoints by which s was heard
-//! component s/c   heard                             the endpoints by which s/c was heard
-//! component s/c   not heard, s ≠ own                the endpoints by which s was heard
-//! component s/c   not heard, s = own                nobody; nor anybody for the station's own address
+//! system s        s ≠ own, or component 0           the endpoints from which s was received
+//! component s/c   received                          the endpoints from which s/c was received
+//! component s/c   not received, s ≠ own             the endpoints from which s was received
+//! component s/c   not received, s = own             none; nor any for the station's own address
 //! ```
 //! A frame is never forwarded back to its endpoint, nor to another link of the same group: those lead to the same
 //! robot. The rules of the links (forwarding, filters) apply in addition.
@@ -343,12 +343,12 @@ impl FrameRouter {
         let Some(rules) = self.config.links.get(&link) else {
             return false;
         };
-        let is_wanted = match rules.forward {
+        let is_forwarded = match rules.forward {
             ForwardPolicy::All => true,
             ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
             ForwardPolicy::Disabled => false,
         };
-        is_wanted && rules.outward.admits(frame.source, frame.message_id)
+        is_forwarded && rules.outward.admits(frame.source, frame.message_id)
     }
 }
 

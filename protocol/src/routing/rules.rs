@@ -3,7 +3,7 @@
 //! # Model
 //! ```text
 //! interval   a message of one sender passes if the last one that passed is at least its interval ago
-//! budget     bucket of rate · 0.25 s (at least one whole frame), filled at rate; passes while it is above zero, then pays
+//! budget     bucket of rate · 0.25 s (at least one complete frame), filled at rate; passes while it is above zero, then pays
 //! ```
 //! The budget may go below zero by one frame, so that a small rate does not shut out large frames; over time the rate holds.
 //! Commands always pass, but pay.
@@ -36,7 +36,7 @@ pub struct LinkRules {
 pub enum ForwardPolicy {
     #[default]
     All,
-    /// Only frames whose target was heard there.
+    /// Only frames whose target has been received there.
     Targeted,
     /// None, and none of its frames is forwarded to another link.
     Disabled,
@@ -214,7 +214,7 @@ mod limits_tests {
     }
 
     #[test]
-    fn a_message_is_thinned_to_its_interval_for_each_sender() {
+    fn a_message_is_limited_to_its_interval_for_each_sender() {
         let limits =
             RateLimits { min_intervals: BTreeMap::from([(30, TimeDelta::from_millis(100))]), bytes_per_s: None };
         let mut limiter = LinkRateLimiter::new(limits, at(0));

@@ -121,7 +121,7 @@ impl<C: Clock> Session<C> {
             return;
         }
         self.peers.record_activity(now, from);
-        // What plans something new says so, because with hundreds of peers the search for the next instant is worth keeping.
+        // An arm that plans something new clears `idle_until`: with hundreds of peers the search for the next instant is expensive.
         #[expect(
             clippy::wildcard_enum_match_arm,
             reason = "telemetry is not part of the conversation, however many kinds there are"
@@ -129,12 +129,12 @@ impl<C: Clock> Session<C> {
         match message {
             Message::Heartbeat(heartbeat) => self.on_heartbeat(now, from, *heartbeat),
             Message::TimeSync(sync) => self.on_time_sync(now, sender, *sync),
-            Message::SetMessageInterval(wanted) => self.on_interval(from, *wanted),
+            Message::SetMessageInterval(request) => self.on_interval(from, *request),
             Message::Command(command) => self.on_command(from, *command),
             Message::CommandInt(command) => {
                 let command = command.to_long();
                 match SetMessageInterval::from_command(&command) {
-                    Some(wanted) => self.on_interval(from, wanted),
+                    Some(request) => self.on_interval(from, request),
                     None => self.on_command(from, command),
                 }
             }
@@ -279,21 +279,21 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    fn on_interval(&mut self, by: Address, wanted: SetMessageInterval) {
+    fn on_interval(&mut self, by: Address, request: SetMessageInterval) {
         let own = self.config.own;
-        // Ours, or for all components of our system; "everybody" is not answered for, lest a whole class starts to send.
-        if wanted.target.system != own.system || !self.is_for_us(wanted.target) {
+        // Ours, or for all components of our system; a broadcast gets no reply, or a whole class would start to send.
+        if request.target.system != own.system || !self.is_for_us(request.target) {
             return;
         }
-        if !self.config.offered_messages.contains(&wanted.message_id) {
+        if !self.config.offered_messages.contains(&request.message_id) {
             self.acknowledge_command(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Unsupported);
             return;
         }
         self.acknowledge_command(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Accepted);
         self.outputs.push_back(SessionOutput::IntervalRequested {
             by,
-            message_id: wanted.message_id,
-            interval: wanted.interval,
+            message_id: request.message_id,
+            interval: request.interval,
         });
     }
 

@@ -64,7 +64,7 @@ pub enum SessionOutput<C: Clock> {
     ParameterUnknown {
         by: Address,
         /// The requested name or index, as received.
-        asked: String,
+        requested: String,
     },
 }
 

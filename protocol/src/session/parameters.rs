@@ -141,7 +141,7 @@ impl<C: Clock> ParameterServer<C> {
     }
 
     fn find(&self, name: &str, index: i16) -> Option<usize> {
-        // The guide: an index of -1 says that the name counts.
+        // The guide: with an index of -1 the name counts.
         if index == -1 {
             let known = |known: &OfferedParameter| known.name.eq_ignore_ascii_case(name);
             return self.offered.iter().position(known);
@@ -176,6 +176,6 @@ fn unknown_parameter<C: Clock>(
     name: &str,
     index: i16,
 ) -> Option<SessionOutput<C>> {
-    let asked = if index == -1 { name.to_owned() } else { index.to_string() };
-    (target == own).then_some(SessionOutput::ParameterUnknown { by, asked })
+    let requested = if index == -1 { name.to_owned() } else { index.to_string() };
+    (target == own).then_some(SessionOutput::ParameterUnknown { by, requested })
 }

@@ -37,7 +37,7 @@ impl<C: Clock> RequestProgress<C> {
 
 #[derive(Debug)]
 struct SessionPeer<C: Clock> {
-    last_heard: Timestamp<C>,
+    last_seen: Timestamp<C>,
     is_robot: bool,
     request_progress: Option<RequestProgress<C>>,
 }
@@ -56,7 +56,7 @@ impl<C: Clock> PeerTable<C> {
     /// Any message keeps a known peer alive.
     pub(super) fn record_activity(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
-            peer.last_heard = now;
+            peer.last_seen = now;
         }
     }
 
@@ -67,7 +67,7 @@ impl<C: Clock> PeerTable<C> {
         }
         let is_robot = heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
         let peer =
-            SessionPeer { last_heard: now, is_robot, request_progress: is_robot.then(|| RequestProgress::first(now)) };
+            SessionPeer { last_seen: now, is_robot, request_progress: is_robot.then(|| RequestProgress::first(now)) };
         self.peers.insert(from, peer);
         true
     }
@@ -82,7 +82,7 @@ impl<C: Clock> PeerTable<C> {
     pub(super) fn take_lost(&mut self, now: Timestamp<C>) -> Vec<(Address, TimeDelta)> {
         let mut lost = Vec::new();
         self.peers.retain(|&address, peer| {
-            let silence = now - peer.last_heard;
+            let silence = now - peer.last_seen;
             let is_lost = silence >= self.timeout;
             if is_lost {
                 lost.push((address, silence));
@@ -92,50 +92,53 @@ impl<C: Clock> PeerTable<C> {
         lost
     }
 
-    /// The peers to send a request now, each with the index of the requested message, of `wanted` ones.
-    pub(super) fn due_requests(&mut self, now: Timestamp<C>, wanted: usize) -> Vec<(Address, usize)> {
-        self.peers.iter_mut().filter_map(|(&address, peer)| Some((address, peer.due_request(now, wanted)?))).collect()
+    /// The peers to send a request now, each with the index of the requested message, of `requested_count` ones.
+    pub(super) fn due_requests(&mut self, now: Timestamp<C>, requested_count: usize) -> Vec<(Address, usize)> {
+        self.peers
+            .iter_mut()
+            .filter_map(|(&address, peer)| Some((address, peer.due_request(now, requested_count)?)))
+            .collect()
     }
 
     /// The robot has replied to the open request, whatever the result: continues with the next one.
     pub(super) fn record_response(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
-            peer.request_progress = peer
-                .request_progress
-                .map(|asking| if asking.attempts == 0 { asking } else { RequestProgress::at_index(asking.index, now) });
+            peer.request_progress = peer.request_progress.map(|progress| {
+                if progress.attempts == 0 { progress } else { RequestProgress::at_index(progress.index, now) }
+            });
         }
     }
 
     pub(super) fn deadline(&self) -> Option<Timestamp<C>> {
-        let lost = self.peers.values().map(|peer| peer.last_heard + self.timeout);
-        let asking = self.peers.values().filter_map(|peer| Some(peer.request_progress?.next));
-        lost.chain(asking).min()
+        let lost = self.peers.values().map(|peer| peer.last_seen + self.timeout);
+        let next_attempts = self.peers.values().filter_map(|peer| Some(peer.request_progress?.next));
+        lost.chain(next_attempts).min()
     }
 
     pub(super) fn shift_clock(&mut self, fall: TimeDelta) {
         for peer in self.peers.values_mut() {
-            peer.last_heard = peer.last_heard - fall;
-            if let Some(asking) = &mut peer.request_progress {
-                asking.next = asking.next - fall;
+            peer.last_seen = peer.last_seen - fall;
+            if let Some(progress) = &mut peer.request_progress {
+                progress.next = progress.next - fall;
             }
         }
     }
 }
 
 impl<C: Clock> SessionPeer<C> {
-    fn due_request(&mut self, now: Timestamp<C>, wanted: usize) -> Option<usize> {
-        let mut asking = self.request_progress.filter(|asking| now >= asking.next)?;
-        if asking.attempts == MAX_ATTEMPTS {
-            asking = RequestProgress::at_index(asking.index, now);
+    fn due_request(&mut self, now: Timestamp<C>, requested_count: usize) -> Option<usize> {
+        let mut progress = self.request_progress.filter(|progress| now >= progress.next)?;
+        if progress.attempts == MAX_ATTEMPTS {
+            progress = RequestProgress::at_index(progress.index, now);
         }
-        if asking.index >= wanted {
+        if progress.index >= requested_count {
             self.request_progress = None;
             return None;
         }
-        let index = asking.index;
-        asking.attempts += 1;
-        asking.next = now + RETRY_PERIOD;
-        self.request_progress = Some(asking);
+        let index = progress.index;
+        progress.attempts += 1;
+        progress.next = now + RETRY_PERIOD;
+        self.request_progress = Some(progress);
         Some(index)
     }
 }

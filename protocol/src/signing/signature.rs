@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 use super::key::Key;
 use crate::framing::{FLAG_SIGNED, FrameRef, START_BYTE_V2};
 
-/// Bytes of the hash in a signature; link id (1) and timestamp (6) stand before it.
+/// Bytes of the hash in a signature; link id (1) and timestamp (6) precede it.
 const MAC: usize = 6;
 /// 2015-01-01 00:00 UTC in microseconds since 1970: 1 420 070 400 s, MAVLink guide, "Timestamp Handling".
 const EPOCH_UNIX_MICROS: u64 = 1_420_070_400_000_000;
@@ -37,9 +37,9 @@ impl SigningTime {
         self.0
     }
 
-    /// Cut to whole units; saturates, and a negative span changes nothing.
-    pub fn saturating_add(self, span: TimeDelta) -> Self {
-        let units = u64::try_from(span.as_nanos() / UNIT_NANOS).unwrap_or(0);
+    /// Cut to full units; saturates, and a negative duration changes nothing.
+    pub fn saturating_add(self, duration: TimeDelta) -> Self {
+        let units = u64::try_from(duration.as_nanos() / UNIT_NANOS).unwrap_or(0);
         Self::from_units(self.0.saturating_add(units))
     }
 
@@ -102,8 +102,8 @@ impl<'a> Signature<'a> {
             return None;
         }
         let (covered, mac) = frame.raw.split_last_chunk::<MAC>()?;
-        let (_, said) = covered.split_last_chunk::<{ 1 + 6 }>()?;
-        let [link_id, a, b, c, d, e, f] = *said;
+        let (_, signing_fields) = covered.split_last_chunk::<{ 1 + 6 }>()?;
+        let [link_id, a, b, c, d, e, f] = *signing_fields;
         Some(Self { link_id, timestamp: SigningTime::from_wire([a, b, c, d, e, f]), mac: *mac, signed_bytes: covered })
     }
 
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn spans_are_counted_in_whole_units_and_never_backwards() {
+    fn durations_are_counted_in_full_units_and_never_backwards() {
         let start = SigningTime::from_units(7);
         assert_eq!(start.saturating_add(TimeDelta::from_nanos(19_999)).units(), 8);
         assert_eq!(start.saturating_add(TimeDelta::from_millis(-1)), start);
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn six_bytes_hold_it_whole() {
+    fn six_bytes_hold_it_completely() {
         let stamp = SigningTime::from_units(0x1234_5678_9ABC);
         assert_eq!(stamp.to_wire(), [0xBC, 0x9A, 0x78, 0x56, 0x34, 0x12]);
         assert_eq!(SigningTime::from_wire(stamp.to_wire()), stamp);

@@ -1,4 +1,4 @@
-//! Signing of one link, both ways, with the clock that both ways share.
+//! Signing of one link in both directions, with the clock that they share.
 
 use posebridge_telemetry::{HostClock, SignatureError, Timestamp};
 

@@ -74,11 +74,11 @@ impl SigningState {
                 Self::MAX_WRITE_GAP
             };
             let cut = self.written_at.saturating_add(since_writing);
-            for heard in self.streams.values_mut() {
-                let unseen = cut.since(heard.date) + BURST;
-                heard.timestamp = heard.timestamp.saturating_add(unseen);
-                // As if this had been heard: a second cut must not count the same time again.
-                heard.date = utc.saturating_add(BURST);
+            for stream in self.streams.values_mut() {
+                let unseen = cut.since(stream.date) + BURST;
+                stream.timestamp = stream.timestamp.saturating_add(unseen);
+                // As if this had been received: a second cut must not count the same time again.
+                stream.date = utc.saturating_add(BURST);
             }
             self.last_sent = self.last_sent.max(self.clock).saturating_add(Self::MAX_WRITE_GAP);
         }
@@ -94,7 +94,7 @@ mod tests {
 
     const STREAM: StreamId = StreamId { source: Address::new(1, 1), link_id: 0 };
 
-    const HEARD: SignedStreamState = SignedStreamState {
+    const STATE: SignedStreamState = SignedStreamState {
         timestamp: SigningTime::from_units(200 * 100_000),
         date: SigningTime::from_units(997 * 100_000),
     };
@@ -109,7 +109,7 @@ mod tests {
             clock: at(1_000),
             last_sent: at(990),
             min_timestamp: Some(at(5)),
-            streams: [(STREAM, HEARD)].into(),
+            streams: [(STREAM, STATE)].into(),
         }
     }
 
@@ -137,7 +137,7 @@ mod tests {
             assert_eq!(resumed.last_sent, at(1_010), "utc {utc}");
             assert_eq!(
                 resumed.streams[&STREAM].timestamp,
-                HEARD.timestamp.saturating_add(TimeDelta::from_millis(unseen_ms)),
+                STATE.timestamp.saturating_add(TimeDelta::from_millis(unseen_ms)),
                 "utc {utc}"
             );
             assert_eq!(resumed.clock, at(utc.max(1_000)), "utc {utc}");

@@ -79,7 +79,7 @@ impl SignatureVerifier {
         self.unsigned == UnsignedPolicy::Accept
     }
 
-    fn add_stream(&mut self, stream: StreamId, heard: SignedStreamState) {
+    fn add_stream(&mut self, stream: StreamId, state: SignedStreamState) {
         if self.streams.len() >= MAX_STREAMS {
             let oldest = self.streams.iter().min_by_key(|(_, last)| last.timestamp);
             if let Some((oldest, last)) = oldest.map(|(oldest, last)| (*oldest, last.timestamp)) {
@@ -88,7 +88,7 @@ impl SignatureVerifier {
                 self.floor = self.floor.max(Some(last));
             }
         }
-        self.streams.insert(stream, heard);
+        self.streams.insert(stream, state);
         self.met += 1;
     }
 

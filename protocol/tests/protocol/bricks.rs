@@ -18,9 +18,9 @@ fn mavlink() -> Box<dyn BrickCodec> {
     codec("mavlink", &CodecSettings::default())
 }
 
-/// What was heard, with other frames by their bytes.
-fn noted(heard: CodecEvent<'_>) -> Result<(Address, Message), String> {
-    match heard {
+/// A received message, or the text of anything else; other frames by their bytes.
+fn noted(event: CodecEvent<'_>) -> Result<(Address, Message), String> {
+    match event {
         CodecEvent::Message { from, message } => Ok((from, message)),
         CodecEvent::ForwardFrame(frame) => Err(format!("other {:?}", frame.raw)),
         CodecEvent::ClockReply { from, .. } => Err(format!("time of {from}")),
@@ -41,24 +41,24 @@ fn every_protocol_is_found_by_its_name() {
 }
 
 #[test]
-fn mavlink_gives_up_a_torn_message() {
+fn mavlink_drops_a_truncated_message() {
     let mut codec = mavlink();
     let mut bytes = Vec::new();
     codec.encode(Timestamp::ZERO, ROBOT, &ticks(1), &mut bytes);
-    let torn = &bytes[..bytes.len() - 1];
-    let mut heard = Vec::new();
-    codec.push(Timestamp::ZERO, torn, &mut |item| heard.push(noted(item)));
-    assert!(heard.is_empty());
+    let truncated = &bytes[..bytes.len() - 1];
+    let mut events = Vec::new();
+    codec.push(Timestamp::ZERO, truncated, &mut |item| events.push(noted(item)));
+    assert!(events.is_empty());
     let deadline = codec.deadline().unwrap();
     codec.tick(deadline + TimeDelta::from_millis(1), &mut |item| {
-        heard.push(noted(item));
+        events.push(noted(item));
     });
     assert_eq!(codec.deadline(), None);
-    assert!(heard.iter().all(Result::is_err), "{heard:?}");
+    assert!(events.iter().all(Result::is_err), "{events:?}");
 }
 
 #[test]
-fn noise_tells_no_protocol_anything_and_leaves_none_stuck() {
+fn noise_yields_no_message_in_any_protocol_and_leaves_none_stuck() {
     let noise = noise(2_026, 4_000);
     for protocol in BRICK_PROTOCOLS {
         for chunk in [1, 7, 64, 4_000] {
@@ -86,21 +86,21 @@ fn noise_tells_no_protocol_anything_and_leaves_none_stuck() {
 
 #[test]
 fn mavlink_reports_lost_frames_and_senseless_payloads() {
-    let mut speaker = mavlink();
-    let mut listener = mavlink();
-    let mut heard = Vec::new();
+    let mut sender = mavlink();
+    let mut receiver = mavlink();
+    let mut events = Vec::new();
     for count in 0..4 {
         let mut bytes = Vec::new();
-        speaker.encode(Timestamp::ZERO, ROBOT, &ticks(count), &mut bytes);
+        sender.encode(Timestamp::ZERO, ROBOT, &ticks(count), &mut bytes);
         if count != 1 && count != 2 {
-            listener.push(Timestamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
+            receiver.push(Timestamp::ZERO, &bytes, &mut |item| events.push(noted(item)));
         }
     }
     let lost = ReceiveError::SequenceGap { source: ROBOT, frames: 2 };
     let expected = [Ok((ROBOT, ticks(0))), Err(format!("{lost:?}")), Ok((ROBOT, ticks(3)))];
-    assert_eq!(heard, expected);
+    assert_eq!(events, expected);
 
-    heard.clear();
+    events.clear();
     let nowhere = Message::LocalPosition {
         stamp: WireStamp::Millis32(0),
         x: Meters(f64::NAN),
@@ -109,8 +109,8 @@ fn mavlink_reports_lost_frames_and_senseless_payloads() {
         y_speed: MetersPerSecond(0.0),
     };
     let mut bytes = Vec::new();
-    speaker.encode(Timestamp::ZERO, ROBOT, &nowhere, &mut bytes);
-    listener.push(Timestamp::ZERO, &bytes, &mut |item| heard.push(noted(item)));
+    sender.encode(Timestamp::ZERO, ROBOT, &nowhere, &mut bytes);
+    receiver.push(Timestamp::ZERO, &bytes, &mut |item| events.push(noted(item)));
     let senseless = ReceiveError::Payload { message_id: 32 };
-    assert_eq!(heard, [Err(format!("{senseless:?}"))]);
+    assert_eq!(events, [Err(format!("{senseless:?}"))]);
 }

@@ -1,4 +1,4 @@
-//! Cameras that speak JSON: lines as Python's json module writes them, every chunk size, every lost byte, and what goes back.
+//! Cameras with JSON lines: lines as Python's json module writes them, every chunk size, every lost byte, and what goes back.
 
 use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
 use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings};
@@ -23,9 +23,9 @@ fn codec(framing: TransportKind) -> Box<dyn BrickCodec> {
     codec
 }
 
-/// What was heard, in short; no signs of life.
-fn short(heard: CodecEvent<'_>) -> Option<String> {
-    Some(match heard {
+/// An event in short; none for heartbeats.
+fn short(event: CodecEvent<'_>) -> Option<String> {
+    Some(match event {
         CodecEvent::Message { from, message } => match message {
             Message::Heartbeat(heartbeat) => {
                 assert_eq!(heartbeat.vehicle_type, 30);
@@ -59,20 +59,20 @@ fn fix_text(fix: &VisionFix) -> String {
 
 fn decode_in_chunks(bytes: &[u8], chunk: usize) -> Vec<String> {
     let mut codec = codec(TransportKind::Stream);
-    let mut heard = Vec::new();
+    let mut events = Vec::new();
     for part in bytes.chunks(chunk) {
         let now = Timestamp::from_millis(10_000);
-        codec.push(now, part, &mut |item| heard.extend(short(item)));
+        codec.push(now, part, &mut |item| events.extend(short(item)));
     }
-    heard
+    events
 }
 
 fn decode_from(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, peer: u32, text: &str) -> Vec<String> {
-    let mut heard = Vec::new();
+    let mut events = Vec::new();
     codec.push_from_peer(now, PeerId(peer), text.as_bytes(), &mut |item| {
-        heard.extend(short(item));
+        events.extend(short(item));
     });
-    heard
+    events
 }
 
 /// The meanings of the golden lines, as a list of texts like those of [`short`].
@@ -84,9 +84,9 @@ fn meanings() -> Vec<String> {
 
 #[test]
 fn what_python_writes_is_understood_in_every_chunk_size() {
-    let heard = decode_in_chunks(GOLDEN.as_bytes(), GOLDEN.len());
-    let (notes, said): (Vec<_>, Vec<_>) = heard.iter().cloned().partition(|text| text.starts_with("note: "));
-    assert_eq!(said, meanings());
+    let events = decode_in_chunks(GOLDEN.as_bytes(), GOLDEN.len());
+    let (notes, fixes): (Vec<_>, Vec<_>) = events.iter().cloned().partition(|text| text.starts_with("note: "));
+    assert_eq!(fixes, meanings());
     assert_eq!(
         notes,
         [
@@ -97,7 +97,7 @@ fn what_python_writes_is_understood_in_every_chunk_size() {
         ]
     );
     for chunk in 1..=GOLDEN.len() {
-        assert_eq!(decode_in_chunks(GOLDEN.as_bytes(), chunk), heard, "{chunk}");
+        assert_eq!(decode_in_chunks(GOLDEN.as_bytes(), chunk), events, "{chunk}");
     }
 }
 
@@ -107,8 +107,8 @@ fn a_datagram_ends_its_last_line_and_a_stream_does_not() {
     let two = format!("{line}\r\n{line}");
     for (framing, count) in [(TransportKind::Datagram, 2), (TransportKind::Stream, 1)] {
         let mut codec = codec(framing);
-        let heard = decode_from(&mut *codec, Timestamp::ZERO, 0, &two);
-        let fixes = heard.iter().filter(|text| text.starts_with("1/100"));
+        let events = decode_from(&mut *codec, Timestamp::ZERO, 0, &two);
+        let fixes = events.iter().filter(|text| text.starts_with("1/100"));
         assert_eq!(fixes.count(), count, "{framing:?}");
     }
 }
@@ -128,21 +128,21 @@ fn senders_of_one_link_do_not_mix_their_lines() {
 fn a_lost_byte_costs_one_line_or_two_where_it_was_the_end_of_one() {
     let line = |k: usize| format!("{{\"exposed_us\": {}, \"x_m\": {k}, \"y_m\": 0}}\n", 1_000 * k);
     let lines: Vec<String> = (1..=3).map(line).collect();
-    let whole = lines.concat().into_bytes();
+    let complete = lines.concat().into_bytes();
     let fixes = |bytes: &[u8]| {
-        let heard = decode_in_chunks(bytes, bytes.len());
+        let events = decode_in_chunks(bytes, bytes.len());
         let is_fix = |text: &String| text.starts_with("1/100: ");
-        heard.into_iter().filter(is_fix).collect::<Vec<_>>()
+        events.into_iter().filter(is_fix).collect::<Vec<_>>()
     };
-    let all = fixes(&whole);
+    let all = fixes(&complete);
     let mut fewest = all.len();
-    for lost in 0..whole.len() {
-        let mut bytes = whole.clone();
+    for lost in 0..complete.len() {
+        let mut bytes = complete.clone();
         let was_end = bytes.remove(lost) == b'\n';
-        let kept = fixes(&bytes);
-        let same = all.iter().filter(|text| kept.contains(text)).count();
+        let remaining = fixes(&bytes);
+        let same = all.iter().filter(|text| remaining.contains(text)).count();
         let least = if was_end { 1 } else { 2 };
-        assert!(same >= least, "byte {lost}: {kept:?}");
+        assert!(same >= least, "byte {lost}: {remaining:?}");
         fewest = fewest.min(same);
     }
     assert_eq!(fewest, 1, "two lines that ran together are none");
@@ -167,8 +167,8 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
             panic!("{to:?}");
         };
         assert_eq!(bytes.last(), Some(&b'\n'));
-        let said: Value = serde_json::from_slice(&bytes).unwrap();
-        answers.push((peer, said));
+        let reply: Value = serde_json::from_slice(&bytes).unwrap();
+        answers.push((peer, reply));
     }
     let [(7, first), (8, second), (7, third)] = &answers[..] else {
         panic!("{answers:?}");
@@ -183,7 +183,7 @@ fn a_bad_line_is_answered_to_its_sender_with_line_and_key_once_a_second() {
 
 #[test]
 fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
-    for (rest, said) in [
+    for (rest, expected) in [
         ("\"sigma_m\": 1e-300", "`sigma_m` is 1e-300, must lie between 1e-6 and 1000.0"),
         ("\"sigma_m\": 0.0000009", "must lie between 1e-6 and 1000.0"),
         ("\"sigma_m\": 0.01, \"heading_deg\": 0, \"sigma_heading_deg\": 0.00005", "must lie between 5.7295779"),
@@ -192,24 +192,24 @@ fn a_number_out_of_range_is_answered_with_the_range_in_its_own_unit() {
     ] {
         let mut codec = codec(TransportKind::Datagram);
         let line = format!("{{\"x_m\": 1, \"y_m\": 2, {rest}}}\n");
-        let heard = decode_from(&mut *codec, Timestamp::ZERO, 7, &line);
-        assert_eq!(heard[0], "no sense", "{line}");
-        assert!(heard[1].contains(said), "{line}: {heard:?}");
+        let events = decode_from(&mut *codec, Timestamp::ZERO, 7, &line);
+        assert_eq!(events[0], "no sense", "{line}");
+        assert!(events[1].contains(expected), "{line}: {events:?}");
     }
     let mut codec = codec(TransportKind::Datagram);
     let far = "{\"x_m\": 1, \"y_m\": 2, \"heading_deg\": -2e6, \"sigma_m\": 1e-6, \"sigma_heading_rad\": 1e-6}\n";
-    let heard = decode_from(&mut *codec, Timestamp::ZERO, 7, far);
-    assert!(!heard.contains(&"no sense".to_owned()), "{heard:?}");
+    let events = decode_from(&mut *codec, Timestamp::ZERO, 7, far);
+    assert!(!events.contains(&"no sense".to_owned()), "{events:?}");
 }
 
 #[test]
 fn a_line_without_end_fills_no_memory_and_costs_only_itself() {
     let mut codec = codec(TransportKind::Stream);
-    let mut heard = Vec::new();
+    let mut events = Vec::new();
     for _ in 0..100 {
-        heard.extend(decode_from(&mut *codec, Timestamp::ZERO, 0, &"[".repeat(1_000)));
+        events.extend(decode_from(&mut *codec, Timestamp::ZERO, 0, &"[".repeat(1_000)));
     }
-    assert_eq!(heard, Vec::<String>::new());
+    assert_eq!(events, Vec::<String>::new());
     let rest = decode_from(&mut *codec, Timestamp::ZERO, 0, "\n{\"x_m\": 1, \"y_m\": 2}\n");
     assert_eq!(rest[0], "garbage: 100000");
     assert!(rest.last().unwrap().starts_with("1/100: "), "{rest:?}");
@@ -223,17 +223,17 @@ fn seven_cameras_are_one_too_many() {
     let mut codec = codec(TransportKind::Datagram);
     for k in 0..6 {
         let line = format!("{{\"camera\": \"c{k}\", \"x_m\": 0, \"y_m\": 0}}");
-        let heard = decode_from(&mut *codec, Timestamp::ZERO, k, &line);
-        assert_eq!(heard.len(), 2, "{heard:?}");
+        let events = decode_from(&mut *codec, Timestamp::ZERO, k, &line);
+        assert_eq!(events.len(), 2, "{events:?}");
     }
-    let heard = decode_from(&mut *codec, Timestamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
-    assert!(heard.contains(&"no sense".to_owned()), "{heard:?}");
-    assert!(heard.iter().any(|text| text.contains("more than 6")), "{heard:?}");
+    let events = decode_from(&mut *codec, Timestamp::ZERO, 9, "{\"camera\": \"c6\", \"x_m\": 0, \"y_m\": 0}");
+    assert!(events.contains(&"no sense".to_owned()), "{events:?}");
+    assert!(events.iter().any(|text| text.contains("more than 6")), "{events:?}");
     assert_eq!(codec.source_health().len(), 6);
 }
 
 #[test]
-fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() {
+fn a_failed_fix_is_counted_and_one_without_time_has_the_configured_age() {
     let mut codec = codec(TransportKind::Datagram);
     let now = Timestamp::from_millis(5_000);
     let failed = decode_from(&mut *codec, now, 0, "{\"x_m\": 0, \"y_m\": 0, \"quality\": 0}");
@@ -244,28 +244,28 @@ fn a_failed_fix_is_counted_and_one_without_time_is_as_old_as_it_is_said_to_be() 
 }
 
 #[test]
-fn questions_are_said_in_json_and_only_to_who_takes_them() {
+fn requests_are_encoded_as_json_and_only_for_cameras_that_take_them() {
     let mut codec = codec(TransportKind::Datagram);
     let hello = "{\"camera\": \"a\", \"x_m\": 0, \"y_m\": 0}\n{\"camera\": \"b\", \"takes_requests\": true}";
     decode_from(&mut *codec, Timestamp::ZERO, 0, hello);
-    let mut said = |message: &Message| {
+    let mut encoded = |message: &Message| {
         let mut bytes = Vec::new();
         let length = codec.encode(Timestamp::ZERO, STATION, message, &mut bytes);
         assert_eq!(length, bytes.len());
         String::from_utf8(bytes).unwrap()
     };
     let request = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 123_456_789_012, target: None });
-    assert_eq!(said(&request), "{\"time_request\":123456789012}\n");
+    assert_eq!(encoded(&request), "{\"time_request\":123456789012}\n");
     let request = |target, what: u32| {
         let mut params = [0.0; 7];
         params[0] = what as f32;
         Message::Command(CommandLong { target, command: ids::COMMAND_REQUEST_MESSAGE, params })
     };
     let fix = ids::VISION_POSITION_ESTIMATE;
-    assert_eq!(said(&request(CAMERA, fix)), "");
-    assert_eq!(said(&request(SECOND, fix)), "{\"camera\":\"b\",\"fix_request\":1}\n");
-    assert_eq!(said(&request(SECOND, ids::ATTITUDE)), "");
-    assert_eq!(said(&request(Address::new(2, 101), fix)), "");
+    assert_eq!(encoded(&request(CAMERA, fix)), "");
+    assert_eq!(encoded(&request(SECOND, fix)), "{\"camera\":\"b\",\"fix_request\":1}\n");
+    assert_eq!(encoded(&request(SECOND, ids::ATTITUDE)), "");
+    assert_eq!(encoded(&request(Address::new(2, 101), fix)), "");
 }
 
 #[test]
@@ -274,7 +274,7 @@ fn a_link_that_comes_back_keeps_the_names_and_forgets_half_a_line() {
     let now = Timestamp::ZERO;
     decode_from(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n{\"x_m\": ");
     codec.on_link_up(now + TimeDelta::from_millis(1));
-    let heard = decode_from(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
-    assert_eq!(heard.len(), 1, "{heard:?}");
-    assert!(heard[0].starts_with("1/100: "));
+    let events = decode_from(&mut *codec, now, 0, "{\"camera\": \"a\", \"x_m\": 1, \"y_m\": 2}\n");
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert!(events[0].starts_with("1/100: "));
 }

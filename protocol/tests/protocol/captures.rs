@@ -89,20 +89,20 @@ pub(crate) fn records(mut bytes: &[u8]) -> Vec<&[u8]> {
 fn the_beginning_of_a_recorded_flight() {
     let records = records(RECORDED);
     assert_eq!(records.len(), 150);
-    let seen = census(TransportKind::Datagram, records.into_iter());
+    let totals = census(TransportKind::Datagram, records.into_iter());
     // HEARTBEAT, PARAM_REQUEST_LIST, PARAM_VALUE; 7 RADIO (166) belong to another dialect.
-    assert_eq!(seen.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
-    assert_eq!((seen.unknown, seen.garbage), (7, 0));
-    let Some(Message::Heartbeat(first)) = seen.messages.first() else {
-        panic!("{:?}", seen.messages.first());
+    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
+    assert_eq!((totals.unknown, totals.garbage), (7, 0));
+    let Some(Message::Heartbeat(first)) = totals.messages.first() else {
+        panic!("{:?}", totals.messages.first());
     };
     assert_eq!((first.vehicle_type, first.autopilot), (6, 8), "a ground station");
 }
 
 #[test]
 fn times_between_the_frames_are_only_garbage() {
-    let seen = census(TransportKind::Stream, std::iter::once(RECORDED));
-    assert_eq!(seen.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
+    let totals = census(TransportKind::Stream, std::iter::once(RECORDED));
+    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
 }
 
 #[derive(Debug)]
@@ -161,7 +161,7 @@ fn the_collection_counts_as_foreign_decoders_count() {
 fn compare(expected: &ExpectedCounts, bytes: &[u8]) {
     let file = &expected.file;
     let has_times = Path::new(file).extension() == Some(OsStr::new("tlog"));
-    let seen = if has_times {
+    let totals = if has_times {
         census(TransportKind::Datagram, records(bytes).into_iter())
     } else {
         census(TransportKind::Stream, std::iter::once(bytes))
@@ -176,23 +176,23 @@ fn compare(expected: &ExpectedCounts, bytes: &[u8]) {
             None => foreign += count,
         }
     }
-    assert_eq!(seen.by_id, known, "{file}");
-    assert_eq!(seen.unknown, foreign, "{file}: frames of another dialect");
-    assert_eq!(seen.by_source, expected.counts("by_source"), "{file}");
+    assert_eq!(totals.by_id, known, "{file}");
+    assert_eq!(totals.unknown, foreign, "{file}: frames of another dialect");
+    assert_eq!(totals.by_source, expected.counts("by_source"), "{file}");
     if has_times {
-        compare_losses(expected, &seen);
+        compare_losses(expected, &totals);
     } else {
         let outside = expected.text["bytes_outside_valid_frames"].as_u64();
-        assert_eq!(Some(seen.garbage), outside, "{file}: bytes outside");
+        assert_eq!(Some(totals.garbage), outside, "{file}: bytes outside");
     }
 }
 
 /// Senders that do not count by one have absurd losses by plain summing; those are only required to be capped.
 const ABSURD: u64 = 1_000;
 
-fn compare_losses(expected: &ExpectedCounts, seen: &ScanTotals) {
+fn compare_losses(expected: &ExpectedCounts, totals: &ScanTotals) {
     for (source, missing) in expected.counts("seq_missing_by_source") {
-        let ours = seen.missing[&source];
+        let ours = totals.missing[&source];
         if missing < ABSURD {
             assert_eq!(ours, missing, "{}: lost frames of {source}", expected.file);
         } else {

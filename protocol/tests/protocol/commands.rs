@@ -1,4 +1,4 @@
-//! What ground stations ask, in the bytes of a foreign implementation: integers as parameters, and the commands that are served.
+//! Requests of ground stations, in the bytes of a foreign implementation: integers as parameters, and the commands that are served.
 
 use std::f64::consts::FRAC_PI_4;
 
@@ -19,7 +19,7 @@ fn command_of(name: &str) -> CommandLong {
 }
 
 #[test]
-fn the_commands_that_are_served_say_what_the_page_says() {
+fn the_supported_commands_are_those_of_the_page() {
     let pose = Command::SetPose {
         pose: Pose::new(Meters(2.0), Meters(3.0), Heading::from_rad(0.0)),
         position_sigma_m: 0.25,
@@ -43,7 +43,7 @@ fn the_commands_that_are_served_say_what_the_page_says() {
 }
 
 #[test]
-fn every_number_of_a_choice_is_told_from_the_others() {
+fn every_value_of_a_choice_is_distinguished() {
     let with = |name: &str, params: &[f32]| {
         let mut command = command_of(name);
         command.params = [0.0; 7];

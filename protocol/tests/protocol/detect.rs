@@ -14,12 +14,12 @@ fn check(bytes: &[u8], protocol: Protocol, frames: usize, frame_bytes: usize) {
     assert_eq!(recognise(bytes), expected, "{bytes:02x?}");
 }
 
-/// The same protocol wherever the listening begins and ends, if at least `whole` bytes remain.
-fn check_any_window(stream: &[u8], protocol: Protocol, whole: usize) {
+/// The same protocol wherever the window begins and ends, if at least `min_bytes` bytes remain.
+fn check_any_window(stream: &[u8], protocol: Protocol, min_bytes: usize) {
     for begin in (0..stream.len()).step_by(3) {
-        for end in ((begin + whole)..=stream.len()).step_by(7) {
-            let heard = &stream[begin..end];
-            assert_eq!(recognise(heard).protocol, protocol, "{begin}..{end}");
+        for end in ((begin + min_bytes)..=stream.len()).step_by(7) {
+            let window = &stream[begin..end];
+            assert_eq!(recognise(window).protocol, protocol, "{begin}..{end}");
         }
     }
 }
@@ -30,8 +30,8 @@ fn one_frame_is_enough_for_mavlink_2() {
     check(&frame, Protocol::Mavlink2, 1, frame.len());
     let signed = golden("heartbeat_signed");
     check(&signed, Protocol::Mavlink2, 1, signed.len());
-    let torn = [&golden("odometry_arena")[30..], &frame, &noise(1, 300)].concat();
-    check(&torn, Protocol::Mavlink2, 1, frame.len());
+    let truncated = [&golden("odometry_arena")[30..], &frame, &noise(1, 300)].concat();
+    check(&truncated, Protocol::Mavlink2, 1, frame.len());
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_flight_is_mavlink_1_from_any_point() {
 }
 
 #[test]
-fn one_frame_of_mavlink_1_is_believed_only_if_there_is_little_else_and_two_among_anything() {
+fn one_frame_of_mavlink_1_is_accepted_only_if_there_is_little_else_and_two_among_anything() {
     let frame = golden("v1_attitude");
     check(&frame, Protocol::Mavlink1, 1, frame.len());
     let among_noise = [&noise(2, 500), &frame[..], &noise(3, 500)].concat();
@@ -84,12 +84,12 @@ fn replies_of_an_nxt_are_recognised_by_their_lengths() {
 }
 
 #[test]
-fn behind_a_torn_telegram_three_whole_ones_are_believed_and_two_are_not() {
-    let torn = from_hex("dc1e");
+fn after_a_truncated_telegram_three_complete_ones_are_accepted_and_two_are_not() {
+    let truncated = from_hex("dc1e");
     let telegram = from_hex("0500 020b00 dc1e");
-    let three = [&torn[..], &telegram.repeat(3)].concat();
+    let three = [&truncated[..], &telegram.repeat(3)].concat();
     check(&three, Protocol::Nxt, 3, 21);
-    let two = [&torn[..], &telegram.repeat(2)].concat();
+    let two = [&truncated[..], &telegram.repeat(2)].concat();
     check(&two, Protocol::Unrecognized, 0, 0);
 }
 
@@ -182,9 +182,9 @@ fn a_line_at_the_wrong_speed_is_noise_and_at_the_right_one_is_not() {
     let stream = frames.repeat(20);
     assert_eq!(misread(&stream, 115_200.0, 115_200.0), stream);
     for read_baud in [9_600.0, 19_200.0, 38_400.0, 57_600.0, 230_400.0, 921_600.0] {
-        let heard = misread(&stream, 115_200.0, read_baud);
-        assert!(heard.len() > 100);
-        let found = recognise(&heard).protocol;
+        let misread_bytes = misread(&stream, 115_200.0, read_baud);
+        assert!(misread_bytes.len() > 100);
+        let found = recognise(&misread_bytes).protocol;
         assert_eq!(found, Protocol::Unrecognized, "{read_baud}");
     }
 }

@@ -1,4 +1,4 @@
-//! What the framer hands out, whatever the chunks, the noise and the unknown messages around it.
+//! What the framer emits, whatever the chunks, the noise and the unknown messages around it.
 
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind, WireVersion, checksum};
@@ -29,7 +29,7 @@ fn stranger(payload: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// A framer and what it has handed out.
+/// A framer and what it has emitted.
 struct Bench {
     framer: Framer,
     found: Vec<OwnedFramerOutput>,
@@ -69,11 +69,11 @@ fn chunking_does_not_change_the_frames() {
     stream.extend(stranger(b"abc"));
     stream.extend(four_message_mix(4).concat());
     stream.extend(stranger(b"at the end"));
-    let (whole, whole_counters) = scan(FramerConfig::default(), &stream, stream.len());
-    assert_eq!(frames(&whole).len(), 12 + 1 + 4 + 1);
+    let (complete, complete_counters) = scan(FramerConfig::default(), &stream, stream.len());
+    assert_eq!(frames(&complete).len(), 12 + 1 + 4 + 1);
     for chunk in 1..stream.len() {
         let (found, counters) = scan(FramerConfig::default(), &stream, chunk);
-        assert_eq!((frames(&found), counters), (frames(&whole), whole_counters), "chunk size {chunk}");
+        assert_eq!((frames(&found), counters), (frames(&complete), complete_counters), "chunk size {chunk}");
     }
 }
 
@@ -91,7 +91,7 @@ fn every_byte_is_accounted_for() {
 
 #[test]
 fn a_frame_inside_a_damaged_frame_is_not_lost() {
-    // The torn odometry claims 233 bytes of payload; whole frames follow inside its claim and behind it.
+    // The truncated odometry claims 233 bytes of payload; complete frames follow inside its claim and behind it.
     let mix = four_message_mix(8);
     let stream = [&mix[3][..40], &mix[4..8].concat()].concat();
     let (found, counters) = scan(FramerConfig::default(), &stream, stream.len());
@@ -101,7 +101,7 @@ fn a_frame_inside_a_damaged_frame_is_not_lost() {
 }
 
 #[test]
-fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
+fn a_truncated_header_releases_the_next_heartbeat_after_one_gap() {
     let mut bench = Bench::new(STREAM);
     bench.push(0, &odometry()[..12]);
     assert_eq!(bench.framer.deadline(), Some(at(50)));
@@ -123,11 +123,11 @@ fn a_torn_header_releases_the_next_heartbeat_after_one_gap() {
 fn frames_in_pieces_with_silences_between_them_are_completed() {
     type Pieces<'a> = &'a [(i64, &'a [u8])];
     let (odometry, heartbeat) = (odometry(), heartbeat());
-    let torn = &odometry[..12];
+    let truncated = &odometry[..12];
     let late: [(Pieces<'_>, &[&Vec<u8>]); 4] = [
-        // A torn header, and more after the gap.
-        (&[(0, torn), (1_000, &heartbeat)], &[&heartbeat]),
-        (&[(0, torn), (9_000, &heartbeat[..9]), (9_001, &heartbeat[9..])], &[&heartbeat]),
+        // A truncated header, and more after the gap.
+        (&[(0, truncated), (1_000, &heartbeat)], &[&heartbeat]),
+        (&[(0, truncated), (9_000, &heartbeat[..9]), (9_001, &heartbeat[9..])], &[&heartbeat]),
         // The rest comes late, or in two pieces.
         (&[(0, &odometry[..100]), (80, &odometry[100..])], &[&odometry]),
         (&[(0, &odometry[..100]), (9_000, &odometry[100..]), (9_001, &heartbeat)], &[&odometry, &heartbeat]),
@@ -167,7 +167,7 @@ fn a_frame_that_stops_for_seconds_is_completed_wherever_it_stopped() {
 }
 
 #[test]
-fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
+fn a_frame_that_stops_after_a_truncated_and_a_complete_one_is_completed() {
     let mix = four_message_mix(4);
     let frame = &mix[1];
     for split in 1..frame.len() {
@@ -183,7 +183,7 @@ fn a_frame_that_stops_behind_a_torn_one_and_a_whole_one_is_completed() {
 }
 
 #[test]
-fn a_frame_whose_rest_never_comes_is_given_up_by_what_comes_next() {
+fn a_frame_whose_rest_never_comes_is_dropped_by_the_next_bytes() {
     let mut bench = Bench::new(STREAM);
     bench.push(0, &odometry()[..100]);
     bench.pass_gap();
@@ -211,7 +211,7 @@ fn impossible_headers_are_refused_before_their_bytes_come() {
 }
 
 #[test]
-fn an_unknown_frame_is_handed_out_when_a_verified_one_follows() {
+fn an_unknown_frame_is_emitted_when_a_verified_one_follows() {
     let unknown = stranger(b"who am I");
     let stream = [heartbeat(), unknown.clone(), unknown.clone(), heartbeat()].concat();
     let mut bench = Bench::new(STREAM);
@@ -247,7 +247,7 @@ fn an_unknown_frame_at_the_end_waits_for_the_gap_and_one_that_stops_for_its_rest
 
 #[test]
 fn an_unknown_claim_never_costs_or_delays_a_known_frame() {
-    // Its payload is a whole heartbeat, and its claim reaches beyond the heartbeat's end.
+    // Its payload is a complete heartbeat, and its claim reaches beyond the heartbeat's end.
     let disguised = stranger(&[b"ab", &heartbeat()[..], b"cd"].concat());
     let stream = [disguised, heartbeat()].concat();
     for transport in [STREAM, DATAGRAM] {
@@ -290,7 +290,7 @@ fn unknown_telemetry_between_heartbeats_of_one_second_is_kept() {
 }
 
 #[test]
-fn version_1_is_heard_only_when_asked_for() {
+fn version_1_is_received_only_when_configured() {
     let mut encoder = Encoder::new(WireVersion::V1);
     let mut stream = b"\xFE\x01".to_vec();
     encoder.encode(ROBOT, &HEARTBEAT, &mut stream);

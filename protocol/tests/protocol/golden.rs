@@ -92,7 +92,7 @@ fn a_signed_frame_is_taken_with_its_signature() {
 }
 
 #[test]
-fn sequences_count_per_address_and_version_1_cannot_say_everything() {
+fn sequences_count_per_address_and_version_1_cannot_encode_everything() {
     let mut encoder = Encoder::new(WireVersion::V1);
     let station = Address::new(1, 197);
     let heartbeat = crate::support::HEARTBEAT;
@@ -163,8 +163,8 @@ fn a_frame_of_no_dialect_is_numbered_too_and_a_damaged_one_is_not() {
     assert_eq!(encoder.readdress(&mut damaged, ROBOT), Err(RenumberError::Damaged));
     assert_eq!(damaged, before);
     for cut in 0..before.len() {
-        let mut torn = before[..cut].to_vec();
-        assert_eq!(encoder.readdress(&mut torn, ROBOT), Err(RenumberError::NoFrame));
+        let mut truncated = before[..cut].to_vec();
+        assert_eq!(encoder.readdress(&mut truncated, ROBOT), Err(RenumberError::NoFrame));
     }
     // A frame that could not be numbered has taken no number.
     let mut next = of_number(9);

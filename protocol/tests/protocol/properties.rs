@@ -11,7 +11,7 @@ use crate::support::{OwnedFramerOutput, ROBOT, fixed_cases, framed, frames, scan
 
 /// Payloads that mean something to most messages: floats of measurements, small and large integers, letters.
 fn plausible_payload() -> impl Strategy<Value = Vec<u8>> {
-    let word = prop_oneof![
+    let piece = prop_oneof![
         4 => (-1e3_f32..1e3).prop_map(f32::to_le_bytes),
         1 => any::<[u8; 4]>(),
         1 => (0_u8..40).prop_map(|small| [small, 0, small, 0]),
@@ -19,7 +19,7 @@ fn plausible_payload() -> impl Strategy<Value = Vec<u8>> {
         1 => Just(*b"temp"),
         1 => Just([0; 4]),
     ];
-    prop::collection::vec(word, 0..64).prop_map(|words| words.concat())
+    prop::collection::vec(piece, 0..64).prop_map(|pieces| pieces.concat())
 }
 
 fn frame(message_id: u32, payload: &[u8]) -> FrameRef<'_> {
@@ -100,14 +100,14 @@ proptest! {
 
     #[test]
     fn damage_costs_only_the_frames_that_it_hits(
-        place in 0_usize..1_600,
+        offset in 0_usize..1_600,
         noise in prop::collection::vec(any::<u8>(), 1..30),
         chunk in 1_usize..300,
     ) {
         let mix = four_message_mix(16);
         let mut damaged = mix.concat();
-        let place = place.min(damaged.len() - noise.len());
-        damaged[place..place + noise.len()].copy_from_slice(&noise);
+        let offset = offset.min(damaged.len() - noise.len());
+        damaged[offset..offset + noise.len()].copy_from_slice(&noise);
         let mut start = 0;
         let mut intact = Vec::new();
         for frame in &mix {

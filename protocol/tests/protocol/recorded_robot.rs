@@ -50,7 +50,7 @@ fn turned(left_rad: f64, right_rad: f64) -> ObservationKind {
 }
 
 #[test]
-fn whole_counts_are_sent_as_counts_and_other_angles_as_distances() {
+fn integer_counts_are_sent_as_counts_and_other_angles_as_distances() {
     let [left, right] = [120.0_f64, -7.0].map(f64::to_radians);
     let Message::WheelTicks(ticks) = sent_for(&mut robot(), 2_500, turned(left, right)) else {
         panic!("no counts");
@@ -82,7 +82,7 @@ fn commanded_speeds_are_sent_as_the_pose_to_which_they_lead() {
 }
 
 #[test]
-fn the_description_is_sent_at_once_when_asked_and_every_five_seconds() {
+fn the_description_is_sent_on_request_and_every_five_seconds() {
     let mut robot = robot();
     robot.send_heartbeat_now();
     let [Message::Heartbeat(_), Message::RobotDescription(description)] = &decoded(&robot.take_bytes())[..] else {

@@ -15,13 +15,13 @@ const FRAMES: usize = 100_000;
 /// What one read from a serial port or a socket may return.
 const CHUNK: usize = 4_096;
 
-/// A damaged stream and the frames in it that were left whole.
+/// A damaged stream and the frames in it that were left intact.
 struct DamagedStream {
     bytes: Vec<u8>,
     intact: Vec<Vec<u8>>,
 }
 
-/// Damages one frame in place and returns whether it was left whole; may append noise to the stream before it.
+/// Damages one frame in place and returns whether it was left intact; may append noise to the stream before it.
 type DamageFn = fn(&mut Pcg64, &mut Vec<u8>, &mut Vec<u8>) -> bool;
 
 fn damaged(seed: u64, damage: DamageFn) -> DamagedStream {

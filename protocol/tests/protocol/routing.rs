@@ -38,7 +38,7 @@ impl Bench {
         }
     }
 
-    /// Somebody says something new.
+    /// A sender sends a new frame.
     fn send(&mut self, now: i64, from: Endpoint, source: Address, message: &Message) -> RoutingDecision {
         self.sequence = self.sequence.wrapping_add(1);
         let bytes = framed(self.sequence, source, message);
@@ -49,10 +49,10 @@ impl Bench {
         with_frame(bytes, |frame| self.router.route(at(now), from, frame, SenderCheck::Verified))
     }
 
-    /// Everybody has said that he is there.
+    /// Every sender has sent a heartbeat.
     fn introduced(mut self) -> Self {
-        for (way, source) in [(BRICK_LINK, ROBOT), (CAMERA_LINK, CAMERA), (GCS_LINK, GCS)] {
-            self.send(0, way, source, &HEARTBEAT);
+        for (endpoint, source) in [(BRICK_LINK, ROBOT), (CAMERA_LINK, CAMERA), (GCS_LINK, GCS)] {
+            self.send(0, endpoint, source, &HEARTBEAT);
         }
         self
     }
@@ -62,8 +62,8 @@ fn command_to(target: Address) -> Message {
     Message::Command(CommandLong { target, command: 400, params: [1.0; 7] })
 }
 
-fn to(way: Endpoint) -> (LinkId, Recipients) {
-    (way.link, Recipients::Peer(way.peer))
+fn to(endpoint: Endpoint) -> (LinkId, Recipients) {
+    (endpoint.link, Recipients::Peer(endpoint.peer))
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_broadcast_goes_to_all_others_and_to_the_other_peers_of_its_link() {
 }
 
 #[test]
-fn a_command_goes_where_its_target_was_heard_and_the_answer_where_the_asker_was() {
+fn a_command_goes_to_its_targets_endpoint_and_the_reply_to_the_senders() {
     let mut bench = Bench::new(Default::default()).introduced();
     let routed = bench.send(10, GCS_LINK, GCS, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)]);
@@ -111,14 +111,14 @@ fn a_command_goes_where_its_target_was_heard_and_the_answer_where_the_asker_was(
 fn known_destinations_only() {
     for (target, expected) in [
         (Address::new(9, 9), vec![]),
-        // A component that was not heard, of a system that was.
+        // A component that was not received, of a system that was.
         (Address::new(2, 7), vec![to(CAMERA_LINK)]),
         // The same, of the station's own system.
         (Address::new(1, 7), vec![]),
         // The station, and all components of its system.
         (STATION, vec![]),
         (Address::new(1, 0), vec![to(BRICK_LINK)]),
-        // The one who asks.
+        // The sender of the request.
         (GCS, vec![]),
     ] {
         let mut bench = Bench::new(Default::default()).introduced();
@@ -138,7 +138,7 @@ fn a_route_is_forgotten_with_its_link_and_after_a_silence() {
 }
 
 #[test]
-fn the_station_s_own_words_go_nowhere_and_teach_nothing() {
+fn the_stations_own_frames_are_not_routed_and_add_no_route() {
     let mut bench = Bench::new(Default::default()).introduced();
     assert_eq!(bench.send(10, CAMERA_LINK, STATION, &HEARTBEAT).to, []);
     assert_eq!(bench.send(20, GCS_LINK, GCS, &command_to(STATION)).to, []);
@@ -151,12 +151,12 @@ fn a_frame_of_another_station_is_no_echo() {
     bench.router.record_sent(&bytes);
     assert_eq!(bench.receive(10, GCS_LINK, &bytes).duplicate_status, DuplicateStatus::Echo);
     let other_station = Address::new(9, STATION.component.0);
-    let heard = bench.send(20, GCS_LINK, other_station, &HEARTBEAT);
-    assert_eq!((heard.duplicate_status, heard.to.len()), (DuplicateStatus::New, 3));
+    let routed = bench.send(20, GCS_LINK, other_station, &HEARTBEAT);
+    assert_eq!((routed.duplicate_status, routed.to.len()), (DuplicateStatus::New, 3));
 }
 
 #[test]
-fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
+fn a_copy_by_another_endpoint_is_a_duplicate_and_adds_no_route() {
     let mut bench = Bench::new(Default::default()).introduced();
     let bytes = framed(77, ROBOT, &HEARTBEAT);
     assert_eq!(bench.receive(10, BRICK_LINK, &bytes).duplicate_status, DuplicateStatus::New);
@@ -165,13 +165,13 @@ fn what_comes_back_by_another_way_is_a_repeat_and_is_not_learnt_from() {
     assert_eq!(back.to, []);
     let routed = bench.send(40, CAMERA_LINK, CAMERA, &command_to(ROBOT));
     assert_eq!(routed.to, [to(BRICK_LINK)], "the detour is no route");
-    // A sender that never counts says the same bytes again.
+    // A sender that never counts sends the same bytes again.
     let again = bench.receive(50, BRICK_LINK, &bytes);
     assert_eq!((again.duplicate_status, again.to.len()), (DuplicateStatus::New, 3));
 }
 
 #[test]
-fn redundant_links_are_one_way_to_one_robot() {
+fn redundant_links_lead_to_one_robot() {
     let redundant = LinkRules { group: Some(3), ..LinkRules::default() };
     let mut bench = Bench::new([redundant.clone(), redundant, LinkRules::default()]);
     bench.send(0, GCS_LINK, GCS, &HEARTBEAT);
@@ -187,7 +187,7 @@ fn redundant_links_are_one_way_to_one_robot() {
 }
 
 #[test]
-fn a_link_takes_all_or_only_what_is_meant_for_it_or_no_part() {
+fn a_link_forwards_all_or_only_targeted_frames_or_none() {
     let rules = |forward| LinkRules { forward, ..LinkRules::default() };
     let mut bench =
         Bench::new([rules(ForwardPolicy::Targeted), rules(ForwardPolicy::Disabled), rules(ForwardPolicy::All)])
@@ -201,7 +201,7 @@ fn a_link_takes_all_or_only_what_is_meant_for_it_or_no_part() {
 }
 
 #[test]
-fn commands_to_somebody_and_their_answers_are_worth_more_than_telemetry() {
+fn commands_to_one_recipient_and_their_replies_outrank_telemetry() {
     for (message, expected) in [
         (command_to(ROBOT), Priority::Command),
         (command_to(Address::new(0, 0)), Priority::Forwarded),

@@ -70,8 +70,8 @@ fn sent(outputs: &[(i64, Output)]) -> Vec<(i64, Message)> {
         .collect()
 }
 
-fn times_of(outputs: &[(i64, Output)], wanted: impl Fn(&Message) -> bool) -> Vec<i64> {
-    sent(outputs).iter().filter(|(_, message)| wanted(message)).map(|(millis, _)| *millis).collect()
+fn times_of(outputs: &[(i64, Output)], matches: impl Fn(&Message) -> bool) -> Vec<i64> {
+    sent(outputs).iter().filter(|(_, message)| matches(message)).map(|(millis, _)| *millis).collect()
 }
 
 fn is_time_request(message: &Message) -> bool {
@@ -103,8 +103,8 @@ fn heartbeats_come_once_per_period_and_missed_ones_are_not_made_up_for() {
 #[test]
 fn peers_are_seen_lost_and_seen_again() {
     let mut station = Station::new(quiet());
-    let seen = Output::PeerSeen { peer: ROBOT, heartbeat: ROVER };
-    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), std::slice::from_ref(&seen));
+    let peer_seen = Output::PeerSeen { peer: ROBOT, heartbeat: ROVER };
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), std::slice::from_ref(&peer_seen));
     station.run_until(at(2_000));
     // Anything keeps it alive.
     let text = Message::StatusText { severity: 6, text: String::new(), part: TextPart::default() };
@@ -113,7 +113,7 @@ fn peers_are_seen_lost_and_seen_again() {
     let lost: Vec<_> = outputs.iter().filter(|(_, output)| matches!(output, SessionOutput::PeerLost { .. })).collect();
     let expected = Output::PeerLost { peer: ROBOT, silence: TimeDelta::from_millis(3_000) };
     assert_eq!(lost, [&(5_000, expected)]);
-    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), [seen]);
+    assert_eq!(station.receive(ROBOT, &Message::Heartbeat(ROVER)), [peer_seen]);
     assert!(station.receive(ROBOT, &Message::Heartbeat(ROVER)).is_empty());
 }
 
@@ -204,9 +204,9 @@ fn requested_ids(outputs: &[(i64, Output)]) -> Vec<(i64, u32)> {
     sent(outputs)
         .iter()
         .filter_map(|(millis, message)| match message {
-            Message::SetMessageInterval(wanted) => {
-                assert_eq!(wanted.target, ROBOT);
-                Some((*millis, wanted.message_id))
+            Message::SetMessageInterval(request) => {
+                assert_eq!(request.target, ROBOT);
+                Some((*millis, request.message_id))
             }
             _ => None,
         })
@@ -232,18 +232,18 @@ fn intervals_are_requested_one_by_one_as_they_are_acknowledged() {
 }
 
 #[test]
-fn a_deaf_robot_is_asked_five_times() {
+fn a_robot_that_never_acknowledges_is_requested_five_times() {
     let mut station =
         Station::new(SessionConfig { peer_timeout: TimeDelta::from_millis(60_000), ..with_requested_intervals() });
     station.receive(ROBOT, &Message::Heartbeat(ROVER));
-    let asked = requested_ids(&station.run_until(at(30_000)));
+    let requested = requested_ids(&station.run_until(at(30_000)));
     let first = (0..5).map(|attempt| (attempt * 1_000, 42_100));
     let second = (5..10).map(|attempt| (attempt * 1_000, 42_101));
-    assert_eq!(asked, first.chain(second).collect::<Vec<_>>());
+    assert_eq!(requested, first.chain(second).collect::<Vec<_>>());
 }
 
 #[test]
-fn cameras_and_ground_stations_are_not_asked() {
+fn no_requests_are_sent_to_cameras_and_ground_stations() {
     let mut station = Station::new(with_requested_intervals());
     station.receive(CAMERA, &Message::Heartbeat(ONBOARD));
     let ground = Heartbeat { vehicle_type: 6, ..ROVER };
@@ -252,7 +252,7 @@ fn cameras_and_ground_stations_are_not_asked() {
 }
 
 #[test]
-fn a_restarted_robot_is_asked_again() {
+fn requests_are_repeated_after_a_robots_restart() {
     let mut station =
         Station::new(SessionConfig { requested_messages: vec![(42_100, TimeDelta::from_millis(20))], ..quiet() });
     station.receive(ROBOT, &Message::Heartbeat(ROVER));
@@ -264,23 +264,23 @@ fn a_restarted_robot_is_asked_again() {
 }
 
 #[test]
-fn a_brick_accepts_intervals_that_are_meant_for_it_of_messages_that_it_offers() {
+fn a_brick_accepts_its_own_intervals_of_offered_messages() {
     let offered_messages = vec![42_101];
     let mut brick = Station::new(SessionConfig { own: ROBOT, heartbeat: ROVER, offered_messages, ..quiet() });
     let interval = Some(TimeDelta::from_millis(50));
-    let wanted = |target, message_id| Message::SetMessageInterval(SetMessageInterval { target, message_id, interval });
+    let request = |target, message_id| Message::SetMessageInterval(SetMessageInterval { target, message_id, interval });
     let acknowledged = |result| {
         let target = Some(STATION);
         Output::Send(Message::CommandAck(CommandAck { command: SET_MESSAGE_INTERVAL, result, target }))
     };
     let accepted = [acknowledged(0), Output::IntervalRequested { by: STATION, message_id: 42_101, interval }];
     for target in [ROBOT, Address::new(1, 0)] {
-        assert_eq!(brick.receive(STATION, &wanted(target, 42_101)), accepted);
+        assert_eq!(brick.receive(STATION, &request(target, 42_101)), accepted);
     }
     for other in [Address::new(0, 0), CAMERA, Address::new(2, 1)] {
-        assert!(brick.receive(STATION, &wanted(other, 42_101)).is_empty(), "{other}");
+        assert!(brick.receive(STATION, &request(other, 42_101)).is_empty(), "{other}");
     }
-    assert_eq!(brick.receive(STATION, &wanted(ROBOT, 42_100)), [acknowledged(3)], "not offered");
+    assert_eq!(brick.receive(STATION, &request(ROBOT, 42_100)), [acknowledged(3)], "not offered");
 }
 
 #[test]
@@ -302,7 +302,7 @@ fn other_commands_reach_us_only_when_meant_for_us_alone() {
 #[test]
 fn a_command_with_integer_coordinates_is_the_same_command() {
     let mut station = Station::new(SessionConfig { offered_messages: vec![331], ..quiet() });
-    let whole = |command, frame, params| {
+    let command = |command, frame, params| {
         Message::CommandInt(CommandInt { target: STATION, frame, command, params, x: 15_000, y: -20_000, z: 0.5 })
     };
     let commanded = |p5, p6| Output::CommandReceived {
@@ -312,12 +312,12 @@ fn a_command_with_integer_coordinates_is_the_same_command() {
     let params = [1.0, 2.0, 3.0, 4.0];
     // Local coordinates are 1e-4 m, global ones 1e-7 degrees; a mission's are what they are.
     for (frame, p5, p6) in [(1, 1.5, -2.0), (20, 1.5, -2.0), (6, 0.0015, -0.002), (2, 15_000.0, -20_000.0)] {
-        let heard = station.receive(GCS, &whole(65_000, frame, params));
-        assert_eq!(heard, [commanded(p5, p6)], "frame {frame}");
+        let outputs = station.receive(GCS, &command(65_000, frame, params));
+        assert_eq!(outputs, [commanded(p5, p6)], "frame {frame}");
     }
-    let heard = station.receive(GCS, &whole(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
+    let outputs = station.receive(GCS, &command(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
     let requested = Output::IntervalRequested { by: GCS, message_id: 331, interval: Some(TimeDelta::from_millis(200)) };
-    assert_eq!(heard[1..], [requested]);
+    assert_eq!(outputs[1..], [requested]);
 }
 
 #[test]
@@ -339,7 +339,7 @@ fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
 
 #[test]
 fn two_sessions_measure_each_other() {
-    // A brick whose clock is 2 s behind, on a link that takes 5 ms each way.
+    // A brick whose clock is 2 s behind, on a link that takes 5 ms in each direction.
     let offset = TimeDelta::from_millis(-2_000);
     let mut station = Session::<HostClock>::new(
         SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() },
@@ -366,14 +366,14 @@ fn two_sessions_measure_each_other() {
 }
 
 #[test]
-fn where_nothing_is_due_a_tick_does_nothing_and_where_something_is_it_is_known() {
+fn is_due_is_true_exactly_when_a_tick_does_something() {
     let config = SessionConfig {
         timesync_period: Some(TimeDelta::from_millis(700)),
         requested_messages: vec![(30, TimeDelta::from_millis(50)), (31, TimeDelta::from_millis(50))],
         ..quiet()
     };
-    // One that is asked before each tick, and one that is ticked whatever it is asked.
-    let [mut asked, mut ticked] = [config.clone(), config].map(|config| {
+    // One is ticked only when it is due, the other at every step.
+    let [mut checked, mut ticked] = [config.clone(), config].map(|config| {
         let mut session = Session::<HostClock>::new(config, at(0));
         session.offer_parameters([("A".to_owned(), 1.0), ("B".to_owned(), 2.0)].into_iter());
         session
@@ -381,37 +381,37 @@ fn where_nothing_is_due_a_tick_does_nothing_and_where_something_is_it_is_known()
     let (mut due, mut idle) = (0, 0);
     for step in 0..4_000_i64 {
         let now = at(step * 7 + step % 3);
-        let heard = match step % 400 {
+        let received = match step % 400 {
             0..200 if step % 10 == 0 => Some((ROBOT, Message::Heartbeat(ROVER))),
             250 => Some((CAMERA, Message::ParamRequestList { target: STATION })),
             _ => None,
         };
-        if let Some((from, message)) = heard {
-            asked.handle(now, from, &message);
+        if let Some((from, message)) = received {
+            checked.handle(now, from, &message);
             ticked.handle(now, from, &message);
         }
         if step == 1_000 {
-            asked.peer_restarted(now, ROBOT);
+            checked.peer_restarted(now, ROBOT);
             ticked.peer_restarted(now, ROBOT);
         }
-        assert_eq!(asked.deadline(), ticked.deadline(), "step {step}");
-        let is_due = asked.deadline().is_some_and(|deadline| deadline <= now);
-        assert_eq!(asked.is_due(now), is_due, "step {step}");
+        assert_eq!(checked.deadline(), ticked.deadline(), "step {step}");
+        let is_due = checked.deadline().is_some_and(|deadline| deadline <= now);
+        assert_eq!(checked.is_due(now), is_due, "step {step}");
         if is_due {
-            asked.tick(now);
+            checked.tick(now);
             due += 1;
         } else {
             idle += 1;
         }
         ticked.tick(now);
-        let said = std::iter::from_fn(|| asked.poll());
+        let outputs = std::iter::from_fn(|| checked.poll());
         let expected = std::iter::from_fn(|| ticked.poll());
-        assert!(said.eq(expected), "step {step}");
+        assert!(outputs.eq(expected), "step {step}");
     }
     assert!(due > 50 && idle > 1_000, "{due} {idle}");
 }
 
-/// A participant of three parameters that says nothing else.
+/// A participant of three parameters that sends nothing else.
 fn owner() -> Session<HostClock> {
     let mut session =
         Session::new(SessionConfig { heartbeat_period: TimeDelta::from_millis(100_000_000), ..quiet() }, at(0));
@@ -425,20 +425,20 @@ const LIST: Message = Message::ParamRequestList { target: STATION };
 
 /// Milliseconds and index of each value that is sent until an instant.
 fn values_sent_until(session: &mut Session<HostClock>, end_ms: i64) -> Vec<(i64, u16)> {
-    let mut told = Vec::new();
+    let mut sent_values = Vec::new();
     while let Some(due) = session.deadline().filter(|due| *due <= at(end_ms)) {
         session.tick(due);
         while let Some(output) = session.poll() {
             if let SessionOutput::Send(Message::ParamValue { index, .. }) = output {
-                told.push((due.as_micros() / 1_000, index));
+                sent_values.push((due.as_micros() / 1_000, index));
             }
         }
     }
-    told
+    sent_values
 }
 
 #[test]
-fn who_asks_while_a_list_goes_out_gets_it_whole_and_nobody_makes_it_faster() {
+fn a_request_during_a_running_list_completes_it_without_speeding_it_up() {
     let mut session = owner();
     session.handle(at(0), GCS, &LIST);
     assert_eq!(values_sent_until(&mut session, 25), [(0, 0), (20, 1)]);
@@ -460,14 +460,14 @@ fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
 }
 
 #[test]
-fn what_stands_is_told_only_where_somebody_has_asked_and_by_its_own_name() {
+fn a_changed_parameter_is_announced_only_after_a_request() {
     let mut session = owner();
     assert_eq!(session.report_parameter(2, 7.0), None);
     let set = Message::ParamSet { target: STATION, name: "Tau_s".to_owned(), value: 2.5 };
     session.handle(at(0), GCS, &set);
     assert_eq!(session.poll(), Some(SessionOutput::ParameterSetRequested { by: GCS, index: 2, value: 2.5 }));
-    let told = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
-    assert_eq!(session.report_parameter(2, 8.0), Some(told));
+    let announced = Message::ParamValue { name: "TAU_S".to_owned(), value: 8.0, count: 3, index: 2 };
+    assert_eq!(session.report_parameter(2, 8.0), Some(announced));
     assert_eq!(session.report_parameter(3, 8.0), None);
 }
 

@@ -1,6 +1,6 @@
-//! Signatures of a foreign implementation hold, ours are the same bytes, and nothing else is believed.
+//! Signatures of a foreign implementation hold, ours are the same bytes, and nothing else is accepted.
 //!
-//! The frames come from pymavlink (tests/data/README.md). That no changed frame is believed, bit by bit, the fuzz target `signing` shows.
+//! The frames come from pymavlink (tests/data/README.md). That no changed frame is accepted, bit by bit, the fuzz target `signing` shows.
 
 use std::collections::BTreeSet;
 
@@ -76,7 +76,7 @@ fn signed(from: Address, link_id: u8, timestamp: u64) -> Vec<u8> {
 #[test]
 fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
     let (keys, cases) = golden();
-    let mut seen = 0;
+    let mut checked = 0;
     for case in &cases {
         let Some(key) = case.key.map(|index| &keys[index]) else {
             continue;
@@ -104,9 +104,9 @@ fn foreign_signatures_hold_and_ours_are_the_same_bytes() {
             encoder.encode_signed(from, &message, &seal, &mut bytes);
         }
         assert_eq!(bytes, case.frame, "{}", case.name);
-        seen += 1;
+        checked += 1;
     }
-    assert_eq!(seen, 5);
+    assert_eq!(checked, 5);
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn a_peer_that_is_ahead_sets_our_time_forward() {
 }
 
 #[test]
-fn the_number_of_streams_is_bounded_and_what_made_room_cannot_come_again() {
+fn the_number_of_streams_is_bounded_and_evicted_frames_are_rejected() {
     let mut link = link(NOW);
     let sender = |k: u64| Address::new((k / 200) as u8, (k % 200) as u8);
     for k in 0..1_025 {
@@ -231,7 +231,7 @@ enum SigningEvent {
     Wait(i64),
     /// A sender sends a new frame, and it arrives.
     Send(u8),
-    /// A frame of old arrives once more.
+    /// An earlier frame arrives once more.
     Replay(prop::sample::Index),
     /// The memory is written down.
     Write,
@@ -249,26 +249,26 @@ fn event() -> impl Strategy<Value = SigningEvent> {
     ]
 }
 
-/// A station that writes its memory down when the house rules say so: each second, and when a stream is new.
+/// A station that writes its memory down as the program does: each second, and when a stream is new.
 struct Station {
     link: LinkSigner,
     started_ms: i64,
     written: SigningState,
     written_ms: i64,
-    met: u64,
+    written_streams: u64,
 }
 
 impl Station {
     fn start(memory: SigningState, now_ms: i64) -> Self {
         let written = memory.clone();
         let memory = SigningConfig { state: memory, ..config(&key(), NOW) };
-        Self { link: LinkSigner::new(memory), started_ms: now_ms, written, written_ms: now_ms, met: 0 }
+        Self { link: LinkSigner::new(memory), started_ms: now_ms, written, written_ms: now_ms, written_streams: 0 }
     }
 
     fn receive(&mut self, now_ms: i64, frame: &[u8]) -> Result<(), SignatureError> {
         let now = Timestamp::from_millis(now_ms - self.started_ms);
         let verdict = verify(&mut self.link, now, frame);
-        if self.link.streams_seen() > self.met || now_ms - self.written_ms >= 1_000 {
+        if self.link.streams_seen() > self.written_streams || now_ms - self.written_ms >= 1_000 {
             self.write(now_ms);
         }
         verdict
@@ -277,7 +277,7 @@ impl Station {
     fn write(&mut self, now_ms: i64) {
         self.written = self.link.state(Timestamp::from_millis(now_ms - self.started_ms));
         self.written_ms = now_ms;
-        self.met = self.link.streams_seen();
+        self.written_streams = self.link.streams_seen();
     }
 
     fn restart(self, now_ms: i64) -> Self {
@@ -305,7 +305,7 @@ proptest! {
             match event {
                 SigningEvent::Wait(millis) => {
                     now_ms += millis;
-                    // The shell writes each second whether anything is heard or not.
+                    // The shell writes each second whether anything is received or not.
                     if now_ms - station.written_ms >= 1_000 {
                         station.write(now_ms);
                     }

@@ -31,7 +31,7 @@ fn pairs(keys: &[(&str, &str)], separator: Separator, key_separator: Separator) 
     }
 }
 
-/// A codec that has heard a line end: the next line is whole.
+/// A codec after a line end: the next line is complete.
 fn codec(settings: TextLineSettings) -> Box<dyn BrickCodec> {
     settings.validate().expect("the layout can be");
     let mut codec = crate::support::codec("line", &CodecSettings { line: settings, ..CodecSettings::default() });
@@ -40,8 +40,8 @@ fn codec(settings: TextLineSettings) -> Box<dyn BrickCodec> {
     codec
 }
 
-/// What was heard, in short: no heartbeats, stamps by their number.
-fn short(heard: CodecEvent<'_>) -> Option<String> {
+/// An event in short: no heartbeats, stamps by their number.
+fn short(event: CodecEvent<'_>) -> Option<String> {
     let stamp = |stamp: WireStamp| match stamp {
         WireStamp::Millis32(millis) => format!("{millis} ms"),
         WireStamp::Micros32(micros) => format!("{micros} us"),
@@ -50,7 +50,7 @@ fn short(heard: CodecEvent<'_>) -> Option<String> {
         }
         WireStamp::Micros64(micros) => panic!("{micros}"),
     };
-    Some(match heard {
+    Some(match event {
         CodecEvent::Message { from, message } => {
             assert_eq!(from, DEFAULT_BRICK_ADDRESS);
             match message {
@@ -82,12 +82,12 @@ fn short(heard: CodecEvent<'_>) -> Option<String> {
 }
 
 fn push(codec: &mut dyn BrickCodec, now: Timestamp<HostClock>, bytes: &[u8]) -> Vec<String> {
-    let mut heard = Vec::new();
-    codec.push(now, bytes, &mut |found| heard.extend(short(found)));
-    heard
+    let mut events = Vec::new();
+    codec.push(now, bytes, &mut |found| events.extend(short(found)));
+    events
 }
 
-/// What a codec hears of some bytes that come at once.
+/// The events of a codec for bytes that come at once.
 fn decode(settings: TextLineSettings, bytes: &str) -> Vec<String> {
     push(&mut *codec(settings), Timestamp::from_millis(1_000), bytes.as_bytes())
 }
@@ -96,7 +96,7 @@ fn decode(settings: TextLineSettings, bytes: &str) -> Vec<String> {
 fn every_layout_is_read_in_si_units() {
     let robot = [("t", "time_ms"), ("l", "left_ticks"), ("r", "right_ticks"), ("g", "gyro_rad_per_s")];
     let wheels = [("L", "left_ticks"), ("R", "right_ticks")];
-    for (keys, separator, key_separator, line, heard) in [
+    for (keys, separator, key_separator, line, expected) in [
         (
             &robot[..],
             Separator::Pipe,
@@ -114,7 +114,7 @@ fn every_layout_is_read_in_si_units() {
         (&wheels, Separator::Blank, Separator::Blank, "L 1  R\t-2\r", ["time", "960000..1000000 us: wheels 1 -2"]),
         (&wheels, Separator::Blank, Separator::Colon, "L:1 R:2\n", ["time", "960000..1000000 us: wheels 1 2"]),
     ] {
-        assert_eq!(decode(pairs(keys, separator, key_separator), line), heard);
+        assert_eq!(decode(pairs(keys, separator, key_separator), line), expected);
     }
     let csv = columns(&[
         "time_us",
@@ -137,11 +137,11 @@ fn every_layout_is_read_in_si_units() {
 }
 
 #[test]
-fn a_distance_is_metres_and_none_where_nothing_is_in_sight() {
+fn a_distance_is_in_metres_and_absent_without_a_target() {
     let wheels_and_distance = columns(&["time_us", "left_ticks", "right_ticks", "distance_cm"]);
     assert_eq!(decode(wheels_and_distance, "5,7,8,0\n"), ["5 us: wheels 7 8"]);
-    for (name, said, range) in [("distance_mm", "1250", "1.2500"), ("distance_m", "1.25", "1.2500")] {
-        assert_eq!(decode(columns(&["time_ms", name]), &format!("9,{said}\n")), [format!("9 ms: range {range}")]);
+    for (name, value, range) in [("distance_mm", "1250", "1.2500"), ("distance_m", "1.25", "1.2500")] {
+        assert_eq!(decode(columns(&["time_ms", name]), &format!("9,{value}\n")), [format!("9 ms: range {range}")]);
     }
 }
 
@@ -163,7 +163,7 @@ fn the_checksum_is_that_of_nmea() {
 }
 
 #[test]
-fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_told_once() {
+fn the_first_bad_line_is_quoted_with_the_expected_format_and_unknown_names_are_reported_once() {
     let mut board = codec(columns(&["time_ms", "left_ticks", "right_ticks"]));
     let first = push(&mut *board, at(50), b"hello \x1b[31m world, this is my robot\n");
     assert_eq!(first[0], "UnframedBytes { bytes: 35 }");
@@ -183,19 +183,19 @@ fn the_first_bad_line_is_quoted_with_what_was_expected_and_unknown_names_are_tol
         ("1,2,", "`right_ticks` is no number"),
     ] {
         let mut board = codec(columns(&["time_ms", "left_ticks", "right_ticks"]));
-        let told = push(&mut *board, at(50), format!("{line}\n").as_bytes());
-        assert!(told[1].contains(why), "{line}: {told:?}");
+        let items = push(&mut *board, at(50), format!("{line}\n").as_bytes());
+        assert!(items[1].contains(why), "{line}: {items:?}");
     }
     let keys = [("l", "left_ticks"), ("r", "right_ticks")];
     let settings = pairs(&keys, Separator::Pipe, Separator::Colon);
     let mut board = codec(settings.clone());
-    let told = push(&mut *board, at(50), b"l:1|r:2|v:3\nl:1|r:2|v:3\n");
-    let notes: Vec<_> = told.iter().filter(|item| item.starts_with("note")).collect();
+    let items = push(&mut *board, at(50), b"l:1|r:2|v:3\nl:1|r:2|v:3\n");
+    let notes: Vec<_> = items.iter().filter(|item| item.starts_with("note")).collect();
     assert_eq!(notes, ["note: the board's `v` is not used"]);
     for (line, why) in [("l:1|l:2|r:3", "`left_ticks` twice"), ("l:1", "no `right_ticks`")] {
-        let told = decode(settings.clone(), &format!("{line}\n"));
-        assert!(told[1].contains(why), "{line}: {told:?}");
-        assert!(told[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"), "{told:?}");
+        let items = decode(settings.clone(), &format!("{line}\n"));
+        assert!(items[1].contains(why), "{line}: {items:?}");
+        assert!(items[1].ends_with("expected `l:<left_ticks>|r:<right_ticks>`"), "{items:?}");
     }
     let long = decode(columns(&["left_ticks", "right_ticks"]), &format!("{}\n", "9".repeat(300)));
     assert_eq!(long[0], "UnframedBytes { bytes: 300 }");
@@ -225,23 +225,23 @@ fn wheels(bytes: &[u8], checksum: ChecksumPolicy) -> Vec<String> {
     let mut wheels = Vec::new();
     for line in bytes.split_inclusive(|byte| *byte == b'\n') {
         now = now + TimeDelta::from_millis(50);
-        let told = push(&mut *board, now, line);
-        wheels.extend(told.into_iter().filter(|item| item.contains("wheels")));
+        let items = push(&mut *board, now, line);
+        wheels.extend(items.into_iter().filter(|item| item.contains("wheels")));
     }
     wheels
 }
 
 #[test]
-fn chunking_does_not_change_what_is_heard() {
+fn chunking_does_not_change_the_events() {
     let bytes =
         [&transcript(ChecksumPolicy::Optional)[..], b"noise\r\r\n", &transcript(ChecksumPolicy::Required)].concat();
     let bytes = &bytes[..bytes.len() - 1];
-    let whole = push(&mut *codec(TextLineSettings::default()), Timestamp::ZERO, bytes);
+    let expected = push(&mut *codec(TextLineSettings::default()), Timestamp::ZERO, bytes);
     for chunk in 1..=bytes.len() {
         let mut board = codec(TextLineSettings::default());
         let parts = bytes.chunks(chunk);
-        let heard: Vec<_> = parts.flat_map(|part| push(&mut *board, Timestamp::ZERO, part)).collect();
-        assert_eq!(heard, whole, "chunk size {chunk}");
+        let items: Vec<_> = parts.flat_map(|part| push(&mut *board, Timestamp::ZERO, part)).collect();
+        assert_eq!(items, expected, "chunk size {chunk}");
         assert!(board.deadline().is_some());
     }
 }
@@ -270,15 +270,15 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_one_line_and_a_line_end_two() {
                 damaged.push(flipped);
             }
             for (case, damaged) in damaged.iter().enumerate() {
-                let heard = wheels(damaged, checksum);
-                let missing = sound.iter().filter(|item| !heard.contains(item)).count();
-                let wrong = heard.iter().filter(|item| !sound.contains(item)).count();
+                let items = wheels(damaged, checksum);
+                let missing = sound.iter().filter(|item| !items.contains(item)).count();
+                let wrong = items.iter().filter(|item| !sound.contains(item)).count();
                 let name = format!("{checksum:?}, byte {at}, case {case}");
                 let most = if bytes[at] == b'\n' { 2 } else { 1 };
                 assert!(missing <= most, "{name}: {missing} missing");
-                // Without a checksum a damaged digit is believed, in its own line.
+                // Without a checksum a damaged digit is accepted, in its own line.
                 let most_wrong = usize::from(checksum == ChecksumPolicy::Optional);
-                assert!(wrong <= most_wrong, "{name}: {heard:?}");
+                assert!(wrong <= most_wrong, "{name}: {items:?}");
                 cases += 1;
             }
         }
@@ -291,62 +291,62 @@ fn a_time_with_a_lost_digit_is_no_restart() {
     let bytes = transcript(ChecksumPolicy::Optional);
     let text = String::from_utf8(bytes).unwrap();
     let damaged = text.replacen("10500,", "1500,", 1);
-    let heard = wheels(damaged.as_bytes(), ChecksumPolicy::Optional);
-    assert_eq!(heard.len(), 39);
-    assert!(!heard.iter().any(|item| item.starts_with("1500 ms")), "{heard:?}");
+    let items = wheels(damaged.as_bytes(), ChecksumPolicy::Optional);
+    assert_eq!(items.len(), 39);
+    assert!(!items.iter().any(|item| item.starts_with("1500 ms")), "{items:?}");
 }
 
 #[test]
-fn a_line_that_stops_is_given_up_and_its_end_is_not_taken_for_a_line() {
+fn an_incomplete_line_is_dropped_and_its_end_is_not_taken_for_a_line() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     push(&mut *board, at(100), b"12,3");
     let due = board.deadline().unwrap();
-    let mut told = Vec::new();
-    board.tick(due, &mut |found| told.extend(short(found)));
-    assert_eq!(told, ["Timeout { bytes: 4 }"]);
+    let mut items = Vec::new();
+    board.tick(due, &mut |found| items.extend(short(found)));
+    assert_eq!(items, ["Timeout { bytes: 4 }"]);
     assert_eq!(board.deadline(), None);
     assert_eq!(board.counters().stalls, 1);
-    let heard = push(&mut *board, at(2_000), b"44,100\n13,350\n");
-    assert_eq!(heard[0], "UnframedBytes { bytes: 6 }");
-    assert_eq!(heard[2], "1960000..2000000 us: wheels 13 350", "{heard:?}");
+    let items = push(&mut *board, at(2_000), b"44,100\n13,350\n");
+    assert_eq!(items[0], "UnframedBytes { bytes: 6 }");
+    assert_eq!(items[2], "1960000..2000000 us: wheels 13 350", "{items:?}");
 }
 
 #[test]
 fn counts_that_fall_to_zero_are_no_motion() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let lines = b"500,400\n510,410\n520,420\n0,0\n5,6\n";
-    let heard = push(&mut *board, Timestamp::ZERO, lines);
-    let wheels: Vec<_> = heard.iter().filter_map(|item| item.split_once("wheels ")).map(|(_, counts)| counts).collect();
+    let items = push(&mut *board, Timestamp::ZERO, lines);
+    let wheels: Vec<_> = items.iter().filter_map(|item| item.split_once("wheels ")).map(|(_, counts)| counts).collect();
     assert_eq!(wheels, ["500 400", "510 410", "520 420", "520 420", "525 426"]);
     // One wheel alone far from zero, left or right.
     for (lines, expected) in [("500,4\n510,5\n520,6\n0,0\n", "520 6"), ("4,500\n5,510\n6,520\n0,0\n", "6 520")] {
-        let heard = push(&mut *codec(columns(&["left_ticks", "right_ticks"])), Timestamp::ZERO, lines.as_bytes());
-        assert!(heard.iter().rfind(|item| item.contains("wheels ")).unwrap().ends_with(expected), "{heard:?}");
+        let items = push(&mut *codec(columns(&["left_ticks", "right_ticks"])), Timestamp::ZERO, lines.as_bytes());
+        assert!(items.iter().rfind(|item| item.contains("wheels ")).unwrap().ends_with(expected), "{items:?}");
     }
     // Slowly back through zero.
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
-    let heard = push(&mut *board, Timestamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
-    let last = heard.last().unwrap();
+    let items = push(&mut *board, Timestamp::ZERO, b"20,20\n10,10\n0,0\n-10,-10\n");
+    let last = items.last().unwrap();
     assert!(last.ends_with("wheels -10 -10"), "{last}");
 }
 
 #[test]
-fn counts_that_fall_for_ever_from_far_away_are_told_at_each_doubling() {
+fn counts_that_keep_falling_are_reported_at_each_doubling() {
     let mut board = codec(columns(&["left_ticks", "right_ticks"]));
     let far = 1_i64 << 53;
     let mut notes = 0;
     // So many falls would carry the totals around more than once.
     for _ in 0..3_000 {
         let lines = format!("{far},{far}\n{far},{far}\n0,0\n");
-        board.push(Timestamp::ZERO, lines.as_bytes(), &mut |heard| {
-            notes += usize::from(matches!(heard, CodecEvent::StatusText { .. }));
+        board.push(Timestamp::ZERO, lines.as_bytes(), &mut |event| {
+            notes += usize::from(matches!(event, CodecEvent::StatusText { .. }));
         });
     }
     assert_eq!(notes, 12);
 }
 
 #[test]
-fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() {
+fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_configured() {
     let settings =
         TextLineSettings { estimate_interval: Some(TimeDelta::from_millis(100)), ..TextLineSettings::default() };
     let mut board = codec(settings);
@@ -376,15 +376,15 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_asked_for() 
     assert_eq!(heartbeats, 5);
     assert_eq!(estimates.len(), 50);
     // 45 2c 31 .. 33: the exclusive or of the 31 characters is 46, by hand.
-    let said = String::from_utf8(estimates[0].clone()).unwrap();
-    assert_eq!(said, format!("E,12345,1234,-46,-1500,4,3*{:02X}\n", by_hand("E,12345,1234,-46,-1500,4,3")));
+    let line = String::from_utf8(estimates[0].clone()).unwrap();
+    assert_eq!(line, format!("E,12345,1234,-46,-1500,4,3*{:02X}\n", reference_checksum("E,12345,1234,-46,-1500,4,3")));
     let silent =
         codec(TextLineSettings::default()).encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &pose, &mut Vec::new());
     assert_eq!(silent, 0);
 }
 
 /// NMEA's checksum, bit by bit.
-fn by_hand(text: &str) -> u8 {
+fn reference_checksum(text: &str) -> u8 {
     (0..8).filter(|bit| text.bytes().filter(|byte| byte >> bit & 1 == 1).count() % 2 == 1).map(|bit| 1 << bit).sum()
 }
 
@@ -393,15 +393,15 @@ fn noise_and_every_byte_are_accounted_for() {
     let bytes = noise(11, 20_000);
     let ends = bytes.iter().filter(|byte| matches!(byte, b'\n' | b'\r')).count();
     let mut board = codec(TextLineSettings::default());
-    let heard = push(&mut *board, Timestamp::ZERO, &bytes);
-    assert!(!heard.iter().any(|item| item.contains("wheels")), "{heard:?}");
-    let mut told = 0;
+    let items = push(&mut *board, Timestamp::ZERO, &bytes);
+    assert!(!items.iter().any(|item| item.contains("wheels")), "{items:?}");
+    let mut reported_bytes = 0;
     board.tick(Timestamp::from_millis(600), &mut |found| {
         if let CodecEvent::Error(ReceiveError::Timeout { bytes }) = found {
-            told += u64::from(bytes);
+            reported_bytes += u64::from(bytes);
         }
     });
     let counters = board.counters();
     assert_eq!(counters.garbage_bytes - 3, (bytes.len() - ends) as u64);
-    assert!(told > 0);
+    assert!(reported_bytes > 0);
 }

@@ -72,7 +72,7 @@ impl Ev3Double {
         near.as_secs_f64() - f64::from(behind) * 1e-6 / (1.0 + self.skew)
     }
 
-    /// What the brick answers to a whole telegram that it handles at `now`.
+    /// The brick's reply to a complete telegram that it handles at `now`.
     pub(crate) fn answer(&mut self, now: Timestamp<HostClock>, telegram: &[u8]) -> Option<Vec<u8>> {
         let length = usize::from(u16::from_le_bytes([telegram[0], telegram[1]]));
         assert_eq!(telegram.len(), length + 2, "one telegram: {telegram:02x?}");

@@ -36,23 +36,23 @@ pub(crate) fn frames_by_name(json: &str) -> BTreeMap<String, Vec<u8>> {
     cases.into_iter().map(|(name, hex)| (name, from_hex(&hex))).collect()
 }
 
-/// Bytes of hexadecimal digits; whatever else stands between them is left out.
+/// Bytes of hexadecimal digits; anything else between them is left out.
 pub(crate) fn from_hex(hex: &str) -> Vec<u8> {
     let digits: Vec<u8> = hex.chars().filter_map(|digit| digit.to_digit(16)).map(|digit| digit as u8).collect();
     digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
 }
 
-/// What `look` makes of the only verified frame in these bytes, to which all of them belong.
-pub(crate) fn with_frame<T>(bytes: &[u8], look: impl FnOnce(&FrameRef<'_>) -> T) -> T {
+/// What `inspect` makes of the only verified frame in these bytes, to which all of them belong.
+pub(crate) fn with_frame<T>(bytes: &[u8], inspect: impl FnOnce(&FrameRef<'_>) -> T) -> T {
     let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
-    let (mut look, mut seen) = (Some(look), None);
+    let (mut inspect, mut result) = (Some(inspect), None);
     framer.push(Timestamp::ZERO, bytes, &mut |found| {
         if let FramerOutput::Frame(frame) = found {
-            seen = look.take().map(|look| look(&frame));
+            result = inspect.take().map(|inspect| inspect(&frame));
         }
     });
     assert_eq!((framer.counters().frames, framer.counters().garbage_bytes), (1, 0));
-    seen.expect("one verified frame")
+    result.expect("one verified frame")
 }
 
 /// The frame with this sequence number, in MAVLink 2.
@@ -76,7 +76,7 @@ pub(crate) fn fixed_cases(cases: u32) -> Config {
     Config { cases, rng_seed: RngSeed::Fixed(20_260_101), failure_persistence: None, ..Config::default() }
 }
 
-/// What a framer handed out, owned.
+/// A framer's output, owned.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum OwnedFramerOutput {
     Frame(Vec<u8>),

@@ -154,8 +154,8 @@ impl CameraJsonCodec {
         peer.lines += 1;
         let (line, flaw) = match cut {
             SplitItem::Line(line) => {
-                let heard = schema::parse_line(line).and_then(|said| self.apply_message(now, &said, sink));
-                let Err(flaw) = heard else {
+                let applied = schema::parse_line(line).and_then(|message| self.apply_message(now, &message, sink));
+                let Err(flaw) = applied else {
                     return;
                 };
                 (line, flaw)
@@ -329,9 +329,9 @@ impl CameraTable {
         Some((address(index), camera, known.is_none()))
     }
 
-    fn get(&self, wanted: Address) -> Option<&Camera> {
-        let index = usize::from(wanted.component.0.checked_sub(FIRST_COMPONENT)?);
-        self.0.get(index).filter(|_| address(index) == wanted)
+    fn get(&self, camera: Address) -> Option<&Camera> {
+        let index = usize::from(camera.component.0.checked_sub(FIRST_COMPONENT)?);
+        self.0.get(index).filter(|_| address(index) == camera)
     }
 
     fn source_health(&self) -> Vec<SourceHealth> {

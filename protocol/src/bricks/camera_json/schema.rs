@@ -153,17 +153,17 @@ impl LineKeys<'_> {
     }
 
     fn fix(&self) -> Result<CameraFixMessage, FieldError> {
-        let place = self.planar_pose()?;
-        let heading = self.heading_rad()?.map(|_| Heading::from_rad(place.angle));
+        let pose = self.planar_pose()?;
+        let heading = self.heading_rad()?.map(|_| Heading::from_rad(pose.angle));
         Ok(CameraFixMessage {
             exposed_micros: self.exposed_micros()?,
-            x: Meters(place.x),
-            y: Meters(place.y),
+            x: Meters(pose.x),
+            y: Meters(pose.y),
             heading,
             covariance: self.covariance(heading)?,
             quality: self.bounded("quality", 0.0, 100.0)?,
-            reset_counter: self.whole_number("reset_counter", u32::from(u8::MAX))?.unwrap_or(0) as u8,
-            tag: self.whole_number("tag", u32::MAX)?,
+            reset_counter: self.integer("reset_counter", u32::from(u8::MAX))?.unwrap_or(0) as u8,
+            tag: self.integer("tag", u32::MAX)?,
         })
     }
 
@@ -173,11 +173,11 @@ impl LineKeys<'_> {
             let value = self.bounded(key, -MAX_COORDINATE_M, MAX_COORDINATE_M)?;
             value.ok_or_else(|| FieldError::for_key(key, "is missing"))
         };
-        let told =
+        let pose =
             PlanarPoint { x: coordinate("x_m")?, y: coordinate("y_m")?, angle: self.heading_rad()?.unwrap_or(0.0) };
         match self.0.get("space").map(Value::as_str) {
-            None | Some(Some("arena")) => Ok(told),
-            Some(Some("ned")) => Ok(turn_ned(told)),
+            None | Some(Some("arena")) => Ok(pose),
+            Some(Some("ned")) => Ok(turn_ned(pose)),
             Some(_) => Err(FieldError::for_key("space", "must be \"arena\" or \"ned\"")),
         }
     }
@@ -210,14 +210,14 @@ impl LineKeys<'_> {
     }
 
     fn exposed_micros(&self) -> Result<Option<u64>, FieldError> {
-        let told_s = self.time_s("exposed_s", "exposed_us")?;
-        Ok(told_s.map(|told| told.micros))
+        let exposed = self.time_s("exposed_s", "exposed_us")?;
+        Ok(exposed.map(|instant| instant.micros))
     }
 
     fn time_nanos(&self) -> Result<i64, FieldError> {
-        let told = self.time_s("time_s", "time_us")?;
-        let told = told.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
-        Ok(told.nanos)
+        let instant = self.time_s("time_s", "time_us")?;
+        let instant = instant.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
+        Ok(instant.nanos)
     }
 
     /// An instant, in seconds under one key or in microseconds under the other.
@@ -226,11 +226,12 @@ impl LineKeys<'_> {
         let in_micros = self.bounded(micros, 0.0, MAX_TIME_S * 1e6)?;
         match (in_seconds, in_micros) {
             (Some(_), Some(_)) => Err(FieldError::for_key(micros, "says the same as the one in seconds")),
-            (Some(told_s), None) => {
-                Ok(Some(CameraInstant { micros: (told_s * 1e6).round() as u64, nanos: (told_s * 1e9).round() as i64 }))
-            }
-            (None, Some(told_us)) => {
-                Ok(Some(CameraInstant { micros: told_us.round() as u64, nanos: (told_us * 1e3).round() as i64 }))
+            (Some(exposed), None) => Ok(Some(CameraInstant {
+                micros: (exposed * 1e6).round() as u64,
+                nanos: (exposed * 1e9).round() as i64,
+            })),
+            (None, Some(micros)) => {
+                Ok(Some(CameraInstant { micros: micros.round() as u64, nanos: (micros * 1e3).round() as i64 }))
             }
             (None, None) => Ok(None),
         }
@@ -266,7 +267,7 @@ impl LineKeys<'_> {
         Err(FieldError::for_key(key, &range))
     }
 
-    fn whole_number(&self, key: &'static str, most: u32) -> Result<Option<u32>, FieldError> {
+    fn integer(&self, key: &'static str, most: u32) -> Result<Option<u32>, FieldError> {
         match self.bounded(key, 0.0, f64::from(most))? {
             Some(number) if number.fract() != 0.0 => Err(FieldError::for_key(key, "must be a whole number")),
             number => Ok(number.map(|number| number as u32)),
@@ -338,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fix_is_told_in_the_arena_or_north_east_down() {
+    fn a_fix_is_in_the_arena_or_north_east_down() {
         let turned = fix("{\"x_m\": 3, \"y_m\": 4, \"heading_deg\": 30, \"space\": \"ned\"}");
         assert_eq!((turned.x, turned.y), (Meters(4.0), Meters(3.0)));
         assert!((turned.heading.unwrap().rad().to_degrees() - 60.0).abs() < 1e-9);
@@ -380,14 +381,14 @@ mod tests {
 "#;
 
     #[test]
-    fn what_is_wrong_is_told_with_its_key() {
+    fn an_error_names_its_key() {
         for row in WRONG.trim().lines() {
-            let [line, key, said] = row.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
+            let [line, key, expected] = row.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
                 panic!("{row}");
             };
             let flaw = parse_line(line.as_bytes()).unwrap_err();
             assert_eq!(flaw.key.unwrap_or("-"), key, "{line}: {flaw:?}");
-            assert!(flaw.text.contains(said), "{line}: {flaw:?}");
+            assert!(flaw.text.contains(expected), "{line}: {flaw:?}");
         }
     }
 }

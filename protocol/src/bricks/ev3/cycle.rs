@@ -44,14 +44,14 @@ pub(super) fn encode_request(settings: &Ev3Settings, sensors: &SensorBank) -> (D
 }
 
 pub(super) fn decode_reply(answer: &[u8], included: CycleSensors) -> Option<CycleValues> {
-    let mut words = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
-    let micros = u32::from_le_bytes(words.next()?);
-    let counts = [i32::from_le_bytes(words.next()?), i32::from_le_bytes(words.next()?)];
+    let mut values = answer.as_chunks::<VALUE_BYTES>().0.iter().copied();
+    let micros = u32::from_le_bytes(values.next()?);
+    let counts = [i32::from_le_bytes(values.next()?), i32::from_le_bytes(values.next()?)];
     let mut sensors = [[f64::NAN; 2]; MAX_SENSORS];
     for (slots, role) in sensors.iter_mut().zip(included.0) {
         let count = role.map_or(0, SensorRole::value_count);
         for slot in slots.iter_mut().take(usize::from(count)) {
-            *slot = f64::from(f32::from_le_bytes(words.next()?));
+            *slot = f64::from(f32::from_le_bytes(values.next()?));
         }
     }
     Some(CycleValues { micros, counts, sensors })

@@ -154,9 +154,9 @@ impl BrickCodec for Ev3Codec {
         if self.is_awaiting_quiet() && self.last_byte + QUIET_TIME <= now {
             self.abandon_damaged(now, sink);
         }
-        while let Some(question) = self.requests.expired(now) {
+        while let Some(request) = self.requests.expired(now) {
             self.record_timeout(sink);
-            if let Ev3Request::SetUp(index) = question
+            if let Ev3Request::SetUp(index) = request
                 && let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::TimedOut)
             {
                 emit_status_text(sink, WARNING, text);
@@ -187,8 +187,8 @@ impl BrickCodec for Ev3Codec {
     }
 
     fn source_health(&self) -> Vec<SourceHealth> {
-        let heard = SourceHealth { source: DEFAULT_BRICK_ADDRESS, frames: self.counts.frames, lost: self.lost };
-        (self.counts.frames + self.lost > 0).then_some(heard).into_iter().collect()
+        let health = SourceHealth { source: DEFAULT_BRICK_ADDRESS, frames: self.counts.frames, lost: self.lost };
+        (self.counts.frames + self.lost > 0).then_some(health).into_iter().collect()
     }
 }
 
@@ -238,15 +238,15 @@ impl Ev3Codec {
         self.send(now, Ev3Request::Cycle(included), &command, TimeDelta::from_millis(patience_ms));
     }
 
-    fn send(&mut self, now: Timestamp<HostClock>, question: Ev3Request, command: &DirectCommand, patience: TimeDelta) {
+    fn send(&mut self, now: Timestamp<HostClock>, request: Ev3Request, command: &DirectCommand, patience: TimeDelta) {
         let telegram = command.telegram(self.requests.next_counter());
         self.outbox.push_back(telegram);
-        self.requests.record_sent(question, command.reply_bytes(), now, patience);
+        self.requests.record_sent(request, command.reply_bytes(), now, patience);
     }
 
     fn cycle_period(&self) -> TimeDelta {
-        let wanted = TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz);
-        wanted.clamp(MIN_CYCLE, MAX_CYCLE)
+        let period = TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz);
+        period.clamp(MIN_CYCLE, MAX_CYCLE)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Telegrams out of a stream that has neither start byte nor checksum, and the requests that they answer.
 //!
-//! Only a reply to a pending request is accepted: its length, counter and type must be those that the request asked for. Anything
+//! Only a reply to a pending request is accepted: its length, counter and type must be those that the request expects. Anything
 //! else costs one byte, and the search goes on behind it. So a lost or damaged byte costs the reply that it hits and none after it. A
 //! telegram that stops in its middle holds back what follows; [`ReplyFramer::skip_byte`] ends that.
 //!
@@ -144,12 +144,12 @@ fn may_be_mailbox(command: &[u8], length: usize) -> bool {
         return true;
     };
     let name_bytes = usize::from(*name_bytes);
-    // Command, two lengths and the name stand before the payload.
+    // Command, two lengths and the name precede the payload.
     let Some(payload_bytes) = length.checked_sub(HEAD_BYTES + 4 + name_bytes) else {
         return false;
     };
-    let said = rest.get(name_bytes..).and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
-    said.is_none_or(|said| usize::from(u16::from_le_bytes(*said)) == payload_bytes)
+    let length = rest.get(name_bytes..).and_then(|behind| behind.first_chunk::<LENGTH_BYTES>());
+    length.is_none_or(|length| usize::from(u16::from_le_bytes(*length)) == payload_bytes)
 }
 
 /// Most abandoned requests whose late replies are still recognized. Ten seconds of silence, with the growing time-out,
@@ -199,14 +199,14 @@ impl OutstandingRequests {
 
     pub(super) fn record_sent(
         &mut self,
-        question: Ev3Request,
+        request: Ev3Request,
         values: usize,
         now: Timestamp<HostClock>,
         patience: TimeDelta,
     ) {
         self.last_counter = self.next_counter();
         self.waiting.push_back(OutstandingRequest {
-            request: question,
+            request,
             counter: self.last_counter,
             values,
             sent: now,
@@ -226,34 +226,34 @@ impl OutstandingRequests {
     /// Number of value bytes in the reply to a request; `None` if there was no such request.
     pub(super) fn values_of(&self, counter: u16) -> Option<usize> {
         let all = self.waiting.iter().chain(&self.abandoned);
-        let asked = all.into_iter().find(|asked| asked.counter == counter);
-        asked.map(|asked| asked.values)
+        let request = all.into_iter().find(|request| request.counter == counter);
+        request.map(|request| request.values)
     }
 
     pub(super) fn match_reply(&mut self, counter: u16) -> Option<(OutstandingRequest, ReplyTiming)> {
-        let take = |asked: &mut VecDeque<OutstandingRequest>| {
-            let index = asked.iter().position(|asked| asked.counter == counter)?;
-            asked.remove(index)
+        let take = |queue: &mut VecDeque<OutstandingRequest>| {
+            let index = queue.iter().position(|request| request.counter == counter)?;
+            queue.remove(index)
         };
-        if let Some(asked) = take(&mut self.waiting) {
-            return Some((asked, ReplyTiming::OnTime));
+        if let Some(request) = take(&mut self.waiting) {
+            return Some((request, ReplyTiming::OnTime));
         }
-        take(&mut self.abandoned).map(|asked| (asked, ReplyTiming::Late))
+        take(&mut self.abandoned).map(|request| (request, ReplyTiming::Late))
     }
 
     pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.waiting.iter().map(|asked| asked.due).min()
+        self.waiting.iter().map(|request| request.due).min()
     }
 
     pub(super) fn expired(&mut self, now: Timestamp<HostClock>) -> Option<Ev3Request> {
-        let index = self.waiting.iter().position(|asked| asked.due <= now)?;
+        let index = self.waiting.iter().position(|request| request.due <= now)?;
         self.abandon_at(index)
     }
 
     /// The next outstanding request that was sent before this one: replies come in the order of their requests, so it
     /// is lost.
     pub(super) fn pop_overtaken(&mut self, by: &OutstandingRequest) -> Option<Ev3Request> {
-        let is_older = |asked: &OutstandingRequest| by.counter.wrapping_sub(asked.counter) < u16::MAX / 2;
+        let is_older = |request: &OutstandingRequest| by.counter.wrapping_sub(request.counter) < u16::MAX / 2;
         let index = self.waiting.iter().position(is_older)?;
         self.abandon_at(index)
     }
@@ -264,12 +264,12 @@ impl OutstandingRequests {
     }
 
     fn abandon_at(&mut self, index: usize) -> Option<Ev3Request> {
-        let asked = self.waiting.remove(index)?;
+        let request = self.waiting.remove(index)?;
         if self.abandoned.len() >= MAX_ABANDONED {
             self.abandoned.pop_front();
         }
-        self.abandoned.push_back(asked);
-        Some(asked.request)
+        self.abandoned.push_back(request);
+        Some(request.request)
     }
 }
 
@@ -277,7 +277,7 @@ impl OutstandingRequests {
 mod tests {
     use super::*;
 
-    /// Everything in the bytes, when question 7 has asked for four bytes of values.
+    /// Everything in the bytes, when request 7 expects four bytes of values.
     fn found(bytes: &[u8], chunk: usize) -> Vec<Ev3Telegram> {
         let mut inbox = ReplyFramer::default();
         let mut found = Vec::new();
@@ -322,8 +322,8 @@ mod tests {
             assert_eq!(found.len(), 2, "chunk {chunk}: {found:?}");
             assert_eq!(found[0], Ev3Telegram::Mailbox);
         }
-        let mut torn = MAILBOX;
-        torn[11] = 8;
-        assert_eq!(found(&torn, 20), [Ev3Telegram::UnframedBytes(18)]);
+        let mut truncated = MAILBOX;
+        truncated[11] = 8;
+        assert_eq!(found(&truncated, 20), [Ev3Telegram::UnframedBytes(18)]);
     }
 }

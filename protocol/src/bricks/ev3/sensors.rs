@@ -4,7 +4,7 @@
 //! own: then an error names its port. A missing sensor is set up again now and then; the wheels do not wait for it.
 //!
 //! A firmware may also wait for a missing sensor forever, and answer nothing. Such a set-up interrupts the wheels'
-//! readings until its timeout: it is repeated less and less often, and only while the wheels stand still.
+//! readings until its timeout: it is repeated less and less often, and only while the wheels are at rest.
 
 use posebridge_telemetry::{HostClock, Meters, TimeDelta, Timestamp};
 
@@ -140,8 +140,8 @@ impl SensorBank {
         let doublings = sensor.unanswered.saturating_sub(1).min(MAX_RETRY_DOUBLINGS);
         let from = now + TimeDelta::from_nanos(RETRY_INTERVAL.as_nanos() << doublings);
         sensor.state = SetUpState::Pending { from };
-        let is_news = !std::mem::replace(&mut sensor.is_absence_reported, true);
-        is_news.then(|| {
+        let is_unreported = !std::mem::replace(&mut sensor.is_absence_reported, true);
+        is_unreported.then(|| {
             format!(
                 "the EV3 finds no {} at port {}; the wheels are read without it",
                 sensor.role.name(),
@@ -218,10 +218,10 @@ impl DistanceKind {
                 is_echo.then_some((Meters(value / 100.0), None))
             }
             Self::Infrared => {
-                let is_seen = (0.0..NO_TARGET).contains(&value);
+                let has_target = (0.0..NO_TARGET).contains(&value);
                 // Half of the range at its end: the proximity depends on what is seen.
                 let range_m = value * INFRARED_CM / 100.0;
-                is_seen.then_some((Meters(range_m), Some(Meters(0.02 + 0.25 * range_m))))
+                has_target.then_some((Meters(range_m), Some(Meters(0.02 + 0.25 * range_m))))
             }
         }
     }

@@ -82,8 +82,8 @@ impl BrickStamp {
     }
 }
 
-const fn micros(span: TimeDelta) -> i128 {
-    (span.as_nanos() / 1_000) as i128
+const fn micros(duration: TimeDelta) -> i128 {
+    (duration.as_nanos() / 1_000) as i128
 }
 
 #[cfg(test)]

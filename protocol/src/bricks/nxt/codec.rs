@@ -130,15 +130,15 @@ impl NxtCodec {
     }
 
     fn expire(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
-        if let Some(torn) = self.framer.expire(now) {
-            self.handle(now, torn, sink);
+        if let Some(part) = self.framer.expire(now) {
+            self.handle(now, part, sink);
         }
-        while let Some(question) = self.requests.expire(now) {
+        while let Some(request) = self.requests.expire(now) {
             self.damage_counters.stalls += 1;
-            if question == NxtRequest::SyncBarrier {
+            if request == NxtRequest::SyncBarrier {
                 self.handle_barrier_timeout(sink);
             }
-            self.handle_timeout(&question, sink);
+            self.handle_timeout(&request, sink);
         }
         if self.presence.expire(now) {
             let text = "the NXT has not answered for two seconds";
@@ -151,8 +151,8 @@ impl NxtCodec {
             TelegramPart::OutOfSync { bytes } => {
                 self.damage_counters.garbage_bytes += bytes as u64;
                 sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes: bytes as u32 }));
-                for question in self.requests.abort_all() {
-                    self.handle_timeout(&question, sink);
+                for request in self.requests.abort_all() {
+                    self.handle_timeout(&request, sink);
                 }
             }
             TelegramPart::Foreign(telegram) => self.handle_foreign(now, &telegram, sink),
@@ -186,16 +186,16 @@ impl NxtCodec {
             return;
         };
         let brick = &mut self.brick;
-        let mut is_heard = false;
-        frames.push(now, frame, &mut |heard| {
-            if let CodecEvent::Message { from, .. } = &heard {
+        let mut has_message = false;
+        frames.push(now, frame, &mut |event| {
+            if let CodecEvent::Message { from, .. } = &event {
                 // Clock replies must have the address that the program sends for.
                 *brick = *from;
-                is_heard = true;
+                has_message = true;
             }
-            sink(heard);
+            sink(event);
         });
-        if is_heard {
+        if has_message {
             self.record_activity(now, sink);
         }
     }
@@ -203,7 +203,7 @@ impl NxtCodec {
     fn match_reply(&mut self, now: Timestamp<HostClock>, reply: &NxtReply<'_>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.lost_barriers = 0;
         match self.requests.match_reply(reply) {
-            ReplyMatch::Reply(asked) => self.handle_reply(now, &asked, reply, sink),
+            ReplyMatch::Reply(request) => self.handle_reply(now, &request, reply, sink),
             ReplyMatch::TooLate | ReplyMatch::Unexpected => self.report_late(sink),
         }
         self.record_activity(now, sink);
@@ -212,7 +212,7 @@ impl NxtCodec {
     fn record_activity(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         if self.presence.record_reply(now) {
             self.report(StatusTopic::Presence, NOTICE, "the NXT answers again", sink);
-            // It may be another program, or the brick without one: what the old one left unanswered says nothing about it.
+            // It may be another program, or the brick without one: requests that the old one left unanswered say nothing about it.
             self.lost_barriers = 0;
             self.schedule.try_tick_again(now);
         }
@@ -231,7 +231,7 @@ impl NxtCodec {
         }
     }
 
-    /// A barrier had no reply within the time-out. If noise interrupted it, that is no evidence about who answers.
+    /// A barrier had no reply within the time-out. If noise interrupted it, that is no evidence about what answers.
     fn handle_barrier_timeout(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
         self.lost_barriers = self.lost_barriers.saturating_add(1);
         if self.is_blocked_by_program() {
@@ -240,25 +240,25 @@ impl NxtCodec {
         }
     }
 
-    fn handle_timeout(&mut self, question: &NxtRequest, sink: &mut dyn FnMut(CodecEvent<'_>)) {
-        if *question == NxtRequest::SyncBarrier {
+    fn handle_timeout(&mut self, request: &NxtRequest, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+        if *request == NxtRequest::SyncBarrier {
             return;
         }
         sink(CodecEvent::Error(ReceiveError::SequenceGap { source: self.brick, frames: 1 }));
-        self.handle_failure(question, RequestFailure::Lost, sink);
+        self.handle_failure(request, RequestFailure::Lost, sink);
     }
 
     pub(super) fn handle_failure(
         &mut self,
-        question: &NxtRequest,
+        request: &NxtRequest,
         why: RequestFailure,
         sink: &mut dyn FnMut(CodecEvent<'_>),
     ) {
-        match self.schedule.record_failure(question, why) {
+        match self.schedule.record_failure(request, why) {
             None => {}
             Some(ScheduleChange::ReadSize) => {
                 let text = match self.schedule.read_size() {
-                    ReadSize::Whole | ReadSize::Partial => {
+                    ReadSize::Complete | ReadSize::Partial => {
                         "this NXT's firmware gives IO maps only in pieces: fewer readings per second"
                     }
                     ReadSize::Single => {
@@ -288,18 +288,18 @@ impl NxtCodec {
             return;
         }
         while self.requests.has_capacity(self.schedule.max_outstanding()) {
-            let Some(question) = self.next_request(now) else {
+            let Some(request) = self.next_request(now) else {
                 return;
             };
-            if self.requests.is_waiting_for(&question) {
-                self.held_request = Some(question);
+            if self.requests.is_waiting_for(&request) {
+                self.held_request = Some(request);
                 return;
             }
             if let Some(carried) = self.next_piggyback(now) {
                 self.send(&carried);
             }
-            self.send(&question.telegram());
-            self.requests.record_sent(question, now);
+            self.send(&request.telegram());
+            self.requests.record_sent(request, now);
         }
     }
 
@@ -315,12 +315,12 @@ impl NxtCodec {
         {
             return Some(NxtRequest::Mailbox(probe));
         }
-        let asked: Vec<u8> = (0..4)
+        let pending_ports: Vec<u8> = (0..4)
             .zip(&self.devices)
             .filter(|(_, device)| device.is_some_and(|device| device.pending_since().is_some()))
             .map(|(port, _)| port)
             .collect();
-        self.schedule.next_request(now, &asked)
+        self.schedule.next_request(now, &pending_ports)
     }
 
     /// A telegram without a reply that is sent before a request, so that the brick never has more than two of ours at a
@@ -334,8 +334,8 @@ impl NxtCodec {
             return Some(keep_alive());
         }
         let ports = (0..4).zip(&mut self.devices).zip(self.schedule.ports);
-        for ((port, device), stands) in ports {
-            if stands == PortState::Ready
+        for ((port, device), state) in ports {
+            if state == PortState::Ready
                 && let Some(device) = device
                 && let Some(telegram) = device.write(port, now)
             {
@@ -537,7 +537,7 @@ impl StatusTextFilter {
         sink(CodecEvent::StatusText { from, severity, text });
     }
 
-    /// The cause of a topic's text is gone; the next text is emitted even if it is the same.
+    /// The cause of a topic's text no longer exists; the next text is emitted even if it is the same.
     pub(super) fn clear(&mut self, topic: StatusTopic) {
         self.last_texts.remove(&topic);
     }

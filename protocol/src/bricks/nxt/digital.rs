@@ -2,14 +2,14 @@
 //!
 //! # Model
 //! ```text
-//! sensor          address  ask     answer                                          period
+//! sensor          address  request reply                                          period
 //! accelerometer   02       42      x y z high bytes, x y z low two bits            each round
 //! compass         02       42      a b, heading = 2 a + b degrees clockwise        100 ms
 //! ultrasonic      02       42      centimetres, 255 none; 41 02 measures for ever  100 ms
 //! temperature     98       00      two bytes, big-endian, 1/16 degree above bit 4  1 s; 01 60 sets 12 bits
 //! ```
 //! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last; else the
-//! bus needs its time, or no device answers. The first look after a set-up only says where the index stands. An index that stands
+//! bus needs its time, or no device answers. The first reading after a set-up only gives the index. An index that remains
 //! still is an answer only of a firmware that was seen to write each answer to the ring's start: with an index before it that no
 //! answers of this length lead from.
 //!
@@ -33,7 +33,7 @@ const THERMOMETER: u8 = 0x98;
 const ACCELERATION_UNIT_M_PER_S2: f64 = 9.806_65 / 200.0;
 const NO_ECHO: u8 = 255;
 const RING_BYTES: u8 = 16;
-/// Rounds in which an answer may still come before the sensor is asked again.
+/// Rounds in which an answer may still come before the sensor is polled again.
 const MAX_REPLY_ROUNDS: u8 = 3;
 /// Requests in a row without a reply after which a warning is sent.
 const UNANSWERED_LIMIT: u8 = 10;
@@ -63,14 +63,14 @@ struct BusProtocol {
 }
 
 const fn bus_protocol(sensor: NxtSensor) -> Option<BusProtocol> {
-    let (ask, answer_bytes, prepare, period): (_, _, Option<&'static [u8]>, _) = match sensor {
+    let (request, answer_bytes, prepare, period): (_, _, Option<&'static [u8]>, _) = match sensor {
         NxtSensor::None | NxtSensor::HtGyro => return None,
         NxtSensor::HtAccelerometer { .. } => (&[SENSOR, MEASURED], 6, None, 0),
         NxtSensor::HtCompass => (&[SENSOR, MEASURED], 2, None, 100),
         NxtSensor::Ultrasonic => (&[SENSOR, MEASURED], 1, Some(&[SENSOR, 0x41, 0x02]), 100),
         NxtSensor::Temperature => (&[THERMOMETER, 0x00], 2, Some(&[THERMOMETER, 0x01, 0x60]), 1_000),
     };
-    Some(BusProtocol { request: ask, reply_bytes: answer_bytes, prepare, period: TimeDelta::from_millis(period) })
+    Some(BusProtocol { request, reply_bytes: answer_bytes, prepare, period: TimeDelta::from_millis(period) })
 }
 
 pub(super) const fn is_digital(sensor: NxtSensor) -> bool {
@@ -83,7 +83,7 @@ pub(super) struct DigitalSensor {
     protocol: BusProtocol,
     is_prepared: bool,
     due: Timestamp<HostClock>,
-    asked: Option<Timestamp<HostClock>>,
+    requested_at: Option<Timestamp<HostClock>>,
     rounds: u8,
     unanswered: u8,
     last_ring_end: Option<u8>,
@@ -101,7 +101,7 @@ impl DigitalSensor {
             protocol: manner,
             is_prepared: manner.prepare.is_none(),
             due: Timestamp::ZERO,
-            asked: None,
+            requested_at: None,
             rounds: 0,
             unanswered: 0,
             last_ring_end: None,
@@ -112,14 +112,14 @@ impl DigitalSensor {
     pub(super) const fn restart(&mut self, now: Timestamp<HostClock>) {
         self.is_prepared = self.protocol.prepare.is_none();
         self.due = now;
-        self.asked = None;
+        self.requested_at = None;
         self.unanswered = 0;
         self.last_ring_end = None;
     }
 
-    /// When the sensor was asked, while its answer is outstanding.
+    /// When the pending request was sent.
     pub(super) const fn pending_since(&self) -> Option<Timestamp<HostClock>> {
-        self.asked
+        self.requested_at
     }
 
     pub(super) const fn is_silent(&self) -> bool {
@@ -127,7 +127,7 @@ impl DigitalSensor {
     }
 
     pub(super) fn write(&mut self, port: u8, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
-        if self.asked.is_some() || now < self.due {
+        if self.requested_at.is_some() || now < self.due {
             return None;
         }
         if let (false, Some(prepare)) = (self.is_prepared, self.protocol.prepare) {
@@ -135,11 +135,11 @@ impl DigitalSensor {
             self.due = now + SETTLING_TIME;
             return Some(telegram::ls_write(port, prepare, 0));
         }
-        self.asked = Some(now);
+        self.requested_at = Some(now);
         self.rounds = 0;
         self.due = now + self.protocol.period;
-        let BusProtocol { request: ask, reply_bytes: answer_bytes, .. } = self.protocol;
-        Some(telegram::ls_write(port, ask, answer_bytes))
+        let BusProtocol { request, reply_bytes: answer_bytes, .. } = self.protocol;
+        Some(telegram::ls_write(port, request, answer_bytes))
     }
 
     pub(super) fn read_ring(&mut self, buffer: DigitalBuffer) -> Option<DigitalMeasurement> {
@@ -148,13 +148,13 @@ impl DigitalSensor {
             return None;
         }
         let Some(before) = self.last_ring_end.replace(buffer.end) else {
-            // What stands there may be of any time: ask again.
-            self.asked = None;
+            // The value may be of any time: request again.
+            self.requested_at = None;
             return None;
         };
-        self.ring_restarts |= self.is_at_start(buffer.end) && !self.is_whole_replies(before, buffer.end);
-        let stands_at_start = self.ring_restarts && self.is_at_start(buffer.end);
-        if before == buffer.end && !stands_at_start {
+        self.ring_restarts |= self.is_at_start(buffer.end) && !self.is_multiple_of_reply(before, buffer.end);
+        let is_rewritten = self.ring_restarts && self.is_at_start(buffer.end);
+        if before == buffer.end && !is_rewritten {
             self.keep_waiting();
             return None;
         }
@@ -167,33 +167,33 @@ impl DigitalSensor {
     }
 
     /// Whether a few answers, one after the other in the ring, or none lead from one index to another.
-    fn is_whole_replies(&self, before: u8, end: u8) -> bool {
+    fn is_multiple_of_reply(&self, before: u8, end: u8) -> bool {
         let step = self.protocol.reply_bytes;
         (0..=MAX_REPLY_ROUNDS).any(|answers| (before % RING_BYTES + answers * step) % RING_BYTES == end)
     }
 
-    /// Parses the answer in the buffer: `said` bytes of `data`.
-    pub(super) fn read_fetched(&mut self, said: u8, data: [u8; 16]) -> Option<DigitalMeasurement> {
-        if said < self.protocol.reply_bytes {
+    /// Parses the answer in the buffer: `length` bytes of `data`.
+    pub(super) fn read_fetched(&mut self, length: u8, data: [u8; 16]) -> Option<DigitalMeasurement> {
+        if length < self.protocol.reply_bytes {
             self.keep_waiting();
             return None;
         }
         self.record_reply();
-        let end = said % RING_BYTES;
-        let to_come = 0;
-        self.decode_last(DigitalBuffer { ring: data, end, pending_bytes: to_come }.last_bytes())
+        let end = length % RING_BYTES;
+        let pending_bytes = 0;
+        self.decode_last(DigitalBuffer { ring: data, end, pending_bytes }.last_bytes())
     }
 
     pub(super) fn keep_waiting(&mut self) {
         self.rounds += 1;
         if self.rounds >= MAX_REPLY_ROUNDS {
-            self.asked = None;
+            self.requested_at = None;
             self.unanswered = self.unanswered.saturating_add(1);
         }
     }
 
     const fn record_reply(&mut self) {
-        self.asked = None;
+        self.requested_at = None;
         self.unanswered = 0;
     }
 
@@ -237,12 +237,12 @@ mod tests {
     fn answered(sensor: NxtSensor, answer: &[u8]) -> Option<DigitalMeasurement> {
         let mut device = DigitalSensor::new(sensor).unwrap();
         let mut ring = [0xAA; 16];
-        assert_eq!(device.read_ring(standing(ring, 0)), None);
+        assert_eq!(device.read_ring(buffer_at(ring, 0)), None);
         ring[..answer.len()].copy_from_slice(answer);
-        device.read_ring(standing(ring, answer.len() as u8))
+        device.read_ring(buffer_at(ring, answer.len() as u8))
     }
 
-    const fn standing(ring: [u8; 16], end: u8) -> DigitalBuffer {
+    const fn buffer_at(ring: [u8; 16], end: u8) -> DigitalBuffer {
         DigitalBuffer { ring, end, pending_bytes: 0 }
     }
 
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn compass_range_and_temperature_mean_what_the_makers_say() {
+    fn compass_range_and_temperature_are_decoded_as_documented() {
         let compass = answered(NxtSensor::HtCompass, &[0x87, 0x01]);
         assert_eq!(compass, Some(DigitalMeasurement::CompassDegrees(271.0)));
         assert_eq!(answered(NxtSensor::HtCompass, &[0xFF, 0x01]), None);
@@ -286,34 +286,34 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_that_goes_round_the_ring_is_whole() {
+    fn a_reply_that_wraps_in_the_ring_is_complete() {
         let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
         let mut ring = [0; 16];
         (ring[15], ring[0]) = (0x10, 0x01);
-        assert_eq!(device.read_ring(standing(ring, 15)), None);
-        let found = device.read_ring(standing(ring, 1));
+        assert_eq!(device.read_ring(buffer_at(ring, 15)), None);
+        let found = device.read_ring(buffer_at(ring, 1));
         assert_eq!(found, Some(DigitalMeasurement::CompassDegrees(33.0)));
     }
 
     #[test]
-    fn a_sensor_is_prepared_then_asked_at_its_period_and_once_at_a_time() {
+    fn a_sensor_is_prepared_then_polled_at_its_period_with_one_request_at_a_time() {
         let mut device = DigitalSensor::new(NxtSensor::Ultrasonic).unwrap();
         device.restart(Timestamp::from_millis(1_000));
         let at = |device: &mut DigitalSensor, millis| device.write(3, Timestamp::from_millis(millis));
         let prepare = vec![0x80, 0x0F, 0x03, 0x03, 0x00, 0x02, 0x41, 0x02];
         assert_eq!(at(&mut device, 1_000), Some(prepare));
         assert_eq!(at(&mut device, 1_099), None);
-        let ask = vec![0x80, 0x0F, 0x03, 0x02, 0x01, 0x02, 0x42];
-        assert_eq!(at(&mut device, 1_100), Some(ask.clone()));
+        let request = vec![0x80, 0x0F, 0x03, 0x02, 0x01, 0x02, 0x42];
+        assert_eq!(at(&mut device, 1_100), Some(request.clone()));
         assert_eq!(at(&mut device, 1_300), None);
         device.read_fetched(1, [7; 16]);
-        assert_eq!(at(&mut device, 1_300), Some(ask));
+        assert_eq!(at(&mut device, 1_300), Some(request));
     }
 
     #[test]
-    fn a_sensor_that_is_not_there_is_asked_again_and_then_told_of() {
+    fn an_absent_sensor_is_polled_again_and_then_reported() {
         let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
-        let empty = standing([0; 16], 0);
+        let empty = buffer_at([0; 16], 0);
         device.read_ring(empty);
         for second in 0..10 {
             assert!(!device.is_silent());
@@ -327,40 +327,40 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_that_died_says_nothing_more_wherever_the_ring_stands() {
+    fn a_dead_sensor_measures_nothing_at_any_ring_index() {
         for end in 0..16 {
             let mut device = DigitalSensor::new(accelerometer(ForwardAxis::X)).unwrap();
             device.restart(Timestamp::ZERO);
-            device.read_ring(standing([7; 16], end));
+            device.read_ring(buffer_at([7; 16], end));
             for _ in 0..50 {
-                assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
+                assert_eq!(device.read_ring(buffer_at([7; 16], end)), None, "at {end}");
             }
             // Nor when the port is set up again.
             device.restart(Timestamp::from_millis(9_000));
-            assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
-            assert_eq!(device.read_ring(standing([7; 16], end)), None, "at {end}");
+            assert_eq!(device.read_ring(buffer_at([7; 16], end)), None, "at {end}");
+            assert_eq!(device.read_ring(buffer_at([7; 16], end)), None, "at {end}");
         }
     }
 
     #[test]
     fn an_answer_that_is_still_on_the_bus_is_waited_for() {
         let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
-        device.read_ring(standing([9; 16], 0));
+        device.read_ring(buffer_at([9; 16], 0));
         let half = DigitalBuffer { ring: [9; 16], end: 1, pending_bytes: 1 };
         assert_eq!(device.read_ring(half), None);
-        let found = device.read_ring(standing([9; 16], 2));
+        let found = device.read_ring(buffer_at([9; 16], 2));
         assert_eq!(found, Some(DigitalMeasurement::CompassDegrees(27.0)));
     }
 
     #[test]
-    fn a_firmware_that_writes_to_the_rings_start_is_seen_to_do_so_and_then_believed() {
+    fn a_firmware_that_writes_to_the_rings_start_is_recognized_and_then_accepted() {
         let mut device = DigitalSensor::new(NxtSensor::HtCompass).unwrap();
         let ring = [9; 16];
-        device.read_ring(standing(ring, 9));
+        device.read_ring(buffer_at(ring, 9));
         // Two, four or six bytes lead from 9 to 11, 13 or 15, never to 2.
         let found = Some(DigitalMeasurement::CompassDegrees(27.0));
         for _ in 0..5 {
-            assert_eq!(device.read_ring(standing(ring, 2)), found);
+            assert_eq!(device.read_ring(buffer_at(ring, 2)), found);
         }
     }
 }

@@ -6,18 +6,18 @@
 //!
 //! # Model
 //! ```text
-//! reading   a telegram is whole and nothing follows  hand it out
-//!           a whole one follows it in the same chunk hand it out
+//! reading   a telegram is complete, nothing follows  emit it
+//!           a complete one follows in the same chunk emit it
 //!           length, opcode or status is wrong        out of step, with the telegram just before it; draining
 //!           a telegram stops in its middle for QUIET out of step, with the telegram just before it; reading
-//! draining  a frame with the right checksum, if heard hand it out; reading
+//! draining  a frame with the right checksum          emit it; reading
 //!           quiet for QUIET, after LONG for SHORT    reading
 //! ```
 //! After a reply there is silence until the next request. Bytes directly after it that are no telegram mean that it
 //! contained a byte too many. A program on the brick that sends by itself may leave no silence: then its frames serve,
 //! or, if it sends something else, the pauses between its messages.
 //!
-//! A whole telegram of another type belongs to a program. It is foreign, and no evidence against the telegrams around
+//! A complete telegram of another type belongs to a program. It is foreign, and no evidence against the telegrams around
 //! it.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
@@ -53,7 +53,7 @@ pub(super) enum StreamContent {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum TelegramPart {
-    /// A whole telegram, without its length.
+    /// A complete telegram, without its length.
     Telegram(Vec<u8>),
     /// A telegram of a type that is not read here: a program on the brick sends to another receiver.
     Foreign(Vec<u8>),
@@ -125,7 +125,7 @@ impl TelegramFramer {
 
     /// Emits all telegrams that are certain; false if the stream is out of step.
     fn split_telegrams(&mut self, found: &mut Vec<TelegramPart>) -> bool {
-        // Where the last whole telegram begins that nothing has confirmed yet, and where the bytes behind it do.
+        // Where the last complete, unconfirmed telegram begins, and where the bytes behind it do.
         let (mut held, mut rest_at) = (0, 0);
         let is_in_step = loop {
             let rest = self.pending.get(rest_at..).unwrap_or_default();
@@ -293,7 +293,7 @@ fn could_be_frame(begun: &[u8], length: usize) -> bool {
 mod tests {
     use super::*;
 
-    /// Status ok, 7900 mV is no question of ours; a firmware version is.
+    /// Status ok, 7900 mV replies to no request of ours; a firmware version does.
     const VERSION: [u8; 9] = [0x07, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01];
     const DONE: [u8; 5] = [0x03, 0x00, 0x02, 0x05, 0x00];
 
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_telegram_with_a_byte_too_many_behind_it_is_not_believed() {
+    fn a_telegram_with_an_extra_byte_behind_it_is_rejected() {
         let (found, cutter) = cut(&[&[&VERSION[..], &[0xFF, 0xFF]].concat()]);
         assert_eq!(found, [TelegramPart::OutOfSync { bytes: 11 }]);
         assert!(cutter.is_draining());
@@ -331,13 +331,13 @@ mod tests {
         assert_eq!(later, expected);
 
         let (_, mut cutter) = cut(&[&[&VERSION[..], &[0x03]].concat()]);
-        let torn = cutter.expire(Timestamp::from_millis(100));
-        assert_eq!(torn, Some(TelegramPart::OutOfSync { bytes: 10 }));
+        let part = cutter.expire(Timestamp::from_millis(100));
+        assert_eq!(part, Some(TelegramPart::OutOfSync { bytes: 10 }));
     }
 
     #[test]
     fn the_first_wrong_byte_is_enough_and_silence_ends_the_drain() {
-        // An answer to a command that is never asked.
+        // A reply to a command that is never sent.
         let (found, mut cutter) = cut(&[&[0x07], &[0x00], &[0x02], &[0x55], &VERSION]);
         let expected = [4, 9].map(|bytes| TelegramPart::OutOfSync { bytes });
         assert_eq!(found, expected);
@@ -349,11 +349,11 @@ mod tests {
     }
 
     #[test]
-    fn a_torn_telegram_is_given_up_in_silence() {
+    fn a_truncated_telegram_is_dropped_after_a_silence() {
         let (found, mut cutter) = cut(&[&VERSION[..8]]);
         assert!(found.is_empty());
-        let torn = cutter.expire(Timestamp::from_millis(100));
-        assert_eq!(torn, Some(TelegramPart::OutOfSync { bytes: 8 }));
+        let part = cutter.expire(Timestamp::from_millis(100));
+        assert_eq!(part, Some(TelegramPart::OutOfSync { bytes: 8 }));
         assert_eq!(cutter.deadline(), None);
     }
 
@@ -361,11 +361,11 @@ mod tests {
     fn lengths_that_contradict_opcode_or_map_are_refused() {
         let long_version = [0x08, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01, 0x00];
         let unknown_status = [0x03, 0x00, 0x02, 0x05, 0x01];
-        let never_asked = [0x03, 0x00, 0x02, 0x55, 0x00];
+        let unrequested = [0x03, 0x00, 0x02, 0x55, 0x00];
         let nothing = [0x00, 0x00];
         let too_long = [0x81, 0x00];
         let wrong_map: [u8; 12] = [0x0D, 0, 2, 0x94, 0, 1, 0, 1, 0, 5, 0, 0];
-        for bytes in [&long_version[..], &unknown_status, &never_asked, &nothing, &too_long, &wrong_map] {
+        for bytes in [&long_version[..], &unknown_status, &unrequested, &nothing, &too_long, &wrong_map] {
             let (found, cutter) = cut(&[bytes]);
             assert_eq!(found, [TelegramPart::OutOfSync { bytes: bytes.len() }]);
             assert!(cutter.is_draining(), "{bytes:02x?}");
@@ -376,7 +376,7 @@ mod tests {
     const HELLO: [u8; 8] = *b"\x06\x00hello\x00";
 
     #[test]
-    fn a_programs_own_message_is_foreign_and_what_stands_around_it_is_believed() {
+    fn a_programs_own_message_is_foreign_and_the_telegrams_around_it_are_accepted() {
         let hello = || TelegramPart::Foreign(HELLO[2..].to_vec());
         let version = || TelegramPart::Telegram(VERSION[2..].to_vec());
         let (found, cutter) = cut(&[&HELLO, &VERSION, &HELLO]);
@@ -400,9 +400,9 @@ mod tests {
             assert_eq!(cutter.expire(now), None);
             cutter.push(now, &HELLO, &mut found);
         }
-        let heard = found.iter().filter(|piece| **piece == TelegramPart::Foreign(HELLO[2..].to_vec()));
+        let foreign = found.iter().filter(|piece| **piece == TelegramPart::Foreign(HELLO[2..].to_vec()));
         // Those of the first second are thrown away, and the one that ends it.
-        assert_eq!(heard.count(), 29 - 13);
+        assert_eq!(foreign.count(), 29 - 13);
         assert!(!cutter.is_draining());
     }
 }

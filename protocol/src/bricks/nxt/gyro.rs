@@ -3,14 +3,14 @@
 //! # Model
 //! ```text
 //! rate = sign (raw - rest) deg/s,  for |raw - rest| <= RANGE and a raw below the converter's stop; anything else is an empty port
-//! rest = mean of the readings while both wheels stand; the first ENOUGH of them, close together, make it, later ones follow slowly:
+//! rest = mean of the readings while both wheels are at rest; the first ENOUGH of them, close together, make it, later ones follow slowly:
 //!        rest += (raw - rest) / n,  n = count of readings, at most MEMORY
-//! rest = mean of a calm, if it is another:  readings over CALM while both wheels stand, all within CALM_SPREAD of each other
+//! rest = mean of a calm, if it is another:  readings over CALM while both wheels are at rest, all within CALM_SPREAD of each other
 //! ```
 //! No rate is reported until the rest is known. What is left of it is the filter's gyro bias.
 //!
-//! # What standing wheels do not say
-//! Wheels also stand while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because
+//! # Limits of wheels at rest
+//! Wheels are also at rest while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because
 //! they are few: a robot that drives off would never provide more. So the calm comes behind them. No hand turns for so long at a
 //! rate that is steady within four degrees per second, so what is that steady is rest, however far it is from the earlier
 //! estimate. The limit: on a turntable, or in a car in a long bend, a calm is a turn, and is taken for rest until the next calm
@@ -27,7 +27,7 @@ use super::settings::GyroSign;
 use crate::bricks::counters::WheelState;
 
 /// Readings for the first rest value: less than a second's, a mean within 0.3 degrees per second, which is small
-/// against the bias that a filter expects of this sensor. Robots rarely stand for longer before they drive off.
+/// against the bias that a filter expects of this sensor. Robots rarely rest for longer before they drive off.
 const MIN_REST_READINGS: u32 = 10;
 /// Number of readings of the running mean afterwards.
 const MAX_REST_READINGS: u32 = 500;
@@ -41,7 +41,7 @@ const CALM_COUNT: u32 = 30;
 /// Largest spread of readings of a calm, in counts: fifty readings with a noise of 0.6 to 1 count mostly stay within it.
 const CALM_SPREAD: f64 = 4.0;
 /// A calm whose mean is closer to the rest value changes nothing.
-const CALM_NEWS: f64 = 1.0;
+const MIN_CALM_CHANGE: f64 = 1.0;
 /// Possible rest values, with a margin.
 const REST_RANGE: std::ops::RangeInclusive<f64> = 500.0..=700.0;
 /// Largest deviation of a reading from the rest: 360 degrees per second, and a margin for the error of the rest value.
@@ -139,7 +139,7 @@ impl AnalogGyro {
         match (before, self.rest_value()) {
             (None, Some(rest)) => RestUpdate::First(rest),
             (Some(_), Some(rest)) => match calm {
-                Some(calm) if (calm.value - rest).abs() > CALM_NEWS => {
+                Some(calm) if (calm.value - rest).abs() > MIN_CALM_CHANGE => {
                     self.rest_mean = RestMean(calm);
                     RestUpdate::Corrected(calm.value)
                 }
@@ -183,7 +183,7 @@ impl RestMean {
             return;
         }
         if wheels == WheelState::Turning {
-            // It may stand again: at the next corner.
+            // It may stop again: at the next corner.
             return;
         }
         if !REST_RANGE.contains(&raw) {
@@ -197,7 +197,7 @@ impl RestMean {
     }
 }
 
-/// Readings with a small spread while both wheels stand.
+/// Readings with a small spread while both wheels are at rest.
 #[derive(Clone, Copy, Debug, Default)]
 struct CalmPeriod {
     since: Option<Timestamp<HostClock>>,
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rest_is_learnt_standing_and_nothing_is_told_before() {
+    fn the_rest_value_is_learnt_at_standstill_and_nothing_is_measured_before() {
         let mut bench = Bench::new(None, GyroSign::Clockwise);
         assert_eq!(bench.push(600, WheelState::Turning), GyroReadout::Unknown);
         bench.at_rest([597, 598, 597, 598, 597]);
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_while_it_learns_begins_anew_and_a_turn_by_hand_teaches_nothing() {
+    fn a_turn_restarts_learning_and_a_turn_by_hand_is_ignored() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
         bench.at_rest([600; 9]);
         bench.at_rest([620, 600]);
@@ -308,9 +308,9 @@ mod tests {
     }
 
     #[test]
-    fn a_rest_that_was_learnt_in_the_hand_is_mended_when_the_robot_stands() {
+    fn a_rest_value_learnt_in_the_hand_is_corrected_at_standstill() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
-        // Nearly three seconds at ten degrees per second; it stands before a calm is over.
+        // Nearly three seconds at ten degrees per second; it stops before a calm is over.
         bench.at_rest([610; 50]);
         assert_eq!(bench.rest(), Some(610.0));
         bench.at_rest([600; 50]);
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_calm_needs_wheels_that_stand_all_the_while_and_time() {
+    fn calm_needs_wheels_at_standstill_for_its_duration() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
         bench.at_rest([600; 10]);
         for _ in 0..10 {
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rest_follows_slowly_while_the_robot_stands() {
+    fn the_rest_value_follows_slowly_at_standstill() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
         bench.at_rest([600; 25]);
         bench.at_rest([602; 25]);
@@ -373,10 +373,10 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_never_stands_is_told_of_after_five_seconds() {
+    fn a_robot_that_never_stops_is_reported_after_five_seconds() {
         let mut bench = Bench::new(None, GyroSign::CounterClockwise);
-        let told: Vec<GyroReadout> = (0..100).map(|_| bench.push(640, WheelState::Turning)).collect();
-        let overdue = told.iter().position(|turning| *turning == GyroReadout::RestTimeout);
+        let readouts: Vec<GyroReadout> = (0..100).map(|_| bench.push(640, WheelState::Turning)).collect();
+        let overdue = readouts.iter().position(|turning| *turning == GyroReadout::RestTimeout);
         assert_eq!(overdue, Some(84));
         bench.at_rest([600; 10]);
         assert_eq!(deg_per_s(bench.push(600, WheelState::Standing)), 0.0);

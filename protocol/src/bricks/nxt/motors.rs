@@ -13,7 +13,7 @@ use super::settings::MotorPort;
 use crate::bricks::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, WheelState};
 use crate::message::WireStamp;
 
-/// Wheels whose counts have not changed for this long stand; a wheel that turns below this limit is slower than 4
+/// Wheels whose counts have not changed for this long are at rest; a wheel that turns below this limit is slower than 4
 /// degrees per second.
 const STANDSTILL_TIME: TimeDelta = TimeDelta::from_millis(250);
 
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_are_read_apart_are_told_together_and_once() {
+    fn wheels_that_are_read_apart_are_emitted_together_and_once() {
         let mut motors = MotorReadings::default();
         motors.push(MotorPort::B, 7, at(0));
         assert_eq!(motors.take_pair(MotorPort::B, MotorPort::C), None);

@@ -32,22 +32,22 @@ impl NxtCodec {
     pub(super) fn handle_reply(
         &mut self,
         now: Timestamp<HostClock>,
-        asked: &PendingRequest,
+        request: &PendingRequest,
         reply: &NxtReply<'_>,
         sink: CodecEventSink<'_>,
     ) {
-        let interval = RequestInterval { sent: asked.sent, answered: now };
+        let interval = RequestInterval { sent: request.sent, answered: now };
         self.substitute_host_clock(interval, sink);
-        if let NxtRequest::Mailbox(_) = asked.request {
+        if let NxtRequest::Mailbox(_) = request.request {
             self.handle_mailbox(reply.status, sink);
             return;
         }
         if reply.status != NxtStatus::OK {
-            self.handle_rejection(&asked.request, reply.status, sink);
+            self.handle_rejection(&request.request, reply.status, sink);
             return;
         }
-        self.schedule.record_success(&asked.request);
-        match &asked.request {
+        self.schedule.record_success(&request.request);
+        match &request.request {
             NxtRequest::SyncBarrier => {
                 self.handle_version(reply, sink);
                 // Something was disturbed, or began: the clock may be another.
@@ -98,8 +98,8 @@ impl NxtCodec {
         self.report(StatusTopic::Program, NOTICE, text, sink);
     }
 
-    fn handle_rejection(&mut self, question: &NxtRequest, status: NxtStatus, sink: CodecEventSink<'_>) {
-        if let NxtRequest::Digital(port) = question {
+    fn handle_rejection(&mut self, request: &NxtRequest, status: NxtStatus, sink: CodecEventSink<'_>) {
+        if let NxtRequest::Digital(port) = request {
             if let Some(device) = device_at(&mut self.devices, *port) {
                 device.keep_waiting();
             }
@@ -107,7 +107,7 @@ impl NxtCodec {
                 return;
             }
         }
-        let (topic, what) = match question {
+        let (topic, what) = match request {
             NxtRequest::SetUp { port, .. } | NxtRequest::Analog(port) | NxtRequest::Digital(port) => {
                 (StatusTopic::Port(*port), format!("sensor port {}", port + 1))
             }
@@ -117,7 +117,7 @@ impl NxtCodec {
         };
         let text = format!("{what}: {} (status {:02X})", status.meaning(), status.0);
         self.report(topic, WARNING, text, sink);
-        self.handle_failure(question, RequestFailure::Rejected, sink);
+        self.handle_failure(request, RequestFailure::Rejected, sink);
     }
 
     fn handle_version(&mut self, reply: &NxtReply<'_>, sink: CodecEventSink<'_>) {
@@ -216,8 +216,8 @@ impl NxtCodec {
     }
 
     fn complete_set_up(&mut self, port: u8, now: Timestamp<HostClock>) {
-        if let Some(stands) = self.schedule.ports.get_mut(usize::from(port)) {
-            *stands = PortState::Settling;
+        if let Some(state) = self.schedule.ports.get_mut(usize::from(port)) {
+            *state = PortState::Settling;
         }
         if let Some(device) = device_at(&mut self.devices, port) {
             device.restart(now);
@@ -225,16 +225,16 @@ impl NxtCodec {
     }
 
     fn handle_input(&mut self, port: u8, input: AnalogInput, interval: RequestInterval, sink: CodecEventSink<'_>) {
-        let Some(stands) = self.schedule.ports.get_mut(usize::from(port)) else {
+        let Some(state) = self.schedule.ports.get_mut(usize::from(port)) else {
             return;
         };
-        match stands {
+        match state {
             // A program has begun that does not know the sensor.
             PortState::Ready if input.kind == NO_SENSOR => {
-                *stands = PortState::Unconfigured;
+                *state = PortState::Unconfigured;
                 return;
             }
-            PortState::Settling if input.is_valid => *stands = PortState::Ready,
+            PortState::Settling if input.is_valid => *state = PortState::Ready,
             PortState::Ready if input.is_valid => {}
             PortState::Unused
             | PortState::Unconfigured
@@ -307,12 +307,12 @@ impl NxtCodec {
         let Some(device) = device_at(&mut self.devices, port) else {
             return;
         };
-        let (Some(written), Some([said]), Some(data)) =
+        let (Some(written), Some([length]), Some(data)) =
             (device.pending_since(), bytes_at(reply.values, 0), bytes_at(reply.values, 1))
         else {
             return;
         };
-        let measured = device.read_fetched(said, data);
+        let measured = device.read_fetched(length, data);
         self.handle_measurement(port, measured, RequestInterval { sent: written, answered: now }, sink);
     }
 
@@ -327,8 +327,8 @@ impl NxtCodec {
             let is_silent = device_at(&mut self.devices, port).is_some_and(|device| device.is_silent());
             if is_silent {
                 // A program may have set up the port for something else.
-                if let Some(stands) = self.schedule.ports.get_mut(usize::from(port)) {
-                    *stands = PortState::Unconfigured;
+                if let Some(state) = self.schedule.ports.get_mut(usize::from(port)) {
+                    *state = PortState::Unconfigured;
                 }
                 let text = format!(
                     "sensor port {}: the sensor does not answer; is it plugged in, and is it the configured one?",

@@ -121,7 +121,7 @@ pub(super) enum ReplyMatch {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SyncBarrier {
     Clear,
-    Wanted,
+    Needed,
     Pending,
 }
 
@@ -150,7 +150,7 @@ impl RequestTracker {
             timeout,
             waiting: VecDeque::new(),
             overdue: VecDeque::new(),
-            barrier: SyncBarrier::Wanted,
+            barrier: SyncBarrier::Needed,
             tally: RequestCounts { answered: 0, lost: 0, late: 0 },
         }
     }
@@ -158,40 +158,40 @@ impl RequestTracker {
     pub(super) fn restart(&mut self) {
         self.waiting.clear();
         self.overdue.clear();
-        self.barrier = SyncBarrier::Wanted;
+        self.barrier = SyncBarrier::Needed;
     }
 
     pub(super) fn needs_barrier(&self) -> bool {
-        self.barrier == SyncBarrier::Wanted
+        self.barrier == SyncBarrier::Needed
     }
 
     /// Whether another request may be sent with at most `most` outstanding.
     pub(super) fn has_capacity(&self, most: usize) -> bool {
         match self.barrier {
             SyncBarrier::Clear => self.waiting.len() < most,
-            SyncBarrier::Wanted => self.waiting.is_empty(),
+            SyncBarrier::Needed => self.waiting.is_empty(),
             SyncBarrier::Pending => false,
         }
     }
 
     /// Whether an equal request is outstanding. It must not be sent again before: the reply would be ambiguous.
-    pub(super) fn is_waiting_for(&self, question: &NxtRequest) -> bool {
-        self.waiting.iter().any(|asked| asked.request == *question)
+    pub(super) fn is_waiting_for(&self, request: &NxtRequest) -> bool {
+        self.waiting.iter().any(|pending| pending.request == *request)
     }
 
     pub(super) const fn counts(&self) -> RequestCounts {
         self.tally
     }
 
-    pub(super) fn record_sent(&mut self, question: NxtRequest, sent: Timestamp<HostClock>) {
-        if question == NxtRequest::SyncBarrier {
+    pub(super) fn record_sent(&mut self, request: NxtRequest, sent: Timestamp<HostClock>) {
+        if request == NxtRequest::SyncBarrier {
             self.barrier = SyncBarrier::Pending;
         }
-        self.waiting.push_back(PendingRequest { request: question, sent });
+        self.waiting.push_back(PendingRequest { request, sent });
     }
 
     pub(super) fn match_reply(&mut self, reply: &NxtReply<'_>) -> ReplyMatch {
-        let fits = |question: &NxtRequest| question.matches_reply(reply);
+        let fits = |request: &NxtRequest| request.matches_reply(reply);
         if NxtRequest::SyncBarrier.matches_reply(reply) {
             return self.match_barrier();
         }
@@ -200,27 +200,27 @@ impl RequestTracker {
             self.tally.late += 1;
             return ReplyMatch::TooLate;
         }
-        let found = self.waiting.iter().position(|asked| fits(&asked.request));
-        let Some(asked) = found.and_then(|at| self.waiting.remove(at)) else {
+        let found = self.waiting.iter().position(|pending| fits(&pending.request));
+        let Some(pending) = found.and_then(|at| self.waiting.remove(at)) else {
             self.tally.late += 1;
             return ReplyMatch::Unexpected;
         };
         self.tally.answered += 1;
-        ReplyMatch::Reply(asked)
+        ReplyMatch::Reply(pending)
     }
 
     /// Any reply to a barrier settles all earlier requests.
     fn match_barrier(&mut self) -> ReplyMatch {
         let is_waited_for = self.barrier == SyncBarrier::Pending;
-        let waiting = self.waiting.iter().position(|asked| asked.request == NxtRequest::SyncBarrier);
-        let Some(asked) = waiting.and_then(|at| self.waiting.remove(at)) else {
+        let waiting = self.waiting.iter().position(|pending| pending.request == NxtRequest::SyncBarrier);
+        let Some(pending) = waiting.and_then(|at| self.waiting.remove(at)) else {
             self.tally.late += 1;
             return if is_waited_for { ReplyMatch::TooLate } else { ReplyMatch::Unexpected };
         };
         self.overdue.clear();
         self.barrier = SyncBarrier::Clear;
         self.tally.answered += 1;
-        ReplyMatch::Reply(asked)
+        ReplyMatch::Reply(pending)
     }
 
     /// Abandons the oldest request after the time-out; a barrier must follow.
@@ -228,36 +228,36 @@ impl RequestTracker {
         if self.deadline().is_none_or(|due| due > now) {
             return None;
         }
-        let asked = self.waiting.pop_front()?;
-        self.abandon(asked.request.clone());
-        Some(asked.request)
+        let pending = self.waiting.pop_front()?;
+        self.abandon(pending.request.clone());
+        Some(pending.request)
     }
 
     /// The stream is out of step: replies to the outstanding requests will not be recognized. Returns these requests.
     pub(super) fn abort_all(&mut self) -> Vec<NxtRequest> {
         let mut lost = Vec::new();
-        while let Some(asked) = self.waiting.pop_front() {
-            self.abandon(asked.request.clone());
-            lost.push(asked.request);
+        while let Some(pending) = self.waiting.pop_front() {
+            self.abandon(pending.request.clone());
+            lost.push(pending.request);
         }
-        self.barrier = SyncBarrier::Wanted;
+        self.barrier = SyncBarrier::Needed;
         lost
     }
 
-    fn abandon(&mut self, question: NxtRequest) {
-        self.barrier = SyncBarrier::Wanted;
-        if question == NxtRequest::SyncBarrier {
+    fn abandon(&mut self, request: NxtRequest) {
+        self.barrier = SyncBarrier::Needed;
+        if request == NxtRequest::SyncBarrier {
             return;
         }
         self.tally.lost += 1;
         if self.overdue.len() >= MAX_OVERDUE {
             self.overdue.pop_front();
         }
-        self.overdue.push_back(question);
+        self.overdue.push_back(request);
     }
 
     pub(super) fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.waiting.front().map(|asked| asked.sent + self.timeout)
+        self.waiting.front().map(|pending| pending.sent + self.timeout)
     }
 }
 
@@ -268,7 +268,7 @@ const FIRST_TICKS: u8 = 3;
 const BETWEEN_TICKS: u8 = 19;
 const TRIAL_REQUESTS: u8 = 8;
 /// Consecutive refusals or time-outs of one kind of read after which the brick is taken not to support it.
-const MAX_STRIKES: u8 = 2;
+const MAX_FAILURES: u8 = 2;
 /// Shortest round over a fast link: the brick counts once in a millisecond, and a turn of a degree takes longer.
 const MIN_ROUND: TimeDelta = TimeDelta::from_millis(10);
 /// Interval between ticks while a program on the brick pushes the data.
@@ -280,8 +280,8 @@ const LOWSPEED_9V: u8 = 0x0B;
 /// How much of an IO map the brick returns in one reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ReadSize {
-    /// 119 bytes: a whole module.
-    Whole,
+    /// 119 bytes: a complete module.
+    Complete,
     /// 55 bytes: two motors, one port.
     Partial,
     /// None: one command for each motor and port.
@@ -323,16 +323,16 @@ pub(super) struct PollSchedule {
     wheels: [MotorPort; 2],
     sensors: [NxtSensor; 4],
     pub(super) ports: [PortState; 4],
-    reach: ReadSize,
-    is_reach_known: bool,
-    strikes: u8,
+    read_size: ReadSize,
+    is_read_size_known: bool,
+    failures: u8,
     outstanding: MaxOutstanding,
     /// Requests of the trial that have not been sent, and that have not been answered.
     trial: Option<(u8, u8)>,
     most: usize,
     has_tick: bool,
     is_tick_known: bool,
-    tick_strikes: u8,
+    tick_failures: u8,
     ticks_remaining: u8,
     since_tick: u8,
     next_tick: Timestamp<HostClock>,
@@ -347,15 +347,15 @@ impl PollSchedule {
             wheels: [settings.left_motor.port, settings.right_motor.port],
             sensors: settings.sensors,
             ports: [PortState::Unused; 4],
-            reach: ReadSize::Whole,
-            is_reach_known: false,
-            strikes: 0,
+            read_size: ReadSize::Complete,
+            is_read_size_known: false,
+            failures: 0,
             outstanding: settings.outstanding,
             trial: None,
             most: 1,
             has_tick: true,
             is_tick_known: false,
-            tick_strikes: 0,
+            tick_failures: 0,
             ticks_remaining: 0,
             since_tick: 0,
             next_tick: Timestamp::ZERO,
@@ -366,15 +366,15 @@ impl PollSchedule {
 
     /// The link came up: restarts all detection.
     pub(super) fn reset(&mut self, now: Timestamp<HostClock>) {
-        self.reach = ReadSize::Whole;
-        self.is_reach_known = self.source == WheelSource::Pushed;
-        self.strikes = 0;
+        self.read_size = ReadSize::Complete;
+        self.is_read_size_known = self.source == WheelSource::Pushed;
+        self.failures = 0;
         self.most = 1;
         self.trial = (self.outstanding == MaxOutstanding::Two && self.source == WheelSource::Polled)
             .then_some((TRIAL_REQUESTS, TRIAL_REQUESTS));
         self.has_tick = true;
         self.is_tick_known = false;
-        self.tick_strikes = 0;
+        self.tick_failures = 0;
         self.ticks_remaining = FIRST_TICKS;
         self.since_tick = 0;
         self.next_tick = now;
@@ -395,7 +395,7 @@ impl PollSchedule {
     pub(super) fn try_tick_again(&mut self, now: Timestamp<HostClock>) {
         if !self.has_tick {
             self.has_tick = true;
-            self.tick_strikes = 0;
+            self.tick_failures = 0;
             self.next_tick = now;
         }
     }
@@ -414,21 +414,21 @@ impl PollSchedule {
 
     /// True once the largest read is known.
     pub(super) const fn is_read_size_known(&self) -> bool {
-        self.is_reach_known
+        self.is_read_size_known
     }
 
-    /// The next request of the schedule, barriers and mailbox excluded; `asked` are the bus ports that were written to.
-    pub(super) fn next_request(&mut self, now: Timestamp<HostClock>, asked: &[u8]) -> Option<NxtRequest> {
+    /// The next request of the schedule, barriers and mailbox excluded; `pending_ports` are the bus ports that were written to.
+    pub(super) fn next_request(&mut self, now: Timestamp<HostClock>, pending_ports: &[u8]) -> Option<NxtRequest> {
         if let Some(tick) = self.next_tick_request(now) {
             return Some(tick);
         }
         if self.source == WheelSource::Pushed {
             return None;
         }
-        if let Some(question) = self.next_set_up() {
-            return Some(question);
+        if let Some(request) = self.next_set_up() {
+            return Some(request);
         }
-        if !self.is_reach_known {
+        if !self.is_read_size_known {
             return self.motors().first().cloned();
         }
         if let Some((unasked @ 1.., unanswered)) = self.trial {
@@ -441,7 +441,7 @@ impl PollSchedule {
                 return None;
             }
             self.next_round = now + MIN_ROUND;
-            self.fill_round(asked);
+            self.fill_round(pending_ports);
         }
         self.since_tick = self.since_tick.saturating_add(1);
         self.round.pop_front()
@@ -480,17 +480,17 @@ impl PollSchedule {
         }
     }
 
-    fn fill_round(&mut self, asked: &[u8]) {
+    fn fill_round(&mut self, pending_ports: &[u8]) {
         let inputs: Vec<u8> = (0..4).filter(|port| self.needs_input(*port)).collect();
-        let buffers = match self.reach {
-            ReadSize::Whole if asked.is_empty() => Vec::new(),
-            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_BUFFERS)],
-            ReadSize::Partial => one_request_per_port(asked, |port| NxtRequest::IoMap(io_maps::buffer(port))),
-            ReadSize::Single => one_request_per_port(asked, NxtRequest::Digital),
+        let buffers = match self.read_size {
+            ReadSize::Complete if pending_ports.is_empty() => Vec::new(),
+            ReadSize::Complete => vec![NxtRequest::IoMap(ALL_BUFFERS)],
+            ReadSize::Partial => one_request_per_port(pending_ports, |port| NxtRequest::IoMap(io_maps::buffer(port))),
+            ReadSize::Single => one_request_per_port(pending_ports, NxtRequest::Digital),
         };
-        let analog = match self.reach {
-            ReadSize::Whole if inputs.is_empty() => Vec::new(),
-            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_INPUTS)],
+        let analog = match self.read_size {
+            ReadSize::Complete if inputs.is_empty() => Vec::new(),
+            ReadSize::Complete => vec![NxtRequest::IoMap(ALL_INPUTS)],
             ReadSize::Partial => one_request_per_port(&inputs, |port| NxtRequest::IoMap(io_maps::input(port))),
             ReadSize::Single => one_request_per_port(&inputs, NxtRequest::Analog),
         };
@@ -509,25 +509,25 @@ impl PollSchedule {
     fn motors(&self) -> Vec<NxtRequest> {
         let [left, right] = self.wheels;
         let (first, last) = (left.number().min(right.number()), left.number().max(right.number()));
-        match self.reach {
-            ReadSize::Whole => vec![NxtRequest::IoMap(ALL_MOTORS)],
+        match self.read_size {
+            ReadSize::Complete => vec![NxtRequest::IoMap(ALL_MOTORS)],
             ReadSize::Partial if last - first == 1 => vec![NxtRequest::IoMap(io_maps::motor_pair(first))],
             ReadSize::Partial => one_request_per_port(&[first, last], |motor| NxtRequest::IoMap(io_maps::motor(motor))),
             ReadSize::Single => self.wheels.map(NxtRequest::Motor).to_vec(),
         }
     }
 
-    pub(super) fn record_success(&mut self, question: &NxtRequest) {
-        if question.is_for_data() {
-            self.strikes = 0;
-            if !self.is_reach_known {
-                self.is_reach_known = true;
+    pub(super) fn record_success(&mut self, request: &NxtRequest) {
+        if request.is_for_data() {
+            self.failures = 0;
+            if !self.is_read_size_known {
+                self.is_read_size_known = true;
                 self.round.clear();
             }
         }
-        let is_tick = *question == NxtRequest::IoMap(TICK);
+        let is_tick = *request == NxtRequest::IoMap(TICK);
         self.is_tick_known |= is_tick;
-        if (is_tick || question.is_for_data())
+        if (is_tick || request.is_for_data())
             && let Some((unasked, unanswered)) = self.trial
             && unasked < unanswered
         {
@@ -536,16 +536,16 @@ impl PollSchedule {
     }
 
     /// A request had no reply, or was refused. Returns the resulting change of the schedule, if any.
-    pub(super) fn record_failure(&mut self, question: &NxtRequest, why: RequestFailure) -> Option<ScheduleChange> {
-        let is_tick = *question == NxtRequest::IoMap(TICK);
+    pub(super) fn record_failure(&mut self, request: &NxtRequest, why: RequestFailure) -> Option<ScheduleChange> {
+        let is_tick = *request == NxtRequest::IoMap(TICK);
         let is_trial = self.trial.is_some_and(|(unasked, _)| unasked < TRIAL_REQUESTS);
-        if is_trial && (is_tick || question.is_for_data()) {
+        if is_trial && (is_tick || request.is_for_data()) {
             self.trial = None;
             self.most = 1;
             self.request_tick();
             return Some(ScheduleChange::Outstanding);
         }
-        if let NxtRequest::SetUp { port, .. } = question
+        if let NxtRequest::SetUp { port, .. } = request
             && let Some(port) = self.ports.get_mut(usize::from(*port))
         {
             *port = match why {
@@ -557,11 +557,11 @@ impl PollSchedule {
         if is_tick {
             return self.record_tick_failure();
         }
-        if why == RequestFailure::Rejected && matches!(question, NxtRequest::Analog(_) | NxtRequest::Digital(_)) {
+        if why == RequestFailure::Rejected && matches!(request, NxtRequest::Analog(_) | NxtRequest::Digital(_)) {
             // One sensor is not there. The rest of the round has nothing to do with it.
             return None;
         }
-        (question.is_for_data() && self.record_data_failure()).then_some(ScheduleChange::ReadSize)
+        (request.is_for_data() && self.record_data_failure()).then_some(ScheduleChange::ReadSize)
     }
 
     fn record_tick_failure(&mut self) -> Option<ScheduleChange> {
@@ -569,8 +569,8 @@ impl PollSchedule {
         if self.is_tick_known {
             return None;
         }
-        self.tick_strikes += 1;
-        if self.tick_strikes < MAX_STRIKES {
+        self.tick_failures += 1;
+        if self.tick_failures < MAX_FAILURES {
             return None;
         }
         self.has_tick = false;
@@ -581,30 +581,30 @@ impl PollSchedule {
 
     fn record_data_failure(&mut self) -> bool {
         self.round.clear();
-        self.strikes += 1;
+        self.failures += 1;
         // What has worked is not given up for two stalls in a row.
-        let allowed = if self.is_reach_known { 2 * MAX_STRIKES } else { MAX_STRIKES };
-        if self.strikes < allowed {
+        let allowed = if self.is_read_size_known { 2 * MAX_FAILURES } else { MAX_FAILURES };
+        if self.failures < allowed {
             return false;
         }
-        self.strikes = 0;
-        let next = match self.reach {
-            ReadSize::Whole => ReadSize::Partial,
+        self.failures = 0;
+        let next = match self.read_size {
+            ReadSize::Complete => ReadSize::Partial,
             ReadSize::Partial => ReadSize::Single,
             ReadSize::Single => return false,
         };
-        self.reach = next;
-        self.is_reach_known = next == ReadSize::Single;
+        self.read_size = next;
+        self.is_read_size_known = next == ReadSize::Single;
         true
     }
 
     pub(super) const fn read_size(&self) -> ReadSize {
-        self.reach
+        self.read_size
     }
 }
 
-fn one_request_per_port(ports: &[u8], question: impl Fn(u8) -> NxtRequest) -> Vec<NxtRequest> {
-    ports.iter().map(|port| question(*port)).collect()
+fn one_request_per_port(ports: &[u8], request: impl Fn(u8) -> NxtRequest) -> Vec<NxtRequest> {
+    ports.iter().map(|port| request(*port)).collect()
 }
 
 #[cfg(test)]
@@ -621,78 +621,78 @@ mod tests {
     }
 
     fn begun() -> RequestTracker {
-        let mut talk = RequestTracker::new(TimeDelta::from_millis(500));
-        talk.record_sent(NxtRequest::SyncBarrier, Timestamp::ZERO);
-        talk.match_reply(&NxtReply::parse(&VERSION).unwrap());
-        talk
+        let mut requests = RequestTracker::new(TimeDelta::from_millis(500));
+        requests.record_sent(NxtRequest::SyncBarrier, Timestamp::ZERO);
+        requests.match_reply(&NxtReply::parse(&VERSION).unwrap());
+        requests
     }
 
     #[test]
-    fn a_late_reply_is_never_the_answer_to_a_later_question() {
-        let mut talk = begun();
-        talk.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::ZERO);
-        assert_eq!(talk.deadline(), Some(Timestamp::from_millis(500)));
-        assert_eq!(talk.expire(Timestamp::from_millis(499)), None);
-        let given_up = talk.expire(Timestamp::from_millis(500));
-        assert_eq!(given_up, Some(NxtRequest::IoMap(ALL_MOTORS)));
-        assert!(talk.needs_barrier() && talk.has_capacity(1));
+    fn a_late_reply_never_matches_a_later_request() {
+        let mut requests = begun();
+        requests.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::ZERO);
+        assert_eq!(requests.deadline(), Some(Timestamp::from_millis(500)));
+        assert_eq!(requests.expire(Timestamp::from_millis(499)), None);
+        let expired = requests.expire(Timestamp::from_millis(500));
+        assert_eq!(expired, Some(NxtRequest::IoMap(ALL_MOTORS)));
+        assert!(requests.needs_barrier() && requests.has_capacity(1));
 
-        // Nothing but the fence may be asked before it is known what became of the reply.
-        talk.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500));
-        assert!(!talk.has_capacity(2));
+        // Only the barrier may be sent before the fate of the reply is known.
+        requests.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500));
+        assert!(!requests.has_capacity(2));
         let motors = motors();
-        assert_eq!(talk.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::TooLate);
-        assert!(matches!(talk.match_reply(&NxtReply::parse(&VERSION).unwrap()), ReplyMatch::Reply(_)));
-        talk.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(600));
-        assert!(matches!(talk.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::Reply(_)));
-        let tally = talk.counts();
+        assert_eq!(requests.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::TooLate);
+        assert!(matches!(requests.match_reply(&NxtReply::parse(&VERSION).unwrap()), ReplyMatch::Reply(_)));
+        requests.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(600));
+        assert!(matches!(requests.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::Reply(_)));
+        let tally = requests.counts();
         assert_eq!((tally.answered, tally.lost, tally.late), (4 - 1, 1, 1));
     }
 
     #[test]
-    fn a_reply_that_never_came_is_forgotten_behind_the_fence() {
-        let mut talk = begun();
-        talk.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::ZERO);
-        talk.expire(Timestamp::from_millis(500));
-        talk.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500));
-        talk.match_reply(&NxtReply::parse(&VERSION).unwrap());
-        talk.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(530));
+    fn a_reply_that_never_came_is_forgotten_after_the_barrier() {
+        let mut requests = begun();
+        requests.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::ZERO);
+        requests.expire(Timestamp::from_millis(500));
+        requests.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500));
+        requests.match_reply(&NxtReply::parse(&VERSION).unwrap());
+        requests.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(530));
         let motors = motors();
         assert!(matches!(
-            talk.match_reply(&NxtReply::parse(&motors).unwrap()),
-            ReplyMatch::Reply(asked) if asked.sent == Timestamp::from_millis(530)
+            requests.match_reply(&NxtReply::parse(&motors).unwrap()),
+            ReplyMatch::Reply(pending) if pending.sent == Timestamp::from_millis(530)
         ));
     }
 
     #[test]
-    fn replies_find_their_questions_out_of_two_and_no_other() {
-        let mut talk = begun();
-        talk.record_sent(NxtRequest::IoMap(ALL_INPUTS), Timestamp::ZERO);
-        talk.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(1));
-        assert!(!talk.has_capacity(2));
+    fn replies_match_their_own_request_out_of_two() {
+        let mut requests = begun();
+        requests.record_sent(NxtRequest::IoMap(ALL_INPUTS), Timestamp::ZERO);
+        requests.record_sent(NxtRequest::IoMap(ALL_MOTORS), Timestamp::from_millis(1));
+        assert!(!requests.has_capacity(2));
         let motors = motors();
         assert!(matches!(
-            talk.match_reply(&NxtReply::parse(&motors).unwrap()),
-            ReplyMatch::Reply(asked) if asked.request == NxtRequest::IoMap(ALL_MOTORS)
+            requests.match_reply(&NxtReply::parse(&motors).unwrap()),
+            ReplyMatch::Reply(pending) if pending.request == NxtRequest::IoMap(ALL_MOTORS)
         ));
-        assert_eq!(talk.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::Unexpected);
-        assert_eq!(talk.abort_all(), [NxtRequest::IoMap(ALL_INPUTS)]);
-        assert!(talk.needs_barrier());
+        assert_eq!(requests.match_reply(&NxtReply::parse(&motors).unwrap()), ReplyMatch::Unexpected);
+        assert_eq!(requests.abort_all(), [NxtRequest::IoMap(ALL_INPUTS)]);
+        assert!(requests.needs_barrier());
     }
 
     #[test]
-    fn stray_fences_after_a_stall_do_no_harm() {
-        let mut talk = RequestTracker::new(TimeDelta::from_millis(500));
+    fn late_barrier_replies_after_a_stall_do_no_harm() {
+        let mut requests = RequestTracker::new(TimeDelta::from_millis(500));
         for half_second in 0..3 {
-            talk.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500 * half_second));
+            requests.record_sent(NxtRequest::SyncBarrier, Timestamp::from_millis(500 * half_second));
             if half_second < 2 {
-                talk.expire(Timestamp::from_millis(500 * (half_second + 1)));
+                requests.expire(Timestamp::from_millis(500 * (half_second + 1)));
             }
         }
         let version = NxtReply::parse(&VERSION).unwrap();
-        assert!(matches!(talk.match_reply(&version), ReplyMatch::Reply(_)));
-        assert_eq!(talk.match_reply(&version), ReplyMatch::Unexpected);
-        assert!(talk.has_capacity(1));
-        assert_eq!(talk.counts().lost, 0);
+        assert!(matches!(requests.match_reply(&version), ReplyMatch::Reply(_)));
+        assert_eq!(requests.match_reply(&version), ReplyMatch::Unexpected);
+        assert!(requests.has_capacity(1));
+        assert_eq!(requests.counts().lost, 0);
     }
 }

@@ -115,7 +115,7 @@ pub struct NxtSettings {
     pub right_motor: WheelMotor,
     /// At the ports 1 to 4.
     pub sensors: [NxtSensor; 4],
-    /// The gyro's reading at rest; `None` learns it while both wheels stand.
+    /// The gyro's reading at rest; `None` learns it while both wheels are at rest.
     pub gyro_rest_counts: Option<f64>,
     pub gyro_sign: GyroSign,
     pub compass_zero_deg: f64,

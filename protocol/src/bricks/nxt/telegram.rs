@@ -267,7 +267,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_known_status_has_words_of_its_own_kind() {
+    fn every_known_status_has_its_own_text() {
         let unknown = NxtStatus(0x01).meaning();
         for byte in 0..=u8::MAX {
             let status = NxtStatus(byte);

@@ -50,9 +50,9 @@ impl BoardClock {
             self.last = Some(LineTime::new(time, arrival));
             return true;
         };
-        let follows_suspect = || self.suspect.and_then(|seen| seen.advance(time, arrival));
-        if let Some(seen) = last.advance(time, arrival).or_else(follows_suspect) {
-            self.last = Some(seen);
+        let follows_suspect = || self.suspect.and_then(|line_time| line_time.advance(time, arrival));
+        if let Some(line_time) = last.advance(time, arrival).or_else(follows_suspect) {
+            self.last = Some(line_time);
             self.suspect = None;
             return true;
         }
@@ -61,7 +61,7 @@ impl BoardClock {
     }
 
     pub(super) fn last_accepted(&self) -> Option<BoardTime> {
-        self.last.map(|seen| seen.time)
+        self.last.map(|line_time| line_time.time)
     }
 }
 
@@ -88,8 +88,8 @@ impl LineTime {
         if on_board < -MAX_CLOCK_ERROR {
             return None;
         }
-        let kept = (self.delay - skew).max(TimeDelta::ZERO);
-        let held_back = (kept + on_host - on_board).max(TimeDelta::ZERO).min(MAX_DELAY);
+        let decayed = (self.delay - skew).max(TimeDelta::ZERO);
+        let held_back = (decayed + on_host - on_board).max(TimeDelta::ZERO).min(MAX_DELAY);
         Some(Self { time, arrival, delay: held_back })
     }
 }
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_and_its_burst_and_the_wrap_are_believed() {
+    fn a_stall_its_burst_and_the_wrap_are_accepted() {
         let stall = [(0, 0), (50, 50), (3_000, 100), (3_000, 1_500), (3_001, 2_950), (3_050, 3_050)];
         assert_eq!(accepted(&stall), [true; 6]);
         let wrap = [(0, u32::MAX - 20), (50, 29), (5_000_000, 5_000_029)];

@@ -135,8 +135,8 @@ impl BrickCodec for TextLineCodec {
     }
 
     fn source_health(&self) -> Vec<SourceHealth> {
-        let heard = SourceHealth { source: DEFAULT_BRICK_ADDRESS, frames: self.counts.frames, lost: 0 };
-        (heard.frames > 0).then_some(heard).into_iter().collect()
+        let health = SourceHealth { source: DEFAULT_BRICK_ADDRESS, frames: self.counts.frames, lost: 0 };
+        (health.frames > 0).then_some(health).into_iter().collect()
     }
 }
 
@@ -264,7 +264,7 @@ impl TextLineCodec {
     }
 }
 
-/// Totals of a board whose counts restart at zero when it is reset.
+/// Totals of a board that restarts its counts at zero when it is reset.
 #[derive(Clone, Copy, Debug, Default)]
 struct ResettableCounters {
     last: Option<[i64; 2]>,

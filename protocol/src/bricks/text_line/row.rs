@@ -118,16 +118,16 @@ fn parse_pairs(
 ) -> Result<BoardReading, LineError> {
     let mut row = BoardReading::default();
     for (key, column) in keys {
-        let mut values = pairs.iter().filter(|(said, _)| said == key);
+        let mut values = pairs.iter().filter(|(name, _)| name == key);
         let (_, value) = values.next().ok_or(LineError::Missing(column.quantity))?;
         if values.next().is_some() {
             return Err(LineError::Duplicate(column.quantity));
         }
         row.set(*column, value).ok_or(LineError::InvalidNumber(column.quantity))?;
     }
-    for (said, _) in pairs {
-        if !keys.iter().any(|(key, _)| key == said) {
-            unknown(said);
+    for (name, _) in pairs {
+        if !keys.iter().any(|(key, _)| key == name) {
+            unknown(name);
         }
     }
     Ok(row)
@@ -136,8 +136,8 @@ fn parse_pairs(
 /// Names and values. If both separators are the same, names and values alternate.
 fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&str, &str)> {
     if separator == key_separator {
-        let words: Vec<&str> = split(text, separator).collect();
-        let pairs = words.chunks(2).filter_map(|pair| match pair {
+        let fields: Vec<&str> = split(text, separator).collect();
+        let pairs = fields.chunks(2).filter_map(|pair| match pair {
             [key, value] => Some((*key, *value)),
             _ => None,
         });

@@ -32,11 +32,11 @@ impl TextLineSettings {
     /// Rejects a repeated quantity, one wheel without the other, and a layout without any measurement.
     pub fn validate(&self) -> Result<(), LayoutError> {
         let columns: Vec<Column> = self.layout.columns().collect();
-        let is_there = |wanted: Quantity| columns.iter().any(|column| column.quantity == wanted);
+        let has_column = |quantity: Quantity| columns.iter().any(|column| column.quantity == quantity);
         if !columns.iter().any(|column| column.quantity.is_measured()) {
             return Err(LayoutError::Empty);
         }
-        if is_there(Quantity::LeftTicks) != is_there(Quantity::RightTicks) {
+        if has_column(Quantity::LeftTicks) != has_column(Quantity::RightTicks) {
             return Err(LayoutError::SingleWheel);
         }
         for (index, column) in columns.iter().enumerate() {

@@ -28,7 +28,7 @@ impl MissingFrames {
             return false;
         }
         let number = self.newest - behind;
-        self.bits[word(number)] & bit(number) != 0
+        self.bits[word_index(number)] & bit(number) != 0
     }
 
     /// Records the late arrival of the frame at this distance before the newest; false if it was not missing, or is
@@ -42,15 +42,15 @@ impl MissingFrames {
     }
 
     const fn insert(&mut self, number: u64) {
-        self.bits[word(number)] |= bit(number);
+        self.bits[word_index(number)] |= bit(number);
     }
 
     const fn remove(&mut self, number: u64) {
-        self.bits[word(number)] &= !bit(number);
+        self.bits[word_index(number)] &= !bit(number);
     }
 }
 
-const fn word(number: u64) -> usize {
+const fn word_index(number: u64) -> usize {
     (number % WINDOW / 64) as usize
 }
 
@@ -64,11 +64,11 @@ pub(super) struct SequenceSet([u64; 4]);
 
 impl SequenceSet {
     pub(super) const fn insert(&mut self, sequence: u8) {
-        self.0[word(sequence as u64)] |= bit(sequence as u64);
+        self.0[word_index(sequence as u64)] |= bit(sequence as u64);
     }
 
     pub(super) const fn contains(&self, sequence: u8) -> bool {
-        self.0[word(sequence as u64)] & bit(sequence as u64) != 0
+        self.0[word_index(sequence as u64)] & bit(sequence as u64) != 0
     }
 
     /// In increasing order.
@@ -80,7 +80,7 @@ impl SequenceSet {
     /// The numbers among the 64 after `from` on the circle, each as its distance from `from`, the nearest first.
     pub(super) fn ahead_of(&self, from: u8) -> impl Iterator<Item = u8> {
         let first = from.wrapping_add(1);
-        let (at, shift) = (word(u64::from(first)), first & 63);
+        let (at, shift) = (word_index(u64::from(first)), first & 63);
         let near = self.0[at] >> shift;
         // Shifted out completely where the 64 numbers fill one word.
         let far = self.0[(at + 1) % 4].checked_shl(64 - u32::from(shift));
@@ -91,9 +91,9 @@ impl SequenceSet {
 /// The positions of the set bits, the lowest first.
 fn set_bits(mut word: u64) -> impl Iterator<Item = u8> {
     std::iter::from_fn(move || {
-        let place = (word != 0).then(|| word.trailing_zeros() as u8);
+        let bit_index = (word != 0).then(|| word.trailing_zeros() as u8);
         word &= word.wrapping_sub(1);
-        place
+        bit_index
     })
 }
 
@@ -109,8 +109,8 @@ mod tests {
             for number in &numbers {
                 set.insert(*number);
             }
-            let asked = (0..=u8::MAX).filter(|number| set.contains(*number));
-            prop_assert!(set.iter().eq(asked));
+            let expected = (0..=u8::MAX).filter(|number| set.contains(*number));
+            prop_assert!(set.iter().eq(expected));
             let ahead = (1..=64).filter(|ahead: &u8| set.contains(from.wrapping_add(*ahead)));
             prop_assert!(set.ahead_of(from).eq(ahead));
         }

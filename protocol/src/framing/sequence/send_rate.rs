@@ -80,9 +80,9 @@ impl SendRate {
         if self.gathered_s < GATHER_S {
             return;
         }
-        let seen_per_s = self.gathered_frames / self.gathered_s;
+        let measured_per_s = self.gathered_frames / self.gathered_s;
         let weight = self.gathered_s / (self.gathered_s + AVERAGE_S);
-        self.per_s = Some(self.per_s.map_or(seen_per_s, |per_s| per_s + weight * (seen_per_s - per_s)));
+        self.per_s = Some(self.per_s.map_or(measured_per_s, |per_s| per_s + weight * (measured_per_s - per_s)));
         (self.gathered_frames, self.gathered_s) = (0.0, 0.0);
     }
 }
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_brick_that_nobody_asks_for_the_time_is_not_taken_for_silent() {
+    fn a_brick_without_time_requests_is_not_taken_for_silent() {
         // 46 frames per second with the answers, 41 without; the number is that of the first frames after a turn.
         for sent in 513_u32..525 {
             assert_eq!(of(46).estimate_sent(f64::from(sent) / 41.0, sent as u8, 1), Some(sent));
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_silence_is_told_of_a_brick_that_nobody_asks_for_the_time() {
+    fn a_long_silence_of_a_brick_without_time_requests_is_detected() {
         for sent in (1_080_u32..1_600).step_by(7) {
             for of_pace in [0.89, 0.95, 1.01] {
                 let elapsed_s = f64::from(sent) / 45.0 / of_pace;
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silence_of_minutes_cannot_be_told() {
+    fn losses_in_a_silence_of_minutes_are_unknown() {
         assert_eq!(of(45).estimate_sent(60.0, 7, 1), None);
         assert_eq!(of(1).estimate_sent(60.0, 60, 1), Some(60));
     }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn somebody_who_does_not_count_loses_nothing() {
+    fn a_sender_that_does_not_count_loses_nothing() {
         assert_eq!(of(45).estimate_sent(0.1, 0, 4), Some(0));
         assert_eq!(of(45).estimate_sent(0.1, 200, 4), Some(0));
         assert_eq!(of(0).estimate_sent(10.0, 0, 450), Some(0));

@@ -82,9 +82,9 @@ impl SenderSequence {
     /// Increase in missing frames since the last call.
     pub(super) fn take_new_losses(&mut self) -> u32 {
         let lost = self.lost();
-        let news = lost.saturating_sub(self.reported_lost);
+        let new_losses = lost.saturating_sub(self.reported_lost);
         self.reported_lost = lost;
-        u32::try_from(news).unwrap_or(u32::MAX)
+        u32::try_from(new_losses).unwrap_or(u32::MAX)
     }
 
     pub(super) fn handle_link_loss(&mut self) {

@@ -51,7 +51,7 @@ fn every_component_counts_for_itself() {
 /// What happens between a robot and its receiver; spans in milliseconds.
 #[derive(Clone, Copy)]
 enum Step {
-    Talk(i64),
+    Transmit(i64),
     Lose(i64),
     LoseLink,
     Restart(i64),
@@ -59,28 +59,30 @@ enum Step {
 
 #[test]
 fn losses_of_a_sender_with_stamps_are_counted_to_the_frame() {
-    use Step::{Lose, LoseLink, Restart, Talk};
+    use Step::{Lose, LoseLink, Restart, Transmit};
     let before_wrap_ms = (1 << 32) / 1_000 - 4_000;
-    let silences: Vec<Step> =
-        [100, 2_900, 3_000, 6_000, 12_000, 20_000].into_iter().flat_map(|silent| [Lose(silent), Talk(3_000)]).collect();
-    let restart = [Lose(100), Talk(1_000), Restart(5_000), Talk(5_000), Lose(8_000), Talk(1_000)];
+    let silences: Vec<Step> = [100, 2_900, 3_000, 6_000, 12_000, 20_000]
+        .into_iter()
+        .flat_map(|silent| [Lose(silent), Transmit(3_000)])
+        .collect();
+    let restart = [Lose(100), Transmit(1_000), Restart(5_000), Transmit(5_000), Lose(8_000), Transmit(1_000)];
     for (case, clock_ms, first_ms, steps) in [
         ("silences of any number of turns", 777, 5_000, &silences[..]),
-        ("the link is away", 777, 5_000, &[LoseLink, Lose(9_000), Talk(1_000)]),
+        ("the link is away", 777, 5_000, &[LoseLink, Lose(9_000), Transmit(1_000)]),
         ("switched off and on after 5 s", 777, 5_000, &restart),
         ("switched off and on after 20 s", 777, 20_000, &restart),
-        ("a register that wraps", before_wrap_ms, 3_500, &[Lose(9_000), Talk(1_000)]),
+        ("a register that wraps", before_wrap_ms, 3_500, &[Lose(9_000), Transmit(1_000)]),
     ] {
         let mut robot = Robot::new();
         robot.clock_ms = clock_ms;
-        robot.talk(first_ms);
+        robot.transmit(first_ms);
         for step in steps {
             match *step {
-                Talk(span_ms) => {
-                    robot.talk(span_ms);
+                Transmit(duration_ms) => {
+                    robot.transmit(duration_ms);
                     assert_eq!(lost(&robot.tracker), robot.lost, "{case}");
                 }
-                Lose(span_ms) => robot.lose(span_ms),
+                Lose(duration_ms) => robot.lose(duration_ms),
                 LoseLink => robot.tracker.handle_link_loss(),
                 Restart(off_ms) => robot.restart(off_ms),
             }
@@ -92,14 +94,14 @@ fn losses_of_a_sender_with_stamps_are_counted_to_the_frame() {
 #[test]
 fn a_stall_that_delivers_everything_at_once_is_no_loss() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     // Ten seconds arrive in one instant, and a moment of them is missing.
     robot.arrival = Some(Timestamp::from_millis(15_000));
-    robot.talk(4_000);
+    robot.transmit(4_000);
     robot.lose(100);
-    robot.talk(5_900);
+    robot.transmit(5_900);
     robot.arrival = None;
-    robot.talk(1_000);
+    robot.transmit(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost);
     assert_eq!(robot.lost, 4);
 }
@@ -107,10 +109,10 @@ fn a_stall_that_delivers_everything_at_once_is_no_loss() {
 #[test]
 fn late_frames_and_copies_of_a_sender_with_stamps_count_once() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     for step_ms in 1..=12 {
         // Two frames change their places, across the border of an interval and within, and one of them comes twice.
-        robot.talk(73 * step_ms);
+        robot.transmit(73 * step_ms);
         let (first, second) = (robot.ticks(), robot.heartbeat());
         robot.receive(&second);
         robot.receive(&first);
@@ -120,17 +122,17 @@ fn late_frames_and_copies_of_a_sender_with_stamps_count_once() {
         robot.receive(&second);
         robot.receive(&first);
     }
-    robot.talk(500);
+    robot.transmit(500);
     assert_eq!(lost(&robot.tracker), 0);
 }
 
 #[test]
-fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
+fn a_datagram_overtaken_by_a_stalls_complete_burst_is_late_and_no_restart() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     let held_back = [robot.ticks(), robot.heartbeat()];
     let sent_ms = robot.now_ms;
-    robot.talk(7_000);
+    robot.transmit(7_000);
     robot.lose(200);
     assert_eq!(lost(&robot.tracker), 2, "those that are held back");
     robot.arrival = Some(Timestamp::ZERO + TimeDelta::from_millis(robot.now_ms));
@@ -138,34 +140,34 @@ fn a_datagram_that_a_stall_s_whole_burst_overtakes_is_late_and_no_restart() {
         robot.receive_at(&(sent_ms, frame));
     }
     robot.arrival = None;
-    robot.talk(1_000);
+    robot.transmit(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost);
 }
 
 #[test]
 fn what_was_held_back_before_a_silence_of_more_than_a_turn_is_late_too() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     let held_back = [robot.ticks(), robot.heartbeat()];
     let sent_ms = robot.now_ms;
     robot.lose(9_000);
-    robot.talk(1_000);
+    robot.transmit(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost + 2);
     for frame in held_back {
         robot.receive_at(&(sent_ms, frame));
     }
     assert_eq!(lost(&robot.tracker), robot.lost);
-    robot.talk(1_000);
+    robot.transmit(1_000);
     assert_eq!(lost(&robot.tracker), robot.lost);
 }
 
 #[test]
 fn a_late_frame_is_taken_off_before_the_next_stamp_comes() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     let held_back = robot.heartbeat();
     let sent_ms = robot.now_ms;
-    robot.talk(1_000);
+    robot.transmit(1_000);
     assert_eq!(lost(&robot.tracker), 1);
     robot.receive_at(&(sent_ms, held_back));
     assert_eq!(lost(&robot.tracker), 0);
@@ -174,7 +176,7 @@ fn a_late_frame_is_taken_off_before_the_next_stamp_comes() {
 #[test]
 fn after_the_stamps_have_ceased_the_numbers_have_to_do() {
     let mut robot = Robot::new();
-    robot.talk(5_000);
+    robot.transmit(5_000);
     for count in 0..300 {
         let frame = robot.heartbeat();
         if count % 10 != 0 {
@@ -185,29 +187,29 @@ fn after_the_stamps_have_ceased_the_numbers_have_to_do() {
 }
 
 #[test]
-fn a_sender_that_gives_every_frame_the_same_number_loses_nothing() {
+fn a_sender_with_a_constant_sequence_number_loses_nothing() {
     let mut robot = Robot::new();
     for _ in 0..200 {
         robot.encoder = Encoder::new(WireVersion::V2);
-        robot.talk(25);
+        robot.transmit(25);
     }
     robot.now_ms += 10_000;
     robot.clock_ms += 10_000;
     robot.encoder = Encoder::new(WireVersion::V2);
-    robot.talk(25);
+    robot.transmit(25);
     assert_eq!(lost(&robot.tracker), 0);
 }
 
 #[test]
-fn news_add_up_to_what_is_missing() {
+fn reported_losses_add_up_to_the_missing_frames() {
     let mut robot = Robot::new();
     for silent_ms in [300, 4_000, 7_000] {
-        robot.talk(3_000);
+        robot.transmit(3_000);
         robot.lose(silent_ms);
     }
-    robot.talk(500);
-    assert_eq!(robot.news, lost(&robot.tracker));
-    assert_eq!(robot.news, robot.lost);
+    robot.transmit(500);
+    assert_eq!(robot.new_losses, lost(&robot.tracker));
+    assert_eq!(robot.new_losses, robot.lost);
 }
 
 fn lost(tracker: &SequenceTracker) -> u64 {
@@ -223,7 +225,7 @@ struct Robot {
     /// When everything arrives; `None` at once.
     arrival: Option<Timestamp<HostClock>>,
     lost: u64,
-    news: u64,
+    new_losses: u64,
 }
 
 impl Robot {
@@ -235,18 +237,18 @@ impl Robot {
             now_ms: 0,
             arrival: None,
             lost: 0,
-            news: 0,
+            new_losses: 0,
         }
     }
 
-    fn talk(&mut self, span_ms: i64) {
-        for frame in self.frames(span_ms) {
+    fn transmit(&mut self, duration_ms: i64) {
+        for frame in self.frames(duration_ms) {
             self.receive_at(&frame);
         }
     }
 
-    fn lose(&mut self, span_ms: i64) {
-        self.lost += self.frames(span_ms).len() as u64;
+    fn lose(&mut self, duration_ms: i64) {
+        self.lost += self.frames(duration_ms).len() as u64;
     }
 
     fn restart(&mut self, off_ms: i64) {
@@ -256,9 +258,9 @@ impl Robot {
     }
 
     /// What is sent in a span, with the instant of each.
-    fn frames(&mut self, span_ms: i64) -> Vec<(i64, Vec<u8>)> {
+    fn frames(&mut self, duration_ms: i64) -> Vec<(i64, Vec<u8>)> {
         let mut frames = Vec::new();
-        for _ in 0..span_ms {
+        for _ in 0..duration_ms {
             self.clock_ms += 1;
             self.now_ms += 1;
             if self.now_ms % 1_000 == 0 {
@@ -295,10 +297,10 @@ impl Robot {
 
     fn receive_at(&mut self, (sent_ms, frame): &(i64, Vec<u8>)) {
         let arrival = self.arrival.unwrap_or_else(|| Timestamp::ZERO + TimeDelta::from_millis(*sent_ms));
-        let (tracker, news) = (&mut self.tracker, &mut self.news);
+        let (tracker, new_losses) = (&mut self.tracker, &mut self.new_losses);
         Framer::new(FramerConfig::default()).push(arrival, frame, &mut |scanned| {
             if let FramerOutput::Frame(frame) = scanned {
-                *news += u64::from(tracker.record(&frame, arrival));
+                *new_losses += u64::from(tracker.record(&frame, arrival));
             }
         });
     }

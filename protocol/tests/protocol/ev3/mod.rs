@@ -2,7 +2,7 @@
 //!
 //! The figures: `cargo test -p posebridge-protocol ev3 -- --nocapture`.
 
-mod talk;
+mod session;
 
 use posebridge_protocol::bricks::DEFAULT_BRICK_ADDRESS;
 use posebridge_protocol::bricks::ev3::{
@@ -12,13 +12,13 @@ use posebridge_protocol::message::{Inertial, Message, PlanarPose, PoseFlags, Whe
 use posebridge_telemetry::{
     EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, ReceiveError, Timestamp,
 };
-use talk::{Ev3Session, ReplyCorruption, TURN_AROUND, codec, without_gyro};
+use session::{Ev3Session, ReplyCorruption, TURN_AROUND, codec, without_gyro};
 
 use crate::support::ev3_double::{Ev3Double, FailureMode, PluggedSensor, curve};
 use crate::support::{RecordedEvent, noise, recorded};
 
 #[test]
-fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
+fn requests_are_those_of_the_firmware_and_replies_are_decoded() {
     let mut codec = codec(Ev3Settings::default());
     codec.on_link_up(Timestamp::ZERO);
     // READY_SI of port 2, type 32, mode 1, one value.
@@ -38,9 +38,9 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
         0x13, 0x00, 0x02, 0x00, 0x02, 0x40, 0x42, 0x0F, 0x00, 0x68, 0x01, 0x00, 0x00, 0xFF, 0xFF, 0xFF, 0xFF, 0x00,
         0x00, 0xB4, 0xC2,
     ];
-    let mut heard = Vec::new();
+    let mut events = Vec::new();
     codec.push(Timestamp::from_millis(70), &answer, &mut |found| {
-        heard.push(recorded(found));
+        events.push(recorded(found));
     });
     let stamp = WireStamp::Micros32(1_000_000);
     let expected = [
@@ -57,18 +57,18 @@ fn the_questions_are_those_of_the_firmware_and_the_answers_are_read() {
             wheel_accelerations: None,
         })),
     ];
-    assert_eq!(heard, expected);
+    assert_eq!(events, expected);
 }
 
 #[test]
 fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
     for (outstanding, rate_hz, least, most) in [(1, 50.0, 33.0, 33.4), (2, 50.0, 49.5, 50.1), (1, 10.0, 9.9, 10.1)] {
         let settings = Ev3Settings { outstanding, rate_hz, ..Ev3Settings::default() };
-        let mut talk = Ev3Session::new(settings, Ev3Double::default());
-        talk.run_for(30.0);
-        let states = talk.ticks().count();
+        let mut session = Ev3Session::new(settings, Ev3Double::default());
+        session.run_for(30.0);
+        let states = session.ticks().count();
         // One telegram set the gyro up, and the last ones are on their way.
-        let telegrams = talk.brick.telegrams - 1;
+        let telegrams = session.brick.telegrams - 1;
         assert!(telegrams - states <= usize::from(outstanding), "{telegrams}");
         let rate = states as f64 / 30.0;
         println!(
@@ -76,13 +76,13 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
             telegrams as f64 / states as f64
         );
         assert!((least..=most).contains(&rate), "{rate}");
-        assert!(talk.ticks().all(|heard| talk.error(heard) == 0));
-        assert_eq!(talk.source().lost, 0);
-        assert_eq!(talk.notes(), [""; 0]);
+        assert!(session.ticks().all(|reading| session.error(reading) == 0));
+        assert_eq!(session.source().lost, 0);
+        assert_eq!(session.notes(), [""; 0]);
     }
 }
 
-/// Everything that a codec hears when the answers of a live talk come in such chunks.
+/// All events of a codec when the replies of a live session come in such chunks.
 fn decode_in_chunks(chunk: usize) -> Vec<RecordedEvent> {
     let mailbox = [
         0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
@@ -92,23 +92,23 @@ fn decode_in_chunks(chunk: usize) -> Vec<RecordedEvent> {
     let mut codec = codec(Ev3Settings::default());
     let mut now = Timestamp::ZERO;
     codec.on_link_up(now);
-    let mut heard = Vec::new();
+    let mut events = Vec::new();
     for turn in 0..12 {
-        let question = codec.poll().expect("it asks");
-        let mut bytes = brick.answer(now, &question).expect("it is answered");
+        let request = codec.poll().expect("it asks");
+        let mut bytes = brick.answer(now, &request).expect("it is answered");
         if turn % 3 == 1 {
             bytes = [&mailbox[..], &bytes, b"\xFF\xFF\xFF"].concat();
         }
         now = now + TURN_AROUND;
         for part in bytes.chunks(chunk) {
-            codec.push(now, part, &mut |found| heard.push(recorded(found)));
+            codec.push(now, part, &mut |found| events.push(recorded(found)));
         }
     }
-    heard
+    events
 }
 
 #[test]
-fn chunking_does_not_change_what_is_heard() {
+fn chunking_does_not_change_the_events() {
     let sound = |items: Vec<RecordedEvent>| {
         let is_defect = |item: &RecordedEvent| matches!(item, RecordedEvent::Error(_));
         let (defects, sound): (Vec<_>, Vec<_>) = items.into_iter().partition(is_defect);
@@ -118,15 +118,15 @@ fn chunking_does_not_change_what_is_heard() {
         });
         (sound, garbage.sum::<u32>())
     };
-    let whole = sound(decode_in_chunks(1_000));
-    assert_eq!(whole.1, 12);
+    let expected = sound(decode_in_chunks(1_000));
+    assert_eq!(expected.1, 12);
     for chunk in 1..60 {
-        assert_eq!(sound(decode_in_chunks(chunk)), whole, "chunk size {chunk}");
+        assert_eq!(sound(decode_in_chunks(chunk)), expected, "chunk size {chunk}");
     }
 }
 
 #[test]
-fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
+fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_request() {
     const HIT: usize = 7;
     let (mut cases, mut worst_ms) = (0, 0.0_f64);
     for outstanding in [1, 2] {
@@ -148,20 +148,20 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
             let others: [ReplyCorruption; 2] = [Box::new(lose), Box::new(insert)];
             for (case, spoil) in others.into_iter().chain(flips).enumerate() {
                 let settings = Ev3Settings { outstanding, ..Ev3Settings::default() };
-                let mut talk = Ev3Session::new(settings, Ev3Double::default());
-                talk.run_until(Timestamp::from_millis(3_000), &|number, bytes| {
+                let mut session = Ev3Session::new(settings, Ev3Double::default());
+                session.run_until(Timestamp::from_millis(3_000), &|number, bytes| {
                     if number == HIT { spoil(bytes) } else { bytes }
                 });
                 let name = format!("outstanding {outstanding}, byte {at}, case {case}");
-                let lost = talk.source().lost;
-                let wrong = talk.ticks().filter(|heard| talk.error(*heard) > 0).count() as u64;
+                let lost = session.source().lost;
+                let wrong = session.ticks().filter(|reading| session.error(*reading) > 0).count() as u64;
                 assert!(lost + wrong <= 1, "{name}: lost {lost}, wrong {wrong}");
-                // The clock in particular is never heard wrong by more than the round trip allows.
-                assert!(talk.ticks().all(|heard| talk.error(heard) < 66), "{name}");
-                let heard: Vec<_> = talk.ticks().map(|(now, _)| now).collect();
-                let gaps = heard.windows(2).map(|pair| (pair[1] - pair[0]).as_millis_f64());
+                // The clock in particular is never wrong by more than the round trip allows.
+                assert!(session.ticks().all(|reading| session.error(reading) < 66), "{name}");
+                let times: Vec<_> = session.ticks().map(|(now, _)| now).collect();
+                let gaps = times.windows(2).map(|pair| (pair[1] - pair[0]).as_millis_f64());
                 worst_ms = worst_ms.max(gaps.fold(0.0, f64::max));
-                assert!(heard.last().is_some_and(|last| *last > Timestamp::from_millis(2_960)));
+                assert!(times.last().is_some_and(|last| *last > Timestamp::from_millis(2_960)));
                 cases += 1;
             }
         }
@@ -172,17 +172,19 @@ fn a_lost_an_inserted_or_a_flipped_byte_costs_at_most_one_question() {
 
 #[test]
 fn a_stall_is_followed_by_late_answers_and_no_false_motion() {
-    let mut talk = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
-    talk.delay_line.stall = Some((Timestamp::from_millis(5_000), Timestamp::from_millis(7_000)));
-    talk.run_for(10.0);
-    assert!(talk.ticks().all(|heard| talk.error(heard) == 0));
+    let mut session = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
+    session.delay_line.stall = Some((Timestamp::from_millis(5_000), Timestamp::from_millis(7_000)));
+    session.run_for(10.0);
+    assert!(session.ticks().all(|reading| session.error(reading) == 0));
     // Asked at 5.0, 5.5 and 6.5 s; all three were answered in the end.
-    assert_eq!(talk.source().lost, 0);
-    assert_eq!(talk.codec.counters().stalls, 2);
-    let lost =
-        talk.events.iter().filter(|(_, item)| matches!(item, RecordedEvent::Error(ReceiveError::SequenceGap { .. })));
+    assert_eq!(session.source().lost, 0);
+    assert_eq!(session.codec.counters().stalls, 2);
+    let lost = session
+        .events
+        .iter()
+        .filter(|(_, item)| matches!(item, RecordedEvent::Error(ReceiveError::SequenceGap { .. })));
     assert_eq!(lost.count(), 2);
-    let round_trips = talk.events.iter().filter_map(|(now, item)| match item {
+    let round_trips = session.events.iter().filter_map(|(now, item)| match item {
         RecordedEvent::ClockReply { sent, .. } => Some((*now - *sent).as_millis_f64()),
         _ => None,
     });
@@ -204,61 +206,61 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
         }
     };
     let brick = Ev3Double { counts, ..Ev3Double::default() };
-    let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
-    talk.run_for(8.0);
-    let heard: Vec<_> = talk.ticks().collect();
-    for pair in heard.windows(2) {
+    let mut session = Ev3Session::new(Ev3Settings::default(), brick);
+    session.run_for(8.0);
+    let readings: Vec<_> = session.ticks().collect();
+    for pair in readings.windows(2) {
         let (before, after) = (pair[0].1, pair[1].1);
         let change = (after.left.0 - before.left.0).max(after.right.0 - before.right.0);
         assert!((0..=20).contains(&change), "{before:?} {after:?}");
     }
-    let (now, last) = heard[heard.len() - 1];
+    let (now, last) = readings[readings.len() - 1];
     let WireStamp::Micros32(micros) = last.stamp else {
         panic!("{last:?}");
     };
-    let [_, left, right, _] = curve(talk.brick.host_s(micros, now) - 1.0);
+    let [_, left, right, _] = curve(session.brick.host_s(micros, now) - 1.0);
     assert!((last.left.0 - i64::from(left)).abs() <= 2, "{last:?} {left}");
     assert!((last.right.0 - i64::from(right)).abs() <= 2, "{last:?} {right}");
-    assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
-    assert!(talk.notes()[0].contains("counters"), "{:?}", talk.notes());
+    assert_eq!(session.notes().len(), 1, "{:?}", session.notes());
+    assert!(session.notes()[0].contains("counters"), "{:?}", session.notes());
 }
 
 #[test]
-fn a_missing_sensor_is_told_by_its_port_and_found_when_it_comes() {
+fn a_missing_sensor_is_reported_by_its_port_and_detected_when_plugged_in() {
     for fails in [FailureMode::ErrorReply, FailureMode::NanValue] {
         let mut brick = Ev3Double { failure: fails, ..Ev3Double::default() };
         let gyro = brick.sensors[1].take();
-        let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
-        talk.run_for(25.0);
-        assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
-        assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
-        assert!(talk.ticks().count() > 800);
-        assert_eq!(talk.turns(), []);
-        talk.brick.sensors[1] = gyro;
-        talk.run_for(11.0);
-        assert!(talk.turns().len() > 30);
-        // And when it is pulled out again, that is told again.
-        talk.brick.sensors[1] = None;
-        talk.run_for(4.0);
-        assert_eq!(talk.notes().len(), 2, "{:?}", talk.notes());
+        let mut session = Ev3Session::new(Ev3Settings::default(), brick);
+        session.run_for(25.0);
+        assert_eq!(session.notes().len(), 1, "{:?}", session.notes());
+        assert!(session.notes()[0].contains("port 2"), "{:?}", session.notes());
+        assert!(session.ticks().count() > 800);
+        assert_eq!(session.turns(), []);
+        session.brick.sensors[1] = gyro;
+        session.run_for(11.0);
+        assert!(session.turns().len() > 30);
+        // When it is unplugged again, that is reported again.
+        session.brick.sensors[1] = None;
+        session.run_for(4.0);
+        assert_eq!(session.notes().len(), 2, "{:?}", session.notes());
     }
 }
 
 #[test]
 fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
-    // It stands from 60 s on.
+    // It is at rest from 60 s on.
     let brick = Ev3Double {
         failure: FailureMode::NoReply,
         sensors: [None; 4],
         counts: |host_s| curve(host_s.min(60.0)),
         ..Ev3Double::default()
     };
-    let mut talk = Ev3Session::new(Ev3Settings::default(), brick);
-    talk.run_for(360.0);
-    let heard: Vec<f64> = talk.ticks().map(|(now, _)| now.as_secs_f64()).collect();
-    let gaps: Vec<f64> = heard.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).map(|pair| pair[0]).collect();
-    println!("first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on", heard[0]);
-    assert!(heard[0] < 3.2, "{}", heard[0]);
+    let mut session = Ev3Session::new(Ev3Settings::default(), brick);
+    session.run_for(360.0);
+    let times_s: Vec<f64> = session.ticks().map(|(now, _)| now.as_secs_f64()).collect();
+    let gaps: Vec<f64> = times_s.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).map(|pair| pair[0]).collect();
+    println!("first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on", times_s[0]);
+    assert!(times_s[0] < 3.2, "{}", times_s[0]);
     // Standing for a second; then 20, 40, 80 and 160 s, with 3 s for each try.
     assert_eq!(gaps.len(), 4, "{gaps:?}");
     assert!((61.0..61.2).contains(&gaps[0]), "{gaps:?}");
@@ -266,30 +268,30 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
         let expected = 3.0 + 20.0 * f64::from(1 << at);
         assert!((pair[1] - pair[0] - expected).abs() < 0.1, "{gaps:?}");
     }
-    assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
-    assert!(talk.notes()[0].contains("port 2"), "{:?}", talk.notes());
+    assert_eq!(session.notes().len(), 1, "{:?}", session.notes());
+    assert!(session.notes()[0].contains("port 2"), "{:?}", session.notes());
     // PluggedSensor in, it is found at the next try.
-    talk.brick.sensors[1] = Some(plugged(32, [12.0, 0.0]));
-    talk.run_for(340.0);
-    assert!(!talk.turns().is_empty());
+    session.brick.sensors[1] = Some(plugged(32, [12.0, 0.0]));
+    session.run_for(340.0);
+    assert!(!session.turns().is_empty());
 }
 
 #[test]
-fn a_calendar_that_is_set_costs_no_motion_and_is_called_what_it_is() {
-    let mut talk = Ev3Session::new(without_gyro(), Ev3Double::default());
-    talk.run_for(5.0);
-    talk.brick.start_micros += 900_000_000;
-    talk.run_for(5.0);
-    let heard: Vec<_> = talk.ticks().map(|(_, ticks)| (ticks.left.0, ticks.right.0)).collect();
-    let (first, last) = (heard[0], heard[heard.len() - 1]);
+fn setting_the_clock_costs_no_motion_and_is_reported() {
+    let mut session = Ev3Session::new(without_gyro(), Ev3Double::default());
+    session.run_for(5.0);
+    session.brick.start_micros += 900_000_000;
+    session.run_for(5.0);
+    let counts: Vec<_> = session.ticks().map(|(_, ticks)| (ticks.left.0, ticks.right.0)).collect();
+    let (first, last) = (counts[0], counts[counts.len() - 1]);
     // 300 and 330 counts per second.
     let seconds = [(last.0 - first.0) as f64 / 300.0, (last.1 - first.1) as f64 / 330.0];
     assert!(seconds.iter().all(|seconds| (9.85..=10.0).contains(seconds)), "{seconds:?}");
-    assert_eq!(talk.notes().len(), 1, "{:?}", talk.notes());
-    assert!(talk.notes()[0].contains("clock of the EV3 was set"), "{:?}", talk.notes());
+    assert_eq!(session.notes().len(), 1, "{:?}", session.notes());
+    assert!(session.notes()[0].contains("clock of the EV3 was set"), "{:?}", session.notes());
 }
 
-/// A sensor in a mode that nobody asks for.
+/// A sensor in a mode that is never requested.
 const fn plugged(kind: u8, values: [f32; 2]) -> PluggedSensor {
     PluggedSensor { kind, mode: 7, values }
 }
@@ -314,20 +316,20 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
         sensors: [None, None, Some(plugged(32, [100.0, 45.0])), Some(plugged(30, [37.5, 0.0]))],
         ..Ev3Double::default()
     };
-    let mut talk = Ev3Session::new(all_else(), brick);
-    talk.run_for(0.12);
-    let modes = talk.brick.sensors.map(|sensor| sensor.map(|sensor| sensor.mode));
+    let mut session = Ev3Session::new(all_else(), brick);
+    session.run_for(0.12);
+    let modes = session.brick.sensors.map(|sensor| sensor.map(|sensor| sensor.mode));
     assert_eq!(modes[2..], [Some(3), Some(0)]);
-    talk.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
-    talk.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
-    talk.run_for(0.06);
-    let stamps: Vec<_> = talk.ticks().map(|(_, ticks)| ticks.stamp).collect();
+    session.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
+    session.brick.sensors[3] = Some(plugged(30, [255.0, 0.0]));
+    session.run_for(0.06);
+    let stamps: Vec<_> = session.ticks().map(|(_, ticks)| ticks.stamp).collect();
     let rate = Some(RadiansPerSecond(45.0_f64.to_radians()));
     let turned = |deg: f64| (rate, Some(Radians(deg.to_radians())));
-    let turns = talk.turns();
+    let turns = session.turns();
     assert_eq!(turns[0], turned(0.0));
     assert_eq!(turns[turns.len() - 1], turned(1.0));
-    let ranges = talk.events.iter().filter_map(|(_, item)| match item {
+    let ranges = session.events.iter().filter_map(|(_, item)| match item {
         RecordedEvent::Message(Message::DistanceSensor { stamp, range, .. }) => Some((*stamp, *range)),
         _ => None,
     });
@@ -335,7 +337,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
     // None where nothing was in sight.
     assert!(ranges.len() < stamps.len());
     assert_eq!(ranges[0], (stamps[0], Meters(0.375)));
-    assert!(talk.ticks().all(|(_, ticks)| ticks.left.0 < 0 && ticks.right.0 < 0));
+    assert!(session.ticks().all(|(_, ticks)| ticks.left.0 < 0 && ticks.right.0 < 0));
 }
 
 #[test]
@@ -371,11 +373,11 @@ fn the_estimate_goes_to_the_mailbox() {
 }
 
 #[test]
-fn noise_between_the_answers_is_never_believed_and_the_talk_goes_on() {
+fn noise_between_replies_is_never_accepted_and_the_session_goes_on() {
     let lengths = noise(6, 400);
     let noise: Vec<Vec<u8>> = (0..).zip(lengths).map(|(seed, length)| noise(seed, usize::from(length % 40))).collect();
-    let mut talk = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
-    talk.run_until(Timestamp::from_millis(30_000), &|number, bytes| {
+    let mut session = Ev3Session::new(Ev3Settings::default(), Ev3Double::default());
+    session.run_until(Timestamp::from_millis(30_000), &|number, bytes| {
         let noise = &noise[number % noise.len()];
         match number % 4 {
             0 => [noise, &bytes[..]].concat(),
@@ -384,8 +386,8 @@ fn noise_between_the_answers_is_never_believed_and_the_talk_goes_on() {
             _ => bytes,
         }
     });
-    assert!(talk.ticks().all(|heard| talk.error(heard) == 0));
-    let heard = talk.ticks().count();
-    println!("EV3 with noise around half of the answers and in the place of a quarter: {heard} states in 30 s");
-    assert!(heard > 300, "{heard}");
+    assert!(session.ticks().all(|reading| session.error(reading) == 0));
+    let count = session.ticks().count();
+    println!("EV3 with noise around half of the answers and in the place of a quarter: {count} states in 30 s");
+    assert!(count > 300, "{count}");
 }

@@ -65,8 +65,8 @@ impl Bench {
             if let Some(reply) = self.brick.queue_reply(self.now_micros) {
                 self.deliver_replies(reply);
             } else {
-                let (now, heard, at) = (self.now(), &mut self.events, self.now_micros);
-                self.codec.tick(now, &mut |item| record(heard, at, item));
+                let (now, events, at) = (self.now(), &mut self.events, self.now_micros);
+                self.codec.tick(now, &mut |item| record(events, at, item));
             }
             self.deliver();
         }
@@ -90,8 +90,8 @@ impl Bench {
 
     /// Bytes from the brick.
     pub(crate) fn push(&mut self, bytes: &[u8]) {
-        let (now, heard, at) = (self.now(), &mut self.events, self.now_micros);
-        self.codec.push(now, bytes, &mut |item| record(heard, at, item));
+        let (now, events, at) = (self.now(), &mut self.events, self.now_micros);
+        self.codec.push(now, bytes, &mut |item| record(events, at, item));
         self.deliver();
     }
 
@@ -114,7 +114,7 @@ impl Bench {
         status_texts(&self.events)
     }
 
-    /// When each question for the clock left and what was answered, nanoseconds.
+    /// When each clock request left, and its reply, nanoseconds.
     pub(crate) fn clock_replies(&self) -> Vec<(i64, i64)> {
         let replies = self.events.iter().filter_map(|(_, item)| match item {
             RecordedEvent::ClockReply { sent, peer_nanos } => Some((sent.as_nanos(), *peer_nanos)),
@@ -152,7 +152,7 @@ impl Bench {
     }
 }
 
-/// When the question left and when the answer was there, milliseconds.
+/// When the request left and when the reply arrived, milliseconds.
 pub(crate) fn request_and_reply_ms(stamp: WireStamp) -> (f64, f64) {
     let WireStamp::HostInterval { sent, answered } = stamp else {
         panic!("{stamp:?} is no answer");
@@ -161,8 +161,8 @@ pub(crate) fn request_and_reply_ms(stamp: WireStamp) -> (f64, f64) {
 }
 
 /// Frames that are only passed on are left out.
-fn record(heard: &mut Vec<(i64, RecordedEvent)>, at: i64, item: CodecEvent<'_>) {
+fn record(events: &mut Vec<(i64, RecordedEvent)>, at: i64, item: CodecEvent<'_>) {
     if !matches!(item, CodecEvent::ForwardFrame(_)) {
-        heard.push((at, recorded(item)));
+        events.push((at, recorded(item)));
     }
 }

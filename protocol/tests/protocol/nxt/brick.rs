@@ -95,7 +95,7 @@ impl SimulatedNxt {
     fn handle_telegram(&mut self, now_micros: i64, telegram: &[u8]) {
         self.requests.push(telegram.to_vec());
         self.replies.retain(|(at, _)| *at > now_micros || *at == i64::MAX);
-        // It looks at what it is asked in the middle of the turn-around.
+        // It handles a request in the middle of the turn-around.
         let start = now_micros.max(self.free_at);
         let values = self.execute(start + TURN_AROUND_MICROS / 2, telegram);
         if telegram[0] & 0x80 != 0 {
@@ -155,7 +155,7 @@ impl SimulatedNxt {
         std::array::from_fn(|motor| angles[motor] - self.base[motor])
     }
 
-    /// Status and what stands behind it.
+    /// Status and the bytes after it.
     fn execute(&mut self, at_micros: i64, telegram: &[u8]) -> Vec<u8> {
         let port = telegram.get(2).copied().unwrap_or(0);
         let index = usize::from(port);
@@ -275,8 +275,8 @@ impl SimulatedNxt {
     fn output_module(&self, at_micros: i64) -> Vec<u8> {
         let mut module = vec![0; 100];
         for (motor, count) in self.counts(at_micros).iter().enumerate() {
-            for (place, relative) in OTHER_COUNTS.into_iter().enumerate() {
-                let at = 32 * motor + 4 * place;
+            for (index, relative) in OTHER_COUNTS.into_iter().enumerate() {
+                let at = 32 * motor + 4 * index;
                 module[at..at + 4].copy_from_slice(&(count + relative).to_le_bytes());
             }
         }

@@ -7,7 +7,7 @@ use super::bench::{Bench, request_and_reply_ms};
 use super::session::{SECOND, assert_true, moving_brick};
 use crate::support::noise;
 
-/// Replies from the first, the fence, on: ticks, set-up, motors, inputs, and a tick among them.
+/// Replies from the first, the barrier, on: ticks, set-up, motors, inputs, and a tick among them.
 const REPLIES: std::ops::Range<usize> = 0..18;
 
 fn settings() -> NxtSettings {
@@ -89,12 +89,12 @@ fn a_lost_byte_anywhere_costs_at_most_one_request_in_chunks_of_any_size() {
 }
 
 #[test]
-fn an_inserted_byte_anywhere_costs_at_most_one_request_and_tells_nothing_untrue() {
+fn an_inserted_byte_anywhere_costs_at_most_one_request_and_yields_no_wrong_value() {
     at_every_byte(&[usize::MAX], "00 before byte", |bytes, at| inserted(bytes, at, 0x00), assert_true);
     at_every_byte(&[usize::MAX], "A5 before byte", |bytes, at| inserted(bytes, at, 0xA5), assert_true);
 }
 
-/// What it tells may be wrong: telegrams have no checksum.
+/// Its values may be wrong: telegrams have no checksum.
 #[test]
 fn a_flipped_bit_anywhere_costs_at_most_one_request() {
     at_every_byte(&[usize::MAX], "bit 7 of byte", |bytes, at| flipped(bytes, at, 0x80), |_| ());

@@ -1,4 +1,4 @@
-//! A whole session, byte for byte, and commands: written by hand from LEGO's developer kit and the firmware's interface files.
+//! A complete session, byte for byte, and commands: written by hand from LEGO's developer kit and the firmware's interface files.
 
 use posebridge_protocol::bricks::nxt::{
     MotorPort, NxtSensor, NxtSettings, OutputState, ReplyRequest, framed, message_write, set_output_state,
@@ -26,9 +26,9 @@ fn codec() -> Box<dyn BrickCodec> {
     crate::support::codec("nxt", &CodecSettings { nxt, ..CodecSettings::default() })
 }
 
-/// What the codec asked and heard; of the clock, when the question left and what was answered, nanoseconds.
+/// Requests and messages of the codec; of the clock, when each request left, and its reply, nanoseconds.
 struct TranscriptRun {
-    asked: Vec<Vec<u8>>,
+    requests: Vec<Vec<u8>>,
     messages: Vec<Message>,
     times: Vec<(i64, i64)>,
 }
@@ -36,15 +36,15 @@ struct TranscriptRun {
 /// Plays the transcript with answers cut into chunks.
 fn play(chunk: usize) -> TranscriptRun {
     let mut codec = codec();
-    let (mut asked, mut messages, mut times) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut requests, mut messages, mut times) = (Vec::new(), Vec::new(), Vec::new());
     codec.on_link_up(Timestamp::ZERO);
     for (step, reply) in lines_of("<").enumerate() {
         while let Some(bytes) = codec.poll() {
-            asked.push(bytes);
+            requests.push(bytes);
         }
         let now = at(30 * (step as i64 + 1));
         for part in reply.chunks(chunk) {
-            codec.push(now, part, &mut |heard| match heard {
+            codec.push(now, part, &mut |event| match event {
                 CodecEvent::Message { message, .. } => messages.push(message),
                 CodecEvent::ClockReply { sent, peer_nanos, .. } => times.push((sent.as_nanos(), peer_nanos)),
                 CodecEvent::StatusText { .. } => {}
@@ -52,20 +52,20 @@ fn play(chunk: usize) -> TranscriptRun {
             });
         }
     }
-    TranscriptRun { asked, messages, times }
+    TranscriptRun { requests, messages, times }
 }
 
 #[test]
-fn every_question_is_these_bytes_in_this_order() {
-    let TranscriptRun { asked, .. } = play(usize::MAX);
-    assert_eq!(asked, lines_of(">").collect::<Vec<_>>());
+fn every_request_is_these_bytes_in_this_order() {
+    let TranscriptRun { requests, .. } = play(usize::MAX);
+    assert_eq!(requests, lines_of(">").collect::<Vec<_>>());
 }
 
 #[test]
 fn every_answer_means_this_in_chunks_of_every_size() {
     for chunk in 1..=120 {
-        let TranscriptRun { asked, messages, times } = play(chunk);
-        assert_eq!(asked.len(), 18, "chunk size {chunk}");
+        let TranscriptRun { requests, messages, times } = play(chunk);
+        assert_eq!(requests.len(), 18, "chunk size {chunk}");
         assert_eq!(times.first(), Some(&(30_000_000, 0x12345 * 1_000_000)));
         assert_eq!(times.len(), 3);
         let ticks: Vec<_> = messages

@@ -15,7 +15,7 @@ fn gyro_alone() -> NxtSettings {
 }
 
 #[test]
-fn a_sensor_that_is_not_plugged_in_is_told_of_once_and_the_others_go_on() {
+fn a_sensor_that_is_not_plugged_in_is_reported_once_and_the_others_go_on() {
     for maps in [IoMapLimit::UpTo(119), IoMapLimit::Unknown] {
         let mut brick = equipped_brick();
         brick.io_map_limit = maps;
@@ -23,9 +23,9 @@ fn a_sensor_that_is_not_plugged_in_is_told_of_once_and_the_others_go_on() {
         let mut bench = Bench::new(equipped(), brick);
         bench.begin();
         bench.run_to(60 * SECOND);
-        let told: Vec<_> = bench.notes().into_iter().filter(|text| text.contains("plugged in")).collect();
-        assert!((1..=2).contains(&told.len()), "{maps:?} {told:?}");
-        assert!(told[0].starts_with("sensor port 2"), "{told:?}");
+        let warnings: Vec<_> = bench.notes().into_iter().filter(|text| text.contains("plugged in")).collect();
+        assert!((1..=2).contains(&warnings.len()), "{maps:?} {warnings:?}");
+        assert!(warnings[0].starts_with("sensor port 2"), "{warnings:?}");
         assert!(bench.wheels().len() > 120);
         assert!(bench.messages().any(|message| matches!(message, Message::DistanceSensor { .. })));
     }
@@ -64,7 +64,7 @@ fn the_gyros_rest_is_learnt_before_the_robot_moves() {
 }
 
 #[test]
-fn a_gyro_that_is_unplugged_is_told_of_and_turns_nothing() {
+fn an_unplugged_gyro_is_reported_and_turns_nothing() {
     let mut brick = SimulatedNxt::new();
     brick.ports[0].raw = 597;
     let mut bench = Bench::new(gyro_alone(), brick);
@@ -73,25 +73,25 @@ fn a_gyro_that_is_unplugged_is_told_of_and_turns_nothing() {
     bench.brick.ports[0].raw = 1023;
     bench.run_to(6 * SECOND);
     assert!(bench.turn_rates_deg_per_s().iter().all(|rate| rate.abs() < 1e-7));
-    let told = |bench: &Bench| bench.notes().iter().filter(|text| text.contains("reads as empty")).count();
-    assert_eq!(told(&bench), 1);
-    // Plugged in again and out again, it is told again.
+    let report_count = |bench: &Bench| bench.notes().iter().filter(|text| text.contains("reads as empty")).count();
+    assert_eq!(report_count(&bench), 1);
+    // Plugged in again and out again, it is reported again.
     bench.brick.ports[0].raw = 597;
     bench.run_to(7 * SECOND);
     bench.brick.ports[0].raw = 1023;
     bench.run_to(8 * SECOND);
-    assert_eq!(told(&bench), 2);
+    assert_eq!(report_count(&bench), 2);
 }
 
 #[test]
-fn a_gyro_of_a_robot_that_never_stands_is_told_of() {
+fn a_gyro_of_a_robot_that_never_stops_is_reported() {
     let mut brick = moving_brick();
     brick.ports[0].raw = 597;
     let mut bench = Bench::new(gyro_alone(), brick);
     bench.begin();
     bench.run_to(5 * SECOND);
-    let is_told = |bench: &Bench| bench.notes().iter().any(|text| text.contains("set gyro_rest"));
-    assert!(!is_told(&bench));
+    let is_reported = |bench: &Bench| bench.notes().iter().any(|text| text.contains("set gyro_rest"));
+    assert!(!is_reported(&bench));
     bench.run_to(6 * SECOND);
-    assert!(is_told(&bench), "{:?}", bench.notes());
+    assert!(is_reported(&bench), "{:?}", bench.notes());
 }

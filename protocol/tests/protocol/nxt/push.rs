@@ -32,7 +32,7 @@ fn pushed(bench: &Bench) -> usize {
 }
 
 #[test]
-fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
+fn a_programs_frames_are_received_in_chunks_of_every_size_among_replies() {
     for chunk in 1..=60 {
         let mut bench = bench();
         bench.begin();
@@ -45,7 +45,7 @@ fn a_programs_frames_are_heard_in_chunks_of_every_size_among_answers() {
         }
         assert_eq!(pushed(&bench), 200, "chunks of {chunk}");
         assert_eq!(bench.codec.source_health()[0].source, Address::new(1, 1));
-        // The clock is asked all the while: three times at connect, then once a second.
+        // The clock is requested all the while: three times at connect, then once a second.
         assert_eq!(bench.clock_replies().len(), 4, "chunks of {chunk}");
     }
 }
@@ -85,7 +85,7 @@ fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
             }
             let lost = FRAMES as usize - pushed(&bench);
             assert!((1..=2).contains(&lost), "without byte {at}, chunks of {chunk}: {lost} lost");
-            // The clock is asked again: the fence is answered, and a tick.
+            // The clock is requested again: replies to the barrier and to a tick.
             let damaged_at = 50 * 20_000;
             let is_time = |(when, item): &(i64, RecordedEvent)| {
                 *when > damaged_at + 100_000 && matches!(item, RecordedEvent::ClockReply { .. })
@@ -96,7 +96,7 @@ fn a_damaged_byte_costs_a_frame_or_two_of_a_program_that_never_rests() {
 }
 
 #[test]
-fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_silent() {
+fn frames_of_a_polled_brick_are_reported_and_it_is_not_called_silent() {
     for is_answering in [true, false] {
         let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
         bench.is_cut = !is_answering;
@@ -107,11 +107,11 @@ fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_sile
             bench.push(&prefixed()[usize::from(step == 100)..]);
         }
         let notes = bench.notes();
-        let told = notes.iter().filter(|text| text.contains("--brick nxt-push"));
-        assert_eq!(told.count(), 1, "{notes:?}");
+        let warnings = notes.iter().filter(|text| text.contains("--brick nxt-push"));
+        assert_eq!(warnings.count(), 1, "{notes:?}");
         assert!(!notes.iter().any(|text| text.contains("not answered")), "{notes:?}");
         assert_eq!(pushed(&bench), 0);
-        // 30 ms for each question, and the one byte costs a question or two.
+        // 30 ms for each request, and the one byte costs a request or two.
         if is_answering {
             assert!(bench.wheels().len() > 250, "{}", bench.wheels().len());
             assert!(bench.lost() <= 1, "{}", bench.lost());
@@ -120,7 +120,7 @@ fn frames_under_the_name_of_an_asked_brick_are_told_of_and_it_is_not_called_sile
 }
 
 #[test]
-fn a_program_that_writes_something_else_costs_no_question() {
+fn a_program_that_writes_something_else_costs_no_request() {
     for period_millis in [12, 83, 250] {
         let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
         bench.begin();
@@ -133,8 +133,8 @@ fn a_program_that_writes_something_else_costs_no_question() {
         assert_eq!(bench.lost(), 0, "each {period_millis} ms");
         assert!(bench.wheels().len() > 280, "{}", bench.wheels().len());
         let notes = bench.notes();
-        let told = notes.iter().filter(|text| text.contains("messages of its own"));
-        assert_eq!(told.count(), 1, "{notes:?}");
+        let warnings = notes.iter().filter(|text| text.contains("messages of its own"));
+        assert_eq!(warnings.count(), 1, "{notes:?}");
     }
 }
 
@@ -143,9 +143,9 @@ fn sensors_are_the_programs_business() {
     let mut bench = bench();
     bench.begin();
     bench.run_to(10 * SECOND);
-    let asked: Vec<u8> = bench.brick.requests.iter().map(|request| request[1]).collect();
-    assert!(asked.iter().all(|code| [0x88, 0x94, 0x0D].contains(code)), "{asked:02x?}");
-    assert!((12..=16).contains(&asked.len()), "{}", asked.len());
+    let codes: Vec<u8> = bench.brick.requests.iter().map(|request| request[1]).collect();
+    assert!(codes.iter().all(|code| [0x88, 0x94, 0x0D].contains(code)), "{codes:02x?}");
+    assert!((12..=16).contains(&codes.len()), "{}", codes.len());
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
     let notes = bench.notes();
     assert_eq!(notes.len(), 1, "{notes:?}");
     assert!(notes[0].contains("answers no commands"), "{notes:?}");
-    // It is still waited for: two seconds without a frame are told.
+    // It is still waited for: two seconds without a frame are reported.
     assert_eq!(deadlines, 50);
     bench.run_to(13 * SECOND);
     assert_eq!(bench.notes().len(), 2);
@@ -176,7 +176,7 @@ fn a_program_that_answers_no_commands_is_left_alone_and_lives_by_its_frames() {
 }
 
 #[test]
-fn a_program_that_comes_after_one_that_answers_no_commands_is_asked_anew() {
+fn a_program_that_comes_after_one_that_answers_no_commands_is_polled_again() {
     let mut bench = bench();
     bench.is_cut = true;
     bench.begin();
@@ -193,7 +193,7 @@ fn noise_is_not_taken_for_a_program_that_answers_no_commands() {
     let mut bench = bench();
     bench.begin();
     for step in 1..=20 {
-        // Wrong from the first byte, before the fence is answered at 30 ms; then the link is quiet for longer than a drain.
+        // Wrong from the first byte, before the barrier's reply at 30 ms; then the link is quiet for longer than a drain.
         bench.run_to(step * 120_000 - 100_000);
         bench.push(&[0xFF, 0xFF]);
     }

@@ -57,19 +57,19 @@ fn seven_commands_per_second() -> f64 {
 
 #[test]
 fn io_maps_give_at_least_fourteen_states_a_second_and_three_times_single_commands() {
-    let whole = states_per_second(IoMapLimit::UpTo(119), MaxOutstanding::One);
+    let complete = states_per_second(IoMapLimit::UpTo(119), MaxOutstanding::One);
     let two = states_per_second(IoMapLimit::UpTo(119), MaxOutstanding::Two);
     let short = states_per_second(IoMapLimit::UpTo(55), MaxOutstanding::One);
     let single = states_per_second(IoMapLimit::Unknown, MaxOutstanding::One);
     let seven = seven_commands_per_second();
     println!("states per second at 30 ms for each transaction");
-    println!("  IO maps, 119 bytes     3 motors + 4 ports  {whole:5.2}");
+    println!("  IO maps, 119 bytes     3 motors + 4 ports  {complete:5.2}");
     println!("  the same, two at once                      {two:5.2}");
     println!("  IO maps, 55 bytes      2 motors + 1 port   {short:5.2}");
     println!("  single commands        2 motors + 1 port   {single:5.2}");
     println!("  single commands        3 motors + 4 ports  {seven:5.2}");
-    println!("  IO maps over single commands, same content {:5.2}", whole / seven);
-    assert!(whole >= 14.0, "{whole}");
-    assert!(whole >= 3.0 * seven, "{whole} {seven}");
-    assert!(short > single && whole >= short, "{whole} {short} {single}");
+    println!("  IO maps over single commands, same content {:5.2}", complete / seven);
+    assert!(complete >= 14.0, "{complete}");
+    assert!(complete >= 3.0 * seven, "{complete} {seven}");
+    assert!(short > single && complete >= short, "{complete} {short} {single}");
 }

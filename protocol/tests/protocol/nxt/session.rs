@@ -1,4 +1,4 @@
-//! From connect to disconnect: what is found out, what is told, what is survived.
+//! From connect to disconnect: detection, reports and recovery.
 
 use posebridge_protocol::bricks::nxt::{
     AccelerometerMounting, ForwardAxis, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings, WheelMotor,
@@ -21,7 +21,7 @@ pub(crate) fn moving_brick() -> SimulatedNxt {
     SimulatedNxt { drive, ..SimulatedNxt::new() }
 }
 
-/// Each count was the motor's between question and answer.
+/// Each count was the motor's between request and reply.
 pub(crate) fn assert_true(bench: &Bench) {
     for message in bench.messages() {
         let Message::WheelTicks(ticks) = message else {
@@ -83,7 +83,7 @@ fn encode(bench: &mut Bench, micros: u32) -> usize {
     length
 }
 
-/// All four sensors and the wheels are told, and rightly.
+/// All four sensors and the wheels are reported, and rightly.
 fn assert_all_senses(bench: &Bench) {
     let (mut gyro, mut compass, mut range, mut warmth) = (0, 0, 0, 0);
     for message in bench.messages() {
@@ -115,7 +115,7 @@ fn assert_all_senses(bench: &Bench) {
 }
 
 #[test]
-fn every_sensor_is_heard_however_much_of_a_map_comes_at_once() {
+fn every_sensor_is_read_with_any_limit_of_the_io_map() {
     for (maps, note) in [
         (IoMapLimit::UpTo(119), None),
         (IoMapLimit::UpTo(55), Some("only in pieces")),
@@ -142,19 +142,19 @@ fn every_sensor_is_heard_however_much_of_a_map_comes_at_once() {
 }
 
 #[test]
-fn the_clock_is_asked_three_times_and_then_about_every_twentieth() {
+fn the_clock_is_requested_three_times_and_then_about_every_twentieth() {
     let mut bench = Bench::new(NxtSettings::default(), moving_brick());
     bench.begin();
     bench.run_to(10 * SECOND);
     let times = bench.clock_replies();
     for (sent, peer) in &times {
-        // The double looks at its clock in the middle of the turn-around, and shows whole milliseconds.
-        let looked = sent + 15_000_000 + 5_000_000_000;
-        assert!((looked - 1_000_000..=looked).contains(peer), "{sent} {peer}");
+        // The double reads its clock in the middle of the turn-around, and shows whole milliseconds.
+        let read_micros = sent + 15_000_000 + 5_000_000_000;
+        assert!((read_micros - 1_000_000..=read_micros).contains(peer), "{sent} {peer}");
     }
     assert_eq!(times[1].0 - times[0].0, 30_000_000);
-    let asked = bench.brick.requests.len();
-    assert!((asked / 20..=asked / 16).contains(&times.len()), "{} of {asked}", times.len());
+    let request_count = bench.brick.requests.len();
+    assert!((request_count / 20..=request_count / 16).contains(&times.len()), "{} of {request_count}", times.len());
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn a_brick_without_a_clock_lives_by_the_stations() {
 }
 
 #[test]
-fn motors_may_sit_at_any_ports_and_either_way() {
+fn motors_may_sit_at_any_ports_in_either_direction() {
     for maps in [IoMapLimit::UpTo(119), IoMapLimit::UpTo(55), IoMapLimit::Unknown] {
         let settings = NxtSettings {
             left_motor: WheelMotor { port: MotorPort::C, mounting: MotorMounting::Backward },
@@ -199,14 +199,18 @@ fn motors_may_sit_at_any_ports_and_either_way() {
 
 #[test]
 fn two_accelerometers_are_one_message() {
-    let place = |place| NxtSensor::HtAccelerometer { forward: ForwardAxis::X, place };
+    let accelerometer = |place| NxtSensor::HtAccelerometer { forward: ForwardAxis::X, place };
     let mut brick = SimulatedNxt::new();
     for (port, high) in [(0, 0x32), (1, 0xCE)] {
         brick.ports[port].is_plugged = true;
         brick.ports[port].registers = [high, 0, 0, 0, 0, 0];
     }
-    let sensors =
-        [place(AccelerometerMounting::Left), place(AccelerometerMounting::Right), NxtSensor::None, NxtSensor::None];
+    let sensors = [
+        accelerometer(AccelerometerMounting::Left),
+        accelerometer(AccelerometerMounting::Right),
+        NxtSensor::None,
+        NxtSensor::None,
+    ];
     let mut bench = Bench::new(NxtSettings { sensors, ..NxtSettings::default() }, brick);
     bench.begin();
     bench.run_to(3 * SECOND);
@@ -247,8 +251,8 @@ fn the_start_of_a_program_is_no_motion_and_ports_are_set_up_again() {
         }
     }
     assert!(set_up.iter().all(|times| (1..=2).contains(times)), "{set_up:?}");
-    let told = bench.notes().iter().filter(|text| text.contains("began anew")).count();
-    assert_eq!(told, 1);
+    let reports = bench.notes().iter().filter(|text| text.contains("began anew")).count();
+    assert_eq!(reports, 1);
     assert_eq!(bench.lost(), 0);
 }
 
@@ -271,7 +275,7 @@ fn a_brick_that_was_switched_off_and_on_is_noticed_by_its_clock() {
 }
 
 #[test]
-fn a_silent_brick_is_told_of_once_and_its_heart_stops() {
+fn a_silent_brick_is_reported_once_and_its_heartbeat_stops() {
     let mut bench = Bench::new(NxtSettings::default(), moving_brick());
     bench.begin();
     bench.run_to(4 * SECOND);
@@ -286,13 +290,13 @@ fn a_silent_brick_is_told_of_once_and_its_heart_stops() {
         let count = notes.iter().filter(|text| text.contains(line)).count();
         assert_eq!(count, 1, "{notes:?}");
     }
-    // One data question was on its way; what was asked in the silence were fences.
+    // One data request was pending; the requests in the silence were barriers.
     assert_eq!(bench.lost(), 1);
     assert_true(&bench);
 }
 
 #[test]
-fn a_brick_that_never_answers_is_asked_forever_and_never_twice_at_once() {
+fn a_brick_that_never_answers_is_polled_forever_and_never_twice_at_once() {
     let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
     bench.is_cut = true;
     bench.begin();
@@ -361,8 +365,8 @@ fn the_estimate_goes_to_a_program_and_nowhere_without_one() {
     assert_eq!(encode(&mut bench, 6_000_000), 0);
     bench.run_to(2 * SECOND);
     assert_eq!(encode(&mut bench, 7_000_000), 0);
-    let nobody = bench.notes().contains(&"the NXT takes no estimate: no program runs on the brick");
-    assert!(nobody, "{:?}", bench.notes());
+    let is_reported = bench.notes().contains(&"the NXT takes no estimate: no program runs on the brick");
+    assert!(is_reported, "{:?}", bench.notes());
 
     bench.brick.has_program = true;
     bench.run_to(6 * SECOND + 100_000);
@@ -389,7 +393,7 @@ fn the_brick_is_kept_awake_once_a_minute() {
 }
 
 #[test]
-fn nothing_is_asked_before_the_link_is_up() {
+fn nothing_is_requested_before_the_link_is_up() {
     let mut bench = Bench::new(NxtSettings::default(), SimulatedNxt::new());
     bench.push(&[0x07, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01]);
     assert_eq!(bench.codec.deadline(), None);

@@ -1,4 +1,4 @@
-//! Station and brick in virtual time: the codec's questions go to the double, its answers come back when the link lets them.
+//! Station and brick in virtual time: the codec's requests go to the double, its replies come back when the link lets them.
 
 use posebridge_protocol::bricks::ev3::Ev3Settings;
 use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings};
@@ -36,7 +36,7 @@ pub(crate) struct Ev3Session {
 
 impl Ev3Session {
     pub(crate) fn new(settings: Ev3Settings, brick: Ev3Double) -> Self {
-        let mut talk = Self {
+        let mut session = Self {
             codec: codec(settings),
             brick,
             delay_line: DelayLine::new(TURN_AROUND),
@@ -44,9 +44,9 @@ impl Ev3Session {
             replies: 0,
             events: vec![],
         };
-        talk.codec.on_link_up(talk.now);
-        talk.send();
-        talk
+        session.codec.on_link_up(session.now);
+        session.send();
+        session
     }
 
     pub(crate) fn send(&mut self) {
@@ -64,8 +64,8 @@ impl Ev3Session {
             };
             assert!(next >= self.now, "{next:?} is past at {:?}", self.now);
             self.now = next;
-            let (now, heard) = (self.now, &mut self.events);
-            let mut sink = |found: CodecEvent<'_>| heard.push((now, recorded(found)));
+            let (now, events) = (self.now, &mut self.events);
+            let mut sink = |found: CodecEvent<'_>| events.push((now, recorded(found)));
             if self.delay_line.next() == Some(next) {
                 let bytes = self.delay_line.pop().expect("it is there");
                 let bytes = damage(self.replies, bytes);
@@ -106,13 +106,13 @@ impl Ev3Session {
         self.codec.source_health()[0]
     }
 
-    /// How far the counts that were heard last are from those of the brick at the instant of their stamp.
+    /// How far the counts received last are from those of the brick at the instant of their stamp.
     pub(crate) fn error(&self, (now, ticks): (Timestamp<HostClock>, &WheelTicks)) -> i64 {
         let WireStamp::Micros32(micros) = ticks.stamp else {
             panic!("the brick's own clock: {ticks:?}");
         };
         let [_, left, right, _] = curve(self.brick.host_s(micros, now));
-        let off = |heard: EncoderTicks, count: i32| (heard.0 - i64::from(count)).abs();
+        let off = |reported: EncoderTicks, count: i32| (reported.0 - i64::from(count)).abs();
         off(ticks.left, left).max(off(ticks.right, right))
     }
 }
