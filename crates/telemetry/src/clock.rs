@@ -126,14 +126,14 @@ impl<C> Sub for Timestamp<C> {
 }
 impl<C: Clock> Add<TimeDelta> for Timestamp<C> {
     type Output = Self;
-    fn add(self, span: TimeDelta) -> Self {
-        Self::from_nanos(self.nanos.saturating_add(span.0))
+    fn add(self, delta: TimeDelta) -> Self {
+        Self::from_nanos(self.nanos.saturating_add(delta.0))
     }
 }
 impl<C: Clock> Sub<TimeDelta> for Timestamp<C> {
     type Output = Self;
-    fn sub(self, span: TimeDelta) -> Self {
-        Self::from_nanos(self.nanos.saturating_sub(span.0))
+    fn sub(self, delta: TimeDelta) -> Self {
+        Self::from_nanos(self.nanos.saturating_sub(delta.0))
     }
 }
 
@@ -198,10 +198,10 @@ impl Neg for TimeDelta {
 /// the C library on the baseline x86-64 target; this function runs a dozen times for each message.
 #[inline]
 fn round_to_i64(value: f64) -> i64 {
-    let whole = value as i64;
+    let truncated = value as i64;
     // Exact: beyond 2^53 there is no fraction.
-    let fraction = value - whole as f64;
-    whole.saturating_add(i64::from(fraction >= 0.5)).saturating_sub(i64::from(fraction <= -0.5))
+    let fraction = value - truncated as f64;
+    truncated.saturating_add(i64::from(fraction >= 0.5)).saturating_sub(i64::from(fraction <= -0.5))
 }
 
 #[cfg(test)]

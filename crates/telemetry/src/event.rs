@@ -217,7 +217,7 @@ pub enum ReceiveError {
         /// Bytes received before the time-out.
         bytes: u32,
     },
-    /// A frame is whole, but its payload is invalid.
+    /// A frame is complete, but its payload is invalid.
     Payload {
         message_id: u32,
     },
@@ -266,7 +266,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_event_in_words_has_the_severity_of_its_kind_and_a_text_that_of_its_sender() {
+    fn an_event_text_has_the_severity_of_its_kind_and_a_status_text_that_of_its_sender() {
         let robot = RobotId { link: LinkId(0), address: Address::new(1, 25) };
         let silence = TimeDelta::from_millis(5_040);
         let cases = [

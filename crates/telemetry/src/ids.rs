@@ -57,10 +57,10 @@ impl SensorId {
 
     /// The camera with this index, from 0, in the order of their first messages: [`Self::CAMERA`], then up to seven more. All
     /// further ones share the last id.
-    pub const fn camera(place: usize) -> Self {
-        match place {
+    pub const fn camera(index: usize) -> Self {
+        match index {
             0 => Self::CAMERA,
-            1..=7 => Self(Self::SECOND_CAMERA + place as u8 - 1),
+            1..=7 => Self(Self::SECOND_CAMERA + index as u8 - 1),
             _ => Self(Self::SECOND_CAMERA + 6),
         }
     }
@@ -86,7 +86,7 @@ impl SensorId {
             Self::COMPASS => "compass",
             Self(id) => id
                 .checked_sub(Self::SECOND_CAMERA)
-                .and_then(|place| Self::FURTHER_CAMERAS.get(usize::from(place)))
+                .and_then(|index| Self::FURTHER_CAMERAS.get(usize::from(index)))
                 .copied()
                 .unwrap_or(Self::UNNAMED),
         }
@@ -109,8 +109,8 @@ impl ChannelName {
     /// marks, because names are printed on terminals.
     pub fn from_bytes(bytes: &[u8]) -> Self {
         let mut name = Self::default();
-        let said = bytes.iter().take_while(|byte| **byte != 0);
-        for (slot, byte) in name.bytes.iter_mut().zip(said) {
+        let text_bytes = bytes.iter().take_while(|byte| **byte != 0);
+        for (slot, byte) in name.bytes.iter_mut().zip(text_bytes) {
             *slot = if byte.is_ascii_graphic() { *byte } else { b'?' };
         }
         name
@@ -118,9 +118,9 @@ impl ChannelName {
 
     pub fn as_str(&self) -> &str {
         let end = self.bytes.iter().position(|byte| *byte == 0);
-        let said = self.bytes.get(..end.unwrap_or(Self::MAX_LEN));
+        let text_bytes = self.bytes.get(..end.unwrap_or(Self::MAX_LEN));
         // Every byte is ASCII, by construction.
-        said.and_then(|said| std::str::from_utf8(said).ok()).unwrap_or_default()
+        text_bytes.and_then(|text_bytes| std::str::from_utf8(text_bytes).ok()).unwrap_or_default()
     }
 }
 
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn further_cameras_have_ids_and_names_of_their_own() {
-        let names: Vec<_> = (0..10).map(|place| SensorId::camera(place).name()).collect();
+        let names: Vec<_> = (0..10).map(|index| SensorId::camera(index).name()).collect();
         assert_eq!(names[..3], ["camera", "camera 2", "camera 3"]);
         assert_eq!(names[7..], ["camera 8"; 3]);
         assert_eq!(SensorId(31).name(), "sensor");
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_ends_at_its_terminator_or_with_its_room_and_cannot_command_a_terminal() {
+    fn a_name_ends_at_its_terminator_or_capacity_and_cannot_command_a_terminal() {
         let name = |bytes: &[u8]| ChannelName::from_bytes(bytes).to_string();
         assert_eq!(name(b"temp1\0left over"), "temp1");
         assert_eq!(name(b"temp_water"), "temp_water");

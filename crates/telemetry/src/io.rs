@@ -47,7 +47,7 @@ pub enum Input {
     Tick,
 }
 
-/// Everything that the station asks its program to do or to show.
+/// Everything that the station requests of its program.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(
     clippy::large_enum_variant,
@@ -59,7 +59,7 @@ pub enum Output {
         link: LinkId,
         to: Recipients,
         priority: Priority,
-        /// One whole frame, ready for the wire.
+        /// One complete frame, ready for the wire.
         bytes: Vec<u8>,
     },
     Request(Request),
@@ -69,7 +69,7 @@ pub enum Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Recipients {
     All,
-    /// One peer; nobody if it is no longer there.
+    /// One peer; no recipient if it is no longer there.
     Peer(PeerId),
     /// Every peer but the one from which a forwarded frame came.
     AllExcept(PeerId),

@@ -22,7 +22,7 @@ pub struct LinkCounts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SourceHealth {
     pub source: Address,
-    /// Frames received whole.
+    /// Complete frames received.
     pub frames: u64,
     /// Frames missing in its sequence numbers; a late one is subtracted again.
     pub lost: u64,

@@ -267,11 +267,11 @@ mod tests {
             duration: TimeDelta::from_millis(millis),
         };
         assert_eq!(slip(1.0, 60_000).validate(), Ok(()));
-        let told = |command: SimulatorCommand| command.validate().unwrap_err().to_string();
-        assert_eq!(told(slip(1.5, 1_000)), "slip: factor 1.5 not in 0..1");
-        assert_eq!(told(slip(0.5, 0)), "slip: seconds 0.0 not in 0.1..60");
+        let validation_error = |command: SimulatorCommand| command.validate().unwrap_err().to_string();
+        assert_eq!(validation_error(slip(1.5, 1_000)), "slip: factor 1.5 not in 0..1");
+        assert_eq!(validation_error(slip(0.5, 0)), "slip: seconds 0.0 not in 0.1..60");
         let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: f64::NAN, turn_rad: 0.0 };
-        assert_eq!(told(kidnap), "kidnap: left_m NaN not in -10..10");
+        assert_eq!(validation_error(kidnap), "kidnap: left_m NaN not in -10..10");
     }
 
     #[test]
