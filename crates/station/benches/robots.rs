@@ -1,11 +1,11 @@
 //! What a robot costs among few and among many: 50 and 500 robots behind one port, in virtual time.
 //!
-//! Each has a peer of its own, tells its wheels at 20 Hz and answers time requests; a camera beside it, which does so too, sends a fix each
+//! Each has a peer of its own, sends its wheels at 20 Hz and answers time requests; a camera beside it, which does so too, sends a fix each
 //! second. The rows take turns, and the best round of each counts, so that another program on the machine decides little. Run with
 //! `cargo bench -p posebridge-station --bench robots`; numbers behind `--` are other counts of robots, and without `--bench` it runs once and
 //! briefly.
 //!
-//! CPU time is that of this thread, by the kernel, and includes the encoding of what the robots say; heap is what the station holds more
+//! CPU time is that of this thread, by the kernel, and includes the encoding of the robots' messages; heap is what the station holds more
 //! than an empty one.
 
 #![expect(
@@ -39,7 +39,7 @@ const ROUNDS: usize = 5;
 const BAR: f64 = 1.10;
 
 fn main() {
-    // Without `--bench` somebody only wants to know that it runs.
+    // Without `--bench` it only has to run.
     let is_bench = std::env::args().any(|argument| argument == "--bench");
     let (rounds, seconds) = if is_bench { (ROUNDS, MEASURED_S) } else { (1, 1) };
     let mut counts: Vec<u32> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
@@ -90,14 +90,14 @@ fn thread_cpu_ns() -> u64 {
     text.split_whitespace().next().and_then(|field| field.parse().ok()).expect("it begins with the time on a processor")
 }
 
-/// A station and all who speak to it.
+/// A station and its peers.
 struct StationLoad {
     station: Station,
     robots: u32,
     encoders: Vec<Encoder>,
     step: i64,
     observations: u64,
-    /// Time requests of the station that nobody has answered yet.
+    /// Time requests of the station without a reply yet.
     requests: Vec<i64>,
 }
 
@@ -127,7 +127,7 @@ impl StationLoad {
             }
             let requests = std::mem::take(&mut self.requests);
             for robot in 0..self.robots {
-                // They do not speak all at once.
+                // They do not send all at once.
                 let now = now + TimeDelta::from_micros(i64::from(robot) * 49_000 / i64::from(self.robots));
                 for request_nanos in &requests {
                     for from in [robot_address(robot), camera_address(robot)] {

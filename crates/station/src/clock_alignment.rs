@@ -183,7 +183,7 @@ mod tests {
         WireStamp::Millis32(value)
     }
 
-    /// A clock that shows 5 s when the host's is at zero, asked and answered every 100 ms with 10 ms each way.
+    /// A clock that shows 5 s when the host's is at zero, requested and answered every 100 ms with 10 ms in each direction.
     fn aligned() -> ClockAlignment {
         let mut clocks = ClockAlignment::default();
         for n in 0..20 {
@@ -218,8 +218,8 @@ mod tests {
         let mut clocks = aligned();
         let after = clocks.align(received(9_000), millis(3));
         assert!(after.has_restarted && after.time.is_some());
-        let asked = WireStamp::HostInterval { sent: Timestamp::from_millis(1), answered: Timestamp::from_millis(5) };
-        let unknown = ClockAlignment::default().align(received(5), asked);
+        let interval = WireStamp::HostInterval { sent: Timestamp::from_millis(1), answered: Timestamp::from_millis(5) };
+        let unknown = ClockAlignment::default().align(received(5), interval);
         assert!(unknown.is_unaligned && unknown.time.is_none());
     }
 

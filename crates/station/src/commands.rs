@@ -178,12 +178,12 @@ impl Station {
             return CommandResult::Unsupported;
         };
         let outcome = match decode_command(command) {
-            Ok(wanted) if role != SenderRole::Station && !wanted.is_for_robots() => {
+            Ok(command) if role != SenderRole::Station && !command.is_for_robots() => {
                 return CommandResult::Unsupported;
             }
-            Ok(wanted) => {
+            Ok(command) => {
                 self.operator.requested_on = Some(link);
-                self.execute(TargetedCommand { target, command: wanted })
+                self.execute(TargetedCommand { target, command })
             }
             Err(CommandError::Unknown { .. }) => return CommandResult::Unsupported,
             Err(error) => Err(error.to_string()),
@@ -200,13 +200,13 @@ impl Station {
 
     /// Carries out a command; the text about one robot begins with its name.
     fn execute(&mut self, TargetedCommand { target, command }: TargetedCommand) -> CommandOutcome {
-        let said = self.carry_out(target, command);
+        let outcome = self.carry_out(target, command);
         match target {
             CommandTarget::Robot(index) if command.is_for_robots() => {
                 let robot = self.robots.get(index).id;
-                said.map(|done| format!("robot {robot}: {done}")).map_err(|why| format!("robot {robot}: {why}"))
+                outcome.map(|done| format!("robot {robot}: {done}")).map_err(|why| format!("robot {robot}: {why}"))
             }
-            CommandTarget::Robot(_) | CommandTarget::Station => said,
+            CommandTarget::Robot(_) | CommandTarget::Station => outcome,
         }
     }
 

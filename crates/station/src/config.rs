@@ -70,9 +70,9 @@ pub struct RobotMatch {
 impl RobotMatch {
     /// Whether the block applies to a robot on a link with an address, that of its own frames.
     pub(crate) fn is_for(self, link: LinkId, address: Address) -> bool {
-        self.link.is_none_or(|wanted| wanted == link)
-            && self.system.is_none_or(|wanted| wanted == address.system)
-            && self.component.is_none_or(|wanted| wanted == address.component)
+        self.link.is_none_or(|required| required == link)
+            && self.system.is_none_or(|required| required == address.system)
+            && self.component.is_none_or(|required| required == address.component)
     }
 }
 
@@ -86,7 +86,7 @@ impl StationConfig {
     pub(crate) fn router_config(&self) -> RouterConfig {
         let rules = self.links.iter().map(|link| {
             let mut rules = link.rules.clone();
-            // A robot that speaks no MAVLink would take the others' frames for noise.
+            // A robot without MAVLink would take the others' frames for noise.
             if link.brick.is_some() {
                 rules.forward = ForwardPolicy::Disabled;
             }
@@ -140,8 +140,8 @@ pub(crate) struct RobotBlockIndex {
 impl RobotBlockIndex {
     pub(crate) fn new(blocks: &[RobotBlock]) -> Self {
         let mut by_system: BTreeMap<_, Vec<usize>> = BTreeMap::new();
-        for (place, block) in blocks.iter().enumerate() {
-            by_system.entry(block.matches.system).or_default().push(place);
+        for (index, block) in blocks.iter().enumerate() {
+            by_system.entry(block.matches.system).or_default().push(index);
         }
         Self { by_system }
     }
@@ -150,8 +150,8 @@ impl RobotBlockIndex {
     /// `blocks` are those from which this index was made.
     pub(crate) fn find(&self, blocks: &[RobotBlock], link: LinkId, address: Address) -> Option<usize> {
         let first = |system| {
-            let places = self.by_system.get(&system)?;
-            places.iter().copied().find(|place| blocks[*place].matches.is_for(link, address))
+            let indices = self.by_system.get(&system)?;
+            indices.iter().copied().find(|index| blocks[*index].matches.is_for(link, address))
         };
         [Some(address.system), None].into_iter().filter_map(first).min()
     }

@@ -43,7 +43,7 @@ mod tests {
     use posebridge_protocol::message::{Odometry, OdometryPose, WireStamp};
     use posebridge_telemetry::{HostClock, MetersPerSecond, Pose, RadiansPerSecond, Timestamp};
 
-    /// What comes of an ODOMETRY that says that it has failed.
+    /// The result of an ODOMETRY that reports a failure.
     fn decode_failed(decoder: &mut Decoder, sender: Address) -> PayloadError {
         let message = Message::Odometry(Odometry {
             stamp: WireStamp::Micros64(1),

@@ -138,7 +138,7 @@ pub(crate) fn brick_stamp(stamp: Timestamp<BrickClock>) -> WireStamp {
 
 /// Half of a round trip: the best guess of an estimate's travel time.
 pub(crate) fn travel_time(round_trip: Option<TimeDelta>) -> TimeDelta {
-    round_trip.map_or(TimeDelta::ZERO, |whole| TimeDelta::from_nanos(whole.as_nanos() / 2))
+    round_trip.map_or(TimeDelta::ZERO, |round_trip| TimeDelta::from_nanos(round_trip.as_nanos() / 2))
 }
 
 /// Used and rejected observations of one sensor.
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn an_array_holds_what_its_page_says_in_that_order() {
+    fn an_array_holds_the_documented_values_in_order() {
         let record = FusionRecord {
             sensor: SensorId::CAMERA,
             kind: "fix",
@@ -248,17 +248,17 @@ mod tests {
             log_likelihood: 0.0,
         };
         let host = Timestamp::from_millis(7_000);
-        let said = |kind| record_message(kind, &record, host, FusionCounts::default());
+        let message = |kind| record_message(kind, &record, host, FusionCounts::default());
         let array = FloatArray {
             stamp: WireStamp::Micros64(7_000_000),
             name: ChannelName::from_bytes(b"camera"),
             id: 3,
             values: vec![12.0, 3.0, 1.0, 0.25, 0.5, -0.25, 0.125, 2.0, 0.5, 0.25],
         };
-        assert_eq!(said(OutputKind::FloatArray), Some(Message::FloatArray(array)));
+        assert_eq!(message(OutputKind::FloatArray), Some(Message::FloatArray(array)));
         let value =
             NamedValue { stamp: WireStamp::Millis32(7_000), name: ChannelName::from_bytes(b"nis_camera"), value: 4.0 };
-        assert_eq!(said(OutputKind::NamedValue), Some(Message::NamedValue(value)));
-        assert_eq!(said(OutputKind::Odometry), None);
+        assert_eq!(message(OutputKind::NamedValue), Some(Message::NamedValue(value)));
+        assert_eq!(message(OutputKind::Odometry), None);
     }
 }

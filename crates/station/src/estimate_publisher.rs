@@ -202,7 +202,7 @@ mod tests {
     use posebridge_protocol::dialect::ids;
 
     #[test]
-    fn a_range_leaves_on_links_that_are_up_and_is_kept_for_whoever_asks_later() {
+    fn a_range_leaves_on_links_that_are_up_and_is_kept_for_later_requests() {
         let config = station_config();
         let mut publisher = EstimatePublisher::new(&config.links);
         for link in [LinkId(0), LinkId(1)] {
@@ -215,15 +215,15 @@ mod tests {
         assert_eq!(publisher.current(LinkId(0), OutputKind::DistanceSensor, source), []);
         let sent = publisher.publish_range(now, Meters(0.7), now, |link| link == LinkId(1));
         assert_eq!(sent.iter().map(|message| message.link).collect::<Vec<_>>(), [LinkId(1)]);
-        let told = publisher.current(LinkId(0), OutputKind::DistanceSensor, source);
-        assert_eq!(told, [sent[0].message.clone()]);
+        let current = publisher.current(LinkId(0), OutputKind::DistanceSensor, source);
+        assert_eq!(current, [sent[0].message.clone()]);
         // The link that was down has not used its interval up.
         let sent = publisher.publish_range(Timestamp::from_millis(550), Meters(0.6), now, |_| true);
         assert_eq!(sent.iter().map(|message| message.link).collect::<Vec<_>>(), [LinkId(0)]);
     }
 
     #[test]
-    fn an_interval_that_a_peer_asks_for_holds_on_its_own_link() {
+    fn a_requested_interval_holds_on_its_own_link() {
         let mut publisher = EstimatePublisher::new(&station_config().links);
         publisher.set_interval(LinkId(1), ids::ODOMETRY, Some(TimeDelta::from_millis(250)));
         let intervals = [0, 1, 9].map(|link| publisher.interval_micros(LinkId(link), OutputKind::Odometry));

@@ -300,11 +300,11 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_told_once_and_a_single_one_never() {
+    fn a_run_of_gated_fixes_is_reported_once_and_a_single_one_never() {
         let mut watch = SlipWatch::default();
-        let told = [0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70]
+        let reported = [0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70]
             .map(|millis| watch.observe(Timestamp::from_millis(millis)));
         let expected = [false, false, true, false, false, false, false, false, true, false, false, true];
-        assert_eq!(told, expected);
+        assert_eq!(reported, expected);
     }
 }

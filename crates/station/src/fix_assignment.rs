@@ -54,7 +54,7 @@ mod tests {
         let address = Address::new(1, 1);
         let origin = MessageOrigin { endpoint, home: endpoint.link, address, is_new: true, is_telemetry: true };
         assert_eq!(robots.adopt(Timestamp::ZERO, origin, &config, &mut Observers::default()), Some(0));
-        // The robot of tag 8 was not heard yet, and tag 9 is on none.
+        // The robot of tag 8 was not received yet, and tag 9 is on none.
         for (tag, robot) in [(None, Some(0)), (Some(7), Some(0)), (Some(8), None), (Some(9), None)] {
             assert_eq!(robot_of_fix(&robots, &config, endpoint, Address::new(1, 100), tag), robot, "tag {tag:?}");
         }

@@ -2,7 +2,7 @@
 //!
 //! # Model
 //! ```text
-//! ask  if  max(sigma_x, sigma_y) > above_m  or  sigma_heading > above_rad  or  the pose is not known
+//! request  if  max(sigma_x, sigma_y) > above_m  or  sigma_heading > above_rad  or  the pose is not known
 //!          and the last request is at least `interval` old
 //! ```
 //! The request is MAV_CMD_REQUEST_MESSAGE (512) for VISION_POSITION_ESTIMATE (102), to the camera's own address; the
@@ -64,8 +64,8 @@ impl FixRequests {
         if is_early || !is_fix_needed(config, estimate) {
             return Vec::new();
         }
-        let mut asked = Vec::new();
-        for (who, camera) in &mut self.cameras {
+        let mut requested = Vec::new();
+        for (sender, camera) in &mut self.cameras {
             if camera.has_refused || camera.paused_until.is_some_and(|until| now < until) {
                 continue;
             }
@@ -75,31 +75,31 @@ impl FixRequests {
                 camera.unanswered = 0;
                 camera.paused_until = Some(now + PAUSE);
             }
-            asked.push(*who);
+            requested.push(*sender);
         }
-        if !asked.is_empty() {
+        if !requested.is_empty() {
             self.last_request = Some(now);
         }
-        asked
+        requested
     }
 
-    pub(crate) fn observe_message(&mut self, who: (LinkId, Address), message: &Message) {
+    pub(crate) fn observe_message(&mut self, sender: (LinkId, Address), message: &Message) {
         #[expect(clippy::wildcard_enum_match_arm, reason = "no other message says whether a camera answers")]
         match message {
             Message::Heartbeat(heartbeat)
                 if heartbeat.vehicle_type == MAV_TYPE_CAMERA && self.cameras.len() < MAX_CAMERAS =>
             {
-                self.cameras.entry(who).or_default();
+                self.cameras.entry(sender).or_default();
             }
             Message::CommandAck(CommandAck { command: ids::COMMAND_REQUEST_MESSAGE, result, .. })
                 if !NOT_REFUSED.contains(result) =>
             {
-                if let Some(camera) = self.cameras.get_mut(&who) {
+                if let Some(camera) = self.cameras.get_mut(&sender) {
                     camera.has_refused = true;
                 }
             }
             Message::VisionPosition(_) | Message::MocapPosition(_) | Message::Odometry(_) => {
-                if let Some(camera) = self.cameras.get_mut(&who) {
+                if let Some(camera) = self.cameras.get_mut(&sender) {
                     camera.unanswered = 0;
                     camera.paused_until = None;
                 }
@@ -109,8 +109,8 @@ impl FixRequests {
     }
 
     /// A restarted camera may support the request.
-    pub(crate) fn reset_camera(&mut self, who: (LinkId, Address)) {
-        if let Some(camera) = self.cameras.get_mut(&who) {
+    pub(crate) fn reset_camera(&mut self, sender: (LinkId, Address)) {
+        if let Some(camera) = self.cameras.get_mut(&sender) {
             *camera = Camera::default();
         }
     }

@@ -112,10 +112,10 @@ impl ForwardingPass<'_> {
         let Some(first) = self.router.first_endpoint(self.now, self.from, frame) else {
             return false;
         };
-        let robots = [first, self.from].map(|endpoint| self.robots.identities.heard_by(endpoint, frame.source));
+        let robots = [first, self.from].map(|endpoint| self.robots.identities.at_endpoint(endpoint, frame.source));
         let observers = [first, self.from].map(|endpoint| {
             let home = self.router.first_of_group(endpoint.link);
-            self.observers.heard_by(endpoint, ObserverAddress { home, address: frame.source })
+            self.observers.at_endpoint(endpoint, ObserverAddress { home, address: frame.source })
         });
         are_different(robots) || are_different(observers)
     }

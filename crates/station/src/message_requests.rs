@@ -49,9 +49,9 @@ impl RequestReply {
 
     /// A request to all components may be for any that supports it: when the station does not, another one may.
     pub(crate) fn is_left_to_others(&self, command: &CommandLong) -> bool {
-        let is_question = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
+        let is_request = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
         let is_for_all = command.target.component == ComponentId(0);
-        is_question && is_for_all && self.result != CommandResult::Accepted
+        is_request && is_for_all && self.result != CommandResult::Accepted
     }
 }
 
@@ -100,7 +100,7 @@ impl RequestContext<'_> {
             ids::COMPONENT_INFORMATION_BASIC => vec![self.component_information()],
             ids::MESSAGE_INTERVAL => {
                 let [_, about, ..] = command.params;
-                // The id stands in the second parameter, and the answer has room for 16 bits of it.
+                // The id is the second parameter, and the reply has 16 bits for it.
                 if !(0.0..=f32::from(u16::MAX)).contains(&about) {
                     return RequestReply::of(CommandResult::Denied);
                 }
@@ -115,7 +115,7 @@ impl RequestContext<'_> {
             },
         };
         if messages.is_empty() {
-            // There was none yet; it may be asked for again.
+            // There was none yet; it may be requested again.
             return RequestReply::of(CommandResult::TemporarilyRejected);
         }
         RequestReply { result: CommandResult::Accepted, messages }
@@ -137,7 +137,7 @@ impl RequestContext<'_> {
             return RequestReply::of(CommandResult::Denied);
         };
         let kind = output_for_message(message_id);
-        // For a requester that is no robot the first one stands for all: it has the intervals that were requested for all of them.
+        // For a requester that is no robot the first one represents all: it has the intervals that were requested for all of them.
         let robot = self.robot().unwrap_or_else(|| self.robots.first());
         let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
         let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);

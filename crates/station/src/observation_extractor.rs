@@ -123,8 +123,8 @@ impl ObservationExtractor {
         robot_observation(SensorId::WHEELS, ticks.stamp, observed)
     }
 
-    fn fix(&self, seen: &VisionFix) -> UnalignedObservation {
-        let covariance = seen.covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
+    fn fix(&self, fix: &VisionFix) -> UnalignedObservation {
+        let covariance = fix.covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
             xx_m2,
             xy_m2,
             yy_m2,
@@ -132,16 +132,16 @@ impl ObservationExtractor {
         });
         UnalignedObservation {
             sensor: SensorId::CAMERA,
-            stamp: seen.stamp,
+            stamp: fix.stamp,
             clock_source: ClockSource::Observer,
             gyro_turn: None,
-            tag: seen.tag,
+            tag: fix.tag,
             observed: ObservationKind::Fix(Fix {
-                position: Point2::new(seen.x, seen.y),
-                heading: seen.heading,
+                position: Point2::new(fix.x, fix.y),
+                heading: fix.heading,
                 covariance,
                 tag_in_body: self.tag_in_body,
-                reset_counter: seen.reset_counter,
+                reset_counter: fix.reset_counter,
             }),
         }
     }

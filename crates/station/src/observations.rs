@@ -85,10 +85,10 @@ impl Station {
             }
             SenderIdentity::Robot(index) => {
                 sender.robot = Some(index);
-                self.robots.record_seen(index, received.endpoint, now);
+                self.robots.record_contact(index, received.endpoint, now);
             }
             SenderIdentity::Unknown => {
-                // A description tells nobody apart: telemetry will, and then it counts.
+                // A description identifies no robot: telemetry will, and then it counts.
                 if matches!(content, Message::RobotDescription(_)) && self.robots.identities.is_known(source) {
                     self.keep_contested(received, source, content);
                     return;
@@ -156,7 +156,7 @@ impl Station {
             self.handle_temperature(sender, stamp, channel, temperature);
         }
         for observation in observations.iter().flatten() {
-            // What went round a loop is news only from a robot, whose telemetry counts on its own link alone.
+            // A frame from a loop is new only from a robot, whose telemetry counts on its own link alone.
             if origin.is_new || sender.robot.is_some() || observation.clock_source == ClockSource::Robot {
                 self.handle_observation(sender, observation);
             }
@@ -286,7 +286,7 @@ impl Station {
                 address.system, address.component
             );
             self.report_own_text(severity::WARNING, text);
-            // What is asked of everybody who is new was asked of these ids when the other robot was.
+            // The requests to every new sender were sent to these ids when the other robot appeared.
             self.sessions.handle_peer_restart(self.time.now, link, address);
         }
     }
@@ -523,7 +523,7 @@ impl Station {
         }
     }
 
-    /// Uses the queued temperatures, which are not urgent: nobody steers by them.
+    /// Uses the queued temperatures, which are not urgent: they steer nothing.
     pub(crate) fn process_temperatures(&mut self) {
         let Self { config, robots, outputs, .. } = self;
         let config_of = |brick: RobotId| match robots.find(brick) {
@@ -563,14 +563,14 @@ impl Station {
     }
 
     fn handle_description(&mut self, sender: &mut MessageSender, description: &RobotDescription) {
-        let is_wanted = sender.robot.map_or_else(
+        let is_expected = sender.robot.map_or_else(
             || {
                 let robot = self.robots.config_for(&self.config, sender.origin.home, sender.origin.address);
                 robot.description == DescriptionPolicy::Adopt
             },
-            |index| self.robots.get(index).wants_description(),
+            |index| self.robots.get(index).needs_description(),
         );
-        let Some(geometry) = described_geometry(description).filter(|_| is_wanted) else {
+        let Some(geometry) = described_geometry(description).filter(|_| is_expected) else {
             return;
         };
         if let Some(index) = self.adopt_robot(sender) {

@@ -38,7 +38,7 @@ pub(crate) struct Observers {
     known: BTreeMap<ObserverAddress, Vec<Observer>>,
     count: usize,
     next_id: u64,
-    /// When an undecided sender was first heard.
+    /// When an undecided sender was first received.
     contenders: BTreeMap<(Endpoint, Address), Timestamp<HostClock>>,
     /// Another observer with known ids was found.
     has_found_namesake: bool,
@@ -57,7 +57,7 @@ struct Observer {
 #[derive(Clone, Copy, Debug)]
 struct Contact {
     peer: PeerId,
-    last_heard: Timestamp<HostClock>,
+    last_seen: Timestamp<HostClock>,
     /// The peer that this one has replaced.
     former: Option<PeerId>,
 }
@@ -84,9 +84,9 @@ impl Observers {
         std::mem::replace(&mut self.has_found_namesake, false)
     }
 
-    pub(crate) fn heard_by(&self, endpoint: Endpoint, sender: ObserverAddress) -> Option<ObserverId> {
+    pub(crate) fn at_endpoint(&self, endpoint: Endpoint, sender: ObserverAddress) -> Option<ObserverId> {
         let observers = self.known.get(&sender)?;
-        observers.iter().find(|observer| observer.is_heard_by(endpoint)).map(|observer| observer.id)
+        observers.iter().find(|observer| observer.is_at(endpoint)).map(|observer| observer.id)
     }
 
     /// Removes the clock of a sender that proves to be a robot.
@@ -141,7 +141,7 @@ impl Observers {
         let identity = self.identify(sender, received);
         if let WireStamp::HostInterval { sent, answered } = stamp {
             let half = TimeDelta::from_nanos((answered - sent).as_nanos() / 2);
-            // The host's own instants ask for no clock, whosever it is.
+            // The host's own instants need no clock of a sender.
             return ObserverTime { time: Some((sent + half, half)), has_restarted: false, observer: identity.id() };
         }
         let observer = match identity {
@@ -207,7 +207,7 @@ impl Observers {
             self.contenders.remove(&(endpoint, *address));
             self.has_found_namesake = true;
             let index = self.add(sender, received.host_time);
-            let contact = Contact { peer: endpoint.peer, last_heard: received.host_time, former: None };
+            let contact = Contact { peer: endpoint.peer, last_seen: received.host_time, former: None };
             if let Some(observer) = self.known.get_mut(&sender).and_then(|observers| observers.get_mut(index)) {
                 observer.contacts.insert(endpoint.link, contact);
             }
@@ -221,7 +221,7 @@ impl Observers {
         let contender = (endpoint, sender.address);
         let observers = self.known.get(&sender).map_or(&[][..], Vec::as_slice);
         let known = index_of(observers, endpoint).or_else(|| {
-            // On a redundant link the first that was not heard there yet.
+            // On a redundant link the first that was not received there yet.
             observers.iter().position(|observer| !observer.contacts.contains_key(&endpoint.link))
         });
         let index = match known {
@@ -246,13 +246,13 @@ impl Observers {
             self.contenders.remove(&contender);
         }
         let observer = &mut self.known.entry(sender).or_default()[index];
-        let contact = Contact { peer: endpoint.peer, last_heard: host_time, former: None };
+        let contact = Contact { peer: endpoint.peer, last_seen: host_time, former: None };
         let contact = observer.contacts.entry(endpoint.link).or_insert(contact);
         if contact.peer != endpoint.peer {
             contact.former = Some(contact.peer);
             contact.peer = endpoint.peer;
         }
-        contact.last_heard = contact.last_heard.max(host_time);
+        contact.last_seen = contact.last_seen.max(host_time);
         ObserverIdentity::Known(observer)
     }
 
@@ -270,13 +270,13 @@ impl Observers {
     }
 
     fn forget_silent(&mut self, now: Timestamp<HostClock>) {
-        let mut last_heard: Vec<_> = self.known.values().flatten().map(|observer| observer.last_heard(now)).collect();
-        last_heard.sort_unstable();
-        let Some(limit) = last_heard.get(MAX_OBSERVERS / 4).copied() else {
+        let mut last_seen: Vec<_> = self.known.values().flatten().map(|observer| observer.last_seen(now)).collect();
+        last_seen.sort_unstable();
+        let Some(limit) = last_seen.get(MAX_OBSERVERS / 4).copied() else {
             return;
         };
         self.known.retain(|_, observers| {
-            observers.retain(|observer| observer.last_heard(now) > limit);
+            observers.retain(|observer| observer.last_seen(now) > limit);
             !observers.is_empty()
         });
         self.count = self.known.values().map(Vec::len).sum();
@@ -284,12 +284,12 @@ impl Observers {
 }
 
 impl Observer {
-    fn is_heard_by(&self, endpoint: Endpoint) -> bool {
+    fn is_at(&self, endpoint: Endpoint) -> bool {
         self.contacts.get(&endpoint.link).is_some_and(|contact| contact.peer == endpoint.peer)
     }
 
-    fn last_heard(&self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
-        self.contacts.values().map(|contact| contact.last_heard).max().unwrap_or(now)
+    fn last_seen(&self, now: Timestamp<HostClock>) -> Timestamp<HostClock> {
+        self.contacts.values().map(|contact| contact.last_seen).max().unwrap_or(now)
     }
 }
 
@@ -317,7 +317,7 @@ enum PeerClass {
     Contested(ObserverId),
 }
 
-/// Classifies a peer of a link where all observers with its ids are at other peers; `first` is when it was first heard.
+/// Classifies a peer of a link where all observers with its ids are at other peers; `first` is when it was first received.
 fn classify_peer(
     observers: &[Observer],
     endpoint: Endpoint,
@@ -328,14 +328,14 @@ fn classify_peer(
     let contacts =
         contacts.filter_map(|(index, observer)| Some((index, observer.id, *observer.contacts.get(&endpoint.link)?)));
     let is_back = contacts.clone().any(|(_, _, contact)| contact.former == Some(endpoint.peer));
-    // All who have the ids have gone on since it was heard first.
-    let is_distinct = first.is_some_and(|first| contacts.clone().all(|(_, _, contact)| contact.last_heard > first));
-    let Some((index, id, contact)) = contacts.min_by_key(|(_, _, contact)| contact.last_heard) else {
+    // All observers with the ids have sent since it was first received.
+    let is_distinct = first.is_some_and(|first| contacts.clone().all(|(_, _, contact)| contact.last_seen > first));
+    let Some((index, id, contact)) = contacts.min_by_key(|(_, _, contact)| contact.last_seen) else {
         return PeerClass::Another;
     };
     if is_back || is_distinct {
         PeerClass::Another
-    } else if now - contact.last_heard >= HANDOVER {
+    } else if now - contact.last_seen >= HANDOVER {
         PeerClass::SameAs(index)
     } else {
         PeerClass::Contested(id)
@@ -344,7 +344,7 @@ fn classify_peer(
 
 /// The observer at an endpoint: at that peer, or, if there is only one, not yet on that link.
 fn index_of(observers: &[Observer], endpoint: Endpoint) -> Option<usize> {
-    observers.iter().position(|observer| observer.is_heard_by(endpoint)).or_else(|| match observers {
+    observers.iter().position(|observer| observer.is_at(endpoint)).or_else(|| match observers {
         [only] if !only.contacts.contains_key(&endpoint.link) => Some(0),
         _ => None,
     })
@@ -357,19 +357,18 @@ mod tests {
     const CAMERA: ObserverAddress = ObserverAddress { home: LinkId(0), address: Address::new(1, 100) };
 
     /// An observer's message at `millis`, by a peer, when its clock is so far ahead; which observer it was, if its clock was used.
-    fn hear(observers: &mut Observers, millis: i64, endpoint: Endpoint, ahead_ms: i64) -> Option<ObserverId> {
+    fn receive(observers: &mut Observers, millis: i64, endpoint: Endpoint, ahead_ms: i64) -> Option<ObserverId> {
         let received = ReceiveInfo { endpoint, host_time: Timestamp::from_millis(millis) };
         let stamp = WireStamp::Micros64(((millis + ahead_ms) * 1_000) as u64);
         let time = observers.host_time(CAMERA, received, stamp);
         assert!(!time.has_restarted, "{millis} ms");
-        // A clock that was never heard is not aligned at its first timestamp.
-        observers.known[&CAMERA].iter().any(|observer| is_heard_now(observer, received)).then_some(time.observer)
+        // A new clock is not aligned at its first timestamp.
+        observers.known[&CAMERA].iter().any(|observer| is_received_now(observer, received)).then_some(time.observer)
     }
 
-    fn is_heard_now(observer: &Observer, received: ReceiveInfo) -> bool {
+    fn is_received_now(observer: &Observer, received: ReceiveInfo) -> bool {
         let contact = observer.contacts.get(&received.endpoint.link);
-        contact
-            .is_some_and(|contact| (contact.peer, contact.last_heard) == (received.endpoint.peer, received.host_time))
+        contact.is_some_and(|contact| (contact.peer, contact.last_seen) == (received.endpoint.peer, received.host_time))
     }
 
     fn by(link: u16, peer: u32) -> Endpoint {
@@ -382,29 +381,29 @@ mod tests {
             let mut observers = Observers::default();
             for k in 0..10 {
                 for peer in 0..3 {
-                    hear(&mut observers, 5_000 + period_ms * k + 13 * peer, by(0, peer as u32), 100_000 * peer);
+                    receive(&mut observers, 5_000 + period_ms * k + 13 * peer, by(0, peer as u32), 100_000 * peer);
                 }
             }
             let ids = [0, 1, 2].map(|peer| {
-                hear(&mut observers, 30_000 + peer, by(0, peer as u32), 100_000 * peer).expect("it is known").0
+                receive(&mut observers, 30_000 + peer, by(0, peer as u32), 100_000 * peer).expect("it is known").0
             });
             assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2], "{ids:?} each {period_ms} ms");
         }
     }
 
     #[test]
-    fn a_camera_that_reconnects_or_is_heard_on_a_redundant_link_keeps_its_clock() {
+    fn a_camera_that_reconnects_or_uses_a_redundant_link_keeps_its_clock() {
         let mut observers = Observers::default();
-        let first = hear(&mut observers, 0, by(0, 4), 70).expect("it is the first");
-        assert_eq!(hear(&mut observers, 10, by(1, 0), 70), Some(first), "a redundant link");
-        assert_eq!(hear(&mut observers, 100, by(0, 5), 70), None, "the old peer may go on");
-        assert_eq!(hear(&mut observers, 300, by(0, 5), 70), Some(first), "it has not");
-        assert_eq!(hear(&mut observers, 320, by(0, 5), 70), Some(first));
+        let first = receive(&mut observers, 0, by(0, 4), 70).expect("it is the first");
+        assert_eq!(receive(&mut observers, 10, by(1, 0), 70), Some(first), "a redundant link");
+        assert_eq!(receive(&mut observers, 100, by(0, 5), 70), None, "the old peer may go on");
+        assert_eq!(receive(&mut observers, 300, by(0, 5), 70), Some(first), "it has not");
+        assert_eq!(receive(&mut observers, 320, by(0, 5), 70), Some(first));
         assert_eq!(observers.count, 1);
     }
 
     #[test]
-    fn invented_observers_are_bounded_and_those_heard_last_stay() {
+    fn invented_observers_are_bounded_and_the_latest_stay() {
         let mut observers = Observers::default();
         for number in 0..10_000_u32 {
             let address = Address::new((number / 250) as u8, (number % 250) as u8);

@@ -97,7 +97,7 @@ impl OutputSchedule {
         let configured = configured.copied();
         self.streams.retain(|stream| stream.kind != kind);
         self.schedules.retain(|(sent, _), _| *sent != kind);
-        let asked = |interval| OutputStream {
+        let requested = |interval| OutputStream {
             kind,
             interval,
             instant: configured.map_or(OutputInstant::Observed, |stream| stream.instant),
@@ -105,7 +105,7 @@ impl OutputSchedule {
         self.streams.extend(match interval {
             None => None,
             Some(TimeDelta::ZERO) => configured,
-            Some(interval) => Some(asked(interval)),
+            Some(interval) => Some(requested(interval)),
         });
     }
 
@@ -116,12 +116,12 @@ impl OutputSchedule {
             return -1;
         };
         let mut sent = self.schedules.iter().filter(|((sent, _), _)| *sent == kind);
-        let seen = sent.find_map(|(_, sent)| sent.gap).unwrap_or(TimeDelta::ZERO);
-        let span = match stream.interval {
-            TimeDelta::ZERO => seen,
+        let measured = sent.find_map(|(_, sent)| sent.gap).unwrap_or(TimeDelta::ZERO);
+        let interval = match stream.interval {
+            TimeDelta::ZERO => measured,
             interval => interval,
         };
-        i32::try_from(span.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
+        i32::try_from(interval.as_nanos() / 1_000).unwrap_or(i32::MAX).max(1)
     }
 
     /// The outputs with estimates that are due; an item that is taken counts as sent.
@@ -231,20 +231,20 @@ mod tests {
         Timestamp::from_millis(millis)
     }
 
-    /// Estimates come at the instants of telemetry, which are no multiples of what a peer asks for, and with the delays of a link.
+    /// Estimates come at the instants of telemetry, which are no multiples of a requested interval, and with the delays of a link.
     #[test]
-    fn an_interval_is_kept_in_the_mean_whatever_the_instants_of_estimates() {
+    fn an_interval_is_kept_in_the_mean_at_any_instants_of_estimates() {
         /// Milliseconds by which each of ten in a row is late.
         const LATE: [i64; 10] = [0, 9, 3, 18, 1, 7, 0, 12, 5, 2];
         for period in [20, 50] {
-            for wanted in [50, 100, 250, 333, 1_000] {
-                let mut schedule = OutputSchedule::new(&[odometry(wanted)]);
+            for interval_ms in [50, 100, 250, 333, 1_000] {
+                let mut schedule = OutputSchedule::new(&[odometry(interval_ms)]);
                 let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
                 let sent = estimates.filter(|now| schedule.due(at(*now)).count() == 1);
-                let (sent, expected) = (sent.count() as i64, 60_000 / wanted);
+                let (sent, expected) = (sent.count() as i64, 60_000 / interval_ms);
                 assert!(
                     (sent - expected).abs() <= 1,
-                    "{sent} of {expected} in a minute, asked for each {wanted} ms, estimates each {period} ms"
+                    "{sent} of {expected} in a minute, asked for each {interval_ms} ms, estimates each {period} ms"
                 );
             }
         }
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_is_told_as_it_is_kept() {
+    fn the_reported_interval_is_the_actual_one() {
         let stream = odometry(0);
         let mut schedule = OutputSchedule::new(&[stream]);
         assert_eq!(schedule.interval_micros(OutputKind::Attitude), -1);

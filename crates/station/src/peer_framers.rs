@@ -10,14 +10,14 @@ use posebridge_telemetry::{HostClock, PeerId, TimeDelta, Timestamp};
 
 /// Silence after which a peer is forgotten; no route leads to it any more.
 const IDLE_TIMEOUT: TimeDelta = ROUTE_LIFETIME;
-/// Where the link reports its number of peers, another peer must have been heard since its last report but one: it
+/// Where the link reports its number of peers, another peer must have been received since its last report but one: it
 /// reports each second.
 const PEER_COUNT_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum FramerInput<'a> {
     Bytes(&'a [u8]),
-    /// The time-out of an incomplete frame: whole frames after a torn beginning are found then.
+    /// The time-out of an incomplete frame: complete frames after a truncated beginning are found then.
     Timeout,
     /// The end of the link: an incomplete frame is never completed.
     Closed,
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn an_incomplete_frame_is_given_up_at_its_deadline_and_hides_nothing() {
+    fn an_incomplete_frame_is_dropped_at_its_deadline_and_hides_nothing() {
         let mut framers = PeerFramers::new(FramerConfig::default());
         // The beginning of an ODOMETRY announces 232 bytes, which would swallow the frame behind it.
         let mut bytes = vec![0xFD, 232, 0, 0, 0, 1, 1, 0x4B, 0x01, 0, 7, 7];

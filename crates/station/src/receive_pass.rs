@@ -55,7 +55,7 @@ impl ReceivePass<'_> {
             Some(DuplicateStatus::AddressConflict) => {
                 self.batch.errors.push(ReceiveError::AddressConflict { message_id: frame.message_id });
             }
-            // What the station sent itself is no news, least of all its own estimate.
+            // The station's own frames are no input, least of all its own estimate.
             None | Some(DuplicateStatus::Echo) => {}
             Some(duplicate_status) => self.decode(frame, duplicate_status),
         }

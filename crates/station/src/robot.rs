@@ -62,7 +62,7 @@ impl Robot {
         }
     }
 
-    /// The default before any robot was heard.
+    /// The default before any robot was detected.
     pub const fn id(&self) -> RobotId {
         self.id
     }
@@ -136,7 +136,7 @@ impl Robot {
     }
 
     /// Whether the robot's description replaces the configured geometry, which happens once.
-    pub(crate) fn wants_description(&self) -> bool {
+    pub(crate) fn needs_description(&self) -> bool {
         self.description == DescriptionPolicy::Adopt && !self.is_described
     }
 
@@ -150,12 +150,12 @@ impl Robot {
 }
 
 /// The geometry in a robot's description, if all its lengths are valid.
-pub(crate) fn described_geometry(said: &RobotDescription) -> Option<DriveGeometry> {
+pub(crate) fn described_geometry(description: &RobotDescription) -> Option<DriveGeometry> {
     let geometry = DriveGeometry {
-        left_wheel_radius: said.left_wheel_radius,
-        right_wheel_radius: said.right_wheel_radius,
-        track_width: said.track_width,
-        tick: Radians(std::f64::consts::TAU / said.ticks_per_turn),
+        left_wheel_radius: description.left_wheel_radius,
+        right_wheel_radius: description.right_wheel_radius,
+        track_width: description.track_width,
+        tick: Radians(std::f64::consts::TAU / description.ticks_per_turn),
     };
     let lengths =
         [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0, geometry.tick.0];

@@ -1,4 +1,4 @@
-//! All robots of a station, in the order in which they were first heard.
+//! All robots of a station, in the order of their first message.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -22,7 +22,7 @@ use crate::vehicle_proxy::VEHICLE_COMPONENT;
 /// Systems up to this one are given to robots whose own is taken; those above are for ground stations.
 const LAST_VEHICLE_SYSTEM: u8 = 250;
 
-/// All robots. There is always a first one: before any is heard it takes the input of a replay or a person.
+/// All robots. There is always a first one: before any is detected it takes the input of a replay or a person.
 pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
@@ -60,7 +60,7 @@ pub(crate) struct RobotTable {
 struct CommonSettings {
     online_calibration: Option<OnlineCalibration>,
     sensors: BTreeMap<SensorId, SensorSwitch>,
-    /// The start pose of the first robot before it is heard.
+    /// The start pose of the first robot before it is detected.
     first_pose: Option<StartPose>,
 }
 
@@ -102,7 +102,7 @@ impl RobotTable {
         }
     }
 
-    /// Before any robot is heard, the configured one.
+    /// Before any robot is detected, the configured one.
     pub(crate) fn first(&self) -> &Robot {
         &self.robots[0]
     }
@@ -119,7 +119,7 @@ impl RobotTable {
         &self.robots
     }
 
-    pub(crate) fn heard(&self) -> &[Robot] {
+    pub(crate) fn detected(&self) -> &[Robot] {
         &self.robots[..self.len()]
     }
 
@@ -192,10 +192,10 @@ impl RobotTable {
         observers: &mut Observers,
     ) -> Option<RobotIndex> {
         let address = origin.address;
-        if config.robot_system.is_some_and(|wanted: SystemId| wanted != address.system) {
+        if config.robot_system.is_some_and(|required: SystemId| required != address.system) {
             return None;
         }
-        // Only telemetry tells two robots with the same ids apart.
+        // Only telemetry distinguishes two robots with the same ids.
         if !origin.is_telemetry && self.identities.is_known(address) {
             return None;
         }
@@ -208,7 +208,7 @@ impl RobotTable {
         let index = self.len();
         let block = self.blocks.find(&config.robots, origin.home, address);
         let robot_config = config.robot_config(block);
-        // The first robot takes the place of the one that is configured, with what that was given before it was heard.
+        // The first robot replaces the configured one, with what that was given before the detection.
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
             let mut robot = Robot::new(entry, robot_config, &config.links);
@@ -276,18 +276,18 @@ impl RobotTable {
     }
 
     /// The address under which ground stations see a robot: in its own system, unless another robot has it.
-    fn free_vehicle_address(&self, wanted: SystemId, own: Address) -> Address {
+    fn free_vehicle_address(&self, preferred: SystemId, own: Address) -> Address {
         let is_taken = |system: SystemId| self.used_systems.contains(&system);
-        let system = if is_taken(wanted) {
+        let system = if is_taken(preferred) {
             let mut systems = (1..=LAST_VEHICLE_SYSTEM).map(SystemId);
-            systems.find(|system| *system != own.system && !is_taken(*system)).unwrap_or(wanted)
+            systems.find(|system| *system != own.system && !is_taken(*system)).unwrap_or(preferred)
         } else {
-            wanted
+            preferred
         };
         Address { system, component: VEHICLE_COMPONENT }
     }
 
-    pub(crate) fn record_seen(&mut self, index: RobotIndex, endpoint: Endpoint, now: Timestamp<HostClock>) {
+    pub(crate) fn record_contact(&mut self, index: RobotIndex, endpoint: Endpoint, now: Timestamp<HostClock>) {
         let robot = &mut self.robots[index];
         if !robot.is_alive(now) {
             self.presence_until = None;
@@ -374,7 +374,7 @@ impl RobotTable {
         self.settings.sensors.insert(sensor, switch);
     }
 
-    /// Sets or forgets the pose of the first robot; before one is heard that applies to the first one that will be.
+    /// Sets or forgets the pose of the first robot; before one is detected that applies to the first one that will be.
     pub(crate) fn keep_first_pose(&mut self, pose: Option<StartPose>) {
         if self.len() == 0 {
             self.settings.first_pose = pose;
@@ -432,7 +432,7 @@ mod tests {
 
     const HOME: LinkId = LinkId(0);
 
-    /// A table whose robots have spoken in this order, each by a peer of its own.
+    /// A table whose robots have sent in this order, each from a peer of its own.
     fn table_of(config: &StationConfig, addresses: &[Address]) -> RobotTable {
         let entry = find_filter(&config.robot.filter).unwrap();
         let mut table = RobotTable::new(entry, config);
@@ -445,15 +445,15 @@ mod tests {
     }
 
     #[test]
-    fn each_robot_is_announced_under_a_system_that_nobody_else_has() {
+    fn each_robot_is_announced_under_a_system_of_its_own() {
         let config = StationConfig { own_address: Address::new(3, 190), ..station_config() };
         let addresses =
             [(1, 1), (1, 2), (2, 1), (1, 1), (4, 7)].map(|(system, component)| Address::new(system, component));
         let table = table_of(&config, &addresses);
-        let announced: Vec<u8> = table.heard().iter().map(|robot| robot.vehicle_address.system.0).collect();
+        let announced: Vec<u8> = table.detected().iter().map(|robot| robot.vehicle_address.system.0).collect();
         // 3 is the station's own.
         assert_eq!(announced, [1, 2, 4, 5, 6]);
-        let ids: Vec<Address> = table.heard().iter().map(|robot| robot.id.address).collect();
+        let ids: Vec<Address> = table.detected().iter().map(|robot| robot.id.address).collect();
         assert_eq!(ids, [(1, 1), (1, 2), (2, 1), (5, 1), (4, 7)].map(|(system, id)| Address::new(system, id)));
         assert_eq!(table.of_system(SystemId(1)), None, "there are two");
         assert_eq!(table.of_system(SystemId(2)), Some(2));

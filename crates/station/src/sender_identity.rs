@@ -5,7 +5,7 @@
 //!
 //! - it reconnected: the old peer of that link is silent for longer than it usually is, and telemetry comes from the new one, which
 //!   takes its place;
-//! - its frames came round a loop: the same telemetry was received by both ways, which the router notices;
+//! - its frames came round a loop: the same telemetry was received from both endpoints, which the router notices;
 //! - it is another robot with the same ids: both go on, with telemetry of their own; or, on another link, the robot there is off.
 //!
 //! Until that is decided, the telemetry of the new peer is not used.
@@ -26,7 +26,7 @@ pub(crate) const HANDOVER: TimeDelta = TimeDelta::from_millis(300);
 const HANDOVER_INTERVALS: i64 = 2;
 /// Longest such silence: a pause is no usual interval.
 const LATEST_HANDOVER: TimeDelta = TimeDelta::from_millis(2_500);
-/// How long telemetry from a loop shows that an address is heard from several endpoints.
+/// How long telemetry from a loop shows that an address is received from several endpoints.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
 /// Most undecided senders.
 pub(crate) const MAX_CONTENDERS: usize = 256;
@@ -59,9 +59,9 @@ pub(crate) struct SenderIdentities {
     senders: Vec<KnownSender>,
     by_address: BTreeMap<Address, Vec<RobotIndex>>,
     by_endpoint: BTreeMap<(Endpoint, Address), RobotIndex>,
-    /// When an undecided sender was first heard.
+    /// When an undecided sender was first received.
     contenders: BTreeMap<(LinkId, PeerId, Address), Timestamp<HostClock>>,
-    /// Until when an address counts as heard from several endpoints.
+    /// Until when an address counts as received from several endpoints.
     looped_until: BTreeMap<Address, Timestamp<HostClock>>,
 }
 
@@ -114,7 +114,7 @@ impl SenderIdentities {
         only.filter(|_| robots.next().is_none())
     }
 
-    pub(crate) fn heard_by(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
+    pub(crate) fn at_endpoint(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
         self.by_endpoint.get(&(endpoint, address)).copied()
     }
 
@@ -124,7 +124,7 @@ impl SenderIdentities {
 
     /// The robot of an endpoint and an address; changes no state.
     pub(crate) fn find(&self, endpoint: Endpoint, home: LinkId, address: Address) -> Option<RobotIndex> {
-        self.heard_by(endpoint, address).or_else(|| {
+        self.at_endpoint(endpoint, address).or_else(|| {
             let is_elsewhere = |robot: &RobotIndex| !self.senders[*robot].peers.contains_key(&endpoint.link);
             self.at_home(home, address).find(is_elsewhere)
         })
@@ -161,12 +161,12 @@ impl SenderIdentities {
             }
             return SenderIdentity::Robot(robot);
         }
-        let last_heard = |robot: &RobotIndex| self.senders[*robot].peers.get(&endpoint.link).map(|(_, last)| *last);
-        if let Some(robot) = self.at_home(home, address).min_by_key(last_heard) {
+        let last_seen = |robot: &RobotIndex| self.senders[*robot].peers.get(&endpoint.link).map(|(_, last)| *last);
+        if let Some(robot) = self.at_home(home, address).min_by_key(last_seen) {
             if !is_new {
                 return SenderIdentity::Robot(robot);
             }
-            let last = last_heard(&robot).unwrap_or(now);
+            let last = last_seen(&robot).unwrap_or(now);
             // A camera or a thermometer may have the ids of a robot: only telemetry takes its place.
             if is_telemetry && now - last >= self.senders[robot].handover() {
                 self.move_to(robot, now, origin);
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn only_telemetry_takes_the_place_of_a_robot_that_is_silent() {
+    fn only_telemetry_replaces_a_silent_robot() {
         let mut identities = with_one_robot();
         let camera = MessageOrigin { is_telemetry: false, ..telemetry(0, 1) };
         assert_eq!(identify(&mut identities, at(400), camera), SenderIdentity::Unknown);
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thermometer_with_the_ids_of_a_robot_on_another_link_is_heard() {
+    fn a_thermometer_with_the_ids_of_a_robot_on_another_link_is_used() {
         let mut identities = with_one_robot();
         let thermometer = MessageOrigin { is_telemetry: false, ..telemetry(2, 0) };
         assert_eq!(identify(&mut identities, at(10), thermometer), SenderIdentity::Unknown);
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_heard_by_two_ways_stays_one() {
+    fn a_robot_received_from_two_endpoints_stays_one() {
         let mut identities = with_one_robot();
         for millis in (50..20_000).step_by(50) {
             // Now the one way is quicker, now the other.

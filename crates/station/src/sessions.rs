@@ -113,7 +113,7 @@ impl Sessions {
         self.links.get_mut(&id)?.vehicles.as_mut()
     }
 
-    /// Updates which robots appear as vehicles, and who sends heartbeats. `responder` returns who replies for a robot;
+    /// Updates which robots appear as vehicles, and which side sends heartbeats. `responder` returns the side that replies for a robot;
     /// `None` if it must not appear.
     pub(crate) fn update_presence(
         &mut self,
@@ -132,7 +132,7 @@ impl Sessions {
                 continue;
             };
             link.station.set_heartbeat_mode(station_mode);
-            for robot in robots.heard() {
+            for robot in robots.detected() {
                 // A robot that is received on a link itself needs no session of the station there.
                 if vehicles.address(robot.id).is_none()
                     && !router.are_redundant(*id, robot.id.link)
@@ -159,7 +159,7 @@ impl Sessions {
         robot: Option<RobotIndex>,
     ) {
         let message = &received.message;
-        let is_heard = match received.duplicate_status {
+        let is_accepted = match received.duplicate_status {
             DuplicateStatus::New => true,
             DuplicateStatus::Loop if robot.is_none() => is_answer(message),
             DuplicateStatus::Duplicate | DuplicateStatus::Loop => !is_request(message),
@@ -168,7 +168,7 @@ impl Sessions {
         let Some(link) = self.links.get_mut(&endpoint.link) else {
             return;
         };
-        if !is_heard {
+        if !is_accepted {
             link.station.record_activity(now, received.source);
             return;
         }
@@ -250,7 +250,7 @@ impl Sessions {
 fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostClock>) -> Session<HostClock> {
     let mut session_config = station_session_config(config);
     if link.brick.is_some() {
-        // A link without MAVLink cannot be asked for messages.
+        // A link without MAVLink gets no requests for messages.
         session_config.requested_messages.clear();
     }
     let mut session = Session::new(session_config, now);
@@ -258,7 +258,7 @@ fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostCl
     session.offer_parameters(
         PARAMS
             .iter()
-            // In capitals, as MAVLink's parameters are: MAVProxy asks for no others.
+            // In capitals, as MAVLink's parameters are: MAVProxy requests no others.
             .map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)),
     );
     session.serve_commands(&SERVED_COMMANDS);

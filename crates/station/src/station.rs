@@ -148,7 +148,7 @@ impl Station {
         self.transmitter().forward_frames();
         self.router.run_deferred_work(self.time.now);
         self.advance_time();
-        // What waited of a peer that fell silent may have been news, too.
+        // Pending bytes of a peer that fell silent may have been a frame.
         self.publish_to_robots();
         self.publish_to_others();
         self.transmitter().forward_frames();
@@ -170,7 +170,7 @@ impl Station {
         links.chain(self.sessions.deadline()).chain(self.time.next_health).min()
     }
 
-    /// All robots, in the order of their first message; before any is heard, the configured one.
+    /// All robots, in the order of their first message; before any is detected, the configured one.
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
     }
@@ -270,7 +270,7 @@ impl Station {
             return;
         };
         if state == LinkState::Down {
-            // Before the link changes its state: a torn beginning may have hidden whole frames, which came while it was up.
+            // Before the link changes its state: a truncated beginning may have hidden complete frames, which came while it was up.
             for peer in link.framers.present() {
                 let endpoint = Endpoint { link: id, peer };
                 self.receive(ReceiveInfo { endpoint, host_time: now }, FramerInput::Closed);
@@ -394,7 +394,7 @@ impl Station {
         }
     }
 
-    /// Updates who sends heartbeats: a ground station must detect the loss of a robot.
+    /// Updates which side sends heartbeats: a ground station must detect the loss of a robot.
     pub(crate) fn update_presence(&mut self) {
         let Self { sessions, robots, router, links, config, .. } = self;
         sessions.update_presence(self.time.now, robots, router, |robot| {
@@ -452,7 +452,7 @@ impl Station {
             return;
         };
         let sources = link.refresh_health();
-        // With several robots on a link the first stands for it.
+        // With several robots on a link the first represents it.
         if let Some(index) = self.robots.at_home(home, &self.router).first() {
             let clocks = &self.robots.get(*index).clocks;
             link.health.round_trip = clocks.round_trip();

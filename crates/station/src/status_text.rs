@@ -37,7 +37,7 @@ const MAX_TEXT_BYTES: usize = 4 * PART_BYTES;
 enum Topic {
     LinkUp(LinkId),
     LinkDown(LinkId),
-    RobotSeen(RobotIndex),
+    RobotDetected(RobotIndex),
     RobotLost(RobotIndex),
     RobotNamed(RobotIndex),
     Restart(RobotIndex),
@@ -55,7 +55,7 @@ impl Topic {
             Self::Report => (MAX_REPORTS, TOPIC_INTERVAL),
             Self::LinkUp(_)
             | Self::LinkDown(_)
-            | Self::RobotSeen(_)
+            | Self::RobotDetected(_)
             | Self::RobotLost(_)
             | Self::RobotNamed(_)
             | Self::Restart(_)
@@ -87,7 +87,7 @@ pub(crate) struct StatusTextQueue {
     pending: Vec<PendingText>,
     last_text_id: u16,
     reset_counters: BTreeMap<RobotIndex, u8>,
-    /// Robots whose loss was reported, and whose return was not yet.
+    /// Robots with a reported loss and an unreported return.
     lost_robots: BTreeSet<RobotIndex>,
 }
 
@@ -95,32 +95,32 @@ impl StatusTextQueue {
     fn push(&mut self, now: Timestamp<HostClock>, topic: Topic, mut text: PendingText) {
         let (most, quiet) = topic.rate_limit();
         let fresh = TopicRateLimit { since: now, sent: 0, suppressed: 0 };
-        let told = self.rate_limits.entry(topic).or_insert(fresh);
-        if now - told.since >= quiet {
-            if told.suppressed > 0 {
-                text.text = format!("{} ({} more)", text.text, told.suppressed);
+        let limit = self.rate_limits.entry(topic).or_insert(fresh);
+        if now - limit.since >= quiet {
+            if limit.suppressed > 0 {
+                text.text = format!("{} ({} more)", text.text, limit.suppressed);
             }
-            *told = fresh;
+            *limit = fresh;
         }
-        if told.sent >= most {
-            told.suppressed += 1;
+        if limit.sent >= most {
+            limit.suppressed += 1;
             return;
         }
-        told.sent += 1;
+        limit.sent += 1;
         self.pending.push(text);
     }
 
-    pub(crate) fn split_text(&mut self, severity: u8, words: &str) -> Vec<Message> {
-        let words = printable(words);
-        let text_id = if words.len() <= PART_BYTES {
+    pub(crate) fn split_text(&mut self, severity: u8, text: &str) -> Vec<Message> {
+        let text = printable(text);
+        let text_id = if text.len() <= PART_BYTES {
             0
         } else {
             self.last_text_id = self.last_text_id.checked_add(1).unwrap_or(1);
             self.last_text_id
         };
-        let mut parts: Vec<&str> = words.as_bytes().chunks(PART_BYTES).filter_map(utf8_prefix).collect();
-        // A part of full length says that another one follows.
-        if text_id != 0 && words.len().is_multiple_of(PART_BYTES) {
+        let mut parts: Vec<&str> = text.as_bytes().chunks(PART_BYTES).filter_map(utf8_prefix).collect();
+        // A part of full length means that another one follows.
+        if text_id != 0 && text.len().is_multiple_of(PART_BYTES) {
             parts.push("");
         }
         let numbered = (0_u8..).zip(parts);
@@ -139,12 +139,12 @@ fn utf8_prefix(bytes: &[u8]) -> Option<&str> {
 }
 
 /// The text that is sent, in ASCII, so that it can be cut at any byte.
-fn printable(words: &str) -> String {
+fn printable(text: &str) -> String {
     let shown = |letter: char| match letter {
         ' '..='~' => letter,
         _ => '?',
     };
-    words.chars().map(shown).take(MAX_TEXT_BYTES).collect()
+    text.chars().map(shown).take(MAX_TEXT_BYTES).collect()
 }
 
 /// The station's data for texts about events.
@@ -158,7 +158,7 @@ pub(crate) struct TextContext<'a> {
 }
 
 impl TextContext<'_> {
-    /// The robot of a session's peer, by the link on which it was heard.
+    /// The robot of a session's peer, by the link on which it was received.
     fn robot(&self, peer: RobotId) -> Option<RobotIndex> {
         self.robots.find(RobotId { link: self.router.first_of_group(peer.link), ..peer })
     }
@@ -192,7 +192,8 @@ impl StatusTextQueue {
                 if !self.lost_robots.remove(&index) {
                     return None;
                 }
-                with_topic(Topic::RobotSeen(index)).map(|(topic, severity, text)| (topic, severity, text + " again"))
+                with_topic(Topic::RobotDetected(index))
+                    .map(|(topic, severity, text)| (topic, severity, text + " again"))
             }
             Event::RobotNamed { robot, .. } => with_topic(Topic::RobotNamed(context.robots.find(*robot)?)),
             Event::RobotLost { robot, .. } => {
@@ -201,7 +202,7 @@ impl StatusTextQueue {
                     return None;
                 }
                 self.lost_robots.insert(index);
-                // Ground stations speak errors.
+                // Ground stations announce errors aloud.
                 with_topic(Topic::RobotLost(index)).map(|(topic, _, text)| (topic, severity::ERROR, text))
             }
             Event::BrickRestarted { robot } => with_topic(Topic::Restart(context.robots.find(*robot)?)),
@@ -219,7 +220,7 @@ impl StatusTextQueue {
                 let sender = if *source == context.own_address {
                     SenderRole::Station
                 } else {
-                    // A robot that speaks MAVLink sends it itself.
+                    // A robot with MAVLink sends it itself.
                     let mut robots = context.robots.all().iter().filter(|robot| robot.id.address == *source);
                     let has_codec = |id: RobotId| context.links.get(&id.link).is_some_and(|link| link.codec.is_some());
                     SenderRole::Vehicle(robots.find(|robot| has_codec(robot.id))?.id)
@@ -262,7 +263,7 @@ fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u
         return None;
     }
     let name = record.sensor.name();
-    let words = match record.outcome {
+    let text = match record.outcome {
         FusionOutcome::Gated => format!("fix of {name} refused: NIS {:.1}", record.nis),
         FusionOutcome::TooOld => format!("fix of {name} refused: {:.2} s late", record.lag.as_secs_f64()),
         FusionOutcome::Malformed => format!("fix of {name} refused: malformed"),
@@ -272,31 +273,31 @@ fn text_for_record(robot: RobotIndex, record: &FusionRecord) -> Option<(Topic, u
         | FusionOutcome::PoseReset
         | FusionOutcome::Unused => return None,
     };
-    Some((Topic::FixRejected(robot, record.sensor), severity::WARNING, words))
+    Some((Topic::FixRejected(robot, record.sensor), severity::WARNING, text))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn text(words: &str) -> PendingText {
-        PendingText { sender: SenderRole::Station, severity: severity::INFO, text: words.to_owned() }
+    fn text(text: &str) -> PendingText {
+        PendingText { sender: SenderRole::Station, severity: severity::INFO, text: text.to_owned() }
     }
 
-    fn parts_of(announcer: &mut StatusTextQueue, words: &str) -> Vec<(String, u16, u8)> {
-        let parts = announcer.split_text(severity::INFO, words).into_iter();
-        let said = parts.filter_map(|message| {
+    fn parts_of(announcer: &mut StatusTextQueue, text: &str) -> Vec<(String, u16, u8)> {
+        let parts = announcer.split_text(severity::INFO, text).into_iter();
+        let parts = parts.filter_map(|message| {
             if let Message::StatusText { text, part, .. } = message {
                 Some((text, part.text_id, part.index))
             } else {
                 None
             }
         });
-        said.collect()
+        parts.collect()
     }
 
     #[test]
-    fn a_long_text_comes_in_parts_of_which_the_last_can_be_told() {
+    fn a_long_text_is_split_so_that_its_last_part_is_recognizable() {
         let mut announcer = StatusTextQueue::default();
         let a = |count| "a".repeat(count);
         assert_eq!(parts_of(&mut announcer, "brief"), [("brief".to_owned(), 0, 0)]);
@@ -310,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_topic_is_told_now_and_then_with_what_was_left_out() {
+    fn a_topic_is_rate_limited_and_reports_its_suppressed_count() {
         let mut announcer = StatusTextQueue::default();
         let at = |millis| Timestamp::<HostClock>::from_millis(millis);
         let camera = Topic::FixRejected(0, SensorId::CAMERA);
@@ -320,7 +321,7 @@ mod tests {
         announcer.push(at(4_999), Topic::Restart(0), text("restarted"));
         announcer.push(at(5_000), camera, text("refused"));
         announcer.push(at(10_000), camera, text("refused"));
-        let words: Vec<_> = announcer.pending.iter().map(|text| text.text.as_str()).collect();
-        assert_eq!(words, ["refused", "restarted", "refused (2 more)", "refused"]);
+        let texts: Vec<_> = announcer.pending.iter().map(|text| text.text.as_str()).collect();
+        assert_eq!(texts, ["refused", "restarted", "refused (2 more)", "refused"]);
     }
 }

@@ -68,11 +68,11 @@ impl ThermometerBank {
     }
 
     /// Uses the queued readings, oldest first; `config_of` returns the configuration of a brick.
-    pub(crate) fn process<'a>(&mut self, config_of: impl Fn(RobotId) -> &'a RobotConfig, mut tell: impl FnMut(Event)) {
+    pub(crate) fn process<'a>(&mut self, config_of: impl Fn(RobotId) -> &'a RobotConfig, mut emit: impl FnMut(Event)) {
         let mut waiting = std::mem::take(&mut self.pending);
         for reading in waiting.drain(..) {
             if let Some(channel) = self.channel_of(&reading, &config_of) {
-                tell(channel.observe(&reading));
+                emit(channel.observe(&reading));
             }
         }
         // Its room is used again.

@@ -275,7 +275,7 @@ impl Transmitter<'_> {
     /// shares its address with the station: by the original numbers a ground station would compute losses that are
     /// none.
     fn forward_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame) -> bool {
-        // A sender on the link itself, or on one redundant to it, is heard there by some peers without the station.
+        // A sender on the link itself, or on one redundant to it, reaches some peers there without the station.
         if self.router.are_redundant(frame.from.link, id) || self.sessions.vehicles(id).is_none() {
             return false;
         }

@@ -41,8 +41,8 @@ pub(crate) enum CommandResponder {
 impl CommandResponder {
     /// Who replies for a robot on `link`; `None` if it must not appear as a vehicle.
     pub(crate) fn for_robot(robot: &Robot, link: &LinkContext, own_address: Address) -> Option<Self> {
-        let speaks_as_vehicle = robot.wire_address.component == robot.vehicle_address.component;
-        let responder = if link.codec.is_some() || !speaks_as_vehicle { Self::Station } else { Self::Robot };
+        let is_vehicle_address = robot.wire_address.component == robot.vehicle_address.component;
+        let responder = if link.codec.is_some() || !is_vehicle_address { Self::Station } else { Self::Robot };
         (robot.vehicle_address != own_address).then_some(responder)
     }
 }
@@ -230,7 +230,7 @@ fn command_target(message: &Message) -> Option<(Address, Option<u32>)> {
         reason = "only these are commands, however many kinds of messages there are"
     )]
     match message {
-        Message::SetMessageInterval(wanted) => Some((wanted.target, Some(wanted.message_id))),
+        Message::SetMessageInterval(request) => Some((request.target, Some(request.message_id))),
         Message::Command(command) => Some((command.target, command.named_message())),
         Message::CommandInt(command) => {
             let command = command.to_long();

@@ -81,14 +81,14 @@ impl<C: Clock> Default for ClockAligner<C> {
 }
 
 impl<C: Clock> ClockAligner<C> {
-    /// Records the arrival of a message with this stamp from `way`.
+    /// Records the arrival of a message with this stamp from `endpoint`.
     pub fn observe_arrival(
         &mut self,
-        way: Endpoint,
+        endpoint: Endpoint,
         stamp: WireStamp,
         arrival: Timestamp<HostClock>,
     ) -> UnwrapOutcome<C> {
-        let unwrapped = self.unwrap_stamp(way, stamp, arrival);
+        let unwrapped = self.unwrap_stamp(endpoint, stamp, arrival);
         if let UnwrapOutcome::Continued(remote) | UnwrapOutcome::Restarted(remote) = unwrapped {
             let meeting = self.bound_above(remote, arrival);
             let is_due = self.linear_offset.is_none_or(|line| meeting.remote_s - line.at_s >= REFIT_S);
@@ -99,9 +99,9 @@ impl<C: Clock> ClockAligner<C> {
         unwrapped
     }
 
-    /// Records a duplicate of an earlier message, from `way`: it bounds the clock as well.
-    pub fn observe_copy(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) {
-        if let Some(remote) = self.unwrapper.unwrap_copy(way, stamp, arrival) {
+    /// Records a duplicate of an earlier message, from `endpoint`: it bounds the clock as well.
+    pub fn observe_copy(&mut self, endpoint: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) {
+        if let Some(remote) = self.unwrapper.unwrap_copy(endpoint, stamp, arrival) {
             self.bound_above(remote, arrival);
         }
     }
@@ -112,21 +112,21 @@ impl<C: Clock> ClockAligner<C> {
         self.unwrapper.nearest(stamp)
     }
 
-    /// Records a request that was sent at `sent`, whose reply with the remote clock's `remote_nanos` came from `way` at
+    /// Records a request that was sent at `sent`, whose reply with the remote clock's `remote_nanos` came from `endpoint` at
     /// `received`. Returns the new alignment; `None` while there is none. A reply from before its request only counts
     /// as a message that arrived.
     pub fn observe_exchange(
         &mut self,
-        way: Endpoint,
+        endpoint: Endpoint,
         sent: Timestamp<HostClock>,
         received: Timestamp<HostClock>,
         remote_nanos: i64,
     ) -> (UnwrapOutcome<C>, Option<Alignment<C>>) {
         let stamp = WireStamp::Micros64(u64::try_from(remote_nanos.div_euclid(1_000)).unwrap_or(0));
         if received < sent {
-            return (self.observe_arrival(way, stamp, received), None);
+            return (self.observe_arrival(endpoint, stamp, received), None);
         }
-        let unwrapped = self.unwrap_stamp(way, stamp, received);
+        let unwrapped = self.unwrap_stamp(endpoint, stamp, received);
         let (UnwrapOutcome::Continued(remote) | UnwrapOutcome::Restarted(remote)) = unwrapped else {
             return (unwrapped, None);
         };
@@ -195,8 +195,13 @@ impl<C: Clock> ClockAligner<C> {
         }
     }
 
-    fn unwrap_stamp(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) -> UnwrapOutcome<C> {
-        let unwrapped = self.unwrapper.unwrap(way, stamp, arrival);
+    fn unwrap_stamp(
+        &mut self,
+        endpoint: Endpoint,
+        stamp: WireStamp,
+        arrival: Timestamp<HostClock>,
+    ) -> UnwrapOutcome<C> {
+        let unwrapped = self.unwrapper.unwrap(endpoint, stamp, arrival);
         if matches!(unwrapped, UnwrapOutcome::Restarted(_)) {
             self.reset();
         }
@@ -305,7 +310,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     #[test]
-    fn a_counter_of_whole_milliseconds_contradicts_no_bound_on_a_fast_link() {
+    fn a_millisecond_counter_contradicts_no_bound_on_a_fast_link() {
         let mut rng = Pcg64::seed_from_u64(5);
         let mut aligner = ClockAligner::<BrickClock>::default();
         for k in 0..600 {
@@ -323,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_begins_anew_and_there_and_back_is_the_identity() {
+    fn after_a_restart_the_round_trip_is_the_identity() {
         let mut aligner = ClockAligner::<BrickClock>::default();
         for k in 0..20_i64 {
             let sent = Timestamp::from_millis(k * 100);

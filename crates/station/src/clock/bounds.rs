@@ -188,23 +188,23 @@ impl ClockBounds {
 
     /// The line with the largest margin.
     fn central_offset(&self, t_s: f64, steepest: f64) -> CentralOffset {
-        let room = |slope| self.margin(slope, t_s);
-        let slope = argmax(-steepest, steepest, MAX_PIECES, room);
+        let margin = |slope| self.margin(slope, t_s);
+        let slope = argmax(-steepest, steepest, MAX_PIECES, margin);
         let (upper_s, lower_s) = (self.upper_hull.at(slope, t_s).0, self.lower_hull.at(slope, t_s).0);
         CentralOffset { slope, offset_s: 0.5 * (upper_s + lower_s), margin_s: upper_s - lower_s }
     }
 
     /// The line, with the largest distance of any other line that satisfies the bounds of the hulls.
     fn offset_around(&self, t_s: f64, middle: CentralOffset) -> LinearOffset {
-        let CentralOffset { slope, offset_s, margin_s: room_s } = middle;
-        if room_s < 0.0 {
-            return LinearOffset { at_s: t_s, offset_s, slope, uncertainty_s: -room_s, slope_uncertainty: 0.0 };
+        let CentralOffset { slope, offset_s, margin_s } = middle;
+        if margin_s < 0.0 {
+            return LinearOffset { at_s: t_s, offset_s, slope, uncertainty_s: -margin_s, slope_uncertainty: 0.0 };
         }
         let (upper, lower) = (&self.upper_hull, &self.lower_hull);
         // All slopes that leave room: from the best one outwards to where it vanishes.
-        let room = |slope| self.margin(slope, t_s);
-        let lowest = nearest_nonnegative(-MAX_SLOPE, slope, MAX_PIECES, room);
-        let highest = nearest_nonnegative(MAX_SLOPE, slope, MAX_PIECES, room);
+        let margin = |slope| self.margin(slope, t_s);
+        let lowest = nearest_nonnegative(-MAX_SLOPE, slope, MAX_PIECES, margin);
+        let highest = nearest_nonnegative(MAX_SLOPE, slope, MAX_PIECES, margin);
         // U is concave and L convex in the slope.
         let at_highest = argmax(lowest, highest, MAX_PIECES, |slope| {
             let (value_s, touched_s) = upper.at(slope, t_s);

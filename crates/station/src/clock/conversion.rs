@@ -113,7 +113,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn converted_instants_keep_their_order_and_there_and_back_is_the_identity(
+        fn converted_instants_keep_their_order_and_the_round_trip_is_the_identity(
             lines in proptest::collection::vec((-0.02..0.02_f64, -0.0101..0.0101_f64), LINES),
             remotes in proptest::collection::vec(-1.0..8.0_f64, 2..40),
         ) {
@@ -137,16 +137,16 @@ mod tests {
         ) {
             let mut conversion = steered(&lines);
             let now_s = lines.len() as f64 * 0.1;
-            let asked_s = now_s - ago_s;
-            let before_s = conversion.offset_at(asked_s);
+            let query_s = now_s - ago_s;
+            let before_s = conversion.offset_at(query_s);
             conversion.steer(&line(now_s, 0.5, 0.0), now_s);
-            let after_s = conversion.offset_at(asked_s);
+            let after_s = conversion.offset_at(query_s);
             prop_assert!((before_s.unwrap() - after_s.unwrap()).abs() < 1e-15);
         }
     }
 
     #[test]
-    fn a_line_15_ms_away_is_reached_after_three_tenths_of_a_second_and_kept() {
+    fn a_line_15_ms_away_is_reached_after_three_tenths_of_a_second_and_followed() {
         let mut conversion = ClockConversion::default();
         conversion.steer(&line(0.0, 0.0, 1e-4), 0.0);
         conversion.steer(&line(1.0, 0.0151, 1e-4), 1.0);

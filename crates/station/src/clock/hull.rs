@@ -204,11 +204,11 @@ impl BoundWindow {
 
     /// All bounds that can be corners of the hull, in time order, for any allowance up to the largest.
     pub(super) fn candidates(&self) -> impl Iterator<Item = OffsetBound> {
-        let mut place = (!self.older.is_empty()).then_some(0);
+        let mut next = (!self.older.is_empty()).then_some(0);
         let older = std::iter::from_fn(move || {
-            let at = place?;
+            let at = next?;
             let one = self.older.get(at)?;
-            place = (one.after > 0).then_some(at + one.after);
+            next = (one.after > 0).then_some(at + one.after);
             Some(one.bound)
         });
         older.chain(self.chain.iter().copied()).chain(self.open)
@@ -219,16 +219,16 @@ impl BoundWindow {
         self.chain.clear();
         // Places of the corners from the bound in hand to the middle, the nearest last.
         let mut corners: Vec<usize> = Vec::new();
-        for (place, bound) in self.younger.iter().enumerate().rev() {
+        for (index, bound) in self.younger.iter().enumerate().rev() {
             while let [.., behind, next] = corners.as_slice()
                 && !self.is_corner(*bound, self.younger[*next], self.younger[*behind])
             {
                 corners.pop();
             }
-            let after = corners.last().map_or(0, |next| next - place);
+            let after = corners.last().map_or(0, |next| next - index);
             let bound = *bound;
             self.older.push_front(OlderBound { bound, after });
-            corners.push(place);
+            corners.push(index);
         }
         self.younger.clear();
     }
@@ -248,14 +248,14 @@ mod tests {
     use proptest::prelude::*;
 
     fn bounds(offsets: &[f64]) -> Vec<OffsetBound> {
-        let places = offsets.iter().enumerate();
+        let indexed = offsets.iter().enumerate();
         let bound = |(k, offset_s): (usize, &f64)| OffsetBound { t_s: k as f64 * 0.5, offset_s: *offset_s };
-        places.map(bound).collect()
+        indexed.map(bound).collect()
     }
 
     proptest! {
         #[test]
-        fn the_hull_says_what_all_bounds_say(
+        fn the_hull_equals_the_extreme_of_all_bounds(
             offsets in proptest::collection::vec(0.0..0.05_f64, 1..100),
             slope in -0.0101..0.0101_f64,
             drift_per_s in 0.0..1e-6_f64,
@@ -288,7 +288,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_hull_of_the_candidates_is_that_of_the_whole_window(
+        fn the_hull_of_the_candidates_is_that_of_all_bounds(
             steps in proptest::collection::vec((0.4..6.0_f64, 0.0..0.05_f64, 0.0..0.05_f64), 1..200),
         ) {
             for side in [BoundSide::Upper, BoundSide::Lower] {
@@ -312,11 +312,11 @@ mod tests {
                     prop_assert_eq!(window.oldest(), all.front().copied());
                     prop_assert_eq!(window.youngest(), all.back().copied());
                     for drift_per_s in [0.0, DRIFT_PER_S] {
-                        let (mut quick, mut whole) = (BoundHull::new(side), BoundHull::new(side));
+                        let (mut quick, mut complete) = (BoundHull::new(side), BoundHull::new(side));
                         quick.rebuild(window.candidates(), t_s, drift_per_s);
-                        whole.rebuild(all.iter().copied(), t_s, drift_per_s);
+                        complete.rebuild(all.iter().copied(), t_s, drift_per_s);
                         for slope in [-0.01, -0.003, 0.0, 0.001, 0.0025, 0.01] {
-                            prop_assert!((quick.at(slope, t_s).0 - whole.at(slope, t_s).0).abs() < 1e-15);
+                            prop_assert!((quick.at(slope, t_s).0 - complete.at(slope, t_s).0).abs() < 1e-15);
                         }
                     }
                 }

@@ -11,7 +11,7 @@ pub(super) const PERIOD_MICROS: i64 = 1 << 32;
 /// ([`STRAGGLER_WINDOW`]): datagrams overtake each other by milliseconds. The estimator's history rejects smaller
 /// falls.
 const RESTART_BACK_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
-/// Time after the release of a queue within which a datagram may arrive that the whole queue has overtaken, older by
+/// Time after the release of a queue within which a datagram may arrive that the complete queue has overtaken, older by
 /// the length of the queue.
 const STRAGGLER_WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
 /// A clock that is this much further ahead than the host's is another clock, in addition to the share of the elapsed
@@ -66,9 +66,9 @@ impl LastStamp {
         let (elapsed, skew) = self.elapsed(arrival);
         let lag = elapsed - TimeDelta::from_micros(remote_micros - self.remote_micros);
         // A slow clock lags for ever without being held back: what its rate may explain neither counts nor is kept.
-        let kept = (self.queue_delay - skew).max(TimeDelta::ZERO);
+        let decayed = (self.queue_delay - skew).max(TimeDelta::ZERO);
         let added = if lag > skew { lag } else { lag.min(TimeDelta::ZERO) };
-        let held_back = (kept + added).max(TimeDelta::ZERO).min(MAX_DELAY);
+        let held_back = (decayed + added).max(TimeDelta::ZERO).min(MAX_DELAY);
         let (queue, released) = if held_back >= self.queue || arrival - self.released > STRAGGLER_WINDOW {
             (held_back, arrival)
         } else {
@@ -93,22 +93,22 @@ impl PlausibleRange {
     /// The instant of the stamp: its full value if it has 64 bits and is plausible, else the one nearest to the
     /// expected instant.
     pub(super) fn instant_of(&self, stamp: WireStamp) -> i64 {
-        let whole = micros_of(stamp);
+        let full_micros = micros_of(stamp);
         match stamp {
-            WireStamp::Micros64(_) if self.contains(whole) => whole,
+            WireStamp::Micros64(_) if self.contains(full_micros) => full_micros,
             WireStamp::Micros64(_)
             | WireStamp::Micros32(_)
             | WireStamp::Millis32(_)
             // It is no instant of this clock; the engine converts it by what is known of both.
             | WireStamp::HostInterval { .. } => {
-                nearest_instant(self.expected_micros, whole)
+                nearest_instant(self.expected_micros, full_micros)
             }
         }
     }
 }
 
-const fn micros(span: TimeDelta) -> i64 {
-    span.as_nanos() / 1_000
+const fn micros(duration: TimeDelta) -> i64 {
+    duration.as_nanos() / 1_000
 }
 
 pub(super) fn micros_of(stamp: WireStamp) -> i64 {

@@ -192,8 +192,8 @@ mod tests {
         placement
     }
 
-    /// Two ways that have both spoken of a clock which shows a hundred seconds at host zero.
-    fn two_ways() -> StampTracks {
+    /// Two endpoints that have delivered stamps of a clock which shows a hundred seconds at host zero.
+    fn two_endpoints() -> StampTracks {
         let mut tracks = StampTracks::default();
         assert_eq!(classify(&mut tracks, 0, 100_000, 0), None);
         let micros = 100_010 * MILLI;
@@ -202,8 +202,8 @@ mod tests {
     }
 
     #[test]
-    fn a_fall_by_one_way_is_a_restart_and_by_two_it_is_none() {
-        let mut tracks = two_ways();
+    fn a_fall_on_one_endpoint_is_a_restart_and_on_two_it_is_none() {
+        let mut tracks = two_endpoints();
         classify(&mut tracks, 0, 105_000, 5_000);
         let late = classify(&mut tracks, 1, 100_060, 5_010);
         assert_eq!(late, Some(StampPlacement::Continued(100_060 * MILLI)));
@@ -212,8 +212,8 @@ mod tests {
     }
 
     #[test]
-    fn after_a_restart_the_other_way_is_outlived_until_it_falls_too() {
-        let mut tracks = two_ways();
+    fn after_a_restart_another_endpoint_is_stale_until_it_falls_too() {
+        let mut tracks = two_endpoints();
         assert_eq!(classify(&mut tracks, 0, 50, 10_000), Some(StampPlacement::Restarted));
         for (stamp_ms, placement) in [
             (100_100, StampPlacement::Stale),
@@ -230,8 +230,8 @@ mod tests {
 
     #[test]
     fn an_old_clock_that_runs_on_past_its_end_has_not_ended() {
-        let mut tracks = two_ways();
-        // Damage, after which the way is silent.
+        let mut tracks = two_endpoints();
+        // Damage, after which the endpoint is silent.
         assert_eq!(classify(&mut tracks, 0, 900_000, 1_000), Some(StampPlacement::Restarted));
         assert_eq!(classify(&mut tracks, 1, 101_000, 1_010), Some(StampPlacement::Stale));
         let before = classify(&mut tracks, 1, 101_900, 1_910);
@@ -242,19 +242,19 @@ mod tests {
     }
 
     #[test]
-    fn a_way_that_was_never_heard_is_late_only_while_another_one_speaks() {
+    fn a_new_endpoint_is_late_only_while_another_one_is_active() {
         for (silence_ms, expected) in
             [(2_000, StampPlacement::Continued(50 * MILLI)), (2_001, StampPlacement::Restarted)]
         {
-            let mut tracks = two_ways();
+            let mut tracks = two_endpoints();
             let found = classify(&mut tracks, 2, 50, 20 + silence_ms);
             assert_eq!(found, Some(expected), "{silence_ms} ms");
         }
     }
 
     #[test]
-    fn of_many_ways_the_one_that_was_silent_longest_is_forgotten() {
-        let mut tracks = two_ways();
+    fn the_endpoint_that_was_silent_longest_is_evicted() {
+        let mut tracks = two_endpoints();
         for link in 2..20 {
             classify(&mut tracks, link, 100_100, 100);
             classify(&mut tracks, 0, 100_100 + i64::from(link), 100 + i64::from(link));

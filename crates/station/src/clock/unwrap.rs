@@ -37,18 +37,18 @@ pub enum UnwrapOutcome<C: Clock> {
 }
 
 impl Unwrapper {
-    /// The instant of a stamp that arrived from `way` at `arrival`.
+    /// The instant of a stamp that arrived from `endpoint` at `arrival`.
     pub fn unwrap<C: Clock>(
         &mut self,
-        way: Endpoint,
+        endpoint: Endpoint,
         stamp: WireStamp,
         arrival: Timestamp<HostClock>,
     ) -> UnwrapOutcome<C> {
-        match self.tracks.classify(way, stamp, arrival) {
-            None => UnwrapOutcome::Continued(self.restart(way, stamp, arrival)),
+        match self.tracks.classify(endpoint, stamp, arrival) {
+            None => UnwrapOutcome::Continued(self.restart(endpoint, stamp, arrival)),
             Some(StampPlacement::Continued(micros)) => UnwrapOutcome::Continued(Timestamp::from_micros(micros)),
             Some(StampPlacement::Stale) => UnwrapOutcome::Stale,
-            Some(StampPlacement::Restarted) => UnwrapOutcome::Restarted(self.restart(way, stamp, arrival)),
+            Some(StampPlacement::Restarted) => UnwrapOutcome::Restarted(self.restart(endpoint, stamp, arrival)),
         }
     }
 
@@ -56,11 +56,11 @@ impl Unwrapper {
     /// indicates a restart. `None` if it has no instant on the current clock.
     pub(super) fn unwrap_copy<C: Clock>(
         &mut self,
-        way: Endpoint,
+        endpoint: Endpoint,
         stamp: WireStamp,
         arrival: Timestamp<HostClock>,
     ) -> Option<Timestamp<C>> {
-        match self.tracks.classify(way, stamp, arrival)? {
+        match self.tracks.classify(endpoint, stamp, arrival)? {
             StampPlacement::Continued(micros) => Some(Timestamp::from_micros(micros)),
             StampPlacement::Stale | StampPlacement::Restarted => None,
         }
@@ -72,9 +72,14 @@ impl Unwrapper {
         Some(Timestamp::from_micros(nearest_instant(last.remote_micros, micros_of(stamp))))
     }
 
-    fn restart<C: Clock>(&mut self, way: Endpoint, stamp: WireStamp, arrival: Timestamp<HostClock>) -> Timestamp<C> {
+    fn restart<C: Clock>(
+        &mut self,
+        endpoint: Endpoint,
+        stamp: WireStamp,
+        arrival: Timestamp<HostClock>,
+    ) -> Timestamp<C> {
         let remote_micros = micros_of(stamp);
-        self.tracks.restart(way, remote_micros, arrival);
+        self.tracks.restart(endpoint, remote_micros, arrival);
         Timestamp::from_micros(remote_micros)
     }
 }
@@ -118,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_datagram_that_a_whole_queue_has_overtaken_is_late_and_later_a_fall_is_a_restart() {
+    fn a_datagram_overtaken_by_a_queue_is_late_and_later_a_fall_is_a_restart() {
         let mut unwrapper = Unwrapper::default();
         let mut stamp_at = |millis: u32, arrival_ms| unwrapped(&mut unwrapper, WireStamp::Millis32(millis), arrival_ms);
         stamp_at(20_000, 20_000);
@@ -201,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_during_a_silence_is_seen_where_the_expectation_excludes_the_counter() {
+    fn a_restart_during_a_silence_is_detected_where_the_expectation_excludes_the_counter() {
         // Last stamp, then forty minutes of silence, then a brick that has been up for some seconds or minutes.
         for (last_s, up_s) in [(100, 5), (3_000, 5), (4_000, 5), (100, 1_400), (4_200, 600)] {
             let mut unwrapper = Unwrapper::default();
@@ -216,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_whose_counter_fits_the_expectation_cannot_be_told_from_the_old_clock() {
+    fn a_restart_whose_counter_fits_the_expectation_is_not_detected() {
         let mut unwrapper = Unwrapper::default();
         unwrapped(&mut unwrapper, register(4_000 * SECOND), 0);
         // Up for 2000 s, which is 6295 s modulo the period; 6400 s were expected.
@@ -226,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_counter_is_believed_where_the_rate_leaves_more_than_one_wrap_open() {
+    fn a_full_counter_is_used_where_the_rate_leaves_more_than_one_wrap_open() {
         // Ten days at 5000 ppm are 72 minutes, a whole period more than expected.
         let ten_days_micros = 10 * 24 * 60 * MINUTE;
         let now_micros = SECOND + ten_days_micros / 1_000 * 1_005;
@@ -253,8 +258,8 @@ mod tests {
         assert_eq!(unwrapper.nearest::<BrickClock>(register(5)), None);
         unwrapped(&mut unwrapper, register(4_290 * SECOND), 0);
         for instant_micros in [4_289 * SECOND, 2_200 * SECOND, 4_296 * SECOND] {
-            let placed = unwrapper.nearest::<BrickClock>(register(instant_micros));
-            assert_eq!(placed, Some(Timestamp::from_micros(instant_micros)));
+            let instant = unwrapper.nearest::<BrickClock>(register(instant_micros));
+            assert_eq!(instant, Some(Timestamp::from_micros(instant_micros)));
         }
     }
 

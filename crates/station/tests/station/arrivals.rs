@@ -1,4 +1,4 @@
-//! Links whose arrivals are handled out of their order in time: the conversation on each goes on undisturbed.
+//! Links whose arrivals are handled out of their order in time: the exchange on each goes on undisturbed.
 
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, ticks, time_answer};
 use posebridge_telemetry::{Address, Event, LinkId, PeerId, TimeDelta, Timestamp};
@@ -10,13 +10,13 @@ const BESIDE: LinkId = LinkId(4);
 fn clock_warnings_at_rate_error(percent: i64) -> usize {
     let mut station = TestStation::new(&config());
     station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
-    let mut seen = 0;
+    let mut first_output = 0;
     for k in 0..1_200_i64 {
         let now = at(20 + k * 50);
         station.pass_until(now);
         let brick_ms = (k * 50) * (100 + percent) / 100 + 5_000;
-        let requests = station.time_requests(seen);
-        seen = station.outputs.len();
+        let requests = station.time_requests(first_output);
+        first_output = station.outputs.len();
         station.bytes(now, &frame(BRICK, &ticks(brick_ms as u32, 0, 0)));
         for request in requests {
             station.bytes(now, &frame(BRICK, &time_answer(brick_ms * 1_000_000, request.nanos)));
@@ -26,7 +26,7 @@ fn clock_warnings_at_rate_error(percent: i64) -> usize {
 }
 
 #[test]
-fn a_clock_that_cannot_be_aligned_is_told_of() {
+fn a_clock_that_cannot_be_aligned_is_reported() {
     assert_eq!(clock_warnings_at_rate_error(0), 0);
     assert_eq!(clock_warnings_at_rate_error(1), 0);
     assert!(clock_warnings_at_rate_error(3) > 3);
@@ -39,7 +39,7 @@ fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
     config.links.push(link(BESIDE, vec![]));
     let mut station = TestStation::new(&config);
     station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
-    let (mut seen, mut asked) = (0, Vec::new());
+    let (mut first_output, mut pending) = (0, Vec::new());
     for k in 0..2_000_i64 {
         let now = at(20 + k * 10);
         if k % 5 == 0 {
@@ -48,12 +48,12 @@ fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
         if k % 100 == 0 {
             station.bytes(now, &frame(BRICK, &HEARTBEAT));
         }
-        asked.extend(station.time_requests(seen).into_iter().filter(|request| request.link == LINK));
-        // Nothing is answered before it was asked, and each way takes a while.
-        for request in asked.extract_if(.., |request| Timestamp::from_nanos(request.nanos + 5_000_000) <= now) {
+        pending.extend(station.time_requests(first_output).into_iter().filter(|request| request.link == LINK));
+        // No reply comes before its request, and each direction takes a while.
+        for request in pending.extract_if(.., |request| Timestamp::from_nanos(request.nanos + 5_000_000) <= now) {
             station.bytes(now, &frame(BRICK, &time_answer(request.nanos + 4_982_000_000, request.nanos)));
         }
-        seen = station.outputs.len();
+        first_output = station.outputs.len();
         let ahead = now + TimeDelta::from_millis(ahead_ms);
         station.bytes_from(ahead, BESIDE, PeerId::default(), &frame(Address::new(7, 7), &HEARTBEAT));
     }

@@ -1,4 +1,4 @@
-//! Clocks of bricks that speak protocols of their own, through the whole engine: an EV3's 32 bits of microseconds wrap after
+//! Clocks of bricks with protocols of their own, through the whole engine: an EV3's 32 bits of microseconds wrap after
 //! 71.6 minutes, a board's counter may wrap or be reset, and lines may have no time at all.
 //!
 //! The figures: `cargo test -p posebridge-station --test station brick_clocks -- --nocapture`.
@@ -16,7 +16,7 @@ use posebridge_station::{OutputKind, StationConfig};
 use posebridge_telemetry::{BrickClock, Event, HostClock, TimeDelta, Timestamp};
 
 const PERIOD_MICROS: u64 = 1 << 32;
-/// The counter wraps so long after the first question, s.
+/// The counter wraps so long after the first request, s.
 const WRAP_S: f64 = 20.0;
 
 fn ev3_config() -> StationConfig {
@@ -187,7 +187,7 @@ fn minute(columns: &[&str], line: impl Fn(f64, i64) -> String) -> TestStation {
     station
 }
 
-/// How far the station believes to have driven, less what the counts say.
+/// Error of the estimated distance against the counts.
 fn travel_error_m(station: &TestStation) -> f64 {
     let travelled_m = station.last_estimate().pose.origin().x.0;
     travelled_m - SPEED_M_PER_S * 59.95

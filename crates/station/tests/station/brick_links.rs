@@ -1,4 +1,4 @@
-//! Links whose brick speaks a protocol of its own, with a codec that is as simple as one can be: the brick is asked by one byte and
+//! Links whose brick has a protocol of its own, with a codec that is as simple as one can be: a request is one byte and
 //! answers by three, its time in hundredths of a second and both counters.
 
 use crate::support::{AlignedObservation, HEARTBEAT, LINK, TestStation, at, config, frame, link};
@@ -11,21 +11,21 @@ use posebridge_telemetry::{
     ReceiveError, SourceHealth, TimeDelta, Timestamp,
 };
 
-/// The question.
-const ASK: u8 = b'?';
+/// The request.
+const REQUEST: u8 = b'?';
 /// An answer that is none.
 const REFUSAL: u8 = b'!';
-/// The codec asks so often.
+/// Between two requests of the codec.
 const PERIOD: TimeDelta = TimeDelta::from_millis(50);
 
-/// Asks, and takes three bytes for an answer.
+/// Sends requests, and takes three bytes for a reply.
 #[derive(Debug, Default)]
 struct PollingCodec {
-    asked: Option<Timestamp<HostClock>>,
+    requested_at: Option<Timestamp<HostClock>>,
     due: Option<Timestamp<HostClock>>,
-    heard: Vec<u8>,
+    received: Vec<u8>,
     answers: u64,
-    wants: Option<Vec<u8>>,
+    outgoing: Option<Vec<u8>>,
 }
 
 impl BrickCodec for PollingCodec {
@@ -35,9 +35,9 @@ impl BrickCodec for PollingCodec {
     }
 
     fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
-        self.heard.extend(bytes);
-        if self.heard.first() == Some(&REFUSAL) {
-            self.heard.clear();
+        self.received.extend(bytes);
+        if self.received.first() == Some(&REFUSAL) {
+            self.received.clear();
             sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes: 1 }));
             sink(CodecEvent::StatusText {
                 from: DEFAULT_BRICK_ADDRESS,
@@ -46,11 +46,11 @@ impl BrickCodec for PollingCodec {
             });
             return;
         }
-        let (Some(sent), &[hundredths, left, right]) = (self.asked, self.heard.as_slice()) else {
+        let (Some(sent), &[hundredths, left, right]) = (self.requested_at, self.received.as_slice()) else {
             return;
         };
-        self.heard.clear();
-        self.asked = None;
+        self.received.clear();
+        self.requested_at = None;
         self.answers += 1;
         let from = DEFAULT_BRICK_ADDRESS;
         sink(CodecEvent::Message { from, message: HEARTBEAT });
@@ -74,7 +74,7 @@ impl BrickCodec for PollingCodec {
     }
 
     fn poll(&mut self) -> Option<Vec<u8>> {
-        self.wants.take()
+        self.outgoing.take()
     }
 
     fn encode(&mut self, _now: Timestamp<HostClock>, _from: Address, message: &Message, out: &mut Vec<u8>) -> usize {
@@ -96,9 +96,9 @@ impl BrickCodec for PollingCodec {
 
 impl PollingCodec {
     fn request(&mut self, now: Timestamp<HostClock>) {
-        self.asked = Some(now);
+        self.requested_at = Some(now);
         self.due = Some(now + PERIOD);
-        self.wants = Some(vec![ASK]);
+        self.outgoing = Some(vec![REQUEST]);
     }
 }
 
@@ -110,22 +110,22 @@ fn polling_config() -> StationConfig {
     config
 }
 
-/// Lets the station ask for so many milliseconds; the brick, whose clock began 1 s before the host's, looks 10 ms after each question
+/// Lets the station poll for so many milliseconds; the brick, whose clock began 1 s before the host's, reads 10 ms after each request
 /// and answers after 20 ms. Both wheels roll by a count each 10 ms.
-fn conversation(station: &mut TestStation, millis: i64) {
+fn exchange(station: &mut TestStation, millis: i64) {
     let mut answers: Vec<(i64, [u8; 3])> = Vec::new();
-    let mut seen = 0;
+    let mut first_output = 0;
     for now_ms in 0..millis {
         if station.engine.deadline().is_some_and(|due| due <= at(now_ms)) {
             station.handle(at(now_ms), Input::Tick);
         }
-        for question in station.sent_since(seen).filter(|sent| sent.bytes == [ASK]) {
-            let asked_ms = question.now.as_nanos() / 1_000_000;
-            let looked = u8::try_from((asked_ms + 10 + 1_000) / 10 % 256).unwrap_or(0);
-            let count = u8::try_from((asked_ms + 10) / 10).unwrap_or(u8::MAX);
-            answers.push((asked_ms + 20, [looked, count, count]));
+        for request in station.sent_since(first_output).filter(|sent| sent.bytes == [REQUEST]) {
+            let sent_ms = request.now.as_nanos() / 1_000_000;
+            let clock = u8::try_from((sent_ms + 10 + 1_000) / 10 % 256).unwrap_or(0);
+            let count = u8::try_from((sent_ms + 10) / 10).unwrap_or(u8::MAX);
+            answers.push((sent_ms + 20, [clock, count, count]));
         }
-        seen = station.outputs.len();
+        first_output = station.outputs.len();
         while answers.first().is_some_and(|(due, _)| *due <= now_ms) {
             let (_, answer) = answers.remove(0);
             station.bytes(at(now_ms), &answer);
@@ -134,18 +134,18 @@ fn conversation(station: &mut TestStation, millis: i64) {
 }
 
 #[test]
-fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answer() {
+fn a_polled_brick_is_a_robot_whose_readings_lie_between_request_and_reply() {
     let mut station = TestStation::new(&polling_config());
-    conversation(&mut station, 1_400);
+    exchange(&mut station, 1_400);
     let observed = station.aligned();
-    // Two answers say nothing yet of how the clocks run; the third one does.
+    // Two replies do not determine the clock rates yet; the third one does.
     assert_eq!(observed.len(), 28 - 2);
     assert_eq!(station.unaligned(DEFAULT_BRICK_ADDRESS).len(), 2);
     for (index, AlignedObservation { robot, observation, .. }) in observed.iter().enumerate() {
         assert_eq!((robot.link, robot.address), (LINK, DEFAULT_BRICK_ADDRESS));
-        // It looked 10 ms after the question; its clock counts whole hundredths.
-        let looked = Timestamp::<BrickClock>::from_millis(1_110 + 50 * index as i64);
-        let off = (observation.stamp - looked).as_secs_f64().abs();
+        // It read 10 ms after the request; its clock counts full hundredths.
+        let read_at = Timestamp::<BrickClock>::from_millis(1_110 + 50 * index as i64);
+        let off = (observation.stamp - read_at).as_secs_f64().abs();
         assert!(off < 0.010, "answer {index}: {off} s off");
         // Half of 20 ms, uniform, and what is not known of the clock: half a round trip more, and what it may have drifted since.
         let sigma_s = observation.stamp_sigma.as_secs_f64();
@@ -155,39 +155,39 @@ fn a_brick_that_is_asked_is_a_robot_whose_answers_lie_between_question_and_answe
     assert_eq!(station.count(|event| matches!(event, Event::RobotDetected { .. })), 1);
     let (health, _) = station.health(LINK);
     assert_eq!((health.frames_in, health.frames_lost), (20, 2));
-    // What the session says to others in vain is no loss.
+    // Messages of the session without a recipient are no loss.
     assert_eq!(health.drops_out, 0);
 }
 
 #[test]
-fn questions_are_commands_estimates_leave_by_the_codec_and_nothing_else_does() {
+fn requests_have_command_priority_and_only_estimates_leave_by_the_codec() {
     let mut station = TestStation::new(&polling_config());
-    conversation(&mut station, 1_400);
+    exchange(&mut station, 1_400);
     let sent: Vec<_> = station.sent().collect();
-    let questions = sent.iter().filter(|sent| sent.bytes == [ASK]).count();
+    let requests = sent.iter().filter(|sent| sent.bytes == [REQUEST]).count();
     let estimates = sent.iter().filter(|sent| sent.bytes == b"pose").count();
-    assert_eq!((questions, estimates), (28, 26));
-    assert_eq!(sent.len(), questions + estimates);
+    assert_eq!((requests, estimates), (28, 26));
+    assert_eq!(sent.len(), requests + estimates);
     for sent in sent {
-        assert_eq!(sent.priority == Priority::Command, sent.bytes == [ASK]);
+        assert_eq!(sent.priority == Priority::Command, sent.bytes == [REQUEST]);
     }
 }
 
 #[test]
 fn a_lost_link_is_silent_and_begins_anew_when_it_is_back() {
     let mut station = TestStation::new(&polling_config());
-    let questions = |station: &TestStation| station.sent().filter(|sent| sent.bytes == [ASK]).count();
-    assert_eq!(questions(&station), 1);
+    let requests = |station: &TestStation| station.sent().filter(|sent| sent.bytes == [REQUEST]).count();
+    assert_eq!(requests(&station), 1);
     station.link(at(10), LINK, LinkState::Down);
     for millis in [60, 110, 500] {
         station.handle(at(millis), Input::Tick);
     }
-    assert_eq!(questions(&station), 1);
+    assert_eq!(requests(&station), 1);
     // Nobody is woken for a brick that is not there.
     let due = station.engine.deadline();
     assert!(due.is_none_or(|due| due > at(500)), "{due:?}");
     station.link(at(600), LINK, LinkState::Up);
-    assert_eq!(questions(&station), 2);
+    assert_eq!(requests(&station), 2);
 }
 
 #[test]
@@ -202,7 +202,7 @@ fn the_frames_of_others_are_not_passed_on_to_it() {
 }
 
 #[test]
-fn a_refusal_is_told_to_people_and_counted() {
+fn a_refusal_is_reported_and_counted() {
     let mut station = TestStation::new(&polling_config());
     station.bytes(at(5), &[REFUSAL]);
     assert!(station.events().any(|event| matches!(

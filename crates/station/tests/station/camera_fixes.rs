@@ -1,4 +1,4 @@
-//! Fixes from anywhere: every message that carries one, several cameras at once, JSON beside MAVLink, spaces that jump, and questions.
+//! Fixes from anywhere: every message that carries one, several cameras at once, JSON beside MAVLink, spaces that jump, and requests.
 
 use crate::support::{
     BRICK, HEARTBEAT, LINK, SentBytes, TestStation, TimeRequest, at, config, frame, link, messages, ticks, vision_fix,
@@ -11,17 +11,17 @@ use posebridge_telemetry::{
     ObservationKind, PeerId, Pose, RadiansPerSecond, ReceiveError, Recipients, SensorId, TimeDelta, Timestamp,
 };
 
-/// A camera that speaks MAVLink on a link of its own.
+/// A camera with MAVLink on a link of its own.
 const TRACKER: Address = Address::new(1, 100);
 const TRACKER_LINK: LinkId = LinkId(5);
-/// Cameras that speak JSON.
+/// Cameras with JSON.
 const JSON_LINK: LinkId = LinkId(6);
 /// What the clocks show at host zero.
 const BRICK_AHEAD_MS: i64 = 100_000;
 const TRACKER_AHEAD_MS: i64 = 500_000;
 const JSON_AHEAD_MS: i64 = 7_000;
-/// Where the tracker says that the robot is; the robot starts at the origin.
-const PLACE_M: [f64; 2] = [0.012, -0.008];
+/// Position of the robot by the tracker; the robot starts at the origin.
+const POSITION_M: [f64; 2] = [0.012, -0.008];
 
 fn three_links() -> StationConfig {
     let mut config = config();
@@ -40,7 +40,7 @@ fn clock_reading_ms(now: Timestamp<HostClock>, ahead_ms: i64) -> i64 {
     now.as_micros() / 1_000 + ahead_ms
 }
 
-/// Everybody answers the time requests of the last tenth of a second, and the robot, which stands, tells its wheels.
+/// All peers answer the time requests of the last tenth of a second, and the robot, which is at rest, sends its wheels.
 fn tenth(station: &mut TestStation, k: i64) {
     let now = at(100 * k);
     let before = station.outputs.len();
@@ -70,7 +70,7 @@ fn request_in(sent: SentBytes<'_>) -> Option<TimeRequest> {
 }
 
 fn answer(link: LinkId, request: i64, now: Timestamp<HostClock>) -> Vec<u8> {
-    let (who, ahead_ms) = match link {
+    let (camera, ahead_ms) = match link {
         LINK => (BRICK, BRICK_AHEAD_MS),
         TRACKER_LINK => (TRACKER, TRACKER_AHEAD_MS),
         _ => {
@@ -80,7 +80,7 @@ fn answer(link: LinkId, request: i64, now: Timestamp<HostClock>) -> Vec<u8> {
         }
     };
     let sync = TimeSync { answer_nanos: now.as_nanos() + ahead_ms * 1_000_000, request_nanos: request, target: None };
-    frame(who, &Message::TimeSync(sync))
+    frame(camera, &Message::TimeSync(sync))
 }
 
 /// A station that has talked with everybody for a second and knows the robot.
@@ -115,11 +115,11 @@ fn fixes(station: &TestStation) -> Vec<(Observation, FusionOutcome, Timestamp<Ho
 
 fn tracked_fix(exposed: Timestamp<HostClock>, reset_counter: u8) -> VisionFix {
     VisionFix {
-        y: Meters(PLACE_M[1]),
+        y: Meters(POSITION_M[1]),
         heading: Some(Heading::from_rad(0.01)),
         covariance: Some([1e-6, 0.0, 1e-6, 1e-4]),
         reset_counter,
-        ..vision_fix(clock_reading_ms(exposed, TRACKER_AHEAD_MS), PLACE_M[0])
+        ..vision_fix(clock_reading_ms(exposed, TRACKER_AHEAD_MS), POSITION_M[0])
     }
 }
 
@@ -138,7 +138,7 @@ fn odometry(exposed: Timestamp<HostClock>) -> Message {
 
 fn json_fix(camera: &str, exposed: Timestamp<HostClock>) -> Vec<u8> {
     let exposed_us = exposed.as_micros() + JSON_AHEAD_MS * 1_000;
-    let [x_m, y_m] = PLACE_M;
+    let [x_m, y_m] = POSITION_M;
     let line = format!(
         "{{\"camera\": \"{camera}\", \"exposed_us\": {exposed_us}, \"x_m\": {x_m}, \"y_m\": {y_m}, \
          \"heading_rad\": 0.01, \"sigma_m\": 0.001, \"sigma_heading_rad\": 0.01}}\n"
@@ -162,7 +162,7 @@ fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
         (
             "another component on the robot's link",
             LINK,
-            // Its clock was never heard there: it is aligned from scratch below.
+            // Its clock is new there: it is aligned from scratch below.
             frame(Address::new(1, 191), &Message::VisionPosition(tracked_fix(exposed, 0))),
         ),
         ("JSON", JSON_LINK, json_fix("camera", exposed)),
@@ -227,7 +227,7 @@ fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
 #[test]
 fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset() {
     let mut station = station_of(&three_links());
-    let mut told = |at_ms: i64, x_m: f64, reset_counter: u8| {
+    let mut observed = |at_ms: i64, x_m: f64, reset_counter: u8| {
         let fix = VisionFix { x: Meters(x_m), ..tracked_fix(at(at_ms - 50), reset_counter) };
         let bytes = frame(TRACKER, &Message::VisionPosition(fix));
         station.bytes_from(at(at_ms), TRACKER_LINK, PeerId::default(), &bytes);
@@ -236,18 +236,18 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
         let estimate = station.engine.estimate_at(latest).expect("it knows");
         (verdict, estimate.reset_counter, estimate.pose.origin().x.0)
     };
-    // The first word of a tracker is no jump, whatever its counter.
-    assert_eq!(told(1_300, 0.0, 4).0, FusionOutcome::Accepted);
-    // Far away without a word about it: refused.
-    assert_eq!(told(1_350, 2.0, 4).0, FusionOutcome::Gated);
-    let (verdict, resets, x_m) = told(1_400, 2.0, 5);
+    // The first fix of a tracker is no jump, whatever its counter.
+    assert_eq!(observed(1_300, 0.0, 4).0, FusionOutcome::Accepted);
+    // Far away without a changed counter: refused.
+    assert_eq!(observed(1_350, 2.0, 4).0, FusionOutcome::Gated);
+    let (verdict, resets, x_m) = observed(1_400, 2.0, 5);
     assert_eq!((verdict, resets), (FusionOutcome::PoseReset, 1));
     assert!((x_m - 2.0).abs() < 1e-3, "{x_m}");
-    assert_eq!(told(1_450, 2.0, 5).0, FusionOutcome::Accepted);
+    assert_eq!(observed(1_450, 2.0, 5).0, FusionOutcome::Accepted);
 }
 
 #[test]
-fn a_camera_whose_time_falls_begins_anew_and_is_used_again_when_its_clock_is_known() {
+fn a_camera_whose_clock_restarts_is_used_again_when_aligned() {
     let mut station = station_of(&three_links());
     station.bytes_from(at(1_290), JSON_LINK, PeerId::default(), &json_fix("camera", at(1_250)));
     assert_eq!(fixes(&station).len(), 1);
@@ -276,7 +276,7 @@ fn a_payload_that_is_refused_is_counted_each_time_and_explained_once() {
     assert_eq!(fixes(&station).len(), 0);
 }
 
-/// Who was asked for a fix, with the instant.
+/// The requests for a fix: recipient and instant.
 fn fix_requests(station: &TestStation) -> Vec<(LinkId, i64)> {
     let is_request = |sent: &SentBytes<'_>| {
         if sent.link == JSON_LINK {
@@ -308,7 +308,7 @@ fn requesting_config(above_m: f64) -> StationConfig {
 }
 
 #[test]
-fn only_cameras_that_answer_are_asked_and_those_that_refuse_not_again() {
+fn only_cameras_that_answer_get_requests_and_those_that_refuse_no_more() {
     // The start's sigma is 10 mm.
     let mut station = station_of(&requesting_config(0.009));
     assert_eq!(fix_requests(&station), []);
@@ -328,7 +328,7 @@ fn only_cameras_that_answer_are_asked_and_those_that_refuse_not_again() {
 }
 
 #[test]
-fn nobody_is_asked_while_the_station_is_sure_enough() {
+fn no_fix_is_requested_while_the_estimate_is_certain_enough() {
     let mut station = station_of(&requesting_config(0.009));
     station.bytes_from(at(1_210), TRACKER_LINK, PeerId::default(), &camera_heartbeat());
     let fix = frame(TRACKER, &Message::VisionPosition(tracked_fix(at(1_200), 0)));
@@ -339,7 +339,7 @@ fn nobody_is_asked_while_the_station_is_sure_enough() {
     assert_eq!(fix_requests(&station), []);
 }
 
-// A room with robots behind one port, each with a camera that nobody has given an address: all cameras have the same ids.
+// A room with robots behind one port, each with a camera without a configured address: all cameras have the same ids.
 
 const ROBOTS: u32 = 12;
 
@@ -356,8 +356,8 @@ fn robot_address(robot: u32) -> Address {
     Address::new(1 + robot as u8, 1)
 }
 
-/// Where a robot stands: each a little further along the arena.
-fn place_m(robot: u32) -> f64 {
+/// Position of a robot: each a little further along the arena.
+fn robot_x_m(robot: u32) -> f64 {
     1e-3 * f64::from(robot)
 }
 
@@ -365,8 +365,8 @@ fn send(station: &mut TestStation, now: Timestamp<HostClock>, robot: u32, from: 
     station.bytes_from(now, LINK, PeerId(robot), &frame(from, message));
 }
 
-/// Robots and cameras answer the time requests of the last tenth of a second; the robots, which stand, tell their wheels.
-fn tenth_of_a_room(station: &mut TestStation, k: i64) {
+/// Robots and cameras answer the time requests of the last tenth of a second; the robots, which are at rest, send their wheels.
+fn room_tenth(station: &mut TestStation, k: i64) {
     let now = at(100 * k);
     let before = station.outputs.len();
     station.pass_until(now);
@@ -395,12 +395,12 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
         }
     }
     for k in 1..=15 {
-        tenth_of_a_room(&mut station, k);
+        room_tenth(&mut station, k);
     }
     let exposed = at(1_480);
     for robot in 0..ROBOTS {
         let exposed_ms = exposed.as_micros() / 1_000 + camera_ahead_ms(robot);
-        let fix = VisionFix { covariance: Some([1e-6, 0.0, 1e-6, 1e-4]), ..vision_fix(exposed_ms, place_m(robot)) };
+        let fix = VisionFix { covariance: Some([1e-6, 0.0, 1e-6, 1e-4]), ..vision_fix(exposed_ms, robot_x_m(robot)) };
         send(&mut station, at(1_510), robot, TRACKER, &Message::VisionPosition(fix));
     }
     let fixes = station.aligned().into_iter().filter(|aligned| aligned.source == TRACKER);
@@ -415,13 +415,13 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
     for robot in station.engine.robots() {
         let latest = robot.latest_time().expect("it was observed");
         let x_m = robot.estimate_at(latest).expect("it was observed").pose.x.0;
-        let expected_m = place_m(u32::from(robot.id().address.system.0) - 1);
+        let expected_m = robot_x_m(u32::from(robot.id().address.system.0) - 1);
         assert!((x_m - expected_m).abs() <= 0.1 * expected_m, "{x_m} {expected_m}");
     }
 }
 
 #[test]
-fn what_a_robot_says_to_everybody_goes_to_the_ground_station_and_to_no_other_robot() {
+fn a_robots_broadcast_goes_to_the_ground_station_and_to_no_other_robot() {
     let mut station = TestStation::new(&config());
     let ground_station = PeerId(ROBOTS);
     let gcs_heartbeat = Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 });
@@ -429,7 +429,7 @@ fn what_a_robot_says_to_everybody_goes_to_the_ground_station_and_to_no_other_rob
         send(&mut station, at(1), robot, robot_address(robot), &HEARTBEAT);
         send(&mut station, at(2), robot, robot_address(robot), &ticks(1_000, 0, 0));
     }
-    let heard_by = |station: &mut TestStation, from: u32, address, message: &Message, now| {
+    let recipients_of = |station: &mut TestStation, from: u32, address, message: &Message, now| {
         let before = station.outputs.len();
         send(station, now, from, address, message);
         let bytes = frame(address, message);
@@ -437,8 +437,8 @@ fn what_a_robot_says_to_everybody_goes_to_the_ground_station_and_to_no_other_rob
         let sent = station.sent_since(before).filter(|sent| sent.bytes == bytes);
         sent.map(|sent| sent.to).collect::<Vec<Recipients>>()
     };
-    let everybody_else = vec![Recipients::AllExcept(ground_station)];
-    assert_eq!(heard_by(&mut station, ROBOTS, Address::new(254, 190), &gcs_heartbeat, at(3)), everybody_else);
-    let of_robot = heard_by(&mut station, 4, robot_address(4), &ticks(1_050, 7, 8), at(50));
+    let all_others = vec![Recipients::AllExcept(ground_station)];
+    assert_eq!(recipients_of(&mut station, ROBOTS, Address::new(254, 190), &gcs_heartbeat, at(3)), all_others);
+    let of_robot = recipients_of(&mut station, 4, robot_address(4), &ticks(1_050, 7, 8), at(50));
     assert_eq!(of_robot, [Recipients::Peer(ground_station)]);
 }

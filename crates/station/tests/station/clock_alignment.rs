@@ -14,7 +14,7 @@ use rand_pcg::Pcg64;
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
 /// For the figure that is nearest to its limit.
 const MANY_SEEDS: std::ops::RangeInclusive<u64> = 1..=20;
-/// Answers are stamped in whole microseconds.
+/// Replies are stamped in full microseconds.
 const RESOLUTION_S: f64 = 1e-6;
 
 fn host(seconds: f64) -> Timestamp<HostClock> {
@@ -62,11 +62,11 @@ impl<'a> AlignmentMonitor<'a> {
     fn exchange(&mut self, trip: &RoundTrip) {
         let nanos = (self.truth.at(trip.answered_s) * 1e9) as i64;
         self.aligner.observe_exchange(Endpoint::default(), host(trip.sent_s), host(trip.received_s), nanos);
-        self.look(trip);
+        self.sample(trip);
     }
 
-    /// Looks at the answer's stamp, at now, at shortly after and at some seconds before.
-    fn look(&mut self, trip: &RoundTrip) {
+    /// Samples the alignment at the reply's stamp, at now, at shortly after and at some seconds before.
+    fn sample(&mut self, trip: &RoundTrip) {
         let now_s = trip.received_s;
         for at_s in [(now_s - 2.0).max(0.0), trip.answered_s, now_s + 0.08, now_s] {
             self.check(at_s);
@@ -251,7 +251,7 @@ fn a_restarted_clock_is_known_again_within_three_seconds() {
             let (unwrapped, _) =
                 anew.aligner.observe_exchange(Endpoint::default(), host(trip.sent_s), host(trip.received_s), nanos);
             restarts += u32::from(matches!(unwrapped, UnwrapOutcome::Restarted(_)));
-            anew.look(trip);
+            anew.sample(trip);
         }
         let first_s = anew.outcome.first_s.map(|first_s| first_s - 63.0);
         promised("restart", AlignmentErrors { first_s, ..anew.outcome });
@@ -269,7 +269,7 @@ fn the_bounds_hold_while_answers_stay_away_and_telemetry_goes_on() {
         } else {
             let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
             watched.aligner.observe_arrival(Endpoint::default(), stamp, host(trip.received_s));
-            watched.look(&trip);
+            watched.sample(&trip);
         }
     }
     promised("70 s without answers", watched.outcome);
@@ -283,7 +283,7 @@ fn a_clock_that_never_answers_is_known_within_its_assumption() {
     for trip in bluetooth(6).round_trips(180.0) {
         let stamp = WireStamp::Micros64((truth.at(trip.answered_s) * 1e6) as u64);
         watched.aligner.observe_arrival(Endpoint::default(), stamp, host(trip.received_s));
-        watched.look(&trip);
+        watched.sample(&trip);
     }
     promised("one way", watched.outcome);
     // The smallest delay is 15 ms and not the 10 ms that were assumed.
@@ -323,7 +323,7 @@ fn a_clock_that_steps_without_falling_is_known_again_after_three_answers() {
         let (_, alignment) =
             anew.aligner.observe_exchange(Endpoint::default(), host(trip.sent_s), host(trip.received_s), nanos);
         assert_eq!(alignment.is_some(), k >= 2, "answer {k}");
-        anew.look(trip);
+        anew.sample(trip);
     }
     assert!(anew.outcome.outside_s <= 0.0);
 }

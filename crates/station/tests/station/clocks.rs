@@ -30,13 +30,13 @@ fn alignment_errors(setup: &StationSimulation) -> Vec<(TimeDelta, TimeDelta)> {
     let start = Timestamp::<BrickClock>::from_micros(settings.clock_start_micros as i64);
     let mut errors = vec![];
     for AlignedObservation { observation, .. } in setup.station.aligned() {
-        let ObservationKind::Fix(seen) = observation.measurement else {
+        let ObservationKind::Fix(measured) = observation.measurement else {
             continue;
         };
         let sent = setup.simulation.camera_fixes().iter();
         let taken = sent
-            .filter(|fix| f64::from(fix.position.x.0 as f32) == seen.position.x.0)
-            .find(|fix| f64::from(fix.position.y.0 as f32) == seen.position.y.0);
+            .filter(|fix| f64::from(fix.position.x.0 as f32) == measured.position.x.0)
+            .find(|fix| f64::from(fix.position.y.0 as f32) == measured.position.y.0);
         let exposed = taken.expect("the camera sent it").exposed;
         if exposed >= TimeDelta::from_millis(5_000) {
             let expected = start + TimeDelta::from_secs_f64(exposed.as_secs_f64() * rate);
@@ -81,9 +81,9 @@ fn fixes_stay_aligned_and_the_estimate_follows_with_a_clock_that_is_2000_ppm_off
     }
 }
 
-/// The estimate has followed the robot to its last places, without a jump.
-fn check_estimate(setup: &StationSimulation, places: usize) {
-    for truth in setup.simulation.truth().iter().rev().take(places) {
+/// The estimate has followed the robot to its last `count` poses, without a jump.
+fn check_estimate(setup: &StationSimulation, count: usize) {
+    for truth in setup.simulation.truth().iter().rev().take(count) {
         let estimate = setup.station.engine.estimate_at(truth.brick_time);
         let estimate = estimate.expect("within the history");
         let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
@@ -108,7 +108,7 @@ fn fixes_are_aligned_at_once_when_a_link_comes_back_after_the_wrap() {
 }
 
 #[test]
-fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
+fn a_brick_that_restarts_keeps_its_pose_and_gets_its_requests_again() {
     let mut setup = StationSimulation::new(scenario(100.0), &config());
     setup.run_for(10);
     let before = setup.station.engine.latest_time();
@@ -121,14 +121,14 @@ fn a_brick_that_restarts_keeps_its_pose_and_is_asked_again() {
     check_estimate(&setup, 1);
     assert!(!setup.station.last_estimate().is_dead_reckoning, "fixes are used again");
 
-    let asked = setup.station.sent().filter(|sent| {
+    let requests = setup.station.sent().filter(|sent| {
         let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));
         sent.now > restarted_at && messages(sent.bytes).iter().any(is_request)
     });
-    assert_eq!(asked.count(), 2, "once for each message that is wanted");
+    assert_eq!(requests.count(), 2, "once for each message that is wanted");
 }
 
-/// From an instant to the first estimate whose stamp can be told in host time, because an alignment went before.
+/// From an instant to the first estimate whose stamp can be converted to host time, because an alignment went before.
 fn first_usable(station: &TestStation, since: Timestamp<HostClock>) -> TimeDelta {
     let first = |after: Timestamp<HostClock>, is_it: fn(&Event) -> bool| {
         station.when(is_it).into_iter().find(|now| *now > after).expect("it comes")
@@ -165,8 +165,8 @@ fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a
         let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
         let mut setup = StationSimulation::new(scenario, &config());
         setup.run_for(12);
-        let asked = setup.station.time_requests(0)[0].sent;
-        let first = first_usable(&setup.station, asked);
+        let requested_at = setup.station.time_requests(0)[0].sent;
+        let first = first_usable(&setup.station, requested_at);
         setup.simulation.restart_brick();
         let restarted = setup.now();
         setup.run_for(6);
@@ -188,11 +188,11 @@ fn answer(station: &mut TestStation, first: usize, now: Timestamp<HostClock>) {
     answer_as(station, first, now, (BRICK, 100_000));
 }
 
-/// Answers as somebody, by a clock that is so many milliseconds ahead of the host's.
-fn answer_as(station: &mut TestStation, first: usize, now: Timestamp<HostClock>, (who, ahead_ms): (Address, i64)) {
+/// Answers as `source`, by a clock that is so many milliseconds ahead of the host's.
+fn answer_as(station: &mut TestStation, first: usize, now: Timestamp<HostClock>, (source, ahead_ms): (Address, i64)) {
     for request in station.time_requests(first) {
         let answer = time_answer(now.as_nanos() + ahead_ms * 1_000_000 - 5_000_000, request.nanos);
-        station.bytes(now, &frame(who, &answer));
+        station.bytes(now, &frame(source, &answer));
     }
 }
 
@@ -204,16 +204,16 @@ fn fix(exposed: Timestamp<HostClock>, ahead_ms: i64) -> Vec<u8> {
     frame(CAMERA, &Message::VisionPosition(fix))
 }
 
-/// Half a second in which brick and camera answer, and nobody sends telemetry.
-fn station_that_only_talked() -> TestStation {
+/// Half a second in which brick and camera answer, without telemetry.
+fn station_without_telemetry() -> TestStation {
     let mut station = TestStation::new(&config());
     station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
     for k in 0..6_i64 {
         let now = at(100 + k * 100);
         let sent = station.outputs.len();
         station.pass_until(now);
-        for (who, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
-            answer_as(&mut station, sent, now + TimeDelta::from_millis(10), (who, ahead_ms));
+        for (source, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
+            answer_as(&mut station, sent, now + TimeDelta::from_millis(10), (source, ahead_ms));
         }
     }
     station
@@ -221,7 +221,7 @@ fn station_that_only_talked() -> TestStation {
 
 #[test]
 fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the_robot() {
-    let mut station = station_that_only_talked();
+    let mut station = station_without_telemetry();
     station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
     station.bytes(at(660), &fix(at(640), 500_000));
     let mut aligned = station.aligned();
@@ -235,22 +235,22 @@ fn what_a_brick_answered_before_its_first_telemetry_is_known_when_it_becomes_the
 }
 
 #[test]
-fn a_camera_that_was_restarted_is_asked_for_its_time_at_once() {
-    let mut station = station_that_only_talked();
+fn a_restarted_camera_gets_time_requests_at_once() {
+    let mut station = station_without_telemetry();
     station.bytes(at(650), &frame(BRICK, &ticks(100_640, 0, 0)));
     station.pass_until(at(5_000));
     // It shows its uptime from the start, 495 s less than before.
     station.bytes(at(5_010), &fix(at(5_000), -4_000));
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     station.pass_until(at(6_000));
-    let quick = station.time_requests(seen).len();
+    let quick = station.time_requests(first_output).len();
     assert!(quick >= 9, "{quick} requests in a second");
     assert_eq!(station.unaligned(CAMERA), [at(5_010)]);
     assert_eq!(station.restarts(), []);
 }
 
 #[test]
-fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_not_restart_them() {
+fn answered_requests_align_the_clocks_and_an_impossibly_early_answer_does_not_restart_them() {
     let mut station = TestStation::new(&config());
     station.bytes(at(10), &frame(BRICK, &HEARTBEAT));
     for k in 0..20_i64 {
@@ -276,7 +276,7 @@ fn answered_requests_align_the_clocks_and_an_answer_from_before_all_time_does_no
     assert_eq!(station.restarts(), []);
 }
 
-/// What the gyro said: the rate in the frame, and its integral.
+/// The gyro's reading: the rate in the frame, and its integral.
 fn inertial(millis: u32, rate_rad_per_s: f64, turn_rad: f64) -> Vec<u8> {
     let message = Message::Inertial(Inertial {
         stamp: WireStamp::Micros32(millis * 1_000),

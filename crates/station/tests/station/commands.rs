@@ -1,4 +1,4 @@
-//! What people and programs ask of a running station, over a link and as a command.
+//! Requests of people and programs to a running station, over a link and as a command.
 
 mod one_robot;
 mod repeated;
@@ -53,13 +53,13 @@ fn with_calibration(config: &mut StationConfig) {
 fn all_tunables_are_listed_in_their_order_one_at_a_time() {
     for target in [STATION, EVERYBODY_OF_OURS] {
         let mut ground = Ground::new(|_| {});
-        let seen = ground.station.outputs.len();
+        let first_output = ground.station.outputs.len();
         ground.send(100, &Message::ParamRequestList { target });
         ground.station.pass_until(at(2_000));
         let expected: Vec<Message> =
             PARAMS.iter().enumerate().map(|(index, row)| value(index, row.default as f32)).collect();
-        assert_eq!(ground.received_since(seen, GCS_LINK), expected);
-        assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), []);
+        assert_eq!(ground.received_since(first_output, GCS_LINK), expected);
+        assert_eq!(ground.received_since(first_output, OTHER_GCS_LINK), []);
         // Never two at one instant, nor faster than 2 kB/s.
         let is_value = |message: &Message| matches!(message, Message::ParamValue { .. });
         let values = ground.station.sent().filter(|sent| messages(sent.bytes).iter().any(is_value));
@@ -72,16 +72,16 @@ fn all_tunables_are_listed_in_their_order_one_at_a_time() {
 }
 
 #[test]
-fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_told_to_all_who_listen() {
+fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_announced() {
     let mut ground = Ground::new(|_| {});
     ground.drive(0, 2_000);
     let before = ground.station.last_estimate();
     let read = Message::ParamRequestRead { target: STATION, name: String::new(), index: 0 };
     assert_eq!(ground.send_on(OTHER_GCS_LINK, 2_000, &read), [value(0, 0.999)]);
-    let seen = ground.station.outputs.len();
+    let first_output = ground.station.outputs.len();
     assert_eq!(ground.set(2_001, "GATE_PROB", 0.5), [value(0, 0.5)]);
-    assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), [value(0, 0.5)]);
-    let to_the_brick = ground.received_since(seen, LINK);
+    assert_eq!(ground.received_since(first_output, OTHER_GCS_LINK), [value(0, 0.5)]);
+    let to_the_brick = ground.received_since(first_output, LINK);
     assert!(!to_the_brick.contains(&value(0, 0.5)), "it never asked: {to_the_brick:?}");
     assert_eq!(ground.station.last_estimate(), before, "nothing was lost by it");
     assert_eq!(ground.station.texts(), ["gate_prob set to 0.5 (was 0.999)"]);
@@ -96,9 +96,9 @@ fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_told_to_all_who
 }
 
 #[test]
-fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reason() {
+fn an_invalid_value_is_answered_with_the_current_one_and_the_reason() {
     let index = PARAMS.iter().position(|row| row.key == "slip_nis").expect("a row");
-    for (wanted, why) in [
+    for (requested, why) in [
         (1.0, "slip_nis 1.0 not in 4..100"),
         (f32::NAN, "slip_nis NaN not in 4..100"),
         (f32::INFINITY, "slip_nis inf not in 4..100"),
@@ -106,20 +106,20 @@ fn a_value_that_makes_no_sense_is_answered_with_the_one_that_stands_and_the_reas
     ] {
         let mut ground = Ground::new(|_| {});
         let text = warning(why);
-        assert_eq!(ground.set(100, "slip_nis", wanted), [value(index, 10.83), text]);
+        assert_eq!(ground.set(100, "slip_nis", requested), [value(index, 10.83), text]);
         assert_eq!(ground.station.texts(), [why]);
     }
 }
 
 #[test]
-fn a_value_of_a_type_that_cannot_be_read_is_answered_with_the_one_that_stands_and_the_reason() {
+fn a_value_of_an_unsupported_type_is_answered_with_the_current_one_and_the_reason() {
     for kind in [0, 10, 255] {
         for (index, row) in PARAMS.iter().enumerate() {
             let mut ground = Ground::new(|_| {});
             let set = Message::ParamSetUnsupported { target: STATION, name: row.key.to_uppercase(), kind };
             let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
-            let stands = value(index, row.default as f32);
-            assert_eq!(ground.send(100, &set), [stands, warning(&why)]);
+            let current = value(index, row.default as f32);
+            assert_eq!(ground.send(100, &set), [current, warning(&why)]);
             assert_eq!(ground.station.texts(), [why]);
         }
     }
@@ -133,17 +133,17 @@ fn every_reason_fits_into_one_text() {
     for row in PARAMS {
         let mut ground = Ground::new(|_| {});
         let answers = ground.set(100, row.key, -1.234_567_8e30);
-        let told = answers.iter().find_map(|answer| match answer {
+        let reason = answers.iter().find_map(|answer| match answer {
             Message::StatusText { text, .. } => Some(text.clone()),
             _ => None,
         });
-        let told = told.expect("a reason");
-        assert!(told.ends_with(&format!("..{}", row.range.end())), "{told}");
+        let reason = reason.expect("a reason");
+        assert!(reason.ends_with(&format!("..{}", row.range.end())), "{reason}");
     }
 }
 
 #[test]
-fn a_tunable_that_there_is_not_is_not_answered_for_but_named() {
+fn an_unknown_tunable_is_named_in_a_warning() {
     let mut ground = Ground::new(|_| {});
     assert_eq!(ground.set(100, "RATE_P\x1b", 1.0), [warning("no parameter `RATE_P?`")]);
     let request = |target, name: &str, index| Message::ParamRequestRead { target, name: name.to_owned(), index };
@@ -156,7 +156,7 @@ fn a_tunable_that_there_is_not_is_not_answered_for_but_named() {
 }
 
 #[test]
-fn a_filter_that_is_tuned_only_by_its_start_keeps_its_value_and_says_so() {
+fn a_filter_that_is_tuned_only_by_its_start_keeps_its_value_and_reports_it() {
     let mut ground = Ground::new(|config| config.robot.filter = "ekf5".to_owned());
     let answers = ground.set(100, "gate_prob", 0.9);
     let why = "the filter ekf5 is tuned only by its start".to_owned();
@@ -165,7 +165,7 @@ fn a_filter_that_is_tuned_only_by_its_start_keeps_its_value_and_says_so() {
 }
 
 #[test]
-fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_asked() {
+fn tunables_are_saved_on_request_and_the_outcome_goes_to_the_requester() {
     let mut ground = Ground::new(|_| {});
     ground.set(130, "slip_nis", 40.0);
     assert_eq!(ground.result(140, PREFLIGHT_STORAGE, &[1.0]), ACCEPTED);
@@ -174,47 +174,46 @@ fn tunables_are_saved_on_request_and_what_became_of_it_is_told_where_it_was_aske
     };
     assert_eq!(values.len(), PARAMS.len());
     assert!(values.contains(&(name("slip_nis"), 40.0)));
-    let seen = ground.station.outputs.len();
+    let first_output = ground.station.outputs.len();
     let (severity, text) = (6, "saved to x.toml".to_owned());
-    let told = Message::StatusText { severity, text: text.clone(), part: TextPart::default() };
+    let report = Message::StatusText { severity, text: text.clone(), part: TextPart::default() };
     ground.station.handle(at(150), Input::Report { severity, text });
-    assert_eq!(ground.received_since(seen, GCS_LINK), [told]);
-    assert_eq!(ground.received_since(seen, OTHER_GCS_LINK), []);
+    assert_eq!(ground.received_since(first_output, GCS_LINK), [report]);
+    assert_eq!(ground.received_since(first_output, OTHER_GCS_LINK), []);
 }
 
-/// A ground station hears all that the station tells, and there the line that something was asked for comes just before what became
-/// of it.
+/// A ground station gets all status texts of the station: the line about a request just before the one about its outcome.
 #[test]
-fn a_link_for_ground_stations_hears_what_became_of_each_request() {
+fn a_link_for_ground_stations_gets_the_outcome_of_each_request() {
     let mut ground = Ground::new(|config| config.links[1].announced_as = AnnouncedAs::StationAndVehicle);
-    let asked = [
+    let requests = [
         (PREFLIGHT_STORAGE, 1.0, "saved parameters.toml in run1"),
         (LOGGING_STOP, 0.0, "recorded recording.mcap in run1"),
         (LOGGING_STOP, 0.0, "nothing is being recorded"),
         (LOGGING_START, 0.0, "recording recording-2.mcap in run1"),
     ];
-    for (millis, (command, first, became)) in (100..).step_by(50).zip(asked) {
-        let seen = ground.station.outputs.len();
+    for (millis, (command, first, became)) in (100..).step_by(50).zip(requests) {
+        let first_output = ground.station.outputs.len();
         assert_eq!(ground.result(millis, command, &[first]), ACCEPTED);
         let (severity, text) = (6, became.to_owned());
         let report = Input::Report { severity, text };
         ground.station.handle(at(millis), report);
-        let heard = ground.received_since(seen, GCS_LINK);
-        let is_it = |said: &Message| matches!(said, Message::StatusText { text, .. } if text == became);
-        assert!(heard.iter().any(is_it), "{became}: {heard:?}");
+        let messages = ground.received_since(first_output, GCS_LINK);
+        let is_it = |message: &Message| matches!(message, Message::StatusText { text, .. } if text == became);
+        assert!(messages.iter().any(is_it), "{became}: {messages:?}");
     }
-    // Not without end: who asks again and again hears how often there was something to tell.
-    let seen = ground.station.outputs.len();
+    // Not without end: repeated requests are limited, and the suppressed texts are counted.
+    let first_output = ground.station.outputs.len();
     for millis in 300..320 {
         let (severity, text) = (6, "recorded".to_owned());
         let report = Input::Report { severity, text };
         ground.station.handle(at(millis), report);
     }
-    assert_eq!(ground.received_since(seen, GCS_LINK).len(), 4);
+    assert_eq!(ground.received_since(first_output, GCS_LINK).len(), 4);
 }
 
 #[test]
-fn tunables_go_back_to_what_was_saved_or_configured_or_to_their_defaults() {
+fn tunables_are_restored_to_saved_configured_or_default_values() {
     let mut ground = Ground::new(|config| config.robot.filter_config.params.slip_nis = 20.0);
     assert_eq!(ground.value_of(50, "slip_nis"), 20.0);
     let mut now_ms = 100;
@@ -341,7 +340,7 @@ fn a_source_that_is_none_is_not_switched() {
 }
 
 #[test]
-fn recordings_are_asked_for_and_what_is_unknown_is_unsupported() {
+fn recordings_are_requested_and_unknown_commands_are_unsupported() {
     let mut ground = Ground::new(|_| {});
     assert_eq!(ground.result(100, LOGGING_STOP, &[]), ACCEPTED);
     assert_eq!(ground.result(110, LOGGING_START, &[]), ACCEPTED);
@@ -359,7 +358,7 @@ fn recordings_are_asked_for_and_what_is_unknown_is_unsupported() {
 }
 
 #[test]
-fn a_request_that_comes_by_two_ways_is_done_once() {
+fn a_request_that_comes_by_two_endpoints_is_executed_once() {
     let mut ground = Ground::new(|config| {
         for link in &mut config.links[1..] {
             link.rules.group = Some(0);

@@ -42,7 +42,7 @@ fn inputs() -> Vec<(Timestamp<HostClock>, Input)> {
     driven(&config()).station.inputs
 }
 
-/// What was observed and fused, in digits that tell any two numbers apart.
+/// What was observed and fused, in enough digits to distinguish any two numbers.
 fn observed_and_fused(station: &TestStation) -> Vec<String> {
     station
         .events()
@@ -54,8 +54,8 @@ fn observed_and_fused(station: &TestStation) -> Vec<String> {
 /// The messages that a station sent, in order, with their instants.
 fn sent_messages(station: &TestStation) -> Vec<(Timestamp<HostClock>, Message)> {
     let sent = station.sent();
-    let said = sent.flat_map(|sent| messages(sent.bytes).into_iter().map(move |said| (sent.now, said)));
-    said.collect()
+    let received = sent.flat_map(|sent| messages(sent.bytes).into_iter().map(move |received| (sent.now, received)));
+    received.collect()
 }
 
 #[test]
@@ -112,8 +112,8 @@ fn a_configuration_that_cannot_be_is_refused_with_its_reason() {
     let mut unknown = config();
     unknown.robot.filter = "magic".to_owned();
     let error = Station::new(unknown, Timestamp::ZERO).err().expect("no such filter");
-    let told = error.to_string();
-    assert!(told.starts_with("unknown filter `magic`; there are: odometry, pose, "), "{told}");
+    let text = error.to_string();
+    assert!(text.starts_with("unknown filter `magic`; there are: odometry, pose, "), "{text}");
     let mut doubled = config();
     doubled.links.push(link(LINK, vec![]));
     let error = Station::new(doubled, Timestamp::ZERO).err().expect("one id twice");

@@ -1,4 +1,4 @@
-//! Links for ground stations: two voices, two counts without a gap, and silence where there is nothing to speak for.
+//! Links for ground stations: two senders, two sequences without a gap, and silence without a robot.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -31,7 +31,7 @@ fn two_links() -> StationConfig {
     config
 }
 
-/// What a ground station hears.
+/// The messages that a ground station receives.
 #[derive(Default)]
 struct ReceivedFrames {
     messages: Vec<(Timestamp<HostClock>, Address, Message)>,
@@ -71,34 +71,34 @@ impl ReceivedFrames {
             *last = frame.sequence;
             *frames += 1;
             let message = match decode(&frame) {
-                // Before the first fix an ODOMETRY says that it is none.
+                // Before the first fix an ODOMETRY is marked as none.
                 Err(PayloadError::SenderFailed { .. }) => None,
                 other => other.expect("the station makes sense"),
             };
-            self.messages.extend(message.map(|said| (now, frame.source, said)));
+            self.messages.extend(message.map(|message| (now, frame.source, message)));
         });
         assert_eq!(found, 1, "one frame at a time");
     }
 
-    /// When somebody said something of a kind, in milliseconds.
-    fn times(&self, who: Address, is_it: impl Fn(&Message) -> bool) -> Vec<i64> {
-        let said = self.messages.iter();
-        let said = said.filter(|(_, from, message)| *from == who && is_it(message));
-        said.map(|(now, _, _)| now.as_micros() / 1_000).collect()
+    /// When a source sent a message of a kind, in milliseconds.
+    fn times(&self, source: Address, is_it: impl Fn(&Message) -> bool) -> Vec<i64> {
+        let received = self.messages.iter();
+        let received = received.filter(|(_, from, message)| *from == source && is_it(message));
+        received.map(|(now, _, _)| now.as_micros() / 1_000).collect()
     }
 
     /// The lines for people.
     fn texts(&self) -> Vec<&str> {
-        let said = self.messages.iter();
-        let texts = said.filter_map(|(_, _, message)| match message {
+        let received = self.messages.iter();
+        let texts = received.filter_map(|(_, _, message)| match message {
             Message::StatusText { text, .. } => Some(text.as_str()),
             _ => None,
         });
         texts.collect()
     }
 
-    fn lost(&self, who: Address) -> u32 {
-        self.senders[&who].2
+    fn lost(&self, source: Address) -> u32 {
+        self.senders[&source].2
     }
 }
 
@@ -144,8 +144,8 @@ fn the_brick_and_we_share_one_count_without_a_gap() {
     drive(&mut station, &mut brick, 0, 20_000);
     let received = ReceivedFrames::on(&station, GCS_LINK);
     println!("{:?}", received.senders);
-    for who in [BRICK, STATION] {
-        assert_eq!(received.lost(who), 0, "{who}");
+    for source in [BRICK, STATION] {
+        assert_eq!(received.lost(source), 0, "{source}");
     }
     assert!(received.times(BRICK, is_attitude).len() > 150);
     assert_eq!(received.times(STATION, is_attitude), Vec::<i64>::new());
@@ -156,13 +156,13 @@ fn the_brick_and_we_share_one_count_without_a_gap() {
     assert_eq!(received.times(BRICK, is_beat).len(), 20);
     assert!(received.times(STATION, is_beat).len() >= 18);
     let floor = received.messages.iter().filter(
-        |(_, _, message)| matches!(message, Message::Odometry(said) if matches!(said.pose, OdometryPose::Odom(_))),
+        |(_, _, message)| matches!(message, Message::Odometry(odometry) if matches!(odometry.pose, OdometryPose::Odom(_))),
     );
     assert!(floor.count() > 150);
 }
 
 #[test]
-fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
+fn a_lost_robot_sends_no_heartbeats_and_its_loss_is_reported() {
     let mut config = two_links();
     config.robot_system = Some(BRICK.system);
     let mut station = TestStation::new(&config);
@@ -172,27 +172,27 @@ fn who_is_lost_says_no_heartbeats_and_is_mourned_in_words() {
     station.pass_until(at(20_000));
     drive(&mut station, &mut brick, 20_000, 3_000);
     let received = ReceivedFrames::on(&station, GCS_LINK);
-    // Last heard at 6.95 s, lost 5 s later.
-    for who in [BRICK, STATION] {
-        let beats = received.times(who, is_beat);
-        println!("{who} {beats:?}");
+    // Last received at 6.95 s, lost 5 s later.
+    for source in [BRICK, STATION] {
+        let beats = received.times(source, is_beat);
+        println!("{source} {beats:?}");
         assert!(beats.iter().all(|at| (3_000..12_000).contains(at) || *at >= 20_000));
         assert!(beats.iter().any(|at| *at < 5_100) && beats.iter().any(|at| *at >= 20_000));
-        assert_eq!(received.lost(who), 0, "{who}");
+        assert_eq!(received.lost(source), 0, "{source}");
     }
     let texts = received.texts();
     assert!(texts.contains(&"robot 3/1/25 lost: silent for 5.0 s"), "{texts:?}");
     assert!(texts.contains(&"robot 3/1/25 detected again"), "{texts:?}");
-    // On the robot's own link the station is there all the time: somebody may wait for it.
+    // On the robot's own link the station is present all the time: a peer may wait for it.
     assert!(ReceivedFrames::on(&station, LINK).times(STATION, is_beat).len() >= 22);
 }
 
 #[test]
-fn a_range_is_said_once_by_the_robot_or_for_it() {
+fn a_range_is_sent_once_by_the_robot_or_for_it() {
     let range =
         |millis| Message::DistanceSensor { stamp: WireStamp::Millis32(millis), range: Meters(1.25), sigma: None };
     let is_range = |message: &Message| matches!(message, Message::DistanceSensor { .. });
-    // Of component 1 the frames themselves are the vehicle's; of another component nobody would look for them.
+    // Of component 1 the frames themselves are the vehicle's; of another component they would be ignored.
     for address in [BRICK, Address::new(1, 25)] {
         let mut station = TestStation::new(&two_links());
         let mut brick = RemotePeer::new(address, LINK, 0);
@@ -207,14 +207,14 @@ fn a_range_is_said_once_by_the_robot_or_for_it() {
         let theirs = received.times(address, is_range).len();
         let as_vehicle = received.times(BRICK, is_range).len();
         assert!(theirs >= 10, "{address}: what the robot says is passed on");
-        // The very first may leave twice: that the robot says it is known once it has been passed on.
+        // The very first may leave twice: that the robot sends it is known once it has been forwarded.
         assert!((10..=11).contains(&as_vehicle), "{address}: {as_vehicle}");
         assert_eq!(received.lost(BRICK), 0, "{address}");
     }
 }
 
 #[test]
-fn commands_about_what_we_say_for_the_robot_are_ours_and_all_others_its_own() {
+fn commands_about_messages_that_we_send_for_the_robot_are_ours_and_all_others_its_own() {
     let mut station = TestStation::new(&two_links());
     let mut brick = RemotePeer::new(BRICK, LINK, 0);
     let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
@@ -253,13 +253,14 @@ fn a_ring_brings_nothing_round_twice() {
     let on_link = station.sent().filter(|sent| sent.link == GCS_LINK);
     let sent: Vec<Vec<u8>> = on_link.map(|sent| sent.bytes.to_vec()).collect();
     assert!(sent.len() > 50);
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     let stranger = RemotePeer::new(BRICK, LinkId(7), 0);
     for bytes in &sent {
         stranger.send_bytes(&mut station, at(2_010), bytes);
     }
-    let again =
-        station.sent_since(seen).filter(|again| again.bytes[6] == 1 && sent.iter().any(|sent| sent == again.bytes));
+    let again = station
+        .sent_since(first_output)
+        .filter(|again| again.bytes[6] == 1 && sent.iter().any(|sent| sent == again.bytes));
     assert_eq!(again.count(), 0);
 }
 
@@ -273,10 +274,10 @@ fn a_key() -> SigningConfig {
     }
 }
 
-/// Not all that a robot and the camera beside it say is for ground stations; what is missing there must not look like a loss, with a key
+/// Not all messages of a robot and the camera beside it are for ground stations; what is missing there must not look like a loss, with a key
 /// on the link or without.
 #[test]
-fn nobody_loses_frames_by_what_was_for_the_station_alone() {
+fn frames_for_the_station_alone_are_no_loss_to_others() {
     for key in [None, Some(a_key())] {
         let mut config = two_links();
         let has_key = key.is_some();
@@ -294,13 +295,13 @@ fn nobody_loses_frames_by_what_was_for_the_station_alone() {
         }
         let received = ReceivedFrames::on(&station, GCS_LINK);
         println!("{:?}", received.senders);
-        for (who, frames) in [(BRICK, 160), (STATION, 50), (CAMERA, 8)] {
-            let (_, found, lost) = received.senders[&who];
-            assert_eq!(lost, 0, "{who}");
-            assert!(found >= frames, "{who}: {found}");
+        for (source, frames) in [(BRICK, 160), (STATION, 50), (CAMERA, 8)] {
+            let (_, found, lost) = received.senders[&source];
+            assert_eq!(lost, 0, "{source}");
+            assert!(found >= frames, "{source}: {found}");
         }
-        // Beside frames that the robot does not sign nobody signs as the robot.
-        let attitudes = |who| received.times(who, is_attitude).len();
+        // Beside frames that the robot does not sign nothing is signed as the robot.
+        let attitudes = |source| received.times(source, is_attitude).len();
         let (of_brick, of_station) = (attitudes(BRICK), attitudes(STATION));
         assert_eq!(of_brick > 50, !has_key, "{of_brick}");
         assert_eq!(of_station > 50, has_key, "{of_station}");
@@ -322,16 +323,16 @@ fn signed_frames_are_never_touched_and_silence_us() {
     let mut signing = LinkSigner::new(a_key());
     let mut encoder = Encoder::new(WireVersion::V2);
     let voice = RemotePeer::new(BRICK, LINK, 0);
-    let mut said = Vec::new();
+    let mut sent = Vec::new();
     for step in 0..60_u32 {
         let now = at(i64::from(step * 50));
         station.pass_until(now);
         let message = if step % 20 == 0 { HEARTBEAT } else { ticks(step * 50, 0, 0) };
         let bytes = sign(&mut signing, &mut encoder, now, &message);
         voice.send_bytes(&mut station, now, &bytes);
-        said.push(bytes);
+        sent.push(bytes);
     }
     let passed = station.sent().filter(|sent| sent.link == GCS_LINK && sent.bytes[6] == 1);
     let passed: Vec<&[u8]> = passed.map(|sent| sent.bytes).collect();
-    assert!(passed == said, "byte for byte, and nothing of ours between");
+    assert!(passed == sent, "byte for byte, and nothing of ours between");
 }

@@ -11,7 +11,7 @@ fn robot(address: Address) -> RobotId {
     RobotId { link: LINK, address }
 }
 
-/// Who was believed to have observed something.
+/// The robots that observations were assigned to.
 fn observers(station: &TestStation) -> Vec<RobotId> {
     station.aligned().iter().map(|aligned| aligned.robot).collect()
 }
@@ -44,11 +44,11 @@ fn a_robot_with_a_name_is_named_once_and_another_is_not() {
     let named = |event: &&Event| matches!(event, Event::RobotNamed { .. });
     let named: Vec<Event> = station.events().filter(named).cloned().collect();
     assert_eq!(named, [Event::RobotNamed { robot: robot(NEIGHBOUR), name: "ada".to_owned() }]);
-    let told = station
+    let reports = station
         .messages_since(0, LinkId(9))
         .into_iter()
         .filter(|message| matches!(message, Message::StatusText { text, .. } if text == "robot 3/2/1 is ada"));
-    assert_eq!(told.count(), 1);
+    assert_eq!(reports.count(), 1);
 }
 
 #[test]
@@ -62,20 +62,20 @@ fn a_configured_robot_is_waited_for() {
 }
 
 #[test]
-fn what_the_station_said_itself_is_no_observation_when_a_link_echoes() {
+fn the_stations_own_frames_are_no_observation_when_a_link_echoes() {
     let mut config = config();
     config.links[0].outputs = vec![stream(OutputKind::Odometry, 0)];
     let mut station = TestStation::new(&config);
     for k in 0..20_u32 {
         let now = at(100 + i64::from(k) * 50);
-        let seen = station.outputs.len();
+        let first_output = station.outputs.len();
         station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
-        let echo: Vec<u8> = station.sent_since(seen).flat_map(|sent| sent.bytes.to_vec()).collect();
+        let echo: Vec<u8> = station.sent_since(first_output).flat_map(|sent| sent.bytes.to_vec()).collect();
         let is_pose = |message: &Message| matches!(message, Message::Odometry(_));
         assert!(messages(&echo).iter().any(is_pose));
-        let heard = observers(&station).len();
+        let observer_count = observers(&station).len();
         station.bytes(now, &echo);
-        assert_eq!(observers(&station).len(), heard);
+        assert_eq!(observers(&station).len(), observer_count);
     }
     assert!(!station.events().any(|event| matches!(event, Event::ReceiveError { .. })));
 }
@@ -136,7 +136,7 @@ fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
 }
 
 #[test]
-fn a_description_does_not_tell_a_robot_where_it_is() {
+fn a_description_does_not_set_the_pose() {
     let mut config = config();
     config.robot.description = DescriptionPolicy::Adopt;
     config.robot.filter_config.start = None;

@@ -1,4 +1,4 @@
-//! Who else is on a link: those who were replaced, those who were invented, and what they may cost the others.
+//! Other peers of a link: replaced and invented ones, and what they may cost the others.
 
 use std::collections::BTreeMap;
 
@@ -19,18 +19,18 @@ fn estimates(station: &TestStation) -> usize {
 }
 
 /// Ten seconds of telemetry and much beside it by a connection that has replaced one of `before`; the port tells of so many peers.
-fn by_a_new_connection(before: Timestamp<HostClock>, told: u32) -> TestStation {
+fn by_a_new_connection(before: Timestamp<HostClock>, peers: u32) -> TestStation {
     let mut config = config();
     config.links[0].rules.limits.bytes_per_s = Some(2_500);
     let mut station = TestStation::new(&config);
     RemotePeer::new(BRICK, LINK, 0).send(&mut station, before, &HEARTBEAT);
-    let counts = LinkCounts { peers: told, ..LinkCounts::default() };
+    let counts = LinkCounts { peers, ..LinkCounts::default() };
     station.handle(at(59_000), Input::Port { link: LINK, counts });
     let mut again = RemotePeer::new(BRICK, LINK, 1);
     for k in 0..200_u32 {
         let now = at(60_000 + i64::from(k) * 50);
         assert_eq!(again.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0)), [], "message {k}");
-        // Others on the same link would be told as much again.
+        // Others on the same link would get as much again.
         for _ in 0..3 {
             assert_eq!(again.send(&mut station, now, &HEARTBEAT), []);
         }
@@ -39,36 +39,36 @@ fn by_a_new_connection(before: Timestamp<HostClock>, told: u32) -> TestStation {
 }
 
 #[test]
-fn who_was_replaced_by_a_new_connection_gets_nothing_and_costs_nothing() {
-    // Long ago, as far as is known; and lately, but the port knows that he has gone.
-    for (before, told) in [(at(10), 0), (at(57_000), 1)] {
-        let mut station = by_a_new_connection(before, told);
+fn a_replaced_connection_gets_nothing_and_costs_nothing() {
+    // Long ago, as far as is known; and lately, but the port knows that the peer has closed.
+    for (before, peers) in [(at(10), 0), (at(57_000), 1)] {
+        let mut station = by_a_new_connection(before, peers);
         assert_eq!(station.later_health(LINK).forwarded, 0);
         assert_eq!(estimates(&station), 200);
     }
 }
 
 #[test]
-fn two_who_speak_on_one_link_hear_each_other() {
-    for told in [0, 1, 2] {
+fn two_peers_of_one_link_receive_each_other() {
+    for peers in [0, 1, 2] {
         let mut station = TestStation::new(&config());
-        let counts = LinkCounts { peers: told, ..LinkCounts::default() };
+        let counts = LinkCounts { peers, ..LinkCounts::default() };
         station.handle(at(5), Input::Port { link: LINK, counts });
         RemotePeer::new(BRICK, LINK, 0).send(&mut station, at(10), &HEARTBEAT);
         let passed = RemotePeer::new(GCS, LINK, 1).send(&mut station, at(20), &HEARTBEAT);
         let to_the_other = (LINK, Recipients::AllExcept(PeerId(1)), Priority::Forwarded);
-        assert_eq!(passed, [to_the_other], "{told}");
+        assert_eq!(passed, [to_the_other], "{peers}");
     }
 }
 
 #[test]
-fn a_limit_is_asked_once_for_a_frame_and_not_once_for_each_who_gets_it() {
+fn a_limit_is_charged_once_for_a_frame_and_not_for_each_recipient() {
     let mut config = config();
     config.links.push(link(GCS_LINK, vec![]));
     let interval = TimeDelta::from_millis(200);
     config.links[0].rules.limits.min_intervals = BTreeMap::from([(ids::PARAM_SET, interval)]);
     let mut station = TestStation::new(&config);
-    // The robot has reconnected: it was heard by two peers of its link.
+    // The robot has reconnected: it was received from two peers of its link.
     for peer in 0..2 {
         RemotePeer::new(BRICK, LINK, peer).send(&mut station, at(10), &HEARTBEAT);
     }
@@ -83,12 +83,12 @@ fn a_limit_is_asked_once_for_a_frame_and_not_once_for_each_who_gets_it() {
 
 #[test]
 fn commands_of_the_station_pay_from_the_budget_as_those_of_others_do() {
-    let estimates_beside = |wanted: Vec<(u32, TimeDelta)>| {
+    let estimates_beside = |intervals: Vec<(u32, TimeDelta)>| {
         let mut config = config();
-        config.brick_message_intervals = wanted;
+        config.brick_message_intervals = intervals;
         config.links[0].rules.limits.bytes_per_s = Some(200);
         let mut station = TestStation::new(&config);
-        // It answers no request, so that each is said five times.
+        // It answers no request, so that each is sent five times.
         for k in 0..100_u32 {
             let now = at(i64::from(k) * 50);
             if k % 20 == 0 {

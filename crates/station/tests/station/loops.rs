@@ -18,7 +18,7 @@ fn station_in_a_loop() -> TestStation {
 }
 
 #[test]
-fn a_frame_that_waited_in_a_full_queue_on_its_way_round_goes_no_further() {
+fn a_frame_that_was_queued_on_its_round_trip_is_not_forwarded_again() {
     // 64 KiB of forwarded frames may wait for a line of 57600 baud.
     let longest_wait = TimeDelta::from_secs_f64(65_536.0 / 5_760.0);
     for wait in [TimeDelta::from_millis(1_500), longest_wait] {
@@ -40,7 +40,7 @@ fn a_frame_that_waited_in_a_full_queue_on_its_way_round_goes_no_further() {
 }
 
 #[test]
-fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_first() {
+fn a_command_that_comes_by_two_endpoints_is_executed_once_and_answered_where_it_came_first() {
     const GCS: Address = Address::new(254, 190);
     let mut station = station_in_a_loop();
     let mut near = RemotePeer::new(GCS, NEAR, 0);
@@ -49,7 +49,7 @@ fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_fi
         message_id: ids::ODOMETRY,
         interval: Some(TimeDelta::from_millis(50)),
     }));
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     near.send_bytes(&mut station, at(100), &frame);
     RemotePeer::new(GCS, FAR, 0).send_bytes(&mut station, at(140), &frame);
     let mut brick = RemotePeer::new(BRICK, LINK, 0);
@@ -58,35 +58,35 @@ fn a_command_that_comes_by_two_ways_is_obeyed_once_and_answered_where_it_came_fi
         brick.send(&mut station, now, &ticks(5_000 + k * 50, 0, 0));
     }
     let counts = [NEAR, FAR].map(|link| {
-        let said = station.messages_since(seen, link);
-        let acks = said.iter().filter(|m| matches!(m, Message::CommandAck(_)));
-        let stream = said.iter().filter(|m| matches!(m, Message::Odometry(_)));
+        let messages = station.messages_since(first_output, link);
+        let acks = messages.iter().filter(|m| matches!(m, Message::CommandAck(_)));
+        let stream = messages.iter().filter(|m| matches!(m, Message::Odometry(_)));
         (acks.count(), stream.count())
     });
     assert_eq!(counts, [(1, 20), (0, 0)]);
 }
 
 #[test]
-fn an_answer_is_taken_where_the_question_left_even_if_it_was_quicker_round_the_loop() {
+fn a_reply_is_accepted_on_the_requests_link_even_if_the_loop_is_quicker() {
     let mut station = station_in_a_loop();
     let mut brick = RemotePeer::new(BRICK, LINK, 0);
     brick.send(&mut station, at(0), &ticks(5_000, 0, 0));
-    let mut seen = 0;
+    let mut first_output = 0;
     for k in 1..40_i64 {
         let now = at(k * 100);
         station.pass_until(now);
-        for request in station.time_requests(seen).into_iter().filter(|request| request.link == LINK) {
+        for request in station.time_requests(first_output).into_iter().filter(|request| request.link == LINK) {
             let answer = brick.frame(&time_answer(request.nanos + 5_002_000_000, request.nanos));
             RemotePeer::new(BRICK, NEAR, 0).send_bytes(&mut station, now, &answer);
             brick.send_bytes(&mut station, now, &answer);
         }
-        seen = station.outputs.len();
+        first_output = station.outputs.len();
     }
     assert!(station.count(|event| matches!(event, Event::BrickClockAligned { .. })) > 8);
 }
 
 #[test]
-fn a_robot_is_seen_on_its_own_link_and_not_where_its_heartbeats_come_round() {
+fn a_robot_is_detected_on_its_own_link_and_not_where_its_heartbeats_loop_back() {
     for round_first in [false, true] {
         let mut station = station_in_a_loop();
         let mut brick = RemotePeer::new(BRICK, LINK, 0);
@@ -104,22 +104,22 @@ fn a_robot_is_seen_on_its_own_link_and_not_where_its_heartbeats_come_round() {
                 near.send_bytes(&mut station, now, &frame);
             }
         }
-        let mut seen = Vec::new();
+        let mut detected_on = Vec::new();
         for event in station.events() {
             match event {
-                Event::RobotDetected { robot } => seen.push(robot.link),
+                Event::RobotDetected { robot } => detected_on.push(robot.link),
                 Event::RobotLost { .. } => panic!("it speaks each second"),
                 _ => {}
             }
         }
-        assert!(seen.contains(&LINK), "{round_first}");
-        // A copy that is quicker cannot be told from the word itself.
-        assert_eq!(seen.contains(&NEAR), round_first);
+        assert!(detected_on.contains(&LINK), "{round_first}");
+        // A copy that is quicker cannot be distinguished from the original.
+        assert_eq!(detected_on.contains(&NEAR), round_first);
     }
 }
 
 #[test]
-fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
+fn an_echo_is_ignored_and_a_foreign_sender_under_our_address_is_reported() {
     let mut station = station_in_a_loop();
     station.pass_until(at(3_000));
     let echoes: Vec<Vec<u8>> = station.sent().map(|sent| sent.bytes.to_vec()).collect();
@@ -134,11 +134,11 @@ fn an_echo_is_no_news_and_a_stranger_under_our_address_is_told() {
     };
     assert_eq!(namesakes(&station), 0);
     let mut other = RemotePeer::new(STATION, FAR, 0);
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     for k in 0..5 {
         assert_eq!(other.send(&mut station, at(3_100 + k), &HEARTBEAT), []);
     }
     assert_eq!(namesakes(&station), 5);
-    assert!(!station.events_since(seen).any(|event| matches!(event, Event::RobotDetected { .. })));
+    assert!(!station.events_since(first_output).any(|event| matches!(event, Event::RobotDetected { .. })));
     assert_eq!(station.later_health(FAR).address_conflicts, 5);
 }

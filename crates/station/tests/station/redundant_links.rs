@@ -31,12 +31,12 @@ fn redundant_config() -> StationConfig {
     StationConfig { links: links.to_vec(), ..config() }
 }
 
-/// A brick that says everything on a quick link and on a slow one, and answers time requests on each.
+/// A brick that sends everything on a quick link and on a slow one, and answers time requests on each.
 struct RedundantBrick {
     station: TestStation,
     remotes: [RemotePeer; 2],
     in_transit: BytesInTransit<usize>,
-    seen: usize,
+    first_output: usize,
     answers: TimeReplies,
     is_up: [bool; 2],
     /// Until when each link holds back what is sent on it, ms of host time.
@@ -52,7 +52,7 @@ impl RedundantBrick {
             station: TestStation::new(&redundant_config()),
             remotes: LINKS.map(|id| RemotePeer::new(BRICK, id, 0)),
             in_transit: BytesInTransit::default(),
-            seen: 0,
+            first_output: 0,
             answers,
             is_up: [true; 2],
             held_until_ms: [0; 2],
@@ -91,19 +91,19 @@ impl RedundantBrick {
             self.remotes[index].send_bytes(&mut self.station, at(now), &bytes);
         }
         self.station.pass_until(at(now));
-        let requests = self.station.time_requests(self.seen);
-        self.seen = self.station.outputs.len();
+        let requests = self.station.time_requests(self.first_output);
+        self.first_output = self.station.outputs.len();
         if self.answers == TimeReplies::No {
             return;
         }
         for request in requests {
             let index = usize::from(request.link.0 - LINKS[0].0);
-            let heard = now + DELAYS_MS[index];
-            self.send(heard, index, &time_answer((heard + self.ahead_ms) * 1_000_000, request.nanos));
+            let received_at = now + DELAYS_MS[index];
+            self.send(received_at, index, &time_answer((received_at + self.ahead_ms) * 1_000_000, request.nanos));
         }
     }
 
-    /// One millisecond; the quick link loses a tenth of the telemetry, so that the slow one brings news, too.
+    /// One millisecond; the quick link loses a tenth of the telemetry, so that the slow one brings new frames, too.
     fn lossy_step(&mut self, now: i64) {
         self.step(now, |index| index == 0 && now / PERIOD_MS % 10 == 0);
     }
@@ -152,7 +152,7 @@ fn two_links_to_one_robot_lose_only_what_both_lose_and_use_nothing_twice() {
 }
 
 #[test]
-fn when_one_of_two_links_goes_down_only_what_was_on_its_way_is_lost() {
+fn when_one_of_two_links_goes_down_only_frames_in_transit_are_lost() {
     let mut run = RedundantBrick::new(TimeReplies::Yes);
     for now in 0..12_000 {
         match now {
@@ -195,7 +195,7 @@ fn both_links_bound_the_one_clock_and_both_carry_the_estimate() {
     assert!(error_ms.abs() <= uncertainty.as_millis_f64() + 0.001);
     // The bounds of the quicker link: half a round trip of 10 ms, and the step of the counter.
     assert!(uncertainty.as_millis_f64() < 10.0);
-    // Twice as many as one link gives, which asks each half second after ten quick ones.
+    // Twice as many as one link gives, which sends a request each half second after ten quick ones.
     assert!(aligned.len() > 60, "{}", aligned.len());
     let poses = LINKS.map(|id| {
         let sent = run.station.sent();
@@ -230,7 +230,7 @@ fn what_a_link_held_back_for_seconds_is_late_and_no_restart() {
 }
 
 #[test]
-fn a_restart_is_seen_once_and_soon_whatever_a_slow_link_still_brings_of_the_time_before() {
+fn a_restart_is_detected_once_and_soon_despite_older_frames_of_a_slow_link() {
     for answers in [TimeReplies::Yes, TimeReplies::No] {
         for held_ms in [0, 500, 5_000] {
             for quick_is_up in [true, false] {
@@ -247,13 +247,13 @@ fn a_restart_is_seen_once_and_soon_whatever_a_slow_link_still_brings_of_the_time
                     run.lossy_step(now);
                 }
                 let quickest = if quick_is_up { 0 } else { 9_000 + held_ms };
-                let seen = run.station.restarts();
-                assert!(matches!(seen[..], [one] if one <= at(quickest.max(10_000) + 150)), "{case}: {seen:?}");
+                let restarts = run.station.restarts();
+                assert!(matches!(restarts[..], [one] if one <= at(quickest.max(10_000) + 150)), "{case}: {restarts:?}");
                 // What was sent before it and comes after it is no instant of the new clock, and the rest is used once.
-                let after = run.observed(seen[0], at(20_000));
+                let after = run.observed(restarts[0], at(20_000));
                 assert!(after.windows(2).all(|pair| pair[0] < pair[1]), "{case}");
                 assert!(after.iter().all(|stamp| *stamp < 10_000), "{case}");
-                let sent = (at(20_000) - seen[0]).as_millis_f64() / PERIOD_MS as f64;
+                let sent = (at(20_000) - restarts[0]).as_millis_f64() / PERIOD_MS as f64;
                 assert!(after.len() as f64 > sent - 5.0, "{case}: {}", after.len());
             }
         }
@@ -261,7 +261,7 @@ fn a_restart_is_seen_once_and_soon_whatever_a_slow_link_still_brings_of_the_time
 }
 
 #[test]
-fn a_link_that_was_never_heard_before_may_bring_old_news() {
+fn a_new_link_may_bring_older_frames() {
     let mut station = TestStation::new(&redundant_config());
     let mut remotes = LINKS.map(|id| RemotePeer::new(BRICK, id, 0));
     for k in 0..200_u32 {
@@ -292,8 +292,8 @@ fn a_brick_that_restarts_behind_a_new_connection_is_noticed_within_three_seconds
         let now = up + TimeDelta::from_millis(i64::from(k) * PERIOD_MS);
         after.send(&mut station, now, &ticks(100 + k * 50, 0, 0));
     }
-    let seen = station.restarts();
-    assert!(matches!(seen[..], [one] if one <= up + TimeDelta::from_millis(3_000)), "{seen:?}");
+    let restarts = station.restarts();
+    assert!(matches!(restarts[..], [one] if one <= up + TimeDelta::from_millis(3_000)), "{restarts:?}");
 }
 
 #[test]

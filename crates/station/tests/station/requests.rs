@@ -15,23 +15,23 @@ const ACCEPTED: u8 = 0;
 const DENIED: u8 = 2;
 const UNSUPPORTED: u8 = 3;
 
-/// Asks about a message; gives the results of the answers, and how much more was said.
+/// Requests a message; returns the results of the replies, and the number of other messages.
 fn request(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> (Vec<u8>, usize) {
     let params = [params[0], params[1], 0.0, 0.0, 0.0, 0.0, 0.0];
-    let said = ground.send(100, &Message::Command(CommandLong { target, command, params }));
-    let results: Vec<u8> = said
+    let messages = ground.send(100, &Message::Command(CommandLong { target, command, params }));
+    let results: Vec<u8> = messages
         .iter()
         .filter_map(|message| match message {
             Message::CommandAck(ack) => Some(ack.result),
             _ => None,
         })
         .collect();
-    let others = said.len() - results.len();
+    let others = messages.len() - results.len();
     (results, others)
 }
 
 #[test]
-fn a_question_to_all_components_is_answered_with_what_the_station_has() {
+fn a_request_to_all_components_is_answered_with_what_the_station_has() {
     let mut ground = Ground::new(|_| {});
     for (command, about) in
         [(COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION), (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY)]
@@ -40,7 +40,7 @@ fn a_question_to_all_components_is_answered_with_what_the_station_has() {
             let answer = request(&mut ground, target, command, [about as f32, 0.0]);
             assert_eq!(answer, (vec![ACCEPTED], 1), "{command} to {target}");
         }
-        // A whole class would answer.
+        // A whole class would reply.
         let answer = request(&mut ground, EVERYBODY, command, [about as f32, 0.0]);
         assert_eq!(answer, (vec![], 0), "{command}");
     }
@@ -64,14 +64,14 @@ fn an_interval_that_is_none_is_denied_and_changes_nothing() {
         let pose = ids::PB_PLANAR_POSE as f32;
         let command = COMMAND_SET_MESSAGE_INTERVAL;
         let (results, _) = request(&mut ground, STATION, command, [pose, micros]);
-        let seen = ground.station.outputs.len();
+        let first_output = ground.station.outputs.len();
         request(&mut ground, STATION, COMMAND_GET_MESSAGE_INTERVAL, [pose, 0.0]);
-        let told = ground.received_since(seen, GCS_LINK);
-        let told = told.iter().find_map(|message| match message {
-            Message::MessageInterval(told) => Some(told.interval_micros),
+        let messages = ground.received_since(first_output, GCS_LINK);
+        let interval = messages.iter().find_map(|message| match message {
+            Message::MessageInterval(message) => Some(message.interval_micros),
             _ => None,
         });
-        (results, told.expect("an interval"))
+        (results, interval.expect("an interval"))
     };
     assert_eq!(set(200_000.0), (vec![ACCEPTED], 200_000));
     for nonsense in [-2.0, -0.5, -1e30, f32::NAN, f32::INFINITY] {

@@ -23,12 +23,12 @@ fn odometry() -> Vec<u8> {
     frame
 }
 
-/// How long after its last byte a heartbeat is heard that comes in these pieces, some milliseconds after a torn frame.
-fn delay_behind(torn: &[u8], quiet_ms: i64, pieces: &[&[u8]]) -> TimeDelta {
+/// How long after its last byte a heartbeat is received that comes in these pieces, some milliseconds after a truncated frame.
+fn delay_behind(truncated: &[u8], quiet_ms: i64, pieces: &[&[u8]]) -> TimeDelta {
     let mut station = TestStation::new(&config());
     let mut now = at(300);
     station.pass_until(now);
-    station.bytes(now, torn);
+    station.bytes(now, truncated);
     now = now + TimeDelta::from_millis(quiet_ms);
     for piece in pieces {
         station.pass_until(now);
@@ -41,29 +41,29 @@ fn delay_behind(torn: &[u8], quiet_ms: i64, pieces: &[&[u8]]) -> TimeDelta {
 }
 
 #[test]
-fn a_heartbeat_behind_a_torn_frame_is_late_by_one_gap_at_most() {
+fn a_heartbeat_after_a_truncated_frame_is_late_by_one_gap_at_most() {
     let (odometry, heartbeat) = (odometry(), frame(BRICK, &HEARTBEAT));
     let (begin, end) = heartbeat.split_at(9);
-    for torn in 1..odometry.len() {
+    for truncated in 1..odometry.len() {
         for quiet_ms in [0, 30, 49, 50, 80] {
             for pieces in [&[&heartbeat[..]][..], &[begin, end]] {
-                let delay = delay_behind(&odometry[..torn], quiet_ms, pieces);
-                assert!(delay <= GAP, "{torn} bytes, {quiet_ms} ms: {delay:?}");
+                let delay = delay_behind(&odometry[..truncated], quiet_ms, pieces);
+                assert!(delay <= GAP, "{truncated} bytes, {quiet_ms} ms: {delay:?}");
             }
         }
     }
     // A header of 12 bytes promises 233 more: without the time-out they would be waited for.
     assert_eq!(delay_behind(&odometry[..12], 0, &[&heartbeat]), GAP);
-    // Silence before the heartbeat has already told that the header was torn.
+    // Silence before the heartbeat has already shown that the header was truncated.
     assert_eq!(delay_behind(&odometry[..12], 50, &[&heartbeat]), TimeDelta::ZERO);
 }
 
-/// On a line that is never silent for a gap, a torn header is found out when as many bytes have come as it promises.
+/// On a link that is never silent for a gap, a truncated header is detected when as many bytes have come as it promises.
 #[test]
-fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_taken_and_none_is_lost() {
+fn on_a_busy_link_a_truncated_header_hides_frames_for_its_own_length_and_none_is_lost() {
     let mut station = TestStation::new(&config());
-    let torn = &odometry()[..12];
-    station.bytes(at(1_000), torn);
+    let truncated = &odometry()[..12];
+    station.bytes(at(1_000), truncated);
     let mut bytes_behind = 0;
     let mut hidden = 0;
     for number in 1..=100_u32 {
@@ -77,10 +77,10 @@ fn on_a_busy_line_a_torn_header_hides_frames_for_as_long_as_its_own_would_have_t
     }
     assert!(hidden > 0, "else this test is about nothing");
     assert_eq!(station.aligned().len(), 100);
-    // The torn header was one checksum error, a flipped bit is another, and in the id it makes a message that nobody knows.
-    for (place, bit) in [(12, 1), (9, 0x40)] {
+    // The truncated header was one checksum error, a flipped bit is another, and in the id it makes an unknown message.
+    for (index, bit) in [(12, 1), (9, 0x40)] {
         let mut flipped = frame(BRICK, &HEARTBEAT);
-        flipped[place] ^= bit;
+        flipped[index] ^= bit;
         station.bytes(at(3_100), &[flipped, frame(BRICK, &HEARTBEAT)].concat());
     }
     let health = station.later_health(LINK);

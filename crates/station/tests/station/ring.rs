@@ -1,4 +1,4 @@
-//! Two stations that hear each other twice: frames do not circle.
+//! Two stations that are joined by two links: frames do not circle.
 
 use std::collections::BTreeMap;
 
@@ -15,10 +15,10 @@ type RingPort = (usize, LinkId);
 struct StationRing {
     stations: [TestStation; 2],
     in_transit: BytesInTransit<RingPort>,
-    seen: [usize; 2],
+    first_output: [usize; 2],
     /// How often each frame crossed between the stations, and how often it reached the listener.
     crossings: BTreeMap<Vec<u8>, u32>,
-    listened: BTreeMap<Vec<u8>, u32>,
+    received: BTreeMap<Vec<u8>, u32>,
     frames: u64,
 }
 
@@ -39,9 +39,9 @@ impl StationRing {
         Self {
             stations: [station(1), station(2)],
             in_transit: BytesInTransit::default(),
-            seen: [0, 0],
+            first_output: [0, 0],
             crossings: BTreeMap::new(),
-            listened: BTreeMap::new(),
+            received: BTreeMap::new(),
             frames: 0,
         }
     }
@@ -54,12 +54,12 @@ impl StationRing {
         for index in 0..2 {
             self.stations[index].pass_until(at(now));
             let station = &self.stations[index];
-            for sent in station.sent_since(self.seen[index]) {
+            for sent in station.sent_since(self.first_output[index]) {
                 let delay = match sent.link {
                     NEAR => 3,
                     FAR => 40,
                     _ => {
-                        *self.listened.entry(sent.bytes.to_vec()).or_default() += 1;
+                        *self.received.entry(sent.bytes.to_vec()).or_default() += 1;
                         continue;
                     }
                 };
@@ -69,7 +69,7 @@ impl StationRing {
                     self.in_transit.send(at(now + delay), (1 - index, sent.link), sent.bytes.to_vec());
                 }
             }
-            self.seen[index] = station.outputs.len();
+            self.first_output[index] = station.outputs.len();
         }
     }
 }
@@ -78,7 +78,7 @@ impl StationRing {
 fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
     let mut ring = StationRing::new();
     let mut brick = RemotePeer::new(Address::new(3, 1), LinkId(0), 0);
-    let mut said = Vec::new();
+    let mut sent = Vec::new();
     let mut per_minute = Vec::new();
     for minute in 0..3_i64 {
         let before = ring.frames;
@@ -88,14 +88,14 @@ fn two_stations_joined_by_two_links_do_not_let_frames_circle() {
                 let stamp = u32::try_from(now).expect("three minutes");
                 let frame = brick.frame(&ticks(5_000 + stamp, 0, 0));
                 brick.send_bytes(&mut ring.stations[0], at(now), &frame);
-                said.push(frame);
+                sent.push(frame);
             }
             ring.step(now);
         }
         per_minute.push(ring.frames - before);
     }
-    for frame in &said[..said.len() - 2] {
-        assert_eq!(ring.listened.get(frame), Some(&1), "reaches the listener once");
+    for frame in &sent[..sent.len() - 2] {
+        assert_eq!(ring.received.get(frame), Some(&1), "reaches the listener once");
         // Out by both links, and back by the slower one from the station that had it by the quicker one.
         assert_eq!(ring.crossings.get(frame), Some(&3));
     }

@@ -1,4 +1,4 @@
-//! One station with three links: whom it passes a frame on to, and that it is fused once.
+//! One station with three links: where it forwards a frame, and that it is fused once.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ fn three_links() -> StationConfig {
     config
 }
 
-/// A station that has heard a brick, a camera and two ground stations on one port.
+/// A station that has received a brick, a camera and two ground stations on one port.
 struct RoutingSetup {
     station: TestStation,
     brick: RemotePeer,
@@ -53,7 +53,7 @@ fn command() -> Message {
 }
 
 #[test]
-fn a_command_reaches_the_brick_its_answer_the_one_who_asked_and_telemetry_all_others() {
+fn a_command_reaches_the_brick_its_reply_the_requester_and_telemetry_all_others() {
     let mut setup = RoutingSetup::new(&three_links());
     let station = &mut setup.station;
     let to_brick = (LINK, Recipients::Peer(PeerId(0)), Priority::Command);
@@ -79,7 +79,7 @@ fn a_command_reaches_the_brick_its_answer_the_one_who_asked_and_telemetry_all_ot
 }
 
 #[test]
-fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_is_heard_on_its_own_link() {
+fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_stays_on_its_own_link() {
     let mut setup = RoutingSetup::new(&three_links());
     let station = &mut setup.station;
     for k in 0..60_u32 {
@@ -96,7 +96,7 @@ fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_is_heard_on_its_own_
     }
     let used = |source: Address| station.aligned().iter().filter(|aligned| aligned.source == source).count();
     assert_eq!(used(BRICK), 60);
-    // Each fix is used, or told to come before its clock is known; but once.
+    // Each fix is used, or reported as before its clock is known; but once.
     let unaligned = station.count(|event| matches!(event, Event::ReceiveError { .. }));
     assert!(used(CAMERA) > 20, "{}", used(CAMERA));
     assert_eq!(used(CAMERA) + unaligned, 60);
@@ -105,7 +105,7 @@ fn a_fix_that_goes_round_a_loop_is_fused_once_and_the_robot_is_heard_on_its_own_
 }
 
 #[test]
-fn what_a_filter_keeps_out_is_neither_believed_nor_passed_on() {
+fn a_filtered_message_is_neither_used_nor_forwarded() {
     let mut config = three_links();
     config.links[0].rules.inward.messages = AllowBlockList { allow: vec![], block: vec![ids::PB_WHEEL_TICKS] };
     config.links[2].rules.outward.systems = AllowBlockList { allow: vec![SystemId(2)], block: vec![] };
@@ -121,16 +121,16 @@ fn what_a_filter_keeps_out_is_neither_believed_nor_passed_on() {
 }
 
 #[test]
-fn rates_thin_telemetry_and_estimates_but_never_commands() {
+fn rates_limit_telemetry_and_estimates_but_never_commands() {
     let mut config = three_links();
-    let thin = |rules: &mut LinkRules| {
+    let limit = |rules: &mut LinkRules| {
         rules.limits.bytes_per_s = Some(200);
         let interval = TimeDelta::from_millis(200);
         rules.limits.min_intervals = BTreeMap::from([(ids::PB_WHEEL_TICKS, interval)]);
     };
     // Estimates of 64 bytes each leave to the brick, ticks of 25 bytes to the ground station.
-    thin(&mut config.links[0].rules);
-    thin(&mut config.links[2].rules);
+    limit(&mut config.links[0].rules);
+    limit(&mut config.links[2].rules);
     let mut setup = RoutingSetup::new(&config);
     let mut ticks_passed = 0;
     for k in 0..200_u32 {

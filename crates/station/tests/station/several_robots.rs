@@ -38,9 +38,9 @@ fn ids(station: &TestStation) -> Vec<RobotId> {
     station.engine.robots().iter().map(posebridge_station::Robot::id).collect()
 }
 
-/// Recipients and contents of what was sent after the first `seen` outputs.
-fn sent_since(station: &TestStation, seen: usize) -> Vec<(LinkId, Recipients, Message)> {
-    let sent = station.sent_since(seen);
+/// Recipients and contents of what was sent after the first `first_output` outputs.
+fn sent_since(station: &TestStation, first_output: usize) -> Vec<(LinkId, Recipients, Message)> {
+    let sent = station.sent_since(first_output);
     sent.flat_map(|sent| messages(sent.bytes).into_iter().map(move |message| (sent.link, sent.to, message))).collect()
 }
 
@@ -87,17 +87,17 @@ fn a_board_without_wheels_is_no_second_robot() {
 #[test]
 fn frames_of_robots_with_the_same_ids_that_are_equal_to_the_byte_are_all_used() {
     let (mut station, mut robots) = station_with(&config(), &[BRICK, BRICK]);
-    let seen = station.aligned().len();
+    let first_aligned = station.aligned().len();
     let bytes = robots[0].frame(&ticks(5_000, 9, 9));
     for (peer, millis) in [(0, 400), (1, 410)] {
         station.bytes_from(at(millis), LINK, PeerId(peer), &bytes);
     }
-    let used = station.aligned()[seen..].iter().map(|aligned| aligned.robot).collect::<Vec<_>>();
+    let used = station.aligned()[first_aligned..].iter().map(|aligned| aligned.robot).collect::<Vec<_>>();
     assert_eq!(used, ids(&station));
 }
 
 #[test]
-fn what_a_robot_sends_before_it_is_told_apart_is_used_when_it_is() {
+fn messages_of_a_contested_robot_are_used_when_it_is_identified() {
     let (station, _) = station_with(&config(), &[BRICK, BRICK]);
     let second = ids(&station)[1];
     let aligned = station.aligned().into_iter().filter(|aligned| aligned.robot == second);
@@ -106,25 +106,27 @@ fn what_a_robot_sends_before_it_is_told_apart_is_used_when_it_is() {
 }
 
 #[test]
-fn a_robot_that_requests_a_message_gets_its_own_and_nobody_else_gets_it() {
+fn a_robot_that_requests_a_message_gets_its_own_and_no_other_gets_it() {
     let (mut station, mut robots) = station_with(&config(), &[BRICK, NEIGHBOUR]);
     let request = |message_id: u32| {
         let params = [message_id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         Message::Command(CommandLong { target: STATION, command: COMMAND_REQUEST_MESSAGE, params })
     };
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     robots[1].send(&mut station, at(400), &request(ids::PB_PLANAR_POSE));
-    let poses = sent_since(&station, seen).into_iter().filter_map(|(_, to, message)| match message {
+    let poses = sent_since(&station, first_output).into_iter().filter_map(|(_, to, message)| match message {
         Message::PlanarPose(pose) => Some((to, pose.stamp)),
         _ => None,
     });
     let [(to, stamp)] = poses.collect::<Vec<_>>()[..] else { panic!("one pose was requested") };
     assert_eq!(to, Recipients::Peer(PeerId(1)));
     assert!(matches!(stamp, WireStamp::Micros32(10_200_000)), "by the clock of the robot that asks: {stamp:?}");
-    // Nobody could tell whose pose it is.
-    let seen = station.outputs.len();
+    // The pose could not be assigned to a robot.
+    let first_output = station.outputs.len();
     RemotePeer::new(Address::new(254, 190), LINK, 9).send(&mut station, at(500), &request(ids::PB_PLANAR_POSE));
-    assert!(!sent_since(&station, seen).iter().any(|(_, _, message)| matches!(message, Message::PlanarPose(_))));
+    assert!(
+        !sent_since(&station, first_output).iter().any(|(_, _, message)| matches!(message, Message::PlanarPose(_)))
+    );
 }
 
 #[test]
@@ -132,10 +134,11 @@ fn a_robot_changes_the_interval_of_its_own_messages_alone() {
     let (mut station, mut robots) = station_with(&config(), &[BRICK, NEIGHBOUR]);
     let never = SetMessageInterval { target: STATION, message_id: ids::PB_PLANAR_POSE, interval: None };
     robots[1].send(&mut station, at(240), &Message::SetMessageInterval(never));
-    let seen = station.outputs.len();
+    let first_output = station.outputs.len();
     drive(&mut station, &mut robots, 5);
-    let poses =
-        sent_since(&station, seen).into_iter().filter(|(_, _, message)| matches!(message, Message::PlanarPose(_)));
+    let poses = sent_since(&station, first_output)
+        .into_iter()
+        .filter(|(_, _, message)| matches!(message, Message::PlanarPose(_)));
     assert_eq!(poses.map(|(_, to, _)| to).collect::<Vec<_>>(), [Recipients::Peer(PeerId(0))]);
 }
 
@@ -182,7 +185,7 @@ fn a_source_that_is_left_out_is_left_out_of_robots_that_appear_later() {
 }
 
 #[test]
-fn a_robot_of_redundant_links_takes_the_block_of_either_and_hears_its_estimate_on_both() {
+fn a_robot_of_redundant_links_takes_the_block_of_either_and_gets_its_estimate_on_both() {
     let links = [LINK, OTHER_LINK];
     for matched in links {
         let mut config = config();
@@ -241,7 +244,7 @@ impl TwoRobotSetup {
         setup
     }
 
-    /// Both robots tell their wheels, one after the other.
+    /// Both robots send their wheels, one after the other.
     fn drive(&mut self) {
         for robot in 0..2 {
             let counts = i64::from(1_000 * robot as u32 + self.now_ms);
@@ -255,10 +258,10 @@ impl TwoRobotSetup {
         self.robots[robot].send(&mut self.station, now, message);
     }
 
-    /// The frames that were sent on a link since `seen` outputs: recipients, sender, message and target.
-    fn frames_since(&self, seen: usize, on: LinkId) -> Vec<(Recipients, Address, Message)> {
+    /// The frames that were sent on a link since `first_output` outputs: recipients, sender, message and target.
+    fn frames_since(&self, first_output: usize, on: LinkId) -> Vec<(Recipients, Address, Message)> {
         let mut frames = Vec::new();
-        for sent in self.station.sent_since(seen).filter(|sent| sent.link == on) {
+        for sent in self.station.sent_since(first_output).filter(|sent| sent.link == on) {
             Framer::new(FramerConfig::default()).push(sent.now, sent.bytes, &mut |found| match found {
                 FramerOutput::Frame(frame) => {
                     let message = dialect::decode(&frame).expect("it makes sense");
@@ -274,14 +277,14 @@ impl TwoRobotSetup {
 #[test]
 fn every_frame_of_the_second_robot_bears_the_system_that_is_announced() {
     let mut setup = TwoRobotSetup::new();
-    let seen = setup.station.outputs.len();
-    let text = |words: &str| Message::StatusText { severity: 4, text: words.to_owned(), part: TextPart::default() };
+    let first_output = setup.station.outputs.len();
+    let text = |content: &str| Message::StatusText { severity: 4, text: content.to_owned(), part: TextPart::default() };
     setup.send(0, &text("first"));
     setup.send(1, &text("second"));
     setup.drive();
-    let frames = setup.frames_since(seen, GCS_LINK);
-    let sent = |wanted: Message| {
-        frames.iter().filter(|(_, _, message)| *message == wanted).map(|(_, from, _)| *from).collect::<Vec<_>>()
+    let frames = setup.frames_since(first_output, GCS_LINK);
+    let sent = |expected: Message| {
+        frames.iter().filter(|(_, _, message)| *message == expected).map(|(_, from, _)| *from).collect::<Vec<_>>()
     };
     assert_eq!(sent(text("first")), [BRICK]);
     assert_eq!(sent(text("second")), [SECOND]);
@@ -290,13 +293,13 @@ fn every_frame_of_the_second_robot_bears_the_system_that_is_announced() {
 }
 
 #[test]
-fn what_is_said_to_one_of_two_robots_with_the_same_ids_reaches_that_one_under_its_own_ids() {
+fn a_message_to_one_of_two_robots_with_the_same_ids_reaches_that_one_under_its_own_ids() {
     let mut setup = TwoRobotSetup::new();
     for (target, peer) in [(BRICK, 0), (SECOND, 1)] {
-        let seen = setup.station.outputs.len();
+        let first_output = setup.station.outputs.len();
         setup.gcs.send(&mut setup.station, at(400), &Message::ParamRequestList { target });
         let expected = (Recipients::Peer(PeerId(peer)), GCS, Message::ParamRequestList { target: BRICK });
-        let frames = setup.frames_since(seen, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
+        let frames = setup.frames_since(first_output, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
         assert_eq!(frames.collect::<Vec<_>>(), [expected], "{target}");
     }
 }

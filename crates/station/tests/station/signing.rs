@@ -1,4 +1,4 @@
-//! A link with a key: who has it is heard, who has not is counted, and what the station says can be checked.
+//! A link with a key: frames with it are received, others are counted, and the station's frames can be verified.
 
 use std::collections::BTreeSet;
 
@@ -99,7 +99,7 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
 }
 
 #[test]
-fn what_the_station_says_is_signed_with_rising_stamps() {
+fn the_stations_frames_are_signed_with_rising_stamps() {
     let mut station = TestStation::new(&config());
     let mut brick = Brick::with_key(7);
     for k in 0..20_u32 {
@@ -128,7 +128,7 @@ fn what_the_station_says_is_signed_with_rising_stamps() {
 }
 
 #[test]
-fn what_was_heard_before_a_restart_is_refused_after_it() {
+fn frames_received_before_a_restart_are_refused_after_it() {
     let mut station = TestStation::new(&config());
     let mut brick = Brick::with_key(7);
     let before = brick.send(at(100), &HEARTBEAT);
@@ -151,7 +151,7 @@ fn what_was_heard_before_a_restart_is_refused_after_it() {
 }
 
 #[test]
-fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from() {
+fn an_allowed_unsigned_frame_teaches_nothing_about_its_claimed_sender() {
     let mut config = config();
     config.links.push(link(GCS_LINK, vec![]));
     let heartbeats = UnsignedPolicy::RejectExcept(BTreeSet::from([0]));
@@ -174,16 +174,16 @@ fn a_frame_that_may_come_unsigned_teaches_nothing_about_who_it_claims_to_be_from
     station.bytes(at(30), &unsigned);
     station.bytes(at(40), &brick.send(at(40), &ticks(5_000, 0, 0)));
     assert_eq!(refusals(&station), []);
-    let mut reached = |target: Address| {
+    let mut links_reached = |target: Address| {
         let command = Message::Command(CommandLong { target, command: 400, params: [1.0; 7] });
-        let seen = station.outputs.len();
+        let first_output = station.outputs.len();
         station.bytes_from(at(50), GCS_LINK, PeerId::default(), &frame(Address::new(254, 190), &command));
-        let commands = station.sent_since(seen).filter(|sent| sent.priority == Priority::Command);
+        let commands = station.sent_since(first_output).filter(|sent| sent.priority == Priority::Command);
         commands.map(|sent| sent.link).collect::<Vec<_>>()
     };
-    assert_eq!(reached(BRICK), [LINK]);
-    assert_eq!(reached(Address::new(2, 0)), []);
-    assert_eq!(reached(Address::new(9, 9)), []);
+    assert_eq!(links_reached(BRICK), [LINK]);
+    assert_eq!(links_reached(Address::new(2, 0)), []);
+    assert_eq!(links_reached(Address::new(9, 9)), []);
     station.pass_until(at(1_000));
     let (health, sources) = station.health(LINK);
     assert_eq!((health.frames_lost, sources.len()), (0, 1));

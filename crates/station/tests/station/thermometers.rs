@@ -18,12 +18,12 @@ fn named(name: &str, millis: u32, degrees_c: f64) -> Message {
     }
 }
 
-/// What a sensor of 20 s shows that has gone from 20 to 50 degrees for so long.
+/// The reading of a sensor of 20 s that was moved from 20 to 50 degrees so long ago.
 fn shown_c(since_s: f64) -> f64 {
     50.0 - 30.0 * (-since_s / 20.0).exp()
 }
 
-/// A temperature with all that was told of it.
+/// A temperature with its report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct TemperatureReport {
     address: Address,
@@ -66,8 +66,8 @@ fn the_pose_is_the_same_with_a_thermometer_and_leaves_before_it() {
 
     assert_eq!(temperature_reports(&with).len(), 200);
     let is_temperature = |output: &Output| matches!(output, Output::Event(Event::Temperature { .. }));
-    let place = with.outputs.iter().position(|(_, output)| is_temperature(output));
-    let before = &with.outputs[..place.expect("it was told")];
+    let first_report = with.outputs.iter().position(|(_, output)| is_temperature(output));
+    let before = &with.outputs[..first_report.expect("it was told")];
     let first = before.iter().filter(|(now, _)| *now == at(100));
     let has_left = |output: &Output| match output {
         Output::Transmit { bytes, .. } => {
@@ -99,11 +99,11 @@ fn a_board_of_thermometers_is_followed_and_is_not_the_robot() {
     station.pass_until(at(30_000));
     let robots: Vec<Address> = station.aligned().iter().map(|aligned| aligned.robot.address).collect();
     assert_eq!(robots, [BRICK; 2]);
-    let told = temperature_reports(&station);
-    assert_eq!(told.len(), 160);
+    let reports = temperature_reports(&station);
+    assert_eq!(reports.len(), 160);
     for (name, end_c, least_k) in [("temp_a", 50.0, 0.5), ("temp_b", 4.0, 0.2)] {
         let channel = ChannelName::from_bytes(name.as_bytes());
-        let last = told.iter().rfind(|told| told.channel == channel);
+        let last = reports.iter().rfind(|report| report.channel == channel);
         let last = last.expect("it was told");
         assert_eq!((last.address, last.verdict), (BATH, FusionOutcome::Accepted));
         let settled = last.settled.expect("it was read");
@@ -112,7 +112,7 @@ fn a_board_of_thermometers_is_followed_and_is_not_the_robot() {
 }
 
 #[test]
-fn damaged_temperatures_are_told_and_change_nothing() {
+fn damaged_temperatures_are_reported_and_change_nothing() {
     let mut station = TestStation::new(&config());
     station.bytes(at(100), &frame(BATH, &named("temp", 1_000, 20.0)));
     for damaged in [f64::NAN, f64::INFINITY, -300.0, 1e9] {
@@ -121,16 +121,16 @@ fn damaged_temperatures_are_told_and_change_nothing() {
     // Twice the same instant, and one from before.
     station.bytes(at(300), &frame(BATH, &named("temp", 1_000, 25.0)));
     station.bytes(at(310), &frame(BATH, &named("temp", 900, 25.0)));
-    let verdicts: Vec<FusionOutcome> = temperature_reports(&station).iter().map(|told| told.verdict).collect();
+    let verdicts: Vec<FusionOutcome> = temperature_reports(&station).iter().map(|report| report.verdict).collect();
     let expected = [FusionOutcome::Accepted, FusionOutcome::Malformed, FusionOutcome::TooOld];
     assert_eq!(verdicts, expected);
-    let settled: Vec<_> = temperature_reports(&station).iter().map(|told| told.settled).collect();
+    let settled: Vec<_> = temperature_reports(&station).iter().map(|report| report.settled).collect();
     assert!(settled.iter().all(|settled| *settled == settled_first(&station)));
     assert_eq!(station.count(|event| matches!(event, Event::ReceiveError { .. })), 4);
 }
 
 fn settled_first(station: &TestStation) -> Option<ScalarEstimate> {
-    temperature_reports(station).first().and_then(|told| told.settled)
+    temperature_reports(station).first().and_then(|report| report.settled)
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn a_board_that_was_switched_off_and_on_begins_anew() {
 }
 
 #[test]
-fn a_crowd_of_made_up_names_is_bounded_and_told_once() {
+fn invented_channel_names_are_bounded_and_reported_once() {
     let mut station = TestStation::new(&config());
     for k in 0..40_u32 {
         let message = named(&format!("temp{k}"), 1_000 + k, 20.0);

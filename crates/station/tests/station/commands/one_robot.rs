@@ -10,11 +10,11 @@ use posebridge_telemetry::{
     SimulatorCommand, SteeringSource,
 };
 
-/// Its component is none of a vehicle: towards ground stations the station speaks for it.
+/// Its component is none of a vehicle: towards ground stations the station sends for it.
 const OTHER: Address = Address::new(2, 7);
 const OTHER_ROBOT: RobotId = RobotId { link: LINK, address: OTHER };
 
-/// Two robots that stand at the arena's origin.
+/// Two robots at rest at the arena's origin.
 fn two_robots() -> Ground {
     let mut ground = Ground::new(|config| config.links[1].announced_as = AnnouncedAs::StationAndVehicle);
     for millis in [100_u32, 150, 200] {
@@ -42,7 +42,7 @@ fn positions(ground: &Ground) -> Vec<(f64, usize)> {
 }
 
 #[test]
-fn a_command_for_one_robot_leaves_the_others_alone_and_says_whose_it_was() {
+fn a_command_for_one_robot_leaves_the_others_alone_and_names_it() {
     let mut ground = two_robots();
     let switch = Command::SwitchSource { sensor: SensorId::GYRO, to: SensorSwitch::Off };
     for (millis, command) in [(300, set_pose(1.5)), (310, switch)] {
@@ -60,7 +60,7 @@ fn a_command_for_one_robot_leaves_the_others_alone_and_says_whose_it_was() {
 }
 
 #[test]
-fn what_is_for_the_whole_station_and_what_is_for_nobody_are_told_apart() {
+fn commands_for_the_station_and_for_an_unknown_robot_are_distinguished() {
     let mut ground = two_robots();
     let steer = SimulatorCommand::Steering(SteeringSource::Estimate);
     for command in [Command::Parameters(ParameterStorage::Default), Command::Simulator(steer)] {

@@ -8,7 +8,7 @@ use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_telemetry::{Command, Input, OnlineCalibration, ParameterStorage, PeerId, SensorId, SensorSwitch};
 
-/// All that can be asked, over a link and as a command, while the robot drives.
+/// All requests, over a link and as a command, while the robot drives.
 fn busy() -> Ground {
     let mut ground = Ground::new(with_calibration);
     ground.drive(0, 1_000);
@@ -68,15 +68,15 @@ fn bytes_with_requests_may_come_in_any_pieces() {
     }
     let answers = |chunk: usize| {
         let mut ground = Ground::new(|_| {});
-        let seen = ground.station.outputs.len();
+        let first_output = ground.station.outputs.len();
         for bytes in bytes.chunks(chunk) {
             ground.station.bytes_from(at(100), GCS_LINK, PeerId::default(), bytes);
         }
-        ground.received_since(seen, GCS_LINK)
+        ground.received_since(first_output, GCS_LINK)
     };
-    let whole = answers(bytes.len());
-    assert_eq!(whole.len(), 5);
+    let expected = answers(bytes.len());
+    assert_eq!(expected.len(), 5);
     for chunk in 1..bytes.len() {
-        assert_eq!(answers(chunk), whole, "chunks of {chunk}");
+        assert_eq!(answers(chunk), expected, "chunks of {chunk}");
     }
 }

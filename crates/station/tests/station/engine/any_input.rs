@@ -13,8 +13,8 @@ use proptest::test_runner::RngSeed;
 fn any_input() -> impl Strategy<Value = (i64, Input)> {
     let link = prop_oneof![4 => Just(LINK), 1 => Just(LinkId(9))];
     let tempting = prop_oneof![3 => any::<u8>(), 1 => Just(0xFD_u8), 2 => 0_u8..10];
-    let frames = (any::<u32>(), any::<i32>(), any::<u8>()).prop_map(|(millis, count, who)| {
-        let source = Address::new(1, who % 3);
+    let frames = (any::<u32>(), any::<i32>(), any::<u8>()).prop_map(|(millis, count, component)| {
+        let source = Address::new(1, component % 3);
         let count = i64::from(count);
         frame(source, &ticks(millis / 1_000, count, -count))
     });
@@ -91,7 +91,7 @@ proptest! {
     #![proptest_config(cases())]
 
     #[test]
-    fn whatever_comes_the_engine_neither_panics_nor_spins(
+    fn for_any_input_the_engine_neither_panics_nor_spins(
         inputs in prop::collection::vec(any_input(), 1..60),
         begin in prop_oneof![3 => Just(0_i64), 1 => any::<i64>(), 1 => Just(i64::MAX - 5)],
     ) {

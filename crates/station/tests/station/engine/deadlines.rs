@@ -17,9 +17,9 @@ fn ticks_at_the_deadlines_and_nowhere_else_miss_nothing_and_do_not_spin() {
         count += 1;
     }
     let sent = sent_messages(&station);
-    let times = |wanted: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
-        let wanted = sent.iter().filter(|(_, message)| wanted(message));
-        wanted.map(|(now, _)| *now).collect()
+    let times = |matches: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
+        let selected = sent.iter().filter(|(_, message)| matches(message));
+        selected.map(|(now, _)| *now).collect()
     };
     let heartbeats = times(|message| matches!(message, Message::Heartbeat(_)));
     let expected: Vec<_> = (0..=20).map(|k| at(k * 1_000)).collect();
@@ -38,29 +38,29 @@ fn stalled(station: &TestStation) -> bool {
 }
 
 #[test]
-fn what_comes_to_light_behind_a_torn_frame_is_acted_upon_at_once() {
+fn a_frame_after_a_truncated_one_is_handled_at_once() {
     let mut station = TestStation::new(&config());
     station.pass_until(at(250));
-    // A whole heartbeat hidden behind the header of a long frame that never ends.
-    let torn = [0xFD, 200, 0, 0, 0, 1, 1, 0x4B, 0x01, 0x00];
-    station.bytes(at(310), &[&torn[..], &frame(BRICK, &HEARTBEAT)].concat());
+    // A complete heartbeat hidden behind the header of a long frame that never ends.
+    let truncated = [0xFD, 200, 0, 0, 0, 1, 1, 0x4B, 0x01, 0x00];
+    station.bytes(at(310), &[&truncated[..], &frame(BRICK, &HEARTBEAT)].concat());
     station.pass_until(at(360));
     assert!(station.events().any(|event| matches!(event, Event::RobotDetected { .. })));
     assert!(station.engine.deadline().is_some_and(|due| due > at(360)));
-    let asked = station.sent().any(|sent| {
+    let is_requested = station.sent().any(|sent| {
         let is_request = |message: &Message| matches!(message, Message::SetMessageInterval(_));
         sent.now == at(360) && messages(sent.bytes).iter().any(is_request)
     });
-    assert!(asked, "the robot is asked for its messages");
+    assert!(is_requested, "the robot is asked for its messages");
 }
 
 #[test]
-fn a_whole_frame_behind_a_torn_one_survives_the_loss_of_its_link() {
+fn a_complete_frame_after_a_truncated_one_survives_the_loss_of_its_link() {
     let mut station = TestStation::new(&config());
     // The header of an ODOMETRY (331) of 232 bytes: much more must come until it is refused.
-    let torn = [0xFD, 232, 0, 0, 7, 1, 1, 0x4B, 0x01, 0];
-    let whole = frame(BRICK, &ticks(5_100, 3, 3));
-    station.bytes(at(150), &[&torn[..], &whole].concat());
+    let truncated = [0xFD, 232, 0, 0, 7, 1, 1, 0x4B, 0x01, 0];
+    let complete = frame(BRICK, &ticks(5_100, 3, 3));
+    station.bytes(at(150), &[&truncated[..], &complete].concat());
     station.link(at(160), LINK, LinkState::Down);
     station.pass_until(at(2_000));
     assert_eq!(station.health(LINK).0.frames_in, 1);
@@ -70,8 +70,8 @@ fn a_whole_frame_behind_a_torn_one_survives_the_loss_of_its_link() {
 fn a_link_that_is_down_gets_nothing_and_begins_anew_when_it_is_up() {
     let mut station = TestStation::new(&config());
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
-    let torn = frame(BRICK, &ticks(5_050, 9, 9));
-    station.bytes(at(150), &torn[..10]);
+    let truncated = frame(BRICK, &ticks(5_050, 9, 9));
+    station.bytes(at(150), &truncated[..10]);
     station.link(at(160), LINK, LinkState::Down);
     let before = station.sent().count();
     station.pass_until(at(4_500));

@@ -9,7 +9,7 @@ use posebridge_station::{OutputInstant, OutputKind};
 use posebridge_telemetry::{Event, HostClock, Output, TimeDelta, Timestamp};
 
 #[test]
-fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
+fn a_peer_may_request_a_message_at_an_interval_and_stop_it_again() {
     let mut config = config();
     config.links[0].outputs = vec![];
     let mut station = TestStation::new(&config);
@@ -34,7 +34,7 @@ fn a_peer_may_ask_for_a_message_at_an_interval_and_stop_it_again() {
 }
 
 #[test]
-fn the_status_message_tells_how_near_the_gate_the_last_fix_was() {
+fn the_status_message_has_the_gate_ratio_of_the_last_fix() {
     let mut config = config();
     config.links[0].outputs = vec![stream(OutputKind::EstimatorStatus, 0)];
     let setup = driven(&config);
@@ -57,9 +57,9 @@ fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
         vec![stream(OutputKind::PlanarPose, 0), stream(OutputKind::Odometry, 100), stream(OutputKind::Attitude, 1_000)];
     let setup = driven(&config);
     let sent = sent_messages(&setup.station);
-    let of = |wanted: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
-        let wanted = sent.iter().filter(|(_, message)| wanted(message));
-        wanted.map(|(now, _)| *now).collect()
+    let of = |matches: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
+        let selected = sent.iter().filter(|(_, message)| matches(message));
+        selected.map(|(now, _)| *now).collect()
     };
     let poses = of(|message| matches!(message, Message::PlanarPose(_)));
     assert_eq!(poses.len(), setup.station.estimates().len());
@@ -79,7 +79,7 @@ fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
 }
 
 #[test]
-fn an_estimate_for_its_arrival_lies_ahead_and_says_that_it_is_predicted() {
+fn an_estimate_for_its_arrival_lies_ahead_and_is_marked_as_predicted() {
     let mut config = config();
     config.links[0].outputs[0].instant = OutputInstant::Arrival;
     let ahead = planar_poses(&driven(&config));

@@ -28,10 +28,10 @@ impl RemoteTime {
     }
 
     pub(crate) fn at(&self, host_s: f64) -> f64 {
-        let place = (host_s / GRID_S).max(0.0);
-        let k = (place as usize).min(self.gained_s.len() - 2);
+        let grid_position = (host_s / GRID_S).max(0.0);
+        let k = (grid_position as usize).min(self.gained_s.len() - 2);
         let (before_s, after_s) = (self.gained_s[k], self.gained_s[k + 1]);
-        self.start_s + host_s + before_s + (place - k as f64) * (after_s - before_s)
+        self.start_s + host_s + before_s + (grid_position - k as f64) * (after_s - before_s)
     }
 }
 

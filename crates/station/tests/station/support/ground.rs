@@ -29,7 +29,7 @@ impl Ground {
         ground
     }
 
-    /// The ground station says something; what the station answers on its link, beside heartbeats and time requests.
+    /// The ground station sends a message; the station's replies on its link, beside heartbeats and time requests.
     pub(crate) fn send(&mut self, millis: i64, message: &Message) -> Vec<Message> {
         self.send_on(GCS_LINK, millis, message)
     }
@@ -37,9 +37,9 @@ impl Ground {
     pub(crate) fn send_on(&mut self, link: LinkId, millis: i64, message: &Message) -> Vec<Message> {
         let mut bytes = Vec::new();
         self.encoder.encode(GCS, message, &mut bytes);
-        let seen = self.station.outputs.len();
+        let first_output = self.station.outputs.len();
         self.station.bytes_from(at(millis), link, PeerId::default(), &bytes);
-        self.received_since(seen, link)
+        self.received_since(first_output, link)
     }
 
     pub(crate) fn set(&mut self, millis: i64, name: &str, value: f32) -> Vec<Message> {
@@ -63,10 +63,10 @@ impl Ground {
         result.expect("an answer")
     }
 
-    pub(crate) fn received_since(&self, seen: usize, on: LinkId) -> Vec<Message> {
-        let mut heard = self.station.messages_since(seen, on);
-        heard.retain(|message| !matches!(message, Message::Heartbeat(_) | Message::TimeSync(_)));
-        heard
+    pub(crate) fn received_since(&self, first_output: usize, on: LinkId) -> Vec<Message> {
+        let mut messages = self.station.messages_since(first_output, on);
+        messages.retain(|message| !matches!(message, Message::Heartbeat(_) | Message::TimeSync(_)));
+        messages
     }
 
     /// The robot drives straight on at 0.2 m/s for a while, seen each 200 ms from outside where it is.

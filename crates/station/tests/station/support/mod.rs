@@ -152,9 +152,9 @@ impl TestStation {
         self.events_since(0)
     }
 
-    /// The events after the first `seen` outputs.
-    pub(crate) fn events_since(&self, seen: usize) -> impl Iterator<Item = &Event> {
-        self.outputs[seen..].iter().filter_map(|(_, output)| match output {
+    /// The events after the first `first_output` outputs.
+    pub(crate) fn events_since(&self, first_output: usize) -> impl Iterator<Item = &Event> {
+        self.outputs[first_output..].iter().filter_map(|(_, output)| match output {
             Output::Event(event) => Some(event),
             Output::Transmit { .. } | Output::Request(_) => None,
         })
@@ -194,9 +194,9 @@ impl TestStation {
         aligned.collect()
     }
 
-    /// How often bytes came from somebody whose clock is not known.
-    pub(crate) fn unaligned(&self, who: Address) -> Vec<Timestamp<HostClock>> {
-        let expected = ReceiveError::ClockNotAligned { source: who };
+    /// How often bytes came from a source whose clock is not known.
+    pub(crate) fn unaligned(&self, source: Address) -> Vec<Timestamp<HostClock>> {
+        let expected = ReceiveError::ClockNotAligned { source };
         self.when(|event| matches!(event, Event::ReceiveError { defect, .. } if *defect == expected))
     }
 
@@ -212,7 +212,7 @@ impl TestStation {
         *self.estimates().last().expect("there is one")
     }
 
-    /// What the station itself says to people.
+    /// The station's own status texts.
     pub(crate) fn texts(&self) -> Vec<&str> {
         let texts = self.events().filter_map(|event| match event {
             Event::Text { source, text, .. } if *source == STATION => Some(text.as_str()),
@@ -242,9 +242,9 @@ impl TestStation {
         self.sent_since(0)
     }
 
-    /// What was sent on any link after the first `seen` outputs.
-    pub(crate) fn sent_since(&self, seen: usize) -> impl Iterator<Item = SentBytes<'_>> {
-        self.outputs[seen..].iter().filter_map(|(now, output)| match output {
+    /// What was sent on any link after the first `first_output` outputs.
+    pub(crate) fn sent_since(&self, first_output: usize) -> impl Iterator<Item = SentBytes<'_>> {
+        self.outputs[first_output..].iter().filter_map(|(now, output)| match output {
             Output::Transmit { link, to, priority, bytes } => {
                 Some(SentBytes { now: *now, link: *link, to: *to, priority: *priority, bytes })
             }
@@ -252,15 +252,16 @@ impl TestStation {
         })
     }
 
-    /// The messages that were sent on a link after the first `seen` outputs.
-    pub(crate) fn messages_since(&self, seen: usize, on: LinkId) -> Vec<Message> {
-        self.sent_since(seen).filter(|sent| sent.link == on).flat_map(|sent| messages(sent.bytes)).collect()
+    /// The messages that were sent on a link after the first `first_output` outputs.
+    pub(crate) fn messages_since(&self, first_output: usize, on: LinkId) -> Vec<Message> {
+        self.sent_since(first_output).filter(|sent| sent.link == on).flat_map(|sent| messages(sent.bytes)).collect()
     }
 
-    /// The time requests after the first `seen` outputs.
-    pub(crate) fn time_requests(&self, seen: usize) -> Vec<TimeRequest> {
-        let messages =
-            self.sent_since(seen).flat_map(|sent| messages(sent.bytes).into_iter().map(move |said| (sent, said)));
+    /// The time requests after the first `first_output` outputs.
+    pub(crate) fn time_requests(&self, first_output: usize) -> Vec<TimeRequest> {
+        let messages = self
+            .sent_since(first_output)
+            .flat_map(|sent| messages(sent.bytes).into_iter().map(move |message| (sent, message)));
         let requests = messages.filter_map(|(sent, message)| match message {
             Message::TimeSync(sync) if sync.answer_nanos == 0 => {
                 Some(TimeRequest { sent: sent.now, link: sent.link, nanos: sync.request_nanos })

@@ -29,7 +29,7 @@ impl RemotePeer {
         bytes
     }
 
-    /// Says something to a station, and returns whom the station passed it on to.
+    /// Sends a message to a station, and returns where the station forwarded it.
     pub(crate) fn send(
         &mut self,
         station: &mut TestStation,
@@ -40,26 +40,30 @@ impl RemotePeer {
         self.send_bytes(station, now, &bytes)
     }
 
-    /// Gives bytes to a station as if this speaker had sent them, and returns whom the station passed them on to.
+    /// Gives bytes to a station as if this peer had sent them, and returns where the station forwarded them.
     pub(crate) fn send_bytes(
         &self,
         station: &mut TestStation,
         now: Timestamp<HostClock>,
         bytes: &[u8],
     ) -> Vec<(LinkId, Recipients, Priority)> {
-        let seen = station.outputs.len();
+        let first_output = station.outputs.len();
         station.bytes_from(now, self.link, self.peer, bytes);
-        forwarded_since(station, seen, bytes)
+        forwarded_since(station, first_output, bytes)
     }
 }
 
-/// To whom exactly these bytes were sent, among the outputs after the first `seen`.
-pub(crate) fn forwarded_since(station: &TestStation, seen: usize, frame: &[u8]) -> Vec<(LinkId, Recipients, Priority)> {
-    let sent = station.sent_since(seen).filter(|sent| sent.bytes == frame);
+/// The recipients of exactly these bytes, among the outputs after the first `first_output`.
+pub(crate) fn forwarded_since(
+    station: &TestStation,
+    first_output: usize,
+    frame: &[u8],
+) -> Vec<(LinkId, Recipients, Priority)> {
+    let sent = station.sent_since(first_output).filter(|sent| sent.bytes == frame);
     sent.map(|sent| (sent.link, sent.to, sent.priority)).collect()
 }
 
-/// Bytes with their instants of arrival and the place where they arrive, first come first.
+/// Bytes with their instants of arrival and their destination, first come first.
 #[derive(Default)]
 pub(crate) struct BytesInTransit<P> {
     queue: BTreeMap<(Timestamp<HostClock>, u64), (P, Vec<u8>)>,
@@ -67,9 +71,9 @@ pub(crate) struct BytesInTransit<P> {
 }
 
 impl<P> BytesInTransit<P> {
-    pub(crate) fn send(&mut self, arrival: Timestamp<HostClock>, place: P, bytes: Vec<u8>) {
+    pub(crate) fn send(&mut self, arrival: Timestamp<HostClock>, destination: P, bytes: Vec<u8>) {
         self.sent += 1;
-        self.queue.insert((arrival, self.sent), (place, bytes));
+        self.queue.insert((arrival, self.sent), (destination, bytes));
     }
 
     /// The next that arrives until `now`.
@@ -78,8 +82,8 @@ impl<P> BytesInTransit<P> {
         (entry.key().0 <= now).then(|| entry.remove())
     }
 
-    /// Everything that is on its way to some place is lost.
+    /// Everything in transit to some destinations is lost.
     pub(crate) fn lose(&mut self, is_lost: impl Fn(&P) -> bool) {
-        self.queue.retain(|_, (place, _)| !is_lost(place));
+        self.queue.retain(|_, (destination, _)| !is_lost(destination));
     }
 }

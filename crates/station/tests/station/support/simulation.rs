@@ -28,7 +28,7 @@ pub(crate) struct StationSimulation {
     rng: Pcg64,
     to_station: BytesInTransit,
     to_robot: BytesInTransit,
-    seen_outputs: usize,
+    handled_outputs: usize,
 }
 
 impl StationSimulation {
@@ -39,7 +39,7 @@ impl StationSimulation {
             station: TestStation::new(config),
             to_station: VecDeque::new(),
             to_robot: VecDeque::new(),
-            seen_outputs: 0,
+            handled_outputs: 0,
         }
     }
 
@@ -74,8 +74,8 @@ impl StationSimulation {
     }
 
     fn send_back(&mut self) {
-        let fresh: Vec<_> = self.station.sent_since(self.seen_outputs).map(|sent| sent.bytes.to_vec()).collect();
-        self.seen_outputs = self.station.outputs.len();
+        let fresh: Vec<_> = self.station.sent_since(self.handled_outputs).map(|sent| sent.bytes.to_vec()).collect();
+        self.handled_outputs = self.station.outputs.len();
         for bytes in fresh {
             let arrival = self.arrival(self.to_robot.back().map(|last| last.0));
             self.to_robot.push_back((arrival, bytes));
@@ -88,7 +88,7 @@ impl StationSimulation {
         last.map_or(arrival, |last| last.max(arrival))
     }
 
-    /// Cuts the link for some seconds: what is on its way is lost.
+    /// Cuts the link for some seconds: bytes in transit are lost.
     pub(crate) fn cut_for(&mut self, seconds: i64) {
         self.station.link(self.now(), LINK, LinkState::Down);
         for _ in 0..seconds * 1_000 {

@@ -1,4 +1,4 @@
-//! Many peers on one link: robots of which one is silent and one sends garbage, and senders that somebody has invented.
+//! Many peers on one link: robots of which one is silent and one sends garbage, and invented senders.
 
 use std::collections::BTreeSet;
 
@@ -14,10 +14,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 const ROBOTS: u32 = 498;
-/// Has begun a frame once and says nothing more.
+/// Has begun a frame once and sends nothing more.
 const SILENT: PeerId = PeerId(ROBOTS);
 const BEGUN: [u8; 12] = [0xFD, 232, 0, 0, 0, 1, 1, 0x4B, 0x01, 0, 7, 7];
-const MAD: PeerId = PeerId(ROBOTS + 1);
+const NOISY: PeerId = PeerId(ROBOTS + 1);
 const ROUNDS: u32 = 20;
 const PERIOD_MS: i64 = 50;
 /// By so many frames the sequence numbers of two robots with one address differ.
@@ -25,12 +25,12 @@ const AHEAD: u32 = 60;
 /// Bytes of garbage per robot and round.
 const GARBAGE: usize = 40;
 
-/// Two robots share each address: eight bits of system ids run out, and the link tells them apart.
+/// Two robots share each address: eight bits of system ids run out, and the link distinguishes them.
 fn address(robot: u32) -> Address {
     Address::new(1 + (robot % 249) as u8, 1)
 }
 
-/// Of two robots with one address the second has spoken elsewhere before: its sequence numbers are others.
+/// Of two robots with one address the second has sent elsewhere before: its sequence numbers are others.
 fn encoder_of(robot: u32) -> Encoder {
     let mut encoder = Encoder::new(WireVersion::V2);
     for _ in 0..AHEAD * (robot / 249) {
@@ -49,8 +49,8 @@ fn round_of(encoder: &mut Encoder, robot: u32, round: u32) -> Vec<u8> {
     bytes
 }
 
-/// Everybody speaks once per round, cut as the link does it: the second parts of all come after the first parts of all.
-fn station_in_a_crowd(framing: TransportKind) -> TestStation {
+/// Every robot sends once per round, cut as the link does it: the second parts of all come after the first parts of all.
+fn station_with_many_peers(framing: TransportKind) -> TestStation {
     let mut config = config();
     config.links[0].framing = framing;
     let mut station = TestStation::new(&config);
@@ -70,7 +70,7 @@ fn station_in_a_crowd(framing: TransportKind) -> TestStation {
             second_parts.push((robot, first.split_off(cut)));
             station.bytes_from(begin, LINK, PeerId(robot), &first);
             let garbage: Vec<u8> = (0..GARBAGE).map(|_| rng.random()).collect();
-            station.bytes_from(begin, LINK, MAD, &garbage);
+            station.bytes_from(begin, LINK, NOISY, &garbage);
         }
         let then = begin + TimeDelta::from_millis(10);
         station.pass_until(then);
@@ -83,12 +83,12 @@ fn station_in_a_crowd(framing: TransportKind) -> TestStation {
 }
 
 #[test]
-fn of_five_hundred_peers_a_mad_and_a_silent_one_cost_nobody_a_frame() {
+fn of_five_hundred_peers_a_noisy_and_a_silent_one_cost_no_frame_of_others() {
     for framing in [TransportKind::Datagram, TransportKind::Stream] {
-        let mut station = station_in_a_crowd(framing);
-        let (told, sources) = station.health(LINK);
-        assert_eq!(told.frames_in, u64::from(2 * ROBOTS * ROUNDS), "{framing:?}");
-        assert_eq!(told.frames_lost, 0, "{framing:?}");
+        let mut station = station_with_many_peers(framing);
+        let (health, sources) = station.health(LINK);
+        assert_eq!(health.frames_in, u64::from(2 * ROBOTS * ROUNDS), "{framing:?}");
+        assert_eq!(health.frames_lost, 0, "{framing:?}");
         let noise = u64::from(ROBOTS * ROUNDS) * GARBAGE as u64;
         let begun = BEGUN.len() as u64;
         // On a stream what the silent one has begun may still be completed.
@@ -96,21 +96,21 @@ fn of_five_hundred_peers_a_mad_and_a_silent_one_cost_nobody_a_frame() {
             TransportKind::Datagram => noise + begun,
             TransportKind::Stream => noise,
         };
-        assert_eq!(told.garbage_bytes, garbage, "{framing:?}");
+        assert_eq!(health.garbage_bytes, garbage, "{framing:?}");
         let expected: Vec<_> = (0..249)
             .map(|robot| SourceHealth { source: address(robot), frames: u64::from(4 * ROUNDS), lost: 0 })
             .collect();
         assert_eq!(sources, expected, "{framing:?}");
-        // Until he is forgotten.
+        // Until the peer is forgotten.
         station.pass_until(at(60_000));
-        let (told, _) = station.health(LINK);
-        assert_eq!(told.garbage_bytes, noise + begun, "{framing:?}");
+        let (health, _) = station.health(LINK);
+        assert_eq!(health.garbage_bytes, noise + begun, "{framing:?}");
     }
 }
 
 #[test]
-fn in_a_crowd_every_robot_that_there_is_room_for_is_followed_by_its_own_counts() {
-    let station = station_in_a_crowd(TransportKind::Stream);
+fn of_many_peers_every_robot_up_to_the_limit_is_tracked_by_its_own_counts() {
+    let station = station_with_many_peers(TransportKind::Stream);
     let tick_rad = config().robot.filter_config.geometry.tick.0;
     let mut followed = BTreeSet::new();
     for AlignedObservation { robot, observation, .. } in station.aligned() {
@@ -126,28 +126,28 @@ fn in_a_crowd_every_robot_that_there_is_room_for_is_followed_by_its_own_counts()
 }
 
 #[test]
-fn health_tells_of_those_who_were_heard_most_when_somebody_invents_senders() {
+fn health_covers_the_most_active_senders_despite_invented_ones() {
     let mut station = TestStation::new(&config());
     let mut brick = RemotePeer::new(BRICK, LINK, 0);
     for k in 0..10_u32 {
         brick.send(&mut station, at(i64::from(k)), &ticks(5_000 + k, 0, 0));
     }
-    // Every address that sixteen bits can name, and then as many peers have gone.
+    // Every address of sixteen bits, each from a peer of its own.
     for system in 0..=255 {
         let frames: Vec<u8> =
             (0..=255).flat_map(|component| frame(Address::new(system, component), &HEARTBEAT)).collect();
         station.bytes_from(at(100), LINK, PeerId(1 + u32::from(system)), &frames);
     }
-    let told = |station: &mut TestStation| {
+    let brick_frames = |station: &mut TestStation| {
         station.later_health(LINK);
         let (_, sources) = station.health(LINK);
         assert!(sources.len() <= 1_024, "{}", sources.len());
-        let of_brick = sources.iter().find(|said| said.source == BRICK);
-        of_brick.map(|said| said.frames)
+        let of_brick = sources.iter().find(|source| source.source == BRICK);
+        of_brick.map(|source| source.frames)
     };
-    assert_eq!(told(&mut station), Some(11));
+    assert_eq!(brick_frames(&mut station), Some(11));
     station.pass_until(at(40_000));
-    assert_eq!(told(&mut station), Some(11));
+    assert_eq!(brick_frames(&mut station), Some(11));
 }
 
 #[test]
