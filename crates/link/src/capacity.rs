@@ -91,8 +91,8 @@ impl CapacityMeter {
         }
     }
 
-    fn accumulate(&mut self, span: TimeDelta, taken_bytes: u64) {
-        self.backlogged_time += span;
+    fn accumulate(&mut self, duration: TimeDelta, taken_bytes: u64) {
+        self.backlogged_time += duration;
         self.written_bytes += taken_bytes;
         self.update_estimate();
     }

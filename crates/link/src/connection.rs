@@ -24,7 +24,7 @@ pub struct LinkCounters {
     pub reconnects: u64,
 }
 
-/// One whole frame on its way out.
+/// One complete frame to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutgoingFrame<'a> {
     pub to: Recipients,
@@ -85,7 +85,7 @@ pub trait Connection: Send {
         u32::from(to.includes(PeerId(0)))
     }
 
-    /// Sends one whole frame. Bytes that the system does not accept at once wait in a bounded queue; the next calls of
+    /// Sends one complete frame. Bytes that the system does not accept at once wait in a bounded queue; the next calls of
     /// [`Connection::poll`] write them, and report failures.
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters);
 

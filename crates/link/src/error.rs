@@ -45,12 +45,12 @@ pub enum OpenError {
         .path.display()
     )]
     PtyInUse { path: PathBuf },
-    #[error("{} is {found}, not {wanted}", .path.display())]
+    #[error("{} is {found}, not {expected}", .path.display())]
     WrongFileKind {
         path: PathBuf,
         found: FileKind,
         /// What the transport needs.
-        wanted: &'static str,
+        expected: &'static str,
     },
     #[error("{} does not exist: {advice}", .path.display())]
     FileNotFound { path: PathBuf, advice: &'static str },

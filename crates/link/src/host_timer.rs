@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn a_date_that_stays_behind_the_session_is_seen_to() {
+    async fn a_date_that_falls_behind_the_session_is_detected() {
         let timer = HostTimer::start();
         let before = timer.utc_drift();
         assert!(before < TimeDelta::from_millis(60_000) && before > TimeDelta::from_millis(-60_000));
@@ -123,27 +123,27 @@ mod tests {
     async fn a_sleeper_wakes_at_its_stamp_or_later() {
         let timer = HostTimer::start();
         for nanos in [1, 999_999, 1_000_001, 20_000_000] {
-            let wanted = timer.now() + TimeDelta::from_nanos(nanos);
-            timer.sleep_until(wanted).await;
-            let late = timer.now() - wanted;
+            let deadline = timer.now() + TimeDelta::from_nanos(nanos);
+            timer.sleep_until(deadline).await;
+            let late = timer.now() - deadline;
             assert!(late >= TimeDelta::ZERO, "woke {late:?} too early");
             assert!(late <= TimeDelta::from_millis(2), "woke {late:?} late");
         }
     }
 
     #[tokio::test(start_paused = true)]
-    async fn an_alarm_rings_at_its_deadline_whatever_it_was_set_for_before() {
+    async fn an_alarm_fires_at_its_deadline_regardless_of_earlier_ones() {
         let timer = HostTimer::start();
         let mut alarm = DeadlineTimer::new(timer);
-        for (dropped_ms, wanted_ms) in [(500, 100), (200, 400), (900, 900), (1_000, 950)] {
+        for (dropped_ms, deadline_ms) in [(500, 100), (200, 400), (900, 900), (1_000, 950)] {
             let dropped = Timestamp::from_millis(dropped_ms);
             tokio::select! {
                 biased;
                 () = alarm.wait_until(Some(dropped)) => unreachable!("it is not time yet"),
                 () = std::future::ready(()) => {}
             }
-            alarm.wait_until(Some(Timestamp::from_millis(wanted_ms))).await;
-            let late = timer.now() - Timestamp::from_millis(wanted_ms);
+            alarm.wait_until(Some(Timestamp::from_millis(deadline_ms))).await;
+            let late = timer.now() - Timestamp::from_millis(deadline_ms);
             assert!(late >= TimeDelta::ZERO && late <= TimeDelta::from_millis(2), "{late:?}");
         }
     }

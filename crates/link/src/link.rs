@@ -258,19 +258,19 @@ impl Link {
         }
     }
 
-    /// Sends one whole frame to every peer, with the priority of a forwarded one: written at once as far as the system accepts it;
+    /// Sends one complete frame to every peer, with the priority of a forwarded one: written at once as far as the system accepts it;
     /// the rest waits in a bounded queue, whose frames of lowest priority are dropped and counted when it is full. While the link
     /// is down the frame is dropped and counted. Poll the link afterwards; that writes the queue and reports failures.
     pub fn send(&mut self, frame: &[u8]) {
         self.send_outgoing(&OutgoingFrame { to: Recipients::All, priority: Priority::Forwarded, frame });
     }
 
-    /// Sends one whole frame to one peer, otherwise like [`Link::send`]. It is lost if the peer is no longer there.
+    /// Sends one complete frame to one peer, otherwise like [`Link::send`]. It is lost if the peer is no longer there.
     pub fn send_to(&mut self, peer: PeerId, frame: &[u8]) {
         self.send_outgoing(&OutgoingFrame { to: Recipients::Peer(peer), priority: Priority::Forwarded, frame });
     }
 
-    /// Sends one whole frame to its recipients; a slow link drops frames by their priority.
+    /// Sends one complete frame to its recipients; a slow link drops frames by their priority.
     pub fn send_outgoing(&mut self, out: &OutgoingFrame<'_>) {
         match &mut self.state {
             ConnectionState::Up { connection, pacer, .. } => match pacer {
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn an_open_that_hangs_is_told_and_not_started_twice() {
+    async fn an_open_that_hangs_is_reported_and_not_started_twice() {
         let (mut port, release) = hanging_port();
         let LinkEvent::Down { at, reason, retry_in } = port.next_event().await else {
             panic!("it cannot be open");
@@ -454,8 +454,8 @@ mod tests {
         assert!(matches!(port.state, ConnectionState::Opening { deadline: None, .. }));
 
         release.send(timeout_error(&port.config.url)).expect("it waits");
-        let told_again = tokio::time::timeout(std::time::Duration::from_millis(200), port.next_event()).await;
-        assert!(told_again.is_err(), "the same reason twice: {told_again:?}");
+        let second_event = tokio::time::timeout(std::time::Duration::from_millis(200), port.next_event()).await;
+        assert!(second_event.is_err(), "the same reason twice: {second_event:?}");
         assert!(matches!(port.state, ConnectionState::BackingOff { .. }));
     }
 
@@ -469,13 +469,13 @@ mod tests {
         };
         let mut set = crate::LinkSet::new(vec![hanging, Link::new(config, HostTimer::start())]);
         set.try_open_all().await.expect("both may open later");
-        let mut told = Vec::new();
+        let mut events = Vec::new();
         for _ in 0..2 {
             let (id, event) = set.next_event().await;
-            told.push((id.0, matches!(event, LinkEvent::Up { .. })));
+            events.push((id.0, matches!(event, LinkEvent::Up { .. })));
         }
-        told.sort_unstable();
-        assert_eq!(told, [(7, false), (8, true)]);
+        events.sort_unstable();
+        assert_eq!(events, [(7, false), (8, true)]);
         let address = set.get_mut(LinkId(8)).and_then(|port| port.local_address()).expect("it listens");
         let brick = std::net::UdpSocket::bind("127.0.0.1:0").expect("a free port");
         for number in 0..100 {

@@ -11,7 +11,7 @@
 //! level' = min(burst, level + rate * dt)      level' = level - bytes, when a frame passes
 //! ```
 //!
-//! The bucket may go into debt: a frame passes whole when the level is not negative, and may take it below zero; the
+//! The bucket may go into debt: a frame passes completely when the level is not negative, and may take it below zero; the
 //! next one waits until the debt is paid. So over any time `t` at most `rate * t + burst + one frame` pass, whatever
 //! the size of the frames.
 

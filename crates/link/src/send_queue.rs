@@ -123,11 +123,11 @@ impl<D: PartialEq> SendQueue<D> {
             return self.push_command(to, frame);
         }
         let mut dropped = 0;
-        let mut place = None;
+        let mut position = None;
         if let Some(older) = self.position_of_superseded(&to, priority) {
             self.remove(priority_rank(priority), older);
             dropped += 1;
-            place = Some(older);
+            position = Some(older);
         }
         let Some(evicted) = self.evict_for(frame.len(), priority_rank(priority)) else {
             return dropped + 1;
@@ -136,8 +136,8 @@ impl<D: PartialEq> SendQueue<D> {
         let waiting = self.queued_frame(to, priority, frame);
         if let Some(queue) = self.queues.get_mut(priority_rank(priority)) {
             // Those before it may have been dropped for it in the meantime.
-            let place = place.unwrap_or(queue.len()).min(queue.len());
-            queue.insert(place, waiting);
+            let position = position.unwrap_or(queue.len()).min(queue.len());
+            queue.insert(position, waiting);
         }
         dropped + evicted
     }
@@ -177,8 +177,8 @@ impl<D: PartialEq> SendQueue<D> {
         }
         let mut dropped = 0;
         while self.partial_bytes() + self.telemetry_bytes + bytes > self.limit_bytes {
-            let (rank, place) = self.lowest_priority()?;
-            self.remove(rank, place);
+            let (rank, position) = self.lowest_priority()?;
+            self.remove(rank, position);
             dropped += 1;
         }
         Some(dropped)
@@ -187,14 +187,14 @@ impl<D: PartialEq> SendQueue<D> {
     /// The frame to drop first.
     fn lowest_priority(&self) -> Option<(usize, usize)> {
         let (rank, queue) = self.queues.iter().enumerate().skip(1).rfind(|(_, queue)| !queue.is_empty())?;
-        // Only estimates are out of order: each holds the place of the one that it replaced.
-        let (place, _) = queue.iter().enumerate().min_by_key(|(_, waiting)| waiting.sequence)?;
-        Some((rank, place))
+        // Only estimates are out of order: each has the position of the one that it replaced.
+        let (position, _) = queue.iter().enumerate().min_by_key(|(_, waiting)| waiting.sequence)?;
+        Some((rank, position))
     }
 
     /// Takes one frame other than a command out of the queue.
-    fn remove(&mut self, rank: usize, place: usize) {
-        if let Some(old) = self.queues.get_mut(rank).and_then(|queue| queue.remove(place)) {
+    fn remove(&mut self, rank: usize, position: usize) {
+        if let Some(old) = self.queues.get_mut(rank).and_then(|queue| queue.remove(position)) {
             self.telemetry_bytes -= old.frame.len();
         }
     }

@@ -1,7 +1,7 @@
 //! A byte stream with one peer as a [`Connection`]: serial port, pseudo-terminal or TCP.
 //!
 //! The end of the stream, and any error, is a loss: a tty that is hung up answers every read at once with no bytes, for
-//! ever, and reading on would be a busy loop. It writes frames whole and does not interpret them.
+//! ever, and reading on would be a busy loop. It writes complete frames and does not interpret them.
 //!
 //! The system's buffers are first in, first out: nothing in them can be replaced or overtaken. Where their fill level
 //! can be queried, at most a fiftieth of a second of line time is left in them, and the rest waits in our queue, where
@@ -104,7 +104,7 @@ pub(crate) struct StreamConnection<S> {
 }
 
 impl<S: ByteStream> StreamConnection<S> {
-    /// A connection over an open stream. At most `queue_bytes` of whole frames wait to be written, besides commands.
+    /// A connection over an open stream. At most `queue_bytes` of complete frames wait to be written, besides commands.
     pub(crate) fn new(stream: S, label: StreamLabel, timer: HostTimer, queue_bytes: usize) -> Self {
         Self {
             stream,

@@ -34,7 +34,7 @@ pub(crate) const BAUD: OptionHelp = OptionHelp {
 /// What to do with DTR. Linux always raises it when the port is opened.
 pub(crate) const DTR: OptionHelp = OptionHelp {
     name: "dtr",
-    kind: OptionKind::Choice { words: &["keep", "on", "off"] },
+    kind: OptionKind::Choice { choices: &["keep", "on", "off"] },
     help: "keep leaves DTR alone once the port is open, on and off set it then; closing never drops it",
 };
 
@@ -61,7 +61,7 @@ pub(crate) const SERIAL_NUMBER: OptionHelp = OptionHelp {
 /// Whether a file is read or written.
 pub(crate) const MODE: OptionHelp = OptionHelp {
     name: "mode",
-    kind: OptionKind::Choice { words: &["read", "append"] },
+    kind: OptionKind::Choice { choices: &["read", "append"] },
     help: "read plays the file's bytes in, append writes sent frames to its end and makes it if needed",
 };
 
@@ -183,7 +183,7 @@ pub enum OptionKind {
     },
     Choice {
         /// The first is the default.
-        words: &'static [&'static str],
+        choices: &'static [&'static str],
     },
     /// Hexadecimal digits; the default is none.
     HexDigits {
@@ -195,7 +195,7 @@ impl OptionKind {
     pub(crate) fn accepts(self, value: &str) -> bool {
         match self {
             Self::Integer { min, max, .. } => value.parse::<u32>().is_ok_and(|number| (min..=max).contains(&number)),
-            Self::Choice { words } => words.contains(&value),
+            Self::Choice { choices } => choices.contains(&value),
             Self::HexDigits { count } => {
                 value.is_empty() || value.len() == count && value.bytes().all(|byte| byte.is_ascii_hexdigit())
             }
@@ -206,7 +206,7 @@ impl OptionKind {
     pub fn default_text(self) -> String {
         match self {
             Self::Integer { default, .. } => default.to_string(),
-            Self::Choice { words } => words.first().copied().unwrap_or_default().to_owned(),
+            Self::Choice { choices } => choices.first().copied().unwrap_or_default().to_owned(),
             Self::HexDigits { .. } => String::new(),
         }
     }
@@ -217,7 +217,7 @@ impl fmt::Display for OptionKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Integer { min, max, .. } => write!(f, "a whole number from {min} to {max}"),
-            Self::Choice { words } => write!(f, "one of {}", words.join(", ")),
+            Self::Choice { choices } => write!(f, "one of {}", choices.join(", ")),
             Self::HexDigits { count } => write!(f, "{count} hexadecimal digits"),
         }
     }

@@ -59,7 +59,7 @@ async fn without_descriptors(work: impl Future<Output = ()>) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_every_packet() {
+async fn without_a_free_descriptor_no_peer_is_dropped_and_not_every_packet_retries() {
     let timer = HostTimer::start();
     let (mut server, address) = listening("tcp://127.0.0.1:0", timer).await;
     let mut first = client(address);
@@ -96,7 +96,7 @@ async fn without_a_descriptor_left_nobody_is_thrown_out_and_nobody_tries_with_ev
     assert_eq!(open_descriptors() - before, 1, "now it is read apart");
 }
 
-/// Sends what makes a peer loud, and hears it.
+/// Sends what makes a peer busy, and receives it.
 async fn flood(loud: &UdpSocket, address: SocketAddr, station: &mut Link) {
     for number in 0..LOUD {
         loud.send_to(&number.to_be_bytes(), address).expect("loopback");

@@ -26,7 +26,7 @@ fn waiting<D>(queue: &SendQueue<D>) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn the_worthiest_frame_goes_first_and_equals_keep_their_order() {
+fn the_highest_priority_goes_first_and_equals_keep_their_order() {
     let mut queue = SendQueue::new(100);
     for (priority, frame) in [
         (estimate(1), &b"e1"[..]),
@@ -99,7 +99,7 @@ fn a_begun_frame_is_finished_before_worthier_ones() {
 }
 
 #[test]
-fn a_queue_without_room_keeps_only_begun_frames_and_commands() {
+fn a_queue_without_capacity_keeps_only_begun_frames_and_commands() {
     let mut queue = SendQueue::new(0);
     assert_eq!(queue.push((), Session, b"a"), 1);
     assert!(queue.is_empty());
@@ -140,7 +140,7 @@ struct Bench {
     begun: Option<(u32, usize)>,
 }
 
-/// A frame whose every byte says its number, so that a torn or mixed one shows.
+/// A frame whose every byte is its number, so that a truncated or mixed one shows.
 fn numbered(number: u32, length: usize) -> Vec<u8> {
     number.to_be_bytes().into_iter().cycle().take(length.max(4)).collect()
 }
@@ -213,12 +213,12 @@ proptest! {
                 Step::Push(priority, to, length) => bench.push(priority, to, length),
                 Step::Write(count) => bench.write(count),
             }
-            // A begun frame was within the bounds when it was whole.
+            // A begun frame was within the bounds when it was complete.
             prop_assert!(bench.queue.telemetry_bytes <= Bench::LIMIT);
             prop_assert!(bench.queue.command_bytes <= Bench::RESERVE);
             prop_assert!(bench.queue.bytes() <= Bench::LIMIT + Bench::RESERVE + 40);
-            let gone = bench.written.len() as u64 + bench.dropped;
-            prop_assert_eq!(bench.offered, gone + bench.queue.len() as u64);
+            let departed = bench.written.len() as u64 + bench.dropped;
+            prop_assert_eq!(bench.offered, departed + bench.queue.len() as u64);
         }
         bench.write(usize::MAX);
         prop_assert!(bench.queue.is_empty());

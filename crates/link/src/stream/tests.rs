@@ -113,7 +113,7 @@ fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
 }
 
 /// Offers two streams of 600 estimates per second, ten times what the line takes, and five commands per second, for 20
-/// virtual seconds. Returns what arrived, how many commands were offered, and what the connection says of itself.
+/// virtual seconds. Returns what arrived, how many commands were offered, and the connection's queue status.
 async fn overload() -> (DepartureSummary, u32, QueueStatus) {
     let timer = HostTimer::start();
     let line = Arc::new(Mutex::new(SimulatedLine::default()));
@@ -123,17 +123,17 @@ async fn overload() -> (DepartureSummary, u32, QueueStatus) {
     let mut counters = LinkCounters::default();
     let mut commands = 0;
     for tick in 0..2_000_u32 {
-        let mut give = |priority, frame: [u8; FRAME_BYTES]| {
+        let mut send_frame = |priority, frame: [u8; FRAME_BYTES]| {
             let out = OutgoingFrame { to: Recipients::All, priority, frame: &frame };
             connection.send(&out, &mut counters);
         };
         for number in 0..6 {
             let stream = number % 2;
             let estimate = frame(stream as u8, tick, timer);
-            give(Priority::Estimate { stream }, estimate);
+            send_frame(Priority::Estimate { stream }, estimate);
         }
         if tick.is_multiple_of(20) {
-            give(Priority::Command, frame(COMMAND, commands, timer));
+            send_frame(Priority::Command, frame(COMMAND, commands, timer));
             commands += 1;
         }
         for _ in 0..10 {
@@ -142,24 +142,24 @@ async fn overload() -> (DepartureSummary, u32, QueueStatus) {
             assert!(connection.poll(&mut cx, &mut counters).is_pending());
         }
     }
-    let said = connection.queue_status(timer.now());
+    let status = connection.queue_status(timer.now());
     let line = line.lock().expect("one thread");
-    (departures(&line), commands, said)
+    (departures(&line), commands, status)
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_an_overloaded_line_estimates_are_young_and_commands_overtake() {
-    let (departures, offered, said) = overload().await;
+    let (departures, offered, status) = overload().await;
     // In front of an estimate may lie 20 ms of the line, the frame that was begun there, the other stream's estimate and a
     // command; and a timer is a millisecond or two late.
     let bound = 0.020 + 4.0 * FRAME_BYTES as f64 / BYTES_PER_S + 0.002;
     assert!(departures.oldest_estimate <= bound, "{} of {bound}", departures.oldest_estimate);
     assert!(departures.oldest_command <= bound, "{} of {bound}", departures.oldest_command);
-    let heard = departures.commands.len() as u32;
-    assert!(departures.commands.iter().copied().eq(0..heard));
-    assert!(offered - heard <= 1, "{heard} of {offered}");
+    let received = departures.commands.len() as u32;
+    assert!(departures.commands.iter().copied().eq(0..received));
+    assert!(offered - received <= 1, "{received} of {offered}");
     // The line never ran dry: 20 s of it are 2400 frames.
     assert!(departures.frames >= 2_380, "{} frames", departures.frames);
-    let capacity = said.capacity_bytes_per_s.expect("frames wait");
+    let capacity = status.capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / BYTES_PER_S - 1.0).abs() < 0.05, "{capacity}");
 }

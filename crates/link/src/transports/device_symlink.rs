@@ -59,7 +59,7 @@ impl Drop for DeviceSymlink {
 
 /// Marks this terminal as in use for other programs, until `slave` is closed.
 pub(super) fn lock_terminal(slave: &OwnedFd) -> io::Result<()> {
-    fcntl(slave.as_fd(), FcntlArg::F_OFD_SETLK(&whole_file_lock()))?;
+    fcntl(slave.as_fd(), FcntlArg::F_OFD_SETLK(&entire_file_lock()))?;
     Ok(())
 }
 
@@ -68,17 +68,17 @@ fn is_terminal_locked(path: &Path) -> bool {
     let flags = OFlag::O_RDONLY | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
     match nix::fcntl::open(path, flags, Mode::empty()) {
         Ok(terminal) => {
-            let mut found = whole_file_lock();
-            let asked = fcntl(terminal.as_fd(), FcntlArg::F_OFD_GETLK(&mut found));
-            asked.is_err() || found.l_type != libc::F_UNLCK as libc::c_short
+            let mut found = entire_file_lock();
+            let lock_query = fcntl(terminal.as_fd(), FcntlArg::F_OFD_GETLK(&mut found));
+            lock_query.is_err() || found.l_type != libc::F_UNLCK as libc::c_short
         }
-        // The device is gone, or only its master is.
+        // The device is closed, or only its master is.
         Err(error) => ![Errno::ENOENT, Errno::EIO, Errno::ENXIO].contains(&error),
     }
 }
 
 /// A write lock from the first byte to the last.
-const fn whole_file_lock() -> libc::flock {
+const fn entire_file_lock() -> libc::flock {
     libc::flock {
         l_type: libc::F_WRLCK as libc::c_short,
         l_whence: libc::SEEK_SET as libc::c_short,
@@ -117,7 +117,7 @@ fn check_replaceable(path: &Path, device: &Path) -> Result<(), OpenError> {
     Err(OpenError::WrongFileKind {
         path: path.to_owned(),
         found: FileKind::from(metadata.file_type()),
-        wanted: "a link that may be replaced",
+        expected: "a link that may be replaced",
     })
 }
 
@@ -133,7 +133,7 @@ fn replace_symlink(path: &Path, device: &Path) -> io::Result<()> {
     draft.push(format!(".{}.new", std::process::id()));
     let draft = PathBuf::from(draft);
     symlink(device, &draft)?;
-    std::fs::rename(&draft, path).inspect_err(|_told_by_the_caller| {
+    std::fs::rename(&draft, path).inspect_err(|_error| {
         // The rename's error is the one to report; a draft that stays behind does no harm.
         drop(std::fs::remove_file(&draft));
     })

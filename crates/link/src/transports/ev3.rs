@@ -31,7 +31,7 @@ use crate::transports::udp_socket::bind_first_available;
 const ACCEPT_REPLY: &[u8] = b"Accept:EV340";
 /// Longest reply; a peer that sends more is no EV3.
 const MAX_REPLY_BYTES: usize = 64;
-/// How long to wait for the line ends after the reply; the brick sends nothing else until it is asked.
+/// How long to wait for the line ends after the reply; the brick sends nothing else without a request.
 const LINE_END_TIMEOUT: Duration = Duration::from_millis(200);
 /// The datagram that answers an announcement; its content does not matter.
 const ANNOUNCEMENT_REPLY: &[u8] = b"\0";
@@ -73,7 +73,7 @@ async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
 
 /// Waits for a brick that may be opened to announce itself, and answers it.
 async fn wait_for_announcement(request: &OpenRequest) -> Result<Ev3Endpoint, OpenError> {
-    let wanted = request.url.option_text(&SERIAL_NUMBER);
+    let serial_number = request.url.option_text(&SERIAL_NUMBER);
     let (host, port) = request.url.host_and_port();
     let (socket, local) = bind_first_available(&resolve(host, port).await?)?;
     let failed = |source| OpenError::Io { what: local.to_string(), source };
@@ -84,7 +84,7 @@ async fn wait_for_announcement(request: &OpenRequest) -> Result<Ev3Endpoint, Ope
             tracing::debug!(%from, length, "no announcement of an EV3");
             continue;
         };
-        if !wanted.is_empty() && !brick.serial_number.eq_ignore_ascii_case(&wanted) {
+        if !serial_number.is_empty() && !brick.serial_number.eq_ignore_ascii_case(&serial_number) {
             tracing::debug!(%from, serial = brick.serial_number, "another EV3");
             continue;
         }
@@ -162,9 +162,9 @@ impl Announcement {
     /// Parses a datagram; `None` if it is not from an EV3.
     pub(super) fn parse(datagram: &[u8]) -> Option<Self> {
         let text = std::str::from_utf8(datagram.get(..MAX_ANNOUNCEMENT_BYTES).unwrap_or(datagram)).ok()?;
-        let value_of = |wanted: &str| {
+        let value_of = |name: &str| {
             let pairs = text.lines().filter_map(|line| line.split_once(':'));
-            let mut values = pairs.filter(|(key, _)| key.trim().eq_ignore_ascii_case(wanted));
+            let mut values = pairs.filter(|(key, _)| key.trim().eq_ignore_ascii_case(name));
             values.next().map(|(_, value)| value.trim())
         };
         let serial_number = value_of("Serial-Number")?;

@@ -27,7 +27,7 @@ pub(super) fn open(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenErr
         return Err(OpenError::WrongFileKind {
             path: path.to_owned(),
             found: FileKind::from(metadata.file_type()),
-            wanted: "a regular file",
+            expected: "a regular file",
         });
     }
     let mut options = OpenOptions::new();

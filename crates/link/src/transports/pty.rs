@@ -42,7 +42,7 @@ pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, Op
 
 /// The master side, with the values that must live as long.
 struct PtyStream {
-    // Dropped first, so that the name is gone before the device.
+    // Dropped first, so that the name is removed before the device.
     _link: DeviceSymlink,
     master: AsyncFd<PtyMaster>,
     // Keeps the line up and raw while no other program has it open, and holds the lock that marks the name as in use.

@@ -177,7 +177,7 @@ fn check_device(path: &Path) -> Result<PathBuf, OpenError> {
         return Err(OpenError::WrongFileKind {
             path: path.to_owned(),
             found: FileKind::from(metadata.file_type()),
-            wanted: "a serial port",
+            expected: "a serial port",
         });
     }
     path.canonicalize().map_err(|error| error_from_io(path, error))

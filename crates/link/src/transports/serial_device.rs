@@ -61,16 +61,16 @@ impl UsbAdapter {
     /// The device behind the port `name`, if it is on USB and has a serial number.
     fn from_sysfs(name: &OsStr, tty_class: &Path) -> Option<Self> {
         let interface = tty_class.join(name).join("device").canonicalize().ok()?;
-        let place = interface.ancestors().find(|place| place.join("idVendor").exists())?;
-        let says = |file: &str| {
-            let text = fs::read_to_string(place.join(file)).ok()?;
+        let device = interface.ancestors().find(|device| device.join("idVendor").exists())?;
+        let attribute = |file: &str| {
+            let text = fs::read_to_string(device.join(file)).ok()?;
             Some(text.trim().to_owned()).filter(|text| !text.is_empty())
         };
         Some(Self {
-            vendor: says("idVendor")?,
-            product: says("idProduct")?,
-            serial: says("serial")?,
-            sysfs_path: place.to_owned(),
+            vendor: attribute("idVendor")?,
+            product: attribute("idProduct")?,
+            serial: attribute("serial")?,
+            sysfs_path: device.to_owned(),
         })
     }
 
@@ -148,7 +148,7 @@ fn name_matches(pattern: &[u8], name: &[u8]) -> bool {
                 retry = Some((at + 1, done));
                 at += 1;
             }
-            Some(wanted) if *wanted == b'?' || wanted == byte => {
+            Some(expected) if *expected == b'?' || expected == byte => {
                 at += 1;
                 done += 1;
             }
@@ -256,8 +256,8 @@ mod tests {
             let interface = usb.join("1.0");
             fs::create_dir_all(&interface).expect("own directory");
             let ids = [("idVendor", "10c4\n"), ("idProduct", "ea60\n")];
-            for (file, says) in ids.into_iter().chain(serial.map(|serial| ("serial", serial))) {
-                fs::write(usb.join(file), says).expect("own directory");
+            for (file, value) in ids.into_iter().chain(serial.map(|serial| ("serial", serial))) {
+                fs::write(usb.join(file), value).expect("own directory");
             }
             let class = self.directories.tty_class.join(name);
             fs::create_dir_all(&class).expect("own directory");

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_timer_that_may_not_be_written_is_told_with_its_cure() {
+    fn a_timer_that_may_not_be_written_is_reported_with_the_remedy() {
         let latency = LatencyTimer::Unchanged { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };
         assert_eq!(
             latency.describe(),

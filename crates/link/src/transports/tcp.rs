@@ -3,7 +3,7 @@
 //! Every client of a server is a byte source of its own, and receives what is sent to all. Clients come and go without
 //! the link going down; only the loss of the listening socket is a loss. If the system cannot accept another client (no
 //! descriptor left, no memory, network down), those that are connected stay, and new ones wait in the system's queue
-//! for a moment. Each client has its own send queue, so a slow one delays nobody.
+//! for a moment. Each client has its own send queue, so a slow one delays no other.
 //!
 //! Nagle's delay is off, because estimates are small and urgent. Keep-alives detect peers that left without closing, such as a
 //! robot that drives out of the access point's range.
@@ -163,8 +163,8 @@ impl TcpServer {
         cx: &mut Context<'_>,
         counters: &mut LinkCounters,
     ) -> Poll<Result<ReceivedData, LinkError>> {
-        let mut asked = 0;
-        while asked < self.clients.len() {
+        let mut polled = 0;
+        while polled < self.clients.len() {
             let index = self.next_index % self.clients.len();
             let Some(client) = self.clients.get_mut(index) else {
                 break;
@@ -183,7 +183,7 @@ impl TcpServer {
                 }
                 Poll::Pending => {
                     self.next_index = index + 1;
-                    asked += 1;
+                    polled += 1;
                 }
             }
         }

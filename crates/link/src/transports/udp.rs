@@ -5,7 +5,7 @@
 //! enlarged, and a smaller grant is reported. An error that one unreachable peer causes is not a loss of the link.
 //!
 //! Datagrams are delivered peer by peer in turn. A peer that floods gets its own socket (`udp_socket`), and fewer datagrams are
-//! read from that per turn: it delays nobody and causes no losses for others.
+//! read from that per turn: it delays no others and causes no losses for them.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -185,7 +185,7 @@ impl UdpConnection {
                 Ok((length, from)) => {
                     self.deliver(length, from);
                     if self.peers.is_busy(from) {
-                        self.give_dedicated_socket(from);
+                        self.dedicate_socket(from);
                     }
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
@@ -204,7 +204,7 @@ impl UdpConnection {
     }
 
     /// Gives a flooding peer its own socket, if it has none and one can be opened.
-    fn give_dedicated_socket(&mut self, address: SocketAddr) {
+    fn dedicate_socket(&mut self, address: SocketAddr) {
         let has_one = self.busy_peers.iter().any(|loud| loud.address == address);
         let now = self.timer.now();
         if has_one || self.busy_peers.len() >= MAX_BUSY_PEERS || now < self.next_dedicated_socket {

@@ -27,7 +27,7 @@ struct UdpPeer {
     window_start: Timestamp<HostClock>,
     window_datagrams: u32,
     /// `None` for the host that the link names, which is never forgotten.
-    last_heard: Option<Timestamp<HostClock>>,
+    last_seen: Option<Timestamp<HostClock>>,
 }
 
 impl UdpPeerTable {
@@ -40,14 +40,14 @@ impl UdpPeerTable {
         peers
     }
 
-    fn insert(&mut self, address: SocketAddr, last_heard: Option<Timestamp<HostClock>>) -> PeerId {
+    fn insert(&mut self, address: SocketAddr, last_seen: Option<Timestamp<HostClock>>) -> PeerId {
         let id = PeerId(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
         let peer = UdpPeer {
             id,
-            window_start: last_heard.unwrap_or(Timestamp::ZERO),
-            window_datagrams: u32::from(last_heard.is_some()),
-            last_heard,
+            window_start: last_seen.unwrap_or(Timestamp::ZERO),
+            window_datagrams: u32::from(last_seen.is_some()),
+            last_seen,
         };
         self.by_address.insert(address, peer);
         self.by_id.insert(id, address);
@@ -57,9 +57,9 @@ impl UdpPeerTable {
     pub(super) fn record_activity(&mut self, address: SocketAddr, now: Timestamp<HostClock>) -> PeerId {
         if let Some(peer) = self.by_address.get_mut(&address) {
             peer.count_datagram(now);
-            let is_away = |heard: &Timestamp<HostClock>| now - *heard > self.idle;
-            if !peer.last_heard.as_ref().is_some_and(is_away) {
-                peer.last_heard = peer.last_heard.map(|_| now);
+            let is_away = |last_seen: &Timestamp<HostClock>| now - *last_seen > self.idle;
+            if !peer.last_seen.as_ref().is_some_and(is_away) {
+                peer.last_seen = peer.last_seen.map(|_| now);
                 return peer.id;
             }
             // Away for so long that what it sent before has no bearing on what it sends now.
@@ -91,7 +91,7 @@ impl UdpPeerTable {
         let mut by_silence: Vec<_> = self
             .by_address
             .iter()
-            .filter_map(|(address, peer)| peer.last_heard.map(|heard| (heard, *address)))
+            .filter_map(|(address, peer)| peer.last_seen.map(|last_seen| (last_seen, *address)))
             .collect();
         by_silence.sort_unstable();
         for (_, address) in by_silence.into_iter().take(MAX_PEERS / 4) {
@@ -102,7 +102,7 @@ impl UdpPeerTable {
     pub(super) fn evict_idle(&mut self, now: Timestamp<HostClock>) {
         let (by_id, idle) = (&mut self.by_id, self.idle);
         self.by_address.retain(|_, peer| {
-            let is_live = peer.last_heard.is_none_or(|heard| now - heard <= idle);
+            let is_live = peer.last_seen.is_none_or(|last_seen| now - last_seen <= idle);
             if !is_live {
                 by_id.remove(&peer.id);
             }
@@ -115,7 +115,7 @@ impl UdpPeerTable {
         if let Recipients::Peer(id) = audience {
             return u32::from(self.by_id.contains_key(&id));
         }
-        let is_live = |peer: &&UdpPeer| peer.last_heard.is_none_or(|heard| now - heard <= self.idle);
+        let is_live = |peer: &&UdpPeer| peer.last_seen.is_none_or(|last_seen| now - last_seen <= self.idle);
         let live = self.by_address.values().filter(is_live);
         live.filter(|peer| audience.includes(peer.id)).count() as u32
     }
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn who_was_away_for_long_is_a_new_one_even_if_nobody_looked() {
+    fn a_peer_that_was_away_for_long_is_new_even_without_eviction() {
         let mut peers = UdpPeerTable::new(None, IDLE);
         let first = peers.record_activity(address(1), Timestamp::ZERO);
         let still = peers.record_activity(address(1), Timestamp::from_millis(10_000));

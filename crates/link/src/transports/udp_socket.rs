@@ -81,9 +81,9 @@ pub(super) fn enlarge_receive_buffer(socket: &UdpSocket) -> usize {
 
 fn enlarge(socket: &SockRef<'_>) -> usize {
     // A refusal shows in what is granted, which is what counts.
-    let asked = socket.set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
+    let outcome = socket.set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
     let doubled = socket.recv_buffer_size().unwrap_or(0);
-    tracing::debug!(?asked, doubled, "receive buffer");
+    tracing::debug!(?outcome, doubled, "receive buffer");
     // Linux doubles the size for its own bookkeeping and reports the double: socket(7), SO_RCVBUF.
     doubled / 2
 }
@@ -125,7 +125,7 @@ mod tests {
     /// No interface has it: 192.0.2.0/24 is for documentation (RFC 5737).
     const FOREIGN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(192, 0, 2, 1)), 0);
     /// The system refuses to send here unless broadcasts are enabled on the socket.
-    const NO_WAY: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::BROADCAST), 9);
+    const NO_ROUTE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::BROADCAST), 9);
     const HERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
     const THERE: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9);
 
@@ -140,8 +140,10 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn of_several_addresses_the_first_with_a_way_is_called() {
-        for (targets, expected) in [(&[NO_WAY, THERE][..], THERE), (&[THERE, NO_WAY], THERE), (&[NO_WAY], NO_WAY)] {
+    async fn of_several_addresses_the_first_with_a_route_is_used() {
+        for (targets, expected) in
+            [(&[NO_ROUTE, THERE][..], THERE), (&[THERE, NO_ROUTE], THERE), (&[NO_ROUTE], NO_ROUTE)]
+        {
             let (socket, chosen) = connect_first_reachable(targets).expect("a free port");
             assert_eq!(chosen, expected);
             let local = socket.local_addr().expect("it is bound");
@@ -150,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_receive_buffer_is_told_with_its_cure() {
+    fn a_small_receive_buffer_is_reported_with_the_remedy() {
         assert_eq!(buffer_warning(RECEIVE_BUFFER_BYTES), None);
         let warning = buffer_warning(212_992).expect("it is too small");
         assert!(warning.contains("212992 of 4194304 bytes"), "{warning}");

@@ -13,7 +13,7 @@ use posebridge_link::{ConnectRole, DeviceDirectories, LineSettingsPolicy, Link, 
 use posebridge_telemetry::LinkId;
 use rustix::termios::{self, ControlModes, OptionalActions};
 
-/// A computer whose devices are told of in the bench's directory.
+/// A computer whose devices are described in the bench's directory.
 fn tuning(bench: &Bench) -> LinkTuning {
     let root = bench.directory.path();
     LinkTuning {
@@ -68,17 +68,17 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     drop(guest);
     assert_eq!(format!("{:?}", settings()), before);
     assert_eq!(settings().output_speed(), 31_250);
-    let says = || std::fs::read_to_string(&latency_timer).expect("it is there");
-    assert_eq!(says(), "16\n");
+    let timer_text = || std::fs::read_to_string(&latency_timer).expect("it is there");
+    assert_eq!(timer_text(), "16\n");
 
     let mut station = tuned(&bench, &url, with(LineSettingsPolicy::Keep));
     assert!(up(&mut station).await.contains("latency timer 1 ms"));
     drop(station);
     assert!(!settings().control_modes.contains(ControlModes::HUPCL));
-    assert_eq!(says(), "1");
+    assert_eq!(timer_text(), "1");
 }
 
-/// Where an adapter is plugged in, and what it says of itself.
+/// Where an adapter is plugged in, and its identification.
 struct PluggedAdapter {
     socket: &'static str,
     /// udev's name for its kind, with its serial number if it has one.
@@ -86,14 +86,14 @@ struct PluggedAdapter {
     serial: Option<&'static str>,
 }
 
-/// What udev and the kernel say of an adapter that is called `name`.
+/// The entries of udev and the kernel for an adapter that is called `name`.
 fn write_udev_entries(bench: &Bench, name: &str, plug: &PluggedAdapter) {
     let root = bench.directory.path();
     let usb = root.join("usb").join(plug.socket);
     let class = root.join("tty").join(name);
     drop(std::fs::remove_dir_all(&class));
     drop(std::fs::remove_dir_all(&usb));
-    let write = |path: PathBuf, says: &str| std::fs::write(path, says).expect("own directory");
+    let write = |path: PathBuf, text: &str| std::fs::write(path, text).expect("own directory");
     for directory in [&usb.join("1.0"), &class] {
         std::fs::create_dir_all(directory).expect("own directory");
     }
@@ -111,7 +111,7 @@ fn write_udev_entries(bench: &Bench, name: &str, plug: &PluggedAdapter) {
     }
 }
 
-/// An adapter that the system calls `name`: a pseudo-terminal, and what is said of it.
+/// An adapter that the system calls `name`: a pseudo-terminal, and its entries.
 async fn adapter(bench: &Bench, name: &str, plug: &PluggedAdapter) -> Link {
     let device = bench.directory.path().join(name);
     let mut pty = port(&format!("pty:{}", device.display()), ConnectRole::Listen, bench.timer);
@@ -205,7 +205,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn closing_a_port_does_not_drop_dtr_whatever_is_asked_for() {
+async fn closing_a_port_does_not_drop_dtr_with_any_options() {
     let bench = Bench::new();
     let _pty = bench.plugged_pty().await;
     let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK;

@@ -7,7 +7,7 @@ const BRICK: &str = "bluetooth://00:16:53:AA:BB:CC?channel=1";
 
 #[cfg(not(feature = "bluetooth"))]
 #[tokio::test(start_paused = true)]
-async fn a_program_without_bluetooth_says_how_to_get_it() {
+async fn a_program_without_bluetooth_reports_how_to_get_it() {
     let mut brick = port(BRICK, ConnectRole::Dial, HostTimer::start());
     let error = brick.try_open().await.expect_err("not built");
     assert!(!error.is_transient() && error.prevents_start());
@@ -20,7 +20,7 @@ async fn a_program_without_bluetooth_says_how_to_get_it() {
 
 #[cfg(feature = "bluetooth")]
 #[tokio::test(start_paused = true)]
-async fn a_brick_that_cannot_be_reached_is_waited_for() {
+async fn an_unreachable_brick_is_waited_for() {
     use crate::support::down;
     use posebridge_telemetry::TimeDelta;
 

@@ -10,16 +10,16 @@ use posebridge_telemetry::TimeDelta;
 
 /// How the two ends of a link over one transport are made. The far end listens.
 struct EndUrls {
-    /// `None` dials whatever address the far end has got.
+    /// `None` dials the address that the far end has got.
     near: Option<String>,
     far: String,
     /// The near end notices when the far end closes.
-    hears_loss: bool,
+    detects_loss: bool,
 }
 
 fn plan(scheme: &str, device: &Path) -> Option<EndUrls> {
     let device = device.display();
-    let (near, far, hears_loss) = match scheme {
+    let (near, far, detects_loss) = match scheme {
         "serial" => (Some(format!("serial:{device}")), format!("pty:{device}"), true),
         "pty" => (Some(format!("pty:{device}")), format!("serial:{device}"), false),
         "tcp" => (None, "tcp://127.0.0.1:0".to_owned(), true),
@@ -28,7 +28,7 @@ fn plan(scheme: &str, device: &Path) -> Option<EndUrls> {
         "bluetooth" | "file" | "ev3" => return None,
         other => panic!("say here what the far end of a {other} link is"),
     };
-    Some(EndUrls { near, far, hears_loss })
+    Some(EndUrls { near, far, detects_loss })
 }
 
 /// The two ends of a link, with what is needed to make the far end again.
@@ -36,7 +36,7 @@ struct LinkEnds {
     near: Link,
     far: Link,
     far_url: String,
-    hears_loss: bool,
+    detects_loss: bool,
     timer: HostTimer,
     _directory: tempfile::TempDir,
 }
@@ -59,7 +59,7 @@ impl LinkEnds {
             near: port(&near_url, ConnectRole::Dial, timer),
             far,
             far_url,
-            hears_loss: plan.hears_loss,
+            detects_loss: plan.detects_loss,
             timer,
             _directory: directory,
         };
@@ -70,19 +70,19 @@ impl LinkEnds {
     async fn both_up(&mut self) {
         while !(self.near.is_up() && self.far.is_up()) {
             let near = next_beside(&mut self.near, &mut self.far);
-            // The near end may be up already and then has nothing to say while the far end still opens.
+            // The near end may be up already and then has no event while the far end still opens.
             drop(tokio::time::timeout(Duration::from_secs(1), near).await);
         }
     }
 
-    /// The near end speaks first, as a station does that wants to be heard over UDP.
-    async fn talk(&mut self) {
+    /// The near end sends first, as a station does over UDP.
+    async fn exchange(&mut self) {
         self.near.send(b"ping");
-        let heard = beside(&mut self.far, &mut self.near, 4).await;
-        assert_eq!(heard, b"ping");
+        let received = beside(&mut self.far, &mut self.near, 4).await;
+        assert_eq!(received, b"ping");
         self.far.send(b"pong!");
-        let heard = beside(&mut self.near, &mut self.far, 5).await;
-        assert_eq!(heard, b"pong!");
+        let received = beside(&mut self.near, &mut self.far, 5).await;
+        assert_eq!(received, b"pong!");
     }
 
     fn restart_far(&mut self) {
@@ -125,13 +125,13 @@ fn every_transport_is_selected_by_its_example_and_explained_and_accepts_its_own_
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_link_carries_every_byte_both_ways() {
+async fn every_link_carries_every_byte_in_both_directions() {
     let all: Vec<u8> = (0..=255).collect();
     for transport in TRANSPORTS {
         let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
-        ends.talk().await;
+        ends.exchange().await;
         let counters = ends.near.counters();
         assert_eq!((counters.bytes_in, counters.bytes_out, counters.drops_out), (5, 4, 0), "{}", transport.scheme());
         ends.near.send(&all);
@@ -147,21 +147,21 @@ async fn dropping_next_loses_nothing() {
         let Some(mut ends) = LinkEnds::new(transport.scheme()).await else {
             continue;
         };
-        ends.talk().await;
-        let mut heard = Vec::new();
+        ends.exchange().await;
+        let mut received = Vec::new();
         for number in 0..50_u8 {
             ends.far.send(&[number]);
-            // Each round starts `next`, polls it once and drops it, whether or not it had something to say.
-            while heard.len() <= usize::from(number) {
+            // Each round starts `next`, polls it once and drops it, whether or not it had an event.
+            while received.len() <= usize::from(number) {
                 if let Some(LinkEvent::Bytes { bytes, .. }) = poll_once(&mut ends.near).await {
-                    heard.extend(bytes);
+                    received.extend(bytes);
                 } else {
                     tokio::task::yield_now().await;
                 }
             }
         }
         let sent: Vec<u8> = (0..50).collect();
-        assert_eq!(heard, sent, "{}", transport.scheme());
+        assert_eq!(received, sent, "{}", transport.scheme());
     }
 }
 
@@ -174,16 +174,16 @@ async fn every_link_works_again_after_the_far_end_was_restarted() {
         for restart in 1..=3 {
             // Closing before opening again: the address or the name has to be free.
             ends.far = port("file:/dev/null/nowhere", ConnectRole::Dial, ends.timer);
-            if ends.hears_loss {
+            if ends.detects_loss {
                 let (reason, retry_in) = down(&mut ends.near).await;
                 assert!(reason.contains("other end is gone"), "{reason}");
                 assert!(retry_in > TimeDelta::ZERO && retry_in < TimeDelta::from_millis(5_600));
             }
             ends.restart_far();
             ends.both_up().await;
-            ends.talk().await;
-            let wanted = if ends.hears_loss { restart } else { 0 };
-            assert_eq!(ends.near.counters().reconnects, wanted, "{}", transport.scheme());
+            ends.exchange().await;
+            let expected = if ends.detects_loss { restart } else { 0 };
+            assert_eq!(ends.near.counters().reconnects, expected, "{}", transport.scheme());
         }
     }
 }

@@ -9,26 +9,26 @@ use posebridge_link::{ConnectRole, HostTimer, LinkEvent, LinkUrl};
 /// As the developer kit and ev3-dc 0.9.10.2 write it.
 const OPENING: &[u8] = b"GET /target?sn=0016533f0c1eVMTP1.0\nProtocol: EV3";
 
-fn announcement(door: SocketAddr, serial: &str) -> String {
-    format!("Serial-Number: {serial}\r\nPort: {}\r\nName: Gero\r\nProtocol: EV3\r\n", door.port())
+fn announcement(address: SocketAddr, serial: &str) -> String {
+    format!("Serial-Number: {serial}\r\nPort: {}\r\nName: Gero\r\nProtocol: EV3\r\n", address.port())
 }
 
-/// Lets one host in, and answers as said.
-fn opened(door: &TcpListener, answer: &[&[u8]]) -> TcpStream {
-    let (mut host, _) = door.accept().expect("a host calls");
-    let mut heard = [0; OPENING.len()];
-    host.read_exact(&mut heard).expect("the whole opening");
-    assert_eq!(heard, OPENING);
+/// Accepts one host, and sends the parts of the answer.
+fn opened(listener: &TcpListener, answer: &[&[u8]]) -> TcpStream {
+    let (mut host, _) = listener.accept().expect("a host calls");
+    let mut received = [0; OPENING.len()];
+    host.read_exact(&mut received).expect("the whole opening");
+    assert_eq!(received, OPENING);
     for part in answer {
         host.write_all(part).expect("the host listens");
     }
     host
 }
 
-fn door() -> (TcpListener, SocketAddr) {
-    let door = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let address = door.local_addr().expect("it is bound");
-    (door, address)
+fn listener() -> (TcpListener, SocketAddr) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("it is bound");
+    (listener, address)
 }
 
 #[tokio::test]
@@ -38,39 +38,39 @@ async fn a_brick_that_announces_itself_is_answered_and_opened() {
     drop(beside);
     let url = format!("ev3://{announced}?serial=0016533F0C1E");
     let mut station = port(&url, ConnectRole::Listen, HostTimer::start());
-    let (door, address) = door();
+    let (listener, address) = listener();
     let brick = std::thread::spawn(move || {
-        let voice = UdpSocket::bind("127.0.0.1:0").expect("a free port");
+        let announcer = UdpSocket::bind("127.0.0.1:0").expect("a free port");
         let pause = std::time::Duration::from_millis(50);
-        voice.set_read_timeout(Some(pause)).expect("a finite wait");
+        announcer.set_read_timeout(Some(pause)).expect("a finite wait");
         // The station may not listen yet; another brick is none of its business.
         let mut answer = [0; 10];
         loop {
             for text in ["noise", &announcement(address, "0016533f0c1d")] {
-                voice.send_to(text.as_bytes(), announced).ok();
+                announcer.send_to(text.as_bytes(), announced).ok();
             }
-            assert!(voice.recv(&mut answer).is_err(), "the wrong one is answered");
+            assert!(announcer.recv(&mut answer).is_err(), "the wrong one is answered");
             let text = announcement(address, "0016533f0c1e");
-            voice.send_to(text.as_bytes(), announced).ok();
-            if voice.recv(&mut answer).is_ok() {
+            announcer.send_to(text.as_bytes(), announced).ok();
+            if announcer.recv(&mut answer).is_ok() {
                 break;
             }
         }
-        let mut host = opened(&door, &[b"Accept:EV340\r\n\r\n", b"first"]);
-        let mut heard = [0; 4];
-        host.read_exact(&mut heard).expect("what the station says");
-        (host, heard)
+        let mut host = opened(&listener, &[b"Accept:EV340\r\n\r\n", b"first"]);
+        let mut received = [0; 4];
+        host.read_exact(&mut received).expect("what the station says");
+        (host, received)
     });
     let detail = up(&mut station).await;
     assert!(detail.contains("`Gero` (0016533f0c1e)"), "{detail}");
     station.send(b"ping");
-    let mut heard = Vec::new();
-    while heard.len() < 5 {
+    let mut received = Vec::new();
+    while received.len() < 5 {
         if let LinkEvent::Bytes { bytes, .. } = station.next_event().await {
-            heard.extend(bytes);
+            received.extend(bytes);
         }
     }
-    assert_eq!(heard, b"first");
+    assert_eq!(received, b"first");
     let (host, ping) = brick.join().expect("the brick lives");
     assert_eq!(&ping, b"ping");
     // Switched off: it is waited for again.
@@ -87,11 +87,11 @@ async fn a_brick_is_dialled_and_its_answer_may_come_in_pieces() {
         // No line ends at all: they are not waited for long.
         &[b"Accept:EV340"],
     ] {
-        let (door, address) = door();
+        let (listener, address) = listener();
         let answer: Vec<Vec<u8>> = answer.iter().map(|part| part.to_vec()).collect();
         let brick = std::thread::spawn(move || {
             let parts: Vec<&[u8]> = answer.iter().map(Vec::as_slice).collect();
-            opened(&door, &parts)
+            opened(&listener, &parts)
         });
         let url = format!("ev3://{address}?serial=0016533f0c1e");
         let mut station = port(&url, ConnectRole::Dial, HostTimer::start());
@@ -105,9 +105,9 @@ async fn a_brick_is_dialled_and_its_answer_may_come_in_pieces() {
 }
 
 #[tokio::test]
-async fn what_does_not_open_is_told_with_the_serial_number() {
-    let (door, address) = door();
-    let brick = std::thread::spawn(move || opened(&door, &[&[b'x'; 64]]));
+async fn a_failed_open_is_reported_with_the_serial_number() {
+    let (listener, address) = listener();
+    let brick = std::thread::spawn(move || opened(&listener, &[&[b'x'; 64]]));
     let url = format!("ev3://{address}?serial=0016533f0c1e");
     let mut station = port(&url, ConnectRole::Dial, HostTimer::start());
     let (reason, _) = down(&mut station).await;

@@ -32,7 +32,7 @@ async fn a_file_is_played_to_its_end_in_chunks() {
     }
 }
 
-/// One flood of a hundred thousand chunks against one datagram: who reads only the file never sees the socket.
+/// One flood of a hundred thousand chunks against one datagram: a reader of the file alone never sees the socket.
 #[tokio::test(flavor = "current_thread")]
 async fn a_file_leaves_the_runtime_its_turns() {
     let directory = tempfile::tempdir().expect("a temporary directory");
@@ -44,18 +44,18 @@ async fn a_file_leaves_the_runtime_its_turns() {
 
     let (near, far) = tokio::net::UnixDatagram::pair().expect("two sockets");
     far.try_send(b"x").expect("room");
-    // Like signals and timers, a socket is heard only when the runtime gets round to asking the system.
-    let heard = tokio::spawn(async move { near.recv(&mut [0; 1]).await });
-    while !heard.is_finished() {
+    // Like signals and timers, a socket is read only when the runtime gets round to polling the system.
+    let reader = tokio::spawn(async move { near.recv(&mut [0; 1]).await });
+    while !reader.is_finished() {
         let event = file.next_event().await;
         assert!(matches!(event, LinkEvent::Bytes { .. }), "{event:?} before the socket was heard");
     }
-    let count = heard.await.expect("it ends").expect("it reads");
+    let count = reader.await.expect("it ends").expect("it reads");
     assert_eq!(count, 1);
 }
 
 #[tokio::test]
-async fn appended_frames_stand_behind_what_was_there() {
+async fn appended_frames_follow_the_existing_content() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let path = directory.path().join("run.bin");
     let url = format!("file://{}?mode=append", path.display());

@@ -14,7 +14,7 @@ const ROBOTS: u8 = 48;
 const ROUNDS: u8 = 20;
 /// Garbage that has to be there before the robots begin: by then its sender is known to be loud.
 const HEAD_START: u64 = 5_000;
-/// More garbage than this before a round was heard means that a datagram is lost.
+/// More garbage than this before a round was received means that a datagram is lost.
 const MAXIMUM_GARBAGE: u64 = 2_000_000;
 const GARBAGE: [u8; 200] = [0; 200];
 
@@ -23,7 +23,7 @@ fn socket() -> UdpSocket {
 }
 
 #[tokio::test(flavor = "current_thread")]
-async fn of_fifty_peers_one_that_floods_costs_nobody_a_datagram() {
+async fn of_fifty_peers_one_that_floods_costs_no_datagram_of_others() {
     let mut station = port("udp://127.0.0.1:0", ConnectRole::Listen, HostTimer::start());
     up(&mut station).await;
     let address = station.local_address().expect("it listens");
@@ -40,19 +40,19 @@ async fn of_fifty_peers_one_that_floods_costs_nobody_a_datagram() {
         }
     });
 
-    let mut heard: BTreeMap<u8, Vec<u8>> = BTreeMap::new();
+    let mut received: BTreeMap<u8, Vec<u8>> = BTreeMap::new();
     let mut peers: BTreeMap<u8, PeerId> = BTreeMap::new();
     let mut garbage = 0_u64;
     for round in 0..=ROUNDS {
-        // Everybody speaks once per round, after a round without them.
+        // Every peer sends once per round, after a round without them.
         for (number, robot) in (0..ROBOTS).zip(&robots).filter(|_| round > 0) {
             robot.send_to(&[number, round], address).expect("loopback");
         }
         let expected = usize::from(ROBOTS) * usize::from(round);
-        while heard.values().map(Vec::len).sum::<usize>() < expected || garbage < HEAD_START {
+        while received.values().map(Vec::len).sum::<usize>() < expected || garbage < HEAD_START {
             let LinkEvent::Bytes { peer, bytes, .. } = station.next_event().await else { panic!("UDP stays up") };
             if let [number, round] = bytes[..] {
-                heard.entry(number).or_default().push(round);
+                received.entry(number).or_default().push(round);
                 assert_eq!(*peers.entry(number).or_insert(peer), peer, "robot {number} changed its number");
             } else {
                 assert_eq!(bytes, GARBAGE);
@@ -65,7 +65,7 @@ async fn of_fifty_peers_one_that_floods_costs_nobody_a_datagram() {
     flooder.join().expect("it only sends");
 
     let expected: Vec<u8> = (1..=ROUNDS).collect();
-    assert!(heard.values().all(|rounds| *rounds == expected), "{heard:?}");
+    assert!(received.values().all(|rounds| *rounds == expected), "{received:?}");
     let mut different: Vec<_> = peers.values().collect();
     different.sort_unstable();
     different.dedup();

@@ -75,19 +75,19 @@ async fn a_server_that_is_not_started_yet_is_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_client_of_a_server_is_a_source_of_its_own_and_hears_everything() {
+async fn every_client_of_a_server_is_a_source_of_its_own_and_receives_everything() {
     let timer = HostTimer::start();
     let (mut server, address) = listening("tcp://127.0.0.1:0", timer).await;
     let mut first = dialled("tcp", address, timer).await;
     first.send(b"first");
     assert_eq!(poll_once(&mut first).await, None);
-    let (first_peer, heard) = next_bytes(&mut server).await;
-    assert_eq!(heard, b"first");
+    let (first_peer, received) = next_bytes(&mut server).await;
+    assert_eq!(received, b"first");
     let mut second = dialled("tcp", address, timer).await;
     second.send(b"second");
     assert_eq!(poll_once(&mut second).await, None);
-    let (second_peer, heard) = next_bytes(&mut server).await;
-    assert_eq!(heard, b"second");
+    let (second_peer, received) = next_bytes(&mut server).await;
+    assert_eq!(received, b"second");
     assert_ne!(first_peer, second_peer);
 
     server.send(b"to all");
@@ -111,17 +111,17 @@ async fn next_beside_bytes(port: &mut Link, other: &mut Link) -> Vec<u8> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_udp_peers_are_heard_apart_and_both_answered() {
+async fn two_udp_peers_are_distinguished_and_both_answered() {
     let timer = HostTimer::start();
     let (mut station, address) = listening("udp://127.0.0.1:0", timer).await;
     assert!(station.is_datagram());
     let (left, right) = (foreign_peer(), foreign_peer());
     left.send_to(b"left", address).expect("loopback");
-    let (left_peer, heard) = next_bytes(&mut station).await;
-    assert_eq!(heard, b"left");
+    let (left_peer, received) = next_bytes(&mut station).await;
+    assert_eq!(received, b"left");
     right.send_to(b"right", address).expect("loopback");
-    let (right_peer, heard) = next_bytes(&mut station).await;
-    assert_eq!(heard, b"right");
+    let (right_peer, received) = next_bytes(&mut station).await;
+    assert_eq!(received, b"right");
     assert_ne!(left_peer, right_peer);
     station.send(b"both");
     assert_eq!(received_by(&left), b"both");
@@ -143,7 +143,7 @@ async fn two_udp_peers_are_heard_apart_and_both_answered() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_udp_link_with_a_host_speaks_first_and_survives_that_nobody_listens() {
+async fn a_udp_link_with_a_host_sends_first_and_survives_without_a_listener() {
     let timer = HostTimer::start();
     let brick = foreign_peer();
     let address = brick.local_addr().expect("it is bound");
@@ -224,7 +224,7 @@ async fn a_udp_link_to_every_interface_listens_even_if_it_is_to_dial() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_knows_whether_it_hears_whoever_calls_however_the_link_is_written() {
+async fn a_link_knows_whether_it_accepts_any_caller_for_every_spelling() {
     let timer = HostTimer::start();
     let (_server, served) = listening("tcp://127.0.0.1:0", timer).await;
     let dialled = format!("tcp://{served}");
@@ -268,7 +268,7 @@ async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours()
     let (loud, calm) = (foreign_peer(), foreign_peer());
     let (mut numbers, mut loud_peer) = (Vec::new(), None);
     let mut sent = 0..1_800_u32;
-    // The clock stands still, so after 500 datagrams the peer is loud. What it has sent by then still lies in the common
+    // The clock stands still, so after 500 datagrams the peer is busy. What it has sent by then still lies in the common
     // socket when more comes by a socket of its own.
     for (count, read_up_to) in [(1_000, 600), (500, 1_400), (300, 1_800)] {
         for number in sent.by_ref().take(count) {
@@ -277,7 +277,7 @@ async fn a_loud_peer_keeps_its_number_and_its_order_and_the_address_stays_ours()
         }
         calm.send_to(b"calm!", address).expect("loopback");
         while numbers.len() < read_up_to {
-            // The runtime hears of the new socket only when it gets a turn.
+            // The runtime notices the new socket only when it gets a turn.
             tokio::task::yield_now().await;
             let (peer, bytes) = next_bytes(&mut station).await;
             if bytes != b"calm!" {

@@ -33,7 +33,7 @@ impl Bench {
         port(&format!("pty:{}", self.path().display()), ConnectRole::Listen, self.timer)
     }
 
-    /// What is said about the port while another program holds it.
+    /// The error about the port while another program holds it.
     pub(crate) fn in_use(&self) -> String {
         let path = self.path();
         let path = path.display();
@@ -127,10 +127,10 @@ async fn an_idle_link_is_not_polled_again_and_again() {
         pty.send(b"x");
         poll_once(&mut pty).await
     };
-    let (heard, written) = tokio::join!(next_counted(&mut station), writer);
-    assert!(matches!(heard.0, LinkEvent::Bytes { .. }), "{heard:?}");
+    let (received, written) = tokio::join!(next_counted(&mut station), writer);
+    assert!(matches!(received.0, LinkEvent::Bytes { .. }), "{received:?}");
     assert_eq!(written, None);
-    assert!(heard.1 <= 5, "{} polls for one byte", heard.1);
+    assert!(received.1 <= 5, "{} polls for one byte", received.1);
 }
 
 #[tokio::test(start_paused = true)]
@@ -141,7 +141,7 @@ async fn a_device_that_is_not_there_yet_is_waited_for() {
     let (reason, retry_in) = down(&mut station).await;
     assert_eq!(reason, format!("{} is not there: plug the device in or check the name", bench.path().display()));
     assert!((TimeDelta::from_millis(225)..=TimeDelta::from_millis(275)).contains(&retry_in));
-    // Half a minute of waiting: nothing is told twice, and the waits get longer.
+    // Half a minute of waiting: nothing is reported twice, and the waits get longer.
     let before = bench.timer.now();
     let mut polls = 0;
     let quiet = tokio::time::timeout(
@@ -178,19 +178,19 @@ async fn what_was_written_before_the_port_was_opened_is_stale() {
 
     let mut station = bench.serial();
     up(&mut station).await;
-    // The frame that was cut when the buffer became full is finished first; everything else is gone.
+    // The frame that was cut when the buffer became full is finished first; everything else is lost.
     pty.send(b"new!");
-    let mut heard = Vec::new();
-    while !heard.ends_with(b"new!") {
-        assert!(heard.len() < 100 + 4, "{} stale bytes", heard.len());
+    let mut received = Vec::new();
+    while !received.ends_with(b"new!") {
+        assert!(received.len() < 100 + 4, "{} stale bytes", received.len());
         pty.send(b"new!");
         assert_eq!(poll_once(&mut pty).await, None);
-        heard.extend(bytes(&mut station, 1).await);
+        received.extend(bytes(&mut station, 1).await);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_pty_that_nobody_reads_recovers_when_somebody_does() {
+async fn a_pty_without_a_reader_recovers_when_one_comes() {
     let bench = Bench::new();
     let mut station = bench.serial();
     let mut pty = bench.plugged_pty().await;
@@ -204,16 +204,16 @@ async fn a_pty_that_nobody_reads_recovers_when_somebody_does() {
     assert!(dropped > 0, "the buffer took everything");
     // Both run: the reader takes what is there, the writer finishes the frame that was cut.
     let expected = usize::try_from((2_000 - dropped) * 64).expect("small");
-    let heard = tokio::select! {
-        heard = bytes(&mut station, expected) => heard,
+    let received = tokio::select! {
+        received = bytes(&mut station, expected) => received,
         event = pty.next_event() => panic!("{event:?} on an idle terminal"),
     };
-    assert_eq!(heard.len(), expected, "frames arrive whole");
+    assert_eq!(received.len(), expected, "frames arrive whole");
     assert_eq!(pty.counters().bytes_out, expected as u64);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_second_program_is_told_that_the_port_is_in_use() {
+async fn a_second_program_gets_an_error_that_the_port_is_in_use() {
     let bench = Bench::new();
     let _pty = bench.plugged_pty().await;
     let mut first = bench.serial();
@@ -222,7 +222,7 @@ async fn a_second_program_is_told_that_the_port_is_in_use() {
     let error = second.try_open().await.expect_err("the port is taken");
     assert!(matches!(error, OpenError::PortInUse { .. }), "{error:?}");
     assert_eq!(error.to_string(), bench.in_use());
-    // Whoever goes on all the same is told, and gets the port when it is free.
+    // A program that goes on gets the error, and the port when it is free.
     assert_eq!(down(&mut second).await.0, bench.in_use());
     drop(first);
     up(&mut second).await;

@@ -146,7 +146,7 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
     welcomed(&mut server, 1).await;
 
     let mut source = TrafficSource::new(CAPACITY as u32);
-    let mut heard = ReceivedFrames::default();
+    let mut received = ReceivedFrames::default();
     let mut read = 0;
     for _ in 0..3_000 {
         source.tick(&mut server, timer);
@@ -155,29 +155,29 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
         let unread = server.counters().bytes_out - read;
         let bytes = read_written(&mut reader, (CAPACITY / 100).min(unread as usize)).await;
         read += bytes.len() as u64;
-        heard.push(&bytes, timer);
+        received.push(&bytes, timer);
     }
     let counts = server.port_counts();
     // The doubled receive buffer, the unsent bytes that the system takes, a frame per stream and the waiting commands.
     let bound_bytes = 2 * RECEIVE_BUFFER + 2_048 + 3 * FRAME_BYTES;
     let bound = TimeDelta::from_secs_f64(bound_bytes as f64 / CAPACITY as f64) + TICK;
-    let oldest = heard.oldest_estimate.expect("some arrived");
+    let oldest = received.oldest_estimate.expect("some arrived");
     println!(
         "oldest estimate {oldest:?} of {bound:?}, oldest command {:?}, {} + {} of {} estimates, capacity {:?}",
-        heard.oldest_command,
-        heard.estimates[0].len(),
-        heard.estimates[1].len(),
+        received.oldest_command,
+        received.estimates[0].len(),
+        received.estimates[1].len(),
         2 * source.estimates,
         counts.capacity_bytes_per_s
     );
     assert!(oldest <= bound, "{oldest:?} of {bound:?}");
-    for estimates in &heard.estimates {
+    for estimates in &received.estimates {
         assert!(estimates.is_sorted_by(|a, b| a < b));
         // Both streams get their share of a tenth of the load.
         assert!(estimates.len() > source.estimates as usize / 25, "{}", estimates.len());
     }
-    assert!(heard.commands.iter().copied().eq(0..heard.commands.len() as u32));
-    let missing = source.commands as usize - heard.commands.len();
+    assert!(received.commands.iter().copied().eq(0..received.commands.len() as u32));
+    let missing = source.commands as usize - received.commands.len();
     assert!(missing <= 5 * 3, "{missing} commands are still under way");
     let capacity = counts.capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / CAPACITY as f64 - 1.0).abs() < 0.1, "{capacity}");
@@ -196,7 +196,7 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     up(&mut station).await;
 
     let mut source = TrafficSource::new(RATE);
-    let mut heard = ReceivedFrames::default();
+    let mut received = ReceivedFrames::default();
     let mut total = 0;
     for _ in 0..2_000 {
         source.tick(&mut station, timer);
@@ -207,7 +207,7 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
             match poll_once(&mut brick).await {
                 Some(LinkEvent::Bytes { bytes, .. }) => {
                     total += bytes.len() as u64;
-                    heard.push(&bytes, timer);
+                    received.push(&bytes, timer);
                 }
                 Some(event) => panic!("{event:?} on a quiet line"),
                 None => tokio::task::yield_now().await,
@@ -219,12 +219,12 @@ async fn a_rate_on_a_pty_keeps_estimates_young_and_loses_no_command() {
     assert!(total as f64 <= allowed, "{total} of {allowed} bytes");
     assert!(total as f64 > 0.97 * f64::from(RATE) * secs, "{total} in {secs} s");
     // Nothing lies in the line, so one frame of each kind is all that can be in front.
-    let oldest = heard.oldest_estimate.expect("some arrived");
+    let oldest = received.oldest_estimate.expect("some arrived");
     assert!(oldest <= TimeDelta::from_millis(60), "{oldest:?}");
     // The last one may have to wait for its turn.
-    let commands = heard.commands.len() as u32;
+    let commands = received.commands.len() as u32;
     assert!(source.commands - commands <= 1, "{commands} of {}", source.commands);
-    assert!(heard.commands.iter().copied().eq(0..commands));
+    assert!(received.commands.iter().copied().eq(0..commands));
     let capacity = station.port_counts().capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / f64::from(RATE) - 1.0).abs() < 0.05, "{capacity}");
 }
@@ -296,19 +296,19 @@ async fn a_client_that_hangs_does_not_block_another() {
     let _hung = small_client(address, 4_096);
     let mut alive = small_client(address, 64 * 1024);
     welcomed(&mut server, 2).await;
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for number in 0..FRAMES {
         let mut frame = [0; 1_000];
         frame[..4].copy_from_slice(&number.to_be_bytes());
         server.send_outgoing(&OutgoingFrame { to: Recipients::All, priority: Priority::Forwarded, frame: &frame });
         // Until this one is there: the other has five megabytes to choke on.
-        while heard.len() < 1_000 * (number as usize + 1) {
+        while received.len() < 1_000 * (number as usize + 1) {
             assert_eq!(poll_once(&mut server).await, None);
             tokio::task::yield_now().await;
-            heard.extend(read_now(&mut alive, 4_096));
+            received.extend(read_now(&mut alive, 4_096));
         }
     }
-    for (number, frame) in (0..FRAMES).zip(heard.chunks(1_000)) {
+    for (number, frame) in (0..FRAMES).zip(received.chunks(1_000)) {
         assert_eq!(frame[..4], number.to_be_bytes(), "in order and none missing");
     }
     let counts = server.port_counts();

@@ -12,7 +12,7 @@ pub(crate) fn port(url: &str, role: ConnectRole, timer: HostTimer) -> Link {
     Link::new(config, timer)
 }
 
-/// Waits for the link to come up and returns what it says about itself.
+/// Waits for the link to come up and returns its detail text.
 pub(crate) async fn up(port: &mut Link) -> String {
     loop {
         if let LinkEvent::Up { detail, .. } = port.next_event().await {

@@ -73,7 +73,7 @@ async fn a_name_whose_number_went_to_a_terminal_window_is_replaced() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_from_a_path_opens_whatever_the_folder_is_called() {
+async fn a_link_from_a_path_opens_in_a_folder_of_any_name() {
     let bench = Bench::new();
     let awkward = OsStr::from_bytes(b"what?baud=9 \xff");
     let folder = bench.directory.path().join(awkward);

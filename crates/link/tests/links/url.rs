@@ -55,7 +55,7 @@ fn options_have_the_default_of_the_table_until_they_are_given() {
 }
 
 #[test]
-fn a_wrong_link_says_what_is_wrong_and_what_is_right() {
+fn a_wrong_link_is_refused_with_the_error_and_the_valid_form() {
     check_error(
         "/dev/ttyUSB0",
         "`/dev/ttyUSB0` has no scheme: put one of serial, bluetooth, pty, tcp, udp, ev3, file in front, such as serial:///dev/ttyUSB0?baud=115200",
