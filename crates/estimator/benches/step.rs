@@ -41,7 +41,7 @@ const STATE_BAR: f64 = 3.5;
 const LATE_FIX_BAR_US: f64 = 10.0;
 
 fn main() {
-    // Without `--bench` somebody only wants to know that it runs.
+    // Without `--bench` it only has to run.
     let is_bench = std::env::args().any(|argument| argument == "--bench");
     compare(if is_bench { ROUNDS } else { 1 });
 }
@@ -117,7 +117,7 @@ fn nanos_per_step(mut step: impl FnMut()) -> f64 {
 }
 
 /// The five states of paper 1, equation 24, by the library's own parts: predict, then speed and heading by the encoders, heading and
-/// turn rate by the gyro, each held against a gate. The robot stands.
+/// turn rate by the gyro, each tested by a gate. The robot is at rest.
 struct FiveStates {
     mean: Vector5<f64>,
     covariance: Matrix5<f64>,
@@ -203,7 +203,7 @@ impl Flagship {
 }
 
 /// As much of the past as the filter keeps.
-const KEPT: TimeDelta = TimeDelta::from_millis(3_000);
+const HISTORY: TimeDelta = TimeDelta::from_millis(3_000);
 
 /// A step of the flagship's state and of what is known of wheels and gyro, without history and records around it.
 struct FilterWithoutHistory {
@@ -241,7 +241,7 @@ impl FilterWithoutHistory {
         }
     }
 
-    /// One step: the gyro speaks, then the wheels; the pose is carried on, and a gyro window closes every fourth time.
+    /// One step: a gyro reading, then the wheels; the pose is carried on, and a gyro window closes every fourth time.
     fn drive_on(&mut self) {
         self.step += 1;
         let now = stamp(self.step);
@@ -258,7 +258,7 @@ impl FilterWithoutHistory {
         motion_update::update_turn_rate(&mut self.state, rate.0, &context);
         self.state.advance(now, &self.track, &self.config);
         motion_update::update_motion(&mut self.state, now, &context, &mut self.record);
-        self.track.discard_before(now - KEPT);
-        self.gyro.discard_before(now - KEPT);
+        self.track.discard_before(now - HISTORY);
+        self.gyro.discard_before(now - HISTORY);
     }
 }

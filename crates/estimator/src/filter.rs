@@ -68,7 +68,7 @@ pub struct FilterConfig {
     /// `None` if the first fixes decide.
     pub start: Option<StartPose>,
     pub params: Params,
-    /// Priors of the systematic errors. A constant whose sigma is zero is given and not estimated.
+    /// Priors of the systematic errors. A constant whose sigma is zero is fixed and not estimated.
     pub calibration: Calibration,
     pub arena_map: Arc<ArenaMap>,
 }

@@ -20,7 +20,7 @@ use posebridge_telemetry::{BrickClock, Timestamp};
 
 use crate::motion::count_before;
 
-/// The number of last states that are kept: 0.16 s of a brick whose wheels and gyro are read 50 times a second.
+/// The number of last states that are stored: 0.16 s of a brick whose wheels and gyro are read 50 times a second.
 const RECENT_STATES: usize = 16;
 /// The distance between the older states that are kept, in entries.
 const CHECKPOINT_INTERVAL: usize = 8;
@@ -45,7 +45,7 @@ pub struct FixedLagHistory<E, S> {
     base: S,
     /// Every state p with p = 0 mod [`CHECKPOINT_INTERVAL`], from the first after the base on.
     checkpoints: VecDeque<S>,
-    /// A ring of the last states; empty before the first entry. State p stands at (`ring_offset` + p) mod [`RECENT_STATES`].
+    /// A ring of the last states; empty before the first entry. State p is at index (`ring_offset` + p) mod [`RECENT_STATES`].
     recent: Vec<S>,
     ring_offset: usize,
 }
@@ -69,19 +69,19 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
     }
 
     pub fn last_state(&self) -> &S {
-        self.kept_state(self.entries.len()).1
+        self.stored_state(self.entries.len()).1
     }
 
-    /// The state after the last entry at or before an instant, or the base, as the nearest kept state and the entries
+    /// The state after the last entry at or before an instant, or the base, as the nearest stored state and the entries
     /// to apply to it.
     pub fn state_at_or_before(&self, stamp: Timestamp<BrickClock>) -> (&S, impl Iterator<Item = &E>) {
-        let wanted = self.count_until(stamp);
-        let (kept, state) = self.kept_state(wanted);
-        (state, self.entries.range(kept..wanted))
+        let count = self.count_until(stamp);
+        let (stored, state) = self.stored_state(count);
+        (state, self.entries.range(stored..count))
     }
 
     /// Inserts an entry at its own time and returns the entries to apply again, oldest first: this one and all later
-    /// ones, those after `changed_after` where that is earlier, and those between there and the nearest kept state.
+    /// ones, those after `changed_after` where that is earlier, and those between there and the nearest stored state.
     /// Their states are invalid until then.
     pub fn insert(&mut self, entry: E, changed_after: Option<Timestamp<BrickClock>>) -> Replay<'_, E, S> {
         let inserted = count_before(&self.entries, |other| other.order(&entry) != Ordering::Greater);
@@ -90,7 +90,7 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
             self.checkpoints.reserve(INITIAL_CHECKPOINTS);
             self.recent = vec![self.base; RECENT_STATES];
         }
-        let (next, state) = self.kept_state(changed);
+        let (next, state) = self.stored_state(changed);
         if !self.is_recent(next) {
             let (slot, state) = (self.slot(next), *state);
             self.recent[slot] = state;
@@ -133,12 +133,12 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         count_before(&self.entries, |entry| entry.stamp() <= stamp)
     }
 
-    /// The nearest kept state at or before a state, with its number.
-    fn kept_state(&self, wanted: usize) -> (usize, &S) {
-        if self.is_recent(wanted) {
-            return (wanted, &self.recent[self.slot(wanted)]);
+    /// The nearest stored state at or before state `number`, with its own number.
+    fn stored_state(&self, number: usize) -> (usize, &S) {
+        if self.is_recent(number) {
+            return (number, &self.recent[self.slot(number)]);
         }
-        let checkpoint = (wanted / CHECKPOINT_INTERVAL).checked_sub(1);
+        let checkpoint = (number / CHECKPOINT_INTERVAL).checked_sub(1);
         match checkpoint.and_then(|index| Some((index, self.checkpoints.get(index)?))) {
             Some((index, state)) => ((index + 1) * CHECKPOINT_INTERVAL, state),
             None => (0, &self.base),
@@ -269,8 +269,8 @@ mod tests {
 
     /// The state at an instant, and how many entries had to be applied for it.
     fn state_at(history: &FixedLagHistory<Append, Digest>, millis: i64) -> (Digest, usize) {
-        let (kept, unapplied) = history.state_at_or_before(ms(millis));
-        unapplied.fold((*kept, 0), |(state, count), entry| (applied(state, entry), count + 1))
+        let (stored, unapplied) = history.state_at_or_before(ms(millis));
+        unapplied.fold((*stored, 0), |(state, count), entry| (applied(state, entry), count + 1))
     }
 
     #[test]
@@ -299,7 +299,7 @@ mod tests {
 
     /// The history against one that keeps everything, while entries come up to 70 places late and the oldest are discarded.
     #[test]
-    fn every_state_is_the_one_of_entries_in_order_and_is_not_far_from_one_that_is_kept() {
+    fn every_state_is_that_of_the_ordered_entries_and_near_a_stored_one() {
         const LONGEST: i64 = 90;
         let mut history = FixedLagHistory::new(1);
         let mut expected: Vec<Append> = Vec::new();
@@ -308,10 +308,10 @@ mod tests {
             // Places that are late come between two entries of before.
             let late = if step % 3 == 0 { step * 7 % 70 } else { 0 };
             let entry = Append { millis: (10 * step - 10 * late - late.signum() * 5).max(0), number: step as u64 };
-            let place = expected.partition_point(|other| other.order(&entry) != Ordering::Greater);
-            expected.insert(place, entry);
+            let position = expected.partition_point(|other| other.order(&entry) != Ordering::Greater);
+            expected.insert(position, entry);
             let replayed = apply_all(history.insert(entry, None));
-            let recomputed = replayed.len() - (expected.len() - place);
+            let recomputed = replayed.len() - (expected.len() - position);
             assert!(recomputed < CHECKPOINT_INTERVAL, "step {step}: {recomputed} more than the late ones");
             history.discard_before(ms(10 * (step - LONGEST)));
             let discarded = expected.len() - history.entries().len();

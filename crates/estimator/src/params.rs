@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_row_reaches_a_field_of_its_own_and_its_default_is_in_range() {
+    fn every_row_sets_a_field_of_its_own_and_its_default_is_in_range() {
         for (index, row) in PARAMS.iter().enumerate() {
             assert!(row.range.contains(&row.default), "{}", row.key);
             assert!(row.key.len() <= 16, "{} does not fit a PARAM message", row.key);

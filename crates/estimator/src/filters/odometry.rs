@@ -44,7 +44,7 @@ pub struct OdometryFilter {
     /// Oldest first, never empty: one entry per motion observation within the history.
     states: VecDeque<DeadReckonedState>,
     /// The pose was given, by the configuration or by a person.
-    is_placed: bool,
+    has_pose: bool,
     reset_counter: u8,
     last_jump: Option<PoseCorrection>,
 }
@@ -57,7 +57,7 @@ impl OdometryFilter {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             states: VecDeque::from([start]),
-            is_placed: config.start.is_some(),
+            has_pose: config.start.is_some(),
             reset_counter: 0,
             last_jump: None,
         }
@@ -90,7 +90,7 @@ impl OdometryFilter {
 
     fn insert_motion(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> FusionOutcome {
         // What lies before a pose that was set cannot change it.
-        let oldest = self.states.front().and_then(|belief| belief.stamp);
+        let oldest = self.states.front().and_then(|state| state.stamp);
         if oldest.is_some_and(|oldest| stamp < oldest) {
             return FusionOutcome::TooOld;
         }
@@ -106,14 +106,14 @@ impl OdometryFilter {
     /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
     fn recompute_from(&mut self, stamp: Timestamp<BrickClock>) {
         // The oldest estimate is the start, and stays.
-        let first_later = self.states.partition_point(|belief| belief.stamp <= Some(stamp)).max(1);
-        let mut belief = self.states[first_later - 1];
-        let slot = DeadReckonedState { stamp: Some(stamp), ..belief };
+        let first_later = self.states.partition_point(|state| state.stamp <= Some(stamp)).max(1);
+        let mut state = self.states[first_later - 1];
+        let slot = DeadReckonedState { stamp: Some(stamp), ..state };
         self.states.insert(first_later, slot);
         for index in first_later..self.states.len() {
             let at = self.states[index].stamp.unwrap_or(stamp);
-            belief = self.propagate(&belief, at);
-            self.states[index] = belief;
+            state = self.propagate(&state, at);
+            self.states[index] = state;
         }
         let horizon = self.last().stamp.unwrap_or(stamp) - TimeDelta::from_secs_f64(self.config.params.history_s);
         while self.states.get(1).is_some_and(|second| second.stamp <= Some(horizon)) {
@@ -155,7 +155,7 @@ impl Filter for OdometryFilter {
         let last = self.last();
         self.states.clear();
         self.states.push_back(DeadReckonedState { stamp: last.stamp, ..state_at_start(start) });
-        self.is_placed = true;
+        self.has_pose = true;
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(validation::correction_between(last.pose, start.pose));
         FusionOutcome::PoseReset
@@ -170,7 +170,7 @@ impl Filter for OdometryFilter {
             FilterCommand::ResetPose => {
                 let _ =
                     self.set_pose(&StartPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
-                self.is_placed = false;
+                self.has_pose = false;
             }
             // It learns nothing.
             FilterCommand::SetOnlineCalibration(_) | FilterCommand::ResetCalibration => return FusionOutcome::Unused,
@@ -191,25 +191,25 @@ impl Filter for OdometryFilter {
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        let index = self.states.partition_point(|belief| belief.stamp <= Some(stamp));
+        let index = self.states.partition_point(|state| state.stamp <= Some(stamp));
         let from = self.states.get(index.checked_sub(1)?)?;
         from.stamp?;
-        let belief = self.propagate(from, stamp);
+        let state = self.propagate(from, stamp);
         let mut covariance = [[0.0; 5]; 5];
         for (row, values) in covariance.iter_mut().enumerate().take(3) {
             for (column, value) in values.iter_mut().enumerate().take(3) {
-                *value = belief.covariance[(row, column)];
+                *value = state.covariance[(row, column)];
             }
         }
         Some(Estimate {
             stamp,
-            pose: belief.pose,
-            forward_speed: MetersPerSecond(belief.forward_m_per_s),
-            turn_rate: RadiansPerSecond(belief.turn_rad_per_s),
+            pose: state.pose,
+            forward_speed: MetersPerSecond(state.forward_m_per_s),
+            turn_rate: RadiansPerSecond(state.turn_rad_per_s),
             covariance,
             validity: Validity {
-                position: self.is_placed,
-                heading: self.is_placed,
+                position: self.has_pose,
+                heading: self.has_pose,
                 speeds: self.latest_time().is_some_and(|latest| stamp - latest <= SPEED_HOLD),
             },
             is_dead_reckoning: true,

@@ -9,7 +9,7 @@
 //! var dth = (var s_L + var s_R) / b^2 + k_t^2 |dth| + k_h^2 |d|
 //! cov(d, dth) = (var s_R - var s_L) / (2 b)
 //! ```
-//! At rest there is no noise: a robot that stands does not become uncertain.
+//! At rest there is no noise: a robot at rest does not become uncertain.
 //!
 //! Source: Paper 1, equation 14 (with half the track for its r); square-root-of-distance law: Borenstein and Feng (1996);
 //! docs/maths/pose.md section 2.

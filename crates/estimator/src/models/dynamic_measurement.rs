@@ -70,7 +70,7 @@ impl DynamicModel {
 
     /// Adds a sensor that approaches `gain` u as a sum of exponentials with these time constants, in seconds.
     ///
-    /// Errors: a time constant or the gain is no usable number, two time constants are equal (their shares could not be told apart),
+    /// Errors: a time constant or the gain is no usable number, two time constants are equal (their shares could not be distinguished),
     /// the sensor is in the model already, or there are more than [`MAX_STATES`] states.
     pub fn with_lags(self, sensor: SensorId, gain: f64, time_constants_s: &[f64]) -> Result<Self, ModelError> {
         let mut block = SMatrix::zeros();
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_of_the_quantity_is_seen_through_the_lag() {
+    fn a_random_walk_of_the_quantity_is_observed_through_the_lag() {
         let model = DynamicModel::empty().with_lags(A, 2.0, &[3.0]).unwrap();
         for dt_s in [1e-6_f64, 0.4, 5.0, 900.0] {
             // u gains dt; x = y - 2 u falls back from each step of it.

@@ -177,11 +177,11 @@ mod tests {
     }
 
     #[test]
-    fn a_twist_made_in_a_thousand_parts_ends_where_the_whole_does() {
+    fn a_twist_in_a_thousand_parts_ends_where_the_complete_one_does() {
         for twist in TWISTS {
             let part = Se2::exp(twist.map(|value| value / 1000.0));
-            let whole = (0..1000).fold(Se2::default(), |at, _| at.compose(part));
-            assert!(distance(whole, Se2::exp(twist)) < 1e-11, "{twist:?}");
+            let composed = (0..1000).fold(Se2::default(), |at, _| at.compose(part));
+            assert!(distance(composed, Se2::exp(twist)) < 1e-11, "{twist:?}");
         }
     }
 

@@ -25,7 +25,7 @@ pub struct BodyStep {
 pub enum StepRule {
     /// The chord of the arc: exact for constant curvature.
     Arc,
-    /// The whole distance along the mean heading, as the papers write it.
+    /// The complete distance along the mean heading, as the papers write it.
     Midpoint,
 }
 

@@ -106,9 +106,9 @@ mod tests {
 
     #[test]
     fn two_exact_steps_are_one_of_their_length_noise_included() {
-        let (first, second, whole) = (PAPER.exact(0.03), PAPER.exact(0.17), PAPER.exact(0.2));
-        assert!((second.a * first.a - whole.a).norm() < 1e-14);
-        assert!((second.a * first.b + second.b - whole.b).norm() < 1e-14);
+        let (first, second, combined) = (PAPER.exact(0.03), PAPER.exact(0.17), PAPER.exact(0.2));
+        assert!((second.a * first.a - combined.a).norm() < 1e-14);
+        assert!((second.a * first.b + second.b - combined.b).norm() < 1e-14);
         for (first_s, second_s) in [(0.03, 0.17), (2e-6, 0.02), (3e-6, 9e-6)] {
             let q = |dt_s| PAPER.exact_noise(dt_s, 0.02, 0.3);
             let a = PAPER.exact(second_s).a;

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_turn_over_a_covered_span_is_the_turn_between_its_ends() {
+    fn the_turn_over_a_covered_interval_is_the_turn_between_its_ends() {
         let gyro = gyro(&[(0, 9.0), (20, 1.0), (40, 2.0), (400, 3.0), (420, 4.0)]);
         for from in -10..500 {
             for to in from + 1..500 {

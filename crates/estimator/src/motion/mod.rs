@@ -1,6 +1,6 @@
 //! Wheel travel and gyro rate over time, independent of any filter state.
 //!
-//! A filter asks these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
+//! A filter queries these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
 //! stamp lies inside an encoder interval is applied at its own time, and a late reading changes nothing but the intervals
 //! that it belongs to. The travel of a track depends on the readings that it holds and not on the order in which they came.
 //! The tracks hold no filter state, and reject only what a wheel cannot do.

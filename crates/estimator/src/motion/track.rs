@@ -127,10 +127,10 @@ impl MotionTrack {
         let share = (until - from).as_nanos() as f64 / length.as_nanos() as f64;
         let is_counted = matches!(after.reading, MotionReading::Wheels { .. });
         let path_var_m2 = if is_counted && length > MAX_ARC_INTERVAL { share * self.path_variance(step) } else { 0.0 };
-        let is_whole = from == before.stamp && until == after.stamp;
+        let is_complete = from == before.stamp && until == after.stamp;
         TravelSegment::Known {
             until,
-            travel: if is_whole { step } else { self.travel_between(from, until) },
+            travel: if is_complete { step } else { self.travel_between(from, until) },
             path_var_m2,
         }
     }
@@ -176,8 +176,8 @@ impl MotionTrack {
         let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
         match (before, after) {
             (Some(before), Some(after)) => {
-                let whole = (after.stamp - before.stamp).as_nanos() as f64;
-                let part = (stamp - before.stamp).as_nanos() as f64 / whole;
+                let interval_nanos = (after.stamp - before.stamp).as_nanos() as f64;
+                let part = (stamp - before.stamp).as_nanos() as f64 / interval_nanos;
                 let step = difference(after.cumulative_travel, before.cumulative_travel);
                 WheelTravel {
                     left_m: before.cumulative_travel.left_m + part * step.left_m,
@@ -275,17 +275,17 @@ mod tests {
     }
 
     #[test]
-    fn the_parts_of_a_long_interval_share_its_doubt_about_the_path() {
+    fn the_parts_of_a_long_interval_share_its_path_variance() {
         let track = track(&[(0, wheels(0.0, 0.0)), (4_000, wheels(20.0, 30.0))]);
-        let doubt = |from, to| {
+        let path_variance = |from, to| {
             let TravelSegment::Known { path_var_m2, .. } = track.segment(ms(from), ms(to)) else {
                 panic!("the wheels were read on both sides");
             };
             path_var_m2
         };
         // 0.75 m and 3 rad in unknown order.
-        assert!((doubt(0, 4_000) - (0.75_f64 * 3.0).powi(2) / 12.0).abs() < 1e-12);
-        assert!((doubt(0, 1_000) + doubt(1_000, 4_000) - doubt(0, 4_000)).abs() < 1e-12);
+        assert!((path_variance(0, 4_000) - (0.75_f64 * 3.0).powi(2) / 12.0).abs() < 1e-12);
+        assert!((path_variance(0, 1_000) + path_variance(1_000, 4_000) - path_variance(0, 4_000)).abs() < 1e-12);
         assert!(track.step_to(ms(4_000)).is_none(), "a mean is no speed");
     }
 }

@@ -1,4 +1,4 @@
-//! Quantiles of the chi-square distribution: for gates, which ask whether an innovation fits its covariance, and for the bands around
+//! Quantiles of the chi-square distribution: for gates, which test whether an innovation fits its covariance, and for the bands around
 //! mean normalised errors.
 //!
 //! The regularised lower incomplete gamma function by its power series, inverted by bisection:

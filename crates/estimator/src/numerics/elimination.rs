@@ -217,23 +217,23 @@ pub(crate) struct JointCovariance {
 impl JointCovariance {
     /// Zero where one of the two is not estimated.
     pub(crate) fn between(&self, a: Variable, b: Variable) -> f64 {
-        let place = |wanted| self.variables.iter().position(|own| *own == wanted);
-        match (place(a), place(b)) {
+        let index_of = |variable| self.variables.iter().position(|own| *own == variable);
+        match (index_of(a), index_of(b)) {
             (Some(row), Some(column)) => self.matrix[row][column],
             _ => 0.0,
         }
     }
 
     fn extended(&self, others: &[Variable], coefficients: &[f64], own: &GaussianConditional) -> Self {
-        let mut places = [0; CAPACITY];
-        for (place, other) in places.iter_mut().zip(others) {
+        let mut indices = [0; CAPACITY];
+        for (index, other) in indices.iter_mut().zip(others) {
             // Every variable that was active after this one was eliminated later, so it is there.
-            *place = self.variables.iter().position(|v| v == other).unwrap_or(0);
+            *index = self.variables.iter().position(|v| v == other).unwrap_or(0);
         }
         let count = others.len();
         let mut matrix = [[0.0; CAPACITY]; CAPACITY];
-        for (row, from_row) in places.iter().enumerate().take(count) {
-            for (column, from_column) in places.iter().enumerate().take(count) {
+        for (row, from_row) in indices.iter().enumerate().take(count) {
+            for (column, from_column) in indices.iter().enumerate().take(count) {
                 matrix[row][column] = self.matrix[*from_row][*from_column];
             }
         }

@@ -1,4 +1,4 @@
-//! The range to a radio beacon whose place is known, with an offset and a scale of its own.
+//! The range to a radio beacon whose position is known, with an offset and a scale of its own.
 //!
 //! ```text
 //! q = R' (L - p)       r = |q|       h(x) = r (1 + s_i) + o_i
@@ -31,8 +31,8 @@ pub fn measurement(
     range_m: f64,
     variance_m2: f64,
 ) -> Option<ObservationModel<1>> {
-    let place = beacon.position;
-    let [qx, qy] = view.pose().point_in_body(place.x.0, place.y.0);
+    let position = beacon.position;
+    let [qx, qy] = view.pose().point_in_body(position.x.0, position.y.0);
     let true_m = qx.hypot(qy);
     if true_m < MIN_RANGE_M {
         return None;

@@ -18,7 +18,7 @@ use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quant
 use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
 use crate::models::lie::Se2;
 
-/// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot stands and the timestamp is exact.
+/// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot is at rest and the timestamp is exact.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FixContext {
     /// The body's motion between the exposure and the stamp.
@@ -66,7 +66,7 @@ pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances
     let shown = view.pose().compose(moved.inverse());
     let tag =
         [fix.tag_in_body.x.0 + view.term(StateTerm::TagForward), fix.tag_in_body.y.0 + view.term(StateTerm::TagLeft)];
-    let seen = shown.point_in_body(fix.position.x.0, fix.position.y.0);
+    let measured = shown.point_in_body(fix.position.x.0, fix.position.y.0);
     let (sin, cos) = moved.heading_rad.sin_cos();
     let (v, w) = (circumstances.forward_m_per_s, circumstances.turn_rad_per_s);
     // (rho, phi) at the instant shown is Ad(U) times that at the stamp: (R rho - phi J t, phi), J t = (-t_y, t_x).
@@ -87,7 +87,7 @@ pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances
     let (sin, cos) = shown.heading_rad.sin_cos();
     let body_from_arena = Matrix2::new(cos, sin, -sin, cos);
     ObservationModel {
-        innovation: Vector2::new(seen[0] - tag[0], seen[1] - tag[1]),
+        innovation: Vector2::new(measured[0] - tag[0], measured[1] - tag[1]),
         rows,
         noise: body_from_arena * noise.position * body_from_arena.transpose(),
     }

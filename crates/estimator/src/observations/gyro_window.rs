@@ -11,8 +11,8 @@
 //! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
 //! The rounding at the end of one window is the one at the beginning of the next, with the opposite sign: it is kept as a state,
-//! so that it cancels instead of adding up. Where the robot stood through the window, both ends have the same rounding, and it
-//! drops out of h and R. That no count changed is not enough to say so: a robot that turns by less than a count per window is not
+//! so that it cancels instead of adding up. Where the robot was at rest through the window, both ends have the same rounding, and it
+//! drops out of h and R. Unchanged counts do not prove it: a robot that turns by less than a count per window is not
 //! at rest, and its turn must be taken neither for bias nor, when the count comes, for slip.
 //!
 //! When the window closes, psi is forgotten (zero mean, zero variance) and the next one begins.
@@ -44,7 +44,7 @@ impl GyroWindow {
 pub enum EndRounding {
     /// Not the one at its beginning: the wheels have moved, or may have.
     Independent { variance_rad2: f64 },
-    /// The same: the robot stood.
+    /// The same for a robot at rest.
     Unchanged,
 }
 

@@ -1,4 +1,4 @@
-//! Range and bearing to a landmark whose place is known, by a camera on the robot.
+//! Range and bearing to a landmark whose position is known, by a camera on the robot.
 //!
 //! ```text
 //! q = R' (L - p)            the landmark in the body's space       r = |q|
@@ -27,12 +27,12 @@ pub struct RangeBearing {
 /// Innovation, H and R of a sighting; `None` when the estimate is on the landmark.
 pub fn measurement(
     view: &impl PoseView,
-    place: Point2<Arena>,
-    seen: RangeBearing,
+    landmark: Point2<Arena>,
+    measured: RangeBearing,
     range_variance_m2: f64,
     bearing_variance_rad2: f64,
 ) -> Option<ObservationModel<2>> {
-    let [qx, qy] = view.pose().point_in_body(place.x.0, place.y.0);
+    let [qx, qy] = view.pose().point_in_body(landmark.x.0, landmark.y.0);
     let range_m = qx.hypot(qy);
     if range_m < MIN_RANGE_M {
         return None;
@@ -42,8 +42,8 @@ pub fn measurement(
     let factor = 1.0 + view.term(scale);
     Some(ObservationModel {
         innovation: Vector2::new(
-            seen.range_m - range_m * factor - view.term(offset),
-            wrap_rad(seen.bearing_rad - qy.atan2(qx)),
+            measured.range_m - range_m * factor - view.term(offset),
+            wrap_rad(measured.bearing_rad - qy.atan2(qx)),
         ),
         rows: [
             JacobianRow {

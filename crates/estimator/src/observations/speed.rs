@@ -15,7 +15,7 @@ use super::gyro_window::{gyro_variance, rounding_variance};
 use crate::models::differential_drive::StepNoise;
 use crate::models::se2::BodyStep;
 
-/// Least variance of a speed, (mm/s)²: a wheel that stands may still creep within its backlash.
+/// Least variance of a speed, (mm/s)²: a wheel at rest may still creep within its backlash.
 const MIN_FORWARD_VARIANCE: f64 = 1e-6;
 /// The same for the turn rate, (0.1 degrees/s)².
 const MIN_TURN_VARIANCE: f64 = 3e-6;

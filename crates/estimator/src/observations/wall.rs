@@ -1,4 +1,4 @@
-//! The range straight ahead to a wall whose place is known.
+//! The range straight ahead to a wall whose position is known.
 //!
 //! ```text
 //! n   unit normal of the wall, in the body's space       a  a point of the wall, there

@@ -188,8 +188,8 @@ impl SampledFilter for FiveStateEkf {
     fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let known_bias = context.config.calibration.gyro_bias_rad_per_s.value;
         self.gyro_heading_rad += (step.rate_rad_per_s - known_bias) * step.dt_s;
-        let seen_rad = self.gyro_heading_rad;
-        let scalar = scalar_observation(&self.mean, HEADING, seen_rad, GYRO_HEADING_VARIANCE);
+        let measured_rad = self.gyro_heading_rad;
+        let scalar = scalar_observation(&self.mean, HEADING, measured_rad, GYRO_HEADING_VARIANCE);
         rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 
@@ -222,9 +222,9 @@ impl SampledFilter for FiveStateEkf {
 }
 
 /// A direct observation of one row; `variance` is in the paper's unit of that row.
-fn scalar_observation(mean: &Mean, row: usize, seen: f64, variance: f64) -> ScalarMeasurement<1> {
+fn scalar_observation(mean: &Mean, row: usize, measured: f64, variance: f64) -> ScalarMeasurement<1> {
     ScalarMeasurement {
-        innovation: seen - mean[row],
+        innovation: measured - mean[row],
         rows: [row],
         jacobian: [1.0],
         variance: variance * UNITS[row] * UNITS[row],

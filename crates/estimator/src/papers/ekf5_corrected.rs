@@ -18,7 +18,7 @@
 //! and P is filled in accordingly.
 //!
 //! # Assumptions
-//! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations say how they change: one sample of an
+//! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations measure their change: one sample of an
 //! accelerometer is no mean over the interval. The geometry is taken as given. Fixes are not used: `pose` does that better.
 //!
 //! Source: Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/lab/square.md section M5.
@@ -49,10 +49,10 @@ pub const GYRO_HEADING_ERROR: usize = 7;
 /// Bias of the gyro, rad/s.
 pub const GYRO_BIAS: usize = 8;
 
-/// Variance of the integrated gyro beside its error state, (0.01 degrees)². Its whole error is in the state; this keeps
+/// Variance of the integrated gyro beside its error state, (0.01 degrees)². Its complete error is in the state; this keeps
 /// S away from zero.
 const INTEGRAL_VARIANCE: f64 = 3.046e-8;
-/// Sigma of the forward speed before anything is known, m/s: a robot that is switched on stands.
+/// Sigma of the forward speed before anything is known, m/s: a robot that is switched on is at rest.
 const INITIAL_FORWARD_SIGMA: f64 = 0.1;
 /// The same for the turn rate, rad/s.
 const INITIAL_TURN_SIGMA: f64 = 1.0;
@@ -252,7 +252,7 @@ impl SampledFilter for CorrectedEkf {
         self.covariance = f * self.covariance * f.transpose();
         rows::add_unobserved_motion(&mut self.covariance, dt_s);
         self.add_unobserved_path(UNOBSERVED_M_PER_SQRT_S.powi(2) * dt_s);
-        // The speeds afterwards owe nothing to what was predicted before: a path that was missed is no error of theirs.
+        // The speeds afterwards do not depend on the earlier prediction: a path that was missed is no error of theirs.
         for (row, density) in
             [(FORWARD, config.params.acceleration_m_per_s2), (TURN, config.params.turn_acceleration_rad_per_s2)]
         {

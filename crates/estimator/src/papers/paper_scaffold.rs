@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! speeds are held for 0.5 s after the last reading of the wheels, accelerations for 0.3 s after they were felt;
-//! behind that the pose stays and only the doubt grows
+//! behind that the pose stays and only the variance grows
 //! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
 //! robot is taken to have driven at the counters' mean speeds
 //! ```
@@ -46,7 +46,7 @@ struct FilterSnapshot<M> {
     last_motion: Option<Timestamp<BrickClock>>,
     last_fix: Option<Timestamp<BrickClock>>,
     /// The pose was given, by the configuration, a person or a fix.
-    is_placed: bool,
+    has_pose: bool,
 }
 
 impl<M: SampledFilter> FilterSnapshot<M> {
@@ -55,7 +55,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
             self.stamp = self.stamp.or(Some(stamp));
             return;
         };
-        // Before the first reading of the wheels nothing has gone stale yet.
+        // Before the first reading of the wheels nothing is stale yet.
         let held_until = self.last_motion.unwrap_or(from) + SPEED_HOLD;
         let moving_until = held_until.clamp(from, stamp);
         let (felt, felt_until) = self
@@ -120,7 +120,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             acceleration: None,
             last_motion: None,
             last_fix: None,
-            is_placed: config.start.is_some(),
+            has_pose: config.start.is_some(),
         };
         Self {
             context: SampledContext { config: config.clone(), gates: chi_square_gates(config.params.gate_probability) },
@@ -243,14 +243,14 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
         let mut next = self.current;
         next.advance_to(observation.stamp, &self.context);
-        let verdict = if next.is_placed {
+        let verdict = if next.has_pose {
             let stamp_sigma_s = observation.stamp_sigma.as_secs_f64();
             next.filter.use_fix(fix, stamp_sigma_s, &self.context, record)
         } else {
             initialize_from_fix(&mut next.filter, fix, &self.context)
         };
         if verdict == FusionOutcome::Accepted {
-            next.is_placed = true;
+            next.has_pose = true;
             next.last_fix = next.last_fix.max(Some(observation.stamp));
             self.last_fixes.insert(observation.sensor, observation.stamp);
             self.save(next);
@@ -259,18 +259,18 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
     }
 
     fn build_estimate(&self, at: &FilterSnapshot<M>, stamp: Timestamp<BrickClock>) -> Estimate {
-        let belief = at.filter.gaussian_state(&self.context);
+        let state = at.filter.gaussian_state(&self.context);
         let fix_age = at.last_fix.map(|last_fix| (stamp - last_fix).max(TimeDelta::ZERO));
         let timeout = TimeDelta::from_secs_f64(self.context.config.params.fix_timeout_s);
         Estimate {
             stamp,
-            pose: pose_of(&belief.mean),
-            forward_speed: MetersPerSecond(belief.mean[row::FORWARD]),
-            turn_rate: RadiansPerSecond(belief.mean[row::TURN]),
-            covariance: std::array::from_fn(|i| std::array::from_fn(|j| belief.covariance[(i, j)])),
+            pose: pose_of(&state.mean),
+            forward_speed: MetersPerSecond(state.mean[row::FORWARD]),
+            turn_rate: RadiansPerSecond(state.mean[row::TURN]),
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| state.covariance[(i, j)])),
             validity: Validity {
-                position: at.is_placed,
-                heading: at.is_placed,
+                position: at.has_pose,
+                heading: at.has_pose,
                 speeds: at.last_motion.is_some_and(|last| stamp - last <= SPEED_HOLD),
             },
             is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
@@ -315,7 +315,7 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         let mut next = self.current;
         let before = pose_of(&next.filter.gaussian_state(&self.context).mean);
         next.filter.initialize_pose(start);
-        next.is_placed = true;
+        next.has_pose = true;
         self.restart_history(next);
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(validation::correction_between(before, start.pose));

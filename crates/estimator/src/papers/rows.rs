@@ -180,8 +180,8 @@ pub(super) fn position_in_arena<const N: usize>(
     jacobian[(1, y)] = 1.0;
     jacobian[(0, heading)] = -lever[1];
     jacobian[(1, heading)] = lever[0];
-    let seen = Vector2::new(fix.position.x.0, fix.position.y.0);
-    (seen - Vector2::new(x_m, y_m) - lever, jacobian)
+    let measured = Vector2::new(fix.position.x.0, fix.position.y.0);
+    (measured - Vector2::new(x_m, y_m) - lever, jacobian)
 }
 
 #[cfg(test)]

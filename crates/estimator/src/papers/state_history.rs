@@ -18,11 +18,11 @@ impl<T: Copy> StateHistory<T> {
     }
 
     /// Adds the state for an instant that is not before the last one; replaces the one of the same instant.
-    pub(super) fn push(&mut self, stamp: Timestamp<BrickClock>, belief: T) {
+    pub(super) fn push(&mut self, stamp: Timestamp<BrickClock>, state: T) {
         if self.entries.back().is_some_and(|(last, _)| *last == stamp) {
             self.entries.pop_back();
         }
-        self.entries.push_back((stamp, belief));
+        self.entries.push_back((stamp, state));
         let horizon = stamp - self.length;
         // One state at or before the horizon stays, to start from.
         while self.entries.get(1).is_some_and(|(second, _)| *second <= horizon) {
@@ -45,16 +45,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_reaches_back_as_far_as_it_was_told_and_no_further() {
+    fn it_reaches_back_by_its_configured_length_and_no_further() {
         let mut timeline = StateHistory::new(0.25);
         for k in 0..10_i64 {
             timeline.push(Timestamp::from_millis(100 * k), k);
         }
         timeline.push(Timestamp::from_millis(900), 90);
         let at = |millis| timeline.last_at_or_before(Timestamp::from_millis(millis));
-        assert_eq!(at(5_000).map(|(_, belief)| belief), Some(90));
-        assert_eq!(at(899).map(|(_, belief)| belief), Some(8));
-        assert_eq!(at(650).map(|(_, belief)| belief), Some(6), "kept to start from");
+        assert_eq!(at(5_000).map(|(_, state)| state), Some(90));
+        assert_eq!(at(899).map(|(_, state)| state), Some(8));
+        assert_eq!(at(650).map(|(_, state)| state), Some(6), "kept to start from");
         assert_eq!(at(599), None);
     }
 }

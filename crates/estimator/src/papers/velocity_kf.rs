@@ -96,9 +96,9 @@ impl SampledFilter for VelocityKf {
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let body = step.body_step(&context.config.geometry);
         let dt_s = step.interval.as_secs_f64();
-        let seen = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
-        let noise: [f64; 2] = [0, 1].map(|i: usize| MEASUREMENT_VARIANCES[i] * UNITS[seen[i].0].powi(2));
-        let nu = SVector::<f64, 2>::from_fn(|i, _| seen[i].1 - self.mean[seen[i].0]);
+        let measured = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
+        let noise: [f64; 2] = [0, 1].map(|i: usize| MEASUREMENT_VARIANCES[i] * UNITS[measured[i].0].powi(2));
+        let nu = SVector::<f64, 2>::from_fn(|i, _| measured[i].1 - self.mean[measured[i].0]);
         let s = Matrix2::new(
             self.covariance[(FORWARD, FORWARD)] + noise[0],
             0.0,
@@ -109,7 +109,7 @@ impl SampledFilter for VelocityKf {
             return FusionOutcome::Malformed;
         }
         for i in 0..2 {
-            self.correct(seen[i].0, nu[i], noise[i]);
+            self.correct(measured[i].0, nu[i], noise[i]);
         }
         FusionOutcome::Accepted
     }

@@ -58,13 +58,13 @@ pub fn batch(config: &FilterConfig, observations: &[Observation]) -> Result<Smoo
         let descended = state.minimize(&problem, &whiteners, gates)?;
         iterations += descended.steps;
         cost = descended.linearised.cost;
-        let judged = GatedObservation::evaluate(&problem, &descended, &state.is_used, gates);
+        let gated = GatedObservation::evaluate(&problem, &descended, &state.is_used, gates);
         let values = descended.values;
-        if state.update(values.clone(), &judged.passes_gate, round) && round > 0 {
+        if state.update(values.clone(), &gated.passes_gate, round) && round > 0 {
             let used = state.is_used.iter().filter(|used| **used).count();
             return Ok(SmoothedTrajectory {
-                poses: judged.poses(&problem, &values),
-                calibration: judged.calibration(&problem, &values),
+                poses: gated.poses(&problem, &values),
+                calibration: gated.calibration(&problem, &values),
                 cost,
                 iterations,
                 fixes_used: used,
@@ -228,19 +228,19 @@ fn initial_values(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS], f
 fn candidate_starts(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS]) -> Vec<ProblemValues> {
     let first_fix = problem.fixes.first();
     let start = problem.config.start;
-    let told = start.map(|start| UnwrappedPose::from_pose(start.pose));
+    let start_pose = start.map(|start| UnwrappedPose::from_pose(start.pose));
     let at = |heading_rad: f64| {
         let nowhere = initial_values(problem, constants, UnwrappedPose::default());
-        let first = match (told, first_fix) {
-            (Some(told), _) => UnwrappedPose { heading_rad, ..told },
-            (None, Some(seen)) => pose_from_fix(seen, &nowhere, heading_rad),
+        let first = match (start_pose, first_fix) {
+            (Some(start_pose), _) => UnwrappedPose { heading_rad, ..start_pose },
+            (None, Some(fix)) => pose_from_fix(fix, &nowhere, heading_rad),
             (None, None) => UnwrappedPose::default(),
         };
         initial_values(problem, constants, first)
     };
     let known = start.filter(|start| start.heading_sigma_rad <= VAGUE_HEADING_SIGMA_RAD);
-    let seen = first_fix.and_then(|seen| seen.fix.heading);
-    match known.map(|start| start.pose.heading).or(seen) {
+    let fix_heading = first_fix.and_then(|fix| fix.fix.heading);
+    match known.map(|start| start.pose.heading).or(fix_heading) {
         Some(heading) => vec![at(heading.rad())],
         None => {
             (0..HEADING_STARTS).map(|k| at(std::f64::consts::TAU * f64::from(k) / f64::from(HEADING_STARTS))).collect()

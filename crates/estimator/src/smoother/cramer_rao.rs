@@ -205,9 +205,9 @@ impl<'a> BoundRecursion<'a> {
 const UNKNOWN_HEADING_SIGMA_RAD: f64 = 1.813_799_364_234_217_8;
 
 /// (M^-1 + h'h / R)^-1 for a row h that is zero except at these places.
-fn observe<const K: usize>(covariance: &mut Covariance, places: [(usize, f64); K], variance: f64) {
+fn observe<const K: usize>(covariance: &mut Covariance, entries: [(usize, f64); K], variance: f64) {
     let mut h = SVector::<f64, N>::zeros();
-    for (row, by_row) in places {
+    for (row, by_row) in entries {
         h[row] = by_row;
     }
     let cross = *covariance * h;
@@ -258,12 +258,12 @@ mod tests {
             start.heading_sigma_rad.powi(-2),
         ));
         for (index, own) in own.iter().enumerate() {
-            let is_seen = (index + 1).is_multiple_of(4);
-            let seen = f64::from(u8::from(is_seen));
-            j_x = 1.0 / q_x + seen / r - 1.0 / q_x / (j_x + 1.0 / q_x) / q_x;
+            let has_fix = (index + 1).is_multiple_of(4);
+            let fix_weight = f64::from(u8::from(has_fix));
+            j_x = 1.0 / q_x + fix_weight / r - 1.0 / q_x / (j_x + 1.0 / q_x) / q_x;
             let inner = (j + f.transpose() * q_inverse * f).try_inverse().unwrap();
             j = q_inverse - q_inverse * f * inner * f.transpose() * q_inverse
-                + Matrix2::from_diagonal(&nalgebra::Vector2::new(seen / r, seen / r_heading));
+                + Matrix2::from_diagonal(&nalgebra::Vector2::new(fix_weight / r, fix_weight / r_heading));
             let expected = 1.0 / j_x + j.try_inverse().unwrap()[(0, 0)];
             assert!((own / expected - 1.0).abs() < 1e-4, "step {}: {own} against {expected}", index + 1);
         }

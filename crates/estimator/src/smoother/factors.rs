@@ -71,14 +71,14 @@ pub(super) fn start_rows(config: &FilterConfig, layout: VariableLayout, first: U
     let position = 1.0 / start.position_sigma_m.max(MIN_SIGMA);
     let heading = 1.0 / start.heading_sigma_rad.max(MIN_SIGMA);
     let (sin, cos) = first.heading_rad.sin_cos();
-    let told = UnwrappedPose::from_pose(start.pose);
-    let turn_rad = wrap_rad(first.heading_rad - told.heading_rad);
+    let start_pose = UnwrappedPose::from_pose(start.pose);
+    let turn_rad = wrap_rad(first.heading_rad - start_pose.heading_rad);
     let (forward, left) = (layout.pose(0, 0), layout.pose(0, 1));
     [
-        WhitenedRow::from_residual(position * (first.x_m - told.x_m))
+        WhitenedRow::from_residual(position * (first.x_m - start_pose.x_m))
             .with_derivative(forward, position * cos)
             .with_derivative(left, -position * sin),
-        WhitenedRow::from_residual(position * (first.y_m - told.y_m))
+        WhitenedRow::from_residual(position * (first.y_m - start_pose.y_m))
             .with_derivative(forward, position * sin)
             .with_derivative(left, position * cos),
         WhitenedRow::from_residual(heading * turn_rad).with_derivative(layout.pose(0, 2), heading),
@@ -135,14 +135,14 @@ pub(super) fn window_row(
 // The motion from one pose to the next, as whitened rows.
 //
 //     D = T_k^-1 T_k+1 = (u, phi)          e = (cos phi/2, sin phi/2)    n = (-sin phi/2, cos phi/2)    c = sin(phi/2)/(phi/2)
-//     r = [ e'u / c - d ]                  the arc through both poses is as long as the wheels say
+//     r = [ e'u / c - d ]                  the arc through both poses is as long as the wheels measured
 //         [ phi - dth   ]                  and turns as far
 //         [ n'u         ]                  and leaves no lateral error
 //     d = (s_L + s_R)/2    dth = (s_R - s_L)/b    s_L = s_L0 (1 + e_m - e_d/2)   s_R = s_R0 (1 + e_m + e_d/2)   b = b0 (1 + e_b)
 // Source: models::differential_drive for the noise; docs/maths/pose.md section B2.
 
 /// Lateral error of an arc, and the least of its other errors, m per sqrt(m) of the wheels' path: a thousandth of a
-/// good wheel's slip. It stands for "none": without it the motion of three coordinates would have noise in two only.
+/// good wheel's slip. It represents "none": without it the motion of three coordinates would have noise in two only.
 const LATERAL_M_PER_SQRT_M: f64 = 1e-6;
 /// The same for a path near zero, m²: ten nanometres.
 const MIN_VARIANCE_M2: f64 = 1e-16;
@@ -257,8 +257,8 @@ fn arc_residual(
     let lateral = cos * u[1] - sin * u[0];
     // Seen along its chord, an arc of length one ends at the ratio of chord to arc.
     let unit = BodyStep { forward_m: 1.0, turn_rad: phi };
-    let seen = displace(-0.5 * phi, unit, StepRule::Arc);
-    let (chord, chord_by_turn) = (seen.dx_m, seen.by_turn[0]);
+    let unit_arc = displace(-0.5 * phi, unit, StepRule::Arc);
+    let (chord, chord_by_turn) = (unit_arc.dx_m, unit_arc.by_turn[0]);
     let length = along / chord;
     let residual = Vector3::new(length - step.step.forward_m, phi - step.step.turn_rad, lateral);
     let length_by_phi = 0.5 * lateral / chord - length * chord_by_turn / chord;
@@ -330,18 +330,18 @@ const MIN_VARIANCE: f64 = 1e-12;
 /// definite.
 pub(super) fn fix_rows(
     problem: &SmoothingProblem<'_>,
-    seen: &AssociatedFix,
+    associated: &AssociatedFix,
     values: &ProblemValues,
 ) -> Option<([WhitenedRow; 3], u8)> {
-    let noise = noise_of_fix(problem, seen);
+    let noise = noise_of_fix(problem, associated);
     let white = noise.position.cholesky()?.l().try_inverse()?;
-    let at = true_pose(values.poses[seen.node], seen, values);
+    let at = true_pose(values.poses[associated.node], associated, values);
     let (sin, cos) = at.heading_rad.sin_cos();
-    let lever = lever_in_arena(seen, values, at);
-    let seen_at = Vector2::new(seen.fix.position.x.0, seen.fix.position.y.0);
-    let innovation = white * (seen_at - Vector2::new(at.x_m, at.y_m) - lever);
+    let lever = lever_in_arena(associated, values, at);
+    let measured = Vector2::new(associated.fix.position.x.0, associated.fix.position.y.0);
+    let innovation = white * (measured - Vector2::new(at.x_m, at.y_m) - lever);
     // Minus the derivatives of h: of the pose's xi, of the delay, of the lever.
-    let (v, w) = (seen.forward_m_per_s, seen.turn_rad_per_s);
+    let (v, w) = (associated.forward_m_per_s, associated.turn_rad_per_s);
     let ahead = -white * Vector2::new(cos, sin);
     let aside = -white * Vector2::new(-sin, cos);
     let turned = -white * Vector2::new(-lever.y, lever.x);
@@ -352,19 +352,19 @@ pub(super) fn fix_rows(
             return WhitenedRow::default();
         }
         let row = WhitenedRow::from_residual(innovation[axis])
-            .with_derivative(layout.pose(seen.node, 0), ahead[axis])
-            .with_derivative(layout.pose(seen.node, 1), aside[axis])
-            .with_derivative(layout.pose(seen.node, 2), turned[axis]);
+            .with_derivative(layout.pose(associated.node, 0), ahead[axis])
+            .with_derivative(layout.pose(associated.node, 1), aside[axis])
+            .with_derivative(layout.pose(associated.node, 2), turned[axis]);
         let row = with_constant(problem, row, FIX_DELAY, delayed[axis]);
         let row = with_constant(problem, row, TAG_FORWARD, ahead[axis]);
         with_constant(problem, row, TAG_LEFT, aside[axis])
     });
-    let Some(heading) = seen.fix.heading else {
+    let Some(heading) = associated.fix.heading else {
         return Some((rows, 2));
     };
     let weight = 1.0 / noise.heading_rad2.max(MIN_VARIANCE).sqrt();
     let row = WhitenedRow::from_residual(weight * wrap_rad(heading.rad() - at.heading_rad))
-        .with_derivative(layout.pose(seen.node, 2), -weight);
+        .with_derivative(layout.pose(associated.node, 2), -weight);
     rows[2] = with_constant(problem, row, FIX_DELAY, weight * w);
     Some((rows, 3))
 }
@@ -373,16 +373,16 @@ fn with_constant(problem: &SmoothingProblem<'_>, row: WhitenedRow, constant: usi
     if problem.is_free[constant] { row.with_derivative(constant, derivative) } else { row }
 }
 
-fn noise_of_fix(problem: &SmoothingProblem<'_>, seen: &AssociatedFix) -> FixNoise {
+fn noise_of_fix(problem: &SmoothingProblem<'_>, associated: &AssociatedFix) -> FixNoise {
     let mut noise = fix_noise(
-        &seen.fix,
+        &associated.fix,
         &problem.config.noise,
         [1.0, 1.0],
         &FixContext {
             moved_since: Se2::default(),
-            stamp_sigma_s: seen.stamp_sigma_s,
-            forward_m_per_s: seen.forward_m_per_s,
-            turn_rad_per_s: seen.turn_rad_per_s,
+            stamp_sigma_s: associated.stamp_sigma_s,
+            forward_m_per_s: associated.forward_m_per_s,
+            turn_rad_per_s: associated.turn_rad_per_s,
         },
     );
     noise.position += Matrix2::from_diagonal_element(MIN_VARIANCE);
@@ -390,26 +390,26 @@ fn noise_of_fix(problem: &SmoothingProblem<'_>, seen: &AssociatedFix) -> FixNois
 }
 
 /// The robot's pose at the exposure of a fix.
-fn true_pose(node: UnwrappedPose, seen: &AssociatedFix, values: &ProblemValues) -> UnwrappedPose {
-    let earlier_s = values.constants[FIX_DELAY] - seen.delay_s;
-    node.retract([-earlier_s * seen.forward_m_per_s, 0.0, -earlier_s * seen.turn_rad_per_s])
+fn true_pose(node: UnwrappedPose, associated: &AssociatedFix, values: &ProblemValues) -> UnwrappedPose {
+    let earlier_s = values.constants[FIX_DELAY] - associated.delay_s;
+    node.retract([-earlier_s * associated.forward_m_per_s, 0.0, -earlier_s * associated.turn_rad_per_s])
 }
 
-fn lever_in_arena(seen: &AssociatedFix, values: &ProblemValues, at: UnwrappedPose) -> Vector2<f64> {
+fn lever_in_arena(associated: &AssociatedFix, values: &ProblemValues, at: UnwrappedPose) -> Vector2<f64> {
     let (sin, cos) = at.heading_rad.sin_cos();
-    let forward = seen.fix.tag_in_body.x.0 + values.constants[TAG_FORWARD];
-    let left = seen.fix.tag_in_body.y.0 + values.constants[TAG_LEFT];
+    let forward = associated.fix.tag_in_body.x.0 + values.constants[TAG_FORWARD];
+    let left = associated.fix.tag_in_body.y.0 + values.constants[TAG_LEFT];
     Vector2::new(cos * forward - sin * left, sin * forward + cos * left)
 }
 
 /// The pose by a fix alone, with this heading where it has none.
-pub(super) fn pose_from_fix(seen: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> UnwrappedPose {
+pub(super) fn pose_from_fix(associated: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> UnwrappedPose {
     let at = UnwrappedPose {
-        x_m: seen.fix.position.x.0,
-        y_m: seen.fix.position.y.0,
-        heading_rad: seen.fix.heading.map_or(heading_rad, Heading::rad),
+        x_m: associated.fix.position.x.0,
+        y_m: associated.fix.position.y.0,
+        heading_rad: associated.fix.heading.map_or(heading_rad, Heading::rad),
     };
-    let lever = lever_in_arena(seen, values, at);
+    let lever = lever_in_arena(associated, values, at);
     UnwrappedPose { x_m: at.x_m - lever.x, y_m: at.y_m - lever.y, ..at }
 }
 
@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arc_that_the_wheels_told_leaves_no_residual() {
+    fn an_arc_that_the_wheels_measured_leaves_no_residual() {
         let step = without_scales(0.25, -0.45);
         let from = UnwrappedPose::default();
         let to = from.retract([0.25, 0.0, -0.45]);

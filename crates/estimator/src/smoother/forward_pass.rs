@@ -105,8 +105,8 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
                 self.advance_to(node);
             }
             self.use_windows(node);
-            for seen in self.context.problem.fixes_at(node) {
-                self.use_fix(seen);
+            for fix in self.context.problem.fixes_at(node) {
+                self.use_fix(fix);
             }
         }
         while let Some(&variable) = self.front.variables().first() {
@@ -238,24 +238,24 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         self.next_window = index + 1;
     }
 
-    fn use_fix(&mut self, seen: &AssociatedFix) {
-        let Some((rows, degrees)) = fix_rows(self.context.problem, seen, &self.values) else {
-            self.is_used[seen.index] = false;
+    fn use_fix(&mut self, fix: &AssociatedFix) {
+        let Some((rows, degrees)) = fix_rows(self.context.problem, fix, &self.values) else {
+            self.is_used[fix.index] = false;
             return;
         };
-        if !self.is_used[seen.index] {
+        if !self.is_used[fix.index] {
             return;
         }
         if let PassMode::Filter(guess) = self.mode
             && self.nis(&rows) > guess.gates[usize::from(degrees) - 1]
         {
-            self.is_used[seen.index] = false;
+            self.is_used[fix.index] = false;
             return;
         }
         for row in &rows {
             self.add_row(row);
         }
-        self.correct(seen.node);
+        self.correct(fix.node);
     }
 
     /// Normalised innovation squared of whitened rows at the solution so far.

@@ -50,7 +50,7 @@ pub(super) fn minimize(ground: PassContext<'_, '_>, mut values: ProblemValues) -
         let size = step.iter().fold(0.0_f64, |most, part| most.max(part.abs()));
         let mut there = values.clone();
         there.retract(layout, &step);
-        // A maximum over NaN is none: the sum is asked as well.
+        // A maximum over NaN is none: the sum is checked as well.
         let is_finite = step.iter().sum::<f64>().is_finite();
         if is_finite && size < CONVERGED && damping == 0.0 {
             let linearised = linearize(ground, &there, 0.0);

@@ -1,4 +1,4 @@
-//! Offline estimation over a whole run, and the bound of any filter's error.
+//! Offline estimation over a complete run, and the bound of any filter's error.
 //!
 //! Nothing here is for use while a robot drives. [`batch()`] finds the most likely path given all observations, late or
 //! not, before or after; reports show it, and filters are compared with it. [`cramer_rao_bound`] gives the least error

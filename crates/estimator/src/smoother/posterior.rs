@@ -43,7 +43,7 @@ impl GatedObservation {
         gates: [f64; 3],
     ) -> Self {
         let layout = problem.layout();
-        let mut judged = Self {
+        let mut gated = Self {
             passes_gate: vec![false; is_used.len()],
             nis: vec![f64::INFINITY; is_used.len()],
             covariances: vec![Matrix3::zeros(); problem.poses],
@@ -52,27 +52,27 @@ impl GatedObservation {
         };
         descended.linearised.chain.visit_covariances(|variable, joint| match layout.kind_of(variable) {
             VariableKind::Constant(constant) => {
-                judged.constants[constant] = joint.between(variable, variable);
+                gated.constants[constant] = joint.between(variable, variable);
             }
             VariableKind::Bias(window) if window + 1 == problem.windows.len() => {
-                judged.last_bias = joint.between(variable, variable);
+                gated.last_bias = joint.between(variable, variable);
             }
             // A pose's first row is eliminated first and so comes last: the others are there.
             VariableKind::Pose(node, 0) => {
-                judged.covariances[node] =
+                gated.covariances[node] =
                     Matrix3::from_fn(|row, column| joint.between(layout.pose(node, row), layout.pose(node, column)));
-                for seen in problem.fixes_at(node) {
-                    if let Some((rows, degrees)) = fix_rows(problem, seen, &descended.values) {
-                        let sign = if is_used[seen.index] { -1.0 } else { 1.0 };
+                for fix in problem.fixes_at(node) {
+                    if let Some((rows, degrees)) = fix_rows(problem, fix, &descended.values) {
+                        let sign = if is_used[fix.index] { -1.0 } else { 1.0 };
                         let nis = leave_one_out_nis(&rows, joint, sign);
-                        judged.nis[seen.index] = nis;
-                        judged.passes_gate[seen.index] = nis <= gates[usize::from(degrees) - 1];
+                        gated.nis[fix.index] = nis;
+                        gated.passes_gate[fix.index] = nis <= gates[usize::from(degrees) - 1];
                     }
                 }
             }
             VariableKind::Bias(_) | VariableKind::Pose(..) => {}
         });
-        judged
+        gated
     }
 
     /// The pose at each motion reading.
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_others_say_the_same_of_a_fix_whether_it_was_used_or_not() {
+    fn a_fix_has_the_same_leave_one_out_nis_whether_it_was_used_or_not() {
         for index in 0..4 {
             let (used, left_out) = (nis_of(index, &[]), nis_of(index, &[index]));
             assert!((used / left_out - 1.0).abs() < 1e-3 && used > 0.1, "fix {index}: {used} against {left_out}");

@@ -136,8 +136,8 @@ impl<'a> RunData<'a> {
         let delay = TimeDelta::from_secs_f64(delay_s);
         let mut stops: Vec<(Timestamp<BrickClock>, NodeKind)> =
             self.readings.iter().map(|at| (*at, NodeKind::Reading)).collect();
-        let seen = self.fixes.iter().enumerate();
-        stops.extend(seen.map(|(index, fix)| (fix.stamp - delay, NodeKind::Fix(index))));
+        let indexed = self.fixes.iter().enumerate();
+        stops.extend(indexed.map(|(index, fix)| (fix.stamp - delay, NodeKind::Fix(index))));
         stops.retain(|stop| (first..=last).contains(&stop.0));
         stops.sort();
         let mut at = first;
@@ -147,8 +147,8 @@ impl<'a> RunData<'a> {
             match stop {
                 NodeKind::Reading => problem.readings.push(ReadingPose { stamp, pose: problem.poses - 1 }),
                 NodeKind::Fix(index) => {
-                    let seen = self.associate_fix(index, stamp, problem.poses - 1, delay_s);
-                    problem.fixes.extend(seen);
+                    let associated = self.associate_fix(index, stamp, problem.poses - 1, delay_s);
+                    problem.fixes.extend(associated);
                 }
             }
         }
@@ -186,14 +186,14 @@ impl<'a> RunData<'a> {
         };
         let (from, to) = (at - HALF_SPEED_WINDOW, at + HALF_SPEED_WINDOW);
         let step = body_step(self.track.travel_between(from, to), &self.config.geometry);
-        let span_s = (to - from).as_secs_f64();
+        let window_s = (to - from).as_secs_f64();
         Some(AssociatedFix {
             index,
             node,
             fix,
             stamp_sigma_s: observation.stamp_sigma.as_secs_f64(),
-            forward_m_per_s: step.forward_m / span_s,
-            turn_rad_per_s: step.turn_rad / span_s,
+            forward_m_per_s: step.forward_m / window_s,
+            turn_rad_per_s: step.turn_rad / window_s,
             delay_s,
         })
     }
@@ -299,8 +299,8 @@ impl<'a> SmoothingProblem<'a> {
     }
 
     pub(super) fn fixes_at(&self, node: usize) -> &[AssociatedFix] {
-        let first = self.fixes.partition_point(|seen| seen.node < node);
-        let end = self.fixes.partition_point(|seen| seen.node <= node);
+        let first = self.fixes.partition_point(|fix| fix.node < node);
+        let end = self.fixes.partition_point(|fix| fix.node <= node);
         &self.fixes[first..end]
     }
 

@@ -5,7 +5,7 @@ use posebridge_estimator::filters::pose::state::{CORE_STATES, RADIUS};
 use posebridge_estimator::{FILTERS, Filter, FilterCommand, FilterConfig, PARAMS, Params};
 use posebridge_telemetry::{Calibration, FusionOutcome, OnlineCalibration, UncertainValue};
 
-use crate::support::filters::{belief, drive_straight, for_each, latest, start};
+use crate::support::filters::{drive_straight, for_each, latest, start, state_text};
 use crate::support::observe::{fix, fix_of, gyro, wheels};
 use crate::support::robot::{RADIUS_M, config, unknown};
 
@@ -30,7 +30,7 @@ fn learning() -> PoseFilter<CORE_STATES> {
     })
 }
 
-/// Goes on straight ahead from one instant to another with wheels that are three per cent larger than they are said to be, a fix
+/// Goes on straight ahead from one instant to another with wheels that are three per cent larger than configured, a fix
 /// twice a second.
 fn drive_on(filter: &mut dyn Filter, (from_ms, until_ms): (i64, i64)) {
     for millis in (from_ms..until_ms).step_by(50) {
@@ -49,16 +49,16 @@ fn radius_scale(filter: &dyn Filter) -> UncertainValue {
 }
 
 #[test]
-fn every_filter_says_whether_it_takes_tunables_and_is_unchanged_where_it_does_not() {
+fn every_filter_reports_whether_it_takes_tunables_and_is_unchanged_where_it_does_not() {
     for entry in FILTERS {
         let mut filter = (entry.build)(&config());
         drive_straight(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         let verdict = filter.apply_command(&FilterCommand::SetParams(tuned("gate_prob", 0.6)));
         let expected = if TAKES_PARAMS.contains(&entry.name) { FusionOutcome::Accepted } else { FusionOutcome::Unused };
         assert_eq!(verdict, expected, "{}", entry.name);
         // Neither loses what it knows.
-        assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+        assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
     }
 }
 
@@ -79,7 +79,7 @@ fn tunables_that_are_set_first_are_those_that_a_filter_is_built_with() {
                 filter.observe(&fix(2_000, fix_of(0.43, 0.02, 0.1)));
                 filter.observe(&wheels(2_050, 40.0, 40.0));
             }
-            assert_eq!(belief(set.as_ref()), belief(built.as_ref()), "{} {}", entry.name, row.key);
+            assert_eq!(state_text(set.as_ref()), state_text(built.as_ref()), "{} {}", entry.name, row.key);
         }
     }
 }
@@ -104,7 +104,7 @@ fn a_gate_that_is_narrowed_refuses_the_next_fix_and_keeps_the_state() {
 }
 
 #[test]
-fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
+fn a_pose_reset_is_undone_by_the_next_fix_and_both_are_reported() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let before = latest(filter.as_ref());
@@ -130,7 +130,7 @@ fn a_pose_that_is_forgotten_comes_back_with_the_next_fix_and_both_are_told() {
 }
 
 #[test]
-fn what_a_person_says_at_one_instant_holds_in_the_order_in_which_it_was_said() {
+fn adjustments_of_one_instant_are_applied_in_their_order() {
     let mut filter = learning();
     drive_on(&mut filter, (0, 1_000));
     let _ = filter.apply_command(&FilterCommand::ResetPose);
@@ -179,7 +179,7 @@ fn a_calibration_that_is_forgotten_begins_with_what_was_configured() {
 }
 
 #[test]
-fn a_late_observation_does_not_undo_what_a_person_said_after_it() {
+fn a_late_observation_does_not_undo_a_later_adjustment() {
     let run = |order: [i64; 2]| {
         let mut filter = learning();
         drive_on(&mut filter, (0, 2_000));
@@ -192,7 +192,7 @@ fn a_late_observation_does_not_undo_what_a_person_said_after_it() {
             }
         }
         drive_on(&mut filter, (2_000, 3_000));
-        belief(&filter) + &format!("{:?}", filter.state())
+        state_text(&filter) + &format!("{:?}", filter.state())
     };
     assert_eq!(run([0, 1]), run([1, 0]));
 }

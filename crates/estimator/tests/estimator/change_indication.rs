@@ -1,6 +1,6 @@
-//! Tells when what the pose filter believes has changed, wanted or not.
+//! Detects any change of the pose filter's estimates, intended or not.
 //!
-//! A seeded drive is played, and the belief of every second is held against what an earlier version of this program wrote. The
+//! A seeded drive is played, and the estimate of every second is compared with what an earlier version of this program wrote. The
 //! files are its own output: they show that something changed, not that anything is right. When a change is wanted:
 //!
 //! ```sh
@@ -76,7 +76,7 @@ fn read(text: &str) -> Vec<Vec<f64>> {
     text.lines().skip(1).map(numbers).collect()
 }
 
-/// Holds rows against those of a file, or writes them there when asked to.
+/// Compares rows with those of a file, or writes them there on request.
 fn hold_against(name: &str, rows: &[Vec<f64>]) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/change_indication").join(name);
     if std::env::var_os("POSEBRIDGE_WRITE_CHANGE_INDICATION").is_some() {

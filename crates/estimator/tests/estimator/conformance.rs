@@ -11,7 +11,7 @@ use posebridge_telemetry::{
 use proptest::prelude::*;
 
 use crate::support::any::{any_observation, cases, damages, of, one_of_each, without_learning};
-use crate::support::filters::{belief, drive_straight, for_each, latest, start, without_start};
+use crate::support::filters::{drive_straight, for_each, latest, start, state_text, without_start};
 use crate::support::observe::{accelerations, at, fix, fix_of, gyro, ms, wheels};
 use crate::support::robot::{DEGREE, RADIUS_M, TRACK_M, config};
 
@@ -28,19 +28,19 @@ fn before_the_first_observation_there_is_no_estimate() {
 fn nothing_is_valid_before_a_fix_or_a_start_and_a_pose_that_is_set_is_a_start() {
     for_each(&without_start(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 2_000);
-        let unplaced = latest(filter.as_ref());
-        assert!(!unplaced.validity.position && !unplaced.validity.heading, "{}", entry.name);
-        assert!(unplaced.validity.speeds, "{}", entry.name);
-        assert!(unplaced.is_dead_reckoning && unplaced.fix_age.is_none());
+        let unknown = latest(filter.as_ref());
+        assert!(!unknown.validity.position && !unknown.validity.heading, "{}", entry.name);
+        assert!(unknown.validity.speeds, "{}", entry.name);
+        assert!(unknown.is_dead_reckoning && unknown.fix_age.is_none());
         let _ = filter.set_pose(&start(1.0, 2.0, 0.5));
-        let placed = latest(filter.as_ref());
-        assert!(placed.validity.position && placed.validity.heading, "{}", entry.name);
-        assert!(placed.is_dead_reckoning, "{}: a start is no fix", entry.name);
+        let started = latest(filter.as_ref());
+        assert!(started.validity.position && started.validity.heading, "{}", entry.name);
+        assert!(started.is_dead_reckoning, "{}: a start is no fix", entry.name);
     });
 }
 
 #[test]
-fn a_fix_places_the_filters_that_say_so_and_no_others() {
+fn a_fix_initializes_the_filters_that_support_it_and_no_others() {
     for_each(&without_start(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 2_000);
         for millis in (2_050..=4_000).step_by(50) {
@@ -49,19 +49,19 @@ fn a_fix_places_the_filters_that_say_so_and_no_others() {
             filter.observe(&gyro(millis, 0.0));
             filter.observe(&wheels(millis, rad, rad));
         }
-        let is_placed = latest(filter.as_ref()).validity.position;
-        assert_eq!(is_placed, entry.initialization == Initialization::Fix, "{}", entry.name);
+        let has_pose = latest(filter.as_ref()).validity.position;
+        assert_eq!(has_pose, entry.initialization == Initialization::Fix, "{}", entry.name);
     });
 }
 
 #[test]
-fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
+fn a_pose_that_is_set_is_used_and_counted_with_its_jump() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 2_000);
-        // A fix of the very same instant has been seen when the person speaks.
+        // A fix of the very same instant precedes the set pose.
         filter.observe(&fix(2_000, fix_of(0.4, 0.0, 0.0)));
         let before = latest(filter.as_ref());
-        // Set with so much doubt that the fix would pass the gate, were it to have the last word.
+        // Set with so large a sigma that the fix would pass the gate if it were applied last.
         let vague = StartPose { position_sigma_m: 3.0, heading_sigma_rad: 3.0, ..start(-1.0, 2.0, -3.0) };
         assert_eq!(filter.set_pose(&vague), FusionOutcome::PoseReset, "{}", entry.name);
         let after = latest(filter.as_ref());
@@ -84,24 +84,24 @@ fn a_pose_that_is_set_is_believed_and_counted_with_its_jump() {
 #[test]
 fn a_pose_that_is_set_is_not_changed_by_what_happened_before() {
     for_each(&config(), |entry, mut filter| {
-        let placed = |filter: &mut dyn Filter| {
+        let drive_and_set_pose = |filter: &mut dyn Filter| {
             drive_straight(filter, 1_000);
             let _ = filter.set_pose(&start(5.0, 5.0, 0.0));
         };
-        placed(filter.as_mut());
-        let mut untold = (entry.build)(&config());
-        placed(untold.as_mut());
+        drive_and_set_pose(filter.as_mut());
+        let mut reference = (entry.build)(&config());
+        drive_and_set_pose(reference.as_mut());
         filter.observe(&wheels(975, 0.25 / RADIUS_M, 0.1 / RADIUS_M));
         assert_eq!(filter.latest_time(), Some(ms(1_000)), "{}", entry.name);
         let rad = 0.21 / RADIUS_M;
         filter.observe(&wheels(1_050, rad, rad));
-        untold.observe(&wheels(1_050, rad, rad));
+        reference.observe(&wheels(1_050, rad, rad));
         let x_m = latest(filter.as_ref()).pose.x.0;
         match entry.late_data {
             LateDataPolicy::Replayed => assert!((x_m - 5.01).abs() < 1e-6, "{}: {x_m}", entry.name),
-            // These smooth the counters, so the way after the jump is theirs; the past must not change it at all.
+            // These smooth the counters, so the path after the jump is theirs; the past must not change it at all.
             LateDataPolicy::OnArrival => {
-                assert_eq!(belief(filter.as_ref()), belief(untold.as_ref()));
+                assert_eq!(state_text(filter.as_ref()), state_text(reference.as_ref()));
                 assert!((x_m - 5.01).abs() < 1e-3, "{}: {x_m}", entry.name);
             }
         }
@@ -109,7 +109,7 @@ fn a_pose_that_is_set_is_not_changed_by_what_happened_before() {
 }
 
 #[test]
-fn a_restart_of_the_bricks_clock_keeps_the_pose_with_more_doubt_and_no_speed() {
+fn a_restart_of_the_bricks_clock_keeps_the_pose_with_more_uncertainty_and_no_speed() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 5_000);
         let before = latest(filter.as_ref());
@@ -142,7 +142,7 @@ fn counters_that_jump_to_zero_are_a_new_base_and_not_motion() {
     });
 }
 
-/// A filter that corrects nothing afterwards must say of the past what it said then: it may have begun with too slow a robot,
+/// A filter that corrects nothing afterwards must give the same estimate of the past as then: it may have begun with too slow a robot,
 /// but it must not change its mind.
 #[test]
 fn an_estimate_of_the_past_is_where_the_robot_was_as_far_as_the_history_reaches() {
@@ -154,9 +154,9 @@ fn an_estimate_of_the_past_is_where_the_robot_was_as_far_as_the_history_reaches(
             if entry.late_data == LateDataPolicy::OnArrival {
                 let mut then = (entry.build)(&config());
                 drive_straight(then.as_mut(), millis);
-                let said = then.estimate_at(ms(millis)).expect("just observed");
-                assert_eq!(estimate.pose, said.pose, "{} at {millis}", entry.name);
-                assert_eq!(estimate.covariance, said.covariance, "{}", entry.name);
+                let expected = then.estimate_at(ms(millis)).expect("just observed");
+                assert_eq!(estimate.pose, expected.pose, "{} at {millis}", entry.name);
+                assert_eq!(estimate.covariance, expected.covariance, "{}", entry.name);
             } else {
                 let error_m = estimate.pose.x.0 - 0.2e-3 * millis as f64;
                 assert!(error_m.abs() < 1e-3, "{}: {error_m}", entry.name);
@@ -203,7 +203,7 @@ fn numbers_that_cannot_be_are_refused_and_change_nothing() {
         assert!(filter.latest_time().is_none(), "{}", entry.name);
         drive_straight(filter.as_mut(), 1_000);
         measure_scalars(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         for observation in &refused {
             assert_eq!(
                 filter.observe(observation).outcome,
@@ -211,7 +211,7 @@ fn numbers_that_cannot_be_are_refused_and_change_nothing() {
                 "{}: {observation:?}",
                 entry.name
             );
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
     }
 }
@@ -221,8 +221,8 @@ fn a_reading_that_comes_twice_or_too_late_counts_once() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         filter.observe(&accelerations(1_000, 0.1, 0.2));
-        let before = belief(filter.as_ref());
-        // One that looks back no further than its last reading cannot tell a copy of an older one from a late one.
+        let before = state_text(filter.as_ref());
+        // One that remembers only its last reading cannot distinguish a copy of an older one from a late one.
         let of_older: &[FusionOutcome] = match entry.late_data {
             LateDataPolicy::Replayed => &[FusionOutcome::Malformed],
             LateDataPolicy::OnArrival => &[FusionOutcome::Malformed, FusionOutcome::TooOld, FusionOutcome::Unused],
@@ -235,11 +235,11 @@ fn a_reading_that_comes_twice_or_too_late_counts_once() {
             (wheels(950, 0.0, 0.0), of_older),
             (gyro(950, 2.0), of_older),
         ] {
-            // Odometry has no use for a gyro; everybody who has counts it once.
+            // Odometry has no use for a gyro; every filter with one counts it once.
             let verdict = filter.observe(&again).outcome;
             let is_expected = expected.contains(&verdict) || verdict == FusionOutcome::Unused;
             assert!(is_expected, "{}: {verdict:?} {again:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
     });
 }
@@ -248,13 +248,13 @@ fn a_reading_that_comes_twice_or_too_late_counts_once() {
 fn a_fix_that_comes_twice_counts_once() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
-        let seen = fix(990, fix_of(0.199, 0.001, 0.002));
-        let first = filter.observe(&seen).outcome;
+        let repeated = fix(990, fix_of(0.199, 0.001, 0.002));
+        let first = filter.observe(&repeated).outcome;
         assert!(matches!(first, FusionOutcome::Accepted | FusionOutcome::Unused), "{}: {first:?}", entry.name);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         let expected = if first == FusionOutcome::Unused { FusionOutcome::Unused } else { FusionOutcome::Malformed };
-        assert_eq!(filter.observe(&seen).outcome, expected, "{}", entry.name);
-        assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+        assert_eq!(filter.observe(&repeated).outcome, expected, "{}", entry.name);
+        assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
     });
 }
 
@@ -265,14 +265,14 @@ fn a_reading_from_the_past_is_taken_at_its_own_time_and_the_latest_instant_stays
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 1_000);
         let (before, latest_before) = (latest(filter.as_ref()), filter.latest_time());
-        let believed_before = belief(filter.as_ref());
+        let state_before = state_text(filter.as_ref());
         let rad = 0.2 * 0.525 / RADIUS_M;
         let record = filter.observe(&wheels(525, rad, rad));
         match entry.late_data {
             LateDataPolicy::Replayed => assert_eq!(record.outcome, FusionOutcome::Accepted, "{}", entry.name),
             LateDataPolicy::OnArrival => {
                 assert_eq!(record.outcome, FusionOutcome::TooOld, "{}", entry.name);
-                assert_eq!(belief(filter.as_ref()), believed_before, "{}", entry.name);
+                assert_eq!(state_text(filter.as_ref()), state_before, "{}", entry.name);
             }
         }
         assert_eq!(record.lag, TimeDelta::from_millis(475), "{}", entry.name);
@@ -286,7 +286,7 @@ fn a_reading_from_the_past_is_taken_at_its_own_time_and_the_latest_instant_stays
 fn a_stamp_of_long_ago_or_of_next_year_is_refused_and_changes_nothing() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 10_000);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         for (millis, expected) in [
             (6_999, FusionOutcome::TooOld),
             (-5_000_000, FusionOutcome::TooOld),
@@ -294,7 +294,7 @@ fn a_stamp_of_long_ago_or_of_next_year_is_refused_and_changes_nothing() {
         ] {
             let record = filter.observe(&wheels(millis, 50.0, 50.0));
             assert_eq!(record.outcome, expected, "{} at {millis} ms", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
     });
 }
@@ -312,10 +312,10 @@ fn a_pose_that_cannot_be_is_not_set() {
     for entry in FILTERS {
         let mut filter = (entry.build)(&config());
         drive_straight(filter.as_mut(), 1_000);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         for start in &bad {
             assert_eq!(filter.set_pose(start), FusionOutcome::Malformed, "{}: {start:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
     }
 }
@@ -324,12 +324,12 @@ fn a_pose_that_cannot_be_is_not_set() {
 fn a_fix_that_does_not_fit_leaves_the_estimate_untouched() {
     for_each(&config(), |entry, mut filter| {
         drive_straight(filter.as_mut(), 2_000);
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         let position_only = Fix { heading: None, ..fix_of(0.9, 0.2, 0.0) };
-        for seen in [fix_of(0.4, 0.5, 0.0), fix_of(0.4, 0.0, 1.0), position_only] {
-            let verdict = filter.observe(&fix(1_990, seen)).outcome;
+        for measured in [fix_of(0.4, 0.5, 0.0), fix_of(0.4, 0.0, 1.0), position_only] {
+            let verdict = filter.observe(&fix(1_990, measured)).outcome;
             assert!(matches!(verdict, FusionOutcome::Gated | FusionOutcome::Unused), "{}: {verdict:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
     });
 }
@@ -354,7 +354,7 @@ proptest! {
     #![proptest_config(cases(200, 20_260_102))]
 
     #[test]
-    fn whatever_comes_estimates_stay_sound(
+    fn for_any_input_estimates_stay_sound(
         steps in prop::collection::vec(any_observation(), 1..120),
         has_start in any::<bool>(),
     ) {
@@ -362,9 +362,9 @@ proptest! {
         config.start = config.start.filter(|_| has_start);
         for_each(&config, |entry, mut filter| {
             let mut millis = 10_000;
-            for (step_ms, sensor, seen) in &steps {
+            for (step_ms, sensor, measurement) in &steps {
                 millis += step_ms;
-                let record = filter.observe(&of(millis, *sensor, seen.0));
+                let record = filter.observe(&of(millis, *sensor, measurement.0));
                 assert!(record.nis >= 0.0 && record.log_likelihood.is_finite());
                 let Some(latest) = filter.latest_time() else { continue };
                 for ahead_ms in [-400, 0, 300, 100_000] {
@@ -398,7 +398,7 @@ proptest! {
             let error = error_of(filter.as_ref(), expected);
             match entry.late_data {
                 LateDataPolicy::Replayed => assert!(error.abs() < DEGREE, "{}: {error}", entry.name),
-                // A filter of a paper begins at rest. What it misses until it believes the speed it may never make up for, but
+                // A filter of a paper begins at rest. What it misses until its speed has converged it may never make up for, but
                 // it must not go on missing.
                 LateDataPolicy::OnArrival => {
                     let since_midway = Heading::from_rad(error - error_midway).rad();
@@ -440,7 +440,7 @@ fn for_each_scalar(check: impl Fn(&FilterEntry, Box<dyn Filter>)) {
 }
 
 #[test]
-fn a_filter_of_one_quantity_gives_it_and_no_pose() {
+fn a_filter_of_one_quantity_estimates_it_and_no_pose() {
     for_each_scalar(|entry, mut filter| {
         assert!(filter.estimate_at(ms(5_000)).is_none(), "{}", entry.name);
         for millis in [3_000, 5_000, 5_100] {
@@ -469,14 +469,14 @@ fn what_a_filter_of_one_quantity_refuses_changes_nothing() {
         (gyro(5_010, 0.1), FusionOutcome::Unused),
     ];
     for_each_scalar(|entry, mut filter| {
-        let before = belief(filter.as_ref());
+        let before = state_text(filter.as_ref());
         for (observation, expected) in &refused {
             let verdict = filter.observe(observation).outcome;
             let is_expected = verdict == *expected || verdict == FusionOutcome::Unused;
             assert!(is_expected, "{}: {observation:?} {verdict:?}", entry.name);
-            assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+            assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
         }
         assert_eq!(filter.set_pose(&start(1.0, 2.0, 0.5)), FusionOutcome::Unused, "{}: it has none", entry.name);
-        assert_eq!(belief(filter.as_ref()), before, "{}", entry.name);
+        assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
     });
 }

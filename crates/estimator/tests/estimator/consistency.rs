@@ -1,4 +1,4 @@
-//! The flagship against truth it was told the noise of: errors must fit their covariance.
+//! The flagship against truth with the configured noise: errors must fit their covariance.
 //!
 //! The robot, its path and its noise are those of the Monte-Carlo in docs/maths/pose.md section 9, with the geometry known and
 //! unknown. Every case prints its verdict in words.
@@ -13,7 +13,7 @@ use crate::support::simulation::{CAMERA_10_HZ, Camera, drive_lap, drive_on_grid}
 /// correlated over a run leave: Bar-Shalom, Li, Kirubarajan (2001), chapter 5, give [0.79, 1.24] for 50 independent samples.
 const BAND: std::ops::RangeInclusive<f64> = 0.79..=1.24;
 
-/// What an average of normalised squares says, which should be one.
+/// An average of normalised squares, which should be one.
 fn verdict_on(average: f64) -> &'static str {
     if average > *BAND.end() {
         "over-confident: its errors are larger than it claims"
@@ -27,7 +27,7 @@ fn verdict_on(average: f64) -> &'static str {
 #[derive(Clone, Copy, PartialEq)]
 enum Geometry {
     Known,
-    /// Drawn anew for each run, and told as unknown.
+    /// Drawn anew for each run, and configured as unknown.
     Learned,
 }
 
@@ -72,7 +72,7 @@ fn the_gyros_windows_have_the_innovations_that_they_should() {
     let (mut nis, mut count) = (0.0, 0.0);
     for seed in 0..20 {
         let (mut drive, _) = drive_on_grid(1, None, seed);
-        // The gyro first: a window that closes before its last sample has come is judged by one that was held.
+        // The gyro first: a window that closes before its last sample has come is evaluated with one that was held.
         drive.arrivals.sort_by_key(|arrival| (arrival.step, arrival.observation.sensor != SensorId::GYRO));
         for record in &play(&drive, &learning_geometry()).records {
             if record.degrees_of_freedom == 1 && record.outcome == FusionOutcome::Accepted {

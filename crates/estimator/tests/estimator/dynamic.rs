@@ -213,9 +213,9 @@ fn a_sample_that_comes_late_from_another_sensor_counts_at_its_own_time() {
     assert!((in_order.value - late.value).abs() < 1e-6, "{in_order:?} {late:?}");
 }
 
-/// A quantity that walks as the filter is told, seen through sensors of first and of second order.
+/// A quantity that walks as configured, measured by sensors of first and of second order.
 #[test]
-fn a_quantity_that_walks_as_told_is_known_as_well_as_sigma_says() {
+fn a_quantity_with_the_configured_walk_has_errors_that_fit_sigma() {
     let first = DynamicModel::first_order(ONE, 20.0).unwrap();
     // (s + 1/4)(s + 1/15)
     let coefficients = [1.0 / 60.0, 19.0 / 60.0];

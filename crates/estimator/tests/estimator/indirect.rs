@@ -1,4 +1,4 @@
-//! The indirect filter of paper 4: its derivatives, a tag with a lever, what it says of the future; and on the square of 3 m by
+//! The indirect filter of paper 4: its derivatives, a tag with a lever, its predictions; and on the square of 3 m by
 //! 3 m against the wheels alone, and feed-forward against feedback.
 
 use nalgebra::{SMatrix, SVector};
@@ -116,13 +116,13 @@ fn process_noise_is_a_covariance_and_the_paths_part_is_none_at_rest() {
 }
 
 #[test]
-fn an_instrument_that_starts_stands_against_the_path() {
+fn an_instrument_that_starts_is_at_rest_against_the_path() {
     let half = SMatrix::<f64, N, N>::from_fn(|i, j| ((3 * i + 5 * j) % 7) as f64 - 3.0);
     let mut covariance: Covariance = half * half.transpose();
     let before = covariance;
     let mut errors = ErrorState::repeat(0.3);
     start_row(&mut errors, &mut covariance, GYRO_ANGLE, HEADING, 0.01);
-    // g = -e_th - r with the rounding r: dz = e_th + g says nothing yet.
+    // g = -e_th - r with the rounding r: dz = e_th + g carries no information yet.
     assert_eq!(errors[GYRO_ANGLE], -0.3);
     let mut h = SVector::<f64, N>::zeros();
     h[HEADING] = 1.0;
@@ -140,14 +140,14 @@ fn started(position_sigma_m: f64, heading_sigma_rad: f64, fix_position_m: f64) -
     config
 }
 
-/// The tag sits a third of a metre ahead and to the left: where it is seen tells the heading.
+/// The tag sits a third of a metre ahead and to the left: its position determines the heading.
 #[test]
-fn a_fix_of_a_tag_with_a_lever_turns_the_robot_the_right_way() {
+fn a_fix_of_a_tag_with_a_lever_turns_the_robot_in_the_right_direction() {
     for name in BOTH {
         let mut filter = named(name, &started(1e-3, 0.1, 1e-3));
         let (x, y, heading) = (0.3_f64, 0.2_f64, 0.02_f64);
-        let seen = fix_of(x * heading.cos() - y * heading.sin(), x * heading.sin() + y * heading.cos(), None);
-        let record = filter.observe(&fix(50, Fix { tag_in_body: Point2::new(Meters(x), Meters(y)), ..seen }));
+        let measured = fix_of(x * heading.cos() - y * heading.sin(), x * heading.sin() + y * heading.cos(), None);
+        let record = filter.observe(&fix(50, Fix { tag_in_body: Point2::new(Meters(x), Meters(y)), ..measured }));
         assert_eq!(record.outcome, FusionOutcome::Accepted, "{name}");
         assert_eq!(record.degrees_of_freedom, 2);
         let found = latest(filter.as_ref()).pose.heading.rad();
@@ -168,7 +168,7 @@ fn a_fix_that_could_not_be_weighed_is_not_one_that_was_used() {
 }
 
 #[test]
-fn an_estimate_of_the_future_turns_on_and_grows_doubtful_as_the_turn_rate_may_change() {
+fn a_prediction_turns_on_and_grows_uncertain_as_the_turn_rate_may_change() {
     let config = config();
     let mut filter = named("indirect", &config);
     for step in 0..=20 {
@@ -281,7 +281,7 @@ impl SimulatedRobot {
         ObservationKind::WheelAngles { left: floored(self.wheels_rad[0]), right: floored(self.wheels_rad[1]) }
     }
 
-    /// The accelerometers sit on the frame at the nominal track, which a ruler tells; the tyres' effective track is another.
+    /// The accelerometers sit on the frame at the nominal track, measured by a ruler; the tyres' effective track is another.
     fn accelerations(&mut self, (forward, turn): (f64, f64)) -> ObservationKind {
         let half = 0.5 * TRACK_M * turn;
         let left = forward - half + self.biases[0] + ACCELEROMETER_M_PER_S2 * self.normal();
@@ -328,7 +328,7 @@ fn drive(sensors: Sensors, seed: u64) -> Drive {
     Drive { end: world.truth, observations }
 }
 
-/// The robot of the square: its scales as doubtful as they are.
+/// The robot of the square, with the sigmas of its scales.
 fn square_config() -> FilterConfig {
     let mut config = config();
     config.noise.accelerometer_m_per_s2 = ACCELEROMETER_M_PER_S2;
@@ -413,10 +413,10 @@ fn on_the_square_accelerometers_bring_the_end_closer_than_the_wheels_alone() {
     }
 }
 
-/// Fed forward the errors stay linearised about the wheels' path, which is wrong by tens of degrees in the end: what it says of
+/// Fed forward the errors stay linearised about the wheels' path, which is wrong by tens of degrees in the end: what it claims of
 /// itself is then too good, and fixes are refused until the path is put down anew. Fed back it is consistent.
 #[test]
-fn a_gyro_brings_it_closer_still_fixes_closest_and_feedback_knows_how_close() {
+fn a_gyro_reduces_the_error_fixes_more_and_feedback_knows_its_error() {
     let seeds = 30;
     for (name, anees) in [("indirect", 1.3..10.0), ("indirect-feedback", 0.5..1.4)] {
         let accelerometers = end_errors(name, ACCELEROMETERS, seeds);
@@ -459,7 +459,7 @@ fn feed_forward_and_feedback_agree_while_errors_are_small() {
 }
 
 #[test]
-fn every_comparison_is_told_with_its_innovation() {
+fn every_comparison_is_reported_with_its_innovation() {
     let drive = drive(ACCELEROMETERS_AND_GYRO, 1);
     let config = square_config();
     for name in BOTH {

@@ -38,7 +38,7 @@ fn furnished() -> FilterConfig {
     FilterConfig { arena_map: Arc::new(world), ..config() }
 }
 
-/// Everything else that a sensor may say at the end of a step. The ranges are what they would be.
+/// Every other observation that a sensor may make at the end of a step. The ranges are what they would be.
 fn others(step: i64) -> [Observation; 8] {
     let pose = pose(step);
     let (dx_m, dy_m) = (LANDMARK.x.0 - pose.x.0, LANDMARK.y.0 - pose.y.0);
@@ -110,7 +110,7 @@ fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
     assert!(guilty.is_empty(), "{guilty:#?}");
 }
 
-/// The flagship with every state, and with a heading that it never comes to know: the robot stands, and no fix tells it.
+/// The flagship with every state, and with a heading that stays unknown: the robot is at rest, and no fix has one.
 #[test]
 fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_heading() {
     let mut config = FilterConfig { calibration: all_unknown(), ..furnished() };
@@ -123,18 +123,18 @@ fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_headi
 
     config.start = None;
     let mut lost = named("pose", &config);
-    let mut look = |k: i64| {
-        let mut seen = fix(0);
-        seen.stamp = stamp(k);
-        if let ObservationKind::Fix(fix) = &mut seen.measurement {
+    let mut observe_fix = |k: i64| {
+        let mut observation = fix(0);
+        observation.stamp = stamp(k);
+        if let ObservationKind::Fix(fix) = &mut observation.measurement {
             fix.heading = None;
         }
-        black_box(lost.observe(&seen)).outcome
+        black_box(lost.observe(&observation)).outcome
     };
-    (0..WARM_UP).for_each(|k| assert_ne!(look(k), FusionOutcome::Malformed));
+    (0..WARM_UP).for_each(|k| assert_ne!(observe_fix(k), FusionOutcome::Malformed));
     let counted = measure(|| {
         (WARM_UP..WARM_UP + MEASURED).for_each(|k| {
-            look(k);
+            observe_fix(k);
         });
     });
     assert_eq!(counted.count_total, 0, "{counted:?}");
@@ -143,12 +143,12 @@ fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_headi
 }
 
 #[test]
-fn the_counter_sees_an_allocation_and_the_flagship_uses_what_it_is_given() {
+fn the_counter_detects_an_allocation_and_the_flagship_uses_its_input() {
     let counted = measure(|| drop(black_box(vec![0_u8; 64])));
     assert_eq!(counted.count_total, 1);
     let mut filter = warm("pose", &furnished());
     assert_eq!(filter.observe(&gyro(WARM_UP)).outcome, FusionOutcome::Accepted);
     assert_eq!(filter.observe(&wheels(WARM_UP)).outcome, FusionOutcome::Accepted);
-    let seen = fix(WARM_UP - LATE_STEPS + 1);
-    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Accepted);
+    let late_fix = fix(WARM_UP - LATE_STEPS + 1);
+    assert_eq!(filter.observe(&late_fix).outcome, FusionOutcome::Accepted);
 }

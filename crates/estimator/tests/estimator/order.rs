@@ -1,4 +1,4 @@
-//! What the flagship believes does not depend on the order in which observations arrive, bit for bit.
+//! The flagship's state does not depend on the order in which observations arrive, bit for bit.
 
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
@@ -42,8 +42,8 @@ fn shuffled(observations: &[Observation], seed: u64) -> Vec<Observation> {
     arrivals.into_iter().map(|(_, observation)| observation).collect()
 }
 
-/// Everything that a filter believes at the end, in digits that tell any two numbers apart.
-fn belief<const N: usize>(config: &FilterConfig, observations: &[Observation]) -> String {
+/// A filter's complete final state, in enough digits to distinguish any two numbers.
+fn final_state_text<const N: usize>(config: &FilterConfig, observations: &[Observation]) -> String {
     let mut filter = PoseFilter::<N>::new(config);
     for observation in observations {
         let record = filter.observe(observation);
@@ -56,9 +56,9 @@ fn belief<const N: usize>(config: &FilterConfig, observations: &[Observation]) -
 }
 
 fn assert_order_does_not_matter<const N: usize>(case: &str, config: &FilterConfig, observations: &[Observation]) {
-    let expected = belief::<N>(config, observations);
+    let expected = final_state_text::<N>(config, observations);
     for seed in 0..6 {
-        let found = belief::<N>(config, &shuffled(observations, seed));
+        let found = final_state_text::<N>(config, &shuffled(observations, seed));
         assert!(found == expected, "{case}: another belief with the order of seed {seed}");
     }
 }
@@ -136,7 +136,7 @@ fn the_order_of_arrival_does_not_matter() {
     }
 }
 
-/// A configuration that asks for every state there is.
+/// A configuration that estimates every state.
 fn learning_everything() -> FilterConfig {
     FilterConfig { calibration: all_unknown(), ..furnished(&config()) }
 }
@@ -175,7 +175,8 @@ fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
 #[test]
 fn two_fixes_of_one_instant_count_in_either_order() {
     let mut before = observations(6);
-    let last = before.iter().rposition(|seen| seen.sensor == SensorId::CAMERA).expect("the camera looked");
+    let last =
+        before.iter().rposition(|observation| observation.sensor == SensorId::CAMERA).expect("the camera looked");
     let one = before[last];
     before.truncate(last);
     let other = |change: &dyn Fn(&mut posebridge_telemetry::Fix)| {
@@ -189,10 +190,10 @@ fn two_fixes_of_one_instant_count_in_either_order() {
             fix.covariance = Some(own);
         })
     };
-    let believed = |last: &[Observation]| belief::<CORE_STATES>(&config(), &[&before[..], last].concat());
+    let result_of = |last: &[Observation]| final_state_text::<CORE_STATES>(&config(), &[&before[..], last].concat());
     for [one, two] in [[one, other(&|fix| fix.position.x.0 += 0.001)], [claiming(1e-4), claiming(4e-6)]] {
-        assert!(believed(&[one, two]) == believed(&[two, one]));
-        assert!(believed(&[one, two]) != believed(&[one]));
+        assert!(result_of(&[one, two]) == result_of(&[two, one]));
+        assert!(result_of(&[one, two]) != result_of(&[one]));
     }
 }
 
@@ -200,30 +201,32 @@ fn two_fixes_of_one_instant_count_in_either_order() {
 fn a_late_fix_does_what_the_same_fix_does_in_time() {
     let in_time = observations(7);
     let mut late = in_time.clone();
-    let is_it = |seen: &Observation| seen.sensor == SensorId::CAMERA && seen.stamp == stamp(750);
+    let is_it = |observation: &Observation| observation.sensor == SensorId::CAMERA && observation.stamp == stamp(750);
     let fix = late.remove(late.iter().position(is_it).expect("the camera looks at every second step"));
-    let without = belief::<CORE_STATES>(&config(), &late);
+    let without = final_state_text::<CORE_STATES>(&config(), &late);
     late.push(fix);
-    assert!(belief::<CORE_STATES>(&config(), &in_time) == belief::<CORE_STATES>(&config(), &late));
-    assert!(belief::<CORE_STATES>(&config(), &in_time) != without);
+    assert!(final_state_text::<CORE_STATES>(&config(), &in_time) == final_state_text::<CORE_STATES>(&config(), &late));
+    assert!(final_state_text::<CORE_STATES>(&config(), &in_time) != without);
 }
 
 /// A list for each instant, in the order in which they are applied: first the gyro, then the wheels, then the camera.
 fn instants() -> Vec<Vec<Observation>> {
     let mut observations = drive_lap(Some(Camera { every: 3, ..CAMERA }), 5).observations();
     observations.retain(|observation| observation.stamp < stamp(STEPS));
-    observations.sort_by_key(|told| (told.stamp, told.sensor != SensorId::GYRO, told.sensor != SensorId::WHEELS));
+    observations.sort_by_key(|observation| {
+        (observation.stamp, observation.sensor != SensorId::GYRO, observation.sensor != SensorId::WHEELS)
+    });
     observations.chunk_by(|one, next| one.stamp == next.stamp).map(<[Observation]>::to_vec).collect()
 }
 
-fn latest_belief(filter: &PoseFilter<CORE_STATES>) -> String {
+fn latest_state_text(filter: &PoseFilter<CORE_STATES>) -> String {
     let estimate = filter.latest_time().and_then(|latest| filter.estimate_at(latest)).expect("something was observed");
     format!("{:?} {estimate:?}", filter.state())
 }
 
 /// After every pair: also when a window closes, and when the gyro was silent.
 #[test]
-fn a_gyro_behind_the_wheels_of_its_instant_is_as_one_before_them() {
+fn a_gyro_after_the_wheels_of_its_instant_is_as_one_before_them() {
     let mut in_order = PoseFilter::<CORE_STATES>::new(&config());
     let mut behind = PoseFilter::<CORE_STATES>::new(&config());
     for (index, instant) in instants().iter_mut().enumerate() {
@@ -240,12 +243,12 @@ fn a_gyro_behind_the_wheels_of_its_instant_is_as_one_before_them() {
         for observation in instant.iter() {
             behind.observe(observation);
         }
-        assert!(latest_belief(&behind) == latest_belief(&in_order), "instant {index}");
+        assert!(latest_state_text(&behind) == latest_state_text(&in_order), "instant {index}");
     }
 }
 
 #[test]
-fn what_is_told_behind_a_change_of_tunables_is_applied_by_the_new_ones() {
+fn an_observation_after_a_change_of_tunables_uses_the_new_ones() {
     let changed = Params { turn_acceleration_rad_per_s2: 9.0, acceleration_m_per_s2: 0.1, ..Params::default() };
     let changed = FilterCommand::SetParams(changed);
     let mut between = PoseFilter::<CORE_STATES>::new(&config());
@@ -263,5 +266,5 @@ fn what_is_told_behind_a_change_of_tunables_is_applied_by_the_new_ones() {
     between.observe(wheels);
     assert_eq!(between.apply_command(&changed), FusionOutcome::Accepted);
     between.observe(gyro);
-    assert_eq!(latest_belief(&between), latest_belief(&before));
+    assert_eq!(latest_state_text(&between), latest_state_text(&before));
 }

@@ -13,7 +13,7 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord, Timestamp, estimate::row
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::support::filters::{latest, named, stand, without_start};
+use crate::support::filters::{latest, named, rest, without_start};
 use crate::support::observe::{accelerations, gyro, wheels};
 use crate::support::robot::{GEOMETRY, NOISE, RADIUS_M, TRACK_M, config};
 
@@ -27,9 +27,9 @@ fn assert_near(what: &str, found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() < tolerance, "{what}: {found} instead of {expected}");
 }
 
-/// A robot that stands for 500 of the paper's intervals: every gain is then the steady one.
+/// A robot at rest for 500 of the paper's intervals: every gain is then the steady one.
 fn at_rest(mut filter: Box<dyn Filter>) -> Box<dyn Filter> {
-    stand(filter.as_mut(), 500, 0.0);
+    rest(filter.as_mut(), 500, 0.0);
     filter
 }
 
@@ -52,7 +52,7 @@ fn the_wheel_filters_have_the_papers_steady_gains() {
 }
 
 #[test]
-fn the_speeds_of_the_wheel_filter_are_as_doubtful_as_its_wheels() {
+fn the_speeds_of_the_wheel_filter_are_as_uncertain_as_its_wheels() {
     let rate_variance = |variance| wheel_at_rest(variance).covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2);
     let [left, right] = [LEFT_VARIANCE, RIGHT_VARIANCE].map(rate_variance);
     let p = latest(at_rest(named("wheel-kf", &config())).as_ref()).covariance;
@@ -202,7 +202,7 @@ fn sigma_points_equal_the_jacobian_where_the_motion_is_linear() {
 }
 
 #[test]
-fn sigma_points_see_that_a_doubtful_heading_shortens_the_way() {
+fn sigma_points_model_that_an_uncertain_heading_shortens_the_path() {
     let mean = Mean::from([0.0, 0.0, 0.0, 1.0, 0.0]);
     let p = Covariance::from_diagonal(&Mean::from([0.0, 0.0, 0.09, 0.0, 0.0]));
     let (next, spread) = ukf5::predict(&mean, &p, Acceleration::default(), 1.0).expect("fine");
@@ -230,7 +230,7 @@ fn the_mean_heading_of_sigma_points_does_not_care_where_the_circle_is_cut() {
 }
 
 #[test]
-fn a_matrix_that_is_no_covariance_has_no_square_root_and_says_where() {
+fn a_matrix_that_is_no_covariance_has_no_square_root_and_names_the_row() {
     let mut p = Covariance::identity();
     p[(3, 1)] = 2.0;
     p[(1, 3)] = 2.0;
@@ -350,9 +350,9 @@ fn uneven_drive(seed: u64) -> Vec<(i64, f64, f64)> {
 
 /// Steps the foreign filter: predict, then update in Joseph's form.
 macro_rules! foreign_step {
-    ($model:expr, $before:expr, $seen:expr) => {
+    ($model:expr, $before:expr, $measured:expr) => {
         adskalman::KalmanFilterNoControl::new($model, $model)
-            .step($before, $seen)
+            .step($before, $measured)
             .expect("its covariances are positive")
     };
 }

@@ -1,11 +1,11 @@
-//! The filters of paper 1 when sensors come in any order, fall silent, jump, or speak of the past.
+//! The filters of paper 1 when sensors come in any order, fall silent, jump, or arrive late.
 
 use std::f64::consts::FRAC_PI_2;
 
 use posebridge_telemetry::{Fix, FusionOutcome, Meters, Observation, Point2, TimeDelta};
 
 use crate::support::filters::{
-    belief, drive_straight, drive_straight_from, latest, named, stand, started_at, without_start,
+    drive_straight, drive_straight_from, latest, named, rest, started_at, state_text, without_start,
 };
 use crate::support::observe::{accelerations, fix, fix_of, gyro, ms, wheels};
 use crate::support::robot::{DEGREE, RADIUS_M, TRACK_M, config};
@@ -65,7 +65,7 @@ fn over_a_gap_the_robot_went_as_far_as_the_counters_say() {
 }
 
 #[test]
-fn a_turn_within_a_gap_makes_the_position_doubtful() {
+fn a_turn_within_a_gap_makes_the_position_uncertain() {
     for name in ALL {
         let driven = |turn_rad: f64| {
             let mut filter = named(name, &config());
@@ -86,7 +86,7 @@ fn a_turn_within_a_gap_makes_the_position_doubtful() {
 }
 
 #[test]
-fn speeds_are_held_for_half_a_second_and_then_the_pose_stays_in_growing_doubt() {
+fn speeds_are_held_for_half_a_second_and_then_the_pose_stays_with_growing_variance() {
     for name in ALL {
         let mut filter = named(name, &config());
         drive_straight(filter.as_mut(), 5_000);
@@ -137,7 +137,7 @@ fn a_fix_is_used_when_it_comes_with_its_lever_arm() {
     let s = record.innovation_covariance;
     assert!((s[0][2] + 0.1 * 0.02 * 0.02).abs() < 1e-12, "{s:?}");
     assert!((s[1][2] + 0.05 * 0.02 * 0.02).abs() < 1e-12, "{s:?}");
-    // 5 mm of the camera, and what a doubtful heading makes of the lever.
+    // 5 mm of the camera, and the lever times the uncertain heading.
     assert!(latest(filter.as_ref()).x_sigma_m() < 0.006);
     let record = filter.observe(&fix(10, with_tag(fix_of(0.955, 2.1, None), 0.1, 0.05)));
     assert_eq!(record.degrees_of_freedom, 2);
@@ -160,29 +160,29 @@ fn a_late_fix_is_held_against_the_present_and_pulls_the_robot_back() {
     assert!((record.innovation[0] - (0.36 - before)).abs() < 1e-12);
     assert!(after < before - 0.02 && after > 0.35, "{before} {after}");
     assert_eq!(filter.latest_time(), Some(ms(2_000)));
-    let before = belief(filter.as_ref());
+    let before = state_text(filter.as_ref());
     assert_eq!(
         filter.observe(&fix(1_700, fix_of(0.34, 0.0, 0.0))).outcome,
         FusionOutcome::TooOld,
         "older than one used"
     );
-    assert_eq!(belief(filter.as_ref()), before);
+    assert_eq!(state_text(filter.as_ref()), before);
 }
 
 #[test]
-fn without_a_start_a_fix_with_a_heading_places_the_robot_and_one_without_does_not() {
+fn without_a_start_a_fix_with_a_heading_initializes_the_pose_and_one_without_does_not() {
     let nowhere = without_start();
     let mut filter = named("ekf5-camera", &nowhere);
     drive_straight(filter.as_mut(), 1_000);
     let verdict = filter.observe(&fix(1_000, fix_of(3.0, 4.0, None))).outcome;
     assert_eq!(verdict, FusionOutcome::Unused);
     assert!(!latest(filter.as_ref()).validity.position);
-    let seen = fix(1_000, with_tag(fix_of(3.0, 4.0, FRAC_PI_2), 0.1, 0.05));
-    assert_eq!(filter.observe(&seen).outcome, FusionOutcome::Accepted);
-    let placed = latest(filter.as_ref());
-    assert!(placed.validity.position && placed.validity.heading);
-    assert!((placed.pose.x.0 - 3.05).abs() < 1e-12 && (placed.pose.y.0 - 3.9).abs() < 1e-12);
-    assert!((placed.x_sigma_m() - 0.005).abs() < 1e-12);
+    let first_fix = fix(1_000, with_tag(fix_of(3.0, 4.0, FRAC_PI_2), 0.1, 0.05));
+    assert_eq!(filter.observe(&first_fix).outcome, FusionOutcome::Accepted);
+    let located = latest(filter.as_ref());
+    assert!(located.validity.position && located.validity.heading);
+    assert!((located.pose.x.0 - 3.05).abs() < 1e-12 && (located.pose.y.0 - 3.9).abs() < 1e-12);
+    assert!((located.x_sigma_m() - 0.005).abs() < 1e-12);
     drive_straight_from(filter.as_mut(), 1_050, 1_500);
     let moved = latest(filter.as_ref());
     assert!((moved.pose.y.0 - 4.0).abs() < 0.01, "north: {:?}", moved.pose);
@@ -204,9 +204,9 @@ fn the_gyros_drift_is_not_held_against_the_camera_for_ever() {
 }
 
 #[test]
-fn the_corrected_filter_learns_the_gyros_bias_at_rest_and_says_so() {
+fn the_corrected_filter_learns_the_gyros_bias_at_rest_and_reports_it() {
     let mut filter = named("ekf5-corrected", &config());
-    stand(filter.as_mut(), 400, 1.5 * DEGREE);
+    rest(filter.as_mut(), 400, 1.5 * DEGREE);
     let learned = filter.calibration().expect("it learns").gyro_bias_rad_per_s;
     assert!((learned.value - 1.5 * DEGREE).abs() < 0.1 * DEGREE, "{learned:?}");
     assert!(learned.sigma < 0.1 * DEGREE, "{learned:?}");
@@ -216,14 +216,14 @@ fn the_corrected_filter_learns_the_gyros_bias_at_rest_and_says_so() {
 }
 
 #[test]
-fn no_integral_tells_the_corrected_filter_where_north_is() {
+fn no_integral_gives_the_corrected_filter_an_absolute_heading() {
     let mut vague = started_at(0.0, 0.0, 0.0);
     if let Some(start) = &mut vague.start {
         start.heading_sigma_rad = 0.1;
     }
     let sigma_of = |name: &str| {
         let mut filter = named(name, &vague);
-        stand(filter.as_mut(), 200, 0.0);
+        rest(filter.as_mut(), 200, 0.0);
         latest(filter.as_ref()).heading_sigma_rad()
     };
     assert!(sigma_of("ekf5-corrected") > 0.0999);
@@ -235,8 +235,8 @@ fn a_stamp_that_may_be_off_makes_a_fix_of_a_moving_robot_weaker() {
     let innovation_var_m2 = |stamp_sigma| {
         let mut filter = named("ekf5-camera", &config());
         drive_straight(filter.as_mut(), 2_000);
-        let seen = Observation { stamp_sigma, ..fix(2_000, fix_of(0.39, 0.0, None)) };
-        filter.observe(&seen).innovation_covariance[0][0]
+        let uncertain_fix = Observation { stamp_sigma, ..fix(2_000, fix_of(0.39, 0.0, None)) };
+        filter.observe(&uncertain_fix).innovation_covariance[0][0]
     };
     let added_m2 = innovation_var_m2(TimeDelta::from_millis(100)) - innovation_var_m2(TimeDelta::ZERO);
     assert!((added_m2 - 0.02 * 0.02).abs() < 1e-5, "{added_m2}");
@@ -245,17 +245,17 @@ fn a_stamp_that_may_be_off_makes_a_fix_of_a_moving_robot_weaker() {
 #[test]
 fn a_bias_that_is_known_is_subtracted() {
     for name in ["ekf5", "ukf5"] {
-        let mut told = config();
-        told.calibration.gyro_bias_rad_per_s.value = 1.5 * DEGREE;
-        let mut filter = named(name, &told);
-        stand(filter.as_mut(), 400, 1.5 * DEGREE);
+        let mut configured = config();
+        configured.calibration.gyro_bias_rad_per_s.value = 1.5 * DEGREE;
+        let mut filter = named(name, &configured);
+        rest(filter.as_mut(), 400, 1.5 * DEGREE);
         let heading_rad = latest(filter.as_ref()).pose.heading.rad();
         assert!(heading_rad.abs() < 1e-9, "{name}: {heading_rad}");
     }
 }
 
 #[test]
-fn accelerations_are_held_for_three_tenths_of_a_second_however_far_ahead_is_asked() {
+fn accelerations_are_held_for_three_tenths_of_a_second_at_any_prediction_time() {
     for name in ["velocity-kf", "ekf5", "ekf5-corrected", "ukf5"] {
         let mut filter = named(name, &config());
         drive_straight(filter.as_mut(), 2_000);
@@ -294,10 +294,10 @@ fn a_new_base_of_the_counters_makes_no_filter_surer_of_its_pose() {
 
 #[test]
 fn the_corrected_filter_takes_the_bias_off_the_gyro_while_the_wheels_are_lost() {
-    let mut told = config();
-    told.calibration.gyro_bias_rad_per_s.value = 3.0 * DEGREE;
-    told.noise.gyro_bias_rad_per_s = 0.05 * DEGREE;
-    let mut filter = named("ekf5-corrected", &told);
+    let mut configured = config();
+    configured.calibration.gyro_bias_rad_per_s.value = 3.0 * DEGREE;
+    configured.noise.gyro_bias_rad_per_s = 0.05 * DEGREE;
+    let mut filter = named("ekf5-corrected", &configured);
     for k in 0..=60_i64 {
         filter.observe(&gyro(50 * k, 3.0 * DEGREE));
         filter.observe(&wheels(50 * k, 0.0, 0.0));
@@ -315,7 +315,7 @@ fn the_corrected_filter_takes_the_bias_off_the_gyro_while_the_wheels_are_lost() 
 
 #[test]
 fn a_path_that_was_driven_unseen_is_no_leap_of_the_corrected_filters_speed() {
-    // The wheels speak with the gyro, or between two of its readings.
+    // The wheels are read with the gyro, or between two of its readings.
     for offset in [0, 20] {
         let mut filter = named("ekf5-corrected", &config());
         for k in 0..=110_i64 {
@@ -329,8 +329,8 @@ fn a_path_that_was_driven_unseen_is_no_leap_of_the_corrected_filters_speed() {
                 let now = latest(filter.as_ref());
                 let (speed, x_m) = (now.forward_speed.0, now.pose.x.0);
                 assert!((speed - 0.2).abs() < 0.03, "{offset} {k}: {speed}");
-                let way_m = 0.2e-3 * millis as f64;
-                assert!((x_m - way_m).abs() < 0.02, "{offset} {k}: {x_m} {way_m}");
+                let expected_m = 0.2e-3 * millis as f64;
+                assert!((x_m - expected_m).abs() < 0.02, "{offset} {k}: {x_m} {expected_m}");
             }
         }
     }

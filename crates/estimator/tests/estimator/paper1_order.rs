@@ -1,7 +1,7 @@
 //! The order that paper 1 promises: raw odometry worse than wheel-kf, worse than velocity-kf, worse than ekf5.
 //!
 //! One lap of a 3 m square, 50 ms steps, slip and sensors of support/simulation.rs, accelerometers of 0.05 m/s² at the wheels. The
-//! figures are printed; docs/lab/square.md section M7 says what they mean.
+//! figures are printed; docs/lab/square.md section M7 explains them.
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{Meters, ObservationKind, UncertainValue};
@@ -30,7 +30,7 @@ fn score_of(name: &str, driven: &Drive, config: &FilterConfig) -> Score {
     Score { anees: score(driven, &played, REST_STEPS).anees, ..score(driven, &played, 0) }
 }
 
-/// What a robot's owner does before: the gyro's mean while the robot stands is its bias.
+/// The calibration before a drive: the gyro's mean at rest is its bias.
 fn with_known_bias(mut config: FilterConfig, driven: &Drive) -> FilterConfig {
     let at_rest: Vec<f64> = driven
         .arrivals
@@ -50,8 +50,8 @@ fn with_known_bias(mut config: FilterConfig, driven: &Drive) -> FilterConfig {
     config
 }
 
-/// Wheels and track as somebody measured them: 0.5 % off in mean radius and in their difference, 3 % in the track. The noise of
-/// the motion is told to allow for it, as docs/maths/pose.md section 2 advises.
+/// Wheels and track as measured by hand: 0.5 % off in mean radius and in their difference, 3 % in the track. The noise of
+/// the motion is configured to allow for it, as docs/maths/pose.md section 2 advises.
 fn with_measured_geometry(mut config: FilterConfig, seed: u64) -> FilterConfig {
     let mut normals = Pcg64::seed_from_u64(seed ^ 0x6e0);
     let [mean, difference, track] = GEOMETRY_SIGMAS.map(|sigma| sigma * normals.sample::<f64, _>(StandardNormal));
@@ -113,7 +113,7 @@ impl Scores {
     }
 }
 
-/// What a long record at rest would tell: the bias at the start of the drive itself, which the drive draws first.
+/// The result of a long record at rest: the bias at the start of the drive itself, which the drive draws first.
 fn with_exact_bias(mut config: FilterConfig, seed: u64) -> FilterConfig {
     let normal: f64 = Pcg64::seed_from_u64(seed).sample(StandardNormal);
     config.calibration.gyro_bias_rad_per_s = UncertainValue { value: NOISE.gyro_bias_rad_per_s * normal, sigma: 1e-4 };
@@ -149,7 +149,7 @@ fn with_wheels_that_were_measured_and_a_bias_of_two_seconds_the_order_is_below_t
 }
 
 #[test]
-fn with_known_wheels_the_corrected_filter_is_honest_and_the_faithful_one_is_not() {
+fn with_known_wheels_the_corrected_filter_is_consistent_and_the_faithful_one_is_not() {
     let all = Scores::over("geometry known, bias of 2 s at rest", |_, driven| with_known_bias(config(), driven));
     let corrected = all.mean("ekf5-corrected").anees;
     assert!(HONEST.contains(&corrected), "{corrected}");
@@ -163,7 +163,7 @@ fn with_known_wheels_the_corrected_filter_is_honest_and_the_faithful_one_is_not(
 }
 
 #[test]
-fn a_bias_that_nobody_told_ruins_ekf5_and_is_learned_by_the_corrected_filter() {
+fn an_unconfigured_bias_ruins_ekf5_and_is_learned_by_the_corrected_filter() {
     let all = Scores::over("geometry known, bias unknown", |_, _| config());
     assert!(all.rms("ekf5") > 10.0 * all.rms("odometry"));
     assert!(all.rms("ekf5-corrected") < 0.9 * all.rms("odometry"));

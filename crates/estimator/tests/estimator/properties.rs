@@ -1,4 +1,4 @@
-//! Whatever comes, in whatever order: what cannot be used is refused with a reason and changes nothing, and what is believed stays
+//! For any input in any order: what cannot be used is refused with a reason and changes nothing, and estimates stay
 //! sound. All kinds of observation, all states, random sequences from a fixed seed.
 
 use std::f64::consts::PI;
@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 use crate::support::any::{AnyMeasurement, any_observation, cases, damages, learning_everything, of, without_learning};
 
-/// What is believed of the last second and of the next, each in digits that tell any two numbers apart, and what was learned.
+/// Estimates of the last second and of the next, each in enough digits to distinguish any two numbers, and the calibration.
 struct FilterReadout {
     estimates: Vec<Option<String>>,
     learned: String,
@@ -26,7 +26,7 @@ fn readout<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> Filte
     }
 }
 
-/// Holds two beliefs against each other. What is told of an instant may be forgotten, because even an observation that is not used
+/// Compares two such texts. An estimate of an instant may be dropped, because even an observation that is not used
 /// moves the end of the history, and the first of all gives the filter its first instant.
 fn assert_unchanged(before: &FilterReadout, after: &FilterReadout, what: &str) {
     assert_eq!(before.learned, after.learned, "{what}");
@@ -73,9 +73,9 @@ fn assert_state_sound<const N: usize>(filter: &PoseFilter<N>) {
 fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId, AnyMeasurement)]) {
     let mut filter = PoseFilter::<N>::new(config);
     let mut millis = 10_000;
-    for (step_ms, sensor, seen) in steps {
+    for (step_ms, sensor, measurement) in steps {
         millis += step_ms;
-        let observation = of(millis, *sensor, seen.0);
+        let observation = of(millis, *sensor, measurement.0);
         let before = readout(&filter, &observation);
         let record = filter.observe(&observation);
         assert!(record.nis >= 0.0 && record.nis.is_finite(), "{record:?}");
@@ -109,7 +109,7 @@ proptest! {
     #![proptest_config(cases(40, 20_260_103))]
 
     #[test]
-    fn with_every_state_whatever_comes_is_used_soundly_or_refused(
+    fn with_every_state_any_input_is_used_soundly_or_refused(
         steps in prop::collection::vec(any_observation(), 1..60),
         has_start in any::<bool>(),
         has_students_t in any::<bool>(),
@@ -122,7 +122,7 @@ proptest! {
     }
 
     #[test]
-    fn with_known_constants_whatever_comes_is_used_soundly_or_refused(
+    fn with_known_constants_any_input_is_used_soundly_or_refused(
         steps in prop::collection::vec(any_observation(), 1..100),
         has_start in any::<bool>(),
     ) {

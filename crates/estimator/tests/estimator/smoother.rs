@@ -1,5 +1,5 @@
 //! The smoothed paths, by batch and by one pass forwards and back: against truth, against the filter that had to answer at once,
-//! against the bound, and with disorder, damage, holes and things that they were not told.
+//! against the bound, and with disorder, damage, holes and unconfigured offsets.
 
 use std::ops::Range;
 
@@ -101,7 +101,7 @@ fn four_laps_with_unknown_geometry_stay_within_eight_tenths_of_a_millimetre() {
 }
 
 #[test]
-fn under_a_camera_hindsight_is_clearly_better_than_the_filter_and_honest() {
+fn with_a_camera_the_smoother_is_clearly_better_than_the_filter_and_consistent() {
     for (name, smooth) in BOTH {
         let scores = compare(&format!("{name}, camera 10 Hz"), smooth, 20, |seed| drive_lap(Some(CAMERA_10_HZ), seed));
         assert!(scores.position_rms_m < 0.7 * scores.filter_position_rms_m, "{name}");
@@ -185,8 +185,8 @@ fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
 fn the_last_pose_of_rts_is_the_filters() {
     let drive = drive_lap(Some(CAMERA_10_HZ), 3);
     let mut filter = PoseFilter::<CORE_STATES>::new(&config());
-    for seen in drive.observations() {
-        filter.observe(&seen);
+    for observation in drive.observations() {
+        filter.observe(&observation);
     }
     let state = filter.state();
     let last = *smoothed(rts, &drive, &config()).poses.last().expect("it moved");
@@ -253,7 +253,7 @@ fn each_fix(all: &mut [Observation], mut change: impl FnMut(&mut Fix)) {
     }
 }
 
-/// With what the same camera says once more and a foreign odometer says at the same instants; then each once more, backwards.
+/// With a second fix of the same camera and a foreign odometer at the same instants; then each once more, backwards.
 #[test]
 fn the_order_of_the_observations_and_copies_do_not_matter_bit_for_bit() {
     let plain = with_camera().observations();
@@ -304,7 +304,7 @@ fn what_is_damaged_or_of_no_use_changes_nothing() {
 }
 
 #[test]
-fn without_motion_or_without_any_place_there_is_nothing_to_smooth() {
+fn without_motion_or_without_any_position_there_is_nothing_to_smooth() {
     let (fixes, others): (Vec<Observation>, Vec<Observation>) =
         with_camera().observations().into_iter().partition(is_fix);
     let mut fixed_later = others.clone();
@@ -343,7 +343,7 @@ fn position_rms_m(drive: &Drive, smoothed: &SmoothedTrajectory) -> f64 {
 }
 
 #[test]
-fn a_robot_that_is_told_no_noise_at_all_has_a_path_nevertheless() {
+fn a_configuration_without_noise_gives_a_path_nevertheless() {
     let mut exact = config();
     exact.noise = posebridge_telemetry::SensorNoise::EXACT;
     let drive = half_a_lap(None);
@@ -441,7 +441,7 @@ fn counters_that_restart_leave_a_gap_that_fixes_close() {
 }
 
 #[test]
-fn a_robot_that_stands_is_one_pose_and_its_gyro_tells_the_bias() {
+fn a_robot_at_rest_is_one_pose_and_its_gyro_determines_the_bias() {
     let mut all = half_a_lap(None).observations();
     all.retain(|one| one.stamp <= stamp(40));
     let smoothed = batch(&config(), &all).unwrap();

@@ -34,7 +34,7 @@ fn normal(rng: &mut Pcg64) -> f64 {
     rng.sample(StandardNormal)
 }
 
-/// A robot that winds its way, seen with noise that is about as large as the model says.
+/// A robot on a winding path, measured with about the noise of the model.
 fn winding(seed: u64) -> Data {
     let mut rng = Pcg64::seed_from_u64(seed);
     let (mut x, mut y, mut th) = (0.0_f64, 0.0_f64, 0.0_f64);
@@ -49,14 +49,14 @@ fn winding(seed: u64) -> Data {
         if k % 2 == 0 {
             let at = 0.4;
             let angle = th + 0.5 * at * true_turn;
-            let seen_th = th + at * true_turn;
-            let (sin, cos) = seen_th.sin_cos();
+            let fix_th = th + at * true_turn;
+            let (sin, cos) = fix_th.sin_cos();
             data.fixes.push((
                 STEP_MS * (k as i64 - 1) + FIX_OFFSET_MS,
                 [
                     x + at * d * angle.cos() + cos * LEVER_M.0 - sin * LEVER_M.1 + 0.005 * normal(&mut rng),
                     y + at * d * angle.sin() + sin * LEVER_M.0 + cos * LEVER_M.1 + 0.005 * normal(&mut rng),
-                    seen_th + 0.017 * normal(&mut rng),
+                    fix_th + 0.017 * normal(&mut rng),
                 ],
             ));
         }
@@ -181,14 +181,14 @@ impl<'a> DenseProblem<'a> {
             all.push(unknowns[CONSTANT + i] / sigma);
         }
         all.extend(unknowns.iter().skip(ERRORS));
-        for &(at_ms, seen) in &self.data.fixes {
+        for &(at_ms, fix) in &self.data.fixes {
             let [x, y, th] = path[self.at(at_ms)];
             let forward = LEVER_M.0 + unknowns[CONSTANT + 3];
             let left = LEVER_M.1 + unknowns[CONSTANT + 4];
             let (sin, cos) = th.sin_cos();
-            all.push((seen[0] - x - cos * forward + sin * left) / NOISE.fix_position_m);
-            all.push((seen[1] - y - sin * forward - cos * left) / NOISE.fix_position_m);
-            all.push(wrap_rad(seen[2] - th) / NOISE.fix_heading_rad);
+            all.push((fix[0] - x - cos * forward + sin * left) / NOISE.fix_position_m);
+            all.push((fix[1] - y - sin * forward - cos * left) / NOISE.fix_position_m);
+            all.push(wrap_rad(fix[2] - th) / NOISE.fix_heading_rad);
         }
         self.push_windows(&path, unknowns, &mut all);
         DVector::from_vec(all)

@@ -1,4 +1,4 @@
-//! A thermometer left running: it finds each new bath, knows its end early, and says honestly how well.
+//! A thermometer left running: it finds each new bath, predicts its end early, with a consistent sigma.
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::dynamic::DynamicFilter;
@@ -180,7 +180,7 @@ fn every_new_bath_is_found_and_a_damaged_reading_is_not_one() {
 }
 
 #[test]
-fn more_noise_than_was_told_widens_the_bound() {
+fn more_noise_than_configured_widens_the_bound() {
     let mut random = Pcg64::seed_from_u64(6);
     let mut quiet = with_noise(0.05);
     let mut loud = with_noise(0.05);

@@ -1,5 +1,5 @@
-//! What must hold for every measurement update, whatever the state, the observation and the order, and the update against a filter
-//! that somebody else wrote: `adskalman`, by Cholesky and in Joseph's form.
+//! What must hold for every measurement update, for any state, observation and order, and the update against a filter
+//! of another author: `adskalman`, by Cholesky and in Joseph's form.
 
 use adskalman::{CovarianceUpdateMethod, ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
 use nalgebra::{
@@ -16,7 +16,7 @@ use rand_pcg::Pcg64;
 
 use crate::support::any::cases;
 
-/// How far two ways to compute the same thing may lie apart: rounding over all steps, at numbers of about one.
+/// Largest difference of two computations of the same value: rounding over all steps, at numbers of about one.
 const AGREEMENT: f64 = 1e-9;
 
 /// A positive definite matrix with eigenvalues from a thousandth up.
@@ -114,7 +114,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_foretold_of_some_rows_is_what_the_update_makes_of_them(
+    fn a_preview_of_some_rows_equals_their_update(
         covariance in covariances::<5>(),
         at in vectors::<5>(),
         scalar in scalars(),
@@ -126,12 +126,12 @@ proptest! {
             ..scalar
         };
         let rows = [0, 2, 3];
-        let foretold = preview_scalar(&before, &covariance, &scalar, rows);
+        let predicted = preview_scalar(&before, &covariance, &scalar, rows);
         let (mut mean, mut after) = (before, covariance);
         let outcome = use_scalar(&mut mean, &mut after, &scalar, f64::INFINITY);
         let made = (rows.map(|row| mean[row]), rows.map(|i| rows.map(|j| after[(i, j)])));
         let expected = (outcome.outcome == UpdateOutcome::Used).then_some(made);
-        prop_assert_eq!(foretold, expected, "to the last bit");
+        prop_assert_eq!(predicted, expected, "to the last bit");
     }
 
     #[test]
@@ -174,7 +174,7 @@ proptest! {
     }
 
     #[test]
-    fn a_gated_scalar_changes_nothing_and_says_by_how_much_it_missed(
+    fn a_gated_scalar_changes_nothing_and_reports_its_innovation(
         start in covariances::<5>(),
         at in vectors::<5>(),
         scalar in scalars(),
@@ -196,10 +196,10 @@ proptest! {
         at in vectors::<5>(),
         scalar in scalars(),
         bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1e9]),
-        place in 0..3_usize,
+        field in 0..3_usize,
     ) {
         let mut scalar = scalar;
-        match place {
+        match field {
             // -1e9 is a number like any other in an innovation, 1e300 squared is not.
             0 => scalar.innovation = if bad == -1e9 { 1e300 } else { bad },
             1 => scalar.variance = bad,
@@ -299,7 +299,7 @@ impl RandomSystems {
     }
 }
 
-/// The library's belief.
+/// The library's state.
 #[derive(Clone, Copy)]
 struct LibraryFilter {
     mean: Vector4<f64>,

@@ -28,7 +28,7 @@ pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
 /// Updates the state by an absolute observation; the outcome is in the record.
 pub(super) fn update_absolute<const N: usize>(
     state: &mut PoseState<N>,
-    seen: &ObservationKind,
+    observation: &ObservationKind,
     stamp_sigma: TimeDelta,
     context: &UpdateContext<'_>,
     record: &mut FusionRecord,
@@ -40,19 +40,19 @@ pub(super) fn update_absolute<const N: usize>(
         update_gyro_window(state, context);
         state.restart_window(window.until);
     }
-    let mut update = AbsoluteUpdate { context, kind: kind_index(seen), record };
-    let outcome = if let ObservationKind::Fix(seen) = seen {
-        update.update_fix(state, seen, stamp_sigma)
+    let mut update = AbsoluteUpdate { context, kind: kind_index(observation), record };
+    let outcome = if let ObservationKind::Fix(fix) = observation {
+        update.update_fix(state, fix, stamp_sigma)
     } else if state.position_state == PositionState::Unknown {
         FusionOutcome::Unused
     } else {
-        update.update_other(state, seen)
+        update.update_other(state, observation)
     };
     record.outcome = outcome;
     if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
         state.last_fix = state.stamp;
         // Agreement of a compass, a wall or a range does not prove that the position is right: only a fix answers for the fixes.
-        if matches!(seen, ObservationKind::Fix(_)) {
+        if matches!(observation, ObservationKind::Fix(_)) {
             state.rejected_fixes = RejectedFixes::default();
         }
     }
@@ -73,34 +73,34 @@ impl AbsoluteUpdate<'_> {
     fn update_fix<const N: usize>(
         &mut self,
         state: &mut PoseState<N>,
-        seen: &Fix,
+        fix: &Fix,
         stamp_sigma: TimeDelta,
     ) -> FusionOutcome {
         let circumstances = self.fix_context(state, stamp_sigma);
         let scales = [NoiseGroup::Position, NoiseGroup::Heading].map(|group| self.noise_scale(state, group));
-        let noise = fix::fix_noise(seen, &self.context.config.noise, scales, &circumstances);
-        let has_jumped = state.observer_frames.has_jumped(self.record.sensor, seen.reset_counter);
+        let noise = fix::fix_noise(fix, &self.context.config.noise, scales, &circumstances);
+        let has_jumped = state.observer_frames.has_jumped(self.record.sensor, fix.reset_counter);
         if state.position_state == PositionState::Unknown {
-            return initialize_from_fix(state, seen, &noise, &circumstances);
+            return initialize_from_fix(state, fix, &noise, &circumstances);
         }
         if has_jumped {
-            return reset_to_fix(state, seen, &noise, &circumstances);
+            return reset_to_fix(state, fix, &noise, &circumstances);
         }
-        let verdict = match seen.heading {
+        let verdict = match fix.heading {
             Some(heading) => {
                 let heading_rad = heading.rad();
                 self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
-                    linearize(&fix::pose(state, seen, heading_rad, &noise, &circumstances))
+                    linearize(&fix::pose(state, fix, heading_rad, &noise, &circumstances))
                 })
             }
             None => self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
-                linearize(&fix::position(state, seen, &noise, &circumstances))
+                linearize(&fix::position(state, fix, &noise, &circumstances))
             }),
         };
         let turned_since_rad = circumstances.moved_since.heading_rad;
         let params = &self.context.config.params;
         if verdict == FusionOutcome::Gated && reject_fix(state, self.record, turned_since_rad, params) {
-            return reset_to_fix(state, seen, &noise, &circumstances);
+            return reset_to_fix(state, fix, &noise, &circumstances);
         }
         verdict
     }
@@ -175,10 +175,14 @@ impl AbsoluteUpdate<'_> {
         (forward_m / covered_s, turn_rad / covered_s)
     }
 
-    fn update_other<const N: usize>(&mut self, state: &mut PoseState<N>, seen: &ObservationKind) -> FusionOutcome {
+    fn update_other<const N: usize>(
+        &mut self,
+        state: &mut PoseState<N>,
+        observation: &ObservationKind,
+    ) -> FusionOutcome {
         let config = self.context.config;
         let (noise, world) = (&config.noise, &config.arena_map);
-        match *seen {
+        match *observation {
             ObservationKind::Landmark { id, range, bearing } => {
                 let range_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.landmark_range_m.powi(2);
                 let bearing_rad2 = self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2);
@@ -186,14 +190,14 @@ impl AbsoluteUpdate<'_> {
                 let model = world
                     .landmarks
                     .get(&id)
-                    .and_then(|place| landmark::measurement(state, *place, sighting, range_m2, bearing_rad2));
+                    .and_then(|position| landmark::measurement(state, *position, sighting, range_m2, bearing_rad2));
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range, NoiseGroup::Bearing])
             }
             ObservationKind::BeaconRange { id, range } => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.beacon_range_m.powi(2);
                 let known = world.beacons.iter().enumerate().find(|(_, (known, _))| **known == id);
-                let model = known.and_then(|(slot, (_, place))| {
-                    let beacon = Beacon { position: *place, slot };
+                let model = known.and_then(|(slot, (_, position))| {
+                    let beacon = Beacon { position: *position, slot };
                     beacon::measurement(state, beacon, range.0, variance_m2)
                 });
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
@@ -294,7 +298,7 @@ impl AbsoluteUpdate<'_> {
 //     minimise   c(xi) = xi' P^-1 xi + nu' R^-1 nu         nu the innovation at X exp xi
 //     aim at     P H' S^-1 (nu + H xi)                     H taken at X exp xi, S = H P H' + R
 //     xi <- xi + a (aim - xi)                              a = 1, 1/2, 1/4 ..: the first with which c falls
-// With left-invariant errors an unknown heading is a straight line in xi however far the robot has gone, so that P says exactly
+// With left-invariant errors an unknown heading is a straight line in xi however far the robot has moved, so that P expresses exactly
 // what is known; only the observation bends, and the iteration follows it. Whole steps would swing to and fro where a tag far from
 // mid-axle has been seen for long: there an innovation of millimetres bends the valley of c by radians. P may be singular (rows
 // that are certain), so xi = P y is sought by its y. The minimum is chi-square distributed like a NIS.

@@ -79,14 +79,14 @@ impl HistoryEntry for PoseEntry {
 
     /// By stamp, rank and sensor, and two absolute observations of one sensor by their values.
     fn order(&self, other: &Self) -> Ordering {
-        let key = |told: &Self| (told.stamp, told.update.rank(), told.sensor.0);
+        let key = |entry: &Self| (entry.stamp, entry.update.rank(), entry.sensor.0);
         key(self).cmp(&key(other)).then_with(|| self.update.order(&other.update))
     }
 }
 
 /// The number of a kind of absolute observation, which distinguishes those of one sensor.
-pub(super) const fn kind_index(seen: &ObservationKind) -> u8 {
-    match seen {
+pub(super) const fn kind_index(observation: &ObservationKind) -> u8 {
+    match observation {
         ObservationKind::Fix(_) => 0,
         ObservationKind::Landmark { .. } => 1,
         ObservationKind::BeaconRange { .. } => 2,
@@ -105,10 +105,10 @@ pub(super) const fn kind_index(seen: &ObservationKind) -> u8 {
 const SORT_KEY_LEN: usize = 11;
 
 /// All values of an observation, which distinguish two of one instant.
-fn sort_key(seen: &ObservationKind) -> [f64; SORT_KEY_LEN] {
+fn sort_key(observation: &ObservationKind) -> [f64; SORT_KEY_LEN] {
     let mut numbers = [0.0; SORT_KEY_LEN];
-    numbers[0] = f64::from(kind_index(seen));
-    match *seen {
+    numbers[0] = f64::from(kind_index(observation));
+    match *observation {
         ObservationKind::Fix(fix) => numbers[1..].copy_from_slice(&fix_sort_key(&fix)),
         ObservationKind::Landmark { id, range, bearing } => {
             numbers[1..4].copy_from_slice(&[f64::from(id.0), range.0, bearing.0]);

@@ -42,7 +42,7 @@ const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 /// Builds the pose filter with as many states as the configuration needs.
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let calibration = &config.calibration;
-    let is_asked = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
+    let is_estimated = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
     let camera = [calibration.fix_delay_s, calibration.tag_forward_m, calibration.tag_left_m];
     let ranges = [
         calibration.beacon_offset_m,
@@ -50,9 +50,9 @@ pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
         calibration.landmark_offset_m,
         calibration.landmark_scale,
     ];
-    if ranges.into_iter().any(is_asked) {
+    if ranges.into_iter().any(is_estimated) {
         Box::new(PoseFilter::<RANGE_STATES>::new(config))
-    } else if camera.into_iter().any(is_asked) {
+    } else if camera.into_iter().any(is_estimated) {
         Box::new(PoseFilter::<CAMERA_STATES>::new(config))
     } else {
         Box::new(PoseFilter::<CORE_STATES>::new(config))
@@ -267,8 +267,8 @@ impl<const N: usize> Filter for PoseFilter<N> {
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
         let context = self.context();
-        let (kept, unapplied) = self.history.state_at_or_before(stamp);
-        let mut state = Cow::Borrowed(kept);
+        let (stored, unapplied) = self.history.state_at_or_before(stamp);
+        let mut state = Cow::Borrowed(stored);
         for entry in unapplied {
             let mut after = *state;
             apply_entry(&state, &mut after, entry, &context, &mut scratch_record(entry));
@@ -320,12 +320,12 @@ fn apply_entry<const N: usize>(
 
 fn apply_update<const N: usize>(
     state: &mut PoseState<N>,
-    told: &PoseEntry,
+    entry: &PoseEntry,
     context: &UpdateContext<'_>,
     record: &mut FusionRecord,
 ) {
-    let stamp = told.stamp;
-    match told.update {
+    let stamp = entry.stamp;
+    match entry.update {
         // These observe speeds only: the pose goes on with the next wheel reading.
         UpdateKind::TurnRate(_) | UpdateKind::Accelerations(_) => {
             state.stamp = state.stamp.or(Some(stamp));
@@ -335,16 +335,18 @@ fn apply_update<const N: usize>(
             state.advance(stamp, context.track, context.config);
         }
     }
-    match told.update {
+    match entry.update {
         UpdateKind::TurnRate(rate) => motion_update::update_turn_rate(state, rate, context),
         UpdateKind::Accelerations(felt) => motion_update::update_accelerations(state, felt, stamp, context),
         UpdateKind::Motion => motion_update::update_motion(state, stamp, context, record),
-        UpdateKind::Absolute(seen, sigma) => absolute_update::update_absolute(state, &seen, sigma, context, record),
+        UpdateKind::Absolute(observation, sigma) => {
+            absolute_update::update_absolute(state, &observation, sigma, context, record)
+        }
         UpdateKind::Command(revision) => state.apply_command(revision, context.config),
     }
 }
 
 /// A record for an entry that is applied again, which was reported when it came. Its sensor selects the noise scale.
-const fn scratch_record(told: &PoseEntry) -> FusionRecord {
-    validation::blank_record(told.sensor, told.stamp)
+const fn scratch_record(entry: &PoseEntry) -> FusionRecord {
+    validation::blank_record(entry.sensor, entry.stamp)
 }

@@ -44,8 +44,8 @@ pub fn update_motion<const N: usize>(
         let noise = step_noise(travel, geometry, &context.config.noise);
         let dt_s = (stamp - before).as_secs_f64();
         state.forward.observe(speed::forward_reading(step, &noise, dt_s, geometry));
-        let gyro_speaks = context.gyro.last_at_or_before(stamp).is_some_and(|last| last + GYRO_TIMEOUT > stamp);
-        if !gyro_speaks {
+        let has_gyro = context.gyro.last_at_or_before(stamp).is_some_and(|last| last + GYRO_TIMEOUT > stamp);
+        if !has_gyro {
             state.turn.observe(speed::turn_reading(step, &noise, dt_s, geometry));
         }
     }

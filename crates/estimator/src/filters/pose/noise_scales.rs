@@ -122,8 +122,8 @@ mod tests {
         let mut spaces = ObserverFrames::default();
         let camera = SensorId::camera(0);
         let other = SensorId::camera(1);
-        let told = [(camera, 3), (camera, 3), (other, 7), (camera, 4), (camera, 4), (other, 7), (camera, 3)];
-        let jumped = told.map(|(sensor, counter)| spaces.has_jumped(sensor, counter));
+        let counters = [(camera, 3), (camera, 3), (other, 7), (camera, 4), (camera, 4), (other, 7), (camera, 3)];
+        let jumped = counters.map(|(sensor, counter)| spaces.has_jumped(sensor, counter));
         assert_eq!(jumped, [false, false, false, true, false, false, true]);
     }
 

@@ -236,9 +236,9 @@ impl<const N: usize> PoseState<N> {
     /// are kept.
     fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
-        let is_told = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
+        let has_recent_fix = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
         let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
-        if !is_told || walk_var <= 0.0 {
+        if !has_recent_fix || walk_var <= 0.0 {
             return;
         }
         for row in [RADIUS, DIFFERENCE, TRACK] {
@@ -317,17 +317,17 @@ mod tests {
     fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
         let ms = Timestamp::from_millis;
         let config = crate::filter::tests::config();
-        let mut whole = PoseState::<CORE_STATES>::initial(&config);
-        whole.predict_speeds_and_bias(ms(0), &config);
-        whole.last_acceleration = Some(ms(0));
-        let mut parts = whole;
-        whole.predict_speeds_and_bias(ms(300), &config);
+        let mut at_once = PoseState::<CORE_STATES>::initial(&config);
+        at_once.predict_speeds_and_bias(ms(0), &config);
+        at_once.last_acceleration = Some(ms(0));
+        let mut parts = at_once;
+        at_once.predict_speeds_and_bias(ms(300), &config);
         for millis in [50, 150, 190, 230, 300] {
             parts.predict_speeds_and_bias(ms(millis), &config);
         }
         // For 0.2 s they are felt, and for 0.1 s the speed walks at 1 m/s per root of a second.
-        assert!((whole.forward.variance - 0.01 - 0.1).abs() < 1e-12);
-        assert!((parts.forward.variance - whole.forward.variance).abs() < 1e-12);
-        assert!((parts.turn.variance - whole.turn.variance).abs() < 1e-12);
+        assert!((at_once.forward.variance - 0.01 - 0.1).abs() < 1e-12);
+        assert!((parts.forward.variance - at_once.forward.variance).abs() < 1e-12);
+        assert!((parts.turn.variance - at_once.turn.variance).abs() < 1e-12);
     }
 }

@@ -9,7 +9,7 @@
 //! cov(xi, o) = A P_o           P_xi = A P_o A' + H_x^-1 R H_x^-T
 //! ```
 //! A heading that the fix does not contain is uniform on the circle. Left-invariant, the robot that turns about its tag goes along a
-//! straight line in xi, so that this says exactly what is known, however far the tag is from mid-axle.
+//! straight line in xi, so that this expresses exactly what is known, however far the tag is from mid-axle.
 //!
 //! Source: docs/maths/pose.md section 4.
 
@@ -66,13 +66,13 @@ pub(super) fn reject_fix<const N: usize>(
 /// Moves the estimate to a fix; counts as a reset and stores the jump.
 pub(super) fn reset_to_fix<const N: usize>(
     state: &mut PoseState<N>,
-    seen: &Fix,
+    fix: &Fix,
     noise: &FixNoise,
     circumstances: &FixContext,
 ) -> FusionOutcome {
     let before = state.arena_pose();
     // Without a heading in the fix the heading may be as wrong as the position was: it is estimated from scratch.
-    if initialize_from_fix(state, seen, noise, circumstances) == FusionOutcome::Malformed {
+    if initialize_from_fix(state, fix, noise, circumstances) == FusionOutcome::Malformed {
         return FusionOutcome::Malformed;
     }
     state.record_correction_from(before);
@@ -83,13 +83,13 @@ pub(super) fn reset_to_fix<const N: usize>(
 /// the instant of the exposure.
 pub(super) fn initialize_from_fix<const N: usize>(
     state: &mut PoseState<N>,
-    seen: &Fix,
+    fix: &Fix,
     noise: &FixNoise,
     circumstances: &FixContext,
 ) -> FusionOutcome {
     let moved = circumstances.moved_since;
-    let shown_rad = seen.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
-    let mut tagged = *seen;
+    let shown_rad = fix.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
+    let mut tagged = *fix;
     tagged.tag_in_body.x += Meters(state.term(StateTerm::TagForward));
     tagged.tag_in_body.y += Meters(state.term(StateTerm::TagLeft));
     state.initialize_pose(&StartPose {
@@ -100,9 +100,9 @@ pub(super) fn initialize_from_fix<const N: usize>(
     state.pose = state.pose.compose(moved);
     let noise = FixNoise {
         position: noise.position,
-        heading_rad2: seen.heading.map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
+        heading_rad2: fix.heading.map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
     };
-    let measurement = linearize(&fix::pose(state, seen, shown_rad, &noise, circumstances));
+    let measurement = linearize(&fix::pose(state, fix, shown_rad, &noise, circumstances));
     set_covariance_from_fix(state, &measurement)
 }
 

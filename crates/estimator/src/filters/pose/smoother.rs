@@ -1,7 +1,7 @@
-//! Rauch-Tung-Striebel smoother: the pose filter run forwards over a whole recording and back again.
+//! Rauch-Tung-Striebel smoother: the pose filter run forwards over a complete recording and back again.
 //!
 //! # Model
-//! Beside each state x stands a copy c of what it was one observation ago, carried through the same steps and updates, so that
+//! Each state x is augmented by a copy c of its value one observation ago, carried through the same steps and updates, so that
 //! the filter itself gives their joint covariance after it:
 //! ```text
 //! x_k^s = c_k + C (x_(k+1)^s - x_(k+1))          C = Cov(c_k, x_(k+1)) Cov(x_(k+1))^-1
@@ -64,14 +64,14 @@ struct ForwardStep {
 
 /// Smooths a run; an empty result means that nothing moved.
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
-    let (told, track, gyro) = prepare_entries(config, observations);
+    let (entries, track, gyro) = prepare_entries(config, observations);
     let context =
         UpdateContext { config, track: &track, gyro: &gyro, gates: &chi_square_gates(config.params.gate_probability) };
     let initial = PoseState::<RANGE_STATES>::initial(config);
     let mut smoothing =
         SmootherResult { states: Vec::new(), nis: 0.0, used: 0, rejected: 0, calibration: config.calibration };
-    let rows = uncertain_rows(&told, &initial);
-    let passed = forward_pass(&told, &context, &initial, &rows, &mut smoothing);
+    let rows = uncertain_rows(&entries, &initial);
+    let passed = forward_pass(&entries, &context, &initial, &rows, &mut smoothing);
     backward_pass(&passed, &rows, &mut smoothing);
     if let Some(last) = smoothing.states.last() {
         smoothing.calibration = last.state.calibration(&config.calibration);
@@ -83,7 +83,7 @@ pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherRe
 fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, MotionTrack, GyroTrack) {
     let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
     let mut gyro = GyroTrack::default();
-    let mut told = Vec::with_capacity(observations.len());
+    let mut entries = Vec::with_capacity(observations.len());
     for observation in validation::valid_in_time_order(observations) {
         let Some(action) = update_kind(observation) else {
             continue;
@@ -97,19 +97,19 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
             }
         };
         if matches!(added, InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_)) {
-            told.push(PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action });
+            entries.push(PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action });
         }
     }
-    told.sort_by(PoseEntry::order);
-    // What says the same stands side by side now.
-    told.dedup_by(|later, earlier| earlier.is_duplicate_of(later));
-    (told, track, gyro)
+    entries.sort_by(PoseEntry::order);
+    // Duplicates are adjacent now.
+    entries.dedup_by(|later, earlier| earlier.is_duplicate_of(later));
+    (entries, track, gyro)
 }
 
 /// The rows that are ever uncertain, all of the pose's and the gyro's among them: the others need no smoothing.
-fn uncertain_rows(told: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<usize> {
+fn uncertain_rows(entries: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<usize> {
     let always = super::state::RADIUS;
-    let has_gyro = told.iter().any(|entry| matches!(entry.update, UpdateKind::TurnRate(_)));
+    let has_gyro = entries.iter().any(|entry| matches!(entry.update, UpdateKind::TurnRate(_)));
     (0..RANGE_STATES)
         .filter(|&row| {
             let is_of_gyro = row == super::state::ROUNDING;
@@ -119,7 +119,7 @@ fn uncertain_rows(told: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<
 }
 
 fn forward_pass(
-    told: &[PoseEntry],
+    entries: &[PoseEntry],
     context: &UpdateContext<'_>,
     initial: &PoseState<RANGE_STATES>,
     rows: &[usize],
@@ -127,9 +127,9 @@ fn forward_pass(
 ) -> Vec<ForwardStep> {
     let mut state = augmented_state(initial);
     copy_rows(&mut state);
-    let mut passed = Vec::with_capacity(told.len());
-    for entry in told {
-        let tells_of_pose = matches!(entry.update, UpdateKind::Motion | UpdateKind::Absolute(..));
+    let mut passed = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let observes_pose = matches!(entry.update, UpdateKind::Motion | UpdateKind::Absolute(..));
         let before = state;
         let mut record = scratch_record(entry);
         apply_update(&mut state, entry, context, &mut record);
@@ -142,7 +142,7 @@ fn forward_pass(
             smoothing.used += 1;
             smoothing.nis += record.nis;
         }
-        if tells_of_pose {
+        if observes_pose {
             passed.push(forward_step(&state, entry.stamp, rows));
             // At once: what the gyro's entries let grow until the next one lies between the copy and that.
             copy_rows(&mut state);

@@ -7,9 +7,9 @@
 //! b_g  gyro bias                                            psi  turn since the gyro window began, by the encoders
 //! eps  rounding of the encoders' heading where the gyro window began
 //! e_m, e_d, e_b  relative errors of mean radius, of the radii against each other, of the track
-//! tau, l_x, l_y  delay of the fixes, tag against where the fix says (only where they are asked for)
-//! o_i, s_i       offset and scale of the ranges to beacon i, and of those to landmarks (only where they are asked for)
-//! v, w           forward speed and turn rate, beside the others: they foretell, they never move the pose over known travel
+//! tau, l_x, l_y  delay of the fixes, tag against the fix's own lever (only where they are estimated)
+//! o_i, s_i       offset and scale of the ranges to beacon i, and of those to landmarks (only where they are estimated)
+//! v, w           forward speed and turn rate, beside the others: they predict, they never move the pose over known travel
 //! ```
 //! Source: docs/maths/pose.md section 1.
 
@@ -45,7 +45,7 @@ pub const DIFFERENCE: usize = 6;
 pub const TRACK: usize = 7;
 /// By how much the encoders' heading was rounded where the gyro window began, rad.
 pub const ROUNDING: usize = 8;
-/// Number of states of a robot whose fixes are in time and whose tag is where they say.
+/// Number of states of a robot whose fixes have no unknown delay and whose tag is where they say.
 pub const CORE_STATES: usize = 9;
 /// Delay of the fixes, s.
 pub const DELAY: usize = 9;
@@ -181,7 +181,7 @@ impl<const N: usize> PoseState<N> {
             pose: Se2::default(),
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
-            // At power-up a robot is assumed to stand: 0.1 m/s and 1 rad/s are generous.
+            // At power-up a robot is assumed to be at rest: 0.1 m/s and 1 rad/s are generous.
             forward: ScalarState { value: 0.0, variance: 0.01 },
             turn: ScalarState { value: 0.0, variance: 1.0 },
             window: None,
@@ -383,8 +383,8 @@ impl<const N: usize> PoseState<N> {
 
     /// The variance of a row; while the constants are frozen, their variance before.
     fn variance(&self, row: usize) -> f64 {
-        let kept = self.frozen_variances.map_or(0.0, |variances| variances[row]);
-        self.covariance[(row, row)].max(kept)
+        let frozen = self.frozen_variances.map_or(0.0, |variances| variances[row]);
+        self.covariance[(row, row)].max(frozen)
     }
 
     /// The learned constants; those that are no states of this filter come from `prior`.

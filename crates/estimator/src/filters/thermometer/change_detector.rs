@@ -52,9 +52,9 @@ impl ChangeDetector {
         let counted = z.clamp(-GATE, GATE);
         self.above = (self.above + counted - ALLOWANCE).max(0.0);
         self.below = (self.below - counted - ALLOWANCE).max(0.0);
-        let kept = 1.0 - 1.0 / MEMORY_READINGS;
-        self.squares = kept * self.squares + (counted * scale).powi(2);
-        self.readings = kept * self.readings + 1.0;
+        let retention = 1.0 - 1.0 / MEMORY_READINGS;
+        self.squares = retention * self.squares + (counted * scale).powi(2);
+        self.readings = retention * self.readings + 1.0;
         if self.above.max(self.below) > LIMIT {
             self.above = 0.0;
             self.below = 0.0;
@@ -84,9 +84,9 @@ mod tests {
         for side in [1.0, -1.0] {
             let mut surprise = ChangeDetector::default();
             (0..50).for_each(|_| assert_eq!(surprise.classify(0.0), ReadingClass::Expected));
-            let judged: Vec<_> = (0..3).map(|_| surprise.classify(side * 40.0)).collect();
+            let verdicts: Vec<_> = (0..3).map(|_| surprise.classify(side * 40.0)).collect();
             let (slip, end) = (ReadingClass::Outlier, ReadingClass::StepChange);
-            assert_eq!(judged, [slip, slip, end]);
+            assert_eq!(verdicts, [slip, slip, end]);
 
             let mut surprise = ChangeDetector::default();
             assert_eq!(surprise.classify(side * 1e6), ReadingClass::Outlier);

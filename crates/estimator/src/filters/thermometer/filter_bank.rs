@@ -128,9 +128,9 @@ impl FilterBank {
         let best = self.hypotheses.iter().map(|kind| kind.log_evidence).fold(f64::NEG_INFINITY, f64::max);
         let raw: [f64; 3] = std::array::from_fn(|index| (self.hypotheses[index].log_evidence - best).exp());
         let sum: f64 = raw.iter().sum();
-        let kept = raw.map(|weight| if weight < MIN_WEIGHT * sum { 0.0 } else { weight });
-        let sum: f64 = kept.iter().sum();
-        self.weights = kept.map(|weight| weight / sum);
+        let retained = raw.map(|weight| if weight < MIN_WEIGHT * sum { 0.0 } else { weight });
+        let sum: f64 = retained.iter().sum();
+        self.weights = retained.map(|weight| weight / sum);
     }
 
     /// The final value, with the variance by the configured noise times `inflation`.
@@ -213,9 +213,9 @@ impl ResponseHypothesis {
             point.1 = if rise <= MAX_COST_RISE { (-0.5 * rise).exp() } else { 0.0 };
         }
         let sum: f64 = self.points.iter().map(|point| point.1).sum();
-        let span = self.points[QUADRATURE_POINTS - 1].0 - self.points[0].0;
+        let range_s = self.points[QUADRATURE_POINTS - 1].0 - self.points[0].0;
         // The share of the whole grid under the density's peak; a single node is all of its grid.
-        let share = if last > 0.0 { sum * span / ((QUADRATURE_POINTS - 1) as f64 * last) } else { 1.0 };
+        let share = if last > 0.0 { sum * range_s / ((QUADRATURE_POINTS - 1) as f64 * last) } else { 1.0 };
         self.log_evidence = -0.5 * least + share.max(f64::MIN_POSITIVE).ln();
         for point in &mut self.points {
             point.1 /= sum;
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn two_lags_are_told_from_one() {
+    fn two_lags_are_distinguished_from_one() {
         let two = |t: f64| 0.7 * (-t / 20.0).exp() + 0.3 * (-t / 5.0).exp();
         let bank = played(two, 0.02, 30.0);
         assert_eq!(bank.weights[0], 0.0);
@@ -358,9 +358,9 @@ mod tests {
     fn a_cubic_is_interpolated_exactly_up_to_the_ends_of_the_grid() {
         let kind = ResponseHypothesis::new(ResponseShape::OneLag);
         let cubic = |x: f64| 0.3 * x.powi(3) - 2.0 * x * x + x - 7.0;
-        let place = |node: &TimeConstantNode| cubic((node.tau_s / MIN_TIME_CONSTANT_S).ln() / LN_TAU_STEP);
+        let node_value = |node: &TimeConstantNode| cubic((node.tau_s / MIN_TIME_CONSTANT_S).ln() / LN_TAU_STEP);
         for at in [0.0, 0.4, 1.0, 35.7, 68.9, 70.0] {
-            let (found, expected) = (kind.interpolate(at, &place), cubic(at));
+            let (found, expected) = (kind.interpolate(at, &node_value), cubic(at));
             assert!((found - expected).abs() < 1e-6, "{at}: {found} {expected}");
         }
     }

@@ -59,8 +59,8 @@ enum ThermometerModel {
 impl Thermometer {
     /// Walk and history come from the configuration, the noise too where the settings have none.
     pub fn new(config: &FilterConfig, settings: &ThermometerSettings) -> Self {
-        let given = [settings.sigma_k, config.noise.temperature_k];
-        let sigma_k = given.into_iter().find(|sigma| *sigma > 0.0);
+        let configured = [settings.sigma_k, config.noise.temperature_k];
+        let sigma_k = configured.into_iter().find(|sigma| *sigma > 0.0);
         let rounding_k = settings.resolution_k.max(0.0) / 12.0_f64.sqrt();
         let sigma_k = sigma_k.unwrap_or(DEFAULT_SIGMA_K).hypot(rounding_k);
         let model = match &settings.model {

@@ -1,7 +1,7 @@
 //! The indirect filter: the wheels give the path, and a Kalman filter estimates only its error.
 //!
 //! Gets wheels, accelerometers, a gyro and fixes. The nominal path comes from the wheels alone; the filter's state is its error
-//! (see [`error_state`]) and its measurements are differences: what another sensor says minus what the nominal path says.
+//! (see [`error_state`]) and its measurements are differences: another sensor's reading minus that of the nominal path.
 //!
 //! # Model
 //! ```text
@@ -75,7 +75,7 @@ impl IndirectFilter {
         let is_late = self.path.stamp.is_some_and(|last| stamp < last);
         let added = self.track.insert(stamp, reading);
         record.outcome = match (added, is_late) {
-            // The path has gone past it: as late as it is, it changes nothing.
+            // The path is past it: as late as it is, it changes nothing.
             (InsertOutcome::Inserted(_) | InsertOutcome::Rebased(_), true) => FusionOutcome::TooOld,
             _ => validation::fusion_outcome(added),
         };
@@ -106,7 +106,7 @@ impl IndirectFilter {
             record.outcome = verdict;
             return;
         }
-        record.outcome = if self.path.is_placed {
+        record.outcome = if self.path.has_pose {
             self.path.use_fix(record, fix, stamp_sigma_s)
         } else {
             self.path.initialize_from_fix(fix);
@@ -191,8 +191,8 @@ impl Filter for IndirectFilter {
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        let (at, belief) = self.history.last_at_or_before(stamp)?;
-        Some(belief.estimate(&self.config, at, stamp))
+        let (at, state) = self.history.last_at_or_before(stamp)?;
+        Some(state.estimate(&self.config, at, stamp))
     }
 
     fn calibration(&self) -> Option<Calibration> {

@@ -73,7 +73,7 @@ pub(super) struct NominalPath {
     pub(super) forward_m_per_s: f64,
     pub(super) turn_rad_per_s: f64,
     pub(super) last_motion: Option<Timestamp<BrickClock>>,
-    pub(super) is_placed: bool,
+    pub(super) has_pose: bool,
     pub(super) last_fix: Option<Timestamp<BrickClock>>,
     pub(super) reset_counter: u8,
     pub(super) last_jump: Option<PoseCorrection>,
@@ -100,7 +100,7 @@ impl NominalPath {
             forward_m_per_s: 0.0,
             turn_rad_per_s: 0.0,
             last_motion: None,
-            is_placed: false,
+            has_pose: false,
             last_fix: None,
             reset_counter: 0,
             last_jump: None,
@@ -152,7 +152,7 @@ impl NominalPath {
             self.previous = Some((from, self.end));
         }
         let began = self.end;
-        let (whole, length_s) = (from, (to - from).as_secs_f64());
+        let (start, length_s) = (from, (to - from).as_secs_f64());
         while from < to {
             let until = match track.segment(from, to) {
                 TravelSegment::Known { until, travel, path_var_m2 } => {
@@ -164,7 +164,7 @@ impl NominalPath {
             from = until;
         }
         self.stamp = Some(to);
-        if whole < to {
+        if start < to {
             self.forward_m_per_s = (self.end.distance_m - began.distance_m) / length_s;
             self.turn_rad_per_s = (self.end.angle_rad - began.angle_rad) / length_s;
             self.last_motion = Some(to);
@@ -396,8 +396,8 @@ impl NominalPath {
             forward_m_per_s: self.forward_m_per_s,
             turn_rad_per_s: self.turn_rad_per_s,
             last_motion: self.last_motion,
-            is_placed: self.is_placed,
-            has_heading: self.is_placed && heading_rad2 < USABLE_HEADING_RAD2,
+            has_pose: self.has_pose,
+            has_heading: self.has_pose && heading_rad2 < USABLE_HEADING_RAD2,
             last_fix: self.last_fix,
             reset_counter: self.reset_counter,
             last_jump: self.last_jump,
@@ -454,7 +454,7 @@ impl NominalPath {
         let before = self.pose();
         let (heading_rad, heading_rad2) = match fix.heading {
             Some(heading) => (heading.rad(), noise.heading_rad2),
-            None if self.is_placed => (before.heading.rad(), self.covariance[(HEADING, HEADING)]),
+            None if self.has_pose => (before.heading.rad(), self.covariance[(HEADING, HEADING)]),
             None => (before.heading.rad(), UNKNOWN_HEADING_RAD2),
         };
         self.relocate(&mid_axle(fix, heading_rad));
@@ -493,7 +493,7 @@ impl NominalPath {
             clear_row(&mut self.errors, &mut self.covariance, row);
         }
         self.reset_instruments();
-        self.is_placed = true;
+        self.has_pose = true;
     }
 
     fn record_correction(&mut self, before: Pose<Arena>) {

@@ -22,7 +22,7 @@ pub(super) struct PathState {
     pub(super) forward_m_per_s: f64,
     pub(super) turn_rad_per_s: f64,
     pub(super) last_motion: Option<Timestamp<BrickClock>>,
-    pub(super) is_placed: bool,
+    pub(super) has_pose: bool,
     pub(super) has_heading: bool,
     pub(super) last_fix: Option<Timestamp<BrickClock>>,
     pub(super) reset_counter: u8,
@@ -30,7 +30,7 @@ pub(super) struct PathState {
 }
 
 impl PathState {
-    /// The estimate for an instant at or after the state's own: the speeds are held for a while, then the robot stands.
+    /// The estimate for an instant at or after the state's own: the speeds are held for a while, then the robot is at rest.
     pub(super) fn estimate(
         &self,
         config: &FilterConfig,
@@ -57,7 +57,7 @@ impl PathState {
             turn_rate: RadiansPerSecond(self.turn_rad_per_s),
             covariance,
             validity: Validity {
-                position: self.is_placed,
+                position: self.has_pose,
                 heading: self.has_heading,
                 speeds: self.last_motion.is_some_and(|moved| stamp - moved <= SPEED_HOLD),
             },

@@ -68,14 +68,14 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
     Point2::new(Meters(x_m), Meters(y_m))
 }
 
-/// What a camera sees without noise that looks at a robot here.
-fn fix_without_noise(state: &State, told: Point2<Body>, shown: Se2) -> Fix {
-    let tag = point::<Body>(told.x.0 + state.mean[TAG_FORWARD], told.y.0 + state.mean[TAG_LEFT]);
+/// A camera's fix without noise of a robot at `shown`.
+fn fix_without_noise(state: &State, tag_in_body: Point2<Body>, shown: Se2) -> Fix {
+    let tag = point::<Body>(tag_in_body.x.0 + state.mean[TAG_FORWARD], tag_in_body.y.0 + state.mean[TAG_LEFT]);
     Fix {
         position: arena_from_body(shown) * tag,
         heading: Some(Heading::from_rad(shown.heading_rad)),
         covariance: None,
-        tag_in_body: told,
+        tag_in_body,
         reset_counter: 0,
     }
 }
@@ -95,10 +95,10 @@ fn a_fix_of_a_tag_off_the_axle_at_an_earlier_instant_has_the_derivatives_of_its_
         for (tag, moved) in TAGS.into_iter().flat_map(|tag| MOVED.map(|moved| (tag, moved))) {
             let at = circumstances(Se2::exp(moved));
             let shown = state.pose.compose(at.moved_since.inverse());
-            let seen = fix_without_noise(&state, point(tag.0, tag.1), shown);
-            let noise = fix::fix_noise(&seen, &QUIET, [1.0, 1.0], &at);
-            check("position", &state, |state| fix::position(state, &seen, &noise, &at));
-            check("pose", &state, |state| fix::pose(state, &seen, shown.heading_rad, &noise, &at));
+            let fix = fix_without_noise(&state, point(tag.0, tag.1), shown);
+            let noise = fix::fix_noise(&fix, &QUIET, [1.0, 1.0], &at);
+            check("position", &state, |state| fix::position(state, &fix, &noise, &at));
+            check("pose", &state, |state| fix::pose(state, &fix, shown.heading_rad, &noise, &at));
         }
     }
 }
@@ -126,16 +126,16 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
             let moved = |delay: TimeDelta| state.motion_since(ms(0) - delay, &track, &config);
             let [forward_m, _, turn_rad] = moved(delay + h).compose(moved(delay - h).inverse()).log();
             let twice_h_s = 2.0 * h.as_secs_f64();
-            let seen = fix_without_noise(&state, point(0.3, -0.2), state.pose.compose(moved(delay).inverse()));
+            let fix = fix_without_noise(&state, point(0.3, -0.2), state.pose.compose(moved(delay).inverse()));
             let measured = |delay: TimeDelta| {
                 let at = fix::FixContext {
                     forward_m_per_s: forward_m / twice_h_s,
                     turn_rad_per_s: turn_rad / twice_h_s,
                     ..circumstances(moved(delay))
                 };
-                let noise = fix::fix_noise(&seen, &QUIET, [1.0, 1.0], &at);
-                let heading_rad = seen.heading.map_or(0.0, Heading::rad);
-                linearize::<RANGE_STATES, 3>(&fix::pose(&state, &seen, heading_rad, &noise, &at))
+                let noise = fix::fix_noise(&fix, &QUIET, [1.0, 1.0], &at);
+                let heading_rad = fix.heading.map_or(0.0, Heading::rad);
+                linearize::<RANGE_STATES, 3>(&fix::pose(&state, &fix, heading_rad, &noise, &at))
             };
             let middle = measured(delay);
             assert!(middle.innovation.amax() < 1e-12);
@@ -165,15 +165,15 @@ const ABOUT: [(f64, f64); 5] = [(0.3, 0.0), (2.0, -1.5), (-0.4, 3.0), (-1.0, 1e-
 fn a_landmark_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<RANGE_STATES>() {
         for (forward_m, left_m) in ABOUT {
-            let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
-            let seen = RangeBearing { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
+            let landmark = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
+            let measured = RangeBearing { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
             check("landmark", &state, |state| {
-                landmark::measurement(state, place, seen, 0.01, 0.02).expect("it is away")
+                landmark::measurement(state, landmark, measured, 0.01, 0.02).expect("it is away")
             });
         }
         let here = arena_from_body(state.pose).origin();
-        let seen = RangeBearing { range_m: 0.0, bearing_rad: 0.0 };
-        assert!(landmark::measurement(&state, here, seen, 0.01, 0.02).is_none());
+        let measured = RangeBearing { range_m: 0.0, bearing_rad: 0.0 };
+        assert!(landmark::measurement(&state, here, measured, 0.01, 0.02).is_none());
     }
 }
 
@@ -181,7 +181,7 @@ fn a_landmark_has_the_derivatives_of_its_prediction() {
 fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
     for state in odd_states::<RANGE_STATES>() {
         for (slot, (forward_m, left_m)) in [0, 3, MAX_BEACONS - 1, MAX_BEACONS, 700].into_iter().zip(ABOUT) {
-            let place = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
+            let position = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
             let (offset_m, scale) = if slot < MAX_BEACONS {
                 let row = BEACONS + 2 * slot;
                 (state.mean[row], state.mean[row + 1])
@@ -190,13 +190,13 @@ fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
             };
             let range_m = forward_m.hypot(left_m) * (1.0 + scale) + offset_m;
             check("beacon", &state, |state| {
-                beacon::measurement(state, Beacon { position: place, slot }, range_m, 0.01).expect("it is away")
+                beacon::measurement(state, Beacon { position, slot }, range_m, 0.01).expect("it is away")
             });
         }
     }
 }
 
-/// Walls about a body, in its own space: right ahead, oblique both ways, and one behind the others.
+/// Walls about a body, in its own space: right ahead, oblique on both sides, and one behind the others.
 const WALLS: [[(f64, f64); 2]; 4] =
     [[(1.2, -0.5), (1.2, 0.6)], [(0.5, -1.0), (1.4, 1.1)], [(2.9, -2.0), (0.9, 1.0)], [(1.0, 0.1), (1.9, -1.0)]];
 
@@ -225,7 +225,7 @@ fn distance_to(pose: Se2, wall: &Wall) -> f64 {
 }
 
 #[test]
-fn a_wall_has_the_derivatives_of_its_prediction_however_it_stands() {
+fn a_wall_has_the_derivatives_of_its_prediction_at_any_angle() {
     for state in odd_states::<RANGE_STATES>() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];

@@ -201,7 +201,7 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
 }
 
 #[test]
-fn the_doubt_about_held_speeds_enters_the_pose_as_the_speeds_do() {
+fn the_variance_of_held_speeds_enters_the_pose_as_the_speeds_do() {
     let config = config(SensorNoise::EXACT);
     let nothing_read_since = MotionTrack::new(GEOMETRY, 1e6);
     for mut state in odd_states::<CORE_STATES>() {

@@ -83,13 +83,13 @@ fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
 }
 
 #[test]
-fn what_is_given_for_certain_stays_as_it_was_given() {
-    let mut given = config();
-    given.calibration.radius_scale.value = 0.004;
-    given.calibration.track_scale.value = -0.01;
+fn constants_without_uncertainty_stay_as_configured() {
+    let mut exact = config();
+    exact.calibration.radius_scale.value = 0.004;
+    exact.calibration.track_scale.value = -0.01;
     for seed in 0..3 {
         let (drive, _) = drawn(seed);
-        let filter = played::<CORE_STATES>(&given, &drive);
+        let filter = played::<CORE_STATES>(&exact, &drive);
         let found = filter.calibration().unwrap();
         let exactly = |value| UncertainValue { value, sigma: 0.0 };
         assert_eq!(found.radius_scale, exactly(0.004));
@@ -114,7 +114,7 @@ fn without_fixes_what_was_learned_is_kept_and_does_not_grow_uncertain() {
     let mut before = None;
     for arrival in &drive.arrivals {
         filter.observe(&arrival.observation);
-        // Three seconds after the last fix nothing tells of wear any longer.
+        // Three seconds after the last fix nothing observes wear any longer.
         if arrival.step == blind_from + 60 {
             before = filter.calibration();
         }
@@ -147,26 +147,26 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
 #[test]
 fn delay_and_lever_are_learned_as_well_as_is_claimed() {
     let (late, forward_m, left_m) = (TimeDelta::from_millis(150), 0.03, -0.02);
-    let mut told = config();
-    told.calibration.fix_delay_s = unknown(0.15);
-    told.calibration.tag_forward_m = unknown(0.03);
-    told.calibration.tag_left_m = unknown(0.03);
+    let mut configured = config();
+    configured.calibration.fix_delay_s = unknown(0.15);
+    configured.calibration.tag_forward_m = unknown(0.03);
+    configured.calibration.tag_left_m = unknown(0.03);
     let most = [("fix_delay_s", 0.01), ("tag_forward_m", 0.003), ("tag_left_m", 0.003)];
     check_learned(most, 40, &BAND_OF_40, |seed| {
         let camera = Camera { delay: 4, ..CAMERA_10_HZ };
         let drive = drive_steps(&mut RobotSimulation::new(seed), course(), Some(camera));
         let drive = with_tag_moved(drive, (forward_m, left_m), late);
-        let found = played::<CAMERA_STATES>(&told, &drive).calibration().unwrap();
+        let found = played::<CAMERA_STATES>(&configured, &drive).calibration().unwrap();
         [(found.fix_delay_s, late.as_secs_f64()), (found.tag_forward_m, forward_m), (found.tag_left_m, left_m)]
     });
 }
 
 #[test]
-fn the_filter_in_the_table_has_as_many_states_as_are_asked_for() {
+fn the_filter_in_the_table_has_as_many_states_as_configured() {
     let drive = drive_lap(Some(CAMERA_10_HZ), 1);
-    let mut asked = config();
-    asked.calibration.fix_delay_s = unknown(0.1);
-    let mut filter = named("pose", &asked);
+    let mut configured = config();
+    configured.calibration.fix_delay_s = unknown(0.1);
+    let mut filter = named("pose", &configured);
     for arrival in drive.arrivals.iter().take(1_000) {
         filter.observe(&arrival.observation);
     }

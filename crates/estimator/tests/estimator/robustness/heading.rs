@@ -83,7 +83,7 @@ fn positions_alone_find_any_heading_without_a_reset() {
 }
 
 #[test]
-fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
+fn a_tag_off_the_axle_determines_the_heading_even_of_a_robot_that_turns_in_place() {
     let tag = Point2::new(Meters(0.15), Meters(0.0));
     for (run, start_deg) in [-179.0, -120.0, -45.0, 60.0, 135.0, 180.0].into_iter().enumerate() {
         let mut world = RobotSimulation::new(run as u64);
@@ -101,12 +101,12 @@ fn a_tag_off_the_axle_tells_the_heading_even_of_a_robot_that_turns_in_place() {
 }
 
 #[test]
-fn a_robot_that_stands_learns_nothing_of_its_heading_from_the_noise_of_its_fixes() {
+fn a_robot_at_rest_learns_nothing_of_its_heading_from_the_noise_of_its_fixes() {
     for tag_m in [0.0, 0.1, 0.4] {
         for seed in 0..5 {
             let mut world = RobotSimulation::new(seed);
-            let standing = drive_steps(&mut world, [(0.0, 0.0); 600], Some(PROMPT_CAMERA));
-            let drive = positions_of(Point2::new(Meters(tag_m), Meters(0.0)), standing);
+            let at_rest = drive_steps(&mut world, [(0.0, 0.0); 600], Some(PROMPT_CAMERA));
+            let drive = positions_of(Point2::new(Meters(tag_m), Meters(0.0)), at_rest);
             let played = play(&drive, &without_start());
             let end = at(&played, 600);
             let sigma_rad = end.heading_sigma_rad();
@@ -119,7 +119,7 @@ fn a_robot_that_stands_learns_nothing_of_its_heading_from_the_noise_of_its_fixes
 }
 
 #[test]
-fn a_start_that_is_wrong_by_far_is_left_however_little_is_known_of_the_heading() {
+fn a_start_that_is_wrong_by_far_is_left_at_any_heading_uncertainty() {
     for heading_sigma_rad in [0.2, 1.8, 20.0] {
         for run in 0..10_u32 {
             let drive = winding(0.6 * f64::from(run) - 3.0, Point2::ORIGIN, u64::from(run));
@@ -139,12 +139,12 @@ fn a_start_that_is_wrong_by_far_is_left_however_little_is_known_of_the_heading()
     }
 }
 
-/// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from where it was seen.
-fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], seen: &Fix) -> f64 {
+/// Minus twice the logarithm of the likelihood of a pose: how far it is from the start, and how far its tag from the fix.
+fn cost(start: Se2, [forward_m, left_m, turn_rad]: [f64; 3], fix: &Fix) -> f64 {
     let pose = start.compose(Se2::exp([forward_m, left_m, turn_rad]));
-    let tag = Se2 { x_m: seen.tag_in_body.x.0, y_m: seen.tag_in_body.y.0, heading_rad: 0.0 };
+    let tag = Se2 { x_m: fix.tag_in_body.x.0, y_m: fix.tag_in_body.y.0, heading_rad: 0.0 };
     let at = pose.compose(tag);
-    let off_m = (seen.position.x.0 - at.x_m).hypot(seen.position.y.0 - at.y_m);
+    let off_m = (fix.position.x.0 - at.x_m).hypot(fix.position.y.0 - at.y_m);
     (forward_m.hypot(left_m) / 0.3).powi(2) + (turn_rad / 1.8).powi(2) + (off_m / NOISE.fix_position_m).powi(2)
 }
 
@@ -158,12 +158,12 @@ fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
         heading_sigma_rad: 1.8,
     });
     for (x_m, y_m) in [(0.9, 0.3), (-0.2, -0.1), (0.3, 0.5), (0.2, -0.7)] {
-        let seen = Fix { tag_in_body: Point2::new(Meters(0.4), Meters(-0.1)), ..fix_of(x_m, y_m, None) };
+        let observed = Fix { tag_in_body: Point2::new(Meters(0.4), Meters(-0.1)), ..fix_of(x_m, y_m, None) };
         let mut filter = PoseFilter::<CORE_STATES>::new(&config);
-        let record = filter.observe(&fix(0, seen));
+        let record = filter.observe(&fix(0, observed));
         assert_eq!(record.outcome, FusionOutcome::Accepted, "({x_m}, {y_m})");
         let xi = start.between(filter.state().pose).log();
-        let least = cost(start, xi, &seen);
+        let least = cost(start, xi, &observed);
         assert!((record.nis - least).abs() < 1e-6, "it is the NIS: {least}");
         let s = record.innovation_covariance;
         let determinant = s[0][0] * s[1][1] - s[0][1] * s[1][0];
@@ -173,7 +173,7 @@ fn an_iterated_update_ends_where_the_likelihood_is_greatest() {
             for by in [-1e-3, 1e-3] {
                 let mut other = xi;
                 other[row] += by;
-                assert!(cost(start, other, &seen) > least, "row {row}, ({x_m}, {y_m})");
+                assert!(cost(start, other, &observed) > least, "row {row}, ({x_m}, {y_m})");
             }
         }
     }

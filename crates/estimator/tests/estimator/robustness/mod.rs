@@ -1,10 +1,10 @@
 //! The flagship when the world does not keep to its model: wrong starts, outliers, slip, silence, unknown headings.
 
+mod absolute_sensors;
 mod constants;
 mod heading;
+mod initialization;
 mod noise;
-mod placed;
-mod sights;
 mod slowly;
 
 use std::ops::Range;
@@ -93,7 +93,7 @@ fn through_slip(drive: &Drive, steps: &Range<usize>) -> (f64, f64) {
 fn a_turn_that_wheels_and_gyro_disagree_about_is_slip() {
     // The right wheel spins by a turn of 60 degrees within half a second, on the straight.
     let spun = |step| (0.0, 60.0 * DEGREE * share_done(&(200..210), step) * TRACK_M / RADIUS_M);
-    // The robot is turned through the whole corner while its wheels stand.
+    // The robot is turned through the complete corner while its wheels are at rest.
     let pushed = |step| {
         let half_rad = 0.25 * std::f64::consts::PI * TRACK_M / RADIUS_M * share_done(&CORNER, step);
         (half_rad, -half_rad)
@@ -142,7 +142,7 @@ fn counters_that_begin_again_in_a_turn_cost_no_heading() {
 }
 
 #[test]
-fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_believed() {
+fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_accepted() {
     let silent = CORNER.start - 40..CORNER.start + 40;
     for seed in 0..10 {
         let drive = altered(drive_lap(Some(CAMERA), seed), |observation| {
@@ -155,7 +155,7 @@ fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_believed()
         assert!(position_m < 0.02, "seed {seed}: {position_m}");
         assert!(heading_rad < 3.0 * DEGREE, "seed {seed}: {heading_rad}");
         assert!(share_accepted(&fixes(&played, &(silent.end..back + 50))) > 0.9);
-        // In the silence the estimate says that it does not know.
+        // In the silence the estimate is marked as uncertain.
         let lost = at(&played, silent.end - 1);
         assert!(lost.is_dead_reckoning && !lost.validity.speeds, "seed {seed}");
         let (error_m, _) = error_at(&drive, &played, silent.end - 1);
@@ -165,7 +165,7 @@ fn after_a_silence_of_four_seconds_round_a_corner_the_first_fixes_are_believed()
 }
 
 #[test]
-fn after_half_a_minute_without_fixes_the_first_one_is_believed() {
+fn after_half_a_minute_without_fixes_the_first_one_is_accepted() {
     let blind = 100..700;
     for seed in 0..10 {
         let drive = altered_fixes(drive_lap(Some(CAMERA), seed), |step, fix| (!blind.contains(&step)).then_some(fix));
@@ -184,22 +184,22 @@ fn after_half_a_minute_without_fixes_the_first_one_is_believed() {
 fn a_fix_whose_stamp_is_uncertain_weighs_less_while_the_robot_moves() {
     let drive = drive_lap(Some(CAMERA), 1);
     let nis_with = |stamp_sigma: TimeDelta| {
-        let doubtful = altered(drive.clone(), |mut observation| {
+        let uncertain = altered(drive.clone(), |mut observation| {
             if observation.sensor == SensorId::CAMERA {
                 observation.stamp_sigma = stamp_sigma;
             }
             Some(observation)
         });
-        // With the noise as configured: the adaptation would take the room that the doubt gives away again.
+        // With the noise as configured: the adaptation would undo the margin of the uncertainty.
         let mut config = config();
         config.params.adapt_gain = 0.0;
-        let played = play(&doubtful, &config);
+        let played = play(&uncertain, &config);
         let driving = fixes(&played, &STRAIGHT);
         driving.iter().map(|record| record.nis).sum::<f64>() / driving.len() as f64
     };
-    let (sure, doubtful) = (nis_with(TimeDelta::ZERO), nis_with(TimeDelta::from_millis(50)));
+    let (certain_nis, uncertain_nis) = (nis_with(TimeDelta::ZERO), nis_with(TimeDelta::from_millis(50)));
     // 50 ms at 0.2 m/s are 10 mm beside the 5 mm of the camera.
-    assert!(doubtful < 0.6 * sure, "{sure} {doubtful}");
+    assert!(uncertain_nis < 0.6 * certain_nis, "{certain_nis} {uncertain_nis}");
 }
 
 #[test]

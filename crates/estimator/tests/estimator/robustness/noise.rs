@@ -1,4 +1,4 @@
-//! Noise that is not what the filter was told: the scale of its source follows, and the gate opens by itself.
+//! Noise that is not the configured one: the scale of its source follows, and the gate opens by itself.
 
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::noise_scales::{NoiseGroup, NoiseSource};
@@ -11,7 +11,7 @@ use crate::support::robot::config;
 use crate::support::score::{Score, mean, play, score};
 use crate::support::simulation::{Camera, drive_lap};
 
-/// The robot, told so many times the camera's true noise.
+/// The robot, configured with a multiple of the camera's true noise.
 fn with_camera_noise_scaled(times: f64) -> FilterConfig {
     let mut config = config();
     config.noise.fix_position_m *= times;
@@ -44,7 +44,7 @@ fn learned_scale(config: &FilterConfig, camera: Camera, seeds: u64) -> f64 {
 }
 
 #[test]
-fn the_scale_of_a_source_finds_the_true_variance_whichever_way_it_was_told_wrong() {
+fn the_scale_of_a_source_finds_the_true_variance_when_configured_too_large_or_small() {
     for (times, outliers) in [(0.25, 0.0), (1.0, 0.0), (4.0, 0.0), (0.25, 0.03), (1.0, 0.03)] {
         let found = learned_scale(&with_camera_noise_scaled(times), with_outliers(outliers), 10);
         let ratio = found * times * times;
@@ -88,15 +88,15 @@ fn a_gate_with_a_wrong_r_does_not_lock_itself_out() {
 }
 
 #[test]
-fn a_camera_that_is_better_than_told_is_believed_more() {
+fn a_camera_better_than_configured_gets_more_weight() {
     let mut fixed = with_camera_noise_scaled(4.0);
     fixed.params.adapt_gain = 0.0;
-    let as_told = mean_over(&fixed, CAMERA);
+    let as_configured = mean_over(&fixed, CAMERA);
     let adapted = mean_over(&with_camera_noise_scaled(4.0), CAMERA);
-    println!("told four times the noise: {as_told:?}, adapted {adapted:?}");
-    assert!(adapted.position_rms_m < 0.8 * as_told.position_rms_m);
+    println!("told four times the noise: {as_configured:?}, adapted {adapted:?}");
+    assert!(adapted.position_rms_m < 0.8 * as_configured.position_rms_m);
     assert!((0.79..1.24).contains(&adapted.anees), "{adapted:?}");
-    assert!(as_told.anees < 0.79, "what was told is far too much");
+    assert!(as_configured.anees < 0.79, "what was told is far too much");
 }
 
 #[test]

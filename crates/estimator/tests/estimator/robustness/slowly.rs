@@ -102,10 +102,10 @@ fn after_a_gap_the_rounding_of_a_new_window_is_as_unknown_as_it_can_be() {
 }
 
 #[test]
-fn a_bias_that_was_given_is_where_learning_begins() {
-    let mut given = config();
-    given.calibration.gyro_bias_rad_per_s.value = 0.03;
-    let filter = PoseFilter::<CORE_STATES>::new(&given);
+fn learning_starts_at_the_configured_bias() {
+    let mut configured = config();
+    configured.calibration.gyro_bias_rad_per_s.value = 0.03;
+    let filter = PoseFilter::<CORE_STATES>::new(&configured);
     let known = filter.calibration().unwrap().gyro_bias_rad_per_s;
     assert_eq!(known.value, 0.03);
     assert_eq!(known.sigma, NOISE.gyro_bias_rad_per_s);

@@ -43,7 +43,7 @@ pub(crate) fn without_headings(drive: Drive) -> Drive {
     altered_fixes(drive, |_, fix| Some(Fix { heading: None, ..fix }))
 }
 
-/// Adds to the wheels' rotation what `extra` says of each step, in radians: left, right.
+/// Adds `extra` of each step to the wheels' rotation, in radians: left, right.
 pub(crate) fn with_slip(drive: Drive, extra: impl Fn(usize) -> (f64, f64)) -> Drive {
     altered(drive, |observation| {
         let ObservationKind::WheelAngles { left, right } = observation.measurement else {
@@ -91,7 +91,7 @@ pub(crate) fn share_accepted(records: &[&FusionRecord]) -> f64 {
     accepted.count() as f64 / records.len() as f64
 }
 
-/// Fixes of a tag that is not where they say, (forward, left) in m, as a camera sees it that gives the robot's own pose; their
+/// Fixes of a tag off their lever, (forward, left) in m, as a camera sees it that gives the robot's own pose; their
 /// stamps are `late` after the instant that they show.
 pub(crate) fn with_tag_moved(drive: Drive, (forward_m, left_m): (f64, f64), late: TimeDelta) -> Drive {
     let poses = drive.poses.clone();

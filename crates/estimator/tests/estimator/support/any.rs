@@ -137,7 +137,7 @@ fn any_fix() -> impl Strategy<Value = ObservationKind> {
         .prop_map(|(at, heading, covariance, lever)| fix(at, heading, covariance, lever))
 }
 
-/// What a sensor may say; of landmarks and beacons some that are not told.
+/// Any measurement of a sensor; landmarks and beacons include unknown ones.
 fn any_measurement() -> impl Strategy<Value = ObservationKind> {
     let small = || -1.0..1.0;
     prop_oneof![
@@ -155,11 +155,11 @@ fn any_measurement() -> impl Strategy<Value = ObservationKind> {
     ]
 }
 
-/// Milliseconds since the observation before, at times none or backwards, who made it, and what it says.
+/// Milliseconds since the observation before, at times none or backwards, its sensor, and its measurement.
 pub(crate) fn any_observation() -> impl Strategy<Value = (i64, SensorId, AnyMeasurement)> {
     let step_ms = prop_oneof![8 => 0_i64..60, 2 => -500_i64..0, 1 => 0_i64..3_000, 1 => Just(-5_000)];
     (step_ms, 3..5_u8, any_measurement())
-        .prop_map(|(step, sensor, seen)| (step, SensorId(sensor), AnyMeasurement(seen)))
+        .prop_map(|(step, sensor, measurement)| (step, SensorId(sensor), AnyMeasurement(measurement)))
 }
 
 const BAD: [f64; 5] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e12];
@@ -220,7 +220,7 @@ fn damaged_fixes(sound: &Fix, bad: f64) -> Vec<ObservationKind> {
         claim([1e-4, 2e-4, 1e-4, 1e-4]),
         claim([0.0, 0.0, 1e-4, 1e-4]),
         claim([1e-200, 0.0, 1e-200, 1e-4]),
-        // An infinite variance of the heading is none that is damaged: it says that the heading is unknown.
+        // An infinite variance of the heading is no damage: it marks the heading as unknown.
         claim([1e-4, 0.0, 1e-4, -bad.abs()]),
         claim([1e-4, 0.0, 1e-4, 1e300]),
         claim([1e-4, 0.0, 1e-4, 0.0]),

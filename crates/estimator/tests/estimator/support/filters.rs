@@ -1,4 +1,4 @@
-//! The filters of the table, a drive straight on, and what a filter believes.
+//! The filters of the table, a drive straight on, and the text of a filter's state.
 
 use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterConfig, FilterEntry, find_filter};
 use posebridge_telemetry::{Estimate, Heading, Meters, Pose, StartPose, TimeDelta};
@@ -30,8 +30,8 @@ pub(crate) fn drive_straight_from(filter: &mut dyn Filter, from_ms: i64, until_m
     }
 }
 
-/// Lets the robot stand with wheels and gyro at 20 Hz; the gyro shows its bias.
-pub(crate) fn stand(filter: &mut dyn Filter, steps: i64, rate_rad_per_s: f64) {
+/// Keeps the robot at rest with wheels and gyro at 20 Hz; the gyro shows its bias.
+pub(crate) fn rest(filter: &mut dyn Filter, steps: i64, rate_rad_per_s: f64) {
     for k in 0..steps {
         filter.observe(&wheels(50 * k, 0.0, 0.0));
         filter.observe(&gyro(50 * k, rate_rad_per_s));
@@ -42,15 +42,15 @@ pub(crate) fn latest(filter: &dyn Filter) -> Estimate {
     filter.latest_time().and_then(|latest| filter.estimate_at(latest)).expect("something was observed")
 }
 
-/// What a filter believes of the last seconds and of the next, in digits that tell any two numbers apart.
-pub(crate) fn belief(filter: &dyn Filter) -> String {
+/// A filter's estimates of the last seconds and of the next, in enough digits to distinguish any two numbers.
+pub(crate) fn state_text(filter: &dyn Filter) -> String {
     let latest = filter.latest_time();
     let instants = (-20..=20).filter_map(|k| Some(latest? + TimeDelta::from_millis(k * 100)));
-    let believed: Vec<_> = instants
+    let estimates: Vec<_> = instants
         .map(|at| (filter.estimate_at(at), filter.scalar_at(at)))
         .filter(|found| found != &(None, None))
         .collect();
-    format!("{latest:?} {believed:?}")
+    format!("{latest:?} {estimates:?}")
 }
 
 pub(crate) fn start(x_m: f64, y_m: f64, heading_rad: f64) -> StartPose {

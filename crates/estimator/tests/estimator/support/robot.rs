@@ -49,7 +49,7 @@ pub(crate) fn unknown(sigma: f64) -> UncertainValue {
 /// difference of the radii, track.
 pub(crate) const GEOMETRY_SIGMAS: [f64; 3] = [0.005, 0.005, 0.03];
 
-/// The same robot, told how wrong its geometry may be.
+/// The same robot, configured with the sigmas of its geometry.
 pub(crate) fn learning_geometry() -> FilterConfig {
     let [radius, difference, track] = GEOMETRY_SIGMAS;
     FilterConfig {

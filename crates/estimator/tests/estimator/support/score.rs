@@ -9,7 +9,7 @@ use super::simulation::{Drive, stamp};
 
 /// What the filter made of a drive.
 pub(crate) struct FilterRun {
-    /// Its belief after each step, as soon as the observations of that step had arrived.
+    /// Its estimate after each step, as soon as the observations of that step had arrived.
     pub(crate) estimates: Vec<Option<Estimate>>,
     /// One record for each observation, in the order of arrival.
     pub(crate) records: Vec<FusionRecord>,

@@ -1,4 +1,4 @@
-//! A robot on squares with the noise that the filter is told, in a furnished room: truth and sensors. Seeded, in virtual time.
+//! A robot on squares with the noise that the filter is configured with, in a furnished room: truth and sensors. Seeded, in virtual time.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ pub(crate) struct Arrival {
     pub(crate) observation: Observation,
 }
 
-/// What happened: the pose (x, y, heading) after each step, counted from 1, and what the sensors said of it.
+/// What happened: the pose (x, y, heading) after each step, counted from 1, and the observations of it.
 #[derive(Clone)]
 pub(crate) struct Drive {
     pub(crate) poses: Vec<(f64, f64, f64)>,
@@ -83,7 +83,7 @@ impl Drive {
         let rate = world.gyro(moved_rad);
         self.arrivals.push(arrival(step, step, SensorId::GYRO, rate));
         if let Some(camera) = camera.filter(|camera| step.is_multiple_of(camera.every)) {
-            let (fix, late) = world.look(camera);
+            let (fix, late) = world.camera_fix(camera);
             self.arrivals.push(arrival(step + late, step, SensorId::CAMERA, fix));
         }
     }
@@ -194,7 +194,7 @@ impl RobotSimulation {
     }
 
     /// A fix of where the robot is, and by how many steps it is late.
-    fn look(&mut self, camera: Camera) -> (ObservationKind, usize) {
+    fn camera_fix(&mut self, camera: Camera) -> (ObservationKind, usize) {
         let mut noise = [
             NOISE.fix_position_m * self.normal(),
             NOISE.fix_position_m * self.normal(),
@@ -317,20 +317,20 @@ pub(crate) fn add_accelerations(drive: &mut Drive, sigma: f64, seed: u64) {
 }
 
 /// Landmarks and beacons around the square that is driven.
-const PLACES_M: [(f64, f64); 4] = [(-1.0, -1.2), (4.1, -0.9), (3.9, 4.0), (-1.1, 4.2)];
+const POSITIONS_M: [(f64, f64); 4] = [(-1.0, -1.2), (4.1, -0.9), (3.9, 4.0), (-1.1, 4.2)];
 /// The corners of the room, a wall between each and the next.
 const CORNERS_M: [(f64, f64); 4] = [(-1.5, -1.5), (4.5, -1.5), (4.5, 4.5), (-1.5, 4.5)];
 
 /// The world and the noise of its sensors, added to a configuration.
 pub(crate) fn furnished(config: &FilterConfig) -> FilterConfig {
-    let place = |(x, y)| Point2::new(Meters(x), Meters(y));
-    let landmarks = PLACES_M.iter().enumerate();
-    let beacons = PLACES_M.iter().enumerate();
+    let point = |(x, y)| Point2::new(Meters(x), Meters(y));
+    let landmarks = POSITIONS_M.iter().enumerate();
+    let beacons = POSITIONS_M.iter().enumerate();
     let next = CORNERS_M.iter().cycle().skip(1);
     let world = ArenaMap {
-        landmarks: landmarks.map(|(i, at)| (LandmarkId(i as u32), place(*at))).collect(),
-        beacons: beacons.map(|(i, at)| (BeaconId(10 + i as u32), place(*at))).collect(),
-        walls: CORNERS_M.iter().zip(next).map(|(from, to)| Wall { from: place(*from), to: place(*to) }).collect(),
+        landmarks: landmarks.map(|(i, at)| (LandmarkId(i as u32), point(*at))).collect(),
+        beacons: beacons.map(|(i, at)| (BeaconId(10 + i as u32), point(*at))).collect(),
+        walls: CORNERS_M.iter().zip(next).map(|(from, to)| Wall { from: point(*from), to: point(*to) }).collect(),
     };
     FilterConfig {
         arena_map: Arc::new(world),
@@ -347,7 +347,7 @@ pub(crate) fn furnished(config: &FilterConfig) -> FilterConfig {
     }
 }
 
-/// The sensors, seeded: true pose in, what they say out.
+/// The sensors, seeded: true pose in, measurements out.
 pub(crate) struct SimulatedSensors {
     normals: Pcg64,
     world: Arc<ArenaMap>,
@@ -373,17 +373,21 @@ impl SimulatedSensors {
     /// Every landmark in front of the robot.
     pub(crate) fn landmarks(&mut self, (x_m, y_m, heading_rad): Truth) -> Vec<ObservationKind> {
         let world = Arc::clone(&self.world);
-        let mut seen = vec![];
-        for (id, place) in &world.landmarks {
-            let (dx_m, dy_m) = (place.x.0 - x_m, place.y.0 - y_m);
+        let mut observations = vec![];
+        for (id, position) in &world.landmarks {
+            let (dx_m, dy_m) = (position.x.0 - x_m, position.y.0 - y_m);
             let bearing_rad = wrap_rad(dy_m.atan2(dx_m) - heading_rad);
             if bearing_rad.abs() < 60.0 * DEGREE {
                 let range_m = self.noisy(dx_m.hypot(dy_m), self.noise.landmark_range_m);
                 let bearing_rad = self.noisy(bearing_rad, self.noise.landmark_bearing_rad);
-                seen.push(ObservationKind::Landmark { id: *id, range: Meters(range_m), bearing: Radians(bearing_rad) });
+                observations.push(ObservationKind::Landmark {
+                    id: *id,
+                    range: Meters(range_m),
+                    bearing: Radians(bearing_rad),
+                });
             }
         }
-        seen
+        observations
     }
 
     /// Every beacon; ranges are true ones times (1 + scale) plus offset, each beacon with its own.
@@ -391,8 +395,8 @@ impl SimulatedSensors {
         let world = Arc::clone(&self.world);
         let of_each = world.beacons.iter().zip(errors);
         of_each
-            .map(|((id, place), (offset_m, scale))| {
-                let true_m = (place.x.0 - x_m).hypot(place.y.0 - y_m);
+            .map(|((id, position), (offset_m, scale))| {
+                let true_m = (position.x.0 - x_m).hypot(position.y.0 - y_m);
                 let sigma_m = self.noise.beacon_range_m;
                 ObservationKind::BeaconRange {
                     id: *id,
@@ -435,7 +439,7 @@ impl SimulatedSensors {
     }
 }
 
-/// Lets a sensor speak after every so many steps of a drive, told the step's number from 1.
+/// Lets a sensor measure after every so many steps of a drive, given the step's number from 1.
 pub(crate) fn add(
     drive: &mut Drive,
     sensor: SensorId,
@@ -454,7 +458,7 @@ pub(crate) fn add(
     drive.arrivals.sort_by_key(|arrival| arrival.step);
 }
 
-/// Lets the accelerometers speak after every step of a drive.
+/// Lets the accelerometers measure after every step of a drive.
 pub(crate) fn add_accelerometers(drive: &mut Drive, senses: &mut SimulatedSensors) {
     let poses = drive.poses.clone();
     add(drive, SensorId::ACCELEROMETER, 1, |step, _| {

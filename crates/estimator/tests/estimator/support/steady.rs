@@ -1,4 +1,4 @@
-//! A robot that drives in a circle for ever, and what its sensors say at each step: no noise, no randomness, no allocation.
+//! A robot that drives in a circle for ever, and its sensors' readings at each step: no noise, no randomness, no allocation.
 
 use posebridge_telemetry::{
     Arena, BrickClock, Fix, Heading, Meters, Observation, ObservationKind, Point2, Pose, Radians, RadiansPerSecond,
@@ -34,12 +34,12 @@ pub(crate) fn pose(step: i64) -> Pose<Arena> {
     )
 }
 
-/// What a sensor says of the end of a step.
+/// A sensor's reading at the end of a step.
 pub(crate) fn at(step: i64, sensor: SensorId, observed: ObservationKind) -> Observation {
     Observation { sensor, stamp: stamp(step), stamp_sigma: TimeDelta::ZERO, measurement: observed }
 }
 
-/// The counters at the end of a step, in whole degrees.
+/// The counters at the end of a step, in full degrees.
 pub(crate) fn wheels(step: i64) -> Observation {
     let angle = |side: f64| {
         let speed_m_per_s = FORWARD_M_PER_S + side * 0.5 * TURN_RAD_PER_S * TRACK_M;

@@ -1,4 +1,4 @@
-//! A robot that is placed by a fix, at first or after a reset, while tag and delay are not what the fix says.
+//! A pose that is initialized by a fix, at first or after a reset, while tag and delay are not what the fix says.
 
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::columns::linearize;
@@ -25,7 +25,7 @@ fn exactly(value: f64) -> UncertainValue {
     UncertainValue { value, sigma: 0.0 }
 }
 
-/// The robot, told where its tag is beyond what the fixes say, and how late these are.
+/// The robot, configured with its tag's offset from the fixes' lever, and their delay.
 fn with_known_tag_and_delay(mut config: FilterConfig) -> FilterConfig {
     config.calibration.tag_forward_m = exactly(TAG_M.0);
     config.calibration.tag_left_m = exactly(TAG_M.1);
@@ -41,7 +41,7 @@ fn drive_with_fixes_from(first: usize, seed: u64) -> Drive {
 }
 
 #[test]
-fn a_first_fix_places_the_robot_by_the_tag_and_the_delay_that_are_known() {
+fn a_first_fix_sets_the_pose_by_the_known_tag_and_delay() {
     // At rest, on the straight, and while it turns on the spot.
     for first in [0, 100, CORNER.start + 18] {
         for seed in 0..5 {
@@ -80,14 +80,14 @@ fn one_reset_is_enough_for_a_robot_whose_tag_is_known_to_be_elsewhere() {
     }
 }
 
-fn placed_by(seen: Fix) -> PoseFilter<CAMERA_STATES> {
+fn initialized_from(first_fix: Fix) -> PoseFilter<CAMERA_STATES> {
     let unknown = |sigma| UncertainValue { value: 0.03, sigma };
     let mut config = without_start();
     config.calibration.tag_forward_m = unknown(0.02);
     config.calibration.tag_left_m = unknown(0.01);
     config.calibration.fix_delay_s = exactly(0.0);
     let mut filter = PoseFilter::new(&config);
-    assert_eq!(filter.observe(&fix_at(0, seen)).outcome, FusionOutcome::Accepted);
+    assert_eq!(filter.observe(&fix_at(0, first_fix)).outcome, FusionOutcome::Accepted);
     filter
 }
 
@@ -103,16 +103,16 @@ fn lopsided(heading: Option<Heading>) -> Fix {
 }
 
 #[test]
-fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_seen() {
+fn after_initialization_the_predicted_fix_has_the_covariance_of_the_observed_one() {
     for heading in [Some(Heading::from_rad(2.2)), None] {
-        let seen = lopsided(heading);
-        let filter = placed_by(seen);
+        let first_fix = lopsided(heading);
+        let filter = initialized_from(first_fix);
         let state = filter.state();
-        let noise = fix::fix_noise(&seen, &config().noise, [1.0, 1.0], &FixContext::default());
-        let found = linearize::<CAMERA_STATES, 2>(&fix::position(state, &seen, &noise, &FixContext::default()));
+        let noise = fix::fix_noise(&first_fix, &config().noise, [1.0, 1.0], &FixContext::default());
+        let found = linearize::<CAMERA_STATES, 2>(&fix::position(state, &first_fix, &noise, &FixContext::default()));
         assert!(found.innovation.amax() < 1e-12, "{heading:?}");
-        let foretold = found.jacobian * state.covariance * found.jacobian.transpose();
-        let off = (foretold - found.noise).amax();
+        let predicted = found.jacobian * state.covariance * found.jacobian.transpose();
+        let off = (predicted - found.noise).amax();
         assert!(off < 1e-12, "{heading:?}: {off:e}");
         // Nothing was learned about the tag, and where the robot is hangs on where the tag is.
         assert!((state.covariance[(TAG_FORWARD, TAG_FORWARD)] - 4e-4).abs() < 1e-15);
@@ -123,7 +123,7 @@ fn a_robot_that_was_placed_foretells_the_fix_that_placed_it_as_surely_as_it_was_
 }
 
 #[test]
-fn late_fixes_that_agree_are_told_to_agree_while_the_robot_turns_now_and_then() {
+fn late_fixes_that_agree_are_accepted_while_the_robot_turns_now_and_then() {
     // Half a second of turning, half a second of rest: the body's space of half a second ago is another than that of now.
     let late = TimeDelta::from_millis(500);
     for seed in 0..5 {

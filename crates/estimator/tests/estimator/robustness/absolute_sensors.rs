@@ -45,7 +45,7 @@ fn mean_with(config: &FilterConfig, kind: &str, runs: u64, sense: impl Fn(&mut D
 }
 
 #[test]
-fn landmarks_alone_keep_the_robot_located_and_honest() {
+fn landmarks_alone_keep_the_robot_located_and_consistent() {
     let config = furnished(&config());
     let mean = mean_with(&config, "landmark", 40, |drive, senses| {
         add(drive, SensorId::LANDMARKS, 4, |_, truth| senses.landmarks(truth));
@@ -86,7 +86,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
         let state = filter.state();
         for (slot, (offset_m, scale)) in BEACON_ERRORS.into_iter().enumerate() {
             let row = BEACONS + 2 * slot;
-            // At a middle range the two are told together; the range that they foretell is what counts.
+            // At a middle range the two are observed together; the range that they predict is what counts.
             let middle_m = 3.5;
             let p = &state.covariance;
             let error_m = state.mean[row] - offset_m + middle_m * (state.mean[row + 1] - scale);
@@ -102,7 +102,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
 }
 
 #[test]
-fn beacons_whose_errors_are_not_asked_for_are_taken_as_they_are() {
+fn beacons_without_estimated_errors_are_used_as_they_are() {
     let config = furnished(&config());
     let mean = mean_with(&config, "beacon_range", 10, |drive, senses| {
         add(drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &[(0.0, 0.0); 4]));
@@ -111,9 +111,9 @@ fn beacons_whose_errors_are_not_asked_for_are_taken_as_they_are() {
 }
 
 #[test]
-fn walls_ahead_keep_the_way_ahead_known() {
+fn walls_ahead_keep_the_forward_position_known() {
     let mut config = furnished(&config());
-    // While the robot turns the ranges tell of its heading, again and again of the same error: they say little about the sensor.
+    // While the robot turns the ranges depend on its heading, again and again on the same error: they contain little about the sensor.
     config.params.adapt_gain = 0.0;
     let mean = mean_with(&config, "wall_range", 40, |drive, senses| {
         add(drive, SensorId::RANGE, 2, |_, truth| senses.wall(truth));
@@ -123,7 +123,7 @@ fn walls_ahead_keep_the_way_ahead_known() {
 }
 
 #[test]
-fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
+fn a_compass_keeps_the_heading_and_disturbances_are_gated() {
     let config = furnished(&config());
     let disturbed = 500..620;
     for seed in 0..10 {
@@ -153,11 +153,11 @@ fn a_compass_keeps_the_heading_and_what_iron_does_to_it_is_kept_out() {
 fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
     for (kind, sensor) in [("compass_heading", SensorId::COMPASS), ("wall_range", SensorId::RANGE)] {
         let mut config = furnished(&started_at(0.0, 0.7, 0.0));
-        // A heading that is known so well that the wall ahead tells nothing of where along it the robot is.
+        // A heading that is known so well that the wall ahead does not determine the position along it.
         if let Some(start) = &mut config.start {
             start.heading_sigma_rad = 0.002;
         }
-        // As it was told, so that no widening gate comes to help.
+        // As configured, so that no widening gate helps.
         config.params.adapt_gain = 0.0;
         let mut drive = drive_lap(Some(CAMERA), 3);
         let mut senses = SimulatedSensors::new(&config, 3);
@@ -174,15 +174,15 @@ fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
 }
 
 #[test]
-fn what_is_seen_of_a_world_that_is_not_told_is_unused() {
-    let told_nothing = config();
+fn observations_of_an_unconfigured_world_are_unused() {
+    let without_map = config();
     let furnished = furnished(&config());
     let mut drive = drive_lap(None, 1);
     let mut senses = SimulatedSensors::new(&furnished, 1);
     add(&mut drive, SensorId::LANDMARKS, 10, |_, truth| senses.landmarks(truth));
     add(&mut drive, SensorId::BEACONS, 10, |_, truth| senses.beacons(truth, &[(0.0, 0.0); 4]));
     add(&mut drive, SensorId::RANGE, 10, |_, truth| senses.wall(truth));
-    let played = play(&drive, &told_nothing);
+    let played = play(&drive, &without_map);
     let end = drive.poses.len() + 1;
     for kind in ["landmark", "beacon_range", "wall_range"] {
         let found = verdicts(&played, kind, 0..end);
@@ -209,7 +209,7 @@ fn forward_speed_rms(config: &FilterConfig, drive: Drive) -> f64 {
 }
 
 #[test]
-fn accelerations_tell_the_speed_between_two_readings_of_the_wheels() {
+fn accelerations_determine_the_speed_between_two_readings_of_the_wheels() {
     let mut config = furnished(&config());
     config.noise.accelerometer_m_per_s2 = 0.05;
     let mut felt = drive_lap(None, 1);
