@@ -31,9 +31,9 @@ fn check_link(url: &LinkUrl) {
             OptionKind::Integer { min, max, .. } => {
                 assert!((min..=max).contains(&url.integer(option)), "{printed:?}");
             }
-            OptionKind::Choice { words } => {
+            OptionKind::Choice { choices } => {
                 let word = url.option_text(option);
-                assert!(words.contains(&word.as_str()), "{printed:?}");
+                assert!(choices.contains(&word.as_str()), "{printed:?}");
             }
             OptionKind::HexDigits { count } => {
                 let digits = url.option_text(option).len();

@@ -242,6 +242,17 @@ mod tests {
     }
 
     #[test]
+    fn one_wheel_alone_beyond_its_largest_speed_is_a_new_base() {
+        // 100 rad/s for 0.1 s, and two counts.
+        for (left_rad, right_rad) in [(10.1, 0.0), (-10.1, 0.0), (0.0, 10.1), (0.0, -10.1)] {
+            let mut track = track(&[(0, wheels(0.0, 0.0))]);
+            assert_eq!(track.insert(ms(100), &wheels(left_rad, right_rad)), InsertOutcome::Rebased(ms(0)));
+        }
+        let mut track = track(&[(0, wheels(0.0, 0.0))]);
+        assert_eq!(track.insert(ms(100), &wheels(10.0, -10.0)), InsertOutcome::Inserted(Some(ms(0))));
+    }
+
+    #[test]
     fn wheels_take_over_from_held_speeds_without_a_jump() {
         let slow = MotionReading::Velocity { forward_m_per_s: 0.1, turn_rad_per_s: 0.0 };
         let mut track = track(&[(0, slow), (1000, slow)]);

@@ -98,6 +98,29 @@ fn the_instruments_errors_grow_as_their_integrals_do() {
     assert!((in_parts[GYRO_ANGLE] - 0.12).abs() < 1e-12);
 }
 
+/// White noise has no memory: two halves of a step, one carried through the other, add up to the whole.
+#[test]
+fn the_instruments_process_noise_of_two_half_steps_is_that_of_the_step() {
+    let mut config = config();
+    config.noise.accelerometer_m_per_s2 = ACCELEROMETER_M_PER_S2;
+    let (geometry, noise) = (&config.geometry, &config.noise);
+    let nominal = nominal_step(0.0, WheelTravel::default(), &[0.0; 3], geometry, noise);
+    let over = |share: f64| {
+        let elapsed =
+            SampleIntervals { dt_s: share * STEP_S, gyro_s2: share, accelerometer_s2: share * STEP_S * STEP_S };
+        process_noise(&nominal, &elapsed, geometry, noise)
+    };
+    let half = over(0.5);
+    let f = transition(&nominal, 0.5 * STEP_S);
+    let (composed, whole) = (f * half * f.transpose() + half, over(1.0));
+    for first in [ACCELERATED_DISTANCE, ACCELERATED_ANGLE] {
+        for (row, column) in [(first, first), (first, first + 1), (first + 1, first), (first + 1, first + 1)] {
+            let (found, expected) = (composed[(row, column)], whole[(row, column)]);
+            assert!(expected > 0.0 && (found / expected - 1.0).abs() < 1e-9, "{row}, {column}: {found} {expected}");
+        }
+    }
+}
+
 #[test]
 fn process_noise_is_a_covariance_and_the_paths_part_is_none_at_rest() {
     let mut config = config();
@@ -152,6 +175,25 @@ fn a_fix_of_a_tag_with_a_lever_turns_the_robot_in_the_right_direction() {
         assert_eq!(record.degrees_of_freedom, 2);
         let found = latest(filter.as_ref()).pose.heading.rad();
         assert!((found - heading).abs() < 5e-4, "{name}: {found}");
+    }
+}
+
+#[test]
+fn fixes_that_are_gated_for_long_enough_move_the_robot_and_silence_is_dead_reckoning() {
+    for name in BOTH {
+        let mut filter = named(name, &started(1e-3, 1e-3, 1e-3));
+        let mut outcome = |millis, x_m| {
+            filter.observe(&wheels(millis, 0.0, 0.0));
+            let outcome = filter.observe(&fix(millis, fix_of(x_m, 0.0, None))).outcome;
+            (outcome, latest(filter.as_ref()).is_dead_reckoning)
+        };
+        assert_eq!(outcome(0, 0.0), (FusionOutcome::Accepted, false), "{name}");
+        // Five fixes and 1.5 s, both; the last fix that was used becomes older than 2 s.
+        let outcomes = [1_000, 1_400, 1_800, 2_200, 2_600].map(|millis| outcome(millis, 1.0));
+        let gated = FusionOutcome::Gated;
+        let expected =
+            [(gated, false), (gated, false), (gated, false), (gated, true), (FusionOutcome::PoseReset, false)];
+        assert_eq!(outcomes, expected, "{name}");
     }
 }
 

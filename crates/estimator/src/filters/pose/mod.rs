@@ -340,7 +340,7 @@ fn apply_update<const N: usize>(
         UpdateKind::Accelerations(felt) => motion_update::update_accelerations(state, felt, stamp, context),
         UpdateKind::Motion => motion_update::update_motion(state, stamp, context, record),
         UpdateKind::Absolute(observation, sigma) => {
-            absolute_update::update_absolute(state, &observation, sigma, context, record)
+            absolute_update::update_absolute(state, &observation, sigma, context, record);
         }
         UpdateKind::Command(revision) => state.apply_command(revision, context.config),
     }

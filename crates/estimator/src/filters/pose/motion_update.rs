@@ -104,7 +104,7 @@ pub fn update_gyro_window<const N: usize>(
 ) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
     let (scalar, before) = preview_gyro_window(state, context)?;
     if is_slip(state, &scalar, context) {
-        inflate_for_slip(state, scalar.innovation.powi(2), before.nis, context);
+        inflate_for_slip(state, scalar.innovation.powi(2), before.nis, context.config);
         state.slipped_at = state.window.map(|window| window.until);
     }
     let outcome = match end_rounding(state, context) {
@@ -178,7 +178,7 @@ pub(super) fn is_slip<const N: usize>(
 /// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance
 /// is wrong by something between minus and plus half of it, uniformly, and the window's path was integrated in a wrong
 /// direction. Position variance excludes the share that chance explains: a false alarm must not cost position.
-fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, context: &UpdateContext<'_>) {
+fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, config: &FilterConfig) {
     let forward_m = state.window.map_or(0.0, |window| window.forward_m);
     for row in [HEADING, WINDOW_TURN] {
         for column in [HEADING, WINDOW_TURN] {
@@ -186,8 +186,8 @@ fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, ni
         }
     }
     // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
-    let beyond_chance_rad2 = slip_rad2 * (1.0 - context.config.params.slip_nis / nis).max(0.0);
-    let along_m2 = beyond_chance_rad2 * context.config.geometry.track_width.0.powi(2) / 12.0;
+    let beyond_chance_rad2 = slip_rad2 * (1.0 - config.params.slip_nis / nis).max(0.0);
+    let along_m2 = beyond_chance_rad2 * config.geometry.track_width.0.powi(2) / 12.0;
     let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
     state.covariance[(LEFT, LEFT)] += across_m2;
@@ -219,4 +219,39 @@ pub(super) fn preview_gyro_window<const N: usize>(
             ScalarOutcome { innovation_variance: s, nis: scalar.innovation.powi(2) / s, outcome: UpdateOutcome::Used };
         (scalar, outcome)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::filter::tests::config;
+    use crate::filters::pose::state::CORE_STATES;
+    use crate::observations::gyro_window::GyroWindow;
+
+    #[test]
+    fn a_slip_costs_position_only_as_far_as_chance_does_not_explain_it() {
+        let config = config();
+        let (slip_rad2, nis) = (0.04, 2.0 * config.params.slip_nis);
+        let grown_by = |nis| {
+            let mut state = PoseState::<CORE_STATES>::initial(&config);
+            state.window = Some(GyroWindow { forward_m: 0.3, ..GyroWindow::starting(Timestamp::ZERO) });
+            let before = state.covariance;
+            inflate_for_slip(&mut state, slip_rad2, nis, &config);
+            state.covariance - before
+        };
+        // Half of the disagreement is beyond chance: the distance is uniform over half of the track times it either way,
+        // and the path of 0.3 m was integrated in a direction that is wrong by half of it.
+        let grown = grown_by(nis);
+        let track_m = config.geometry.track_width.0;
+        for (row, expected) in [
+            (FORWARD, 0.02 * track_m * track_m / 12.0),
+            (LEFT, 0.02 * 0.15 * 0.15),
+            (HEADING, 0.04),
+            (WINDOW_TURN, 0.04),
+        ] {
+            assert!((grown[(row, row)] - expected).abs() < 1e-12, "row {row}: {}", grown[(row, row)]);
+        }
+        let grown = grown_by(0.5 * config.params.slip_nis);
+        assert_eq!((grown[(FORWARD, FORWARD)], grown[(LEFT, LEFT)]), (0.0, 0.0));
+    }
 }
