@@ -126,10 +126,10 @@ fn is_fix_needed(config: &FixRequestConfig, estimate: Option<&Estimate>) -> bool
     let position_sigma_m = estimate.x_sigma_m().max(estimate.y_sigma_m());
     let exceeds =
         |limit: Option<f64>, is_valid: bool, sigma: f64| limit.is_some_and(|limit| !is_valid || sigma > limit);
-    let is_placed = estimate.validity.position;
-    let is_turned = estimate.validity.heading;
-    exceeds(config.above_m, is_placed, position_sigma_m)
-        || exceeds(config.above_rad, is_turned, estimate.heading_sigma_rad())
+    let has_position = estimate.validity.position;
+    let has_heading = estimate.validity.heading;
+    exceeds(config.above_m, has_position, position_sigma_m)
+        || exceeds(config.above_rad, has_heading, estimate.heading_sigma_rad())
 }
 
 #[cfg(test)]
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_senders_whose_heartbeat_is_a_camera_s_are_asked_up_to_the_limit() {
+    fn only_cameras_by_heartbeat_get_requests_up_to_the_limit() {
         let heartbeat =
             |vehicle_type| Message::Heartbeat(Heartbeat { vehicle_type, autopilot: 8, base_mode: 0, system_status: 4 });
         let sender = |index: usize| (LinkId(0), Address::new(index as u8, 100));
@@ -161,7 +161,8 @@ mod tests {
         let mut requests = FixRequests::default();
         requests.observe_message(camera, &Message::Heartbeat(heartbeat));
         let times = (0..=5_750).step_by(250);
-        let asked = times.filter(|millis| !requests.due(Timestamp::from_millis(*millis), &config, None).is_empty());
-        assert_eq!(asked.collect::<Vec<_>>(), [0, 250, 500, 750, 5_750]);
+        let request_times =
+            times.filter(|millis| !requests.due(Timestamp::from_millis(*millis), &config, None).is_empty());
+        assert_eq!(request_times.collect::<Vec<_>>(), [0, 250, 500, 750, 5_750]);
     }
 }

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_heading_variance_that_says_nothing_is_infinite() {
+    fn an_unknown_heading_variance_is_infinite() {
         for (written, expected) in [(0.01, 0.01), (0.0, f64::INFINITY), (f64::NAN, f64::INFINITY)] {
             let fix = fix_with(Some([1e-4, 0.0, 1e-4, written]));
             let covariance = fix.covariance.unwrap();

@@ -50,14 +50,14 @@ pub enum CommandError {
         command: u16,
     },
     /// An invalid parameter. The message is short, because it has to fit into a STATUSTEXT.
-    #[error("{command} param{index} {value:?}, not {wanted}")]
+    #[error("{command} param{index} {value:?}, not {expected}")]
     Parameter {
         command: u16,
         /// From 1 to 7.
         index: u8,
         value: f32,
         /// The valid values.
-        wanted: &'static str,
+        expected: &'static str,
     },
 }
 
@@ -82,10 +82,10 @@ pub fn decode_command(command: &CommandLong) -> Result<Command, CommandError> {
             _ => Err(parameter_error(command, 1, "0, 1 or 2")),
         },
         ids::COMMAND_SOURCE => {
-            let wanted = "0 to 9, 32 to 38";
-            let sensor = SensorId(integer_parameter(command, 1, wanted)?);
+            let valid_values = "0 to 9, 32 to 38";
+            let sensor = SensorId(integer_parameter(command, 1, valid_values)?);
             if !sensor.is_known() {
-                return Err(parameter_error(command, 1, wanted));
+                return Err(parameter_error(command, 1, valid_values));
             }
             match integer_parameter(command, 2, "0 or 1")? {
                 0 => Ok(Command::SwitchSource { sensor, to: SensorSwitch::Off }),
@@ -138,10 +138,10 @@ fn decode_set_pose(command: &CommandLong) -> Result<Command, CommandError> {
 }
 
 /// A parameter with a few valid whole numbers.
-fn integer_parameter(command: &CommandLong, index: u8, wanted: &'static str) -> Result<u8, CommandError> {
+fn integer_parameter(command: &CommandLong, index: u8, expected: &'static str) -> Result<u8, CommandError> {
     let value = bounded_parameter(command, index);
     let is_byte = (0.0..=255.0).contains(&value) && value.fract() == 0.0;
-    if is_byte { Ok(value as u8) } else { Err(parameter_error(command, index, wanted)) }
+    if is_byte { Ok(value as u8) } else { Err(parameter_error(command, index, expected)) }
 }
 
 fn bounded_parameter(command: &CommandLong, index: u8) -> f32 {
@@ -149,6 +149,6 @@ fn bounded_parameter(command: &CommandLong, index: u8) -> f32 {
     command.params.get(position).copied().unwrap_or_default()
 }
 
-fn parameter_error(command: &CommandLong, index: u8, wanted: &'static str) -> CommandError {
-    CommandError::Parameter { command: command.command, index, value: bounded_parameter(command, index), wanted }
+fn parameter_error(command: &CommandLong, index: u8, expected: &'static str) -> CommandError {
+    CommandError::Parameter { command: command.command, index, value: bounded_parameter(command, index), expected }
 }

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_session_is_gone_on_with_as_it_stood() {
+    fn a_closed_session_resumes_unchanged() {
         let resumed = memory().resume(at(1_500), ShutdownKind::Clean);
         let expected = SigningState { written_at: at(1_500), clock: at(1_500), ..memory() };
         assert_eq!(resumed, expected);

@@ -294,7 +294,7 @@ proptest! {
     #![proptest_config(fixed_cases(256))]
 
     #[test]
-    fn no_frame_is_believed_twice_however_often_the_station_is_killed(
+    fn no_frame_is_accepted_twice_however_often_the_station_is_killed(
         events in prop::collection::vec(event(), 1..120)
     ) {
         let mut now_ms = 0;

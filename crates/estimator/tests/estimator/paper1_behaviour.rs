@@ -48,7 +48,7 @@ fn the_order_of_the_sensors_within_an_instant_does_not_matter() {
 }
 
 #[test]
-fn over_a_gap_the_robot_went_as_far_as_the_counters_say() {
+fn over_a_gap_the_robot_moved_by_the_counters() {
     for name in ALL {
         let mut filter = named(name, &config());
         drive_straight(filter.as_mut(), 3_000);

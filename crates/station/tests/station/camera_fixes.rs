@@ -366,7 +366,7 @@ fn send(station: &mut TestStation, now: Timestamp<HostClock>, robot: u32, from: 
 }
 
 /// Robots and cameras answer the time requests of the last tenth of a second; the robots, which are at rest, send their wheels.
-fn room_tenth(station: &mut TestStation, k: i64) {
+fn answer_last_tenth(station: &mut TestStation, k: i64) {
     let now = at(100 * k);
     let before = station.outputs.len();
     station.pass_until(now);
@@ -395,7 +395,7 @@ fn each_camera_corrects_the_robot_beside_it_by_its_own_clock_and_is_its_first() 
         }
     }
     for k in 1..=15 {
-        room_tenth(&mut station, k);
+        answer_last_tenth(&mut station, k);
     }
     let exposed = at(1_480);
     for robot in 0..ROBOTS {

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_and_one_every_five_seconds_ask_and_the_rest_does_not() {
+    fn the_first_and_one_every_five_seconds_request_a_reply_and_the_others_do_not() {
         let mut mailbox = EstimateMailbox::new(4, TimeDelta::ZERO);
         let start = Timestamp::from_millis(100);
         assert_eq!(mailbox.publish(start, &pose(), 0), None);

@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_stand_a_quarter_of_a_second_after_they_stopped() {
+    fn wheels_are_at_rest_a_quarter_of_a_second_after_they_stopped() {
         let mut motors = MotorReadings::default();
         let mut read = |count, millis| {
             motors.push(MotorPort::A, count, at(millis));
