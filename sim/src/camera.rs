@@ -111,11 +111,11 @@ impl Camera {
 
     /// Advances by one step of the world that ends at `world` with the robot at `pose`.
     pub(crate) fn step(&mut self, world: TimeDelta, pose: Pose<Arena>) {
-        let is_asked = std::mem::take(&mut self.is_requested);
+        let was_requested = std::mem::take(&mut self.is_requested);
         if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
             self.next_exposure = (self.next_exposure + interval).max(world);
             self.expose(world, pose);
-        } else if is_asked {
+        } else if was_requested {
             self.expose(world, pose);
         }
         let due = self.pending.partition_point(|fix| fix.sent <= world);
@@ -157,8 +157,12 @@ impl Camera {
     fn apply_intervals(&mut self, world: TimeDelta, requests: &[IntervalRequest]) {
         for request in requests {
             if request.message_id == ids::VISION_POSITION_ESTIMATE {
-                self.interval = request.interval.map(|span| {
-                    if span <= TimeDelta::ZERO { TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz) } else { span }
+                self.interval = request.interval.map(|interval| {
+                    if interval <= TimeDelta::ZERO {
+                        TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz)
+                    } else {
+                        interval
+                    }
                 });
                 self.next_exposure = world;
             }
@@ -209,8 +213,8 @@ impl Camera {
             images.push_back(tag_image(self.image_count, fix.position, heading));
             return;
         }
-        let place = self.pending.partition_point(|other| other.sent <= sent);
-        self.pending.insert(place, fix);
+        let index = self.pending.partition_point(|other| other.sent <= sent);
+        self.pending.insert(index, fix);
     }
 
     fn is_dark(&self, world: TimeDelta) -> bool {

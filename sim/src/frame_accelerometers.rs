@@ -36,11 +36,11 @@ impl FrameAccelerometers {
         drive.arrivals.retain(|arrival| arrival.observation.sensor != SensorId::ACCELEROMETER);
         drive.arrivals.extend(felt);
         // Of one step they come before the wheels, so that these can be held against them.
-        let place = |arrival: &Arrival| {
+        let sort_key = |arrival: &Arrival| {
             let is_wheels = arrival.observation.sensor == SensorId::WHEELS;
             (arrival.step, is_wheels)
         };
-        drive.arrivals.sort_by_key(place);
+        drive.arrivals.sort_by_key(sort_key);
         drive
     }
 
@@ -114,21 +114,22 @@ mod tests {
         let exact = FrameAccelerometers { sigma_m_per_s2: 0.0, bias_sigma_m_per_s2: 0.0, spacing: Meters(0.112) };
         let drive = exact.add_to(drive(), 1, 0);
         let dt_s = 0.05;
-        let (mut speed, mut turn_rate, mut way, mut turn) = (0.0, 0.0, 0.0, 0.0);
+        let (mut speed, mut turn_rate, mut distance, mut turn) = (0.0, 0.0, 0.0, 0.0);
         for (left, right) in accelerations(&drive) {
             let (a, alpha) = (0.5 * (left + right), (right - left) / 0.112);
-            way += speed * dt_s + 0.5 * a * dt_s * dt_s;
+            distance += speed * dt_s + 0.5 * a * dt_s * dt_s;
             turn += turn_rate * dt_s + 0.5 * alpha * dt_s * dt_s;
             speed += a * dt_s;
             turn_rate += alpha * dt_s;
         }
         let per_step = drive.truth.windows(2).map(|pair| mean_speeds(pair, dt_s));
-        let (true_way, true_turn) = per_step.fold((0.0, 0.0), |(way, turn), (v, w)| (way + dt_s * v, turn + dt_s * w));
+        let (true_distance, true_turn) =
+            per_step.fold((0.0, 0.0), |(distance, turn), (v, w)| (distance + dt_s * v, turn + dt_s * w));
         assert!(speed.abs() < 1e-9, "{speed}");
-        assert!((way - true_way).abs() < 1e-9, "{way} {true_way}");
+        assert!((distance - true_distance).abs() < 1e-9, "{distance} {true_distance}");
         assert!((turn - true_turn).abs() < 1e-9, "{turn} {true_turn}");
         // Four sides, and four turns with one more.
-        assert!((true_way - 12.0).abs() < 0.2 && (true_turn - 7.85).abs() < 0.6);
+        assert!((true_distance - 12.0).abs() < 0.2 && (true_turn - 7.85).abs() < 0.6);
     }
 
     #[test]

@@ -219,13 +219,13 @@ impl Path {
     pub(crate) fn polyline(&self) -> Vec<Point2<Arena>> {
         let mut points = vec![self.start().origin()];
         for segment in &self.lap {
-            let pieces = if segment.curvature_per_m == 0.0 {
+            let step_count = if segment.curvature_per_m == 0.0 {
                 1.0
             } else {
                 (segment.length_m / POLYLINE_STEP_M).ceil().clamp(2.0, 256.0)
             };
-            let step_m = segment.length_m / pieces;
-            points.extend((1..=pieces as u32).map(|i| segment.at(f64::from(i) * step_m).origin()));
+            let step_m = segment.length_m / step_count;
+            points.extend((1..=step_count as u32).map(|i| segment.at(f64::from(i) * step_m).origin()));
         }
         points
     }
@@ -246,16 +246,16 @@ fn waypoints(start: Pose<Arena>, points_m: &[[f64; 2]], laps: usize) -> Path {
     let points: Vec<Point2<Arena>> =
         points_m.iter().map(|[x, y]| start * Point2::<Body>::new(Meters(*x), Meters(*y))).collect();
     let lap: Vec<PathLeg> = points.windows(2).map(|w| straight(w[0], w[1])).collect();
-    let way_back = match points.as_slice() {
+    let return_leg = match points.as_slice() {
         [first, .., last] if laps > 1 && first.distance(*last).0 >= CLOSED_M => Some(straight(*last, *first)),
         _ => None,
     };
     let mut legs = lap.clone();
     for _ in 1..laps {
-        legs.extend(way_back.clone());
+        legs.extend(return_leg.clone());
         legs.extend(lap.iter().cloned());
     }
-    Path::from_legs(legs, lap.len() + usize::from(way_back.is_some()))
+    Path::from_legs(legs, lap.len() + usize::from(return_leg.is_some()))
 }
 
 /// A closed lap through the points and back to the first.

@@ -306,12 +306,12 @@ impl RobotFaults {
         let carried = self.carried.as_mut()?;
         carried.steps += 1;
         let share = f64::from(carried.steps) / f64::from(CARRIED_STEPS);
-        let way = Transform2::<Body, Body>::new(
+        let advance = Transform2::<Body, Body>::new(
             Meters(carried.by.forward_m * share),
             Meters(carried.by.left_m * share),
             Heading::from_rad(carried.by.turn_rad * share),
         );
-        let moved = (carried.from * way, carried.by.turn_rad / f64::from(CARRIED_STEPS));
+        let moved = (carried.from * advance, carried.by.turn_rad / f64::from(CARRIED_STEPS));
         if carried.steps >= CARRIED_STEPS {
             self.carried = None;
         }
@@ -364,9 +364,9 @@ mod tests {
     fn the_noise_of_wheels_and_turns_grows_with_the_square_root_of_the_way() {
         let mut of_wheels = exact();
         of_wheels.errors.wheel_travel_m_per_sqrt_m = 0.004;
-        let way_m = 0.028 * driven(&exact(), AHEAD, 1_000).shaft_rad().left;
+        let distance_m = 0.028 * driven(&exact(), AHEAD, 1_000).shaft_rad().left;
         // Two independent wheels: the difference of their travel has twice the variance of one.
-        let wheels_rad = 0.004 * (2.0 * way_m).sqrt() / 0.112;
+        let wheels_rad = 0.004 * (2.0 * distance_m).sqrt() / 0.112;
         let mut of_turns = exact();
         of_turns.errors.turn_rad_per_sqrt_rad = 0.01;
         let spin = PerWheel { left: -0.5, right: 0.5 };

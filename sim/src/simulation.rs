@@ -312,7 +312,7 @@ impl Simulation {
 
     fn log_estimate(&mut self, instant: Timestamp<BrickClock>, pose: Pose<Arena>) {
         if self.history != HistoryPolicy::Nothing {
-            trim_history(self.history, self.world, &mut self.received, |heard| heard.sim_time);
+            trim_history(self.history, self.world, &mut self.received, |message| message.sim_time);
             self.received.push(ReceivedEstimate {
                 sim_time: self.world,
                 arrival: self.brick_clock.exact(self.world),
@@ -326,11 +326,11 @@ impl Simulation {
         while let Some(bytes) = self.brick.next_bytes() {
             self.outgoing.push_back(bytes);
         }
-        let seen = self.camera.as_mut().and_then(Camera::next_frame);
+        let camera_frame = self.camera.as_mut().and_then(Camera::next_frame);
         if self.shares_link() {
-            self.outgoing.extend(seen);
+            self.outgoing.extend(camera_frame);
         } else {
-            self.camera_outgoing.extend(seen);
+            self.camera_outgoing.extend(camera_frame);
         }
     }
 
@@ -389,8 +389,8 @@ impl Simulation {
             }
             SimulatorCommand::Drive { forward_m_per_s, turn_rad_per_s } => {
                 let now = self.brick_clock.reading(self.world);
-                let wanted = Twist { forward_m_per_s, turn_rad_per_s };
-                self.brick.program.drive_manually(now, wanted);
+                let twist = Twist { forward_m_per_s, turn_rad_per_s };
+                self.brick.program.drive_manually(now, twist);
             }
             SimulatorCommand::Path => self.brick.program.rejoin(),
             SimulatorCommand::LinkProfile(_) | SimulatorCommand::PullCable { .. } => {

@@ -86,7 +86,7 @@ impl Follower {
 
     /// The motion for the next control period, given the brick's own estimate.
     pub(crate) fn command(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
-        let wanted = match self.manual_command {
+        let requested = match self.manual_command {
             Some((twist, until)) if now < until => twist,
             Some(_) => Twist::default(),
             None => self.follow(now, estimate),
@@ -94,12 +94,12 @@ impl Follower {
         self.command = Twist {
             forward_m_per_s: slew(
                 self.command.forward_m_per_s,
-                wanted.forward_m_per_s,
+                requested.forward_m_per_s,
                 ACCELERATION_M_PER_S2 * PERIOD_S,
             ),
             turn_rad_per_s: slew(
                 self.command.turn_rad_per_s,
-                wanted.turn_rad_per_s,
+                requested.turn_rad_per_s,
                 ACCELERATION_RAD_PER_S2 * PERIOD_S,
             ),
         };
@@ -107,8 +107,8 @@ impl Follower {
     }
 
     /// Overrides the path until `until`.
-    pub(crate) const fn drive_manually(&mut self, wanted: Twist, until: Timestamp<BrickClock>) {
-        self.manual_command = Some((wanted, until));
+    pub(crate) const fn drive_manually(&mut self, requested: Twist, until: Timestamp<BrickClock>) {
+        self.manual_command = Some((requested, until));
     }
 
     /// Ends manual driving: continues at the point of the present lap that is nearest to the brick's own estimate.
@@ -119,11 +119,11 @@ impl Follower {
             return;
         };
         let (leg, along_m) = self.path.nearest(in_hand, estimate.origin());
-        let place = self.program.iter().position(|one| leg_of(one) == Some(leg));
+        let index = self.program.iter().position(|one| leg_of(one) == Some(leg));
         // A path without a stop has all of its laps on one leg: on in the current lap.
         let lap_m = self.path.lap_length_m();
         let laps = if self.path.legs().len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
-        self.next = place.unwrap_or(self.next);
+        self.next = index.unwrap_or(self.next);
         self.begun = None;
         self.completed_m = self.path.legs().iter().take(leg).map(PathLeg::length_m).sum();
         self.along_m = along_m + laps * lap_m;
@@ -136,11 +136,11 @@ impl Follower {
 
     /// Driven share of the path, 0 to 1; of the current lap in an endless drive.
     pub(crate) fn progress(&self) -> f64 {
-        let whole_m = match self.settings.end {
+        let total_m = match self.settings.end {
             DriveEnd::LastLap => self.path.length_m(),
             DriveEnd::Never => self.path.lap_length_m(),
         };
-        ((self.completed_m + self.along_m) / whole_m).clamp(0.0, 1.0)
+        ((self.completed_m + self.along_m) / total_m).clamp(0.0, 1.0)
     }
 
     /// Completed laps of an endless drive.
@@ -157,16 +157,16 @@ impl Follower {
 
     fn follow(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
         match self.program.get(self.next).copied() {
-            Some(Manoeuvre::Rest(span)) => self.rest(now, span),
+            Some(Manoeuvre::Rest(duration)) => self.rest(now, duration),
             Some(Manoeuvre::Turn(heading)) => self.turn((heading - estimate.heading).0),
             Some(Manoeuvre::Drive { leg }) => self.drive(leg, estimate),
             None => Twist::default(),
         }
     }
 
-    fn rest(&mut self, now: Timestamp<BrickClock>, span: TimeDelta) -> Twist {
+    fn rest(&mut self, now: Timestamp<BrickClock>, duration: TimeDelta) -> Twist {
         let begun = *self.begun.get_or_insert(now);
-        if now - begun >= span {
+        if now - begun >= duration {
             self.advance();
         }
         Twist::default()

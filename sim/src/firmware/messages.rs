@@ -267,8 +267,8 @@ impl Schedule {
                 continue;
             }
             slot.interval = match request.interval {
-                Some(span) if span <= TimeDelta::ZERO => Some(slot.default),
-                Some(span) => Some(span.max(SHORTEST)),
+                Some(interval) if interval <= TimeDelta::ZERO => Some(slot.default),
+                Some(interval) => Some(interval.max(SHORTEST)),
                 None => None,
             };
             slot.due = now;

@@ -104,9 +104,9 @@ impl OnboardPose {
         pose: Pose<Arena>,
     ) {
         let is_finite = pose.x.0.is_finite() && pose.y.0.is_finite() && pose.heading.rad().is_finite();
-        let is_in_reach = now - stamp <= MAX_ESTIMATE_AGE && stamp - now <= MAX_ESTIMATE_LEAD;
+        let is_recent = now - stamp <= MAX_ESTIMATE_AGE && stamp - now <= MAX_ESTIMATE_LEAD;
         let is_in_order = self.last_estimate.is_none_or(|last| stamp >= last);
-        if self.steering == Steering::Odometry || !is_finite || !is_in_reach || !is_in_order {
+        if self.steering == Steering::Odometry || !is_finite || !is_recent || !is_in_order {
             return;
         }
         if let Some(odom) = self.odometry_at(stamp) {

@@ -96,8 +96,8 @@ impl Program {
     }
 
     /// Overrides the path for a limited time.
-    pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, wanted: Twist) {
-        self.follower.drive_manually(wanted, now + DRIVE_HOLD_TIME);
+    pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, command: Twist) {
+        self.follower.drive_manually(command, now + DRIVE_HOLD_TIME);
     }
 
     pub(crate) fn rejoin(&mut self) {
@@ -125,7 +125,7 @@ impl Program {
             .as_mut()
             .zip(wheel_speeds(twist, &self.geometry))
             .zip(counts.zip(self.control_zero))
-            .map(|((control, wanted), (count, zero))| control.duty(wanted, count - zero));
+            .map(|((control, target), (count, zero))| control.duty(target, count - zero));
     }
 }
 

@@ -50,26 +50,26 @@ impl SpeedControl {
     }
 
     /// The duty for the next period, -1 to 1.
-    pub(crate) fn duty(&mut self, wanted_rad_per_s: f64, count: i64) -> f64 {
+    pub(crate) fn duty(&mut self, target_rad_per_s: f64, count: i64) -> f64 {
         let oldest = self.counts.pop_front().unwrap_or(count);
         self.counts.push_back(count);
         let angle_rad = count as f64 * TICK_RAD;
         let moved = count - oldest;
-        if wanted_rad_per_s == 0.0 && moved == 0 {
+        if target_rad_per_s == 0.0 && moved == 0 {
             self.reference_rad = angle_rad;
             return 0.0;
         }
         let speed_rad_per_s = moved as f64 * TICK_RAD / (WINDOW as f64 * PERIOD_S);
         self.reference_rad =
-            (self.reference_rad + wanted_rad_per_s * PERIOD_S).max(angle_rad - LEAD_RAD).min(angle_rad + LEAD_RAD);
+            (self.reference_rad + target_rad_per_s * PERIOD_S).max(angle_rad - LEAD_RAD).min(angle_rad + LEAD_RAD);
         let correction_rad_per_s =
-            PROPORTIONAL * (wanted_rad_per_s - speed_rad_per_s) + INTEGRAL_PER_S * (self.reference_rad - angle_rad);
-        let friction_v = if wanted_rad_per_s == 0.0 {
+            PROPORTIONAL * (target_rad_per_s - speed_rad_per_s) + INTEGRAL_PER_S * (self.reference_rad - angle_rad);
+        let friction_v = if target_rad_per_s == 0.0 {
             0.0
         } else {
-            (self.motor.friction_n_m / self.motor.torque_n_m_per_v).copysign(wanted_rad_per_s)
+            (self.motor.friction_n_m / self.motor.torque_n_m_per_v).copysign(target_rad_per_s)
         };
-        let volts = self.motor.back_emf_v_s_per_rad * (wanted_rad_per_s + correction_rad_per_s) + friction_v;
+        let volts = self.motor.back_emf_v_s_per_rad * (target_rad_per_s + correction_rad_per_s) + friction_v;
         (volts / self.battery_v).clamp(-1.0, 1.0)
     }
 }
@@ -85,9 +85,9 @@ mod tests {
         let robot = RobotSettings::default();
         let mut control = SpeedControl::new(&robot);
         let mut motor = Motor::new(&robot.motor, 0.0);
-        let mut drive = |wanted_rad_per_s: f64, steps: u32| {
+        let mut drive = |target_rad_per_s: f64, steps: u32| {
             for _ in 0..steps {
-                let duty = control.duty(wanted_rad_per_s, (motor.angle_rad() / TICK_RAD).floor() as i64);
+                let duty = control.duty(target_rad_per_s, (motor.angle_rad() / TICK_RAD).floor() as i64);
                 // A tenth weaker than the brick assumes.
                 (0..10).for_each(|_| motor.step(0.9 * robot.battery_v * duty));
             }

@@ -96,7 +96,7 @@ impl ImpairedDirection {
     pub fn offer(&mut self, now: Timestamp<HostClock>, bytes: &[u8]) -> u64 {
         let now = self.advance_to(now);
         let unit = self.account.counters.units_offered;
-        let on_the_way = self.account.counters.bytes_on_the_way;
+        let in_transit = self.account.counters.bytes_on_the_way;
         self.account.on_offered(bytes.len());
         let drawn = self.unit_draws.draw(bytes.len());
         let delay = self.delays.draw();
@@ -107,12 +107,12 @@ impl ImpairedDirection {
             self.record_loss(unit, 0..bytes.len(), LossCause::LinkDown);
             return unit;
         }
-        let sent = if on_the_way.saturating_add(bytes.len() as u64) > MAX_IN_TRANSIT_BYTES {
+        let sent = if in_transit.saturating_add(bytes.len() as u64) > MAX_IN_TRANSIT_BYTES {
             Vec::new()
         } else {
             self.rate_limiter.send(now, bytes.len())
         };
-        let left = sent.last().map_or(0, |piece| piece.bytes.end);
+        let left = sent.last().map_or(0, |chunk| chunk.bytes.end);
         self.record_loss(unit, left..bytes.len(), LossCause::BufferFull);
         if drawn.is_lost {
             self.record_loss(unit, 0..left, LossCause::Unit);
@@ -121,11 +121,11 @@ impl ImpairedDirection {
             self.account.record(unit, 0..left, ByteOutcome::Stalled { by });
         }
         let unit = OfferedUnit { number: unit, bytes, draw: drawn };
-        for piece in sent {
+        for chunk in sent {
             // A link that stalls holds up what comes behind, even if the unit of the stall is lost.
-            let at = self.delays.arrival(piece.at, delay.delay);
+            let at = self.delays.arrival(chunk.at, delay.delay);
             if !unit.draw.is_lost {
-                self.send(&unit, &piece, at);
+                self.send(&unit, &chunk, at);
             }
         }
         unit.number
@@ -156,11 +156,11 @@ impl ImpairedDirection {
     pub fn disconnect(&mut self, now: Timestamp<HostClock>) {
         let now = self.advance_to(now);
         self.link_state = OutageState::Down;
-        for piece in std::mem::take(&mut self.in_transit).into_values() {
+        for chunk in std::mem::take(&mut self.in_transit).into_values() {
             // A copy is no byte that was offered.
-            if !piece.is_duplicate {
-                for run in piece.runs {
-                    self.record_loss(piece.unit, run, LossCause::LinkDown);
+            if !chunk.is_duplicate {
+                for run in chunk.runs {
+                    self.record_loss(chunk.unit, run, LossCause::LinkDown);
                 }
             }
         }
@@ -181,15 +181,15 @@ impl ImpairedDirection {
             if at > self.latest {
                 break;
             }
-            let piece = entry.remove();
-            self.deliver(at, piece);
+            let chunk = entry.remove();
+            self.deliver(at, chunk);
         }
         self.latest
     }
 
     /// Delivers a chunk together with all others of its slot.
-    fn deliver(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) {
-        let mut bytes = self.arrive(at, piece);
+    fn deliver(&mut self, at: Timestamp<HostClock>, chunk: TransitChunk) {
+        let mut bytes = self.arrive(at, chunk);
         if self.slots.is_some() && self.kind == LinkKind::Stream {
             while let Some(entry) = self.in_transit.first_entry() {
                 if entry.key().0 != at {
@@ -199,23 +199,23 @@ impl ImpairedDirection {
                 bytes.append(&mut self.arrive(at, next));
             }
         }
-        let pieces = match &mut self.fragments {
+        let chunks = match &mut self.fragments {
             Some(fragments) => fragments.split(bytes),
             None => vec![bytes],
         };
-        self.account.counters.chunks_delivered += pieces.len() as u64;
-        let deliveries = pieces.into_iter().map(|bytes| Delivery { at, bytes });
+        self.account.counters.chunks_delivered += chunks.len() as u64;
+        let deliveries = chunks.into_iter().map(|bytes| Delivery { at, bytes });
         self.arrived.extend(deliveries);
     }
 
     /// Records the arrival of a chunk and returns its bytes.
-    fn arrive(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) -> Vec<u8> {
-        for run in piece.runs {
+    fn arrive(&mut self, at: Timestamp<HostClock>, chunk: TransitChunk) -> Vec<u8> {
+        for run in chunk.runs {
             let outcome =
-                if piece.is_duplicate { ByteOutcome::Duplicated { at } } else { ByteOutcome::Delivered { at } };
-            self.account.record(piece.unit, run, outcome);
+                if chunk.is_duplicate { ByteOutcome::Duplicated { at } } else { ByteOutcome::Delivered { at } };
+            self.account.record(chunk.unit, run, outcome);
         }
-        piece.bytes
+        chunk.bytes
     }
 
     /// Applies loss and damage to a part of a unit and queues the rest, to arrive at `at`.
@@ -234,24 +234,24 @@ impl ImpairedDirection {
         if let Some(slots) = self.slots {
             at = slots.next(at);
         }
-        let piece = TransitChunk { unit: unit.number, runs, bytes, is_duplicate: false };
-        let copy = unit.draw.is_duplicated.then(|| TransitChunk { is_duplicate: true, ..piece.clone() });
-        self.enqueue(at, piece);
+        let chunk = TransitChunk { unit: unit.number, runs, bytes, is_duplicate: false };
+        let copy = unit.draw.is_duplicated.then(|| TransitChunk { is_duplicate: true, ..chunk.clone() });
+        self.enqueue(at, chunk);
         if let Some(copy) = copy {
             self.enqueue(at, copy);
         }
     }
 
-    fn enqueue(&mut self, at: Timestamp<HostClock>, piece: TransitChunk) {
-        self.in_transit.insert((at, self.next_order), piece);
+    fn enqueue(&mut self, at: Timestamp<HostClock>, chunk: TransitChunk) {
+        self.in_transit.insert((at, self.next_order), chunk);
         self.next_order += 1;
     }
 
     /// The loss of each byte of a part; `None` is not lost.
     fn losses(&mut self, sent: &SentRange, drawn: &UnitDraw) -> Vec<Option<LossCause>> {
         let mut causes: Vec<Option<LossCause>> = vec![None; sent.bytes.len()];
-        for place in within(&drawn.missing_bytes, &sent.bytes, 1) {
-            if let Some(cause) = causes.get_mut(place as usize) {
+        for offset in within(&drawn.missing_bytes, &sent.bytes, 1) {
+            if let Some(cause) = causes.get_mut(offset as usize) {
                 *cause = Some(LossCause::Byte);
             }
         }
@@ -282,8 +282,8 @@ impl ImpairedDirection {
             let (index, bit) = ((hit / 8) as usize, (hit % 8) as u8);
             if let (Some(byte), Some(None)) = (data.get_mut(index), causes.get(index)) {
                 *byte ^= 1 << bit;
-                let place = sent.bytes.start + index;
-                self.account.record(unit.number, place..place + 1, ByteOutcome::Flipped { bit });
+                let offset = sent.bytes.start + index;
+                self.account.record(unit.number, offset..offset + 1, ByteOutcome::Flipped { bit });
             }
         }
         data
@@ -320,8 +320,8 @@ impl ImpairedDirection {
 }
 
 /// The hits within a part of a unit, counted from its beginning; `per_byte` positions per byte.
-fn within(hits: &[u64], piece: &Range<usize>, per_byte: u64) -> impl Iterator<Item = u64> {
-    let (start, end) = (piece.start as u64 * per_byte, piece.end as u64 * per_byte);
+fn within(hits: &[u64], range: &Range<usize>, per_byte: u64) -> impl Iterator<Item = u64> {
+    let (start, end) = (range.start as u64 * per_byte, range.end as u64 * per_byte);
     let from = hits.partition_point(|hit| *hit < start);
     let to = hits.partition_point(|hit| *hit < end);
     let hits = hits.get(from..to).unwrap_or_default();
@@ -341,17 +341,17 @@ impl Fragments {
     }
 
     fn split(&mut self, mut chunk: Vec<u8>) -> Vec<Vec<u8>> {
-        let mut pieces = Vec::new();
+        let mut chunks = Vec::new();
         loop {
             let size = self.size();
             if chunk.len() <= size {
                 break;
             }
             let rest = chunk.split_off(size);
-            pieces.push(std::mem::replace(&mut chunk, rest));
+            chunks.push(std::mem::replace(&mut chunk, rest));
         }
-        pieces.push(chunk);
-        pieces
+        chunks.push(chunk);
+        chunks
     }
 
     fn size(&mut self) -> usize {

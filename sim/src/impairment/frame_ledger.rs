@@ -115,13 +115,13 @@ impl FrameLedger {
         let (scanned, frames, accounts) = (&mut self.scanned, &mut self.frames, &mut self.accounts);
         self.framer.push(now, bytes, &mut |found| match found {
             FramerOutput::Frame(frame) => {
-                let place = *scanned..*scanned + frame.raw.len() as u64;
-                *scanned = place.end;
+                let range = *scanned..*scanned + frame.raw.len() as u64;
+                *scanned = range.end;
                 let account = accounts.entry(frame.source).or_default();
                 account.counts.sent += 1;
                 frames.push_back(FrameInTransit {
-                    undecided_bytes: place.end - place.start,
-                    byte_range: place,
+                    undecided_bytes: range.end - range.start,
+                    byte_range: range,
                     source: frame.source,
                     number: account.counts.sent,
                     duplicated_bytes: 0,
@@ -144,11 +144,11 @@ impl FrameLedger {
             let Some(unit) = found.ok().and_then(|index| self.units.get(index)) else {
                 continue;
             };
-            let place = unit.start + entry.bytes.start as u64..unit.start + entry.bytes.end as u64;
+            let range = unit.start + entry.bytes.start as u64..unit.start + entry.bytes.end as u64;
             if self.waiting.len() >= MAX_PENDING {
                 self.waiting.pop_front();
             }
-            self.waiting.push_back(RangeOutcome { byte_range: place, outcome: entry.outcome });
+            self.waiting.push_back(RangeOutcome { byte_range: range, outcome: entry.outcome });
         }
         self.apply_pending();
         self.drop_decided();

@@ -297,8 +297,8 @@ mod tests {
             }
         }
         assert_eq!(LinkProfile::bundled("none").unwrap(), LinkProfile::default());
-        let said = LinkProfile::bundled("carrier-pigeon").unwrap_err().to_string();
-        assert!(said.contains("carrier-pigeon") && said.contains("none, usb,"), "{said}");
+        let message = LinkProfile::bundled("carrier-pigeon").unwrap_err().to_string();
+        assert!(message.contains("carrier-pigeon") && message.contains("none, usb,"), "{message}");
     }
 
     #[test]
@@ -320,8 +320,11 @@ mod tests {
             ("stream", "[to_brick]\n[both]\n", 3, "both"),
             ("stream", "[disconnects]\nmean_up_s = 9\ndown_from_s = 3\ndown_to_s = 1\n", 4, "disconnects.down_from_s"),
         ] {
-            let said = LinkProfile::from_toml(&format!("kind = {kind:?}\n{text}")).unwrap_err().to_string();
-            assert!(said.contains(&format!("line {line}")) && said.contains(key), "{said} lacks line {line} or {key}");
+            let message = LinkProfile::from_toml(&format!("kind = {kind:?}\n{text}")).unwrap_err().to_string();
+            assert!(
+                message.contains(&format!("line {line}")) && message.contains(key),
+                "{message} lacks line {line} or {key}"
+            );
         }
     }
 

@@ -83,10 +83,10 @@ impl RateLimiter {
         let waiting = (self.busy_until - now).as_secs_f64().max(0.0) * rate.bytes_per_s;
         // A byte that has begun to leave still waits; stamps of whole nanoseconds must not make a byte more of a whole number.
         let occupied = (waiting - ROUNDING_BYTES).ceil().max(0.0);
-        let room = (f64::from(rate.buffer_bytes) - occupied).max(0.0) as usize;
+        let capacity = (f64::from(rate.buffer_bytes) - occupied).max(0.0) as usize;
         match self.kind {
-            LinkKind::Stream => length.min(room),
-            LinkKind::Datagram if length <= room => length,
+            LinkKind::Stream => length.min(capacity),
+            LinkKind::Datagram if length <= capacity => length,
             LinkKind::Datagram => 0,
         }
     }

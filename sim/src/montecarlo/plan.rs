@@ -59,9 +59,9 @@ impl LineTracker {
     pub(super) fn correction_rad(&self, pose: &PlanarPose) -> f64 {
         let (sin, cos) = self.heading_rad.sin_cos();
         let left_of_line_m = cos * (pose.y_m - self.from_m.1) - sin * (pose.x_m - self.from_m.0);
-        let wanted_rad = self.heading_gain * wrap_rad(self.heading_rad - pose.heading_rad)
+        let target_rad = self.heading_gain * wrap_rad(self.heading_rad - pose.heading_rad)
             - self.lateral_gain_rad_per_m * left_of_line_m;
-        wanted_rad.clamp(-self.most_turn_rad, self.most_turn_rad)
+        target_rad.clamp(-self.most_turn_rad, self.most_turn_rad)
     }
 }
 
@@ -181,14 +181,14 @@ struct Waypoint {
 }
 
 fn spline_plan(spline: &Spline, step_s: f64) -> DrivePlan {
-    let way = sample_waypoints(spline);
-    let length_m = way.last().map_or(0.0, |point| point.along_m);
+    let waypoints = sample_waypoints(spline);
+    let length_m = waypoints.last().map_or(0.0, |point| point.along_m);
     let profile = SpeedProfile::new(length_m, spline);
     let steps = (profile.duration_s() / step_s).ceil() as usize;
-    let mut before = (0.0, heading_at(&way, 0.0));
+    let mut before = (0.0, heading_at(&waypoints, 0.0));
     let commands = (1..=steps).map(|step| {
         let along_m = profile.along_m(step as f64 * step_s);
-        let after = (along_m, heading_at(&way, along_m));
+        let after = (along_m, heading_at(&waypoints, along_m));
         let command = StepCommand { forward_m: after.0 - before.0, turn_rad: after.1 - before.1, side: None };
         before = after;
         command
@@ -200,27 +200,27 @@ fn spline_plan(spline: &Spline, step_s: f64) -> DrivePlan {
 
 fn sample_waypoints(spline: &Spline) -> Vec<Waypoint> {
     let first_rad = spline.poses_m_deg[0][2].to_radians();
-    let mut way = vec![Waypoint { along_m: 0.0, heading_rad: wrap_rad(first_rad) }];
+    let mut waypoints = vec![Waypoint { along_m: 0.0, heading_rad: wrap_rad(first_rad) }];
     for (from, to) in spline.legs() {
         let tangent_m = spline.tangent_scale * distance_m(from, to);
         let mut last_m = (from[0], from[1]);
         for index in 1..=POINTS_PER_LEG {
             let u = index as f64 / POINTS_PER_LEG as f64;
             let point_m = point(from, to, tangent_m, u);
-            let Some(before) = way.last().copied() else {
+            let Some(before) = waypoints.last().copied() else {
                 break;
             };
             let (dx_m, dy_m) = (point_m.0 - last_m.0, point_m.1 - last_m.1);
             // The chord's direction is that of the way half a millimetre back, which does not matter here.
             let turn_rad = wrap_rad(dy_m.atan2(dx_m) - before.heading_rad);
-            way.push(Waypoint {
+            waypoints.push(Waypoint {
                 along_m: before.along_m + dx_m.hypot(dy_m),
                 heading_rad: before.heading_rad + turn_rad,
             });
             last_m = point_m;
         }
     }
-    way
+    waypoints
 }
 
 fn point(from: [f64; 3], to: [f64; 3], tangent_m: f64, u: f64) -> (f64, f64) {
@@ -245,10 +245,10 @@ fn tangent_weight(u: f64) -> f64 {
     u + u.powi(3) * (-6.0 + u * (8.0 - 3.0 * u))
 }
 
-fn heading_at(way: &[Waypoint], along_m: f64) -> f64 {
-    let index = way.partition_point(|point| point.along_m <= along_m);
-    let before = way.get(index.saturating_sub(1));
-    match (before, way.get(index)) {
+fn heading_at(waypoints: &[Waypoint], along_m: f64) -> f64 {
+    let index = waypoints.partition_point(|point| point.along_m <= along_m);
+    let before = waypoints.get(index.saturating_sub(1));
+    match (before, waypoints.get(index)) {
         (Some(before), Some(after)) => {
             let share = (along_m - before.along_m) / (after.along_m - before.along_m);
             before.heading_rad + share * (after.heading_rad - before.heading_rad)

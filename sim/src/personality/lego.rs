@@ -107,8 +107,8 @@ impl TelegramBuffer {
         }
         self.last_received = now;
         if !self.is_lost {
-            let room = RECEIVE_BYTES - self.bytes.len().min(RECEIVE_BYTES);
-            self.bytes.extend(bytes.iter().take(room));
+            let free_bytes = RECEIVE_BYTES - self.bytes.len().min(RECEIVE_BYTES);
+            self.bytes.extend(bytes.iter().take(free_bytes));
         }
     }
 
@@ -116,13 +116,13 @@ impl TelegramBuffer {
     pub(super) fn next(&mut self, lengths: RangeInclusive<usize>) -> Option<Vec<u8>> {
         let length = usize::from(u16::from_le_bytes(*self.bytes.first_chunk()?));
         if !lengths.contains(&length) {
-            self.give_up();
+            self.abandon();
         }
         (self.bytes.len() >= 2 + length).then(|| self.bytes.drain(..2 + length).skip(2).collect())
     }
 
     /// Discards everything until the line was silent.
-    pub(super) fn give_up(&mut self) {
+    pub(super) fn abandon(&mut self) {
         self.bytes.clear();
         self.is_lost = true;
     }
@@ -196,9 +196,9 @@ const USABLE: u8 = 0b11;
 /// `None` if the message is not a usable estimate.
 fn estimate_from(message: &[u8]) -> Option<(WireStamp, Pose<Arena>)> {
     let payload = message.get(..LENGTH)?;
-    let is_whole = matches!(message.get(LENGTH..), Some([] | [0]));
+    let is_complete = matches!(message.get(LENGTH..), Some([] | [0]));
     let flags = *payload.get(20)?;
-    if !is_whole || flags & USABLE != USABLE {
+    if !is_complete || flags & USABLE != USABLE {
         return None;
     }
     let word = |offset: usize| Some(*payload.get(offset..)?.first_chunk::<4>()?);
@@ -230,8 +230,8 @@ mod tests {
         for telegram in [&TELEGRAM[..], &FRAME] {
             for size in 1..=2 * telegram.len() {
                 let mut buffer = TelegramBuffer::default();
-                let pieces = telegram.repeat(2);
-                let found: Vec<_> = pieces.chunks(size).flat_map(|piece| received(&mut buffer, 1, piece)).collect();
+                let stream = telegram.repeat(2);
+                let found: Vec<_> = stream.chunks(size).flat_map(|chunk| received(&mut buffer, 1, chunk)).collect();
                 assert_eq!(found, [&telegram[2..], &telegram[2..]], "pieces of {size}");
             }
             for lost in 0..telegram.len() {

@@ -8,7 +8,7 @@ use crate::simulation::Simulation;
 struct Host {
     simulation: Simulation,
     /// How long an answer is waited for.
-    patience_ms: usize,
+    reply_timeout_ms: usize,
     /// Of the EV3's last request.
     counter: u16,
 }
@@ -24,46 +24,46 @@ fn ev3(change: impl FnOnce(&mut Scenario)) -> Host {
 }
 
 impl Host {
-    fn new(personality: Personality, patience_ms: usize, change: impl FnOnce(&mut Scenario)) -> Self {
+    fn new(personality: Personality, reply_timeout_ms: usize, change: impl FnOnce(&mut Scenario)) -> Self {
         let mut scenario = Scenario::default().with_personality(personality);
         scenario.camera.is_present = false;
         scenario.brick.program = BrickProgram::None;
         change(&mut scenario);
-        Self { simulation: Simulation::new(scenario), patience_ms, counter: 41 }
+        Self { simulation: Simulation::new(scenario), reply_timeout_ms, counter: 41 }
     }
 
     /// What comes within `millis`, and when, in milliseconds from here.
     fn listen(&mut self, millis: usize) -> Vec<(usize, Vec<u8>)> {
-        let mut heard = Vec::new();
+        let mut received = Vec::new();
         for at in 1..=millis {
             self.simulation.step();
-            heard.extend(std::iter::from_fn(|| self.simulation.poll()).map(|bytes| (at, bytes)));
+            received.extend(std::iter::from_fn(|| self.simulation.poll()).map(|bytes| (at, bytes)));
         }
-        heard
+        received
     }
 
     fn send(&mut self, telegram: &[u8]) -> Vec<(usize, Vec<u8>)> {
         self.simulation.receive(&with_length(telegram));
-        self.listen(self.patience_ms)
+        self.listen(self.reply_timeout_ms)
     }
 
     /// A request to which no answer comes.
-    fn tell(&mut self, telegram: &[u8]) {
+    fn send_without_reply(&mut self, telegram: &[u8]) {
         assert_eq!(self.send(telegram), [], "{telegram:02x?}");
     }
 
     /// The one answer to a request, both without their length.
-    fn ask(&mut self, telegram: &[u8]) -> Vec<u8> {
-        let heard = self.send(telegram);
-        assert_eq!(heard.len(), 1, "{telegram:02x?}: {heard:02x?}");
-        let (length, answer) = heard[0].1.split_at(2);
+    fn request(&mut self, telegram: &[u8]) -> Vec<u8> {
+        let received = self.send(telegram);
+        assert_eq!(received.len(), 1, "{telegram:02x?}: {received:02x?}");
+        let (length, answer) = received[0].1.split_at(2);
         assert_eq!(length, (answer.len() as u16).to_le_bytes());
         answer.to_vec()
     }
 
     /// The NXT's block count of a motor, which its programs read as the tacho.
     fn tacho(&mut self, port: u8) -> i32 {
-        let state = self.ask(&[0x00, 0x06, port]);
+        let state = self.request(&[0x00, 0x06, port]);
         assert_eq!((state.len(), &state[..4]), (25, &[2, 6, 0, port][..]));
         long(&state, 13)
     }
@@ -71,7 +71,7 @@ impl Host {
     /// Type and globals of the EV3's answer to byte codes.
     fn run(&mut self, globals: u8, code: &[u8]) -> (u8, Vec<u8>) {
         self.counter += 1;
-        let answer = self.ask(&[&self.counter.to_le_bytes()[..], &[0, globals, 0], code].concat());
+        let answer = self.request(&[&self.counter.to_le_bytes()[..], &[0, globals, 0], code].concat());
         assert_eq!(answer[..2], self.counter.to_le_bytes());
         (answer[2], answer[3..].to_vec())
     }
@@ -111,18 +111,18 @@ fn assert_estimate_was_taken(host: &Host) {
 fn the_nxt_tells_who_it_is() {
     let mut host = nxt(|_| {});
     // Published: 02 00 01 88 and 02 00 01 9b.
-    assert_eq!(host.ask(&[0x01, 0x88]), [2, 0x88, 0, 124, 1, 31, 1]);
-    let info = host.ask(&[0x01, 0x9B]);
+    assert_eq!(host.request(&[0x01, 0x88]), [2, 0x88, 0, 124, 1, 31, 1]);
+    let info = host.request(&[0x01, 0x9B]);
     assert_eq!((info.len(), &info[..7], &info[18..21]), (33, &b"\x02\x9b\0NXT\0"[..], &[0x00, 0x16, 0x53][..]));
-    assert_eq!(host.ask(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()), [2, 0x98, 0]);
-    assert_eq!(host.ask(&[0x01, 0x9B])[3..9], *b"rover\0");
+    assert_eq!(host.request(&[&[0x01, 0x98][..], b"rover", &[0; 11]].concat()), [2, 0x98, 0]);
+    assert_eq!(host.request(&[0x01, 0x9B])[3..9], *b"rover\0");
     // 8 V, and a hundredth less after a minute.
-    let battery = host.ask(&[0x00, 0x0B]);
+    let battery = host.request(&[0x00, 0x0B]);
     assert!(
         battery.len() == 5 && (7_990..=8_000).contains(&u16::from_le_bytes([battery[3], battery[4]])),
         "{battery:?}"
     );
-    assert_eq!(host.ask(&[0x00, 0x0D]), [2, 0x0D, 0, 0xC0, 0x27, 9, 0]);
+    assert_eq!(host.request(&[0x00, 0x0D]), [2, 0x0D, 0, 0xC0, 0x27, 9, 0]);
 }
 
 #[test]
@@ -151,25 +151,25 @@ fn what_the_nxt_cannot_do_has_a_status_of_its_own() {
         (&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 120, 0], 0x91),
     ];
     for (request, status) in cases {
-        assert_eq!(host.ask(request), [2, request[1], *status], "{request:02x?}");
+        assert_eq!(host.request(request), [2, request[1], *status], "{request:02x?}");
     }
     // Without a wish for an answer there is none, and what is no request has none either.
-    host.tell(&[0x80, 0x77]);
-    host.tell(&[0x02, 0x0B, 0]);
+    host.send_without_reply(&[0x80, 0x77]);
+    host.send_without_reply(&[0x02, 0x0B, 0]);
 }
 
 #[test]
 fn an_order_turns_the_nxts_motor_and_all_counters_count() {
     let mut host = nxt(|_| {});
     // Motor B at half power without a limit: 0c 00 80 04 01 32 01 00 00 20 ..
-    host.tell(&[0x80, 0x04, 1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send_without_reply(&[0x80, 0x04, 1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
     host.listen(1_000);
     let turned = host.tacho(1);
     // (4 V - 0.33 V) / 0.487 V s is 7.5 rad/s: 430 degrees in a second, less the run-up.
     assert!((330..480).contains(&turned), "{turned}");
     assert_eq!((host.tacho(2), host.tacho(0)), (0, 0));
-    assert_eq!(host.ask(&[0x00, 0x0A, 1, 0]), [2, 0x0A, 0]);
-    let state = host.ask(&[0x00, 0x06, 1]);
+    assert_eq!(host.request(&[0x00, 0x0A, 1, 0]), [2, 0x0A, 0]);
+    let state = host.request(&[0x00, 0x06, 1]);
     assert_eq!(state[3..13], [1, 50, 1, 0, 0, 0x20, 0, 0, 0, 0]);
     assert!(long(&state, 13) > turned && long(&state, 17) == long(&state, 13) && long(&state, 21) < 60, "{state:?}");
 }
@@ -178,7 +178,7 @@ fn an_order_turns_the_nxts_motor_and_all_counters_count() {
 fn regulated_motors_turn_as_fast_as_their_firmware_says() {
     // Ten degrees per second for each percent on the NXT, ten and a half on the EV3; from answer to answer two seconds.
     let mut nxt = nxt(|_| {});
-    nxt.tell(&[0x80, 0x04, 2, 40, 5, 1, 0, 0x20, 0, 0, 0, 0]);
+    nxt.send_without_reply(&[0x80, 0x04, 2, 40, 5, 1, 0, 0x20, 0, 0, 0, 0]);
     nxt.listen(1_000);
     let before = nxt.tacho(2);
     nxt.listen(1_940);
@@ -197,21 +197,21 @@ fn regulated_motors_turn_as_fast_as_their_firmware_says() {
 #[test]
 fn the_nxts_io_maps_show_what_single_commands_show() {
     let mut host = nxt(|_| {});
-    host.tell(&[0x80, 0x04, 0xFF, 60, 1, 0, 0, 0x20, 0, 0, 0, 0]);
-    host.tell(&[0x80, 0x05, 0, 6, 0]);
+    host.send_without_reply(&[0x80, 0x04, 0xFF, 60, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send_without_reply(&[0x80, 0x05, 0, 6, 0]);
     host.listen(500);
     // Published: 0a 00 01 94 01 00 02 00 00 00 60 00.
-    let outputs = host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]);
+    let outputs = host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 0x60, 0]);
     assert_eq!((outputs.len(), &outputs[..9]), (105, &[2, 0x94, 0, 1, 0, 2, 0, 0x60, 0][..]));
     assert!(long(&outputs, 9 + 32) > 100, "{outputs:?}");
     assert_eq!((outputs[9 + 32 + 20], outputs[9 + 32 + 25]), (60, 0x20));
-    let inputs = host.ask(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]);
+    let inputs = host.request(&[0x01, 0x94, 1, 0, 3, 0, 0, 0, 80, 0]);
     let raw = |port: usize| u16::from_le_bytes([inputs[9 + 20 * port + 2], inputs[9 + 20 * port + 3]]);
     assert!((550..660).contains(&raw(0)) && raw(1) == 1_023, "{inputs:?}");
     assert_eq!((inputs[9 + 8], inputs[9 + 16]), (6, 0));
-    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 0x0B, 0, 0, 0, 76, 0])[9..], [0; 76]);
+    assert_eq!(host.request(&[0x01, 0x94, 1, 0, 0x0B, 0, 0, 0, 76, 0])[9..], [0; 76]);
     // Tick: 0a 00 01 94 01 00 01 00 14 00 04 00. Answered 33 ms, read 1 ms after it was asked.
-    let mut tick = || long(&host.ask(&[0x01, 0x94, 1, 0, 1, 0, 20, 0, 4, 0]), 9);
+    let mut tick = || long(&host.request(&[0x01, 0x94, 1, 0, 1, 0, 20, 0, 4, 0]), 9);
     // 5 s, 0.8 s by the steps above, and 60 ppm of that.
     let first = tick();
     assert_eq!((first, tick() - first), (5_801, 60));
@@ -220,8 +220,8 @@ fn the_nxts_io_maps_show_what_single_commands_show() {
 #[test]
 fn an_old_nxt_takes_and_sends_64_bytes() {
     let mut host = nxt(|scenario| scenario.brick.telegram_bytes = 64);
-    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]), [2, 0x94, 0x91]);
-    assert_eq!(host.ask(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 55, 0]).len(), 64);
+    assert_eq!(host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 56, 0]), [2, 0x94, 0x91]);
+    assert_eq!(host.request(&[0x01, 0x94, 1, 0, 2, 0, 0, 0, 55, 0]).len(), 64);
 }
 
 #[test]
@@ -231,16 +231,16 @@ fn sensors_on_the_nxts_bus_answer_once_port_and_transaction_are_ready() {
         scenario.accelerometer.bias_sigma_m_per_s2 = 0.0;
         scenario.brick.sensors[2] = PortSensor::Temperature;
     });
-    host.tell(&[0x80, 0x05, 1, 0x0B, 0]);
-    host.tell(&[0x80, 0x05, 2, 0x0B, 0]);
+    host.send_without_reply(&[0x80, 0x05, 1, 0x0B, 0]);
+    host.send_without_reply(&[0x80, 0x05, 2, 0x0B, 0]);
     // Published: 07 00 00 0f port 02 06 02 42.
-    assert_eq!(host.ask(&[0x00, 0x0F, 1, 2, 6, 0x02, 0x42]), [2, 0x0F, 0]);
-    assert_eq!(host.ask(&[0x00, 0x0E, 1]), [2, 0x0E, 0, 6]);
-    let answer = host.ask(&[0x00, 0x10, 1]);
+    assert_eq!(host.request(&[0x00, 0x0F, 1, 2, 6, 0x02, 0x42]), [2, 0x0F, 0]);
+    assert_eq!(host.request(&[0x00, 0x0E, 1]), [2, 0x0E, 0, 6]);
+    let answer = host.request(&[0x00, 0x10, 1]);
     assert_eq!((answer.len(), &answer[..10]), (20, &[2, 0x10, 0, 6, 0, 0, 50, 0, 0, 0][..]));
     // A room of 21 degrees.
-    host.tell(&[0x80, 0x0F, 2, 2, 2, 0x98, 0x00]);
-    assert_eq!(host.ask(&[0x00, 0x10, 2])[..6], [2, 0x10, 0, 2, 21, 0]);
+    host.send_without_reply(&[0x80, 0x0F, 2, 2, 2, 0x98, 0x00]);
+    assert_eq!(host.request(&[0x00, 0x10, 2])[..6], [2, 0x10, 0, 2, 21, 0]);
     // A fresh port is not ready, and a running transaction is pending; nothing is ahead of the ultrasonic sensor.
     for (requests, status) in [
         ([&[0x80, 0x05, 3, 0x0B, 0][..], &[0x00, 0x0F, 3, 2, 1, 0x02, 0x42]], 0xE0),
@@ -249,7 +249,7 @@ fn sensors_on_the_nxts_bus_answer_once_port_and_transaction_are_ready() {
         host.simulation.receive(&requests.map(with_length).concat());
         assert_eq!(host.listen(60)[0].1, [3, 0, 2, requests[1][1], status]);
     }
-    assert_eq!(host.ask(&[0x00, 0x10, 3])[..5], [2, 0x10, 0, 1, 255]);
+    assert_eq!(host.request(&[0x00, 0x10, 3])[..5], [2, 0x10, 0, 1, 255]);
 }
 
 #[test]
@@ -261,41 +261,41 @@ fn the_nxts_radio_turns_around_and_drops_the_third_answer() {
     // One telegram is followed per pass.
     let mut host = nxt(|_| {});
     host.simulation.receive(&with_length(&[0x01, 0x94, 1, 0, 1, 0, 20, 0, 4, 0]).repeat(3));
-    let heard = host.listen(100);
-    assert_eq!(heard.len(), 2);
-    assert_eq!(long(&heard[1].1, 11) - long(&heard[0].1, 11), 1);
+    let received = host.listen(100);
+    assert_eq!(received.len(), 2);
+    assert_eq!(long(&received[1].1, 11) - long(&received[0].1, 11), 1);
 }
 
 #[test]
 fn the_nxt_falls_asleep_after_ten_minutes_without_keep_alive() {
     let mut host = nxt(|_| {});
     host.listen(300_000);
-    host.ask(&[0x00, 0x0D]);
+    host.request(&[0x00, 0x0D]);
     host.listen(599_000);
-    host.ask(&[0x00, 0x0B]);
+    host.request(&[0x00, 0x0B]);
     // Other commands keep nobody awake.
     host.listen(1_000);
-    host.tell(&[0x00, 0x0B]);
-    host.tell(&[0x00, 0x0D]);
+    host.send_without_reply(&[0x00, 0x0B]);
+    host.send_without_reply(&[0x00, 0x0D]);
     host.simulation.restart_brick();
-    assert_eq!(host.ask(&[0x00, 0x0B])[..3], [2, 0x0B, 0]);
+    assert_eq!(host.request(&[0x00, 0x0B])[..3], [2, 0x0B, 0]);
 }
 
 #[test]
 fn a_program_of_the_nxt_zeroes_counters_and_ports_when_it_starts_and_when_it_stops() {
     let mut host = nxt(|_| {});
-    host.tell(&[0x80, 0x04, 0xFF, 80, 1, 0, 0, 0x20, 0, 0, 0, 0]);
-    host.tell(&[0x80, 0x05, 0, 6, 0]);
+    host.send_without_reply(&[0x80, 0x04, 0xFF, 80, 1, 0, 0, 0x20, 0, 0, 0, 0]);
+    host.send_without_reply(&[0x80, 0x05, 0, 6, 0]);
     host.listen(500);
     assert!(host.tacho(1) > 100);
-    assert_eq!(host.ask(&[&[0x00, 0x00][..], b"path.rxe", &[0; 12]].concat()), [2, 0, 0]);
-    assert_eq!(host.ask(&[0x00, 0x11])[..12], *b"\x02\x11\0path.rxe\0");
+    assert_eq!(host.request(&[&[0x00, 0x00][..], b"path.rxe", &[0; 12]].concat()), [2, 0, 0]);
+    assert_eq!(host.request(&[0x00, 0x11])[..12], *b"\x02\x11\0path.rxe\0");
     // The robot rolls out, stands, and drives two seconds later.
     assert!(host.tacho(1) < 60);
-    assert_eq!(host.ask(&[0x00, 0x07, 0])[6..8], [0, 0]);
+    assert_eq!(host.request(&[0x00, 0x07, 0])[6..8], [0, 0]);
     host.listen(4_000);
     assert!(host.tacho(1) > 200 && host.simulation.progress() > 0.0);
-    assert_eq!(host.ask(&[0x00, 0x01]), [2, 1, 0]);
+    assert_eq!(host.request(&[0x00, 0x01]), [2, 1, 0]);
     assert!(host.tacho(1) < 30);
     host.listen(500);
     let progress = host.simulation.progress();
@@ -307,12 +307,12 @@ fn a_program_of_the_nxt_zeroes_counters_and_ports_when_it_starts_and_when_it_sto
 fn the_nxts_program_takes_the_estimate_out_of_its_mailbox() {
     let mut host = nxt(|scenario| scenario.brick.program = BrickProgram::Path);
     host.listen(100);
-    host.tell(&[&[0x80, 0x09, 0, 25][..], &ESTIMATE, &[0]].concat());
+    host.send_without_reply(&[&[0x80, 0x09, 0, 25][..], &ESTIMATE, &[0]].concat());
     assert_estimate_was_taken(&host);
     // An outbox is read and found empty; a message without its zero is refused.
-    assert_eq!(host.ask(&[0x00, 0x13, 10, 0, 1]), [2, 0x13, 0x40]);
-    assert_eq!(host.ask(&[0x00, 0x09, 0, 1, 7]), [2, 0x09, 0xC0]);
-    assert_eq!(host.ask(&[0x00, 0x09, 20, 1, 0]), [2, 0x09, 0xEE]);
+    assert_eq!(host.request(&[0x00, 0x13, 10, 0, 1]), [2, 0x13, 0x40]);
+    assert_eq!(host.request(&[0x00, 0x09, 0, 1, 7]), [2, 0x09, 0xC0]);
+    assert_eq!(host.request(&[0x00, 0x09, 20, 1, 0]), [2, 0x09, 0xEE]);
 }
 
 #[test]
@@ -327,10 +327,10 @@ fn one_telegram_asks_the_ev3_for_clock_encoders_and_gyro() {
         0x01, 0x00, 0x00, 0x10, 0x00, 0x8F, 0x60, 0xB3, 0x00, 0x01, 0x64, 0xB3, 0x00, 0x02, 0x68, 0x99, 0x1D, 0x00,
         0x01, 0x81, 0x20, 0x01, 0x01, 0x6C,
     ];
-    let heard = host.send(&telegram);
+    let received = host.send(&telegram);
     // The gyro changes its mode: 100 ms, then the turn-around.
-    assert_eq!((heard.len(), heard[0].0), (1, 121));
-    let answer = &heard[0].1;
+    assert_eq!((received.len(), received[0].0), (1, 121));
+    let answer = &received[0].1;
     assert_eq!(answer[..5], [0x13, 0x00, 0x01, 0x00, 0x02]);
     assert_eq!((long(answer, 5), &answer[9..17]), (5_001_000, &[0; 8][..]));
     assert!(real(&answer[17..]).abs() <= 2.0);
@@ -355,7 +355,7 @@ fn unknown_and_broken_codes_of_the_ev3_are_answered_with_an_error() {
         assert_eq!(host.run(4, code).0, 4, "{code:02x?}");
     }
     // Without a wish for an answer there is none.
-    host.tell(&[9, 0, 0x80, 0, 0, 0xFF]);
+    host.send_without_reply(&[9, 0, 0x80, 0, 0, 0xFF]);
 }
 
 #[test]
@@ -404,9 +404,9 @@ fn commands_of_the_ev3_are_followed_in_their_order_and_a_jump_to_itself_holds_no
     let mut host = ev3(|_| {});
     // The first waits for the gyro's mode, the second for the first.
     host.simulation.receive(&with_length(&[1, 0, 0, 4, 0, 0x99, 0x1D, 0, 1, 0x81, 0x20, 1, 1, 0x60, 0x01]));
-    let heard = host.send(&[2, 0, 0, 4, 0, 0x8F, 0x60]);
-    assert_eq!(heard.iter().map(|(_, bytes)| bytes[2]).collect::<Vec<_>>(), [1, 2]);
-    host.tell(&[1, 0, 0, 0, 0, 0x40, 0x3E, 0x01]);
+    let received = host.send(&[2, 0, 0, 4, 0, 0x8F, 0x60]);
+    assert_eq!(received.iter().map(|(_, bytes)| bytes[2]).collect::<Vec<_>>(), [1, 2]);
+    host.send_without_reply(&[1, 0, 0, 0, 0, 0x40, 0x3E, 0x01]);
     host.simulation.reopen_link();
     assert_eq!(host.count(0), 0);
 }
@@ -417,10 +417,10 @@ fn the_ev3s_program_takes_the_estimate_out_of_its_mailbox() {
     host.listen(100);
     // Published: name with its zero, payload of seven bytes. Nobody has opened that mailbox.
     host.simulation.receive(b"\x12\x00\x01\x00\x81\x9e\x04abc\0\x07\0hello!\0");
-    assert_eq!(host.ask(&[&b"\x02\0\x01\x9e\x09estimate\0\x18\0"[..], &ESTIMATE].concat()), [2, 0, 3, 0x9E, 0]);
+    assert_eq!(host.request(&[&b"\x02\0\x01\x9e\x09estimate\0\x18\0"[..], &ESTIMATE].concat()), [2, 0, 3, 0x9E, 0]);
     assert_estimate_was_taken(&host);
     // Another system command is not known.
-    assert_eq!(host.ask(&[3, 0, 1, 0x99]), [3, 0, 5, 0x99, 0x0A]);
+    assert_eq!(host.request(&[3, 0, 1, 0x99]), [3, 0, 5, 0x99, 0x0A]);
 }
 
 #[test]
@@ -440,7 +440,7 @@ fn a_set_up_of_a_sensor_that_the_ev3_lacks_may_wait_for_the_next_command() {
     let set_up = [0x99, 0x1D, 0, 0, 0x81, 0x20, 1, 1, 0x60];
     assert!(real(&ev3(|_| {}).globals(4, &set_up)).is_nan());
     let mut waiting = ev3(|scenario| scenario.brick.missing_sensor = MissingSensor::Awaited);
-    waiting.tell(&[&[7, 0, 0, 4, 0][..], &set_up].concat());
+    waiting.send_without_reply(&[&[7, 0, 0, 4, 0][..], &set_up].concat());
     assert_eq!(waiting.listen(5_000), []);
     assert_eq!(waiting.globals(4, &[0x8F, 0x60]).len(), 4);
 }

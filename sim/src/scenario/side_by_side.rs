@@ -74,8 +74,8 @@ mod tests {
         let robots = scenario.side_by_side(5).unwrap();
         assert_eq!(robots[0], scenario);
         // A square of one metre, three in a row.
-        let places = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
-        for ((index, robot), (x_m, y_m)) in (0_u8..).zip(&robots).zip(places) {
+        let positions = [(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (0.0, 1.5), (1.5, 1.5)];
+        for ((index, robot), (x_m, y_m)) in (0_u8..).zip(&robots).zip(positions) {
             assert_eq!((robot.brick.system, robot.seed), (1 + index, 7 + u64::from(index)));
             assert!((robot.start.x_m - x_m).hypot(robot.start.y_m - y_m) < 1e-9, "{:?}", robot.start);
         }

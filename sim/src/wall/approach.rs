@@ -273,8 +273,8 @@ impl WallFrame {
         let mut bytes = [0; LENGTH];
         bytes[0] = START;
         bytes[1] = kind;
-        for (place, value) in bytes[2..26].chunks_exact_mut(8).zip(values) {
-            place.copy_from_slice(&value.to_le_bytes());
+        for (slot, value) in bytes[2..26].chunks_exact_mut(8).zip(values) {
+            slot.copy_from_slice(&value.to_le_bytes());
         }
         let sum = checksum(&bytes[1..26], EXTRA);
         bytes[26..].copy_from_slice(&sum.to_le_bytes());
@@ -289,8 +289,8 @@ impl WallFrame {
             return None;
         }
         let mut values = [0.0; 3];
-        for (value, place) in values.iter_mut().zip(bytes[2..26].chunks_exact(8)) {
-            *value = f64::from_le_bytes(place.try_into().ok()?);
+        for (value, slot) in values.iter_mut().zip(bytes[2..26].chunks_exact(8)) {
+            *value = f64::from_le_bytes(slot.try_into().ok()?);
         }
         let [at_s, first, second] = values;
         if !values.iter().all(|value| value.is_finite()) {
@@ -409,11 +409,11 @@ mod tests {
             bytes.extend(frame.encode());
             bytes.push(START);
         }
-        for piece in 1..40 {
+        for chunk_size in 1..40 {
             let mut framer = WallFramer::default();
-            let mut found: Vec<WallFrame> = bytes.chunks(piece).flat_map(|chunk| framer.push(chunk)).collect();
+            let mut found: Vec<WallFrame> = bytes.chunks(chunk_size).flat_map(|chunk| framer.push(chunk)).collect();
             found.extend(framer.push(&[0; LENGTH]));
-            assert_eq!(found, frames, "{piece}");
+            assert_eq!(found, frames, "{chunk_size}");
         }
     }
 

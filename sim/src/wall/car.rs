@@ -235,8 +235,8 @@ mod tests {
     fn a_step_has_the_readings_of_the_paper_and_repeats_by_its_number() {
         let scene = WallScene::from_toml(DEFAULT_SCENE).unwrap();
         let first = simulate_step(&scene, 0);
-        let under_way = first.readings.iter().filter(|reading| reading.at_s >= 0.241).count();
-        assert!((17..=22).contains(&under_way), "{under_way}");
+        let moving_count = first.readings.iter().filter(|reading| reading.at_s >= 0.241).count();
+        assert!((17..=22).contains(&moving_count), "{moving_count}");
         let (last, others) = first.readings.split_last().unwrap();
         assert!(last.range_m < 0.5 && others.iter().all(|reading| reading.range_m >= 0.5));
         let first_drive = first.commands.iter().find(|command| command.pwm > 0.0).unwrap();

@@ -23,7 +23,7 @@ const VALID: PoseFlags = PoseFlags {
     dead_reckoning: false,
     predicted: false,
 };
-const ASK_TIME: Message = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 77, target: None });
+const TIME_REQUEST: Message = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 77, target: None });
 
 fn encoded(message: &Message) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -46,16 +46,16 @@ fn request_interval(target: Address, message_id: u32, interval: Option<TimeDelta
 
 #[test]
 fn brick_and_camera_introduce_themselves_and_readings_come_at_twenty_hertz_with_equal_stamps() {
-    let heard = listen(&mut Simulation::new(Scenario::default()), 1_990);
+    let received = listen(&mut Simulation::new(Scenario::default()), 1_990);
     for (address, vehicle_type) in [(BRICK, 10), (CAMERA, 30)] {
         let is_beat = |(from, message): &&(Address, Message)| {
             *from == address && matches!(message, Message::Heartbeat(beat) if beat.vehicle_type == vehicle_type)
         };
-        assert_eq!(heard.iter().filter(is_beat).count(), 2);
+        assert_eq!(received.iter().filter(is_beat).count(), 2);
     }
-    assert_eq!(count(&heard, |message| matches!(message, Message::RobotDescription(_))), 1);
+    assert_eq!(count(&received, |message| matches!(message, Message::RobotDescription(_))), 1);
     let stamps = |pick: fn(&Message) -> Option<WireStamp>| -> Vec<WireStamp> {
-        heard.iter().filter_map(|(_, message)| pick(message)).collect()
+        received.iter().filter_map(|(_, message)| pick(message)).collect()
     };
     let wheels = stamps(|message| Some(wheel_ticks(message)?.stamp));
     assert_eq!(wheels.len(), 40);
@@ -69,10 +69,10 @@ fn brick_and_camera_introduce_themselves_and_readings_come_at_twenty_hertz_with_
 fn the_standard_wire_uses_standard_messages_only() {
     let mut scenario = Scenario::default();
     scenario.brick.wire = Wire::Standard;
-    let heard = listen(&mut Simulation::new(scenario), 1_990);
-    assert_eq!(count(&heard, |message| matches!(message, Message::WheelDistance { .. })), 40);
-    assert_eq!(count(&heard, |message| matches!(message, Message::ScaledImu(_))), 40);
-    assert_eq!(count(&heard, |message| matches!(message, Message::WheelTicks(_) | Message::Inertial(_))), 0);
+    let received = listen(&mut Simulation::new(scenario), 1_990);
+    assert_eq!(count(&received, |message| matches!(message, Message::WheelDistance { .. })), 40);
+    assert_eq!(count(&received, |message| matches!(message, Message::ScaledImu(_))), 40);
+    assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_) | Message::Inertial(_))), 0);
 }
 
 #[test]
@@ -86,14 +86,14 @@ fn each_answers_timesync_with_its_own_clock() {
     scenario.camera.clock_skew_ppm = 0.0;
     let mut simulation = Simulation::new(scenario);
     run(&mut simulation, 1_234);
-    simulation.receive(&encoded(&ASK_TIME));
-    let heard = listen(&mut simulation, 1);
+    simulation.receive(&encoded(&TIME_REQUEST));
+    let received = listen(&mut simulation, 1);
     for (address, answer_nanos) in [(BRICK, 734_000_000), (CAMERA, 10_234_000_000)] {
         let is_answer = |(from, message): &(Address, Message)| {
             let Message::TimeSync(sync) = message else { return false };
             *from == address && (sync.answer_nanos, sync.request_nanos) == (answer_nanos, 77)
         };
-        assert!(heard.iter().any(is_answer), "{address:?}: {heard:?}");
+        assert!(received.iter().any(is_answer), "{address:?}: {received:?}");
     }
 }
 
@@ -104,9 +104,9 @@ fn a_station_can_change_stop_and_restore_intervals() {
     for (interval_ms, expected) in [(Some(10), 100), (None, 0), (Some(0), 20)] {
         let interval = interval_ms.map(TimeDelta::from_millis);
         simulation.receive(&request_interval(BRICK, ids::PB_WHEEL_TICKS, interval));
-        let heard = listen(&mut simulation, 990);
-        assert_eq!(count(&heard, |message| matches!(message, Message::WheelTicks(_))), expected);
-        assert_eq!(count(&heard, |message| matches!(message, Message::CommandAck(_))), 1);
+        let received = listen(&mut simulation, 990);
+        assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_))), expected);
+        assert_eq!(count(&received, |message| matches!(message, Message::CommandAck(_))), 1);
     }
     simulation.receive(&request_interval(CAMERA, ids::VISION_POSITION_ESTIMATE, Some(TimeDelta::from_millis(500))));
     let fixes = count(&listen(&mut simulation, 10_000), |message| matches!(message, Message::VisionPosition(_)));
@@ -118,12 +118,12 @@ fn a_wrapping_register_keeps_its_pace() {
     let mut scenario = Scenario::default();
     scenario.brick.clock_start_micros = (1 << 32) - 1_000_000;
     scenario.brick.clock_skew_ppm = -2_021.0;
-    let heard = listen(&mut Simulation::new(scenario), 3_000);
+    let received = listen(&mut Simulation::new(scenario), 3_000);
     let register = |(_, message): &(Address, Message)| match wheel_ticks(message)?.stamp {
         WireStamp::Micros32(micros) => Some(micros),
         WireStamp::Millis32(_) | WireStamp::Micros64(_) | WireStamp::HostInterval { .. } => None,
     };
-    let registers: Vec<u32> = heard.iter().filter_map(register).collect();
+    let registers: Vec<u32> = received.iter().filter_map(register).collect();
     assert_eq!(registers.windows(2).filter(|pair| pair[1] < pair[0]).count(), 1);
     assert!(registers.windows(2).skip(1).all(|pair| pair[1].wrapping_sub(pair[0]) == 50_000));
 }
@@ -134,9 +134,9 @@ fn telemetry_agrees_with_the_truth_at_its_stamp() {
     scenario.brick.clock_skew_ppm = 0.0;
     scenario.robot.backlash_deg = 0.0;
     let mut simulation = Simulation::new(scenario);
-    let heard = listen(&mut simulation, 6_000);
+    let received = listen(&mut simulation, 6_000);
     let mut compared = 0;
-    for tick in heard.iter().filter_map(|(_, message)| wheel_ticks(message)) {
+    for tick in received.iter().filter_map(|(_, message)| wheel_ticks(message)) {
         let stamp = |micros: i64| WireStamp::Micros32(micros as u32);
         let mut samples = simulation.truth().iter();
         let Some(sample) = samples.find(|sample| stamp(sample.brick_time.as_micros()) == tick.stamp) else {
@@ -226,9 +226,9 @@ fn fixes(simulation: &mut Simulation, millis: u32) -> usize {
         simulation.step();
         bytes.extend(std::iter::from_fn(|| simulation.poll_camera()).flatten());
     }
-    let heard = messages(&bytes);
-    assert!(heard.iter().all(|(from, _)| *from == CAMERA));
-    count(&heard, |message| matches!(message, Message::VisionPosition(_)))
+    let received = messages(&bytes);
+    assert!(received.iter().all(|(from, _)| *from == CAMERA));
+    count(&received, |message| matches!(message, Message::VisionPosition(_)))
 }
 
 #[test]
@@ -256,11 +256,11 @@ fn a_pushing_program_sends_one_frame_in_each_telegram_and_its_firmware_answers_b
         assert_eq!((frame[0], frame.len()), (0xFD, usize::from(frame[1]) + 12));
         frames.extend_from_slice(frame);
     }
-    let heard = messages(&frames);
-    assert!((38..=40).contains(&count(&heard, |message| matches!(message, Message::WheelTicks(_)))));
-    assert!((38..=40).contains(&count(&heard, |message| matches!(message, Message::Inertial(_)))));
-    assert_eq!(count(&heard, |message| matches!(message, Message::Heartbeat(_))), 2);
-    assert_eq!(count(&heard, |message| matches!(message, Message::RobotDescription(_))), 1);
+    let received = messages(&frames);
+    assert!((38..=40).contains(&count(&received, |message| matches!(message, Message::WheelTicks(_)))));
+    assert!((38..=40).contains(&count(&received, |message| matches!(message, Message::Inertial(_)))));
+    assert_eq!(count(&received, |message| matches!(message, Message::Heartbeat(_))), 2);
+    assert_eq!(count(&received, |message| matches!(message, Message::RobotDescription(_))), 1);
     simulation.receive(&BATTERY);
     let is_answer = |telegram: &&Vec<u8>| telegram[2..4] == [0x02, 0x0B];
     assert_eq!(run(&mut simulation, 200).iter().filter(is_answer).count(), 1);
@@ -313,20 +313,20 @@ proptest! {
         personality in prop::sample::select(vec![Personality::Mavlink, Personality::Nxt, Personality::Ev3]),
     ) {
         let mut simulation = lego(personality, BrickProgram::None);
-        for piece in bytes.chunks(chunk) {
-            simulation.receive(piece);
+        for chunk_bytes in bytes.chunks(chunk) {
+            simulation.receive(chunk_bytes);
             run(&mut simulation, 1);
         }
         run(&mut simulation, 500);
         simulation.reopen_link();
-        let (question, is_answer): (_, fn(&[u8]) -> bool) = match personality {
-            Personality::Mavlink => (encoded(&ASK_TIME), |bytes| {
+        let (request, is_answer): (_, fn(&[u8]) -> bool) = match personality {
+            Personality::Mavlink => (encoded(&TIME_REQUEST), |bytes| {
                 count(&messages(bytes), |message| matches!(message, Message::TimeSync(sync) if sync.request_nanos == 77)) == 2
             }),
             Personality::Nxt | Personality::NxtPush => (BATTERY.to_vec(), |bytes| bytes.len() == 7),
             Personality::Ev3 => (CLOCK.to_vec(), |bytes| bytes.len() == 9),
         };
-        simulation.receive(&question);
+        simulation.receive(&request);
         prop_assert!(is_answer(&run(&mut simulation, 200).concat()));
     }
 
@@ -339,19 +339,19 @@ proptest! {
     ) {
         let answers = |size: usize| {
             let mut simulation = lego(personality, BrickProgram::None);
-            let question = match personality {
-                Personality::Mavlink => encoded(&ASK_TIME).repeat(3),
+            let request = match personality {
+                Personality::Mavlink => encoded(&TIME_REQUEST).repeat(3),
                 Personality::Nxt | Personality::NxtPush => BATTERY.to_vec(),
                 Personality::Ev3 => CLOCK.to_vec(),
             };
             // A whole request, then something whose length is right.
-            let bytes = [&question[..], &(body.len() as u16).to_le_bytes(), &body].concat();
-            bytes.chunks(size).for_each(|piece| simulation.receive(piece));
-            let heard = run(&mut simulation, 300).concat();
+            let bytes = [&request[..], &(body.len() as u16).to_le_bytes(), &body].concat();
+            bytes.chunks(size).for_each(|chunk_bytes| simulation.receive(chunk_bytes));
+            let received = run(&mut simulation, 300).concat();
             match personality {
                 // In which order brick and camera answer depends on the pieces.
-                Personality::Mavlink => vec![count(&messages(&heard), |message| matches!(message, Message::TimeSync(_))) as u8],
-                Personality::Nxt | Personality::NxtPush | Personality::Ev3 => heard,
+                Personality::Mavlink => vec![count(&messages(&received), |message| matches!(message, Message::TimeSync(_))) as u8],
+                Personality::Nxt | Personality::NxtPush | Personality::Ev3 => received,
             }
         };
         let whole = answers(usize::MAX);

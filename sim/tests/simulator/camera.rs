@@ -46,7 +46,7 @@ fn dropouts_and_outliers_come_at_their_rates_and_leave_the_other_fixes_as_they_w
     assert!((outliers - 0.05).abs() < 0.012, "{outliers}");
     let errors_m = fixes.iter().map(|fix| (fix.is_outlier, fix.position.distance(fix.true_tag.origin()).0));
     let worst_m =
-        |wanted| errors_m.clone().filter(|(is_outlier, _)| *is_outlier == wanted).fold(0.0, |w, (_, e)| e.max(w));
+        |expected| errors_m.clone().filter(|(is_outlier, _)| *is_outlier == expected).fold(0.0, |w, (_, e)| e.max(w));
     assert!(worst_m(true) > 0.5 && worst_m(false) < 0.03);
     for (without, with) in with_outliers(0.0).iter().zip(&fixes).filter(|(_, with)| !with.is_outlier) {
         assert_eq!(without, with);

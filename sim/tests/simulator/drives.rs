@@ -105,7 +105,7 @@ fn equal_seeds_and_commands_give_equal_bytes_and_other_seeds_do_not() {
 }
 
 /// A robot without errors that has driven along a straight way for three seconds.
-fn under_way() -> Simulation {
+fn driving_simulation() -> Simulation {
     let text = "[path.waypoints]\npoints_m = [[0, 0], [9, 0]]\n[drive]\nrest_s = 0.5\n";
     let mut simulation = Simulation::new(exact(Scenario::from_toml(text).unwrap()));
     run(&mut simulation, 3_000);
@@ -114,7 +114,7 @@ fn under_way() -> Simulation {
 
 #[test]
 fn a_kidnapped_robot_is_where_it_was_put_and_its_odometry_knows_nothing_of_it() {
-    let mut simulation = under_way();
+    let mut simulation = driving_simulation();
     let before = *last(&simulation);
     let kidnap = SimulatorCommand::Kidnap { forward_m: 0.0, left_m: 0.5, turn_rad: 0.0 };
     assert_eq!(simulation.execute(&kidnap), CommandExecutor::Simulation);
@@ -144,7 +144,7 @@ fn a_half_turn_may_go_either_way_round() {
 fn wheels_without_grip_count_and_move_nothing_for_as_long_as_it_was_said() {
     let slip = |wheel, factor| SimulatorCommand::Slip { wheel, factor, duration: TimeDelta::from_millis(1_000) };
     for (factor, share) in [(1.0, 0.0), (0.4, 0.6)] {
-        let mut simulation = under_way();
+        let mut simulation = driving_simulation();
         let before = *last(&simulation);
         simulation.execute(&slip(SlippingWheel::Both, factor));
         run(&mut simulation, 1_000);
@@ -156,7 +156,7 @@ fn wheels_without_grip_count_and_move_nothing_for_as_long_as_it_was_said() {
         assert!(last(&simulation).pose.x.0 - after.pose.x.0 > 0.15, "it grips again");
     }
     for (wheel, sign) in [(SlippingWheel::Left, 1.0), (SlippingWheel::Right, -1.0)] {
-        let mut simulation = under_way();
+        let mut simulation = driving_simulation();
         simulation.execute(&slip(wheel, 1.0));
         run(&mut simulation, 400);
         let turned = last(&simulation);

@@ -16,15 +16,15 @@ proptest! {
     fn the_log_of_a_stream_tells_every_byte(profile in stream_profile(), traffic in traffic(), seed: u64) {
         let run = ImpairedRun::of(&profile, LinkKind::Stream, &traffic, seed);
         run.check_books()?;
-        let mut told = Vec::new();
+        let mut logged = Vec::new();
         for entry in &run.log {
             if let ByteOutcome::Delivered { .. } = entry.outcome {
-                told.extend(entry.bytes.clone().map(|place| run.damaged(entry.unit, place)));
+                logged.extend(entry.bytes.clone().map(|index| run.damaged(entry.unit, index)));
             }
         }
         let arrived: Vec<u8> = run.arrived.iter().flat_map(|(_, bytes)| bytes.clone()).collect();
-        prop_assert_eq!(arrived, told);
-        let delivered: Vec<(u64, usize)> = run.places(|fate| matches!(fate, ByteOutcome::Delivered { .. }));
+        prop_assert_eq!(arrived, logged);
+        let delivered: Vec<(u64, usize)> = run.byte_positions(|fate| matches!(fate, ByteOutcome::Delivered { .. }));
         prop_assert!(delivered.is_sorted(), "a stream keeps its order");
         prop_assert!(run.arrived.iter().all(|(at, _)| *at >= Timestamp::ZERO));
     }
@@ -33,18 +33,18 @@ proptest! {
     fn the_log_of_datagrams_tells_every_one(profile in datagram_profile(), traffic in traffic(), seed: u64) {
         let run = ImpairedRun::of(&profile, LinkKind::Datagram, &traffic, seed);
         run.check_books()?;
-        let mut told = Vec::new();
+        let mut logged = Vec::new();
         for entry in &run.log {
             let whole = 0..run.units[entry.unit as usize].len();
             if let ByteOutcome::Delivered { at } | ByteOutcome::Duplicated { at } = entry.outcome {
                 prop_assert_eq!(&entry.bytes, &whole);
-                let bytes: Vec<u8> = whole.map(|place| run.damaged(entry.unit, place)).collect();
-                told.push((at, bytes));
+                let bytes: Vec<u8> = whole.map(|index| run.damaged(entry.unit, index)).collect();
+                logged.push((at, bytes));
             } else if let ByteOutcome::Lost(_) = entry.outcome {
                 prop_assert_eq!(&entry.bytes, &whole, "whole or not at all");
             }
         }
-        prop_assert_eq!(&run.arrived, &told);
+        prop_assert_eq!(&run.arrived, &logged);
     }
 
     #[test]
@@ -82,10 +82,10 @@ proptest! {
         let profile = DirectionProfile { burst_loss: Some(burst_loss), ..DirectionProfile::default() };
         let more = DirectionProfile { loss: 0.5, ..profile.clone() };
         check_subset(&profile, &more, LinkKind::Datagram, &traffic, seed)?;
-        let lost_in_bursts = |run: &ImpairedRun| run.places(|fate| fate == ByteOutcome::Lost(LossCause::Burst));
+        let lost_in_bursts = |run: &ImpairedRun| run.byte_positions(|fate| fate == ByteOutcome::Lost(LossCause::Burst));
         let [all, some] = [&profile, &more].map(|profile| ImpairedRun::of(profile, LinkKind::Datagram, &traffic, seed));
         let all = lost_in_bursts(&all);
-        prop_assert!(lost_in_bursts(&some).iter().all(|place| all.contains(place)));
+        prop_assert!(lost_in_bursts(&some).iter().all(|index| all.contains(index)));
     }
 
     #[test]
@@ -209,8 +209,8 @@ fn check_subset(
     let before = ImpairedRun::of(profile, kind, traffic, seed);
     let after = ImpairedRun::of(more, kind, traffic, seed);
     let (arrivals, still) = (before.arrivals(), after.arrivals());
-    for (place, arrival) in &still {
-        prop_assert_eq!(Some(arrival), arrivals.get(place), "{:?}", place);
+    for (index, arrival) in &still {
+        prop_assert_eq!(Some(arrival), arrivals.get(index), "{:?}", index);
     }
     // What is missing is what the added stage has taken.
     let taken = after.lost - before.lost;
@@ -270,9 +270,9 @@ impl ImpairedRun {
     }
 
     /// A byte as it arrives, if it does.
-    fn damaged(&self, unit: u64, place: usize) -> u8 {
-        let flips = self.flips.get(&(unit, place)).copied().unwrap_or(0);
-        self.units[unit as usize][place] ^ flips
+    fn damaged(&self, unit: u64, index: usize) -> u8 {
+        let flips = self.flips.get(&(unit, index)).copied().unwrap_or(0);
+        self.units[unit as usize][index] ^ flips
     }
 
     /// When each byte arrives, each time that it does, and as what.
@@ -282,9 +282,9 @@ impl ImpairedRun {
             let (ByteOutcome::Delivered { at } | ByteOutcome::Duplicated { at }) = entry.outcome else {
                 continue;
             };
-            for place in entry.bytes.clone() {
-                let as_what = self.damaged(entry.unit, place);
-                let key = (entry.unit, place);
+            for index in entry.bytes.clone() {
+                let as_what = self.damaged(entry.unit, index);
+                let key = (entry.unit, index);
                 let arrival = arrivals.entry(key).or_insert_with(|| ByteArrivals { instants: Vec::new(), as_what });
                 arrival.instants.push(at);
             }
@@ -292,22 +292,23 @@ impl ImpairedRun {
         arrivals
     }
 
-    fn places(&self, wanted: impl Fn(ByteOutcome) -> bool) -> Vec<(u64, usize)> {
-        let entries = self.log.iter().filter(|entry| wanted(entry.outcome));
-        entries.flat_map(|entry| entry.bytes.clone().map(|place| (entry.unit, place))).collect()
+    fn byte_positions(&self, is_match: impl Fn(ByteOutcome) -> bool) -> Vec<(u64, usize)> {
+        let entries = self.log.iter().filter(|entry| is_match(entry.outcome));
+        entries.flat_map(|entry| entry.bytes.clone().map(|index| (entry.unit, index))).collect()
     }
 
     /// Every offered byte is delivered once or lost once, by the log and by the counters.
     fn check_books(&self) -> Result<(), TestCaseError> {
-        let mut places = self.places(|fate| matches!(fate, ByteOutcome::Delivered { .. } | ByteOutcome::Lost(_)));
-        places.sort_unstable();
+        let mut positions =
+            self.byte_positions(|fate| matches!(fate, ByteOutcome::Delivered { .. } | ByteOutcome::Lost(_)));
+        positions.sort_unstable();
         let offered: Vec<(u64, usize)> = self
             .units
             .iter()
             .enumerate()
-            .flat_map(|(unit, bytes)| (0..bytes.len()).map(move |place| (unit as u64, place)))
+            .flat_map(|(unit, bytes)| (0..bytes.len()).map(move |index| (unit as u64, index)))
             .collect();
-        prop_assert_eq!(&places, &offered);
+        prop_assert_eq!(&positions, &offered);
         prop_assert_eq!(self.delivered + self.lost, offered.len() as u64);
         Ok(())
     }
@@ -318,11 +319,11 @@ fn traffic() -> impl Strategy<Value = Vec<(Timestamp<HostClock>, Vec<u8>)>> {
     let unit = (0_i64..60_000, prop::collection::vec(any::<u8>(), 0..300));
     prop::collection::vec(unit, 1..40).prop_map(|units| {
         let mut at = Timestamp::ZERO;
-        let place = |(gap_micros, bytes): (i64, Vec<u8>)| {
+        let arrival = |(gap_micros, bytes): (i64, Vec<u8>)| {
             at = at + TimeDelta::from_micros(gap_micros);
             (at, bytes)
         };
-        units.into_iter().map(place).collect()
+        units.into_iter().map(arrival).collect()
     })
 }
 

@@ -151,7 +151,7 @@ fn kicks_turn_the_robot_and_not_its_wheels() {
         // A kick of 3 to 8 degrees over 4 steps is at least 13 mrad a step, more than slip of 0.4 mm and most corrections.
         let rates: Vec<f64> = (1..drive.truth.len()).map(|step| true_turn_rad(&drive, step)).collect();
         let wheels = wheel_turns_rad(&drive);
-        let unseen: Vec<f64> = rates.iter().zip(&wheels).map(|(turn, seen)| turn - seen).collect();
+        let unseen: Vec<f64> = rates.iter().zip(&wheels).map(|(turn, measured)| turn - measured).collect();
         let sums: Vec<f64> = unseen.windows(4).map(|four| four.iter().sum::<f64>().abs()).collect();
         kicked += sums
             .windows(3)
@@ -343,12 +343,12 @@ fn the_encoders_count_in_whole_degrees_what_the_wheels_really_turned() {
     assert_eq!(drive.wheel_turns.len() + 1, drive.truth.len());
     let counted = wheel_angles(&drive);
     let (mut left, mut right) = (0.0, 0.0);
-    for (turn, (step, told_left, told_right)) in drive.wheel_turns.iter().zip(&counted[1..]) {
-        assert!(is_whole_degrees(*told_left) && is_whole_degrees(*told_right));
+    for (turn, (step, measured_left, measured_right)) in drive.wheel_turns.iter().zip(&counted[1..]) {
+        assert!(is_whole_degrees(*measured_left) && is_whole_degrees(*measured_right));
         left += turn.left.0;
         right += turn.right.0;
         // Floored to a degree; the sum here is rounded elsewhere.
-        for part in [left - told_left, right - told_right] {
+        for part in [left - measured_left, right - measured_right] {
             assert!((-1e-9..DEGREE + 1e-9).contains(&part), "{step}: {part}");
         }
     }

@@ -44,15 +44,15 @@ pub(crate) fn last(simulation: &Simulation) -> &TruthSample {
 
 /// The messages in these bytes; nothing may be left over.
 pub(crate) fn messages(bytes: &[u8]) -> Vec<(Address, Message)> {
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     let sink = &mut |scanned: FramerOutput<'_>| match scanned {
-        FramerOutput::Frame(frame) => heard.push((frame.source, dialect::decode(&frame).unwrap().unwrap())),
+        FramerOutput::Frame(frame) => received.push((frame.source, dialect::decode(&frame).unwrap().unwrap())),
         other @ (FramerOutput::UnknownFrame(_) | FramerOutput::Error(_)) => panic!("the simulation sent {other:?}"),
     };
     Framer::new(FramerConfig::default()).push(Timestamp::<HostClock>::ZERO, bytes, sink);
-    heard
+    received
 }
 
-pub(crate) fn count(heard: &[(Address, Message)], is_wanted: fn(&Message) -> bool) -> usize {
-    heard.iter().filter(|(_, message)| is_wanted(message)).count()
+pub(crate) fn count(received: &[(Address, Message)], is_match: fn(&Message) -> bool) -> usize {
+    received.iter().filter(|(_, message)| is_match(message)).count()
 }

@@ -51,7 +51,7 @@ enum Operand {
 #[derive(Clone, Debug)]
 pub(super) struct BytecodeMachine {
     code: Vec<u8>,
-    place: usize,
+    program_counter: usize,
     globals: Vec<u8>,
     locals: Vec<u8>,
 }
@@ -59,7 +59,7 @@ pub(super) struct BytecodeMachine {
 impl BytecodeMachine {
     /// A command that has not begun; its memory is zero.
     pub(super) fn new(code: &[u8], globals: usize, locals: usize) -> Self {
-        Self { code: code.to_vec(), place: 0, globals: vec![0; globals], locals: vec![0; locals] }
+        Self { code: code.to_vec(), program_counter: 0, globals: vec![0; globals], locals: vec![0; locals] }
     }
 
     /// The memory that a reply contains.
@@ -68,23 +68,23 @@ impl BytecodeMachine {
     }
 
     pub(super) const fn program_counter(&self) -> usize {
-        self.place
+        self.program_counter
     }
 
-    pub(super) const fn jump_to(&mut self, place: usize) {
-        self.place = place;
+    pub(super) const fn jump_to(&mut self, program_counter: usize) {
+        self.program_counter = program_counter;
     }
 
     /// Relative, backward if negative.
     pub(super) fn jump(&mut self, by: i32) -> Result<(), ExecutionFault> {
-        let place = self.place as i64 + i64::from(by);
-        self.place = usize::try_from(place).map_err(|_before_the_code| ExecutionFault)?;
+        let program_counter = self.program_counter as i64 + i64::from(by);
+        self.program_counter = usize::try_from(program_counter).map_err(|_before_the_code| ExecutionFault)?;
         Ok(())
     }
 
     pub(super) fn next_code(&mut self) -> Option<u8> {
-        let code = self.code.get(self.place).copied()?;
-        self.place += 1;
+        let code = self.code.get(self.program_counter).copied()?;
+        self.program_counter += 1;
         Some(code)
     }
 
@@ -128,11 +128,11 @@ impl BytecodeMachine {
         self.write_bytes(&value.to_le_bytes())
     }
 
-    /// Writes a text with its final zero to the next operand, cut to `room` bytes.
-    pub(super) fn write_text(&mut self, text: &str, room: i32) -> Result<(), ExecutionFault> {
-        let room = usize::try_from(room).map_err(|_negative| ExecutionFault)?;
-        let mut bytes: Vec<u8> = text.bytes().take(room.saturating_sub(1)).collect();
-        if room > 0 {
+    /// Writes a text with its final zero to the next operand, cut to `capacity` bytes.
+    pub(super) fn write_text(&mut self, text: &str, capacity: i32) -> Result<(), ExecutionFault> {
+        let capacity = usize::try_from(capacity).map_err(|_negative| ExecutionFault)?;
+        let mut bytes: Vec<u8> = text.bytes().take(capacity.saturating_sub(1)).collect();
+        if capacity > 0 {
             bytes.push(0);
         }
         self.write_bytes(&bytes)
@@ -178,8 +178,8 @@ impl BytecodeMachine {
             3 => 4,
             _ => return Err(ExecutionFault),
         };
-        let bytes = self.code.get(self.place..self.place + count).ok_or(ExecutionFault)?;
-        self.place += count;
+        let bytes = self.code.get(self.program_counter..self.program_counter + count).ok_or(ExecutionFault)?;
+        self.program_counter += count;
         match *bytes {
             [a] => Ok(i32::from(a as i8)),
             [a, b] => Ok(i32::from(i16::from_le_bytes([a, b]))),
@@ -189,10 +189,10 @@ impl BytecodeMachine {
     }
 
     fn text_constant(&mut self) -> Result<Vec<u8>, ExecutionFault> {
-        let rest = self.code.get(self.place..).ok_or(ExecutionFault)?;
+        let rest = self.code.get(self.program_counter..).ok_or(ExecutionFault)?;
         let length = rest.iter().position(|byte| *byte == 0).ok_or(ExecutionFault)?;
         let text = rest.get(..length).ok_or(ExecutionFault)?.to_vec();
-        self.place += length + 1;
+        self.program_counter += length + 1;
         Ok(text)
     }
 }
@@ -208,7 +208,7 @@ fn load_int(memory: &[u8], at: usize, width: OperandWidth) -> Result<i32, Execut
 }
 
 enum Number {
-    Whole(i32),
+    Integer(i32),
     Real(f32),
 }
 
@@ -234,7 +234,7 @@ pub(super) fn math(machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> 
 }
 
 fn load(width: OperandWidth, machine: &mut BytecodeMachine) -> Result<Number, ExecutionFault> {
-    if width == OperandWidth::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Whole) }
+    if width == OperandWidth::Real { machine.real().map(Number::Real) } else { machine.int(width).map(Number::Integer) }
 }
 
 fn combine(operation: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
@@ -245,7 +245,7 @@ fn combine(operation: u8, width: OperandWidth, machine: &mut BytecodeMachine) ->
             2 => a * b,
             _ => a / b,
         }),
-        (Number::Whole(a), Number::Whole(b)) => {
+        (Number::Integer(a), Number::Integer(b)) => {
             let result = match operation {
                 0 => a.wrapping_add(b),
                 1 => a.wrapping_sub(b),
@@ -254,14 +254,14 @@ fn combine(operation: u8, width: OperandWidth, machine: &mut BytecodeMachine) ->
             };
             machine.write_int(width, result)
         }
-        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => Err(ExecutionFault),
+        (Number::Real(_), Number::Integer(_)) | (Number::Integer(_), Number::Real(_)) => Err(ExecutionFault),
     }
 }
 
 fn convert(from: OperandWidth, to: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     match (load(from, machine)?, to) {
-        (Number::Whole(value), OperandWidth::Real) => machine.write_real(value as f32),
-        (Number::Whole(value), _) => machine.write_int(to, value),
+        (Number::Integer(value), OperandWidth::Real) => machine.write_real(value as f32),
+        (Number::Integer(value), _) => machine.write_int(to, value),
         (Number::Real(value), OperandWidth::Real) => machine.write_real(value),
         (Number::Real(value), OperandWidth::Byte) => machine.write_int(to, i32::from(value as i8)),
         (Number::Real(value), OperandWidth::Word) => machine.write_int(to, i32::from(value as i16)),
@@ -282,8 +282,8 @@ fn jump(code: u8, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
 fn jump_compared(comparison: u8, width: OperandWidth, machine: &mut BytecodeMachine) -> Result<(), ExecutionFault> {
     let order = match (load(width, machine)?, load(width, machine)?) {
         (Number::Real(a), Number::Real(b)) => a.partial_cmp(&b),
-        (Number::Whole(a), Number::Whole(b)) => Some(a.cmp(&b)),
-        (Number::Real(_), Number::Whole(_)) | (Number::Whole(_), Number::Real(_)) => None,
+        (Number::Integer(a), Number::Integer(b)) => Some(a.cmp(&b)),
+        (Number::Real(_), Number::Integer(_)) | (Number::Integer(_), Number::Real(_)) => None,
     };
     let is_taken = order.is_some_and(|order| match comparison {
         0 => order.is_lt(),

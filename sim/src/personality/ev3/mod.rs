@@ -129,7 +129,7 @@ impl Ev3 {
     /// Executes a command until it ends, fails or waits.
     fn run_command(&mut self, mut command: Command, pass: &mut FirmwarePass<'_>) {
         for _ in 0..CODES_PER_PASS {
-            let place = command.machine.program_counter();
+            let start = command.machine.program_counter();
             let Some(code) = command.machine.next_code() else {
                 return self.answer(&command, DIRECT_DONE);
             };
@@ -137,7 +137,7 @@ impl Ev3 {
                 Ok(Flow::Next) => {}
                 Ok(Flow::End) => return self.answer(&command, DIRECT_DONE),
                 Ok(Flow::Wait) => {
-                    command.machine.jump_to(place);
+                    command.machine.jump_to(start);
                     break;
                 }
                 Err(_fault) => return self.answer(&command, DIRECT_FAILED),

@@ -106,9 +106,9 @@ impl Motors {
 
     /// Both motors on at these duties, as the program on the brick sets them.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
-        for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
-            self.ports[place].running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
-            self.ports[place].polarity = 1.0;
+        for (index, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
+            self.ports[index].running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
+            self.ports[index].polarity = 1.0;
         }
     }
 
@@ -218,8 +218,8 @@ impl MotorOutput {
             StopCondition::Stopped | StopCondition::Time(_) => FULL_PERCENT,
         };
         let most = most.clamp(SLOWEST_PERCENT, FULL_PERCENT);
-        let wanted = self.polarity * percent.clamp(-most, most) * RAD_PER_S_PER_PERCENT;
-        self.duty = self.control.duty(wanted, self.position - self.start_position);
+        let target_rad_per_s = self.polarity * percent.clamp(-most, most) * RAD_PER_S_PER_PERCENT;
+        self.duty = self.control.duty(target_rad_per_s, self.position - self.start_position);
     }
 
     const fn remaining_degrees(&self, degrees: i64) -> i64 {

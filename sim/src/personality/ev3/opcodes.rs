@@ -99,15 +99,15 @@ impl Ev3 {
         match machine.byte()? {
             // GET_BRICKNAME.
             0x0D => {
-                let room = machine.byte()?;
-                machine.write_text(&self.name, room)
+                let capacity = machine.byte()?;
+                machine.write_text(&self.name, capacity)
             }
             // GET_NETWORK: name, address of the hardware, address on the network.
             0x0E => {
-                let (_hardware, room) = (machine.byte()?, machine.byte()?);
-                machine.write_text("posebridge", room)?;
-                machine.write_text(SERIAL_NUMBER, room)?;
-                machine.write_text("127.0.0.1", room)
+                let (_hardware, capacity) = (machine.byte()?, machine.byte()?);
+                machine.write_text("posebridge", capacity)?;
+                machine.write_text(SERIAL_NUMBER, capacity)?;
+                machine.write_text("127.0.0.1", capacity)
             }
             _ => Err(ExecutionFault),
         }
@@ -281,8 +281,8 @@ fn ui_read(machine: &mut BytecodeMachine, pass: &FirmwarePass<'_>) -> Result<(),
         0x0C => OS_BUILD,
         _ => return Err(ExecutionFault),
     };
-    let room = machine.byte()?;
-    machine.write_text(text, room)
+    let capacity = machine.byte()?;
+    machine.write_text(text, capacity)
 }
 
 /// BREAK and TONE; sound is not simulated.

@@ -98,9 +98,9 @@ impl SensorPorts {
         senses: &PluggedSensors,
         motors: &Motors,
     ) -> SensorReading {
-        let SensorRequest { port, kind: wanted, mode } = request;
+        let SensorRequest { port, kind: requested_kind, mode } = request;
         let kind = kind(port);
-        if kind == NO_SENSOR || (wanted != 0 && wanted != i32::from(kind)) {
+        if kind == NO_SENSOR || (requested_kind != 0 && requested_kind != i32::from(kind)) {
             return SensorReading::NoSensor;
         }
         if let Some(motor) = port.checked_sub(FIRST_MOTOR) {

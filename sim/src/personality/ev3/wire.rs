@@ -92,7 +92,7 @@ impl Ev3Wire {
             *received = rest.into_iter().skip_while(is_line_end).collect();
             self.radio.send(WELCOME.to_vec());
         } else if received.len() > GREETING_BYTES {
-            self.received.give_up();
+            self.received.abandon();
         }
     }
 }
@@ -113,8 +113,8 @@ mod tests {
         for size in [1, 2, 7, greeting.len()] {
             let mut wire = Ev3Wire::new(TimeDelta::ZERO);
             let mut sent = Vec::new();
-            for (at, piece) in (1..).zip(greeting.chunks(size)) {
-                wire.receive(ms(at), piece);
+            for (at, chunk) in (1..).zip(greeting.chunks(size)) {
+                wire.receive(ms(at), chunk);
                 assert_eq!(wire.next_frame(), None);
                 sent.extend(wire.step(ms(at)));
             }
@@ -128,9 +128,9 @@ mod tests {
     fn a_greeting_without_end_and_a_length_that_cannot_be_are_thrown_away() {
         for bytes in [&[b"GET ".as_slice(), &[b'x'; 300]].concat(), &vec![2, 0, 1, 1], &vec![1, 4]] {
             let mut wire = Ev3Wire::new(TimeDelta::ZERO);
-            for (at, bytes, is_heard) in [(1, bytes.as_slice(), false), (2, &FRAME, false), (102, &FRAME, true)] {
+            for (at, bytes, is_received) in [(1, bytes.as_slice(), false), (2, &FRAME, false), (102, &FRAME, true)] {
                 wire.receive(ms(at), bytes);
-                assert_eq!(wire.next_frame().is_some(), is_heard, "{at} ms");
+                assert_eq!(wire.next_frame().is_some(), is_received, "{at} ms");
             }
         }
     }

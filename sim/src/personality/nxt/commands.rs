@@ -111,9 +111,9 @@ impl Nxt {
         let sensor = sensor.ok_or(status::CHANNEL_NOT_CONFIGURED)?;
         match request.opcode {
             direct::BUS_WRITE => {
-                let wanted = usize::from(request.byte(2)?);
+                let reply_length = usize::from(request.byte(2)?);
                 let bytes = request.bytes(3, usize::from(request.byte(1)?))?;
-                self.low_speed.write(port, sensor, bytes, wanted)?;
+                self.low_speed.write(port, sensor, bytes, reply_length)?;
                 Ok(Vec::new())
             }
             direct::BUS_STATUS => Ok(vec![self.low_speed.ready(port)? as u8]),
@@ -261,8 +261,8 @@ impl Nxt {
 
     fn command_map(&self, pass: &FirmwarePass<'_>) -> Vec<u8> {
         let mut map = vec![0; COMMAND_BYTES];
-        let mut put = |place: usize, bytes: &[u8]| {
-            for (byte, value) in map.iter_mut().skip(place).zip(bytes) {
+        let mut put = |offset: usize, bytes: &[u8]| {
+            for (byte, value) in map.iter_mut().skip(offset).zip(bytes) {
                 *byte = *value;
             }
         };

@@ -42,7 +42,7 @@ struct LowSpeedChannel {
     sensor: PortSensor,
     state: ChannelState,
     request: Vec<u8>,
-    wanted: usize,
+    reply_length: usize,
     ring: [u8; MAX_MESSAGE_BYTES],
     next_in: usize,
     next_out: usize,
@@ -62,19 +62,25 @@ impl LowSpeedBus {
     }
 
     /// Begins a transaction on a configured port that holds `sensor`.
-    pub(super) fn write(&mut self, port: u8, sensor: PortSensor, request: &[u8], wanted: usize) -> Result<(), u8> {
+    pub(super) fn write(
+        &mut self,
+        port: u8,
+        sensor: PortSensor,
+        request: &[u8],
+        reply_length: usize,
+    ) -> Result<(), u8> {
         let channel = self.channels.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
-        if request.is_empty() || request.len() > MAX_MESSAGE_BYTES || wanted > MAX_MESSAGE_BYTES {
+        if request.is_empty() || request.len() > MAX_MESSAGE_BYTES || reply_length > MAX_MESSAGE_BYTES {
             return Err(status::ILLEGAL_SIZE);
         }
         if matches!(channel.state, ChannelState::Busy { .. }) {
             return Err(status::PENDING);
         }
-        let bytes = request.len() + usize::from(wanted > 0) + wanted;
+        let bytes = request.len() + usize::from(reply_length > 0) + reply_length;
         channel.state = ChannelState::Busy { passes: (bytes as f64 * MS_PER_BYTE).ceil() as u32 };
         channel.sensor = sensor;
         channel.request = request.to_vec();
-        channel.wanted = wanted;
+        channel.reply_length = reply_length;
         Ok(())
     }
 
@@ -111,14 +117,14 @@ impl LowSpeedBus {
             map.extend(channel.ring);
             map.extend([channel.next_in as u8, channel.next_out as u8]);
             map.push(match channel.state {
-                ChannelState::Busy { .. } => channel.wanted as u8,
+                ChannelState::Busy { .. } => channel.reply_length as u8,
                 ChannelState::Idle | ChannelState::Failed => 0,
             });
         }
         for channel in &self.channels {
             let mut request = [0; MAX_MESSAGE_BYTES];
-            for (place, byte) in request.iter_mut().zip(&channel.request) {
-                *place = *byte;
+            for (slot, byte) in request.iter_mut().zip(&channel.request) {
+                *slot = *byte;
             }
             map.extend(request);
             map.extend([channel.request.len() as u8, 0, 0]);
@@ -144,7 +150,7 @@ impl LowSpeedChannel {
             self.state = ChannelState::Busy { passes: passes - 1 };
             return;
         }
-        match self.device.transact(self.sensor, &self.request, self.wanted, inside) {
+        match self.device.transact(self.sensor, &self.request, self.reply_length, inside) {
             Some(answer) => {
                 self.state = ChannelState::Idle;
                 for byte in answer {
@@ -156,8 +162,8 @@ impl LowSpeedChannel {
     }
 
     fn push(&mut self, byte: u8) {
-        if let Some(place) = self.ring.get_mut(self.next_in) {
-            *place = byte;
+        if let Some(slot) = self.ring.get_mut(self.next_in) {
+            *slot = byte;
         }
         self.next_in = (self.next_in + 1) % MAX_MESSAGE_BYTES;
         if self.unread == MAX_MESSAGE_BYTES {
@@ -229,18 +235,18 @@ impl Default for I2cDevice {
 }
 
 impl I2cDevice {
-    /// One transaction with `sensor`: the request, then `wanted` bytes of reply. `None` if no device has that address.
+    /// One transaction with `sensor`: the request, then `reply_length` bytes of reply. `None` if no device has that address.
     pub(super) fn transact(
         &mut self,
         sensor: PortSensor,
         request: &[u8],
-        wanted: usize,
+        reply_length: usize,
         inside: DeviceInputs<'_>,
     ) -> Option<Vec<u8>> {
         let (address, rest) = request.split_first()?;
         match (sensor, *address) {
             (PortSensor::Temperature, TEMPERATURE_ADDRESS) => {
-                Some(self.thermometer(rest, wanted, inside.temperature_c))
+                Some(self.thermometer(rest, reply_length, inside.temperature_c))
             }
             (PortSensor::Accelerometer | PortSensor::Compass | PortSensor::Ultrasonic, USUAL_ADDRESS) => {
                 let (first, values) = rest.split_first().map_or((0, rest), |(r, v)| (*r, v));
@@ -253,7 +259,7 @@ impl I2cDevice {
                     self.write_registers(UNITS, b"10E-2m\0");
                 }
                 let from = usize::from(first);
-                let bytes = self.registers.iter().cycle().skip(from).take(wanted);
+                let bytes = self.registers.iter().cycle().skip(from).take(reply_length);
                 Some(bytes.copied().collect())
             }
             _ => None,
@@ -314,7 +320,7 @@ impl I2cDevice {
         }
     }
 
-    fn thermometer(&mut self, request: &[u8], wanted: usize, temperature_c: f64) -> Vec<u8> {
+    fn thermometer(&mut self, request: &[u8], reply_length: usize, temperature_c: f64) -> Vec<u8> {
         if let Some((pointer, values)) = request.split_first() {
             self.pointer = *pointer;
             if let (POINT_CONFIGURATION, Some(value)) = (self.pointer, values.first()) {
@@ -322,14 +328,14 @@ impl I2cDevice {
             }
         }
         if self.pointer == POINT_CONFIGURATION {
-            return vec![self.configuration; wanted];
+            return vec![self.configuration; reply_length];
         }
         // Bits 6 and 5: 9, 10, 11 or 12 bits are converted, the others are zero.
         let unused_bits = 3 - ((self.configuration >> 5) & 3);
         let counts = (temperature_c * COUNTS_PER_K).floor().clamp(-2_048.0, 2_047.0) as i16;
         let register = (counts >> unused_bits << unused_bits) << 4;
         let bytes = register.to_be_bytes().into_iter().chain(std::iter::repeat(0xFF));
-        bytes.take(wanted).collect()
+        bytes.take(reply_length).collect()
     }
 }
 
@@ -405,8 +411,8 @@ mod tests {
     #[test]
     fn sensors_answer_at_their_own_address_with_their_name_and_the_resolution_that_was_set() {
         let senses = PluggedSensors::new(&Scenario::default());
-        let transact = |device: &mut I2cDevice, sensor, request: &[u8], wanted, temperature_c| {
-            device.transact(sensor, request, wanted, DeviceInputs { senses: &senses, temperature_c })
+        let transact = |device: &mut I2cDevice, sensor, request: &[u8], reply_length, temperature_c| {
+            device.transact(sensor, request, reply_length, DeviceInputs { senses: &senses, temperature_c })
         };
         let answers: &[(PortSensor, &[u8], &[u8])] = &[
             (PortSensor::Ultrasonic, &[0x02, 0x08], b"LEGO\0\0\0\0Sonar\0\0\0"),
@@ -428,13 +434,13 @@ mod tests {
         }
         // 21.7 is 0x15b sixteenths; 9 bits keep halves of a degree until it is told otherwise.
         let mut thermometer = I2cDevice::default();
-        for (request, wanted, temperature_c, expected) in [
+        for (request, reply_length, temperature_c, expected) in [
             (&[0x98, 0x00][..], 2, 21.7, &[0x15, 0x80][..]),
             (&[0x98, 0x00], 2, -0.1, &[0xFF, 0x80]),
             (&[0x98, 0x01, 0x60], 1, 21.7, &[0x60]),
             (&[0x98, 0x00], 2, 21.7, &[0x15, 0xB0]),
         ] {
-            let answer = transact(&mut thermometer, PortSensor::Temperature, request, wanted, temperature_c);
+            let answer = transact(&mut thermometer, PortSensor::Temperature, request, reply_length, temperature_c);
             assert_eq!(answer.unwrap(), expected, "{request:02x?}");
         }
     }

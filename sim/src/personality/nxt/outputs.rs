@@ -123,10 +123,10 @@ impl OutputPorts {
         self.ports[RIGHT].position = positions.right;
         let is_due = self.passes.is_multiple_of(REGULATION_PASSES);
         self.passes = self.passes.wrapping_add(1);
-        for (place, port) in self.ports.iter_mut().enumerate() {
+        for (index, port) in self.ports.iter_mut().enumerate() {
             port.step();
             if is_due {
-                port.regulate(place);
+                port.regulate(index);
             }
         }
         PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
@@ -134,8 +134,8 @@ impl OutputPorts {
 
     /// Applies a command to a port, or to all; false if there is no such port.
     pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> bool {
-        let places = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
-        let Some(ports) = self.ports.get_mut(places) else {
+        let indices = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
+        let Some(ports) = self.ports.get_mut(indices) else {
             return false;
         };
         for port in ports {
@@ -146,9 +146,9 @@ impl OutputPorts {
 
     /// Both motors on at these duties, as the program on the brick sets them.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
-        for (place, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
-            self.ports[place].duty = duty;
-            self.ports[place].command = OutputCommand {
+        for (index, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
+            self.ports[index].duty = duty;
+            self.ports[index].command = OutputCommand {
                 power: (duty * 100.0).round() as i8,
                 mode: ON | BRAKE,
                 run_state: RUNNING,
@@ -204,8 +204,8 @@ impl OutputPorts {
     pub(super) fn write(&mut self, offset: usize, bytes: &[u8]) {
         for (index, byte) in (offset..).zip(bytes) {
             let port = self.ports.get_mut(index / MAP_BYTES);
-            if let Some(place) = port.and_then(|port| port.written.get_mut(index % MAP_BYTES)) {
-                *place = *byte;
+            if let Some(slot) = port.and_then(|port| port.written.get_mut(index % MAP_BYTES)) {
+                *slot = *byte;
             }
         }
         for port in &mut self.ports {
@@ -230,10 +230,10 @@ impl OutputPort {
         }
     }
 
-    fn regulate(&mut self, place: usize) {
+    fn regulate(&mut self, index: usize) {
         if self.is_on() && self.is_regulated() {
-            let wanted = self.regulated_percent(place) * RAD_PER_S_PER_PERCENT;
-            self.duty = self.control.duty(wanted, self.position - self.start_position);
+            let target_rad_per_s = self.regulated_percent(index) * RAD_PER_S_PER_PERCENT;
+            self.duty = self.control.duty(target_rad_per_s, self.position - self.start_position);
             self.is_overloaded = self.duty.abs() >= 1.0;
         }
     }
@@ -246,10 +246,10 @@ impl OutputPort {
         self.command.mode & REGULATED != 0 && self.command.regulation != 0
     }
 
-    fn regulated_percent(&self, place: usize) -> f64 {
+    fn regulated_percent(&self, index: usize) -> f64 {
         let power = f64::from(self.command.power);
         let ratio = f64::from(self.command.turn_ratio);
-        let is_slower = (ratio < 0.0) == (place == RIGHT);
+        let is_slower = (ratio < 0.0) == (index == RIGHT);
         if self.command.regulation == SYNC && is_slower { power * (1.0 - ratio.abs() / 50.0) } else { power }
     }
 
@@ -304,8 +304,8 @@ impl OutputPort {
         let mut map = [0; MAP_BYTES];
         let counts = self.counts().into_iter().flat_map(i32::to_le_bytes);
         let head = counts.chain(self.command.limit.to_le_bytes());
-        for (place, byte) in map.iter_mut().zip(head) {
-            *place = byte;
+        for (slot, byte) in map.iter_mut().zip(head) {
+            *slot = byte;
         }
         map[MODE_AT] = self.command.mode;
         map[SPEED_AT] = self.command.power as u8;
@@ -375,7 +375,7 @@ mod tests {
         for (turn_ratio, expected) in [(25, [25.0, 50.0]), (-50, [50.0, 0.0])] {
             let mut outputs = outputs();
             outputs.command(0xFF, OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio, ..RUN });
-            assert_eq!([LEFT, RIGHT].map(|place| outputs.ports[place].regulated_percent(place)), expected);
+            assert_eq!([LEFT, RIGHT].map(|index| outputs.ports[index].regulated_percent(index)), expected);
         }
     }
 }
