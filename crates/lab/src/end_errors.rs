@@ -28,19 +28,19 @@ pub fn run_filter<'a>(
     observations: impl Iterator<Item = &'a Observation>,
     truth: Pose<Arena>,
 ) -> FilteredDrive {
-    let mut way_m = Vec::new();
+    let mut track_m = Vec::new();
     let mut last = None;
     for observation in observations {
         filter.observe(observation);
         let estimate = filter.latest_time().and_then(|at| filter.estimate_at(at));
         let Some(estimate) = estimate else { continue };
         let here = (estimate.pose.x.0, estimate.pose.y.0);
-        if way_m.last() != Some(&here) {
-            way_m.push(here);
+        if track_m.last() != Some(&here) {
+            track_m.push(here);
         }
         last = Some(estimate);
     }
-    FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track_m: way_m }
+    FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track_m }
 }
 
 /// End errors over many runs.

@@ -64,19 +64,20 @@ impl RecordedDrive {
         let moving = moving_interval(&observations)?;
         zero_accelerations(&mut observations, moving.0);
         let has_fix = fixes(&observations).next().is_some();
-        let judge = end_reference.unwrap_or(if has_fix { DriveEndReference::Fixes } else { DriveEndReference::Start });
-        if judge == DriveEndReference::Fixes && !has_fix {
+        let reference =
+            end_reference.unwrap_or(if has_fix { DriveEndReference::Fixes } else { DriveEndReference::Start });
+        if reference == DriveEndReference::Fixes && !has_fix {
             return Err(DriveError::NoFix);
         }
         let start = start_pose(&mut observations, moving.0, config)?;
-        let known_end = match judge {
+        let known_end = match reference {
             DriveEndReference::Fixes => end_by_fixes(&observations, moving.1),
             DriveEndReference::Start => None,
         };
         let last = observations.last().map_or(moving.1, |last| last.stamp);
         let closed = (last, start.pose.origin(), None);
         let (end_stamp, end, end_heading) = known_end.unwrap_or(closed);
-        Ok(Self { observations, start, end_reference: judge, end_time: end_stamp, end, end_heading })
+        Ok(Self { observations, start, end_reference: reference, end_time: end_stamp, end, end_heading })
     }
 
     pub fn configure(&self, config: &FilterConfig) -> FilterConfig {
@@ -85,7 +86,7 @@ impl RecordedDrive {
 
     /// Runs a filter over the observations that it `accepts`, and compares its estimate with the end.
     pub fn run_filter(&self, filter: &mut dyn Filter, accepts: impl Fn(&ObservationKind) -> bool) -> FilteredDrive {
-        let mut way_m = Vec::new();
+        let mut track_m = Vec::new();
         let until = self.observations.iter();
         for observation in until.take_while(|observation| observation.stamp <= self.end_time) {
             if !accepts(&observation.measurement) {
@@ -95,8 +96,8 @@ impl RecordedDrive {
             let latest = filter.latest_time().and_then(|at| filter.estimate_at(at));
             let Some(estimate) = latest else { continue };
             let here = (estimate.pose.x.0, estimate.pose.y.0);
-            if way_m.last() != Some(&here) {
-                way_m.push(here);
+            if track_m.last() != Some(&here) {
+                track_m.push(here);
             }
         }
         let end = filter.estimate_at(self.end_time).map(|estimate| {
@@ -108,12 +109,12 @@ impl RecordedDrive {
             }
             PoseError { heading_rad: None, covariance: None, ..error }
         });
-        FilteredDrive { end, track_m: way_m }
+        FilteredDrive { end, track_m }
     }
 
     pub fn fix_positions_m(&self) -> Vec<(f64, f64)> {
-        let places = fixes(&self.observations).map(|(_, fix)| mid_axle_position(fix));
-        places.map(|place| (place.x.0, place.y.0)).collect()
+        let positions = fixes(&self.observations).map(|(_, fix)| mid_axle_position(fix));
+        positions.map(|position| (position.x.0, position.y.0)).collect()
     }
 
     pub fn contains(&self, kind: impl Fn(&ObservationKind) -> bool) -> bool {
@@ -165,9 +166,9 @@ fn is_finite(observation: &Observation) -> bool {
     match &observation.measurement {
         ObservationKind::WheelAngles { left, right } => left.0.is_finite() && right.0.is_finite(),
         ObservationKind::Fix(fix) => {
-            let place = fix.position.x.0.is_finite() && fix.position.y.0.is_finite();
+            let has_position = fix.position.x.0.is_finite() && fix.position.y.0.is_finite();
             let tag = fix.tag_in_body.x.0.is_finite() && fix.tag_in_body.y.0.is_finite();
-            place && tag && fix.heading.is_none_or(|heading| heading.rad().is_finite())
+            has_position && tag && fix.heading.is_none_or(|heading| heading.rad().is_finite())
         }
         ObservationKind::TurnRate(rate) => rate.0.is_finite(),
         ObservationKind::WheelAccelerations { left, right } => left.0.is_finite() && right.0.is_finite(),
@@ -224,9 +225,9 @@ fn moving_interval(observations: &[Observation]) -> Result<(Timestamp<BrickClock
 }
 
 /// Subtracts the mean of the accelerometers at rest, as a user would calibrate them before a drive.
-fn zero_accelerations(observations: &mut [Observation], stands_until: Timestamp<BrickClock>) {
-    let standing = observations.iter().filter(|one| one.stamp <= stands_until);
-    let felt: Vec<[f64; 2]> = standing.filter_map(accelerations).collect();
+fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<BrickClock>) {
+    let resting = observations.iter().filter(|one| one.stamp <= rest_until);
+    let felt: Vec<[f64; 2]> = resting.filter_map(accelerations).collect();
     if felt.len() < MIN_REST_FIXES {
         return;
     }
@@ -250,7 +251,7 @@ fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
 /// Start pose; removes observations before the pose is known.
 fn start_pose(
     observations: &mut Vec<Observation>,
-    stands_until: Timestamp<BrickClock>,
+    rest_until: Timestamp<BrickClock>,
     config: &FilterConfig,
 ) -> Result<StartPose, DriveError> {
     if let Some(start) = config.start {
@@ -264,28 +265,28 @@ fn start_pose(
         });
     };
     let noise = &config.noise;
-    if first > stands_until {
+    if first > rest_until {
         observations.retain(|observation| observation.stamp >= first);
-        let place = mid_axle_position(&fix);
+        let position = mid_axle_position(&fix);
         let (heading, heading_sigma_rad) = match fix.heading {
             Some(heading) => (heading, noise.fix_heading_rad),
-            None => heading_by_chord(observations, place, config)?,
+            None => heading_by_chord(observations, position, config)?,
         };
         return Ok(StartPose {
-            pose: Pose::new(place.x, place.y, heading),
+            pose: Pose::new(position.x, position.y, heading),
             position_sigma_m: noise.fix_position_m,
             heading_sigma_rad,
         });
     }
-    let standing = fixes(observations).take_while(|(at, _)| *at <= stands_until);
-    let (place, heading, count) = mean(standing.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?;
+    let resting = fixes(observations).take_while(|(at, _)| *at <= rest_until);
+    let (position, heading, count) = mean(resting.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?;
     let share = (count as f64).sqrt();
     let (heading, heading_sigma_rad) = match heading {
         Some(heading) => (heading, noise.fix_heading_rad / share),
-        None => heading_by_chord(observations, place, config)?,
+        None => heading_by_chord(observations, position, config)?,
     };
     Ok(StartPose {
-        pose: Pose::new(place.x, place.y, heading),
+        pose: Pose::new(position.x, position.y, heading),
         position_sigma_m: noise.fix_position_m / share,
         heading_sigma_rad,
     })
@@ -299,13 +300,13 @@ fn heading_by_chord(
 ) -> Result<(Heading, f64), DriveError> {
     let away = fixes(observations).find(|(_, fix)| mid_axle_position(fix).distance(start).0 >= CHORD_M);
     let (at, fix) = away.ok_or(DriveError::NoHeading)?;
-    let place = mid_axle_position(fix);
+    let position = mid_axle_position(fix);
     let first = wheels(observations).next().ok_or(DriveError::NoWheels)?;
     let until = wheels(observations).take_while(|(stamp, _)| *stamp <= at);
     let last = until.last().unwrap_or(first);
     let turned = moved(first.1, last.1, &config.geometry).turn_rad;
-    let chord = (place.y.0 - start.y.0).atan2(place.x.0 - start.x.0);
-    let length_m = place.distance(start).0;
+    let chord = (position.y.0 - start.y.0).atan2(position.x.0 - start.x.0);
+    let length_m = position.distance(start).0;
     Ok((
         Heading::from_rad(chord) - Radians(0.5 * turned),
         config.noise.fix_position_m * std::f64::consts::SQRT_2 / length_m,
@@ -317,9 +318,9 @@ fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Opti
     let (mut x, mut y, mut count) = (0.0, 0.0, 0_usize);
     let (mut sin, mut cos, mut headings) = (0.0, 0.0, 0_usize);
     for fix in fixes {
-        let place = mid_axle_position(fix);
-        x += place.x.0;
-        y += place.y.0;
+        let position = mid_axle_position(fix);
+        x += position.x.0;
+        y += position.y.0;
         count += 1;
         if let Some(heading) = fix.heading {
             sin += heading.rad().sin();
@@ -337,14 +338,14 @@ fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Opti
 
 fn end_by_fixes(
     observations: &[Observation],
-    stands_from: Timestamp<BrickClock>,
+    rest_from: Timestamp<BrickClock>,
 ) -> Option<(Timestamp<BrickClock>, Point2<Arena>, Option<Heading>)> {
     let last = fixes(observations).last()?;
-    let standing = fixes(observations).filter(|(at, _)| *at >= stands_from);
-    let known = mean(standing.map(|(_, fix)| fix));
-    let (place, heading) =
-        known.map_or((mid_axle_position(last.1), last.1.heading), |(place, heading, _)| (place, heading));
-    Some((last.0, place, heading))
+    let resting = fixes(observations).filter(|(at, _)| *at >= rest_from);
+    let known = mean(resting.map(|(_, fix)| fix));
+    let (position, heading) =
+        known.map_or((mid_axle_position(last.1), last.1.heading), |(position, heading, _)| (position, heading));
+    Some((last.0, position, heading))
 }
 
 #[cfg(test)]
@@ -423,9 +424,9 @@ mod tests {
         let quarter = std::f64::consts::FRAC_PI_2;
         let mut observations = Vec::new();
         for step in 0..=100_i64 {
-            let way = quarter * step as f64 / 100.0;
-            observations.push(wheel_angles(100 * step, 0.9 * way / 0.05, 1.1 * way / 0.05));
-            observations.push(fix(100 * step, way.sin(), 1.0 - way.cos(), None));
+            let angle = quarter * step as f64 / 100.0;
+            observations.push(wheel_angles(100 * step, 0.9 * angle / 0.05, 1.1 * angle / 0.05));
+            observations.push(fix(100 * step, angle.sin(), 1.0 - angle.cos(), None));
         }
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
         assert!(drive.start.pose.heading.rad().abs() < 1e-9, "{drive:?}");

@@ -83,8 +83,8 @@ impl ScoreRow<'_> {
 
     /// The sensors with predicted observations, each with its mean NIS and verdict.
     pub fn sources(&self) -> String {
-        let judged: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
-        if judged.is_empty() { NO_VALUE.to_owned() } else { judged.join("; ") }
+        let scored: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
+        if scored.is_empty() { NO_VALUE.to_owned() } else { scored.join("; ") }
     }
 
     pub fn footnotes(&self) -> Vec<String> {

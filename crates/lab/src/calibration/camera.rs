@@ -111,8 +111,8 @@ fn solve_homography(points: &[CalibrationPoint]) -> Result<Homography, Calibrati
     let scaled: Vec<([f64; 2], [f64; 2])> = points
         .iter()
         .map(|p| {
-            let seen = [0, 1].map(|axis| (p.measured[axis] - from[axis]) / from_size);
-            (seen, [0, 1].map(|axis| (p.floor_m[axis] - to[axis]) / to_size))
+            let normalized = [0, 1].map(|axis| (p.measured[axis] - from[axis]) / from_size);
+            (normalized, [0, 1].map(|axis| (p.floor_m[axis] - to[axis]) / to_size))
         })
         .collect();
     let collinear = |_| CalibrationError::Undetermined("three of the four points lie on a line");
@@ -122,8 +122,8 @@ fn solve_homography(points: &[CalibrationPoint]) -> Result<Homography, Calibrati
         vec![
             scaled
                 .iter()
-                .map(|(seen, floor)| {
-                    let found = at.to_floor(*seen);
+                .map(|(normalized, floor)| {
+                    let found = at.to_floor(*normalized);
                     [found[0] - floor[0], found[1] - floor[1]]
                 })
                 .collect(),

@@ -123,9 +123,9 @@ fn numeric_jacobian(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -
 }
 
 /// J'r of one fix.
-fn score(slopes: &[Residuals], run: usize, sight: usize, residual: [f64; 2]) -> DVector<f64> {
+fn score(slopes: &[Residuals], run: usize, fix: usize, residual: [f64; 2]) -> DVector<f64> {
     DVector::from_fn(slopes.len(), |unknown, _| {
-        let slope = slopes[unknown][run][sight];
+        let slope = slopes[unknown][run][fix];
         slope[0] * residual[0] + slope[1] * residual[1]
     })
 }
@@ -135,11 +135,11 @@ fn normal_equations(slopes: &[Residuals], residuals: &Residuals) -> (DMatrix<f64
     let unknowns = slopes.len();
     let mut normal = DMatrix::zeros(unknowns, unknowns);
     let mut gradient = DVector::zeros(unknowns);
-    for (run, sights) in residuals.iter().enumerate() {
-        for (sight, residual) in sights.iter().enumerate() {
-            gradient += score(slopes, run, sight, *residual);
+    for (run, fixes) in residuals.iter().enumerate() {
+        for (fix, residual) in fixes.iter().enumerate() {
+            gradient += score(slopes, run, fix, *residual);
             for (j, slope) in slopes.iter().enumerate() {
-                let column = score(slopes, run, sight, slope[run][sight]);
+                let column = score(slopes, run, fix, slope[run][fix]);
                 normal.column_mut(j).add_assign(&column);
             }
         }
@@ -156,9 +156,9 @@ fn robust_covariance(
     let slopes = numeric_jacobian(values, steps, residuals);
     let (normal, _) = normal_equations(&slopes, &here);
     let mut middle = DMatrix::zeros(values.len(), values.len());
-    for (run, sights) in here.iter().enumerate() {
+    for (run, fixes) in here.iter().enumerate() {
         let scores: Vec<DVector<f64>> =
-            sights.iter().enumerate().map(|(sight, residual)| score(&slopes, run, sight, *residual)).collect();
+            fixes.iter().enumerate().map(|(fix, residual)| score(&slopes, run, fix, *residual)).collect();
         add_correlated(&mut middle, &scores);
     }
     let inverse = ScaledCholesky::new(&normal)?.inverse();

@@ -252,14 +252,14 @@ pub fn closing_runs(
     let end = |path: &FreePath| {
         let heading_rad = path.start.pose[2];
         let reckoned = dead_reckon(config, numbers, path, heading_rad);
-        let (Some(ours), Some(seen)) = (reckoned.positions_m.last(), path.fixes.last()) else {
+        let (Some(ours), Some(last_fix)) = (reckoned.positions_m.last(), path.fixes.last()) else {
             return Err(CalibrationError::TooFewData {
                 what: "places where the robot was seen at the end of a square",
                 found: 0,
                 needed: 1,
             });
         };
-        let [x, y] = [seen.position_m[0] - ours[0], seen.position_m[1] - ours[1]];
+        let [x, y] = [last_fix.position_m[0] - ours[0], last_fix.position_m[1] - ours[1]];
         let (sin, cos) = heading_rad.sin_cos();
         Ok(SquareRun { direction: direction(path, numbers)?, ahead_m: cos * x + sin * y, left_m: cos * y - sin * x })
     };

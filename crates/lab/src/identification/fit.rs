@@ -192,11 +192,11 @@ impl FitProblem<'_> {
         let (mut normal, mut slope, mut cost) = sums.to_matrices(count);
         let order = self.prior.dynamics.order();
         let alone = [(row::ONSET, Some(self.prior.onset)), (row::LAGS + order - 1, self.prior.slowest)];
-        for (i, belief) in alone {
-            if let Some(belief) = belief {
-                normal[(i, i)] += belief.weight();
-                slope[i] += belief.weight() * (belief.mean - at[i]);
-                cost += belief.cost(at[i]);
+        for (i, scalar_prior) in alone {
+            if let Some(scalar_prior) = scalar_prior {
+                normal[(i, i)] += scalar_prior.weight();
+                slope[i] += scalar_prior.weight() * (scalar_prior.mean - at[i]);
+                cost += scalar_prior.cost(at[i]);
             }
         }
         let (rho, pull, weight) = self.prior.dynamics.cost_at(at);
@@ -277,11 +277,11 @@ impl ResponseParameters {
         }
         let mut e = [0.0; MAX_ORDER];
         for j in 0..self.order {
-            let gone = since_s * self.rates[j];
-            e[j] = (-gone).exp();
+            let elapsed = since_s * self.rates[j];
+            e[j] = (-elapsed).exp();
             by[row::STEP] += self.shares[j] * (1.0 - e[j]);
             by[row::ONSET] -= self.step * self.shares[j] * self.rates[j] * e[j];
-            by[row::LAGS + j] = -self.step * self.shares[j] * gone * e[j];
+            by[row::LAGS + j] = -self.step * self.shares[j] * elapsed * e[j];
         }
         let last = e[self.order - 1];
         for j in 0..self.order - 1 {
@@ -407,14 +407,14 @@ impl<const N: usize> WhiteningFilter<N> {
 
     /// Innovations of a sample's error and of its slopes.
     pub(super) fn innovations(&mut self, white: &WhiteningStep, error: f64, mut by: [f64; N]) -> (f64, [f64; N]) {
-        let next = |believed: &mut f64, shown: f64| {
-            *believed *= white.retention;
-            let new = shown - white.remaining * *believed;
-            *believed += white.gain * new;
+        let next = |estimate: &mut f64, shown: f64| {
+            *estimate *= white.retention;
+            let new = shown - white.remaining * *estimate;
+            *estimate += white.gain * new;
             new
         };
-        for (believed, slope) in self.jacobian_state.iter_mut().zip(&mut by) {
-            *slope = next(believed, *slope);
+        for (estimate, slope) in self.jacobian_state.iter_mut().zip(&mut by) {
+            *slope = next(estimate, *slope);
         }
         (next(&mut self.error_state, error), by)
     }

@@ -127,18 +127,18 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     let smooth = (2 * width).max((count - index) / 64).max(1);
     let direction = (sums.mean(index, index + width) - start).signum();
     let white = REST_SIGMAS * sigma / (smooth as f64).sqrt();
-    let way = |k: usize| direction * (sums.mean(k, k + smooth) - start);
-    let mut farthest = way(index);
+    let rise = |k: usize| direction * (sums.mean(k, k + smooth) - start);
+    let mut farthest = rise(index);
     let mut turned = None;
     for k in index..=count.saturating_sub(smooth) {
-        farthest = farthest.max(way(k));
-        if farthest - way(k) > (TURN_BACK * farthest).max(2.0 * white) {
+        farthest = farthest.max(rise(k));
+        if farthest - rise(k) > (TURN_BACK * farthest).max(2.0 * white) {
             turned = Some(k);
             break;
         }
     }
     let Some(turned) = turned else { return count };
-    let last = (index..turned).rev().find(|k| farthest - way(*k) <= white);
+    let last = (index..turned).rev().find(|k| farthest - rise(*k) <= white);
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
@@ -183,9 +183,9 @@ impl OnsetDetector {
         if rest.len() < width {
             return None;
         }
-        let (start, reached) = (mean_of(rest)?, mean_of(window)?);
+        let (start, end) = (mean_of(rest)?, mean_of(window)?);
         let variance = 1.0 / width as f64 + 1.0 / rest.len() as f64;
-        let leap = reached - start;
+        let leap = end - start;
         if leap.is_nan() || leap.abs() <= Self::SIGMAS * self.sigma * variance.sqrt() {
             return None;
         }
@@ -250,8 +250,8 @@ mod tests {
         let samples = recording(0.5, 20);
         let until = (0..samples.len()).find(|&k| OnsetDetector::new(0.5).detect(&samples[..k]).is_some()).unwrap();
         let detected = OnsetDetector::new(0.5).detect(&samples[..until]).unwrap();
-        let seen_s = samples[until - 1].at_s;
-        assert!((30.0..31.0).contains(&seen_s), "{seen_s}");
+        let last_s = samples[until - 1].at_s;
+        assert!((30.0..31.0).contains(&last_s), "{last_s}");
         assert!((detected.onset_s - 30.0).abs() <= 2.0 * detected.onset_sigma_s);
         assert_eq!(detected.direction, -1.0);
     }

@@ -335,8 +335,8 @@ mod tests {
     fn sigmas_are_right_for_white_noise_and_where_the_noise_was_told_wrong() {
         let sensor = SimulatedSensor::first_order(4.0, 0.1, 0.1);
         let draw = |seed| sensor.run(seed, 500, step_input(20.0, 4.0, ONSET_S));
-        for told in [0.1, 0.2] {
-            let found = normalised(draw, told, 4.0, -16.0, Sampling::Readings);
+        for assumed in [0.1, 0.2] {
+            let found = normalised(draw, assumed, 4.0, -16.0, Sampling::Readings);
             assert!(found.iter().all(|one| RIGHT.contains(one)), "{found:?}");
         }
     }

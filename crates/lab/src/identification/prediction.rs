@@ -60,8 +60,8 @@ pub fn predict_with_expectation(
 pub fn predict_once(samples: &[TimedSample], sigma: f64, expectation: &ExpectedDynamics) -> Option<EndPrediction> {
     let samples = sorted_finite(samples);
     let detector = OnsetDetector::new(sigma);
-    let seen = (1..=samples.len()).find_map(|k| detector.detect(samples.get(..k)?).map(|d| (k, d)));
-    let (_, detected) = seen?;
+    let found = (1..=samples.len()).find_map(|k| detector.detect(samples.get(..k)?).map(|d| (k, d)));
+    let (_, detected) = found?;
     let mut running = PredictorBank::new(&samples, sigma, &detected, expectation)?;
     running.prediction(&samples)
 }
@@ -83,22 +83,22 @@ pub(super) fn predict_series(
     }
     let detector = OnsetDetector::new(sigma);
     let mut running: Option<PredictorBank> = None;
-    let mut seen_at = 0;
+    let mut detected_at = 0;
     let mut next = 0;
     let mut predictions = Vec::new();
     for k in 1..=samples.len() {
         let so_far = samples.get(..k).unwrap_or_default();
         if running.is_none() {
             running = detector.detect(so_far).and_then(|detected| {
-                seen_at = k;
-                let way = StepDirection::from_step(detected.direction);
-                PredictorBank::new(so_far, sigma, &detected, &expect(way)?)
+                detected_at = k;
+                let direction = StepDirection::from_step(detected.direction);
+                PredictorBank::new(so_far, sigma, &detected, &expect(direction)?)
             });
         }
         match &mut running {
             None => predictions.extend(predict_at_rest(so_far, sigma)),
             Some(running) => {
-                let since = k - seen_at;
+                let since = k - detected_at;
                 if since >= next || k == samples.len() {
                     predictions.extend(running.prediction(so_far));
                     next = since + 1 + since.saturating_sub(DENSE_SAMPLES) / SPARSE_SHARE;
@@ -144,8 +144,8 @@ impl PredictorBank {
                 end: None,
             };
             let unit = prior.expected(0.0, 1.0);
-            let gone = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
-            let step = (latest.value - detected.start) / gone.max(MIN_ELAPSED_SHARE);
+            let settled_share = 1.0 - unit.remaining(latest.at_s - detected.onset_s);
+            let step = (latest.value - detected.start) / settled_share.max(MIN_ELAPSED_SHARE);
             BankMember { cost, guess: prior.expected(detected.start, step), prior }
         });
         Some(Self {
@@ -206,13 +206,13 @@ fn bank_members(expectation: &ExpectedDynamics) -> Vec<MemberSpec> {
 
 /// Values of the slowest lag that represent a kind: Gaussians as wide as their spacing, which together are flat.
 fn quadrature_nodes(dynamics: &DynamicsPrior) -> Vec<MemberSpec> {
-    let (slowest, ln_room) = (dynamics.slowest(), dynamics.half_ln_determinant());
+    let (slowest, ln_determinant) = (dynamics.slowest(), dynamics.half_ln_determinant());
     if slowest.sigma < ONE_NODE_BELOW {
-        return vec![(dynamics.clone(), None, ln_room)];
+        return vec![(dynamics.clone(), None, ln_determinant)];
     }
     let sigma = NODE_DISTANCE * slowest.sigma;
     // A Gaussian's density times the distance of two.
-    let cost = ln_room + 0.5 * std::f64::consts::TAU.ln();
+    let cost = ln_determinant + 0.5 * std::f64::consts::TAU.ln();
     let node = |k| GaussianPrior { mean: slowest.mean + sigma * f64::from(k), sigma };
     (-NODES..=NODES).map(|k| (dynamics.clone(), Some(node(k)), cost)).collect()
 }
@@ -258,11 +258,11 @@ pub fn score_predictions(predictions: &[EndPrediction], run: &IdentifiedStep) ->
             in_sigmas.push(off / pair[1].sigma);
         }
     }
-    let judged = PredictionScore {
+    let score = PredictionScore {
         mean_error: miss_s / all_s,
         bound_factor: quantile(&in_sigmas, BOUND_RATE).unwrap_or(0.0) / BOUND_SIGMAS,
     };
-    judged.mean_error.is_finite().then_some(judged)
+    score.mean_error.is_finite().then_some(score)
 }
 
 /// Share of the step within which a sensor counts as settled.

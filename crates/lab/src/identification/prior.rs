@@ -67,8 +67,8 @@ impl DynamicsPrior {
 
     pub fn independent(ln_lags: &[GaussianPrior], shares: &[GaussianPrior]) -> Option<Self> {
         let all: Vec<GaussianPrior> = ln_lags.iter().chain(shares).copied().collect();
-        let mean = all.iter().map(|belief| belief.mean);
-        let variances = all.iter().map(|belief| belief.sigma * belief.sigma);
+        let mean = all.iter().map(|prior| prior.mean);
+        let variances = all.iter().map(|prior| prior.sigma * prior.sigma);
         Self::new(
             DVector::from_iterator(all.len(), mean),
             DMatrix::from_diagonal(&DVector::from_iterator(all.len(), variances)),
@@ -138,8 +138,8 @@ impl ResponsePrior {
     /// The response with the most likely dynamics and onset.
     pub fn expected(&self, start: f64, step: f64) -> StepResponse {
         let mut response = self.dynamics.expected(start, step, self.onset.mean);
-        if let (Some(belief), Some(lag)) = (&self.slowest, response.lags.last_mut()) {
-            lag.time_constant_s = belief.mean.exp();
+        if let (Some(prior), Some(lag)) = (&self.slowest, response.lags.last_mut()) {
+            lag.time_constant_s = prior.mean.exp();
         }
         response
     }
@@ -248,8 +248,8 @@ mod tests {
         assert!((cost(&robust, 1e-3) / cost(&gaussian, 1e-3) - 1.0).abs() < 1e-4);
         assert!(cost(&robust, 2.0) < 0.3 * cost(&gaussian, 2.0));
         // ln of the root of the determinant of S, by hand.
-        let room = 0.5 * ((0.04_f64 * 0.09 - 0.01 * 0.01) * 0.01).ln();
-        assert!((gaussian.half_ln_determinant() - room).abs() < 1e-12);
+        let half_ln_det = 0.5 * ((0.04_f64 * 0.09 - 0.01 * 0.01) * 0.01).ln();
+        assert!((gaussian.half_ln_determinant() - half_ln_det).abs() < 1e-12);
     }
 
     #[test]

@@ -93,12 +93,12 @@ impl SensorKind {
             return own.ok_or(none);
         }
         let tried = kinds.into_iter().map(|kind| {
-            let judged = kind.cross_validate(runs);
-            (judged, kind)
+            let score = kind.cross_validate(runs);
+            (score, kind)
         });
         let best = tried.min_by(|(a, _), (b, _)| a.mean_error.total_cmp(&b.mean_error));
-        let (judged, mut kind) = best.ok_or(none)?;
-        kind.sigma_factor = judged.bound_factor.max(1.0);
+        let (score, mut kind) = best.ok_or(none)?;
+        kind.sigma_factor = score.bound_factor.max(1.0);
         Ok(kind)
     }
 
@@ -121,18 +121,18 @@ impl SensorKind {
 
     /// Predicts each run from the others. A run that cannot be predicted counts with the maximum error.
     fn cross_validate(&self, runs: &[IdentifiedStep]) -> PredictionScore {
-        let each = (0..runs.len()).map(|judged| {
+        let each = (0..runs.len()).map(|held_out| {
             let others: Vec<IdentifiedStep> =
-                runs.iter().enumerate().filter(|(index, _)| *index != judged).map(|(_, run)| run.clone()).collect();
+                runs.iter().enumerate().filter(|(index, _)| *index != held_out).map(|(_, run)| run.clone()).collect();
             let kind = Self::with_order(&others, self.order, self.similarity)?;
-            let run = runs.get(judged)?;
+            let run = runs.get(held_out)?;
             score_predictions(&predict(&run.samples, run.sigma, &kind), run)
         });
         let each: Vec<PredictionScore> = each.map(Option::unwrap_or_default).collect();
         let count = each.len().max(1) as f64;
-        let factors = each.iter().map(|judged| judged.bound_factor);
+        let factors = each.iter().map(|score| score.bound_factor);
         PredictionScore {
-            mean_error: each.iter().map(|judged| judged.mean_error).sum::<f64>() / count,
+            mean_error: each.iter().map(|score| score.mean_error).sum::<f64>() / count,
             bound_factor: factors.sum::<f64>() / count,
         }
     }
@@ -161,7 +161,7 @@ impl SensorKind {
 
 /// Predicts a run of this kind as [`predict_with_expectation`](super::prediction::predict_with_expectation) does.
 pub fn predict(samples: &[TimedSample], sigma: f64, kind: &SensorKind) -> Vec<EndPrediction> {
-    predict_series(samples, sigma, |way| kind.expectation(way))
+    predict_series(samples, sigma, |direction| kind.expectation(direction))
 }
 
 /// Lags and shares of several runs, with their covariances.
@@ -239,13 +239,13 @@ fn model_error(runs: &[CandidateModel], likeness: RunSimilarity) -> (f64, f64) {
         let held_s = runs.iter().map(|run| run.error_duration_s).sum::<f64>() / count;
         return ((squares / count).sqrt(), held_s);
     }
-    let believed = PRIOR_FREEDOM * MODEL_SHARE * MODEL_SHARE;
+    let prior_squares = PRIOR_FREEDOM * MODEL_SHARE * MODEL_SHARE;
     let held_s = runs.iter().map(|run| {
         let lags = run.fit.response.lags.iter();
         let mean_lag_s: f64 = lags.map(|lag| lag.share * lag.time_constant_s).sum();
         if run.error_duration_s > 0.0 { run.error_duration_s } else { mean_lag_s.max(0.0) }
     });
-    (((believed + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
+    (((prior_squares + squares) / (PRIOR_FREEDOM + count)).sqrt(), held_s.sum::<f64>() / count)
 }
 
 /// Degrees of freedom of the prior spread, equivalent to this number of runs.
@@ -288,8 +288,8 @@ const TWO_SIDED_SIGMAS: f64 = 2.575_829;
 
 /// Compares one parameter of several steps; `None` unless there are steps in both directions, each with a positive sigma.
 pub fn compare_directions(steps: &[(StepDirection, UncertainValue)]) -> Option<DirectionComparison> {
-    let of = |way: StepDirection| {
-        let own = steps.iter().filter(|(which, _)| *which == way);
+    let of = |direction: StepDirection| {
+        let own = steps.iter().filter(|(which, _)| *which == direction);
         mean(&own.map(|(_, known)| *known).collect::<Vec<_>>())
     };
     let (up, down) = (of(StepDirection::Up)?, of(StepDirection::Down)?);

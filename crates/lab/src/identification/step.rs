@@ -195,12 +195,12 @@ fn validate_options(options: &StepOptions) -> Result<(), IdentificationError> {
     {
         return Err(IdentificationError::Order { order });
     }
-    let given = [
+    let settings = [
         ("an onset", options.onset_s, true),
         ("a step of the quantity", options.input_step, false),
         ("an end", options.end, true),
     ];
-    for (what, value, may_be_zero) in given {
+    for (what, value, may_be_zero) in settings {
         if let Some(value) = value
             && !(value.is_finite() && (may_be_zero || value != 0.0))
         {
@@ -260,11 +260,11 @@ impl<'a> StepFitter<'a> {
         let (model_share, held_s) = self.model_error(&best.response, &residuals);
         let noise = ResponseNoise { sigma: self.sigma, model_share, error_duration_s: held_s };
         let prior = self.weak_prior(starts[0])?;
-        let honest = fit_response(&self.segment.samples, &noise, &prior, &best.response).unwrap_or(best);
+        let refitted = fit_response(&self.segment.samples, &noise, &prior, &best.response).unwrap_or(best);
         let squares: f64 = residuals.iter().map(|e| e * e).sum();
         Some(CandidateModel {
             residual_rms: (squares / residuals.len() as f64).sqrt(),
-            fit: honest,
+            fit: refitted,
             model_share,
             error_duration_s: held_s,
             criterion: f64::INFINITY,

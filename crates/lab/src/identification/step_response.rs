@@ -126,14 +126,14 @@ impl SimulatedSensor {
 
     /// Integrates from the previous sample to this one, with the truth piecewise constant.
     fn advance(&self, states: &mut [f64], until_s: f64, truth: &impl Fn(f64) -> f64) {
-        let piece_s = self.period_s / f64::from(SUBSTEPS);
-        for piece in (0..SUBSTEPS).rev() {
-            let to_s = until_s - piece_s * f64::from(piece);
-            let (before, after) = (truth(to_s - piece_s), truth(to_s));
-            let slope = (after - before) / piece_s;
+        let substep_s = self.period_s / f64::from(SUBSTEPS);
+        for substep in (0..SUBSTEPS).rev() {
+            let to_s = until_s - substep_s * f64::from(substep);
+            let (before, after) = (truth(to_s - substep_s), truth(to_s));
+            let slope = (after - before) / substep_s;
             for (state, (tau_s, _)) in states.iter_mut().zip(&self.lags) {
                 // The answer to a ramp lags behind it by tau, plus what is left of where it started.
-                let kept = (-piece_s / tau_s).exp();
+                let kept = (-substep_s / tau_s).exp();
                 let (lagged_before, lagged_after) = (before - slope * tau_s, after - slope * tau_s);
                 *state = lagged_after + kept * (*state - lagged_before);
             }

@@ -63,10 +63,10 @@ pub fn find_delay(
     if !is_range {
         return Err(DelayError::NoRange);
     }
-    let seen = CameraMotion::of(levels, sightings, search)?;
+    let motion = CameraMotion::of(levels, sightings, search)?;
     let points = ((search.to_s - search.from_s) / GRID_S).ceil() as u32;
     let grid = (0..=points).map(|i| search.from_s + (search.to_s - search.from_s) * f64::from(i) / f64::from(points));
-    let curve: Vec<(f64, f64)> = grid.map(|delay_s| (delay_s, seen.correlation(delay_s))).collect();
+    let curve: Vec<(f64, f64)> = grid.map(|delay_s| (delay_s, motion.correlation(delay_s))).collect();
     let best = curve.iter().max_by(|a, b| a.1.total_cmp(&b.1)).copied();
     let (coarse_s, correlation) = best.unwrap_or_default();
     if correlation < MIN_CORRELATION {
@@ -75,13 +75,13 @@ pub fn find_delay(
     if coarse_s <= search.from_s || coarse_s >= search.to_s {
         return Err(DelayError::AtSearchLimit(coarse_s));
     }
-    let delay_s = seen.refine(coarse_s);
+    let delay_s = motion.refine(coarse_s);
     Ok(FixDelay {
         delay_s,
-        sigma_s: seen.sigma_s(delay_s),
-        correlation: seen.correlation(delay_s),
-        fixes: seen.at_s.len(),
-        by_heading: seen.axis == MotionAxis::Turn,
+        sigma_s: motion.sigma_s(delay_s),
+        correlation: motion.correlation(delay_s),
+        fixes: motion.at_s.len(),
+        by_heading: motion.axis == MotionAxis::Turn,
         curve,
     })
 }

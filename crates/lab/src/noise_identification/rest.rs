@@ -125,13 +125,13 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     let distances: Vec<f64> = ends.windows(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.1)).collect();
     let smallest = distances.iter().copied().min_by(f64::total_cmp)?;
     let widest = ends.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
-    let is_whole = |distance: &f64| {
+    let is_integer = |distance: &f64| {
         let steps = distance / smallest;
         (steps - steps.round()).abs() <= SAME_STEP * steps.max(1.0)
     };
     // Few different values among many readings: the sensor rounds. Many: it does not.
     let is_coarse = distances.len() * 4 < sorted.len() && widest <= SAME_STEP * smallest;
-    if !is_coarse || !distances.iter().all(is_whole) {
+    if !is_coarse || !distances.iter().all(is_integer) {
         return None;
     }
     let mut counts = 0.0;

@@ -47,12 +47,12 @@ pub fn decompose_noise(record: &RestRecord) -> Option<NoiseDecomposition> {
     let near = |by: f64| profile(samples, ln_l + by).map(|(value, _)| value);
     let curvature = (2.0 * value - near(CURVATURE_STEP)? - near(-CURVATURE_STEP)?) / CURVATURE_STEP.powi(2);
     let (none, _) = profile(samples, LN_RATIO[0])?;
-    let is_told = value - none > MIN_GAIN && curvature > 0.0;
-    let ln_l_variance = if is_told { curvature.recip() } else { 0.0 };
+    let is_significant = value - none > MIN_GAIN && curvature > 0.0;
+    let ln_l_variance = if is_significant { curvature.recip() } else { 0.0 };
     Some(NoiseDecomposition {
         white: white2.sqrt(),
         white_sigma: white2.sqrt() / (2.0 * n).sqrt(),
-        walk_per_step: is_told.then(|| (white2 * ln_l.exp()).sqrt()),
+        walk_per_step: is_significant.then(|| (white2 * ln_l.exp()).sqrt()),
         // ln walk = (ln l + ln s2) / 2, and ln s2 has the variance 2 / n.
         walk_ln_sigma: 0.5 * (ln_l_variance + 2.0 / n).sqrt(),
     })

@@ -81,13 +81,13 @@ fn column(table: &SensorTable, name: &str) -> Vec<Option<f64>> {
             "gyro_deg_per_s" => row.gyro_deg_per_s,
             "accel_left_m_per_s2" => row.accelerations_m_per_s2.map(|both| both[0]),
             "accel_right_m_per_s2" => row.accelerations_m_per_s2.map(|both| both[1]),
-            "camera_x_m" => row.camera.map(|seen| seen.x_m),
-            "camera_y_m" => row.camera.map(|seen| seen.y_m),
-            "camera_theta_deg" => row.camera.and_then(|seen| seen.theta_deg),
+            "camera_x_m" => row.camera.map(|measured| measured.x_m),
+            "camera_y_m" => row.camera.map(|measured| measured.y_m),
+            "camera_theta_deg" => row.camera.and_then(|measured| measured.theta_deg),
             "compass_deg" => row.compass_deg,
-            "truth_x_m" => row.truth.map(|seen| seen.x_m),
-            "truth_y_m" => row.truth.map(|seen| seen.y_m),
-            "truth_theta_deg" => row.truth.and_then(|seen| seen.theta_deg),
+            "truth_x_m" => row.truth.map(|measured| measured.x_m),
+            "truth_y_m" => row.truth.map(|measured| measured.y_m),
+            "truth_theta_deg" => row.truth.and_then(|measured| measured.theta_deg),
             _ => None,
         }
     };
@@ -103,29 +103,29 @@ struct ColumnLayout {
 
 impl ColumnLayout {
     fn from_header(line: usize, header: &str) -> Result<Self, SensorTextError> {
-        let mut places = [None; COLUMNS.len()];
+        let mut indices = [None; COLUMNS.len()];
         let names = header.split(',').map(str::trim);
         let mut width = 0;
         for name in names {
-            let Some(place) = column_index(name).and_then(|index| places.get_mut(index)) else {
+            let Some(slot) = column_index(name).and_then(|index| indices.get_mut(index)) else {
                 return Err(SensorTextError::UnknownColumn { line, name: name.to_owned() });
             };
-            if place.replace(width).is_some() {
+            if slot.replace(width).is_some() {
                 return Err(SensorTextError::RepeatedColumn { line, name: name.to_owned() });
             }
             width += 1;
         }
-        let mut layout = Self { indices: places, width, unit: EncoderUnit::Counts };
+        let mut layout = Self { indices, width, unit: EncoderUnit::Counts };
         layout.unit = layout.validate(line)?;
         Ok(layout)
     }
 
     fn has(&self, name: &str) -> bool {
-        self.place(name).is_some()
+        self.index_of(name).is_some()
     }
 
     /// Index of a column in a line of the file.
-    fn place(&self, name: &str) -> Option<usize> {
+    fn index_of(&self, name: &str) -> Option<usize> {
         column_index(name).and_then(|index| self.indices[index])
     }
 
@@ -145,11 +145,11 @@ impl ColumnLayout {
         }
         let unit =
             if self.has("left_deg") || self.has("right_deg") { EncoderUnit::Degrees } else { EncoderUnit::Counts };
-        let wanted = match unit {
+        let required = match unit {
             EncoderUnit::Degrees => ["left_deg", "right_deg"],
             EncoderUnit::Counts => ["left_counts", "right_counts"],
         };
-        for name in wanted {
+        for name in required {
             if !self.has(name) {
                 return missing(name, "both wheels are needed, both in counts or both in degrees");
             }
@@ -177,7 +177,7 @@ impl ColumnLayout {
                 }
             }
         };
-        let seen = |x, y, theta| -> Result<Option<MeasuredPose>, SensorTextError> {
+        let measured_pose = |x, y, theta| -> Result<Option<MeasuredPose>, SensorTextError> {
             let theta_deg = at.number(theta)?;
             Ok(pair(x, y)?.map(|[x_m, y_m]| MeasuredPose { x_m, y_m, theta_deg }))
         };
@@ -186,9 +186,9 @@ impl ColumnLayout {
             encoders: [at.require(left, at.number(left)?, reason)?, at.require(right, at.number(right)?, reason)?],
             gyro_deg_per_s: at.number("gyro_deg_per_s")?,
             accelerations_m_per_s2: pair("accel_left_m_per_s2", "accel_right_m_per_s2")?,
-            camera: seen("camera_x_m", "camera_y_m", "camera_theta_deg")?,
+            camera: measured_pose("camera_x_m", "camera_y_m", "camera_theta_deg")?,
             compass_deg: at.number("compass_deg")?,
-            truth: seen("truth_x_m", "truth_y_m", "truth_theta_deg")?,
+            truth: measured_pose("truth_x_m", "truth_y_m", "truth_theta_deg")?,
         })
     }
 }
@@ -202,7 +202,7 @@ struct RowCells<'a> {
 impl RowCells<'_> {
     /// `None` if the column is missing or the cell is empty.
     fn number(&self, name: &'static str) -> Result<Option<f64>, SensorTextError> {
-        let cell = self.layout.place(name).and_then(|place| self.values.get(place));
+        let cell = self.layout.index_of(name).and_then(|index| self.values.get(index));
         let Some(text) = cell.filter(|text| !text.is_empty()) else {
             return Ok(None);
         };
@@ -321,8 +321,8 @@ mod tests {
             ("time_s,left_deg,right_deg\n0,1\n", "line 2 has 2 cells, the header has 3"),
         ];
         for (text, expected) in cases {
-            let said = parse(text).unwrap_err().to_string();
-            assert!(said.contains(expected), "{text}: {said}");
+            let message = parse(text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{text}: {message}");
         }
     }
 
@@ -339,8 +339,8 @@ mod tests {
             ("0,1,1,,\n", "there are 1 rows"),
         ];
         for (text, expected) in rows {
-            let said = parse(&(header.to_owned() + text)).unwrap_err().to_string();
-            assert!(said.contains(expected), "{text}: {said}");
+            let message = parse(&(header.to_owned() + text)).unwrap_err().to_string();
+            assert!(message.contains(expected), "{text}: {message}");
         }
     }
 }

@@ -207,10 +207,10 @@ impl MatchedSpeeds {
             self.predict(dt_s);
             let rolled = [0, 1].map(|i: usize| turned_rad[i] - before[i]);
             let body = rolled_step(rolled, &self.geometry);
-            let seen = [body.forward_m / dt_s, body.turn_rad / dt_s];
-            for (row, seen) in seen.into_iter().enumerate() {
+            let measured = [body.forward_m / dt_s, body.turn_rad / dt_s];
+            for (row, measured) in measured.into_iter().enumerate() {
                 let gain = self.variances[row] / (self.variances[row] + self.matrices.variances[row]);
-                self.state[3 + row] += gain * (seen - self.state[3 + row]);
+                self.state[3 + row] += gain * (measured - self.state[3 + row]);
                 self.variances[row] *= 1.0 - gain;
             }
         }

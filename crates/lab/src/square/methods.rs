@@ -104,9 +104,9 @@ impl Method {
         let unit_rad = table.unit.rad_per_unit(&config.geometry);
         let mut before_s = table.rows.first().map_or(0.0, |row| row.time_s);
         let rows = table.rows.iter().zip(table.used_images(camera_every));
-        rows.map(|(row, is_given)| {
+        rows.map(|(row, is_used)| {
             let mut row = *row;
-            if !is_given {
+            if !is_used {
                 row.camera = None;
             }
             let dt_s = row.time_s - before_s;

@@ -56,10 +56,10 @@ fn start_pose(table: &SensorTable, base: &FilterConfig) -> StartPose {
     if let Some(truth) = first.and_then(|row| row.truth) {
         return StartPose { pose: truth.pose(), ..exact };
     }
-    let placed = first.and_then(|row| row.camera).filter(|seen| seen.theta_deg.is_some());
-    if let Some(seen) = placed {
+    let initial_row = first.and_then(|row| row.camera).filter(|measured| measured.theta_deg.is_some());
+    if let Some(measured) = initial_row {
         return StartPose {
-            pose: seen.pose(),
+            pose: measured.pose(),
             position_sigma_m: base.noise.fix_position_m,
             heading_sigma_rad: base.noise.fix_heading_rad,
         };

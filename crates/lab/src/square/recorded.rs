@@ -23,23 +23,23 @@ use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_po
 
 /// With the path as reference, the last row has the start as its true position.
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
-    let mut told: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
+    let mut samples: Vec<(Timestamp<BrickClock>, [f64; 2])> = wheels(&drive.observations).collect();
     // Of several of one instant the last counts, as in a file.
-    told.dedup_by(|later, kept| {
+    samples.dedup_by(|later, kept| {
         let is_same = later.0 == kept.0;
         if is_same {
             *kept = *later;
         }
         is_same
     });
-    let rows = told.iter().map(|(stamp, angles)| SensorRow {
+    let rows = samples.iter().map(|(stamp, angles)| SensorRow {
         encoders: angles.map(|angle| angle / geometry.tick.0),
         ..SensorRow::empty(*stamp)
     });
     let mut table = SensorTable { unit: EncoderUnit::Counts, rows: rows.collect() };
-    add_rates(&mut table, &told, &drive.observations);
-    add_accelerations(&mut table, &told, &drive.observations);
-    add_images(&mut table, &told, &drive.observations, geometry);
+    add_rates(&mut table, &samples, &drive.observations);
+    add_accelerations(&mut table, &samples, &drive.observations);
+    add_images(&mut table, &samples, &drive.observations, geometry);
     if let Some(first) = table.rows.first_mut() {
         // The start is known better than by one image.
         first.camera = None;
@@ -106,26 +106,27 @@ fn add_accelerations(
 
 fn add_images(
     table: &mut SensorTable,
-    told: &[(Timestamp<BrickClock>, [f64; 2])],
+    samples: &[(Timestamp<BrickClock>, [f64; 2])],
     observations: &[Observation],
     geometry: &DriveGeometry,
 ) {
-    let seen: Vec<(Timestamp<BrickClock>, &Fix)> = fixes(observations).collect();
-    for (index, (stamp, fix)) in seen.iter().enumerate() {
-        let after = told.partition_point(|(at, _)| at < stamp);
-        let (Some(later), Some(earlier)) = (told.get(after), after.checked_sub(1).and_then(|index| told.get(index)))
+    let fixes: Vec<(Timestamp<BrickClock>, &Fix)> = fixes(observations).collect();
+    for (index, (stamp, fix)) in fixes.iter().enumerate() {
+        let after = samples.partition_point(|(at, _)| at < stamp);
+        let (Some(later), Some(earlier)) =
+            (samples.get(after), after.checked_sub(1).and_then(|index| samples.get(index)))
         else {
             continue;
         };
-        let whole_s = (later.0 - earlier.0).as_secs_f64();
+        let interval_s = (later.0 - earlier.0).as_secs_f64();
         let until_later_s = (later.0 - *stamp).as_secs_f64();
-        let is_later_near = until_later_s <= 0.5 * whole_s;
+        let is_later_near = until_later_s <= 0.5 * interval_s;
         // Time from the image to its row: negative where the row is the earlier one.
         let (row, carried_s) =
-            if is_later_near { (after, until_later_s) } else { (after - 1, until_later_s - whole_s) };
+            if is_later_near { (after, until_later_s) } else { (after - 1, until_later_s - interval_s) };
         let step = moved(earlier.1, later.1, geometry);
-        let share = carried_s / whole_s;
-        let along = course_over_ground(&seen, index);
+        let share = carried_s / interval_s;
+        let along = course_over_ground(&fixes, index);
         let carried = move_fix(fix, share * step.forward_m, share * step.turn_rad, fix.heading.or(along));
         if let Some(row) = table.rows.get_mut(row) {
             row.camera = Some(carried);
@@ -134,22 +135,26 @@ fn add_images(
 }
 
 /// Direction from the previous fix to the next.
-fn course_over_ground(seen: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
-    let place = |index: usize| seen.get(index).map(|(_, fix)| fix.position);
-    let here: Point2<Arena> = place(index)?;
-    let from = index.checked_sub(1).and_then(place).unwrap_or(here);
-    let to = place(index + 1).unwrap_or(here);
+fn course_over_ground(fixes: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
+    let position = |index: usize| fixes.get(index).map(|(_, fix)| fix.position);
+    let here: Point2<Arena> = position(index)?;
+    let from = index.checked_sub(1).and_then(position).unwrap_or(here);
+    let to = position(index + 1).unwrap_or(here);
     let (x, y) = (to.x.0 - from.x.0, to.y.0 - from.y.0);
     (x != 0.0 || y != 0.0).then(|| Heading::from_rad(y.atan2(x)))
 }
 
 /// The fix after a body motion.
 fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) -> MeasuredPose {
-    let place = mid_axle_position(fix);
+    let position = mid_axle_position(fix);
     let theta_deg = fix.heading.map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());
     let middle = along.map_or(0.0, |along| along.rad() + 0.5 * turn_rad);
     let forward_m = if along.is_some() { forward_m } else { 0.0 };
-    MeasuredPose { x_m: place.x.0 + forward_m * middle.cos(), y_m: place.y.0 + forward_m * middle.sin(), theta_deg }
+    MeasuredPose {
+        x_m: position.x.0 + forward_m * middle.cos(),
+        y_m: position.y.0 + forward_m * middle.sin(),
+        theta_deg,
+    }
 }
 
 #[cfg(test)]

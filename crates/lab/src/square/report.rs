@@ -377,11 +377,13 @@ impl SquareExample {
 
     /// Figure 7: the tracks of some methods with the reference.
     pub fn track_figure(&self, title: &str, names: &[&str]) -> String {
-        let seen: Vec<(f64, f64)> =
-            (self.table.references(self.camera_every).into_iter()).flatten().map(|seen| (seen.x_m, seen.y_m)).collect();
+        let measured: Vec<(f64, f64)> = (self.table.references(self.camera_every).into_iter())
+            .flatten()
+            .map(|measured| (measured.x_m, measured.y_m))
+            .collect();
         let reference = if self.table.has_truth() { "truth" } else { "camera" };
         // Of a closed path nothing is known but its end: a line of one point would not be seen.
-        let shape = if seen.len() > 1 { CurveShape::Line(seen) } else { CurveShape::Dots(seen) };
+        let shape = if measured.len() > 1 { CurveShape::Line(measured) } else { CurveShape::Dots(measured) };
         let mut curves = vec![Curve::new(reference, shape)];
         curves.extend(names.iter().map(|name| {
             let path = self.path(name).iter().map(|state| (state[0], state[1]));

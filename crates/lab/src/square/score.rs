@@ -96,12 +96,12 @@ pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize
     let [mut position, mut heading, mut forward, mut turn] = [SquareSum::default(); 4];
     let mut end_m = None;
     let references = table.references(camera_every);
-    for (row, (state, seen)) in path.iter().zip(references).enumerate() {
-        let Some(seen) = seen else { continue };
-        let square_m2 = (state[0] - seen.x_m).powi(2) + (state[1] - seen.y_m).powi(2);
+    for (row, (state, reference)) in path.iter().zip(references).enumerate() {
+        let Some(reference) = reference else { continue };
+        let square_m2 = (state[0] - reference.x_m).powi(2) + (state[1] - reference.y_m).powi(2);
         position.add(square_m2);
         end_m = Some(square_m2.sqrt()).filter(|end_m| end_m.is_finite());
-        if let Some(theta_deg) = seen.theta_deg {
+        if let Some(theta_deg) = reference.theta_deg {
             heading.add(wrap_rad(state[2] - theta_deg.to_radians()).powi(2));
         }
         if let Some([v, w]) = true_speeds(table, row) {

@@ -120,11 +120,11 @@ impl SensorRow {
     /// Observations of the sensors in `senses`, wheels first. `unit_rad` is the encoder unit.
     pub fn observations(&self, unit_rad: f64, senses: &[TableSensor]) -> impl Iterator<Item = Observation> {
         let stamp = self.stamp();
-        let said = senses.iter().filter_map(move |sense| {
+        let observed_kinds = senses.iter().filter_map(move |sense| {
             let (sensor, observed) = self.observation(*sense, unit_rad)?;
             Some(Observation { sensor, stamp, stamp_sigma: TimeDelta::ZERO, measurement: observed })
         });
-        said.collect::<Vec<_>>().into_iter()
+        observed_kinds.collect::<Vec<_>>().into_iter()
     }
 
     pub fn stamp(&self) -> Timestamp<BrickClock> {
@@ -206,10 +206,10 @@ impl SensorTable {
     pub fn references(&self, every: usize) -> Vec<Option<MeasuredPose>> {
         let has_truth = self.has_truth();
         let rows = self.rows.iter().zip(self.used_images(every)).enumerate();
-        rows.map(|(index, (row, is_given))| match (index, has_truth) {
+        rows.map(|(index, (row, is_used))| match (index, has_truth) {
             (0, _) => None,
             (_, true) => row.truth,
-            (_, false) => row.camera.filter(|_| !is_given),
+            (_, false) => row.camera.filter(|_| !is_used),
         })
         .collect()
     }
@@ -302,7 +302,7 @@ mod tests {
     fn what_was_heard_is_said_again() {
         let stamp = Timestamp::from_nanos(1_050_000_000);
         let tick_rad = 1.0_f64.to_radians();
-        let said = [
+        let observed_kinds = [
             ObservationKind::WheelAngles { left: Radians(3.0 * tick_rad), right: Radians(-4.0 * tick_rad) },
             ObservationKind::WheelAccelerations {
                 left: MetersPerSecondSquared(0.1),
@@ -311,7 +311,7 @@ mod tests {
             ObservationKind::TurnRate(RadiansPerSecond(2.0_f64.to_radians())),
         ];
         let mut row = SensorRow::empty(stamp);
-        for observed in &said {
+        for observed in &observed_kinds {
             row.record(observed, tick_rad);
         }
         row.record(&ObservationKind::WallRange(Meters(1.0)), tick_rad);
@@ -319,40 +319,40 @@ mod tests {
         let all = [TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro, TableSensor::Camera];
         let again: Vec<Observation> = row.observations(tick_rad, &all).collect();
         assert_eq!(again.len(), 3, "the camera said nothing");
-        for (observation, observed) in again.iter().zip(said) {
+        for (observation, observed) in again.iter().zip(observed_kinds) {
             assert_eq!((observation.stamp, observation.measurement), (stamp, observed));
         }
     }
 
     #[test]
     fn an_image_either_helps_or_judges() {
-        let seen = MeasuredPose { x_m: 1.0, y_m: 2.0, theta_deg: None };
+        let measured = MeasuredPose { x_m: 1.0, y_m: 2.0, theta_deg: None };
         let rows = (0..9).map(|step| {
             let mut row = SensorRow::empty(Timestamp::from_nanos(50_000_000 * step));
-            row.camera = Some(seen);
+            row.camera = Some(measured);
             row
         });
         let table = SensorTable { rows: rows.collect(), ..SensorTable::default() };
         let helps = |table: &SensorTable, every| -> Vec<usize> {
-            let given = table.used_images(every).into_iter().enumerate();
-            given.filter(|(_, given)| *given).map(|(row, _)| row).collect()
+            let used = table.used_images(every).into_iter().enumerate();
+            used.filter(|(_, used)| *used).map(|(row, _)| row).collect()
         };
-        let judges = |table: &SensorTable| -> Vec<usize> {
-            let seen = table.references(4).into_iter().enumerate();
-            seen.filter(|(_, seen)| seen.is_some()).map(|(row, _)| row).collect()
+        let reference_rows = |table: &SensorTable| -> Vec<usize> {
+            let references = table.references(4).into_iter().enumerate();
+            references.filter(|(_, reference)| reference.is_some()).map(|(row, _)| row).collect()
         };
         assert_eq!(helps(&table, 4), [4, 8]);
-        assert_eq!(judges(&table), [1, 2, 3, 5, 6, 7]);
+        assert_eq!(reference_rows(&table), [1, 2, 3, 5, 6, 7]);
         let mut sparse = table.clone();
         for row in [1, 4, 6] {
             sparse.rows[row].camera = None;
         }
         assert_eq!(helps(&sparse, 4), [7], "the fourth image, not the fourth row");
-        assert_eq!(judges(&sparse), [2, 3, 5, 8]);
+        assert_eq!(reference_rows(&sparse), [2, 3, 5, 8]);
         let mut known = table;
-        known.rows[0].truth = Some(seen);
-        known.rows[4].truth = Some(seen);
-        let judges = judges(&known);
-        assert_eq!(judges, [4], "the truth alone judges where there is one");
+        known.rows[0].truth = Some(measured);
+        known.rows[4].truth = Some(measured);
+        let reference_rows = reference_rows(&known);
+        assert_eq!(reference_rows, [4], "the truth alone judges where there is one");
     }
 }

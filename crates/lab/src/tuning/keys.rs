@@ -12,17 +12,17 @@ pub struct NoiseKey {
     pub read: fn(&SensorNoise) -> f64,
     pub write: fn(&mut SensorNoise, f64),
     /// Whether an observation of this kind depends on it, so that it is tuned by default.
-    told_by: fn(&ObservationKind) -> bool,
+    observed_by: fn(&ObservationKind) -> bool,
 }
 
 macro_rules! noise_keys {
-    ($($key:ident: $told_by:expr;)+) => {
+    ($($key:ident: $observed_by:expr;)+) => {
         /// Every noise of a robot, in the order of [`SensorNoise`].
         pub const NOISE_KEYS: &[NoiseKey] = &[$(NoiseKey {
             key: stringify!($key),
             read: |noise| noise.$key,
             write: |noise, value| noise.$key = value,
-            told_by: $told_by,
+            observed_by: $observed_by,
         },)+];
         /// Fails to compile when [`SensorNoise`] gains a field without a line above.
         const _: fn(&SensorNoise) = |noise| {
@@ -32,28 +32,28 @@ macro_rules! noise_keys {
 }
 
 noise_keys! {
-    wheel_travel_m_per_sqrt_m: |seen| matches!(seen, ObservationKind::WheelAngles { .. });
+    wheel_travel_m_per_sqrt_m: |kind| matches!(kind, ObservationKind::WheelAngles { .. });
     travel_m_per_sqrt_m: is_motion_observation;
     turn_rad_per_sqrt_rad: is_motion_observation;
     heading_rad_per_sqrt_m: is_motion_observation;
-    gyro_rad_per_s: |seen| matches!(seen, ObservationKind::TurnRate(_));
+    gyro_rad_per_s: |kind| matches!(kind, ObservationKind::TurnRate(_));
     gyro_resolution_rad_per_s: |_| false;
     gyro_bias_rad_per_s: |_| false;
     gyro_bias_walk_rad_per_s_sqrt_s: |_| false;
-    fix_position_m: |seen| matches!(seen, ObservationKind::Fix(fix) if fix.covariance.is_none());
-    fix_heading_rad: |seen| matches!(seen, ObservationKind::Fix(fix) if fix.covariance.is_none() && fix.heading.is_some());
+    fix_position_m: |kind| matches!(kind, ObservationKind::Fix(fix) if fix.covariance.is_none());
+    fix_heading_rad: |kind| matches!(kind, ObservationKind::Fix(fix) if fix.covariance.is_none() && fix.heading.is_some());
     accelerometer_m_per_s2: |_| false;
-    compass_rad: |seen| matches!(seen, ObservationKind::CompassHeading(_));
-    landmark_range_m: |seen| matches!(seen, ObservationKind::Landmark { .. });
-    landmark_bearing_rad: |seen| matches!(seen, ObservationKind::Landmark { .. });
-    beacon_range_m: |seen| matches!(seen, ObservationKind::BeaconRange { .. });
-    wall_range_m: |seen| matches!(seen, ObservationKind::WallRange(_));
-    temperature_k: |seen| matches!(seen, ObservationKind::Temperature(_));
+    compass_rad: |kind| matches!(kind, ObservationKind::CompassHeading(_));
+    landmark_range_m: |kind| matches!(kind, ObservationKind::Landmark { .. });
+    landmark_bearing_rad: |kind| matches!(kind, ObservationKind::Landmark { .. });
+    beacon_range_m: |kind| matches!(kind, ObservationKind::BeaconRange { .. });
+    wall_range_m: |kind| matches!(kind, ObservationKind::WallRange(_));
+    temperature_k: |kind| matches!(kind, ObservationKind::Temperature(_));
 }
 
-const fn is_motion_observation(seen: &ObservationKind) -> bool {
+const fn is_motion_observation(kind: &ObservationKind) -> bool {
     matches!(
-        seen,
+        kind,
         ObservationKind::WheelAngles { .. } | ObservationKind::OdometerPose(_) | ObservationKind::BodyVelocity { .. }
     )
 }
@@ -124,11 +124,11 @@ fn scale_param(row: &Param, params: &mut Params, factor: f64) {
 
 /// Default selection: the noises above zero that the observations determine.
 pub fn default_keys(observations: &[Observation], noise: &SensorNoise) -> Vec<TunedKey> {
-    let is_told = |row: &NoiseKey| {
-        let mut seen = observations.iter();
-        seen.any(|observation| (row.told_by)(&observation.measurement))
+    let is_observed = |row: &NoiseKey| {
+        let mut observations = observations.iter();
+        observations.any(|observation| (row.observed_by)(&observation.measurement))
     };
-    NOISE_KEYS.iter().filter(|row| (row.read)(noise) > 0.0 && is_told(row)).map(TunedKey::Noise).collect()
+    NOISE_KEYS.iter().filter(|row| (row.read)(noise) > 0.0 && is_observed(row)).map(TunedKey::Noise).collect()
 }
 
 #[cfg(test)]
@@ -142,8 +142,8 @@ mod tests {
         }
         let filter = TunedKey::from_name("filter.accel_m_s2").unwrap();
         assert_eq!(filter.name(), "filter.accel_m_s2");
-        let said = TunedKey::from_name("noise.gyro").err().unwrap().to_string();
-        assert!(said.contains("`noise.gyro`") && said.contains("fix_heading_rad"), "{said}");
+        let message = TunedKey::from_name("noise.gyro").err().unwrap().to_string();
+        assert!(message.contains("`noise.gyro`") && message.contains("fix_heading_rad"), "{message}");
     }
 
     #[test]
@@ -152,8 +152,8 @@ mod tests {
             let mut noise = SensorNoise::EXACT;
             (row.write)(&mut noise, 2.0);
             for (other_index, other) in NOISE_KEYS.iter().enumerate() {
-                let wanted = if index == other_index { 2.0 } else { 0.0 };
-                assert_eq!((other.read)(&noise), wanted, "{} {}", row.key, other.key);
+                let expected = if index == other_index { 2.0 } else { 0.0 };
+                assert_eq!((other.read)(&noise), expected, "{} {}", row.key, other.key);
             }
         }
     }

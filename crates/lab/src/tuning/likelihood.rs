@@ -170,8 +170,8 @@ pub fn ln_prior(log_scales: &[f64]) -> f64 {
 /// ln of equation (2); the record's own log-likelihood contains the determinant of S.
 fn ln_density(record: &FusionRecord) -> Option<f64> {
     let d = f64::from(record.degrees_of_freedom);
-    let is_judged = d > 0.0 && record.nis.is_finite() && record.log_likelihood.is_finite();
-    if !is_judged {
+    let is_scored = d > 0.0 && record.nis.is_finite() && record.log_likelihood.is_finite();
+    if !is_scored {
         return None;
     }
     let at_centre = record.log_likelihood + 0.5 * record.nis;
@@ -200,14 +200,14 @@ pub fn fixes_from_truth(
     let mut rng = Pcg64::seed_from_u64(glimpses.seed);
     let mut due: Option<Timestamp<BrickClock>> = None;
     let mut fixes = Vec::new();
-    for (stamp, place) in truth {
+    for (stamp, position) in truth {
         if due.is_some_and(|due| *stamp < due) {
             continue;
         }
         due = Some(*stamp + glimpses.every);
         let [dx, dy] = normal_pair(rng.random(), rng.random());
         let position =
-            Point2::new(Meters(place.x.0 + glimpses.sigma_m * dx), Meters(place.y.0 + glimpses.sigma_m * dy));
+            Point2::new(Meters(position.x.0 + glimpses.sigma_m * dx), Meters(position.y.0 + glimpses.sigma_m * dy));
         fixes.push(Observation {
             sensor: SensorId::CAMERA,
             stamp: *stamp,

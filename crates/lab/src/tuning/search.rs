@@ -79,7 +79,7 @@ pub fn maximise(
     search: &SearchOptions,
     mut evaluate: impl FnMut(&[Vec<f64>]) -> Vec<f64>,
 ) -> SearchResult {
-    let mut ask = |points: &[Vec<f64>]| -> Vec<f64> {
+    let mut score_points = |points: &[Vec<f64>]| -> Vec<f64> {
         let values = evaluate(points);
         let finite = |value: f64| {
             if value.is_finite() { value } else { f64::NEG_INFINITY }
@@ -87,7 +87,7 @@ pub fn maximise(
         values.into_iter().map(finite).collect()
     };
     let start = vec![0.0; variables];
-    let start_value = ask(std::slice::from_ref(&start)).first().copied().unwrap_or(f64::NEG_INFINITY);
+    let start_value = score_points(std::slice::from_ref(&start)).first().copied().unwrap_or(f64::NEG_INFINITY);
     let mut best = SearchPoint { at: start, value: start_value };
     let mut step = search.first_step;
     let mut rounds = Vec::new();
@@ -98,9 +98,9 @@ pub fn maximise(
             break;
         }
         let polled = poll_points(&best.at, step, search.bound);
-        let values = ask(&polled);
+        let values = score_points(&polled);
         let combined = combinations(&best, &polled, &values, search);
-        let more = ask(&combined);
+        let more = score_points(&combined);
         let all = polled.into_iter().zip(values).chain(combined.into_iter().zip(more));
         let top = all.max_by(|a, b| a.1.total_cmp(&b.1));
         match top.filter(|top| top.1 > best.value + search.min_gain) {
@@ -109,7 +109,7 @@ pub fn maximise(
         }
         rounds.push(SearchRound { value: best.value, at: best.at.clone(), step });
     }
-    let sigma = sigmas(&best, &mut ask);
+    let sigma = sigmas(&best, &mut score_points);
     SearchResult { start_value, at: best.at, value: best.value, rounds, sigma, termination: ending }
 }
 

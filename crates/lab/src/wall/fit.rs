@@ -47,11 +47,11 @@ impl StepFit {
     pub fn fitted_curve(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
         let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
         let readings = responses(log, rate_per_s);
-        let Some((way_m, range_m)) = means(&readings) else {
+        let Some((mean_distance_m, range_m)) = means(&readings) else {
             return Vec::new();
         };
         let fitted = readings.iter().map(|reading| {
-            let fitted_m = range_m - steady * (reading.distance_m - way_m);
+            let fitted_m = range_m - steady * (reading.distance_m - mean_distance_m);
             (reading.at_s, reading.range_m, fitted_m)
         });
         fitted.collect()
@@ -128,10 +128,10 @@ impl LinearFit {
         let (mut across, mut along, mut heights) = (0.0, 0.0, 0.0);
         for log in logs {
             let readings = responses(log, rate_per_s);
-            let (way_m, range_m) = means(&readings)?;
+            let (mean_distance_m, range_m) = means(&readings)?;
             for reading in &readings {
-                across += (reading.distance_m - way_m) * (reading.range_m - range_m);
-                along += (reading.distance_m - way_m).powi(2);
+                across += (reading.distance_m - mean_distance_m) * (reading.range_m - range_m);
+                along += (reading.distance_m - mean_distance_m).powi(2);
                 heights += (reading.range_m - range_m).powi(2);
             }
         }
@@ -142,9 +142,9 @@ impl LinearFit {
 
 fn means(readings: &[ResponseSample]) -> Option<(f64, f64)> {
     let count = readings.len() as f64;
-    let way_m = readings.iter().map(|reading| reading.distance_m).sum::<f64>() / count;
+    let mean_distance_m = readings.iter().map(|reading| reading.distance_m).sum::<f64>() / count;
     let range_m = readings.iter().map(|reading| reading.range_m).sum::<f64>() / count;
-    (count > 0.0).then_some((way_m, range_m))
+    (count > 0.0).then_some((mean_distance_m, range_m))
 }
 
 /// Covariance [vv, va, aa] by least squares about the minimum.
@@ -216,28 +216,28 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
 }
 
 /// Slopes of regression lines through pieces of `piece` readings, each overlapping half of the previous one.
-pub fn overlapping_lines(log: &WallLog, piece: usize) -> Vec<SpeedSample> {
+pub fn overlapping_lines(log: &WallLog, length: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
-    segments(&readings, piece).filter_map(slope).collect()
+    segments(&readings, length).filter_map(slope).collect()
 }
 
-/// Pieces of `piece` readings that overlap by half; the last ends with the last reading.
-fn segments(readings: &[(f64, f64)], piece: usize) -> impl Iterator<Item = &[(f64, f64)]> {
-    let piece = piece.max(2);
-    let last = readings.len().checked_sub(piece);
+/// Pieces of `length` readings that overlap by half; the last ends with the last reading.
+fn segments(readings: &[(f64, f64)], length: usize) -> impl Iterator<Item = &[(f64, f64)]> {
+    let length = length.max(2);
+    let last = readings.len().checked_sub(length);
     let starts = last.into_iter().flat_map(move |last| {
-        let step = piece.div_ceil(2);
+        let step = length.div_ceil(2);
         (0..last).step_by(step).chain([last])
     });
-    starts.filter_map(move |start| readings.get(start..start + piece))
+    starts.filter_map(move |start| readings.get(start..start + length))
 }
 
-fn slope(piece: &[(f64, f64)]) -> Option<SpeedSample> {
-    let count = piece.len() as f64;
-    let at_s = piece.iter().map(|(at_s, _)| at_s).sum::<f64>() / count;
-    let mean_m = piece.iter().map(|(_, range_m)| range_m).sum::<f64>() / count;
+fn slope(samples: &[(f64, f64)]) -> Option<SpeedSample> {
+    let count = samples.len() as f64;
+    let at_s = samples.iter().map(|(at_s, _)| at_s).sum::<f64>() / count;
+    let mean_m = samples.iter().map(|(_, range_m)| range_m).sum::<f64>() / count;
     let (mut across, mut along) = (0.0, 0.0);
-    for (time_s, range_m) in piece {
+    for (time_s, range_m) in samples {
         across += (time_s - at_s) * (range_m - mean_m);
         along += (time_s - at_s).powi(2);
     }
@@ -249,14 +249,14 @@ fn slope(piece: &[(f64, f64)]) -> Option<SpeedSample> {
 /// A line's slope is the mean speed of its piece, lower than at its end while the car accelerates, and the steepest of several noisy
 /// lines is too steep: such results are accurate to some per cent. [`fit_steps`](super::fit_steps) is more accurate and returns its
 /// uncertainty.
-pub fn fit_by_hand(log: &WallLog, piece: usize) -> Result<ManualStepFit, WallStepError> {
+pub fn fit_by_hand(log: &WallLog, length: usize) -> Result<ManualStepFit, WallStepError> {
     let start_s = log.drives_from_s().ok_or(WallStepError::NoInput)?;
     let readings: Vec<(f64, f64)> = log.readings().filter(|(at_s, _)| *at_s >= start_s).collect();
-    let needed = piece.max(2) + 1;
+    let needed = length.max(2) + 1;
     if readings.len() < needed {
         return Err(WallStepError::TooFewReadings { found: readings.len(), needed });
     }
-    let lines = segments(&readings, piece).filter_map(|piece| Some((slope(piece)?, piece)));
+    let lines = segments(&readings, length).filter_map(|samples| Some((slope(samples)?, samples)));
     let lines: Vec<(SpeedSample, &[(f64, f64)])> = lines.collect();
     let steepest = lines.iter().max_by(|a, b| a.0.towards_m_per_s.total_cmp(&b.0.towards_m_per_s));
     let (steady, of) = steepest.ok_or(WallStepError::NoMotion)?;
@@ -264,8 +264,8 @@ pub fn fit_by_hand(log: &WallLog, piece: usize) -> Result<ManualStepFit, WallSte
     let [first, .., last] = of else {
         return Err(WallStepError::NoMotion);
     };
-    let reached_s = crossing(&lines, start_s, 0.9 * steady_m_per_s);
-    let rise_90_s = reached_s.map_or(0.0, |at_s| at_s - start_s);
+    let rise_end_s = crossing(&lines, start_s, 0.9 * steady_m_per_s);
+    let rise_90_s = rise_end_s.map_or(0.0, |at_s| at_s - start_s);
     if steady_m_per_s <= 0.0 || rise_90_s <= 0.0 {
         return Err(WallStepError::NoMotion);
     }
@@ -314,7 +314,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::wall::log::test_logs::{log_of, way_m};
+    use crate::wall::log::test_logs::{driven_m, log_of};
 
     /// A step of the text's car with readings of this noise.
     fn simulated(seed: u64, sigma_m: f64) -> WallLog {
@@ -322,7 +322,7 @@ mod tests {
         let ranges = (0..21).map(|index| {
             let at_s = 0.083 * f64::from(index);
             let noise: f64 = normals.sample(StandardNormal);
-            (at_s, 2.0 - way_m((at_s - 0.241_f64).max(0.0)) + sigma_m * noise)
+            (at_s, 2.0 - driven_m((at_s - 0.241_f64).max(0.0)) + sigma_m * noise)
         });
         log_of([(0.0, 0.0), (0.241, 1.0)], ranges)
     }
@@ -372,7 +372,7 @@ mod tests {
     /// Noise-free readings of the text's car, 18 on the way.
     fn noise_free(period_s: f64, count: u32) -> WallLog {
         let since_s = (0..count).map(|index| f64::from(index) * period_s);
-        log_of([(0.241, 1.0)], since_s.map(|since_s| (0.241 + since_s, 4.0 - way_m(since_s))))
+        log_of([(0.241, 1.0)], since_s.map(|since_s| (0.241 + since_s, 4.0 - driven_m(since_s))))
     }
 
     #[test]
@@ -417,7 +417,7 @@ mod tests {
         let few = WallStepError::TooFewReadings { found: 4, needed: 5 };
         assert_eq!(fit_by_hand(&full, 4), Err(few));
         assert_eq!(fit_by_hand(&log_of([], full.readings()), 3), Err(WallStepError::NoInput));
-        let standing = log_of([(0.0, 1.0)], (0..9).map(|index| (f64::from(index), 1.0)));
-        assert_eq!(fit_by_hand(&standing, 3), Err(WallStepError::NoMotion));
+        let resting = log_of([(0.0, 1.0)], (0..9).map(|index| (f64::from(index), 1.0)));
+        assert_eq!(fit_by_hand(&resting, 3), Err(WallStepError::NoMotion));
     }
 }

@@ -57,7 +57,7 @@ pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
                 at_s: entry.at_s,
                 range_m,
                 kalman_m,
-                line_m: line.estimate(entry.at_s).map(|belief| belief.distance_m).filter(|_| readings >= 2),
+                line_m: line.estimate(entry.at_s).map(|estimate| estimate.distance_m).filter(|_| readings >= 2),
                 plant: *plant,
                 gate_m: innovation_sigma(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
                 is_gated: record.outcome == FusionOutcome::Gated,
@@ -238,7 +238,7 @@ impl PlantFilter {
     }
 
     pub(super) fn distance_m(&self, at_s: f64) -> Option<f64> {
-        self.kalman.estimate(at_s).map(|belief| belief.distance_m)
+        self.kalman.estimate(at_s).map(|estimate| estimate.distance_m)
     }
 }
 
@@ -265,10 +265,10 @@ fn estimate_steady_speed(steps: &[(f64, f64, f64)], noise: KalmanNoise) -> f64 {
     let density = noise.process_m.powi(2) / PAPER_STEP_S;
     let mut across = 0.0;
     let mut along = STEADY_SIGMA_M_PER_S.powi(-2);
-    for (dt_s, change_m, way_m) in steps {
+    for (dt_s, change_m, distance_m) in steps {
         let weight = 1.0 / (2.0 * noise.range_m.powi(2) + density * dt_s);
-        across -= weight * change_m * way_m;
-        along += weight * way_m * way_m;
+        across -= weight * change_m * distance_m;
+        along += weight * distance_m * distance_m;
     }
     across / along
 }
@@ -338,9 +338,9 @@ mod tests {
         let mut normals = Pcg64::seed_from_u64(7);
         let ranges = (0..readings).map(|index| {
             let t = 0.1 * f64::from(index);
-            let way_m = 2.0 * (t - 0.9 * (1.0 - (-t / 0.9).exp()));
+            let distance_m = 2.0 * (t - 0.9 * (1.0 - (-t / 0.9).exp()));
             let noise: f64 = normals.sample(StandardNormal);
-            (t, 5.0 - way_m + 0.01 * noise)
+            (t, 5.0 - distance_m + 0.01 * noise)
         });
         log_of([(0.0, input)], ranges)
     }

@@ -126,16 +126,16 @@ pub(super) fn responses(log: &WallLog, rate_per_s: f64) -> Vec<ResponseSample> {
     let Some(first) = log.entries().first() else {
         return readings;
     };
-    let (mut at_s, mut way_m, mut speed, mut input) = (first.at_s, 0.0, 0.0, 0.0);
+    let (mut at_s, mut distance_m, mut speed, mut input) = (first.at_s, 0.0, 0.0, 0.0);
     for entry in log.entries() {
         let dt_s = entry.at_s - at_s;
         let decayed = -(-rate_per_s * dt_s).exp_m1();
-        way_m += input * dt_s + (speed - input) * decayed / rate_per_s;
+        distance_m += input * dt_s + (speed - input) * decayed / rate_per_s;
         speed += (input - speed) * decayed;
         at_s = entry.at_s;
         match entry.reading {
             WallReading::Input(next) => input = next,
-            WallReading::Range(range_m) => readings.push(ResponseSample { at_s, range_m, distance_m: way_m }),
+            WallReading::Range(range_m) => readings.push(ResponseSample { at_s, range_m, distance_m }),
         }
     }
     readings
@@ -156,7 +156,7 @@ pub(super) mod test_logs {
     }
 
     /// How far the text's car has come, m, so long after it began to drive.
-    pub(crate) fn way_m(since_s: f64) -> f64 {
+    pub(crate) fn driven_m(since_s: f64) -> f64 {
         let tau_s = 0.997 / std::f64::consts::LN_10;
         1.225 * (since_s - tau_s * (1.0 - (-since_s / tau_s).exp()))
     }
@@ -167,8 +167,8 @@ mod tests {
     use super::test_logs::log_of;
     use super::*;
 
-    fn entry(at_s: f64, said: WallReading) -> WallEntry {
-        WallEntry { at_s, reading: said }
+    fn entry(at_s: f64, reading: WallReading) -> WallEntry {
+        WallEntry { at_s, reading }
     }
 
     #[test]
@@ -225,13 +225,13 @@ mod tests {
     fn the_way_is_that_of_the_differential_equation() {
         let inputs = [(0.0, 1.0), (0.7, -0.4), (0.9, 0.2)];
         let found = responses(&log_of(inputs, [(1.4, 2.0)]), 2.3)[0].distance_m;
-        let (mut way, mut speed, parts) = (0.0, 0.0, 1_400_000);
+        let (mut distance, mut speed, parts) = (0.0, 0.0, 1_400_000);
         for part in 0..parts {
             let at_s = 1.4 * f64::from(part) / f64::from(parts);
             let input = inputs.iter().rfind(|(from, _)| *from <= at_s).unwrap().1;
-            way += speed * 1e-6;
+            distance += speed * 1e-6;
             speed += 2.3 * (input - speed) * 1e-6;
         }
-        assert!((found - way).abs() < 1e-5, "{found} {way}");
+        assert!((found - distance).abs() < 1e-5, "{found} {distance}");
     }
 }

@@ -256,13 +256,13 @@ pub fn gate_trial(
     added_m: f64,
 ) -> Option<GateTrial> {
     let mut kalman = WallKalman::new(model, noise, variant);
-    let mut seen = 0;
+    let mut range_count = 0;
     for entry in log.entries() {
         match entry.reading {
             WallReading::Input(input) => kalman.observe_input(entry.at_s, input),
-            WallReading::Range(range_m) if seen < index => {
+            WallReading::Range(range_m) if range_count < index => {
                 kalman.observe_range(entry.at_s, range_m);
-                seen += 1;
+                range_count += 1;
             }
             WallReading::Range(range_m) => {
                 let before = kalman.estimate(entry.at_s)?;
@@ -360,7 +360,7 @@ pub fn compare_stops(ours: &[Option<StopResult>], theirs: &[Option<StopResult>])
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wall::log::test_logs::{log_of, way_m};
+    use crate::wall::log::test_logs::{driven_m, log_of};
 
     #[test]
     fn a_line_goes_on_where_the_last_reading_stays() {
@@ -389,7 +389,7 @@ mod tests {
     fn paper_log() -> WallLog {
         let at_s = |turn: u32| 0.0076 * f64::from(turn);
         let read = (0..84).filter(|turn| (turn * 19) % 84 < 19);
-        log_of((0..84).map(|turn| (at_s(turn), 1.0)), read.map(|turn| (at_s(turn), 2.0 - way_m(at_s(turn)))))
+        log_of((0..84).map(|turn| (at_s(turn), 1.0)), read.map(|turn| (at_s(turn), 2.0 - driven_m(at_s(turn)))))
     }
 
     fn model() -> WallApproachModel {

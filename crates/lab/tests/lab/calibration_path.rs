@@ -29,7 +29,7 @@ struct TrueRobot {
     delay_s: f64,
     tag_m: [f64; 2],
     slip_m_per_sqrt_m: f64,
-    wander_rad_per_sqrt_m: f64,
+    heading_rad_per_sqrt_m: f64,
     /// Where it stands and points at the start.
     start: [f64; 3],
 }
@@ -41,7 +41,7 @@ const TRUTH: TrueRobot = TrueRobot {
     delay_s: 0.12,
     tag_m: [0.035, -0.01],
     slip_m_per_sqrt_m: 0.002,
-    wander_rad_per_sqrt_m: 0.0,
+    heading_rad_per_sqrt_m: 0.0,
     start: [0.4, -0.2, 0.7],
 };
 
@@ -80,9 +80,9 @@ fn drive(truth: &TrueRobot, rates: &[f64], rounds: usize, seed: u64) -> FreePath
                 x += (forward + off) * (heading + 0.5 * turn).cos();
                 y += (forward + off) * (heading + 0.5 * turn).sin();
                 heading += turn;
-                if truth.wander_rad_per_sqrt_m > 0.0 {
-                    let wander = truth.wander_rad_per_sqrt_m * forward.sqrt();
-                    heading += wander * normal(&mut random);
+                if truth.heading_rad_per_sqrt_m > 0.0 {
+                    let heading_noise = truth.heading_rad_per_sqrt_m * forward.sqrt();
+                    heading += heading_noise * normal(&mut random);
                 }
                 poses.push([x, y, heading]);
             }
@@ -98,19 +98,19 @@ fn drive(truth: &TrueRobot, rates: &[f64], rounds: usize, seed: u64) -> FreePath
 
 /// What is seen of the tag on the way through these poses.
 fn simulate_fixes(truth: &TrueRobot, poses: &[[f64; 3]], random: &mut Pcg64) -> Vec<PositionFix> {
-    let seen = (0..poses.len() - 1).step_by(2).map(|index| {
+    let fixes = (0..poses.len() - 1).step_by(2).map(|index| {
         let [x, y, heading] = poses[index];
         let (sin, cos) = heading.sin_cos();
         let [ahead, left] = truth.tag_m;
-        let mut seen = |exact: f64| exact + SIGMA_M * normal(random);
+        let mut measured = |exact: f64| exact + SIGMA_M * normal(random);
         PositionFix {
             at_s: index as f64 * STEP_S + truth.delay_s,
-            position_m: [seen(x + cos * ahead - sin * left), seen(y + sin * ahead + cos * left)],
+            position_m: [measured(x + cos * ahead - sin * left), measured(y + sin * ahead + cos * left)],
             sigma_m: SIGMA_M,
             tag_m: [0.0; 2],
         }
     });
-    seen.collect()
+    fixes.collect()
 }
 
 fn known(value: f64, sigma: f64) -> UncertainValue {
@@ -169,18 +169,18 @@ fn every_number_is_found_within_its_sigma_over_many_drives() {
 #[test]
 fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
     const DRIVES: u64 = 24;
-    const WANDER: f64 = 0.02;
-    let truth = TrueRobot { wander_rad_per_sqrt_m: WANDER, ..TRUTH };
-    let mut told = config();
-    told.noise.heading_rad_per_sqrt_m = WANDER;
+    const HEADING_NOISE: f64 = 0.02;
+    let truth = TrueRobot { heading_rad_per_sqrt_m: HEADING_NOISE, ..TRUTH };
+    let mut with_noise = config();
+    with_noise.noise.heading_rad_per_sqrt_m = HEADING_NOISE;
     // Squares of the errors over their sigmas: told of the wandering, and not told.
     let mut squares = [[0.0; 2]; 2];
     let mut founds = [[0_u32; 2]; 2];
     for seed in 0..DRIVES {
         let path = [drive(&truth, &BOTH_DIRECTIONS, 4, seed)];
-        for (told_of, config) in [told.clone(), config()].iter().enumerate() {
+        for (config_index, config) in [with_noise.clone(), config()].iter().enumerate() {
             let found = calibrated(config, &path);
-            for (place, unknown) in
+            for (index, unknown) in
                 [CalibrationUnknown::RadiusDifference, CalibrationUnknown::TrackScale].into_iter().enumerate()
             {
                 let entry = found.entries.iter().find(|one| one.unknown == unknown);
@@ -188,8 +188,8 @@ fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
                 // Now and then a wandering looks as if wheels and track could not be told apart.
                 if entry.status == UnknownStatus::Estimated {
                     let off = entry.after.value - truth_of(unknown, &truth);
-                    squares[told_of][place] += (off / entry.after.sigma).powi(2);
-                    founds[told_of][place] += 1;
+                    squares[config_index][index] += (off / entry.after.sigma).powi(2);
+                    founds[config_index][index] += 1;
                 }
             }
         }
@@ -201,12 +201,12 @@ fn where_the_heading_wanders_the_sigmas_say_so_if_they_are_told() {
         }
     }
     println!("told of the wandering and not: {squares:.2?}");
-    let [told, not_told] = squares;
+    let [with_noise, without_noise] = squares;
     // 24 drives: 95 % of the means of a chi-square of one lie between 0.5 and 1.7.
-    assert!((0.5..1.7).contains(&told[0]), "{told:?}");
-    assert!(not_told[0] > 4.0, "{not_told:?}");
+    assert!((0.5..1.7).contains(&with_noise[0]), "{with_noise:?}");
+    assert!(without_noise[0] > 4.0, "{without_noise:?}");
     // The track is known better than is said, with and without: its sigma carries that of the length.
-    assert!(told[1] < 1.7, "{told:?}");
+    assert!(with_noise[1] < 1.7, "{with_noise:?}");
 }
 
 #[test]
@@ -224,8 +224,8 @@ fn a_held_number_stays_and_is_said_to_be_held() {
     let mut config = config();
     config.calibration.radius_scale = known(0.03, 0.0);
     let found = calibrated(&config, &[drive(&TRUTH, &BOTH_DIRECTIONS, 4, 2)]);
-    let UnknownEstimate { after, status: standing, .. } = found.entry(CalibrationUnknown::RadiusScale);
-    assert_eq!((after, standing), (known(0.03, 0.0), UnknownStatus::Fixed));
+    let UnknownEstimate { after, status, .. } = found.entry(CalibrationUnknown::RadiusScale);
+    assert_eq!((after, status), (known(0.03, 0.0), UnknownStatus::Fixed));
     let track = found.entry(CalibrationUnknown::TrackScale).after;
     assert!((track.value - TRUTH.track_scale).abs() < 5.0 * track.sigma, "{track:?}");
 }
@@ -336,11 +336,11 @@ fn a_drive_is_made_of_usable_observations_in_any_order() {
     odd.reverse();
     odd.push(wheels(250, f64::NAN, 0.0));
     odd.push(good[2]);
-    let sight = |at_s: f64, x: f64| PositionFix { at_s, position_m: [x, 0.0], sigma_m: 0.01, tag_m: [0.0; 2] };
-    let sights = [sight(0.3, 0.1), sight(f64::NAN, 0.0), sight(0.0, 0.0), sight(0.05, 9.0), sight(0.2, f64::INFINITY)];
-    let path = FreePath::new("odd", &config, &odd, sights);
+    let fix = |at_s: f64, x: f64| PositionFix { at_s, position_m: [x, 0.0], sigma_m: 0.01, tag_m: [0.0; 2] };
+    let fixes = [fix(0.3, 0.1), fix(f64::NAN, 0.0), fix(0.0, 0.0), fix(0.05, 9.0), fix(0.2, f64::INFINITY)];
+    let path = FreePath::new("odd", &config, &odd, fixes);
     // At rest nothing rolls, and the second of two sights that are too close is left out.
-    assert_eq!(path, FreePath::new("odd", &config, &good, [sight(0.0, 0.0), sight(0.3, 0.1)]));
+    assert_eq!(path, FreePath::new("odd", &config, &good, [fix(0.0, 0.0), fix(0.3, 0.1)]));
     assert_eq!((path.steps.len(), path.fixes.len()), (2, 2));
     assert!((path.steps[0].travel.left_m - 0.03).abs() < 1e-15);
     assert!((path.length_m() - 0.03 * 1.5).abs() < 1e-15);

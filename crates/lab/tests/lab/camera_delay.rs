@@ -53,17 +53,17 @@ fn a_delay_is_found_within_three_sigma_and_mostly_within_two() {
 
 #[test]
 fn what_tells_no_delay_says_why() {
-    let seen = camera_samples(60, 0.137, 1);
-    let standing = cumulative_motion(60, |_| 0.0);
-    assert!(matches!(find_delay(&standing, &seen, &SEARCH), Err(DelayError::NoMotion(_))));
-    let short = find_delay(&cumulative_motion(60, turned_rad), &seen[..20], &SEARCH);
+    let motion = camera_samples(60, 0.137, 1);
+    let resting = cumulative_motion(60, |_| 0.0);
+    assert!(matches!(find_delay(&resting, &motion, &SEARCH), Err(DelayError::NoMotion(_))));
+    let short = find_delay(&cumulative_motion(60, turned_rad), &motion[..20], &SEARCH);
     assert!(matches!(short, Err(DelayError::TooFew(_))));
     let narrow = DelaySearch { from_s: 0.2, to_s: 0.5 };
-    let edge = find_delay(&cumulative_motion(60, turned_rad), &seen, &narrow);
+    let edge = find_delay(&cumulative_motion(60, turned_rad), &motion, &narrow);
     assert!(matches!(edge, Err(DelayError::AtSearchLimit(_))), "{edge:?}");
     let none = DelaySearch { from_s: 0.2, to_s: f64::NAN };
-    assert_eq!(find_delay(&standing, &seen, &none), Err(DelayError::NoRange));
-    assert!(find_delay(&CumulativeMotion::default(), &seen, &SEARCH).is_err());
+    assert_eq!(find_delay(&resting, &motion, &none), Err(DelayError::NoRange));
+    assert!(find_delay(&CumulativeMotion::default(), &motion, &SEARCH).is_err());
 }
 
 #[test]

@@ -65,8 +65,8 @@ fn bound_of(drive: &ReferenceDrive) -> BoundSum {
 fn without_a_fix_the_bound_is_the_start_and_the_noise_of_the_wheels() {
     // The gyro is perfect: the heading is as good as at the start, and the distance is the mean of both wheels.
     let variance = |step: usize| {
-        let way_m = STEP_M * step as f64;
-        2.0 * START_SIGMA.powi(2) + (way_m * START_SIGMA).powi(2) + 0.5 * WHEEL.powi(2) * way_m
+        let distance_m = STEP_M * step as f64;
+        2.0 * START_SIGMA.powi(2) + (distance_m * START_SIGMA).powi(2) + 0.5 * WHEEL.powi(2) * distance_m
     };
     let mut drive = straight(20, &[]);
     let expected = |from: usize| {
@@ -120,7 +120,7 @@ fn there_is_no_bound_where_its_assumptions_do_not_hold() {
 #[test]
 fn in_hindsight_the_first_step_knows_the_last_fix() {
     // Told to start 50 mm beside, give or take; the fixes tell better, and one of them is half a metre off.
-    let told = FilterConfig {
+    let assumed = FilterConfig {
         start: Some(StartPose {
             pose: Pose::new(Meters(0.0), Meters(0.05), Heading::default()),
             position_sigma_m: 0.1,
@@ -129,7 +129,7 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
         ..config()
     };
     let drive = straight(60, &[(10, 0.0), (20, 0.0), (30, 0.0), (40, 0.5), (50, 0.0), (55, 0.0)]);
-    let result = score_smoother(&drive, &told, batch);
+    let result = score_smoother(&drive, &assumed, batch);
     assert_eq!(result.error, None);
     let score = result.score;
     assert_eq!((score.runs(), score.steps(), score.steps_without_estimate()), (1, 60, 0));

@@ -36,10 +36,11 @@ fn a_fit_without_noise_finds_the_response() {
     };
     let samples: Vec<TimedSample> =
         (0..400).map(|k| 0.25 * f64::from(k)).map(|at_s| TimedSample { at_s, value: truth.value_at(at_s) }).collect();
-    let belief = |mean, sigma| GaussianPrior { mean, sigma };
+    let gaussian = |mean, sigma| GaussianPrior { mean, sigma };
     let prior = ResponsePrior {
-        onset: belief(9.0, 100.0),
-        dynamics: DynamicsPrior::independent(&[belief(0.5, 100.0), belief(3.5, 100.0)], &[belief(0.5, 100.0)]).unwrap(),
+        onset: gaussian(9.0, 100.0),
+        dynamics: DynamicsPrior::independent(&[gaussian(0.5, 100.0), gaussian(3.5, 100.0)], &[gaussian(0.5, 100.0)])
+            .unwrap(),
         slowest: None,
         end: None,
     };
@@ -174,17 +175,17 @@ fn at_rest_the_reading_is_the_quantity_and_after_settling_again() {
 #[test]
 fn a_kind_learns_from_its_runs_how_much_they_differ() {
     let run = |tau_s, seed| identified(&simulate_dip(&[(tau_s, 1.0)], seed, 20.0, 4.0));
-    let slowest = |runs: &[IdentifiedStep], way| {
+    let slowest = |runs: &[IdentifiedStep], direction| {
         let kind = SensorKind::with_order(runs, 1, RunSimilarity::SameKind).unwrap();
-        kind.expectation(way).unwrap().dynamics.slowest()
+        kind.expectation(direction).unwrap().dynamics.slowest()
     };
     let alike = slowest(&[run(8.0, 1), run(8.0, 2)], StepDirection::Down);
     let unlike = slowest(&[run(6.5, 1), run(10.0, 2)], StepDirection::Down);
     assert!(unlike.sigma > 2.0 * alike.sigma, "{} {}", unlike.sigma, alike.sigma);
     assert!((unlike.mean.exp() - 65.0_f64.sqrt()).abs() < 0.1);
-    let other_way = slowest(&[run(8.0, 1), run(8.0, 2)], StepDirection::Up);
-    assert!(other_way.sigma > 2.0 * alike.sigma);
-    assert_eq!(other_way.mean, alike.mean);
+    let other_direction = slowest(&[run(8.0, 1), run(8.0, 2)], StepDirection::Up);
+    assert!(other_direction.sigma > 2.0 * alike.sigma);
+    assert_eq!(other_direction.mean, alike.mean);
     assert!(SensorKind::from_runs(&[], RunSimilarity::SameKind).is_err());
 }
 
@@ -193,7 +194,8 @@ fn a_kind_learns_from_its_runs_how_much_they_differ() {
 fn the_other_way_all_lags_share_one_scale() {
     let run = identified(&simulate_dip(&[(3.0, 0.35), (15.0, 0.65)], 1, 20.0, 4.0));
     let kind = SensorKind::with_order(&[run], 2, RunSimilarity::SameKind).unwrap();
-    let [own, other] = [StepDirection::Down, StepDirection::Up].map(|way| kind.expectation(way).unwrap().dynamics);
+    let [own, other] =
+        [StepDirection::Down, StepDirection::Up].map(|direction| kind.expectation(direction).unwrap().dynamics);
     // By hand: root of 0.005 for the slow lag, and with the scale of 0.2 root of 0.045.
     assert!((own.slowest().sigma - 0.0707).abs() < 0.003);
     assert!((other.slowest().sigma - 0.2121).abs() < 0.003);
@@ -282,13 +284,13 @@ fn sensors_of_a_kind_predict_each_other() {
     let ends = [(20.0, 4.0), (24.0, 3.0), (22.0, 5.0)];
     let runs: Vec<IdentifiedStep> =
         (0..3).map(|k| identified(&simulate_dip(&lags[k], k as u64, ends[k].0, ends[k].1))).collect();
-    for judged in 0..3 {
-        let others: Vec<IdentifiedStep> = (0..3).filter(|k| *k != judged).map(|k| runs[k].clone()).collect();
+    for held_out in 0..3 {
+        let others: Vec<IdentifiedStep> = (0..3).filter(|k| *k != held_out).map(|k| runs[k].clone()).collect();
         let kind = SensorKind::from_runs(&others, RunSimilarity::SameKind).unwrap();
         assert_eq!(kind.order(), 2);
-        let run = &runs[judged];
+        let run = &runs[held_out];
         let predicted = settling_predictions(&predict(&run.samples, SIGMA, &kind));
-        let (before, after) = ends[judged];
+        let (before, after) = ends[held_out];
         let settled = |series: &[(f64, f64)], share: f64| {
             settling_time_s(series, DIPPED_S, after, share * (before - after)).unwrap()
         };
@@ -296,12 +298,12 @@ fn sensors_of_a_kind_predict_each_other() {
         let shown: Vec<(f64, f64)> = run.samples.iter().map(|s| (s.at_s, s.value)).collect();
         for share in [0.1, 0.05, 0.02] {
             let (predicted_s, shown_s) = (settled(&series, share), settled(&shown, share));
-            println!("sensor {judged}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s");
+            println!("sensor {held_out}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s");
             assert!(predicted_s < shown_s);
         }
         let inside = predicted.iter().filter(|p| p.bound().0 <= after && after <= p.bound().1);
         let rate = inside.count() as f64 / predicted.len() as f64;
-        println!("sensor {judged}: end within the bound {rate:.2}");
-        assert!(rate > 0.8, "{judged}: {rate}");
+        println!("sensor {held_out}: end within the bound {rate:.2}");
+        assert!(rate > 0.8, "{held_out}: {rate}");
     }
 }

@@ -25,7 +25,7 @@ fn the_worked_example_is_three_degrees_and_two_samples_suffice() {
 }
 
 #[test]
-fn three_ways_are_one() {
+fn three_methods_are_one() {
     let section = section("three_ways");
     assert_eq!(section.rows.len(), 4);
     assert!(number(&section, "recursive_difference") < 1e-9);

@@ -65,7 +65,7 @@ impl FreePath {
         name: &str,
         config: &FilterConfig,
         observations: &[Observation],
-        sights: impl IntoIterator<Item = PositionFix>,
+        fixes: impl IntoIterator<Item = PositionFix>,
     ) -> Self {
         let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
         let mut stamps = Vec::new();
@@ -86,7 +86,7 @@ impl FreePath {
                 TravelSegment::Known { .. } | TravelSegment::Gap { .. } | TravelSegment::BeyondData { .. } => None,
             })
             .collect();
-        let fixes = downsample_fixes(sights);
+        let fixes = downsample_fixes(fixes);
         Self { name: name.to_owned(), start: start_of(config.start, fixes.first()), steps, fixes }
     }
 
@@ -109,23 +109,23 @@ fn is_finite(reading: &MotionReading) -> bool {
     }
 }
 
-fn downsample_fixes(sights: impl IntoIterator<Item = PositionFix>) -> Vec<PositionFix> {
-    let is_usable = |sight: &PositionFix| {
-        let numbers = [sight.at_s, sight.position_m[0], sight.position_m[1]];
-        let tag = sight.tag_m.iter().all(|m| m.is_finite());
-        numbers.iter().all(|n| n.is_finite()) && tag && sight.sigma_m > 0.0 && sight.sigma_m.is_finite()
+fn downsample_fixes(fixes: impl IntoIterator<Item = PositionFix>) -> Vec<PositionFix> {
+    let is_usable = |fix: &PositionFix| {
+        let numbers = [fix.at_s, fix.position_m[0], fix.position_m[1]];
+        let tag = fix.tag_m.iter().all(|m| m.is_finite());
+        numbers.iter().all(|n| n.is_finite()) && tag && fix.sigma_m > 0.0 && fix.sigma_m.is_finite()
     };
-    let mut sights: Vec<PositionFix> = sights.into_iter().filter(is_usable).collect();
-    sights.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+    let mut fixes: Vec<PositionFix> = fixes.into_iter().filter(is_usable).collect();
+    fixes.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     let mut last_s = f64::NEG_INFINITY;
-    sights.retain(|sight| {
-        let is_new = sight.at_s - last_s >= MIN_FIX_SPACING_S;
+    fixes.retain(|fix| {
+        let is_new = fix.at_s - last_s >= MIN_FIX_SPACING_S;
         if is_new {
-            last_s = sight.at_s;
+            last_s = fix.at_s;
         }
         is_new
     });
-    sights
+    fixes
 }
 
 fn start_of(known: Option<StartPose>, first: Option<&PositionFix>) -> PathStart {
@@ -136,6 +136,6 @@ fn start_of(known: Option<StartPose>, first: Option<&PositionFix>) -> PathStart 
             heading_sigma_rad: start.heading_sigma_rad,
         };
     }
-    let [x, y] = first.map_or([0.0; 2], |sight| sight.position_m);
+    let [x, y] = first.map_or([0.0; 2], |fix| fix.position_m);
     PathStart { pose: [x, y, 0.0], position_sigma_m: UNKNOWN_POSITION_M, heading_sigma_rad: UNKNOWN_HEADING_RAD }
 }

@@ -143,8 +143,8 @@ struct ScoredHypothesis {
 
 /// `None` with too few fixes.
 pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<HypothesisTest> {
-    let sights: usize = paths.iter().map(|path| path.fixes.len()).sum();
-    if sights < MIN_FIXES {
+    let fix_count: usize = paths.iter().map(|path| path.fixes.len()).sum();
+    if fix_count < MIN_FIXES {
         return None;
     }
     let mut all = Vec::new();
@@ -164,12 +164,12 @@ pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]
     let best = as_good.clone().find(|scored| is_forward(scored)).or(as_good.clone().next())?;
     let ratio = (described.square_m2 / best.square_m2).sqrt();
     let found = if ratio >= MIN_IMPROVEMENT { best } else { &described };
-    let rms = |square_m2: f64| (square_m2 / sights as f64).sqrt();
+    let rms = |square_m2: f64| (square_m2 / fix_count as f64).sqrt();
     Some(HypothesisTest {
         found: found.hypothesis,
         described_rms_m: rms(described.square_m2),
         found_rms_m: rms(found.square_m2),
-        log_likelihood_gain: sights as f64 * (described.square_m2 / found.square_m2).ln(),
+        log_likelihood_gain: fix_count as f64 * (described.square_m2 / found.square_m2).ln(),
         compared: all.len(),
     })
 }
@@ -183,8 +183,8 @@ fn score_hypothesis(prediction: &PathPredictor<'_>, paths: &[FreePath], hypothes
         let path = path.with_hypothesis(&hypothesis);
         let reckoned: Vec<[f64; 2]> =
             prediction.predict_tags(&path, path.start.pose[2]).iter().map(|reckoned| reckoned.tag_m).collect();
-        let seen: Vec<[f64; 2]> = path.fixes.iter().map(|sight| sight.position_m).collect();
-        for (index, (ours, theirs)) in reckoned.chunks(SEGMENT_FIXES).zip(seen.chunks(SEGMENT_FIXES)).enumerate() {
+        let measured: Vec<[f64; 2]> = path.fixes.iter().map(|fix| fix.position_m).collect();
+        for (index, (ours, theirs)) in reckoned.chunks(SEGMENT_FIXES).zip(measured.chunks(SEGMENT_FIXES)).enumerate() {
             let laid = align_paths(ours, theirs);
             square_m2 += laid.square_m2;
             let knows_heading = index == 0 && path.start.heading_sigma_rad < PI / 6.0;
@@ -344,11 +344,11 @@ fn chords(prediction: &PathPredictor<'_>, path: &FreePath) -> Vec<PathChord> {
         if turned_rad > MAX_TURN_RAD {
             first = last;
         } else if length_m >= MIN_CHORD_SIGMAS * from.sigma_m.max(to.sigma_m) {
-            let seen_m = distance(from.position_m, to.position_m);
-            if seen_m > 0.0 {
+            let measured_m = distance(from.position_m, to.position_m);
+            if measured_m > 0.0 {
                 chords.push(PathChord {
                     predicted_m: length_m,
-                    measured_m: seen_m,
+                    measured_m,
                     noise_m2: from.sigma_m.powi(2) + to.sigma_m.powi(2),
                 });
             }

@@ -64,9 +64,9 @@ pub fn calibrate_path(config: &FilterConfig, paths: &[FreePath]) -> Result<PathC
 
 fn check_data(paths: &[FreePath]) -> Result<(), CalibrationError> {
     let steps: usize = paths.iter().map(|path| path.steps.len()).sum();
-    let sights: usize = paths.iter().map(|path| path.fixes.len()).sum();
+    let fix_count: usize = paths.iter().map(|path| path.fixes.len()).sum();
     for (what, found, needed) in
-        [("intervals in which the wheels turned", steps, 2), ("places where the robot was seen", sights, 3)]
+        [("intervals in which the wheels turned", steps, 2), ("places where the robot was seen", fix_count, 3)]
     {
         if found < needed {
             return Err(CalibrationError::TooFewData { what, found, needed });

@@ -46,8 +46,8 @@ pub(super) struct ParameterFit {
 
 impl ParameterFit {
     fn value_of(&self, unknown: CalibrationUnknown) -> Option<UncertainValue> {
-        let place = self.unknowns.iter().position(|one| *one == unknown)?;
-        Some(UncertainValue { value: self.fit.values[place], sigma: self.fit.sigma(place) })
+        let index = self.unknowns.iter().position(|one| *one == unknown)?;
+        Some(UncertainValue { value: self.fit.values[index], sigma: self.fit.sigma(index) })
     }
 }
 
@@ -123,11 +123,11 @@ impl<'a> ParameterSolver<'a> {
         length: Option<usize>,
     ) -> Result<(ParameterFit, Vec<UnknownStatus>), CalibrationError> {
         let mut chosen = self.fit(Vec::new())?;
-        let mut standings = Vec::new();
+        let mut statuses = Vec::new();
         let mut tried_beside = Vec::new();
         for unknown in UNKNOWNS {
             tried_beside.push(chosen.unknowns.len());
-            standings.push(if self.is_fixed(unknown) {
+            statuses.push(if self.is_fixed(unknown) {
                 UnknownStatus::Fixed
             } else if unknown == CalibrationUnknown::RadiusScale && length.is_some() {
                 UnknownStatus::Estimated
@@ -136,12 +136,12 @@ impl<'a> ParameterSolver<'a> {
             });
         }
         // Errors hide each other: over a minute unequal wheels turn the whole way, and no track seems to help until they are found.
-        for ((unknown, standing), beside) in UNKNOWNS.into_iter().zip(&mut standings).zip(tried_beside) {
-            if *standing == UnknownStatus::Unobservable && chosen.unknowns.len() > beside {
-                *standing = self.try_unknown(unknown, &mut chosen);
+        for ((unknown, status), beside) in UNKNOWNS.into_iter().zip(&mut statuses).zip(tried_beside) {
+            if *status == UnknownStatus::Unobservable && chosen.unknowns.len() > beside {
+                *status = self.try_unknown(unknown, &mut chosen);
             }
         }
-        Ok((chosen, standings))
+        Ok((chosen, statuses))
     }
 
     fn try_unknown(&self, unknown: CalibrationUnknown, chosen: &mut ParameterFit) -> UnknownStatus {
@@ -221,15 +221,15 @@ impl<'a> ParameterSolver<'a> {
     pub(super) fn report(
         &self,
         chosen: &ParameterFit,
-        standings: Vec<UnknownStatus>,
+        statuses: Vec<UnknownStatus>,
         length_windows: Option<usize>,
     ) -> PathCalibration {
         let (after, headings_rad) = self.robot(&chosen.unknowns, &chosen.fit.values);
-        let by_others = self.shift_by_other_unknowns(chosen, &standings);
+        let by_others = self.shift_by_other_unknowns(chosen, &statuses);
         let by_wandering = self.shift_by_heading_noise(chosen);
-        let looked_at = UNKNOWNS.iter().zip(standings);
+        let looked_at = UNKNOWNS.iter().zip(statuses);
         let looked_at = looked_at.zip(by_others.into_iter().zip(by_wandering));
-        let entries = looked_at.map(|((unknown, standing), (by_others, by_wandering))| {
+        let entries = looked_at.map(|((unknown, status), (by_others, by_wandering))| {
             let before = unknown.prior(&self.config.calibration);
             let after = match unknown {
                 CalibrationUnknown::RadiusScale => self.radius_scale.or(chosen.value_of(*unknown)),
@@ -241,7 +241,7 @@ impl<'a> ParameterSolver<'a> {
                     .value_of(*unknown)
                     .map(|found| UncertainValue { sigma: found.sigma.hypot(by_others).hypot(by_wandering), ..found }),
             };
-            UnknownEstimate { unknown: *unknown, before, after: after.unwrap_or(before), status: standing }
+            UnknownEstimate { unknown: *unknown, before, after: after.unwrap_or(before), status }
         });
         let residuals = self.residuals(&chosen.unknowns, &chosen.fit.values);
         let all: Vec<f64> = residuals.into_iter().flatten().flatten().collect();
@@ -270,8 +270,8 @@ impl<'a> ParameterSolver<'a> {
                 let by = |by_rad: f64| prediction.innovations(&apply_jump(path, jump, by_rad, track_m), heading_rad);
                 let (above, below) = (by(HEADING_STEP_RAD), by(-HEADING_STEP_RAD));
                 let mut disturbance: Residuals = here.iter().map(|run| vec![[0.0; 2]; run.len()]).collect();
-                let sights = disturbance[run].iter_mut();
-                for ((change, up), down) in sights.zip(above).zip(below) {
+                let fixes = disturbance[run].iter_mut();
+                for ((change, up), down) in fixes.zip(above).zip(below) {
                     *change = [0, 1].map(|axis| sigma_rad * (up[axis] - down[axis]) / (2.0 * HEADING_STEP_RAD));
                 }
                 disturbances.push(disturbance);
@@ -284,8 +284,8 @@ impl<'a> ParameterSolver<'a> {
         let mut squares = [0.0; UNKNOWNS.len()];
         for shift in moved.unwrap_or_default() {
             for (square, unknown) in squares.iter_mut().zip(UNKNOWNS) {
-                let place = unknowns.iter().position(|one| *one == unknown);
-                let shift = place.and_then(|place| shift.get(place));
+                let index = unknowns.iter().position(|one| *one == unknown);
+                let shift = index.and_then(|index| shift.get(index));
                 *square += shift.map_or(0.0, |shift| shift * shift);
             }
         }
@@ -294,15 +294,15 @@ impl<'a> ParameterSolver<'a> {
 
     /// Change of each unknown when a value that is fixed in the third step is wrong by its sigma: the wheel size of the second step,
     /// and the undetermined unknowns.
-    fn shift_by_other_unknowns(&self, chosen: &ParameterFit, standings: &[UnknownStatus]) -> [f64; UNKNOWNS.len()] {
+    fn shift_by_other_unknowns(&self, chosen: &ParameterFit, statuses: &[UnknownStatus]) -> [f64; UNKNOWNS.len()] {
         let mut others = Vec::new();
         if let Some(radius) = self.radius_scale {
             let mut other = self.clone();
             other.parameters.radius_scale += radius.sigma;
             others.push(other);
         }
-        for (unknown, standing) in UNKNOWNS.iter().zip(standings) {
-            if matches!(standing, UnknownStatus::Unobservable | UnknownStatus::NotSeparable) {
+        for (unknown, status) in UNKNOWNS.iter().zip(statuses) {
+            if matches!(status, UnknownStatus::Unobservable | UnknownStatus::NotSeparable) {
                 let prior = unknown.prior(&self.config.calibration);
                 let mut other = self.clone();
                 let wrong = prior.value + prior.sigma;
@@ -350,10 +350,10 @@ pub(super) struct HeadingJump {
 pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorNoise) -> Vec<HeadingJump> {
     let geometry = nominal(track_width_m);
     let length = path.steps.len().div_ceil(JUMPS_PER_PATH).max(1);
-    let pieces = path.steps.chunks(length).enumerate();
-    let jumps = pieces.map(|(piece, steps)| {
+    let chunks = path.steps.chunks(length).enumerate();
+    let jumps = chunks.map(|(chunk, steps)| {
         let vars = steps.iter().map(|step| step_noise(step.travel, &geometry, noise).turn_var_rad2);
-        HeadingJump { step: piece * length + steps.len() / 2, var_rad2: vars.sum() }
+        HeadingJump { step: chunk * length + steps.len() / 2, var_rad2: vars.sum() }
     });
     jumps.filter(|jump| jump.var_rad2 > 0.0).collect()
 }

@@ -93,14 +93,20 @@ impl PathPredictor<'_> {
 
     /// Predicted fixes by dead reckoning from the start.
     pub(super) fn predict_tags(&self, path: &FreePath, heading_rad: f64) -> Vec<PredictedTag> {
-        let mut seen = Vec::with_capacity(path.fixes.len());
+        let mut predicted = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::CompareOnly, |reckoned, _| {
-            seen.push(reckoned);
+            predicted.push(reckoned);
         });
-        seen
+        predicted
     }
 
-    fn run(&self, path: &FreePath, heading_rad: f64, mode: FixHandling, mut seen: impl FnMut(PredictedTag, [f64; 2])) {
+    fn run(
+        &self,
+        path: &FreePath,
+        heading_rad: f64,
+        mode: FixHandling,
+        mut on_fix: impl FnMut(PredictedTag, [f64; 2]),
+    ) {
         let [x, y, _] = path.start.pose;
         let var = path.start.position_sigma_m.powi(2);
         let mut walk = PathFilter {
@@ -111,8 +117,8 @@ impl PathPredictor<'_> {
         };
         let mut steps = path.steps.iter();
         let mut open = steps.next().copied();
-        for sight in &path.fixes {
-            let until_s = sight.at_s - self.parameters.fix_delay_s;
+        for fix in &path.fixes {
+            let until_s = fix.at_s - self.parameters.fix_delay_s;
             while let Some(step) = open {
                 if step.from_s >= until_s {
                     break;
@@ -124,13 +130,13 @@ impl PathPredictor<'_> {
                     open = Some(walk.drive_until(step, until_s));
                 }
             }
-            let tag = [0, 1].map(|axis| sight.tag_m[axis] + self.parameters.tag_m[axis]);
+            let tag = [0, 1].map(|axis| fix.tag_m[axis] + self.parameters.tag_m[axis]);
             let reckoned = walk.predicted_tag(tag);
             let innovation = match mode {
-                FixHandling::Correct => walk.correct(reckoned.tag_m, sight.position_m, sight.sigma_m),
+                FixHandling::Correct => walk.correct(reckoned.tag_m, fix.position_m, fix.sigma_m),
                 FixHandling::CompareOnly => [0.0; 2],
             };
-            seen(reckoned, innovation);
+            on_fix(reckoned, innovation);
         }
     }
 }
@@ -178,14 +184,14 @@ impl PathFilter<'_> {
     }
 
     /// Corrects with the two coordinates of a fix in turn and returns the whitened innovations.
-    fn correct(&mut self, reckoned_m: [f64; 2], seen_m: [f64; 2], sigma_m: f64) -> [f64; 2] {
+    fn correct(&mut self, reckoned_m: [f64; 2], measured_m: [f64; 2], sigma_m: f64) -> [f64; 2] {
         let mut corrected_m = [0.0; 2];
         let mut white = [0.0; 2];
         for axis in 0..2 {
             let [xx, xy, yy] = self.var;
             let (to_x, to_y) = if axis == 0 { (xx, xy) } else { (xy, yy) };
             let s = if axis == 0 { xx } else { yy } + sigma_m * sigma_m;
-            let nu = seen_m[axis] - reckoned_m[axis] - corrected_m[axis];
+            let nu = measured_m[axis] - reckoned_m[axis] - corrected_m[axis];
             white[axis] = nu / s.sqrt();
             corrected_m[0] += to_x / s * nu;
             corrected_m[1] += to_y / s * nu;
@@ -226,9 +232,9 @@ pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &Free
     let reckoned = prediction.predict_tags(path, 0.0);
     let [x, y, _] = path.start.pose;
     let (mut dot, mut cross) = (0.0, 0.0);
-    for (ours, sight) in reckoned.iter().zip(&path.fixes) {
+    for (ours, fix) in reckoned.iter().zip(&path.fixes) {
         let a = [ours.tag_m[0] - x, ours.tag_m[1] - y];
-        let b = [sight.position_m[0] - x, sight.position_m[1] - y];
+        let b = [fix.position_m[0] - x, fix.position_m[1] - y];
         dot += a[0] * b[0] + a[1] * b[1];
         cross += a[0] * b[1] - a[1] * b[0];
     }
@@ -243,18 +249,18 @@ pub fn dead_reckon(
     heading_rad: f64,
 ) -> DeadReckonedPath {
     let reckoned = predictor(config, numbers).predict_tags(path, heading_rad);
-    let places_m: Vec<[f64; 2]> = reckoned.iter().map(|reckoned| reckoned.tag_m).collect();
-    let off = places_m
+    let positions_m: Vec<[f64; 2]> = reckoned.iter().map(|reckoned| reckoned.tag_m).collect();
+    let off = positions_m
         .iter()
         .zip(&path.fixes)
-        .map(|(ours, sight)| (ours[0] - sight.position_m[0]).hypot(ours[1] - sight.position_m[1]));
+        .map(|(ours, fix)| (ours[0] - fix.position_m[0]).hypot(ours[1] - fix.position_m[1]));
     let off: Vec<f64> = off.collect();
     let error = DeadReckoningError {
         rms_m: statistics::root_mean_square(&off).unwrap_or(0.0),
         max_m: off.iter().copied().fold(0.0, f64::max),
         end_m: off.last().copied().unwrap_or(0.0),
     };
-    DeadReckonedPath { positions_m: places_m, error }
+    DeadReckonedPath { positions_m, error }
 }
 
 pub fn mean_error(errors: &[DeadReckoningError]) -> DeadReckoningError {

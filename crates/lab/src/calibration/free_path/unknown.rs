@@ -118,8 +118,8 @@ pub struct PathCalibration {
 
 impl PathCalibration {
     pub fn entry(&self, unknown: CalibrationUnknown) -> UnknownEstimate {
-        let place = UNKNOWNS.iter().position(|one| *one == unknown);
-        self.entries[place.unwrap_or(0)]
+        let index = UNKNOWNS.iter().position(|one| *one == unknown);
+        self.entries[index.unwrap_or(0)]
     }
 
     /// The hypothesis under which the values hold.

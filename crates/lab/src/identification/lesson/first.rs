@@ -83,7 +83,7 @@ fn samples_of(model: &DynamicModel, seed: u64) -> Vec<(SensorId, TimedSample)> {
     run.into_iter().enumerate().map(of).collect()
 }
 
-pub(super) fn three_ways(seed: u64) -> LessonSection {
+pub(super) fn three_methods(seed: u64) -> LessonSection {
     const PRIOR_SIGMAS: f64 = 100.0;
     let mut section = LessonSection::new(
         "three_ways",

@@ -207,8 +207,8 @@ impl FilterPredictions {
     fn curves(&self, samples: &[TimedSample], end: f64) -> Vec<Curve> {
         // The first seconds say nothing, with a band as wide as the picture.
         let later = |all: &[(f64, f64, f64)]| -> Vec<(f64, f64, f64)> {
-            let told = all.iter().filter(|(_, _, sigma)| *sigma < 2.0);
-            told.copied().collect()
+            let resolved = all.iter().filter(|(_, _, sigma)| *sigma < 2.0);
+            resolved.copied().collect()
         };
         let estimated = later(&self.estimated);
         vec![
@@ -221,7 +221,7 @@ impl FilterPredictions {
     }
 }
 
-pub(super) fn both_ways(seed: u64) -> LessonSection {
+pub(super) fn both_directions(seed: u64) -> LessonSection {
     let (warm, cold) = (50.0, 20.0);
     let (up, down) = ([(2.0, 1.0)], [(2.6, 1.0)]);
     let rising = simulate_dip(&up, seed, DipTemperatures { before: cold, after: warm });

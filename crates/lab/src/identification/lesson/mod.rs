@@ -18,12 +18,12 @@ pub type SectionBuilder = fn(u64) -> LessonSection;
 /// In order, except [`bounds_section`], which accumulates many runs.
 pub const SECTIONS: [SectionBuilder; 12] = [
     first::worked_example,
-    first::three_ways,
+    first::three_methods,
     first::start,
     first::noise_gain,
     identified::orders,
     identified::other_data,
-    identified::both_ways,
+    identified::both_directions,
     changing::trend,
     changing::walking,
     first::several_sensors,

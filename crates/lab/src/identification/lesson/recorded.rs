@@ -85,13 +85,13 @@ fn identification_section(runs: &[RecordedRun]) -> LessonSection {
         let found = &run.identified;
         let lags = found.lags();
         let of = |text: Vec<String>| text.join(", ");
-        let way = match StepDirection::from_step(found.response().step) {
+        let direction = match StepDirection::from_step(found.response().step) {
             StepDirection::Up => "up",
             StepDirection::Down => "down",
         };
         section.rows.push(vec![
             run.name.clone(),
-            way.to_owned(),
+            direction.to_owned(),
             format!("{:.2}", found.response().start),
             format!("{:.2}", found.end),
             found.order().to_string(),
