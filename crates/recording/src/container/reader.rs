@@ -116,24 +116,24 @@ impl<'a> RecordingReader<'a> {
         let (expected, found) = (self.next_sequence, message.sequence);
         let decoded = self.decode(&message);
         // A damaged number cannot be trusted to go on from: count on as if it had been right.
-        let believed = if decoded.is_ok() { found } else { expected };
-        self.next_sequence = believed.wrapping_add(1);
-        let given = match decoded {
-            Ok(given) => given,
+        let verified = if decoded.is_ok() { found } else { expected };
+        self.next_sequence = verified.wrapping_add(1);
+        let timed_input = match decoded {
+            Ok(timed_input) => timed_input,
             Err(why) => return Some(Err(ReadError::Message { offset, why })),
         };
         if found == expected {
-            return Some(Ok(given));
+            return Some(Ok(timed_input));
         }
-        self.pending = Some(given);
+        self.pending = Some(timed_input);
         Some(Err(ReadError::Gap { offset, expected, found }))
     }
 
     fn decode(&self, message: &fields::Message<'_>) -> Result<(Timestamp<HostClock>, Input), DecodeError> {
         let since_start = message.log_time.checked_sub(header::zero_nanos(&self.header));
         let log_time = since_start.ok_or(DecodeError::Time(message.log_time))?;
-        let place = RecordPosition { sequence: message.sequence, log_time };
-        let input = encoding::decode(message.data, place)?;
+        let position = RecordPosition { sequence: message.sequence, log_time };
+        let input = encoding::decode(message.data, position)?;
         // What decodes has a time within the range of a stamp.
         Ok((Timestamp::from_nanos(log_time as i64), input))
     }

@@ -111,18 +111,18 @@ impl<'a> RecordScanner<'a> {
         if length > MAX_RECORD_BYTES {
             return Err(RecordsEnd::damaged(offset, "a record that claims more than 64 MiB"));
         }
-        let is_whole = content.len() >= length as usize;
-        if !is_whole && (opcode != op::CHUNK || self.state == ScanState::Chunk) {
+        let is_complete = content.len() >= length as usize;
+        if !is_complete && (opcode != op::CHUNK || self.state == ScanState::Chunk) {
             return Err(RecordsEnd::truncated(offset, "the rest of a record"));
         }
         let body = content.get(..length as usize).unwrap_or(content);
         self.offset += RECORD_HEADER_BYTES + body.len();
-        if !is_whole {
+        if !is_complete {
             self.state = ScanState::AfterTruncatedChunk(offset);
         } else if opcode == op::FOOTER && self.state == ScanState::File {
             self.state = ScanState::AfterFooter;
         }
-        Ok(RawRecord { offset, opcode, body, is_complete: is_whole })
+        Ok(RawRecord { offset, opcode, body, is_complete })
     }
 
     /// Offset from the start of the file.
@@ -194,9 +194,9 @@ impl<'a> RecordWalker<'a> {
                     Ok(record) => return Ok(record),
                     Err(end) => {
                         // Where a chunk that was cut off stops is reported at the file's end.
-                        let is_told = matches!(end, RecordsEnd::Truncated { .. }) && !chunk.is_complete;
+                        let is_reported = matches!(end, RecordsEnd::Truncated { .. }) && !chunk.is_complete;
                         self.chunk = None;
-                        if let Some(defect) = error_of(end).filter(|_| !is_told) {
+                        if let Some(defect) = error_of(end).filter(|_| !is_reported) {
                             return Err(WalkEnd::Error(defect));
                         }
                     }

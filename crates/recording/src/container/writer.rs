@@ -144,9 +144,9 @@ impl<W: Write> RecordingWriter<W> {
         {
             return Err(WriteError::TooLarge(bytes.len()));
         }
-        let place = RecordPosition { sequence: self.sequence, log_time };
+        let position = RecordPosition { sequence: self.sequence, log_time };
         self.scratch.clear();
-        encoding::encode(input, place, &mut self.scratch);
+        encoding::encode(input, position, &mut self.scratch);
         let header = MessageHeader {
             channel_id: self.input_channel,
             sequence: self.sequence,

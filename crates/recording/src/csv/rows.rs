@@ -63,8 +63,8 @@ impl<C: Clock> From<Timestamp<C>> for CsvField {
 }
 
 impl From<TimeDelta> for CsvField {
-    fn from(span: TimeDelta) -> Self {
-        span.as_secs_f64().into()
+    fn from(duration: TimeDelta) -> Self {
+        duration.as_secs_f64().into()
     }
 }
 

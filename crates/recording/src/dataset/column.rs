@@ -133,7 +133,7 @@ dimension!(Id, "number", false, unit("none", 1.0));
 /// A column of the dimension `D`: `SI value = (raw * scale + offset + zero) * factor`, with `offset` in the unit.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Column<D> {
-    pub(super) place: ColumnRef,
+    pub(super) column: ColumnRef,
     pub(super) unit: Unit,
     pub(super) scale: f64,
     pub(super) offset: f64,
@@ -174,12 +174,12 @@ impl<D: Dimension> ColumnVisitor<D> {
             Some(ref name) => D::UNITS.iter().find(|unit| unit.name == name),
         };
         let Some(unit) = unit else {
-            let (asked, name) = (raw.unit.unwrap_or_default(), D::NAME);
-            let text = format!("`{asked}` is not a unit of {name}: use one of: {}", known());
+            let (requested, name) = (raw.unit.unwrap_or_default(), D::NAME);
+            let text = format!("`{requested}` is not a unit of {name}: use one of: {}", known());
             return Err(E::custom(text));
         };
         Ok(Column {
-            place: raw.column,
+            column: raw.column,
             unit: *unit,
             scale: raw.scale.map_or(1.0, |scale| scale.0),
             offset: raw.offset.map_or(0.0, |offset| offset.0),

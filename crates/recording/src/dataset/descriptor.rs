@@ -183,8 +183,8 @@ impl DescriptorValidator<'_> {
         let start = spanned.get_ref();
         let position_sigma_m = start.position_sigma_m.0;
         let heading_sigma_rad = start.heading_sigma_rad.0;
-        let place = (start.x_m, start.y_m, start.heading_rad, start.heading_deg);
-        let heading_rad = match (start.from, place) {
+        let components = (start.x_m, start.y_m, start.heading_rad, start.heading_deg);
+        let heading_rad = match (start.from, components) {
             (Some(source), (None, None, None, None)) => {
                 return Ok(RunStart::Source { source, position_sigma_m, heading_sigma_rad });
             }
@@ -220,11 +220,11 @@ impl DescriptorValidator<'_> {
             let key = format!("files.{name}");
             let named = [&file.time, &file.arrival].into_iter().flatten();
             let plus = named.clone().filter_map(|time| time.plus.as_ref());
-            let places = named
+            let columns = named
                 .map(|time| &time.column)
                 .chain(plus.map(|part| &part.column))
                 .chain(file.filter.as_ref().map(|filter| &filter.column));
-            self.named_columns_need_a_header(file, places, file.path.span(), &key)?;
+            self.named_columns_need_a_header(file, columns, file.path.span(), &key)?;
             if file.comment.as_deref() == Some("") {
                 let message = "an empty comment prefix makes every line a comment";
                 return Err(self.rule_error(file.path.span(), &key, message));
@@ -236,17 +236,17 @@ impl DescriptorValidator<'_> {
     fn named_columns_need_a_header<'p>(
         &self,
         file: &FileEntry,
-        mut places: impl Iterator<Item = &'p ColumnRef>,
+        mut columns: impl Iterator<Item = &'p ColumnRef>,
         span: Range<usize>,
         key: &str,
     ) -> Result<(), DescriptorError> {
         if file.header_lines > 0 {
             return Ok(());
         }
-        match places.find(|place| matches!(place, ColumnRef::Name(_))) {
+        match columns.find(|column| matches!(column, ColumnRef::Name(_))) {
             None => Ok(()),
-            Some(place) => {
-                let message = format!("the column `{place}` goes by its name, but the file has no header_lines");
+            Some(column) => {
+                let message = format!("the column `{column}` goes by its name, but the file has no header_lines");
                 Err(self.rule_error(span, key, message))
             }
         }
@@ -255,8 +255,8 @@ impl DescriptorValidator<'_> {
     fn file(&self, name: &Spanned<String>, key: &str) -> Result<&FileEntry, DescriptorError> {
         self.raw.files.get(name.get_ref()).ok_or_else(|| {
             let known: Vec<&str> = self.raw.files.keys().map(String::as_str).collect();
-            let (asked, known) = (name.get_ref(), known.join(", "));
-            let message = format!("there is no [files.{asked}]: use one of: {known}");
+            let (requested, known) = (name.get_ref(), known.join(", "));
+            let message = format!("there is no [files.{requested}]: use one of: {known}");
             self.rule_error(name.span(), key, message)
         })
     }
@@ -285,8 +285,8 @@ impl DescriptorValidator<'_> {
                 let message = format!("[files.{}] has no `time`", common.file.get_ref());
                 return Err(self.rule_error(span, S::KEY, message));
             }
-            let places = stream.column_refs().into_iter();
-            self.named_columns_need_a_header(file, places, span.clone(), S::KEY)?;
+            let columns = stream.column_refs().into_iter();
+            self.named_columns_need_a_header(file, columns, span.clone(), S::KEY)?;
             let mut prefixes = common.runs.unwrap_or_default().iter();
             let is_idle = |prefix: &&String| !runs.iter().any(|run| run.name.starts_with(*prefix));
             if let Some(prefix) = prefixes.find(is_idle) {
@@ -303,8 +303,8 @@ impl DescriptorValidator<'_> {
             None => Ok(()),
             Some(map) => {
                 let file = self.file(&map.file, key)?;
-                let places = map.column_refs().into_iter();
-                self.named_columns_need_a_header(file, places, map.file.span(), key)
+                let columns = map.column_refs().into_iter();
+                self.named_columns_need_a_header(file, columns, map.file.span(), key)
             }
         };
         map(&self.raw.landmarks, "landmarks")?;
@@ -312,8 +312,8 @@ impl DescriptorValidator<'_> {
         for ids in self.raw.landmark_sightings.iter().filter_map(|s| s.ids.as_ref()) {
             let key = "landmark_sightings.ids";
             let file = self.file(&ids.file, key)?;
-            let places = ids.column_refs().into_iter();
-            self.named_columns_need_a_header(file, places, ids.file.span(), key)?;
+            let columns = ids.column_refs().into_iter();
+            self.named_columns_need_a_header(file, columns, ids.file.span(), key)?;
         }
         let needs_landmarks = self.raw.landmark_sightings.first().map(Stream::common);
         if let (Some(common), None) = (needs_landmarks, &self.raw.landmarks) {

@@ -129,9 +129,9 @@ impl RunLoader<'_> {
         let table = self.files.table(map.file.get_ref(), self.run)?;
         let id = table.bind_optional(map.id.as_ref())?;
         let (x, y) = (table.bind(&map.x)?, table.bind(&map.y)?);
-        let mut places = BTreeMap::new();
+        let mut positions = BTreeMap::new();
         for (number, row) in table.rows().enumerate() {
-            let place = || {
+            let read_position = || {
                 let id = match &id {
                     Some(column) => column.read_id(&row)?,
                     None => number as u32,
@@ -139,14 +139,14 @@ impl RunLoader<'_> {
                 let at = Point2::new(Meters(x.read(&row)?), Meters(y.read(&row)?));
                 Ok((id, at))
             };
-            match place() {
+            match read_position() {
                 Ok((id, at)) => {
-                    places.entry(id).or_insert(at);
+                    positions.entry(id).or_insert(at);
                 }
                 Err(fault) => self.dataset_run.bad_rows.add(&table.path, row.line, fault),
             }
         }
-        Ok(places)
+        Ok(positions)
     }
 
     fn load_streams(&mut self) -> Result<(), LoadError> {

@@ -254,9 +254,9 @@ pub(super) trait Stream {
 /// Collects the positions of columns; absent ones are skipped.
 macro_rules! column_refs {
     ($($column:expr),* $(,)?) => {{
-        let mut places: Vec<&ColumnRef> = Vec::new();
-        $($column.each_column(&mut |place| places.push(place));)*
-        places
+        let mut columns: Vec<&ColumnRef> = Vec::new();
+        $($column.each_column(&mut |column| columns.push(column));)*
+        columns
     }};
 }
 
@@ -265,13 +265,13 @@ trait HasColumnRefs {
 }
 impl<D> HasColumnRefs for Column<D> {
     fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
-        visit(&self.place);
+        visit(&self.column);
     }
 }
 impl HasColumnRefs for HeadingColumns {
     fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
         match self {
-            Self::Angle(column) => visit(&column.place),
+            Self::Angle(column) => visit(&column.column),
             Self::Quaternion { qz, qw } => {
                 visit(qz);
                 visit(qw);

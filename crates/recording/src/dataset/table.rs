@@ -177,8 +177,8 @@ impl DatasetTable {
         Ok(Some(BoundTimeColumn { index: self.index_of(&time.column)?, unit: time.unit, plus }))
     }
 
-    fn index_of(&self, place: &ColumnRef) -> Result<usize, LoadError> {
-        match place {
+    fn index_of(&self, column: &ColumnRef) -> Result<usize, LoadError> {
+        match column {
             ColumnRef::Index(index) => Ok(*index),
             ColumnRef::Name(name) => {
                 let found = self.names.iter().position(|known| known == name);
@@ -192,7 +192,7 @@ impl DatasetTable {
     }
 
     pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<BoundColumn<D>, LoadError> {
-        Ok(BoundColumn { index: self.index_of(&column.place)?, column: column.clone() })
+        Ok(BoundColumn { index: self.index_of(&column.column)?, column: column.clone() })
     }
 
     /// The column may be absent from the descriptor.
@@ -234,8 +234,8 @@ impl DatasetTable {
             return None;
         }
         let fields = split(text, self.format.delimiter);
-        if let Some((index, wanted)) = &self.format.filter
-            && fields.get(*index) != Some(&wanted.as_str())
+        if let Some((index, expected)) = &self.format.filter
+            && fields.get(*index) != Some(&expected.as_str())
         {
             return None;
         }

@@ -106,10 +106,10 @@ impl RobotOutputsTable {
         let is_safe = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
         let name = self.names.get(robot).unwrap_or_default().chars().take(MAX_SEGMENT_CHARS);
         let name: String = name.map(|letter| if is_safe(letter) { letter } else { '_' }).collect();
-        let wanted = if name.contains(is_safe) { name } else { ids.clone() };
-        let alternatives = (2..=MAX_ROBOTS).map(|number| format!("{wanted}_{number}"));
+        let preferred = if name.contains(is_safe) { name } else { ids.clone() };
+        let alternatives = (2..=MAX_ROBOTS).map(|number| format!("{preferred}_{number}"));
         let is_free = |segment: &String| !self.others.values().any(|other| other.segment.as_deref() == Some(segment));
-        let mut candidates = std::iter::once(wanted.clone()).chain(alternatives).filter(is_free);
+        let mut candidates = std::iter::once(preferred.clone()).chain(alternatives).filter(is_free);
         candidates.next().unwrap_or(ids)
     }
 }

@@ -135,8 +135,8 @@ impl TlogReader {
         while rest.len() >= needed {
             let step = parse_step(rest, check_frame);
             let taken = match step {
-                ParseStep::Record { frame, check: judged } => {
-                    self.emit(rest, frame, judged, sink);
+                ParseStep::Record { frame, check } => {
+                    self.emit(rest, frame, check, sink);
                     TIME_BYTES + frame.len()
                 }
                 ParseStep::Skip(bytes) => {
@@ -181,13 +181,13 @@ fn parse_step<'a, T: Copy>(bytes: &'a [u8], check_frame: &mut impl FnMut(&[u8]) 
     let Some(frame) = frame_after_time(bytes) else {
         return ParseStep::Skip(bytes_to_next_start(bytes));
     };
-    let judged = check_frame(frame);
-    let is_record = match judged {
+    let check = check_frame(frame);
+    let is_record = match check {
         FrameCheck::Valid(_) => true,
         FrameCheck::Unknown(_) => is_between_records(bytes, frame.len(), check_frame),
         FrameCheck::Invalid => false,
     };
-    if is_record { ParseStep::Record { frame, check: judged } } else { ParseStep::Skip(bytes_to_next_start(bytes)) }
+    if is_record { ParseStep::Record { frame, check } } else { ParseStep::Skip(bytes_to_next_start(bytes)) }
 }
 
 /// The frame of a record that begins here.
@@ -279,8 +279,8 @@ mod tests {
     #[test]
     fn damage_costs_its_own_bytes_and_no_record_behind_it() {
         let whole = record(7, 1, 20);
-        let torn = &whole[..17];
-        let file = [whole.as_slice(), torn, &whole, &[0xFD; 30], &whole, &whole[..9]].concat();
+        let truncated = &whole[..17];
+        let file = [whole.as_slice(), truncated, &whole, &[0xFD; 30], &whole, &whole[..9]].concat();
         let at = [0, 57, 127].map(|at| (at, 7));
         for chunk in 1..=file.len() {
             let (found, counts) = read(&file, chunk);

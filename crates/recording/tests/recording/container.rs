@@ -178,8 +178,8 @@ fn zeros_after_a_power_cut_are_a_torn_tail() {
     assert!(found.iter().all(is_expected), "{found:?}");
     let good: Vec<Recorded> = found.into_iter().flatten().collect();
     assert_eq!(good, sample()[..9]);
-    let torn = RecordingReader::open(&zeroed).unwrap().recording_end();
-    assert!(matches!(torn, RecordingEnd::Truncated { .. }), "{torn:?}");
+    let end = RecordingReader::open(&zeroed).unwrap().recording_end();
+    assert!(matches!(end, RecordingEnd::Truncated { .. }), "{end:?}");
 }
 
 #[test]

@@ -54,11 +54,11 @@ fn any_observation_kind() -> impl Strategy<Value = ObservationKind> {
 
 /// Whatever stands there, sense or not: the pipeline judges it.
 fn simulator_command(number: f64, nanos: i64, kind: u8) -> SimulatorCommand {
-    let span = TimeDelta::from_nanos(nanos);
+    let duration = TimeDelta::from_nanos(nanos);
     match kind {
         0 => SimulatorCommand::Kidnap { forward_m: number, left_m: -number, turn_rad: 1.0 / number },
-        1 => SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: number, duration: span },
-        2 => SimulatorCommand::CameraDelay { delay: span },
+        1 => SimulatorCommand::Slip { wheel: SlippingWheel::Right, factor: number, duration },
+        2 => SimulatorCommand::CameraDelay { delay: duration },
         3 => SimulatorCommand::GyroBiasStep { rad_per_s: number },
         4 => SimulatorCommand::LinkProfile(Some(ParameterName::from_bytes(&nanos.to_le_bytes()))),
         _ => SimulatorCommand::Drive { forward_m_per_s: number, turn_rad_per_s: -number },

@@ -362,7 +362,7 @@ fn a_fix_that_claims_no_error_or_lies_behind_the_pole_is_a_bad_row() {
 
 #[test]
 fn every_third_fix_is_used_and_the_rest_withheld() {
-    let places = |fixes: &mut dyn Iterator<Item = Meters>| {
+    let positions = |fixes: &mut dyn Iterator<Item = Meters>| {
         let millimetres = fixes.map(|x| (x.0 * 10.0).round() as i64);
         millimetres.collect::<Vec<_>>()
     };
@@ -376,9 +376,9 @@ fn every_third_fix_is_used_and_the_rest_withheld() {
             };
             Some(fix.position.x)
         });
-        assert_eq!(places(&mut fixes), used, "{use_every:?}");
+        assert_eq!(positions(&mut fixes), used, "{use_every:?}");
         let mut rest = run.withheld.iter().map(|withheld| withheld.fix.position.x);
-        assert_eq!(places(&mut rest), withheld, "{use_every:?}");
+        assert_eq!(positions(&mut rest), withheld, "{use_every:?}");
     };
     check(None, &[1, 4, 7], &[0, 2, 3, 5, 6]);
     check(Some(1), &[1, 2, 3, 4, 5, 6, 7], &[0]);
@@ -395,9 +395,9 @@ fn observations_come_in_the_order_of_their_arrival() {
 
 #[test]
 fn a_start_is_given_or_comes_from_the_truth_or_a_fix() {
-    let given =
+    let loaded =
         load_rows("[start]\nx_m = 1\ny_m = 2\nheading_deg = 180\nposition_sigma_m = 0.01\nheading_sigma_rad = 0.1", "");
-    let start = given.start.unwrap();
+    let start = loaded.start.unwrap();
     assert_eq!(start.pose, Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(PI)));
     assert_eq!((start.position_sigma_m, start.heading_sigma_rad), (0.01, 0.1));
 

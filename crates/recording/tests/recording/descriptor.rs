@@ -96,12 +96,12 @@ fn keys_that_do_not_fit_together_are_refused_with_their_line() {
 #[test]
 fn a_fix_has_one_kind_of_place_and_one_kind_of_claim() {
     let fixes = |rest: &str| error_of(&format!("[[fixes]]\nfile = \"data\"\n{rest}"));
-    let place = "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`";
+    let message = "line 14: fixes: a fix is either x and y, or latitude and longitude with an `origin`";
     let origin = "origin = { latitude_deg = 0, longitude_deg = 0 }";
     for incomplete in
         ["x = 1", "latitude = 1\nlongitude = 2", &format!("latitude = 1\n{origin}"), &format!("x = 1\ny = 2\n{origin}")]
     {
-        assert_eq!(fixes(incomplete), place, "{incomplete}");
+        assert_eq!(fixes(incomplete), message, "{incomplete}");
     }
     let claims = "position_sigma_m or variance_x and variance_y, fixes of a pose also heading_sigma_rad, or neither";
     for unfit in [

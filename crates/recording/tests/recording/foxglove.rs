@@ -120,33 +120,33 @@ fn every_protobuf_message_has_the_fields_of_its_descriptor() {
 }
 
 /// What of a JSON schema our records need: objects of numbers, texts and lists, without references or alternatives.
-pub(crate) fn assert_valid(value: &Value, schema: &Value, place: &str) {
+pub(crate) fn assert_valid(value: &Value, schema: &Value, path: &str) {
     let kind = schema["type"].as_str();
-    let kind = kind.unwrap_or_else(|| panic!("{place}: no single type in {schema}"));
+    let kind = kind.unwrap_or_else(|| panic!("{path}: no single type in {schema}"));
     match kind {
         "object" => {
             let properties = schema["properties"].as_object().unwrap();
             let object = value.as_object().unwrap();
             for (key, value) in object {
                 let property = properties.get(key);
-                let property = property.unwrap_or_else(|| panic!("{place}.{key} is unknown"));
-                assert!(property["description"].is_string(), "{place}.{key}");
-                assert_valid(value, property, &format!("{place}.{key}"));
+                let property = property.unwrap_or_else(|| panic!("{path}.{key} is unknown"));
+                assert!(property["description"].is_string(), "{path}.{key}");
+                assert_valid(value, property, &format!("{path}.{key}"));
             }
             for key in schema["required"].as_array().into_iter().flatten() {
-                assert!(object.contains_key(key.as_str().unwrap()), "{place}: {key}");
+                assert!(object.contains_key(key.as_str().unwrap()), "{path}: {key}");
             }
         }
         "array" => {
             for item in value.as_array().unwrap() {
-                assert_valid(item, &schema["items"], &format!("{place}[]"));
+                assert_valid(item, &schema["items"], &format!("{path}[]"));
             }
         }
-        "number" => assert!(value.is_number(), "{place}: {value}"),
-        "integer" => assert!(value.is_i64() || value.is_u64(), "{place}: {value}"),
-        "string" => assert!(value.is_string(), "{place}: {value}"),
-        "boolean" => assert!(value.is_boolean(), "{place}: {value}"),
-        other => panic!("{place}: viewers do not know {other}"),
+        "number" => assert!(value.is_number(), "{path}: {value}"),
+        "integer" => assert!(value.is_i64() || value.is_u64(), "{path}: {value}"),
+        "string" => assert!(value.is_string(), "{path}: {value}"),
+        "boolean" => assert!(value.is_boolean(), "{path}: {value}"),
+        other => panic!("{path}: viewers do not know {other}"),
     }
 }
 

@@ -12,16 +12,16 @@ use super::{
     tag,
 };
 
-pub(in crate::container) fn decode(bytes: &[u8], place: RecordPosition) -> Result<Input, DecodeError> {
+pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Result<Input, DecodeError> {
     let Some((body, checksum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else {
         return Err(DecodeError::TooShort { wanted: CHECKSUM_BYTES, left: bytes.len() });
     };
-    let (found, expected) = (u32::from_le_bytes(*checksum), place.checksum(body));
+    let (found, expected) = (u32::from_le_bytes(*checksum), position.checksum(body));
     if found != expected {
         return Err(DecodeError::Checksum { found, expected });
     }
-    if i64::try_from(place.log_time).is_err() {
-        return Err(DecodeError::Time(place.log_time));
+    if i64::try_from(position.log_time).is_err() {
+        return Err(DecodeError::Time(position.log_time));
     }
     let mut cursor = InputDecoder::new(body);
     let version = cursor.u8()?;

@@ -8,7 +8,7 @@ use super::{
 };
 
 /// `bytes` must be empty.
-pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: &mut Vec<u8>) {
+pub(in crate::container) fn encode(input: &Input, position: RecordPosition, bytes: &mut Vec<u8>) {
     bytes.push(match input {
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
         Input::Bytes { .. }
@@ -60,7 +60,7 @@ pub(in crate::container) fn encode(input: &Input, place: RecordPosition, bytes: 
         }
         Input::Tick => bytes.push(tag::TICK),
     }
-    let checksum = place.checksum(bytes);
+    let checksum = position.checksum(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
 }
 
@@ -210,8 +210,8 @@ fn put_simulator(command: &SimulatorCommand, bytes: &mut Vec<u8>) {
     }
 }
 
-fn put_duration(span: TimeDelta, bytes: &mut Vec<u8>) {
-    bytes.extend_from_slice(&span.as_nanos().to_le_bytes());
+fn put_duration(duration: TimeDelta, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&duration.as_nanos().to_le_bytes());
 }
 
 /// Index of `one` in `all`, which must contain it.

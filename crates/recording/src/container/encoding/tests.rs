@@ -11,9 +11,9 @@ use super::*;
 const POSITION: RecordPosition = RecordPosition { sequence: 0, log_time: 0 };
 
 /// Appends the checksum as the format page describes it, computed bit by bit and not by the library.
-fn with_checksum(body: &[u8], place: RecordPosition) -> Vec<u8> {
+fn with_checksum(body: &[u8], position: RecordPosition) -> Vec<u8> {
     let mut crc = u32::MAX;
-    let prefix = [&place.sequence.to_le_bytes()[..], &place.log_time.to_le_bytes()[..]].concat();
+    let prefix = [&position.sequence.to_le_bytes()[..], &position.log_time.to_le_bytes()[..]].concat();
     for byte in prefix.iter().chain(body) {
         crc ^= u32::from(*byte);
         for _ in 0..8 {
@@ -26,8 +26,8 @@ fn with_checksum(body: &[u8], place: RecordPosition) -> Vec<u8> {
 #[test]
 fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
     let at = |log_time| {
-        let place = RecordPosition { sequence: 0, log_time };
-        decode(&with_checksum(&[ENCODING_VERSION, tag::TICK], place), place)
+        let position = RecordPosition { sequence: 0, log_time };
+        decode(&with_checksum(&[ENCODING_VERSION, tag::TICK], position), position)
     };
     let last = i64::MAX as u64;
     assert_eq!(at(last), Ok(Input::Tick));
@@ -36,12 +36,12 @@ fn a_time_beyond_the_host_clock_is_refused_and_not_turned_negative() {
 }
 
 fn check(body: &[u8], input: &Input) {
-    let place = RecordPosition { sequence: 7, log_time: 1_234_567_890 };
-    let bytes = with_checksum(body, place);
+    let position = RecordPosition { sequence: 7, log_time: 1_234_567_890 };
+    let bytes = with_checksum(body, position);
     let mut written = Vec::new();
-    encode(input, place, &mut written);
+    encode(input, position, &mut written);
     assert_eq!(written, bytes, "{input:?}");
-    assert_eq!(decode(&bytes, place).as_ref(), Ok(input));
+    assert_eq!(decode(&bytes, position).as_ref(), Ok(input));
 }
 
 #[test]
@@ -136,8 +136,8 @@ fn commands_for_the_simulated_brick_stand_where_the_format_page_says() {
         &of(0, &[&half, &minus_half, &[0; 8]]),
         SimulatorCommand::Kidnap { forward_m: 0.5, left_m: -0.5, turn_rad: 0.0 },
     );
-    for (place, wheel) in SlippingWheel::ALL.into_iter().enumerate() {
-        command(&of(1, &[&half, &second, &[place as u8]]), SimulatorCommand::Slip { wheel, factor: 0.5, duration });
+    for (index, wheel) in SlippingWheel::ALL.into_iter().enumerate() {
+        command(&of(1, &[&half, &second, &[index as u8]]), SimulatorCommand::Slip { wheel, factor: 0.5, duration });
     }
     command(&[4, 9, 2], SimulatorCommand::Camera(SensorSwitch::Off));
     command(&[4, 9, 3], SimulatorCommand::Camera(SensorSwitch::On));

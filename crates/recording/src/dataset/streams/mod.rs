@@ -88,8 +88,8 @@ impl RowClock {
         if let Some(max_gap) = self.max_gap_nanos
             && forward > max_gap
         {
-            let since_doubted = self.suspect.map(|doubted| nanos.saturating_sub(doubted));
-            if !since_doubted.is_some_and(|since| (0..=max_gap).contains(&since)) {
+            let since_suspect = self.suspect.map(|suspect_since| nanos.saturating_sub(suspect_since));
+            if !since_suspect.is_some_and(|since| (0..=max_gap).contains(&since)) {
                 self.suspect = Some(nanos);
                 return TimeStep::Jump { nanos: forward };
             }

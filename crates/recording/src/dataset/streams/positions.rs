@@ -124,10 +124,10 @@ pub(in super::super) fn fixes(
     tag: TagPosition,
     table: &DatasetTable,
 ) -> Result<RowReader<Fix>, LoadError> {
-    let Some(place) = bind_position(stream, table)? else {
+    let Some(bound_columns) = bind_position(stream, table)? else {
         return Ok(Box::new(|_, _| Ok(None)));
     };
-    let mut points = PositionReader::new(place, stream.max_speed_m_per_s);
+    let mut points = PositionReader::new(bound_columns, stream.max_speed_m_per_s);
     let heading = stream.heading.as_ref().map(|columns| table.bind_heading(columns)).transpose()?;
     let tag_in_body = Point2::<Body>::new(Meters(tag.x_m.0), Meters(tag.y_m.0));
     let claims = UncertaintyColumns::bind(stream, table)?;
