@@ -259,17 +259,17 @@ mod tests {
     #[test]
     fn a_file_is_packed_for_who_takes_that_and_not_sent_to_who_has_it() {
         let assets = Assets::new(None);
-        let mut asked = HeaderMap::new();
-        let plain = assets.respond("/", &asked).unwrap();
+        let mut request_headers = HeaderMap::new();
+        let plain = assets.respond("/", &request_headers).unwrap();
         assert_eq!(plain.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
         assert!(!plain.headers().contains_key(CONTENT_ENCODING));
-        asked.insert(ACCEPT_ENCODING, HeaderValue::from_static("br, gzip;q=0.8"));
-        let packed = assets.respond("/index.html", &asked).unwrap();
+        request_headers.insert(ACCEPT_ENCODING, HeaderValue::from_static("br, gzip;q=0.8"));
+        let packed = assets.respond("/index.html", &request_headers).unwrap();
         assert_eq!(packed.headers()[CONTENT_ENCODING], "gzip");
-        asked.insert(IF_NONE_MATCH, packed.headers()[ETAG].clone());
-        let known = assets.respond("/", &asked).unwrap();
+        request_headers.insert(IF_NONE_MATCH, packed.headers()[ETAG].clone());
+        let known = assets.respond("/", &request_headers).unwrap();
         assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
-        assert!(assets.respond("/../Cargo.toml", &asked).is_none());
+        assert!(assets.respond("/../Cargo.toml", &request_headers).is_none());
     }
 
     #[test]
@@ -290,7 +290,7 @@ mod tests {
         }
     }
 
-    fn asked(name: &HeaderName, lines: &[&'static str]) -> HeaderMap {
+    fn headers_with(name: &HeaderName, lines: &[&'static str]) -> HeaderMap {
         let mut headers = HeaderMap::new();
         for line in lines {
             headers.append(name.clone(), HeaderValue::from_static(line));
@@ -300,7 +300,7 @@ mod tests {
 
     #[test]
     fn gzip_is_taken_by_whoever_says_so_in_any_spelling() {
-        let takes = |lines: &[&'static str]| accepts_gzip(&asked(&ACCEPT_ENCODING, lines));
+        let takes = |lines: &[&'static str]| accepts_gzip(&headers_with(&ACCEPT_ENCODING, lines));
         for lines in [&["gzip"][..], &["br, GZIP;q=0.8"], &["identity", "gzip ; Q=0.001"], &["*"], &["x-gzip, *;q=0"]] {
             assert!(takes(lines), "{lines:?}");
         }
@@ -314,7 +314,7 @@ mod tests {
     #[test]
     fn a_tag_is_found_in_a_list_and_where_a_proxy_made_it_weak() {
         let tag = HeaderValue::from_static("\"12ab\"");
-        let has = |lines: &[&'static str]| matches_etag(&asked(&IF_NONE_MATCH, lines), &tag);
+        let has = |lines: &[&'static str]| matches_etag(&headers_with(&IF_NONE_MATCH, lines), &tag);
         assert!(has(&["\"12ab\""]) && has(&["\"0\", W/\"12ab\""]) && has(&["*"]));
         assert!(!has(&["12ab"]) && !has(&["\"12AB\""]) && !has(&[]));
     }

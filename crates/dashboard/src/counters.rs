@@ -146,9 +146,9 @@ mod tests {
 
     #[test]
     fn every_count_has_a_row_and_a_cell_of_its_own() {
-        let mut seen: Vec<usize> = COUNTER_TABLE.iter().map(|row| row.count as usize).collect();
-        seen.sort_unstable();
-        assert_eq!(seen, (0..COUNTER_TABLE.len()).collect::<Vec<_>>());
+        let mut indices: Vec<usize> = COUNTER_TABLE.iter().map(|row| row.count as usize).collect();
+        indices.sort_unstable();
+        assert_eq!(indices, (0..COUNTER_TABLE.len()).collect::<Vec<_>>());
         let counts = ServerCounters::default();
         for (index, row) in COUNTER_TABLE.iter().enumerate() {
             counts.add(row.count, index as u64 + 1);

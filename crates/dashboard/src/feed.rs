@@ -74,7 +74,7 @@ pub struct EventFeed {
 #[derive(Debug)]
 pub(crate) struct EventBatches {
     receiver: Receiver<EventBatch>,
-    crowd: Arc<Notify>,
+    backlog_notify: Arc<Notify>,
 }
 
 impl EventBatches {
@@ -84,7 +84,7 @@ impl EventBatches {
 
     /// Returns when the backlog is long.
     pub(crate) async fn backlog(&self) {
-        self.crowd.notified().await;
+        self.backlog_notify.notified().await;
     }
 }
 
@@ -93,19 +93,19 @@ impl EventFeed {
     /// [`MAX_WAITING_BATCHES`].
     pub(crate) fn pair(counts: Arc<ServerCounters>) -> (Self, EventBatches) {
         let (sender, receiver) = mpsc::channel(MAX_WAITING_BATCHES);
-        let crowd = Arc::new(Notify::new());
-        let batches = EventBatches { receiver, crowd: Arc::clone(&crowd) };
-        let feed = Self { sender, counts, backlog: crowd };
+        let backlog_notify = Arc::new(Notify::new());
+        let batches = EventBatches { receiver, backlog_notify: Arc::clone(&backlog_notify) };
+        let feed = Self { sender, counts, backlog: backlog_notify };
         (feed, batches)
     }
 
     /// Sends the results of an input. The reader polls, so this wakes it only if the backlog is long.
     pub fn publish(&self, batch: EventBatch) {
-        let wanted = |event: &&Event| event.is_for_viewers();
-        let lost = batch.events.iter().filter(wanted).count() as u64;
+        let is_for_viewers = |event: &&Event| event.is_for_viewers();
+        let lost = batch.events.iter().filter(is_for_viewers).count() as u64;
         if lost > 0 || batch.status.is_some() {
-            let is_told = self.sender.try_send(batch).is_ok();
-            if !is_told {
+            let is_sent = self.sender.try_send(batch).is_ok();
+            if !is_sent {
                 self.counts.add(ServerCounter::EventsDropped, lost.max(1));
             }
             if self.sender.capacity() == MAX_WAITING_BATCHES - BACKLOG_THRESHOLD {
@@ -137,14 +137,14 @@ mod tests {
     #[test]
     fn a_crowd_wakes_the_reader_and_fewer_do_not() {
         let (feed, receiver) = EventFeed::pair(Arc::default());
-        let mut crowd = pin!(receiver.backlog());
+        let mut backlog = pin!(receiver.backlog());
         let mut context = Context::from_waker(Waker::noop());
         for _ in 1..BACKLOG_THRESHOLD {
             feed.publish(batch_of_two());
-            assert!(crowd.as_mut().poll(&mut context).is_pending());
+            assert!(backlog.as_mut().poll(&mut context).is_pending());
         }
         feed.publish(batch_of_two());
-        assert!(crowd.as_mut().poll(&mut context).is_ready());
+        assert!(backlog.as_mut().poll(&mut context).is_ready());
     }
 
     #[test]
@@ -155,7 +155,7 @@ mod tests {
             feed.publish(batch_of_two());
         }
         assert_eq!(counts.value(ServerCounter::EventsDropped), 14);
-        let told = std::iter::from_fn(|| receiver.try_recv().ok());
-        assert_eq!(told.count(), MAX_WAITING_BATCHES);
+        let batches = std::iter::from_fn(|| receiver.try_recv().ok());
+        assert_eq!(batches.count(), MAX_WAITING_BATCHES);
     }
 }

@@ -64,13 +64,13 @@ impl Hub {
             self.count_event(event, batch);
             self.dispatch(batch.now, ViewInput::Event(event));
         }
-        if let Some(standing) = &batch.status {
-            self.recording.clone_from(&standing.recording);
-            if let (Some(facts), Some(now)) = (&mut self.info.simulator, &standing.simulator) {
+        if let Some(status) = &batch.status {
+            self.recording.clone_from(&status.recording);
+            if let (Some(facts), Some(now)) = (&mut self.info.simulator, &status.simulator) {
                 facts.steering.clone_from(&now.steering);
                 facts.link_profile.clone_from(&now.link_profile);
             }
-            self.dispatch(batch.now, ViewInput::Status(standing));
+            self.dispatch(batch.now, ViewInput::Status(status));
         }
     }
 
@@ -130,9 +130,9 @@ impl Hub {
     }
 
     pub(crate) fn parameters(&self) -> Vec<ParameterRow> {
-        let standing = self.latest.parameters();
+        let values = self.latest.parameters();
         let rows = self.info.parameters.iter().map(|row| {
-            let now = standing.iter().find(|value| value.name == row.name);
+            let now = values.iter().find(|value| value.name == row.name);
             ParameterRow { value: now.map_or(row.value, |now| now.value), ..row.clone() }
         });
         rows.collect()

@@ -44,7 +44,7 @@ impl LatencyHistogram {
         sorted.sort_unstable();
         let at = |percent: usize| {
             let rank = sorted.len().saturating_sub(1) * percent / 100;
-            sorted.get(rank).map_or(f64::NAN, |span| span.as_millis_f64())
+            sorted.get(rank).map_or(f64::NAN, |delay| delay.as_millis_f64())
         };
         LatencyRow { estimates: sorted.len() as u64, p50_ms: at(50).into(), p99_ms: at(99).into() }
     }

@@ -91,12 +91,12 @@ fn find_local_addresses(families: IpFamilies) -> Vec<IpAddr> {
 
 /// The addresses that work in another computer's browser, IPv4 first, then one for this computer.
 fn select_addresses(found: impl Iterator<Item = IpAddr>, families: IpFamilies) -> Vec<IpAddr> {
-    let is_wanted = |address: &IpAddr| match address {
+    let is_selected = |address: &IpAddr| match address {
         IpAddr::V4(v4) => families != IpFamilies::V6 && !v4.is_link_local(),
         // A browser accepts no address with a zone, and a link-local one needs it.
         IpAddr::V6(v6) => families != IpFamilies::V4 && !v6.is_unicast_link_local(),
     };
-    let mut chosen: Vec<IpAddr> = found.filter(|address| is_wanted(address) && !address.is_loopback()).collect();
+    let mut chosen: Vec<IpAddr> = found.filter(|address| is_selected(address) && !address.is_loopback()).collect();
     chosen.sort_unstable();
     chosen.dedup();
     chosen.push(match families {

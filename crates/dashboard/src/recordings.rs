@@ -76,7 +76,7 @@ fn row_of(entry: &DirEntry, current: Option<&str>) -> Option<RecordingRow> {
     Some(RecordingRow {
         is_current: current == Some(name.as_str()),
         bytes: found.len(),
-        begun: since_1970.map(|span| span.as_secs()),
+        begun: since_1970.map(|duration| duration.as_secs()),
         name,
     })
 }

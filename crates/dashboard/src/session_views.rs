@@ -25,8 +25,8 @@ impl SessionViews {
         self.dispatch(now, ViewInput::Event(event));
     }
 
-    pub fn push_status(&mut self, standing: &StationStatus) {
-        self.dispatch(self.last, ViewInput::Status(standing));
+    pub fn push_status(&mut self, status: &StationStatus) {
+        self.dispatch(self.last, ViewInput::Status(status));
     }
 
     pub fn push_truth(&mut self, sample: &SimulatedTruth) {

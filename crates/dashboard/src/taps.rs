@@ -129,15 +129,15 @@ mod tests {
         assert!(taps.is_empty());
         let hanging = taps.add(2);
         let quick = taps.add(2);
-        let mut heard = 0;
+        let mut received = 0;
         let mut missed = 0;
         for step in 0..10 {
             missed += taps.send(&frame(f64::from(step)));
             while let TapPoll::Frame(_) = quick.try_recv() {
-                heard += 1;
+                received += 1;
             }
         }
-        assert_eq!((heard, quick.missed()), (10, 0));
+        assert_eq!((received, quick.missed()), (10, 0));
         assert_eq!((missed, hanging.missed()), (8, 8));
         assert_eq!(hanging.recv().unwrap().now_s, 0.0);
         drop(quick);

@@ -46,8 +46,8 @@ impl Dashboard {
         let token = token_for(address, facts.token)?;
         let counts = Arc::new(ServerCounters::default());
         let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
-        let (questions, asked) = mpsc::channel(MAX_WAITING_QUERIES);
-        let (commands, given) = mpsc::channel(MAX_WAITING_COMMANDS);
+        let (query_sender, query_receiver) = mpsc::channel(MAX_WAITING_QUERIES);
+        let (commands, command_receiver) = mpsc::channel(MAX_WAITING_COMMANDS);
         let stop = CancellationToken::new();
         let recordings = RecordingFolder::new(sources.recordings);
         let known = CommandContext::from_info(&facts);
@@ -57,7 +57,7 @@ impl Dashboard {
             let app = AppState {
                 guard: RequestGuard::new(bound.address, token.clone()),
                 counts: Arc::clone(&counts),
-                queries: questions.clone(),
+                queries: query_sender.clone(),
                 commands: commands.clone(),
                 command_rate: RateLimiter::new(COMMANDS_PER_S, COMMAND_BURST),
                 command_context: known,
@@ -75,7 +75,7 @@ impl Dashboard {
             batches,
             truth: sources.truth,
             clock,
-            queries: asked,
+            queries: query_receiver,
             recordings,
             counts: Arc::clone(&counts),
             taps: sources.taps,
@@ -89,7 +89,7 @@ impl Dashboard {
             stop,
             thread: Some(work.start()?),
         };
-        Ok((dashboard, feed, given))
+        Ok((dashboard, feed, command_receiver))
     }
 
     pub const fn address(&self) -> Option<SocketAddr> {

@@ -30,9 +30,9 @@ impl AccessToken {
 
     /// Compares in constant time, so that a token of the same length cannot be guessed digit by digit.
     pub(crate) fn matches(&self, candidate: &str) -> bool {
-        let (own, said) = (self.0.as_bytes(), candidate.as_bytes());
-        let differing = own.iter().zip(said).fold(0, |all, (a, b)| black_box(all | (a ^ b)));
-        own.len() == said.len() && differing == 0
+        let (own, candidate_bytes) = (self.0.as_bytes(), candidate.as_bytes());
+        let differing = own.iter().zip(candidate_bytes).fold(0, |all, (a, b)| black_box(all | (a ^ b)));
+        own.len() == candidate_bytes.len() && differing == 0
     }
 }
 

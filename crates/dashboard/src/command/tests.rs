@@ -41,8 +41,8 @@ fn to_text(object: Map<String, Value>) -> String {
 #[test]
 fn every_row_reads_its_own_fields_and_misses_each_of_them() {
     for row in COMMANDS {
-        let given = complete_command(row);
-        let ParsedCommand { name, robot, command } = parse(to_text(given.clone()).as_bytes()).unwrap();
+        let complete = complete_command(row);
+        let ParsedCommand { name, robot, command } = parse(to_text(complete.clone()).as_bytes()).unwrap();
         assert_eq!((name, robot), (row.name, None));
         assert_eq!(command.is_for_robots(), row.target == CommandTarget::Robot, "{name}");
         if let Command::Simulator(simulated) = command {
@@ -50,18 +50,18 @@ fn every_row_reads_its_own_fields_and_misses_each_of_them() {
             assert_eq!(simulated.validate(), Ok(()), "{}", row.name);
         }
         for field in row.fields {
-            let mut lacking = given.clone();
+            let mut lacking = complete.clone();
             lacking.remove(field.name);
             let why = error_text(&to_text(lacking));
             let expected = format!("`{}` needs the field `{}`: ", row.name, field.name);
             assert!(why.starts_with(&expected), "{why}");
-            let mut wrong = given.clone();
+            let mut wrong = complete.clone();
             wrong.insert(field.name.to_owned(), json!([1, "\u{1b}[2J"]));
             let why = error_text(&to_text(wrong));
             assert!(why.contains(&format!("the field `{}` is [", field.name)), "{why}");
             assert!(!why.contains('\u{1b}'), "{why}");
         }
-        let mut more = given;
+        let mut more = complete;
         more.insert("extra".to_owned(), json!(1));
         let why = error_text(&to_text(more));
         assert!(why.contains("has no field `extra`; it has: "), "{why}");
@@ -144,8 +144,8 @@ fn a_command_for_a_robot_is_an_input_for_that_one() {
     for wrong in ["7", r#""left""#, r#""0/7""#, r#""0/7/1/2""#, r#""0/256/1""#, r#""0/+7/1""#, r#""65536/1/1""#, "null"]
     {
         let why = error_text(&format!(r#"{{"command":"reset-pose","robot":{wrong}}}"#));
-        let wanted = r#"must be the id of a robot as /v1/robots has it, such as "0/1/1""#;
-        assert_eq!(why, format!("`reset-pose`: the field `robot` is {wrong}, {wanted}"));
+        let expected = r#"must be the id of a robot as /v1/robots has it, such as "0/1/1""#;
+        assert_eq!(why, format!("`reset-pose`: the field `robot` is {wrong}, {expected}"));
     }
     let why = error_text(r#"{"command":"stop-recording","robot":"0/7/1"}"#);
     assert_eq!(why, "`stop-recording` has no field `robot`; it has: none");

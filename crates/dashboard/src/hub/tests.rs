@@ -58,12 +58,12 @@ fn a_message_leaves_when_something_is_new_and_once_a_second() {
 #[test]
 fn what_stands_reaches_the_first_message_and_the_parameters() {
     let mut hub = hub();
-    let standing = StationStatus {
+    let status = StationStatus {
         parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.5 }],
         recording: Some("recording.mcap".to_owned()),
         ..StationStatus::default()
     };
-    hub.push_batch(&EventBatch { status: Some(standing), ..batch(0, vec![]) });
+    hub.push_batch(&EventBatch { status: Some(status), ..batch(0, vec![]) });
     let frame = hub.next_frame(Timestamp::ZERO, recording_now).unwrap();
     assert_eq!(frame.recording, Some(Some(recording_now("recording.mcap"))));
     assert_eq!(hub.parameters()[0].value, 0.5);
@@ -76,12 +76,12 @@ fn what_stands_reaches_the_first_message_and_the_parameters() {
 fn a_new_reader_is_told_what_is_switched_off_and_how_the_brick_is_set() {
     let mut hub = hub();
     let now_set = SimulatorNow { steering: "odometry".to_owned(), link_profile: Some("bluetooth-spp".to_owned()) };
-    let standing = StationStatus {
+    let status = StationStatus {
         switched_off: vec![SensorId::CAMERA.0],
         simulator: Some(now_set.clone()),
         ..StationStatus::default()
     };
-    hub.push_batch(&EventBatch { status: Some(standing), ..batch(0, vec![fused_event(FusionOutcome::Accepted, 2)]) });
+    hub.push_batch(&EventBatch { status: Some(status), ..batch(0, vec![fused_event(FusionOutcome::Accepted, 2)]) });
     hub.next_frame(Timestamp::ZERO, recording_now);
     let hello = hub.hello(vec![]);
     let facts = hello.simulator.unwrap();
@@ -125,8 +125,8 @@ fn the_state_tells_the_truths_of_robots_apart() {
     }
     hub.next_frame(Timestamp::ZERO, recording_now);
     let state = hub.state(&ServerCounters::default());
-    let places: Vec<_> = state.robots.iter().map(|one| one.truth.as_ref().unwrap().x_m.get()).collect();
-    assert_eq!(places, [Some(1.0), Some(2.0)]);
+    let positions: Vec<_> = state.robots.iter().map(|one| one.truth.as_ref().unwrap().x_m.get()).collect();
+    assert_eq!(positions, [Some(1.0), Some(2.0)]);
     assert_eq!(state.truth.unwrap().robot.as_deref(), Some("0/1/1"));
 }
 

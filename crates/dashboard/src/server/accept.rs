@@ -64,10 +64,10 @@ impl Connection {
         drop(stream.set_nodelay(true));
         drop(socket.set_send_buffer_size(SOCKET_BUFFER_BYTES));
         drop(socket.set_tcp_user_timeout(Some(SEND_TIMEOUT)));
-        let has_asked = AtomicBool::new(false);
+        let has_requested = AtomicBool::new(false);
         let service = service_fn(|mut request: Request<Incoming>| {
             request.extensions_mut().insert(Arc::clone(slot));
-            has_asked.store(true, Ordering::Relaxed);
+            has_requested.store(true, Ordering::Relaxed);
             TowerToHyperService::new(router.clone()).call(request)
         });
         let served = http1::Builder::new()
@@ -78,7 +78,7 @@ impl Connection {
             .with_upgrades()
             .await;
         // A connection that has had a request may end in any way.
-        if served.is_err() && !has_asked.load(Ordering::Relaxed) {
+        if served.is_err() && !has_requested.load(Ordering::Relaxed) {
             counts.increment(ServerCounter::BadRequest);
         }
     }

@@ -95,7 +95,7 @@ impl AppState {
         let (reply, answer) = oneshot::channel();
         drop(self.queries.send(HubQuery::Text(subject, reply)).await);
         answer.await.map_or_else(
-            |_gone| refusal_response(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
+            |_closed| refusal_response(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
             |text| with_content_type(kind, text.into()),
         )
     }

@@ -97,16 +97,18 @@ impl RequestGuard {
         let bearer = headers.get(AUTHORIZATION);
         let bearer = bearer.and_then(|value| value.to_str().ok()?.split_once(' '));
         // The name of a scheme is case-insensitive (RFC 9110, section 11.1).
-        if bearer.is_some_and(|(scheme, said)| scheme.eq_ignore_ascii_case("bearer") && token.matches(said.trim())) {
+        if bearer
+            .is_some_and(|(scheme, candidate)| scheme.eq_ignore_ascii_case("bearer") && token.matches(candidate.trim()))
+        {
             return Ok(RequestAdmission::Plain);
         }
         let name = self.cookie_name();
-        if cookies(headers, &name).any(|said| token.matches(said)) {
+        if cookies(headers, &name).any(|candidate| token.matches(candidate)) {
             return Ok(RequestAdmission::Plain);
         }
         let query = request.uri().query().unwrap_or_default();
         let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
-        if pairs.any(|(key, said)| key == "token" && token.matches(said)) {
+        if pairs.any(|(key, candidate)| key == "token" && token.matches(candidate)) {
             return Ok(RequestAdmission::WithCookie);
         }
         Err(RequestDenial {
@@ -155,14 +157,14 @@ fn check_origin(headers: &HeaderMap, host: &str) -> Result<(), RequestDenial> {
 /// seconds.
 fn check_site(request: &Request) -> Result<(), RequestDenial> {
     let headers = request.headers();
-    let said = |name: &str| headers.get(name).map(HeaderValue::as_bytes);
+    let header = |name: &str| headers.get(name).map(HeaderValue::as_bytes);
     let is_own = |site: &[u8]| [&b"same-origin"[..], b"none"].contains(&site);
-    if said("sec-fetch-site").is_none_or(is_own) {
+    if header("sec-fetch-site").is_none_or(is_own) {
         return Ok(());
     }
-    let says = |name: &str, word: &[u8]| said(name) == Some(word);
-    let is_visit = says("sec-fetch-mode", b"navigate")
-        && says("sec-fetch-dest", b"document")
+    let is_value = |name: &str, word: &[u8]| header(name) == Some(word);
+    let is_visit = is_value("sec-fetch-mode", b"navigate")
+        && is_value("sec-fetch-dest", b"document")
         && request.method() == Method::GET
         && !request.uri().path().starts_with("/v1/");
     if is_visit { Ok(()) } else { Err(foreign_origin_denial()) }

@@ -60,8 +60,8 @@ pub(crate) async fn run_hub(mut hub: Hub, mut inputs: HubInputs) {
         tokio::select! {
             () = inputs.batches.backlog() => {}
             _ = ticks.tick() => {}
-            Some(question) = inputs.queries.recv() => {
-                answer_query(&hub, &inputs.counts, question, &frames);
+            Some(query) = inputs.queries.recv() => {
+                answer_query(&hub, &inputs.counts, query, &frames);
                 continue;
             }
         }

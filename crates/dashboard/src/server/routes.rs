@@ -69,8 +69,8 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
     let admitted = app.guard.check(&request);
     let mut response = match admitted {
         Ok(admission) => {
-            let patience = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
-            let answer = timeout(patience, next.run(request)).await;
+            let limit = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
+            let answer = timeout(limit, next.run(request)).await;
             let mut response = answer.unwrap_or_else(|_too_slow| {
                 app.counts.increment(ServerCounter::BadRequest);
                 let why = "the request took too long".to_owned();
@@ -83,7 +83,7 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
         }
         Err(denial) => {
             app.counts.increment(denial.count);
-            if denial.status == StatusCode::UNAUTHORIZED && wants_page(request.headers()) {
+            if denial.status == StatusCode::UNAUTHORIZED && accepts_page(request.headers()) {
                 (denial.status, Html(NO_TOKEN_PAGE)).into_response()
             } else {
                 refusal_response(denial.status, denial.why)
@@ -103,7 +103,7 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
 }
 
 /// Whether the client is a browser that shows a page.
-fn wants_page(headers: &HeaderMap) -> bool {
+fn accepts_page(headers: &HeaderMap) -> bool {
     let mut accepted = headers.get_all(ACCEPT).iter();
     accepted.any(|value| {
         let value = value.to_str().unwrap_or_default();
@@ -199,9 +199,9 @@ async fn command(State(app): SharedApp, headers: HeaderMap, body: Result<Bytes, 
 
 /// Whether the body's media type is JSON; media types are case-insensitive (RFC 9110, section 8.3.1).
 fn is_json(headers: &HeaderMap) -> bool {
-    let said = headers.get(CONTENT_TYPE);
-    let said = said.and_then(|value| value.to_str().ok());
-    let kind = said.and_then(|value| value.split(';').next());
+    let content_type = headers.get(CONTENT_TYPE);
+    let content_type = content_type.and_then(|value| value.to_str().ok());
+    let kind = content_type.and_then(|value| value.split(';').next());
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(JSON))
 }
 

@@ -88,13 +88,13 @@ impl StreamClient {
         let mut pings = interval(PING_PERIOD);
         pings.reset();
         loop {
-            let gone = tokio::select! {
+            let closed = tokio::select! {
                 packet = self.socket.recv() => self.on_packet(packet).await,
                 frame = frames.recv() => self.forward_frame(frame).await,
                 _ = pings.tick() => self.ping().await,
                 () = self.app.stop.cancelled() => Err(StreamEnd::Closed),
             };
-            if let Err(farewell) = gone {
+            if let Err(farewell) = closed {
                 return farewell;
             }
         }
@@ -149,7 +149,7 @@ impl StreamClient {
     async fn send(&mut self, packet: Packet) -> Result<(), StreamEnd> {
         match timeout(SEND_TIMEOUT, self.socket.send(packet)).await {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(_gone)) => Err(StreamEnd::Closed),
+            Ok(Err(_closed)) => Err(StreamEnd::Closed),
             Err(_too_slow) => Err(StreamEnd::Dropped),
         }
     }
@@ -190,10 +190,10 @@ mod tests {
         let frame = Message::Frame(Box::default());
         let text: Utf8Bytes = serde_json::to_string(&frame).unwrap().into();
         assert_eq!(with_missed(text.clone(), 0), text);
-        let told: Message = serde_json::from_str(&with_missed(text, 17)).unwrap();
-        let Message::Frame(told) = told else {
+        let parsed: Message = serde_json::from_str(&with_missed(text, 17)).unwrap();
+        let Message::Frame(parsed) = parsed else {
             panic!("a frame stays one");
         };
-        assert_eq!(told.dropped, 17);
+        assert_eq!(parsed.dropped, 17);
     }
 }

@@ -31,8 +31,8 @@ struct LinkActivity {
 
 impl LinkActivity {
     fn update(&mut self, now: Timestamp<HostClock>, health: LinkHealth) {
-        if let Some(heard) = self.last_seen {
-            let passed_s = (now - heard).as_secs_f64();
+        if let Some(last) = self.last_seen {
+            let passed_s = (now - last).as_secs_f64();
             let rate = |after: u64, before: u64| after.saturating_sub(before) as f64 / passed_s;
             self.bytes_in_per_s = rate(health.bytes_in, self.health.bytes_in);
             self.frames_in_per_s = rate(health.frames_in, self.health.frames_in);
@@ -43,7 +43,7 @@ impl LinkActivity {
 
     fn row(&self, id: LinkId, name: String) -> LinkRow {
         let health = &self.health;
-        let millis = |span: Option<TimeDelta>| Number::from(span.map_or(f64::NAN, TimeDelta::as_millis_f64));
+        let millis = |duration: Option<TimeDelta>| Number::from(duration.map_or(f64::NAN, TimeDelta::as_millis_f64));
         LinkRow {
             id: id.0,
             name,

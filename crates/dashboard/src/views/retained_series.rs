@@ -67,16 +67,16 @@ struct RetainedPoint<T> {
 struct Downsampler {
     /// Retains one in this many.
     stride: usize,
-    seen: usize,
+    offered: usize,
     retained: usize,
 }
 
 impl Downsampler {
-    const NONE: Self = Self { stride: 1, seen: 0, retained: 0 };
+    const NONE: Self = Self { stride: 1, offered: 0, retained: 0 };
 
     fn retains_next(&mut self) -> bool {
-        let is_kept = self.seen.is_multiple_of(self.stride);
-        self.seen += 1;
+        let is_kept = self.offered.is_multiple_of(self.stride);
+        self.offered += 1;
         if is_kept {
             self.retained += 1;
         }
@@ -178,9 +178,9 @@ impl<T: Clone> RetainedSeries<T> {
             }
             one.priority != priority || index % 2 == 1
         });
-        let thinned = self.downsampler(priority);
-        thinned.stride *= 2;
-        thinned.retained = index.div_ceil(2);
+        let downsampler = self.downsampler(priority);
+        downsampler.stride *= 2;
+        downsampler.retained = index.div_ceil(2);
     }
 
     const fn downsampler(&mut self, priority: PointPriority) -> &mut Downsampler {
@@ -263,8 +263,8 @@ mod tests {
 
     #[test]
     fn what_is_rare_is_not_thinned_but_bounded() {
-        let span = TimeDelta::from_millis(60_000);
-        let mut trail = RetainedSeries::new(RetentionPolicy::SlidingWindow { duration: span, max_points: 10 });
+        let duration = TimeDelta::from_millis(60_000);
+        let mut trail = RetainedSeries::new(RetentionPolicy::SlidingWindow { duration, max_points: 10 });
         trail.push(at(0), 0, PointPriority::Normal);
         trail.push(at(1), 1, PointPriority::Normal);
         trail.push(at(2), 2, PointPriority::Keep);

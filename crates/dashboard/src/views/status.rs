@@ -73,8 +73,8 @@ struct RobotSwitches {
 
 impl Switches {
     fn robot(&mut self, robot: RobotId) -> Option<&mut RobotSwitches> {
-        let has_room = self.robots.contains_key(&robot) || self.robots.len() < MAX_ROBOTS;
-        has_room.then(|| self.robots.entry(robot).or_default())
+        let has_capacity = self.robots.contains_key(&robot) || self.robots.len() < MAX_ROBOTS;
+        has_capacity.then(|| self.robots.entry(robot).or_default())
     }
 }
 

@@ -168,7 +168,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
         sigma: 0.002,
         unit: "rad/s".to_owned(),
     }];
-    let standing = StationStatus {
+    let status = StationStatus {
         robots: vec![RobotStatus { robot: robot(), calibration: learned.clone(), switched_off: vec![1] }],
         parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.999 }],
         switched_off: vec![3],
@@ -178,16 +178,16 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
     let mut sent = Frame::default();
     for name in ["parameters", "switches", "simulator"] {
         let mut view = view(name);
-        view.observe(at(0), ViewInput::Status(&standing));
+        view.observe(at(0), ViewInput::Status(&status));
         assert!(!updates(&mut *view, FrameContent::Delta).is_empty(), "{name}");
         assert!(updates(&mut *view, FrameContent::Delta).is_empty(), "{name}");
         view.add_updates(&mut sent, FrameContent::DeltaAndSummary);
     }
-    assert_eq!(sent.parameters.as_ref(), Some(&standing.parameters));
+    assert_eq!(sent.parameters.as_ref(), Some(&status.parameters));
     assert_eq!(sent.switched_off, Some(vec![3]));
-    assert_eq!(sent.simulator, standing.simulator);
+    assert_eq!(sent.simulator, status.simulator);
     let mut calibration = view("calibration");
-    calibration.observe(at(1_500), ViewInput::Status(&standing));
+    calibration.observe(at(1_500), ViewInput::Status(&status));
     calibration.observe(at(1_500), ViewInput::Event(&estimated_event(&estimate())));
     let frame = updates(&mut *calibration, FrameContent::Delta);
     assert_eq!(frame.robots[0].calibration, Some(learned));
@@ -198,7 +198,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
 fn what_is_known_of_a_robot_is_told_of_that_one_and_only_once_it_is_estimated() {
     let second = RobotId { link: LinkId(1), ..robot() };
     let row = |value| vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }];
-    let standing = StationStatus {
+    let status = StationStatus {
         robots: vec![
             RobotStatus { robot: robot(), calibration: row(1.0), switched_off: vec![] },
             RobotStatus { robot: second, calibration: row(2.0), switched_off: vec![3] },
@@ -208,10 +208,10 @@ fn what_is_known_of_a_robot_is_told_of_that_one_and_only_once_it_is_estimated() 
     let estimated = Event::EstimateUpdated { robot: second, estimate: estimate() };
     for name in ["calibration", "switches"] {
         let mut view = view(name);
-        view.observe(at(0), ViewInput::Status(&standing));
+        view.observe(at(0), ViewInput::Status(&status));
         assert!(updates(&mut *view, FrameContent::Delta).robots.is_empty(), "{name}: nobody is known");
         view.observe(at(0), ViewInput::Event(&estimated));
-        view.observe(at(0), ViewInput::Status(&standing));
+        view.observe(at(0), ViewInput::Status(&status));
         let frame = updates(&mut *view, FrameContent::Delta);
         assert_eq!(history(&*view), frame);
         let [part] = &frame.robots[..] else {
@@ -272,7 +272,7 @@ fn tallies_count_what_is_thinned_as_well() {
 
 #[test]
 fn of_a_recording_it_is_kept_how_what_was_learned_went() {
-    let standing = |value| {
+    let status_with = |value| {
         let row = CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() };
         let status = RobotStatus { robot: robot(), calibration: vec![row], switched_off: vec![] };
         StationStatus { robots: vec![status], ..StationStatus::default() }
@@ -283,7 +283,7 @@ fn of_a_recording_it_is_kept_how_what_was_learned_went() {
         view.observe(at(0), ViewInput::Event(&estimated_event(&estimate())));
         for second in 0..10_i32 {
             let now = at(1_000 * i64::from(second));
-            view.observe(now, ViewInput::Status(&standing(f64::from(second))));
+            view.observe(now, ViewInput::Status(&status_with(f64::from(second))));
         }
     }
     let kept = |view: &dyn View| history(view).robots[0].calibration.clone().unwrap();
@@ -390,15 +390,15 @@ fn a_robot_has_its_name_and_when_it_was_lost_at_once_and_once_a_second() {
     view.observe(at(0), ViewInput::Event(&named(&"ä".repeat(100))));
     assert!(updates(&mut *view, FrameContent::DeltaAndSummary).robots.is_empty(), "it may be a camera");
     view.observe(at(0), ViewInput::Event(&estimated_event(&estimate())));
-    let told = |view: &mut dyn View, pace| updates(view, pace).robots;
-    assert_eq!(told(&mut *view, FrameContent::Delta)[0].name, Some("ä".repeat(60)));
-    assert!(told(&mut *view, FrameContent::Delta).is_empty());
+    let robot_updates = |view: &mut dyn View, pace| updates(view, pace).robots;
+    assert_eq!(robot_updates(&mut *view, FrameContent::Delta)[0].name, Some("ä".repeat(60)));
+    assert!(robot_updates(&mut *view, FrameContent::Delta).is_empty());
     let lost = Event::RobotLost { robot: robot(), silence: TimeDelta::from_millis(5_000) };
     view.observe(at(7_000), ViewInput::Event(&lost));
-    assert_eq!(told(&mut *view, FrameContent::Delta)[0].lost_t_s, Some(7.0));
-    assert_eq!(told(&mut *view, FrameContent::DeltaAndSummary)[0].lost_t_s, Some(7.0));
+    assert_eq!(robot_updates(&mut *view, FrameContent::Delta)[0].lost_t_s, Some(7.0));
+    assert_eq!(robot_updates(&mut *view, FrameContent::DeltaAndSummary)[0].lost_t_s, Some(7.0));
     view.observe(at(8_000), ViewInput::Event(&estimated_event(&estimate())));
-    let [part] = &told(&mut *view, FrameContent::DeltaAndSummary)[..] else {
+    let [part] = &robot_updates(&mut *view, FrameContent::DeltaAndSummary)[..] else {
         panic!("one robot is known");
     };
     assert_eq!((part.lost_t_s, part.name.as_deref().map(str::len)), (None, Some(120)));

@@ -62,10 +62,10 @@ impl Truth {
         }
     }
 
-    fn add_errors(&self, frame: &mut Frame, is_wanted: impl Fn(&RobotTruth) -> bool) {
+    fn add_errors(&self, frame: &mut Frame, is_selected: impl Fn(&RobotTruth) -> bool) {
         for (robot, truth) in &self.robots {
             let errors = truth.errors();
-            if !is_wanted(truth) || errors.is_none() {
+            if !is_selected(truth) || errors.is_none() {
                 continue;
             }
             if let Some(robot) = robot.or(self.first) {

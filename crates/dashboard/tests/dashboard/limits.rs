@@ -36,12 +36,12 @@ fn commands_that_come_too_fast_are_refused_and_counted() {
     let mut played = TestStation::with(StationInfo::default(), ManualClock::default());
     let address = played.address();
     let mut accepted = |count: usize| {
-        let given = (0..count).map(|_| {
+        let responses = (0..count).map(|_| {
             let status = post(address, RESET).status;
             assert_eq!(played.commands.try_recv().is_ok(), status == 202);
             status
         });
-        let statuses: Vec<u16> = given.collect();
+        let statuses: Vec<u16> = responses.collect();
         assert!(statuses.iter().all(|status| [202, 503].contains(status)), "{statuses:?}");
         statuses.iter().filter(|status| **status == 202).count()
     };
@@ -143,8 +143,8 @@ fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
     let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();
     let idle: Vec<TcpStream> = (0..100).map(|_| connect(address)).collect();
-    let mut asked: Vec<TcpStream> = (0..70).map(|_| request_stream(address)).collect();
-    let statuses: Vec<String> = asked.iter_mut().map(status_of).collect();
+    let mut requesting: Vec<TcpStream> = (0..70).map(|_| request_stream(address)).collect();
+    let statuses: Vec<String> = requesting.iter_mut().map(status_of).collect();
     let of = |status: &str| statuses.iter().filter(|one| *one == status).count();
     assert_eq!((of("101"), of("503")), (64, 6));
     assert_eq!(refused(address, "clients"), 6.0);
@@ -152,7 +152,7 @@ fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
     // Streams are connections like the others.
     let connections = metric(address, "posebridge_dashboard_connections");
     assert!(connections >= 165.0, "{connections}");
-    drop((idle, asked));
+    drop((idle, requesting));
     // Whoever goes makes room.
     while status_of(&mut request_stream(address)) != "101" {}
 }
@@ -191,8 +191,8 @@ fn every_refusal_is_json_and_counted() {
         let answer = request(address, request_line, "", b"");
         assert_eq!(answer.status, status, "{request_line}");
         assert!(!answer.error().is_empty());
-        let is_told = answer.header("allow").is_some_and(|allow| allow.contains("get"));
-        assert_eq!(is_told, status == 405, "{}", answer.head);
+        let has_allow_header = answer.header("allow").is_some_and(|allow| allow.contains("get"));
+        assert_eq!(has_allow_header, status == 405, "{}", answer.head);
     }
     assert_eq!(refused(address, "request"), 5.0);
     assert_eq!(refused(address, "not_found"), 1.0);

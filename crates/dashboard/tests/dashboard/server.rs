@@ -180,8 +180,8 @@ fn a_reader_that_is_slow_misses_messages_is_told_so_and_slows_nobody() {
     // A quarter of a megabyte a message: what the system keeps for the slow one, some 11 MB, is full after a third of them, and the server
     // keeps 64 messages more.
     for _ in 0..150 {
-        let said = (0..250).map(|line| text_event(&format!("{line:04}{}", "x".repeat(986))));
-        played.publish(said.collect());
+        let events = (0..250).map(|line| text_event(&format!("{line:04}{}", "x".repeat(986))));
+        played.publish(events.collect());
         let mut lines = 0;
         while lines < 250 {
             let message = quick.next();
@@ -236,8 +236,8 @@ fn without_a_server_readers_in_the_process_hear_the_same_and_give_commands() {
         events: [text_event("hello")].into(),
         status: None,
     });
-    let heard = std::iter::from_fn(|| tap.recv()).find(|frame| !frame.log.is_empty());
-    assert_eq!(heard.unwrap().log[0].text, "1/1: hello");
+    let received = std::iter::from_fn(|| tap.recv()).find(|frame| !frame.log.is_empty());
+    assert_eq!(received.unwrap().log[0].text, "1/1: hello");
     assert!(dashboard.commander().send(None, Command::ResetPose));
     assert_eq!(commands.try_recv().unwrap(), Input::Command(Command::ResetPose));
     drop(commands);

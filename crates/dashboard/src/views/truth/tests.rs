@@ -23,14 +23,14 @@ fn an_estimate_is_held_against_the_truth_of_its_own_instant() {
     }
     early.observe(at(1_050), ViewInput::Event(&estimated));
     assert_eq!(history(&*early).errors, frame.errors);
-    let mut torn = view("truth");
+    let mut truncated = view("truth");
     for sample in [truth(None, 3_000, 1.5), truth(None, 5_040, 1.5)] {
-        torn.observe(at(1_040), ViewInput::Truth(&sample));
+        truncated.observe(at(1_040), ViewInput::Truth(&sample));
     }
-    torn.observe(at(1_050), ViewInput::Event(&estimated));
-    let unknown = history(&*torn).errors.unwrap().estimate_m;
+    truncated.observe(at(1_050), ViewInput::Event(&estimated));
+    let unknown = history(&*truncated).errors.unwrap().estimate_m;
     assert_eq!(unknown.get(), None, "nobody knows what was in two seconds");
-    assert!(history(&*torn).robots[0].scores.is_empty());
+    assert!(history(&*truncated).robots[0].scores.is_empty());
 }
 
 #[test]
