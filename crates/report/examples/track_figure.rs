@@ -9,10 +9,10 @@ mod sample_run;
 use posebridge_report::FIGURES;
 
 fn main() {
-    let wanted = std::env::args().nth(1);
+    let requested = std::env::args().nth(1);
     let scene = sample_run::two_laps(7);
     let layers = scene.layers("square, two laps, camera at 2 Hz, out for 12.5 s (made-up run)");
-    let name = wanted.as_deref().unwrap_or("track");
+    let name = requested.as_deref().unwrap_or("track");
     if let Some(figure) = FIGURES.iter().find(|figure| figure.name == name) {
         print!("{}", (figure.render)(&layers));
     }

@@ -211,7 +211,7 @@ mod tests {
             ],
         };
         let html = page.html();
-        let pieces = [
+        let expected = [
             "<h1>a &amp; b</h1>",
             "<h2>&lt;script&gt;</h2>",
             "<pre>x = 1\n  y &lt; 2</pre>",
@@ -223,10 +223,10 @@ mod tests {
             "<img alt=\"what &quot;it&quot; is\" src=\"data:image/svg+xml,%3Csvg%20id=%221%22/%3E\">",
         ];
         let mut rest = html.as_str();
-        for piece in pieces {
-            let at = rest.find(piece);
-            assert!(at.is_some(), "{piece} in {rest}");
-            rest = &rest[at.unwrap() + piece.len()..];
+        for part in expected {
+            let at = rest.find(part);
+            assert!(at.is_some(), "{part} in {rest}");
+            rest = &rest[at.unwrap() + part.len()..];
         }
     }
 }

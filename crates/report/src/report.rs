@@ -446,7 +446,7 @@ mod tests {
         });
         assert_eq!(report.json(), json);
         let html = report.page().html();
-        let pieces = [
+        let expected = [
             "<h1>Squares &amp; ends</h1>",
             "<td>-5.73 deg</td>",
             "<th>ahead mm</th>",
@@ -454,8 +454,8 @@ mod tests {
             "a &lt; b",
             "<p>why</p>",
         ];
-        for piece in pieces {
-            assert!(html.contains(piece), "{piece} in {html}");
+        for part in expected {
+            assert!(html.contains(part), "{part} in {html}");
         }
     }
 

@@ -324,7 +324,7 @@ mod tests {
             ..ErrorSummary::default()
         };
         let nothing = ErrorSummary::default();
-        let (heard, unheard) = (BTreeMap::new(), BTreeMap::from([("compass", 3), ("range", 20)]));
+        let (none, unused) = (BTreeMap::new(), BTreeMap::from([("compass", 3), ("range", 20)]));
         let table = smooth_table(&[
             SmoothRow {
                 run: "one",
@@ -333,7 +333,7 @@ mod tests {
                 fixes_left_out: Some(2),
                 iterations: Some(6),
                 duration: TimeDelta::from_millis(1_234),
-                unused_observations: &unheard,
+                unused_observations: &unused,
                 reason: None,
             },
             SmoothRow {
@@ -343,15 +343,15 @@ mod tests {
                 fixes_left_out: None,
                 iterations: None,
                 duration: TimeDelta::ZERO,
-                unused_observations: &heard,
+                unused_observations: &none,
                 reason: Some("it is empty".to_owned()),
             },
         ]);
         let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(lines[1], ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
         assert_eq!(lines[2], ["two", "0", "-", "-", "-", "-", "-", "-", "0.00"]);
-        let said = "one: the smoother reads wheels, gyro and fixes only, not: compass (3), range (20)\n\
+        let expected = "one: the smoother reads wheels, gyro and fixes only, not: compass (3), range (20)\n\
                     two: no smoothed path: it is empty\n";
-        assert!(table.ends_with(said), "{table}");
+        assert!(table.ends_with(expected), "{table}");
     }
 }

@@ -151,8 +151,8 @@ impl SmoothedPath {
             return Some(to_estimate(later));
         }
         let earlier = self.poses.get(after.checked_sub(1)?)?;
-        let whole_ns = (later.stamp - earlier.stamp).as_nanos() as f64;
-        let share = (time - earlier.stamp).as_nanos() as f64 / whole_ns;
+        let interval_ns = (later.stamp - earlier.stamp).as_nanos() as f64;
+        let share = (time - earlier.stamp).as_nanos() as f64 / interval_ns;
         let covariance = std::array::from_fn(|row| {
             std::array::from_fn(|column| {
                 let (from, to) = (&earlier.covariance, &later.covariance);
@@ -177,8 +177,8 @@ impl SmoothedPath {
 
 fn interpolate_arc(from: Pose<Arena>, to: Pose<Arena>, share: f64) -> Pose<Arena> {
     let (from, to) = (to_se2(from), to_se2(to));
-    let reached = from.compose(Se2::exp(from.between(to).log().map(|part| part * share)));
-    Pose::new(Meters(reached.x_m), Meters(reached.y_m), Heading::from_rad(reached.heading_rad))
+    let interpolated = from.compose(Se2::exp(from.between(to).log().map(|part| part * share)));
+    Pose::new(Meters(interpolated.x_m), Meters(interpolated.y_m), Heading::from_rad(interpolated.heading_rad))
 }
 
 fn to_se2(pose: Pose<Arena>) -> Se2 {

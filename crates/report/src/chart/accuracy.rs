@@ -155,13 +155,13 @@ fn draw_mark(svg: &mut Svg, axes: &PlotPanel, y: f64, mark: &AccuracyMark) {
     let name = style(12.5, INK, Anchor::End, 400);
     svg.text((axes.area.left - 8.0, y + 4.2), &name, &mark.name);
     svg.line((axes.area.left, y), (axes.area.right(), y), &GRID);
-    let place = |metres: f64| {
+    let pixel_x = |metres: f64| {
         let decade = metres.log10().clamp(axes.x.low, axes.x.high);
         axes.to_pixels(decade, 0.0).0
     };
     let positive = |metres: &f64| *metres > 0.0;
-    let error_x = mark.rms_m.filter(positive).map(place);
-    let claim_x = mark.claimed_m.filter(positive).map(place);
+    let error_x = mark.rms_m.filter(positive).map(pixel_x);
+    let claim_x = mark.claimed_m.filter(positive).map(pixel_x);
     if let (Some(error), Some(claim)) = (error_x, claim_x) {
         let stroke = if claim < error { &TOO_SMALL } else { &TOO_LARGE };
         svg.line((claim, y), (error, y), stroke);
@@ -185,9 +185,9 @@ fn draw_mark(svg: &mut Svg, axes: &PlotPanel, y: f64, mark: &AccuracyMark) {
 }
 
 fn draw_claim(svg: &mut Svg, at: PixelPoint) {
-    const REACH_PX: f64 = 5.2;
+    const HALF_SIZE_PX: f64 = 5.2;
     let (x, y) = at;
-    let corners = [(x - REACH_PX, y), (x, y - REACH_PX), (x + REACH_PX, y), (x, y + REACH_PX)];
+    let corners = [(x - HALF_SIZE_PX, y), (x, y - HALF_SIZE_PX), (x + HALF_SIZE_PX, y), (x, y + HALF_SIZE_PX)];
     svg.polygon(&corners, BACKGROUND, 1.0, Some(&CLAIM_OUTLINE));
 }
 

@@ -255,17 +255,17 @@ pub(super) fn legend_height_px(width_px: f64, entries: &[LegendEntry]) -> f64 {
 /// Positions of the entries, from the top left corner to the middle of their left edge.
 fn entry_positions(width_px: f64, entries: &[LegendEntry]) -> Vec<PixelPoint> {
     let (mut right, mut down) = (0.0, ROW_PX / 2.0);
-    let place = |entry: &LegendEntry| {
+    let position = |entry: &LegendEntry| {
         let text_px = entry.label.chars().count() as f64 * CHARACTER_PX;
         let entry_px = SAMPLE_PX + TEXT_GAP_PX + text_px;
         if right > 0.0 && right + entry_px > width_px {
             (right, down) = (0.0, down + ROW_PX);
         }
-        let place = (right, down);
+        let position = (right, down);
         right += entry_px + ENTRY_GAP_PX;
-        place
+        position
     };
-    entries.iter().map(place).collect()
+    entries.iter().map(position).collect()
 }
 
 pub(super) fn draw_start(svg: &mut Svg, at: PixelPoint) {

@@ -240,8 +240,8 @@ pub(super) fn downsample_by_deviation(points: &[PixelPoint], tolerance_px: f64) 
     let mut from = 0;
     while from + 1 < points.len() {
         let to = (from + CHUNK_POINTS).min(points.len() - 1);
-        let piece = points.get(from..=to).unwrap_or_default();
-        kept.extend(simplify(piece, tolerance_px).into_iter().skip(1));
+        let segment = points.get(from..=to).unwrap_or_default();
+        kept.extend(simplify(segment, tolerance_px).into_iter().skip(1));
         from = to;
     }
     kept
@@ -363,11 +363,11 @@ mod tests {
                 (100.0 * cos, 100.0 * sin)
             })
             .collect();
-        let thin = downsample_by_deviation(&circle, 0.2);
-        assert!((40..400).contains(&thin.len()), "{}", thin.len());
-        assert_eq!((thin.first(), thin.last()), (circle.first(), circle.last()));
+        let simplified = downsample_by_deviation(&circle, 0.2);
+        assert!((40..400).contains(&simplified.len()), "{}", simplified.len());
+        assert_eq!((simplified.first(), simplified.last()), (circle.first(), circle.last()));
         for point in &circle {
-            let nearest = thin.windows(2).map(|ends| {
+            let nearest = simplified.windows(2).map(|ends| {
                 let pair = [ends[0], *point, ends[1]];
                 farthest_between(&pair, 0, 2).unwrap().1
             });

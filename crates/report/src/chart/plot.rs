@@ -231,7 +231,9 @@ fn corners(shape: &CurveShape) -> Vec<(f64, f64)> {
         | CurveShape::Rings(points)
         | CurveShape::Specks(points) => points.clone(),
         CurveShape::Crosses(_) | CurveShape::Outlines(_) => Vec::new(),
-        CurveShape::Band(places) => places.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect(),
+        CurveShape::Band(band_points) => {
+            band_points.iter().flat_map(|(x, low, high)| [(*x, *low), (*x, *high)]).collect()
+        }
         CurveShape::Level(y) => vec![(f64::NAN, *y)],
     }
 }
@@ -249,13 +251,13 @@ pub(super) fn draw_shape(
     thinning: CurveDownsampling,
     shape: &CurveShape,
 ) -> usize {
-    let place =
+    let pixels_of =
         |points: &[(f64, f64)]| -> Vec<PixelPoint> { points.iter().map(|(x, y)| panel.to_pixels(*x, *y)).collect() };
     let left_out = |points: &[(f64, f64)]| points.iter().filter(|point| !is_drawable(point)).count();
     match shape {
         CurveShape::Line(points) => {
             for part in points.split(|point| !is_drawable(point)) {
-                svg.polyline(&thinning.downsample(&place(part)), stroke);
+                svg.polyline(&thinning.downsample(&pixels_of(part)), stroke);
             }
             left_out(points)
         }
@@ -267,19 +269,19 @@ pub(super) fn draw_shape(
         }
         CurveShape::Specks(points) => {
             let drawn: Vec<(f64, f64)> = points.iter().copied().filter(is_drawable).collect();
-            svg.specks(&place(&drawn), stroke.color);
+            svg.specks(&pixels_of(&drawn), stroke.color);
             points.len() - drawn.len()
         }
-        CurveShape::Band(places) => draw_band(svg, panel, stroke, thinning, places),
+        CurveShape::Band(band_points) => draw_band(svg, panel, stroke, thinning, band_points),
         CurveShape::Level(y) => {
             let ends = [(panel.x.low, *y), (panel.x.high, *y)];
-            svg.polyline(&place(&ends), stroke);
+            svg.polyline(&pixels_of(&ends), stroke);
             usize::from(!is_drawable(&(0.0, *y)))
         }
         CurveShape::Outlines(outlines) => {
             let is_drawn = |outline: &&Vec<(f64, f64)>| outline.iter().all(is_drawable);
             for outline in outlines.iter().filter(is_drawn) {
-                svg.polygon(&place(outline), stroke.color, FILL_OPACITY, Some(stroke));
+                svg.polygon(&pixels_of(outline), stroke.color, FILL_OPACITY, Some(stroke));
             }
             outlines.iter().filter(|outline| !is_drawn(outline)).count()
         }
@@ -306,17 +308,17 @@ fn draw_band(
     panel: &PlotPanel,
     stroke: &'static Stroke,
     thinning: CurveDownsampling,
-    places: &[(f64, f64, f64)],
+    band_points: &[(f64, f64, f64)],
 ) -> usize {
     let is_drawn = |(x, low, high): &(f64, f64, f64)| is_drawable(&(*x, *low)) && is_drawable(&(*x, *high));
-    for part in places.split(|place| !is_drawn(place)) {
+    for part in band_points.split(|point| !is_drawn(point)) {
         let lower = part.iter().map(|(x, low, _)| panel.to_pixels(*x, *low));
         let upper = part.iter().map(|(x, _, high)| panel.to_pixels(*x, *high));
         let mut outline = thinning.downsample_edge(lower.collect());
         outline.extend(thinning.downsample_edge(upper.collect()).into_iter().rev());
         svg.polygon(&outline, stroke.color, FILL_OPACITY, None);
     }
-    places.iter().filter(|place| !is_drawn(place)).count()
+    band_points.iter().filter(|point| !is_drawn(point)).count()
 }
 
 pub(super) const fn legend_mark(stroke: &'static Stroke, shape: &CurveShape) -> LegendMark {

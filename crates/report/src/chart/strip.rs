@@ -82,7 +82,7 @@ const fn has_points(shape: &CurveShape) -> bool {
         | CurveShape::Crosses(points)
         | CurveShape::Rings(points)
         | CurveShape::Specks(points) => !points.is_empty(),
-        CurveShape::Band(places) => !places.is_empty(),
+        CurveShape::Band(band_points) => !band_points.is_empty(),
         CurveShape::Outlines(outlines) => !outlines.is_empty(),
         CurveShape::Level(_) => false,
     }

@@ -173,10 +173,10 @@ impl Svg {
         ));
     }
 
-    pub(super) fn cross(&mut self, center: PixelPoint, reach_px: f64, stroke: &Stroke) {
+    pub(super) fn cross(&mut self, center: PixelPoint, half_size_px: f64, stroke: &Stroke) {
         let (x, y) = center;
-        for slant in [reach_px, -reach_px] {
-            self.line((x - reach_px, y - slant), (x + reach_px, y + slant), stroke);
+        for slant in [half_size_px, -half_size_px] {
+            self.line((x - half_size_px, y - slant), (x + half_size_px, y + slant), stroke);
         }
     }
 
@@ -234,8 +234,8 @@ impl Svg {
         ));
     }
 
-    fn write(&mut self, piece: fmt::Arguments<'_>) {
-        self.text.push_str(&fmt::format(piece));
+    fn write(&mut self, arguments: fmt::Arguments<'_>) {
+        self.text.push_str(&fmt::format(arguments));
     }
 }
 

@@ -48,8 +48,8 @@ fn draw_map(svg: &mut Svg, map: &PlotPanel, drawable: &DrawableLayers) {
 fn draw_detail(svg: &mut Svg, map: &PlotPanel, detail: &PlotPanel, drawable: &DrawableLayers) {
     let (left, bottom) = map.to_pixels(detail.x.low, detail.y.low);
     let (right, top) = map.to_pixels(detail.x.high, detail.y.high);
-    let place = Rect { left, top, width: right - left, height: bottom - top };
-    svg.rect(&place, &DETAIL_FRAME);
+    let frame = Rect { left, top, width: right - left, height: bottom - top };
+    svg.rect(&frame, &DETAIL_FRAME);
     detail.draw_grid(svg, &round_ticks(detail.x, 3.0), &round_ticks(detail.y, 4.0));
     svg.clip(&DETAIL, "detail", |svg| draw_layers(svg, detail, drawable));
     svg.rect(&DETAIL, &DETAIL_FRAME);

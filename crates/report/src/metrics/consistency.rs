@@ -246,8 +246,8 @@ impl SourceTally {
 
     /// Share of rejected observations among those that reached the gate; `None` if none did.
     pub fn gated_share(&self) -> Option<f64> {
-        let judged = self.used + self.gated;
-        (judged > 0).then(|| self.gated as f64 / judged as f64)
+        let gated_or_used = self.used + self.gated;
+        (gated_or_used > 0).then(|| self.gated as f64 / gated_or_used as f64)
     }
 
     /// Whether the sensor's noise matches the filter's configuration.

@@ -115,7 +115,7 @@ impl InnovationTest {
             (Some(mean), Some(band)) if independent >= MIN_DEGREES => classify_mean(mean, band),
             _ => InnovationFinding::TooFew,
         };
-        let reached = self.used + self.gated;
+        let total = self.used + self.gated;
         InnovationVerdict {
             finding,
             mean_nis_per_dof: mean,
@@ -123,7 +123,7 @@ impl InnovationTest {
             band: band.filter(|_| finding != InnovationFinding::TooFew),
             correlation,
             correlation_bound: (self.pairs > 0).then(|| NORMAL_95 / (self.pairs as f64).sqrt()),
-            gated_share: (reached > 0).then(|| self.gated as f64 / reached as f64),
+            gated_share: (total > 0).then(|| self.gated as f64 / total as f64),
         }
     }
 }
@@ -371,8 +371,8 @@ mod tests {
             let verdict = if index % 10 == 0 { FusionOutcome::Gated } else { FusionOutcome::Accepted };
             test.add(&FusionRecord { outcome: verdict, ..record(value, 1.0) });
         }
-        let said = test.evaluate().to_string();
-        assert!(said.contains("the gate turned 10 % away"), "{said}");
+        let message = test.evaluate().to_string();
+        assert!(message.contains("the gate turned 10 % away"), "{message}");
         assert_eq!(test.evaluate().tone(), VerdictTone::Bad);
     }
 

@@ -179,9 +179,9 @@ fn check_document(svg: &str) -> Result<(), String> {
         }
     }
     let mut open: Vec<&str> = Vec::new();
-    let pieces: Vec<&str> = svg.split('<').skip(1).collect();
-    for (index, piece) in pieces.iter().enumerate() {
-        let (tag, _text) = piece.split_once('>').ok_or("a tag is not closed")?;
+    let tags: Vec<&str> = svg.split('<').skip(1).collect();
+    for (index, tag_text) in tags.iter().enumerate() {
+        let (tag, _text) = tag_text.split_once('>').ok_or("a tag is not closed")?;
         if tag.matches('"').count() % 2 == 1 {
             return Err(format!("odd quotes in {tag}"));
         }
@@ -193,12 +193,12 @@ fn check_document(svg: &str) -> Result<(), String> {
         } else if !tag.ends_with('/') {
             open.extend(name);
         }
-        if open.is_empty() && index + 1 < pieces.len() {
+        if open.is_empty() && index + 1 < tags.len() {
             return Err(format!("{tag} ends the document early"));
         }
         check_points(tag)?;
     }
-    if open.is_empty() && !pieces.is_empty() { Ok(()) } else { Err(format!("open: {open:?}")) }
+    if open.is_empty() && !tags.is_empty() { Ok(()) } else { Err(format!("open: {open:?}")) }
 }
 
 fn check_points(tag: &str) -> Result<(), String> {

@@ -52,7 +52,7 @@ pub(crate) fn two_laps(seed: u64) -> SampleRun {
     let mut estimates = Vec::new();
     let mut fixes = Vec::new();
     let mut variance_m2 = 1e-5;
-    let mut wander = [0.0; 3];
+    let mut errors = [0.0; 3];
     for (index, sample) in truth.iter().enumerate() {
         variance_m2 += 8e-7;
         if index % 10 == 5 && !BLACKOUT.contains(&index) {
@@ -63,10 +63,10 @@ pub(crate) fn two_laps(seed: u64) -> SampleRun {
             fixes.push(fix);
         }
         // A first-order process with unit variance: errors of a filter are smooth, not white.
-        for value in &mut wander {
+        for value in &mut errors {
             *value = 0.97 * *value + 0.059_f64.sqrt() * normal(&mut random);
         }
-        estimates.push(estimate_near(sample, &wander, variance_m2));
+        estimates.push(estimate_near(sample, &errors, variance_m2));
     }
     let corners = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M), (0.0, 0.0)];
     SampleRun {
@@ -124,7 +124,7 @@ fn estimate_near(sample: &TimedPose, unit: &[f64; 3], variance_m2: f64) -> Estim
     covariance[0][1] = (along_var - across_var) * sin * cos;
     covariance[1][0] = covariance[0][1];
     covariance[2][2] = heading_var;
-    let believed = TimedPose {
+    let estimated = TimedPose {
         time: sample.time,
         pose: Pose::new(
             Meters(sample.pose.x.0 + along_m * cos - across_m * sin),
@@ -132,7 +132,7 @@ fn estimate_near(sample: &TimedPose, unit: &[f64; 3], variance_m2: f64) -> Estim
             sample.pose.heading + Radians(heading_var.sqrt() * unit[2]),
         ),
     };
-    believed.with_covariance(covariance)
+    estimated.with_covariance(covariance)
 }
 
 pub(crate) fn normal(random: &mut Pcg64Mcg) -> f64 {

@@ -100,8 +100,8 @@ fn nis_panel(samples: &[InnovationSample], degrees: u8) -> Axes {
     if let (Some((from, _)), Some((to, _)), Some(band)) =
         (mean.first(), mean.last(), ConsistencyBand::of_mean(m * WINDOW_SAMPLES as u64))
     {
-        let places = vec![(*from, band.low, band.high), (*to, band.low, band.high)];
-        curves.push(Curve::new("due for the mean", CurveShape::Band(places)).with_stroke(&CLAIM));
+        let bounds = vec![(*from, band.low, band.high), (*to, band.low, band.high)];
+        curves.push(Curve::new("due for the mean", CurveShape::Band(bounds)).with_stroke(&CLAIM));
     }
     curves.push(Curve::new("each", CurveShape::Specks(used)).with_stroke(&ESTIMATE));
     if !gated.is_empty() {

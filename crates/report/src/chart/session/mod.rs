@@ -195,8 +195,8 @@ pub fn render_clock(title: &str, samples: &[ClockSample]) -> String {
     let change_ms = |sample: &ClockSample| (sample.offset_s - first_s) * S_TO_MS;
     let change = samples.iter().map(|one| (one.t_s, change_ms(one)));
     let bounds = samples.iter().map(|one| {
-        let (middle, reach) = (change_ms(one), one.uncertainty_s * S_TO_MS);
-        (one.t_s, middle - reach, middle + reach)
+        let (middle, half_width) = (change_ms(one), one.uncertainty_s * S_TO_MS);
+        (one.t_s, middle - half_width, middle + half_width)
     });
     let offset = [
         Curve::new("its bounds", CurveShape::Band(bounds.collect())).with_stroke(&CLAIM),
@@ -293,14 +293,14 @@ pub fn render_link(title: &str, samples: &[LinkSample]) -> String {
 fn rates(y_name: &str, counters: &[LinkCounter], samples: &[LinkSample]) -> Axes {
     let last = samples.last();
     let happened = |counter: &&LinkCounter| last.is_some_and(|last| (counter.read)(&last.health) > 0);
-    let curves = counters.iter().filter(happened).enumerate().map(|(place, counter)| {
+    let curves = counters.iter().filter(happened).enumerate().map(|(index, counter)| {
         let rate = samples.windows(2).filter_map(|pair| {
             let [before, after] = pair else { return None };
             let elapsed_s = after.t_s - before.t_s;
             let grown = (counter.read)(&after.health).saturating_sub((counter.read)(&before.health));
             (elapsed_s > 0.0).then(|| (after.t_s, grown as f64 / elapsed_s))
         });
-        Curve::line(counter.label, rate).with_stroke(curve_stroke(place + 1))
+        Curve::line(counter.label, rate).with_stroke(curve_stroke(index + 1))
     });
     panel(y_name, LINK_PX, None, curves)
 }
@@ -311,8 +311,8 @@ pub fn learning(title: &str, all: &[CalibrationSeries<'_>]) -> String {
         let (unit, factor) = display_unit(series.key);
         let value = series.samples.iter().map(|one| (one.t_s, one.value * factor));
         let band = series.samples.iter().map(|one| {
-            let (value, reach) = (one.value * factor, 2.0 * one.sigma * factor);
-            (one.t_s, value - reach, value + reach)
+            let (value, half_width) = (one.value * factor, 2.0 * one.sigma * factor);
+            (one.t_s, value - half_width, value + half_width)
         });
         let curves = [
             Curve::new("2 sigma", CurveShape::Band(band.collect())).with_stroke(&CLAIM),

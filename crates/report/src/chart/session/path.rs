@@ -37,8 +37,8 @@ pub fn render_path(layers: &RunLayers<'_>) -> String {
     add_lines(&mut curves, "estimate", &drawable.estimate, &ESTIMATE);
     add_lines(&mut curves, "smoothed", &drawable.smoothed, &SMOOTHED);
     if let Some(start) = drawable.start() {
-        let place = CurveShape::Rings(vec![(start.x.0, start.y.0)]);
-        curves.push(Curve::new("start", place).with_stroke(&START));
+        let marker = CurveShape::Rings(vec![(start.x.0, start.y.0)]);
+        curves.push(Curve::new("start", marker).with_stroke(&START));
     }
     render_strip(layers.title, &[Axes::new("x [m]", "y [m]", HEIGHT_PX, curves).with_equal_scales()])
 }
@@ -114,9 +114,9 @@ mod tests {
     #[test]
     fn an_ellipse_holds_95_per_cent() {
         let outline = ellipses(&[estimate(0.0)]);
-        let reach = outline[0].iter().map(|(x, _)| x.abs()).fold(0.0, f64::max);
+        let half_width = outline[0].iter().map(|(x, _)| x.abs()).fold(0.0, f64::max);
         // Of a round normal distribution exp(-r^2 / 2) lies outside r standard deviations.
-        let outside = (-(reach / 0.01).powi(2) / 2.0).exp();
+        let outside = (-(half_width / 0.01).powi(2) / 2.0).exp();
         assert!((outside - 0.05).abs() < 1e-6, "{outside}");
     }
 }
