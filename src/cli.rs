@@ -175,9 +175,9 @@ mod tests {
         for (transport, block) in TRANSPORTS.iter().zip(starts.windows(2)) {
             let lines = &words[block[0]..block[1]];
             for option in transport.options() {
-                let wanted = format!("?{}={}", option.name, option.kind.default_text());
+                let expected = format!("?{}={}", option.name, option.kind.default_text());
                 let scheme = transport.scheme();
-                assert!(lines.contains(&wanted.as_str()), "{wanted} of {scheme} in:\n{help}");
+                assert!(lines.contains(&expected.as_str()), "{expected} of {scheme} in:\n{help}");
             }
         }
     }

@@ -124,9 +124,9 @@ mod tests {
         let lines = redirect_stderr();
         print_line("one");
         LogWriter.write_all(b" WARN two\n").unwrap();
-        let heard: Vec<String> = lines.try_iter().collect();
-        assert!(heard.contains(&"one".to_owned()), "{heard:?}");
-        assert!(heard.contains(&" WARN two".to_owned()), "{heard:?}");
+        let received: Vec<String> = lines.try_iter().collect();
+        assert!(received.contains(&"one".to_owned()), "{received:?}");
+        assert!(received.contains(&" WARN two".to_owned()), "{received:?}");
         for line in 0..2 * QUEUE_LINES {
             print_line(&format!("{line}"));
         }

@@ -140,16 +140,16 @@ impl NxtSection {
         let mut ports = [NxtSensor::None; 4];
         for (index, sensor) in self.sensors.iter().enumerate() {
             let number = index + 1;
-            let place = usize::from(sensor.port)
+            let slot = usize::from(sensor.port)
                 .checked_sub(1)
-                .and_then(|place| ports.get_mut(place))
+                .and_then(|slot| ports.get_mut(slot))
                 .with_context(|| format!("`sensor`, number {number}: `port` is {}, must be 1 to 4", sensor.port))?;
             ensure!(
-                *place == NxtSensor::None,
+                *slot == NxtSensor::None,
                 "`sensor`, number {number}: there is a sensor at port {} already",
                 sensor.port
             );
-            *place = sensor.sensor().with_context(|| format!("`sensor`, number {number}"))?;
+            *slot = sensor.sensor().with_context(|| format!("`sensor`, number {number}"))?;
         }
         Ok(ports)
     }

@@ -20,11 +20,11 @@ enum LowerBound {
 
 impl LowerBound {
     fn check(self, key: &str, value: f64) -> Result<()> {
-        let (is_good, wanted) = match self {
+        let (is_good, requirement) = match self {
             Self::Zero => (value >= 0.0, "zero or more"),
             Self::AboveZero => (value > 0.0, "more than zero"),
         };
-        ensure!(is_good && value.is_finite(), "`robot.noise.{key}` is {value}, must be {wanted}");
+        ensure!(is_good && value.is_finite(), "`robot.noise.{key}` is {value}, must be {requirement}");
         Ok(())
     }
 }
@@ -272,8 +272,8 @@ mod tests {
 
     #[test]
     fn the_gyro_s_bias_is_known_as_well_as_its_noise_says_unless_it_was_measured() {
-        let bias = |given| {
-            let calibration = RobotCalibration { gyro_bias_rad_per_s: given, ..RobotCalibration::default() };
+        let bias = |bias_rad_per_s| {
+            let calibration = RobotCalibration { gyro_bias_rad_per_s: bias_rad_per_s, ..RobotCalibration::default() };
             calibration.checked(0.03).unwrap().gyro_bias_rad_per_s
         };
         let (value, sigma) = (0.0, 0.03);

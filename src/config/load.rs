@@ -133,11 +133,11 @@ impl Setting {
 
     /// Creates missing tables.
     pub fn apply_to(&self, table: &mut toml::Table) -> Result<(), String> {
-        let Some((last, way)) = self.path.split_last() else {
+        let Some((last, parents)) = self.path.split_last() else {
             return Ok(());
         };
         let mut table = table;
-        for part in way {
+        for part in parents {
             let entry = table.entry(part.clone()).or_insert_with(|| toml::Value::Table(toml::Table::new()));
             table = entry.as_table_mut().ok_or_else(|| format!("`{part}` is no table"))?;
         }
@@ -212,10 +212,10 @@ fn origin_of(path: &[String], loaded: &Loaded) -> Origin {
         return Origin::Flag;
     }
     let mut table = &loaded.file;
-    let Some((last, way)) = path.split_last() else {
+    let Some((last, parents)) = path.split_last() else {
         return Origin::Default;
     };
-    for part in way {
+    for part in parents {
         match table.get(part).and_then(toml::Value::as_table) {
             Some(inner) => table = inner,
             None => return Origin::Default,
@@ -254,9 +254,9 @@ mod tests {
         let error = with(&START[..1]).unwrap_err();
         assert!(error.starts_with("`--set robot.start.x_m=0.5`: missing field `y_m`"), "{error}");
         for wrong in ["robot.start.z_m=1", "robot.track=1", "robot.track_width_m=wide", "robot.name.x=1"] {
-            for place in 0..=START.len() {
+            for position in 0..=START.len() {
                 let mut settings = START.to_vec();
-                settings.insert(place, wrong);
+                settings.insert(position, wrong);
                 let error = with(&settings).unwrap_err();
                 let named = format!("`--set {}`: ", Setting::parse(wrong).unwrap());
                 assert!(error.starts_with(&named), "{error}");

@@ -242,8 +242,8 @@ mod tests {
         ] {
             let refused = thermometers(&format!("[[robot.thermometer]]\n{line}\n"));
             let error = format!("{:#}", refused.unwrap_err());
-            let has_place = error.contains("robot.thermometer") || error.contains("line 3");
-            assert!(error.contains(key) && has_place, "{line}: {error}");
+            let has_location = error.contains("robot.thermometer") || error.contains("line 3");
+            assert!(error.contains(key) && has_location, "{line}: {error}");
         }
     }
 }

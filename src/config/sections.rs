@@ -129,9 +129,9 @@ impl WorldConfig {
     pub fn checked(&self) -> Result<ArenaMap> {
         let landmarks = parse_points("landmarks", &self.landmarks)?;
         let beacons = parse_points("beacons", &self.beacons)?;
-        let walls = self.walls.iter().enumerate().map(|(index, place)| {
+        let walls = self.walls.iter().enumerate().map(|(index, segment)| {
             let key = format!("walls, number {}", index + 1);
-            let (from, to) = (parse_point(&key, place.from)?, parse_point(&key, place.to)?);
+            let (from, to) = (parse_point(&key, segment.from)?, parse_point(&key, segment.to)?);
             ensure!(from != to, "`[world]` {key}: it has no length");
             Ok(Wall { from, to })
         });
@@ -143,21 +143,21 @@ impl WorldConfig {
     }
 }
 
-fn parse_points(key: &str, places: &[NumberedPlace]) -> Result<BTreeMap<u32, Point2<Arena>>> {
+fn parse_points(key: &str, points: &[NumberedPlace]) -> Result<BTreeMap<u32, Point2<Arena>>> {
     let mut known = BTreeMap::new();
-    for &NumberedPlace { id, x_m, y_m } in places {
+    for &NumberedPlace { id, x_m, y_m } in points {
         let at = parse_point(&format!("{key}, id {id}"), PointPlace { x_m, y_m })?;
         ensure!(known.insert(id, at).is_none(), "`[world]` {key}: the id {id} is there twice");
     }
     Ok(known)
 }
 
-fn by_id<K: Ord>(places: &BTreeMap<u32, Point2<Arena>>, id: fn(u32) -> K) -> BTreeMap<K, Point2<Arena>> {
-    places.iter().map(|(key, at)| (id(*key), *at)).collect()
+fn by_id<K: Ord>(points: &BTreeMap<u32, Point2<Arena>>, id: fn(u32) -> K) -> BTreeMap<K, Point2<Arena>> {
+    points.iter().map(|(key, at)| (id(*key), *at)).collect()
 }
 
-fn parse_point(key: &str, place: PointPlace) -> Result<Point2<Arena>> {
-    let PointPlace { x_m, y_m } = place;
+fn parse_point(key: &str, point: PointPlace) -> Result<Point2<Arena>> {
+    let PointPlace { x_m, y_m } = point;
     ensure!(x_m.is_finite() && y_m.is_finite(), "`[world]` {key}: it lies at ({x_m}, {y_m}): both must be finite");
     Ok(Point2::new(Meters(x_m), Meters(y_m)))
 }

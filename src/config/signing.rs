@@ -87,12 +87,12 @@ impl SigningSection {
 
 impl MemoryRecord {
     pub fn of(key: &Key, memory: &SigningState) -> Self {
-        let stream = |(id, heard): (&StreamId, &SignedStreamState)| StreamRecord {
+        let stream = |(id, state): (&StreamId, &SignedStreamState)| StreamRecord {
             system: id.source.system.0,
             component: id.source.component.0,
             link_id: id.link_id,
-            timestamp: heard.timestamp.units(),
-            date: heard.date.units(),
+            timestamp: state.timestamp.units(),
+            date: state.date.units(),
         };
         Self {
             key_name: key.name(),
@@ -107,11 +107,11 @@ impl MemoryRecord {
     pub fn memory(&self) -> SigningState {
         let stream = |stream: &StreamRecord| {
             let id = StreamId { source: Address::new(stream.system, stream.component), link_id: stream.link_id };
-            let heard = SignedStreamState {
+            let state = SignedStreamState {
                 timestamp: SigningTime::from_units(stream.timestamp),
                 date: SigningTime::from_units(stream.date),
             };
-            (id, heard)
+            (id, state)
         };
         SigningState {
             written_at: SigningTime::from_units(self.date),
@@ -156,14 +156,14 @@ mod tests {
     fn a_memory_survives_toml() {
         let key = Key::from_bytes([3; 32]);
         let stream = StreamId { source: Address::new(1, 2), link_id: 3 };
-        let heard = SignedStreamState { timestamp: SigningTime::MAX, date: SigningTime::from_units(4) };
+        let state = SignedStreamState { timestamp: SigningTime::MAX, date: SigningTime::from_units(4) };
         for floor in [None, Some(SigningTime::from_units(9))] {
             let memory = SigningState {
                 written_at: SigningTime::from_units(5),
                 clock: SigningTime::from_units(6),
                 last_sent: SigningTime::from_units(7),
                 min_timestamp: floor,
-                streams: [(stream, heard)].into(),
+                streams: [(stream, state)].into(),
             };
             let text = toml::to_string(&MemoryRecord::of(&key, &memory)).unwrap();
             let record: MemoryRecord = toml::from_str(&text).unwrap();

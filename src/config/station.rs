@@ -215,7 +215,7 @@ impl Config {
             Ok(LinkConfig { brick, ..config })
         });
         let interval = TimeDelta::from_millis(i64::from(self.clock.telemetry_interval_ms));
-        let wanted = match self.clock.telemetry_interval_ms {
+        let intervals = match self.clock.telemetry_interval_ms {
             0 => vec![],
             _ => vec![
                 (posebridge_protocol::dialect::ids::PB_WHEEL_TICKS, interval),
@@ -231,7 +231,7 @@ impl Config {
             robot_system: (self.station.robot_system != 0).then_some(SystemId(self.station.robot_system)),
             fix_requests: self.camera.fix_requests()?,
             timesync_period: TimeDelta::from_millis(i64::from(self.clock.timesync_period_ms)),
-            brick_message_intervals: wanted,
+            brick_message_intervals: intervals,
             duplicate_window: self.routing.window()?,
             links: links.collect::<Result<_>>()?,
         })

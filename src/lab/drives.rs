@@ -11,16 +11,16 @@ use posebridge_report::TimedPose;
 use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};
 
 /// A bundled scenario by its name, else one from a TOML file, named after the file.
-pub fn load_scenario(asked: &str) -> Result<(String, Scenario)> {
-    let path = Path::new(asked);
-    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == asked);
+pub fn load_scenario(requested: &str) -> Result<(String, Scenario)> {
+    let path = Path::new(requested);
+    let is_bundled = SCENARIOS.iter().any(|(name, _)| *name == requested);
     let is_file = path.extension().is_some_and(|extension| extension == "toml");
     if is_bundled || !is_file {
-        return Ok((asked.to_owned(), Scenario::bundled(asked)?));
+        return Ok((requested.to_owned(), Scenario::bundled(requested)?));
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{asked}`"))?;
-    let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{asked}`"))?;
-    let name = path.file_stem().map_or_else(|| asked.to_owned(), |stem| stem.to_string_lossy().into_owned());
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{requested}`"))?;
+    let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{requested}`"))?;
+    let name = path.file_stem().map_or_else(|| requested.to_owned(), |stem| stem.to_string_lossy().into_owned());
     Ok((name, scenario))
 }
 

@@ -113,8 +113,8 @@ fn listen_config(flags: &DashboardFlags, config: &Config) -> Result<Option<Liste
         return Ok(Some(ListenAddress::Exact(address)));
     }
     let configured = config.dashboard.checked()?;
-    let is_wanted = config.dashboard.enabled && !flags.no_dashboard;
-    Ok(is_wanted.then_some(configured))
+    let is_enabled = config.dashboard.enabled && !flags.no_dashboard;
+    Ok(is_enabled.then_some(configured))
 }
 
 fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {

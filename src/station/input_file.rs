@@ -70,9 +70,9 @@ impl InputFile {
         })
     }
 
-    /// Passes the bytes in chunks until `wants_more` returns false or the file ends. A truncated compressed file ends there
+    /// Passes the bytes in chunks until `needs_more` returns false or the file ends. A truncated compressed file ends there
     /// ([`Self::is_truncated`]).
-    pub fn chunks_while(&mut self, mut wants_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
+    pub fn chunks_while(&mut self, mut needs_more: impl FnMut(&[u8]) -> bool) -> Result<()> {
         loop {
             let chunk = match self.reader.fill_buf() {
                 Err(error) if self.is_compressed && ends_early(&error) => {
@@ -82,7 +82,7 @@ impl InputFile {
                 chunk => chunk.with_context(|| format!("reading `{}`", self.name))?,
             };
             let length = chunk.len();
-            if length == 0 || !wants_more(chunk) {
+            if length == 0 || !needs_more(chunk) {
                 return Ok(());
             }
             self.reader.consume(length);
@@ -156,8 +156,8 @@ fn kind_of(path: &Path, beginning: &[u8]) -> InputKind {
     }
 }
 
-fn has_extension(path: &Path, wanted: &str) -> bool {
-    path.extension().and_then(OsStr::to_str).is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+fn has_extension(path: &Path, expected: &str) -> bool {
+    path.extension().and_then(OsStr::to_str).is_some_and(|extension| extension.eq_ignore_ascii_case(expected))
 }
 
 /// Passes every record whose frame is intact or of an unknown message; returns the reader with its counts. On an error the records
@@ -175,18 +175,18 @@ pub fn tlog_records(mut file: InputFile, mut take: impl FnMut(TlogRecord<'_, ()>
     Ok(reader)
 }
 
-/// Passes the first records until `wants_more` returns false.
-pub fn first_tlog_records(mut file: InputFile, mut wants_more: impl FnMut(TlogRecord<'_, ()>) -> bool) -> Result<()> {
+/// Passes the first records until `needs_more` returns false.
+pub fn first_tlog_records(mut file: InputFile, mut needs_more: impl FnMut(TlogRecord<'_, ()>) -> bool) -> Result<()> {
     let mut reader = TlogReader::new();
-    let mut is_wanted = true;
+    let mut is_unfinished = true;
     file.chunks_while(|chunk| {
         reader.push(chunk, &mut classify, &mut |record| {
-            is_wanted = is_wanted && wants_more(record);
+            is_unfinished = is_unfinished && needs_more(record);
         });
-        is_wanted
+        is_unfinished
     })?;
     reader.finish(&mut classify, &mut |record| {
-        is_wanted = is_wanted && wants_more(record);
+        is_unfinished = is_unfinished && needs_more(record);
     });
     Ok(())
 }

@@ -22,15 +22,15 @@ pub struct LinkFlags(pub Vec<LinkFlag>);
 
 impl LinkFlags {
     fn push_matches(&mut self, matches: &ArgMatches) {
-        let mut placed = Vec::new();
+        let mut indexed = Vec::new();
         for (name, role, _) in FLAGS {
             let urls = matches.get_many::<String>(name).unwrap_or_default();
-            let places = matches.indices_of(name).into_iter().flatten();
+            let indices = matches.indices_of(name).into_iter().flatten();
             let flags = urls.map(|url| LinkFlag { url: url.clone(), role });
-            placed.extend(places.zip(flags));
+            indexed.extend(indices.zip(flags));
         }
-        placed.sort_by_key(|(place, _)| *place);
-        self.0 = placed.into_iter().map(|(_, flag)| flag).collect();
+        indexed.sort_by_key(|(index, _)| *index);
+        self.0 = indexed.into_iter().map(|(_, flag)| flag).collect();
     }
 }
 

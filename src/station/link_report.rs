@@ -120,8 +120,8 @@ fn link_table<'a>(
     table(header, rows)
 }
 
-fn millis(span: Option<TimeDelta>) -> String {
-    span.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.2}", span.as_millis_f64()))
+fn millis(duration: Option<TimeDelta>) -> String {
+    duration.map_or_else(|| NO_VALUE.to_owned(), |duration| format!("{:.2}", duration.as_millis_f64()))
 }
 
 fn rounded(rate: Option<f64>) -> String {

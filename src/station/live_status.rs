@@ -290,10 +290,10 @@ impl RobotView {
 
 /// Reading, predicted final value and its 95 % bound.
 fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settled: Option<ScalarEstimate>) -> String {
-    let place = brick.address;
+    let address = brick.address;
     let settled = settled
         .map_or_else(|| "unknown".to_owned(), |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()));
-    format!("\n  {channel} of {place}  {:.2} °C -> {settled}", shown.0)
+    format!("\n  {channel} of {address}  {:.2} °C -> {settled}", shown.0)
 }
 
 fn pose_line(name: &str, estimate: &Estimate) -> String {

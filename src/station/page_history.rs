@@ -51,7 +51,7 @@ pub fn build_history(path: &Path) -> Result<Frame> {
 struct RobotClock {
     exchanged: Option<ClockAlignment>,
     /// From the last estimate, for a brick that never answers time requests.
-    heard: Option<ClockAlignment>,
+    received: Option<ClockAlignment>,
 }
 
 struct PageHistoryBuilder {
@@ -103,8 +103,8 @@ impl PageHistoryBuilder {
             clock.exchanged = ClockAlignment::from_event(event).or(clock.exchanged);
         }
         if let Event::EstimateUpdated { robot, estimate } = event {
-            let heard = ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 };
-            self.clocks.entry(*robot).or_default().heard = Some(heard);
+            let received = ClockAlignment { host: now, brick: estimate.stamp, skew_ppm: 0.0 };
+            self.clocks.entry(*robot).or_default().received = Some(received);
         }
     }
 
@@ -115,7 +115,7 @@ impl PageHistoryBuilder {
                 Some(robot) => self.clocks.get(robot),
                 None => self.clocks.values().next(),
             };
-            let Some(aligned) = clock.and_then(|clock| clock.exchanged.or(clock.heard)) else {
+            let Some(aligned) = clock.and_then(|clock| clock.exchanged.or(clock.received)) else {
                 continue;
             };
             while let Some(sample) = truth.front() {
@@ -146,8 +146,8 @@ impl PageHistoryBuilder {
         let mut noted = SessionViews::new(Vec::new());
         for text in notes.into_lines() {
             // What is missing makes the replay another one than the live run.
-            let said = Event::Text { source, severity: WARNING, text };
-            noted.push_event(begun, &said);
+            let event = Event::Text { source, severity: WARNING, text };
+            noted.push_event(begun, &event);
         }
         history.log.splice(0..0, noted.history().log);
         history

@@ -257,14 +257,14 @@ fn message(timestamp: f64, name: &str, object: impl Serialize) -> String {
 }
 
 fn truth_messages(point: &TruthPoint) -> Vec<String> {
-    let place = |[x_m, y_m, heading_rad]: [Number; 3]| {
+    let pose = |[x_m, y_m, heading_rad]: [Number; 3]| {
         Object(vec![("x_m", x_m.into()), ("y_m", y_m.into()), ("heading_rad", heading_rad.into())])
     };
     // One of several robots has series of its own.
     let suffix = point.robot.as_ref().map_or_else(String::new, |id| format!("_{}", id.replace('/', "_")));
-    let truth = place([point.x_m, point.y_m, point.heading_rad]);
+    let truth = pose([point.x_m, point.y_m, point.heading_rad]);
     let mut all = vec![message(point.t_s, &format!("truth{suffix}"), truth)];
-    all.extend(point.odometry.map(|odometry| message(point.t_s, &format!("odometry{suffix}"), place(odometry))));
+    all.extend(point.odometry.map(|odometry| message(point.t_s, &format!("odometry{suffix}"), pose(odometry))));
     all
 }
 

@@ -37,31 +37,31 @@ impl Default for MemoryLimit {
 }
 
 /// The bytes of a posebridge recording with the parts that continue it, as far as the limit allows; and notes on skipped data.
-pub fn own_recording_bytes(path: &Path, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
-    own_bytes(path, InputFile::open(path)?, room)
+pub fn own_recording_bytes(path: &Path, budget: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
+    own_bytes(path, InputFile::open(path)?, budget)
 }
 
 /// The bytes of an open posebridge recording, with the parts that continue it.
-pub fn own_bytes(path: &Path, mut file: InputFile, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
+pub fn own_bytes(path: &Path, mut file: InputFile, budget: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     let (name, size) = (file.name.clone(), file.size);
     // Looked at before it is read: what is none may be large.
     if let Err(error @ ReadError::NotMcap) = RecordingReader::open(file.peek()?) {
         return Err(error)
             .with_context(|| format!("recording `{name}` ({size} bytes): `posebridge run` writes recordings"));
     }
-    join_parts(path, file.read_all(room.max_bytes)?, room)
+    join_parts(path, file.read_all(budget.max_bytes)?, budget)
 }
 
 /// Joins `first`, the content of the file at `path`, with the parts that continue it within the memory limit; returns notes on missing
 /// data. Unchanged without further parts. Returns a `first` that is no recording unchanged: opening it reports the error.
-fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
-    let mut room = RemainingMemory::new(room, first.len() as u64);
+fn join_parts(path: &Path, first: Vec<u8>, budget: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
+    let mut budget = RemainingMemory::new(budget, first.len() as u64);
     let Ok(reader) = RecordingReader::open(&first) else {
         return Ok((first, Vec::new()));
     };
     let number = reader.part_header().part;
-    let Some((next_path, next)) = continuation(path, number, &mut room)? else {
-        return Ok((first, room.notes()));
+    let Some((next_path, next)) = continuation(path, number, &mut budget)? else {
+        return Ok((first, budget.notes()));
     };
     let out = Cursor::new(Vec::with_capacity(first.len() + next.len()));
     let mut writer = RecordingWriter::create_part(out, reader.header(), reader.part_header())?;
@@ -79,10 +79,10 @@ fn join_parts(path: &Path, first: Vec<u8>, room: MemoryLimit) -> Result<(Vec<u8>
             writer.record_truth(Timestamp::ZERO, &truth)?;
             let count = number - first_number + 1;
             notes.insert(0, format!("{count} parts were joined"));
-            notes.extend(room.notes());
+            notes.extend(budget.notes());
             break;
         };
-        let behind = continuation(&next.1, next.0, &mut room)?;
+        let behind = continuation(&next.1, next.0, &mut budget)?;
         following = behind.map(|(path, bytes)| (next.0 + 1, path, bytes));
         part = next;
     }
@@ -98,8 +98,8 @@ pub(crate) fn continuation_names(path: &Path, first: &[u8]) -> Result<Vec<String
     let (mut path, mut number) = (path.to_owned(), reader.part_header().part);
     loop {
         // One at a time lies in memory.
-        let mut room = RemainingMemory::new(MemoryLimit::default(), 0);
-        let Some((next, _)) = continuation(&path, number, &mut room)? else {
+        let mut budget = RemainingMemory::new(MemoryLimit::default(), 0);
+        let Some((next, _)) = continuation(&path, number, &mut budget)? else {
             return Ok(names);
         };
         names.push(name_of(&next));
@@ -145,18 +145,18 @@ impl RemainingMemory {
 }
 
 /// The part after part `number` at `path`; reserves memory for it.
-fn continuation(path: &Path, number: u32, room: &mut RemainingMemory) -> Result<Option<(PathBuf, Vec<u8>)>> {
+fn continuation(path: &Path, number: u32, budget: &mut RemainingMemory) -> Result<Option<(PathBuf, Vec<u8>)>> {
     let next = part_path(&first_path(path, number), number + 1);
     if !next.is_file() {
         return Ok(None);
     }
     let name = next.display();
     let size = std::fs::metadata(&next).with_context(|| format!("looking at `{name}`"))?.len();
-    if !room.reserve(&next, size)? {
+    if !budget.reserve(&next, size)? {
         return Ok(None);
     }
-    let bytes = InputFile::open(&next)?.read_all(room.remaining)?;
-    room.remaining = room.remaining.saturating_sub(bytes.len() as u64);
+    let bytes = InputFile::open(&next)?.read_all(budget.remaining)?;
+    budget.remaining = budget.remaining.saturating_sub(bytes.len() as u64);
     let continues = RecordingReader::open(&bytes).ok().is_some_and(|reader| {
         let beginning = reader.part_header();
         let before = path.file_name().unwrap_or_default().to_string_lossy();
@@ -389,13 +389,13 @@ mod tests {
         let path = record(folder.path());
         let first = std::fs::read(&path).unwrap();
         let second = std::fs::metadata(folder.path().join("recording.2.mcap")).unwrap();
-        let room = |beyond| MemoryLimit { max_bytes: first.len() as u64 + second.len(), on_excess: beyond };
-        let refused = join_parts(&path, first.clone(), room(ExcessPolicy::Reject));
+        let budget = |beyond| MemoryLimit { max_bytes: first.len() as u64 + second.len(), on_excess: beyond };
+        let refused = join_parts(&path, first.clone(), budget(ExcessPolicy::Reject));
         let refused = refused.unwrap_err().to_string();
         assert!(refused.contains("recording.3.mcap"), "{refused}");
         assert!(refused.contains("begin with a later part"), "{refused}");
         // Or what fits is taken.
-        let (begun, notes) = join_parts(&path, first.clone(), room(ExcessPolicy::Skip)).unwrap();
+        let (begun, notes) = join_parts(&path, first.clone(), budget(ExcessPolicy::Skip)).unwrap();
         let (all, _) = join_parts(&path, first.clone(), MemoryLimit::default()).unwrap();
         let (begun, all) = (instants(&begun), instants(&all));
         assert!(all.starts_with(&begun) && begun.len() < all.len(), "{begun:?}");

@@ -41,7 +41,7 @@ pub struct Recorder {
     first: PathBuf,
     /// Part number, updated by the thread.
     part: Arc<AtomicU32>,
-    given: u64,
+    input_count: u64,
     lost: u64,
     lost_outputs: u64,
 }
@@ -72,7 +72,11 @@ impl Recorder {
         Self::spawn(path, inputs_before, move || RecordingParts::create(&first, header, limits, inputs_before))
     }
 
-    fn spawn(first: &Path, given: u64, open: impl FnOnce() -> Result<RecordingParts> + Send + 'static) -> Result<Self> {
+    fn spawn(
+        first: &Path,
+        input_count: u64,
+        open: impl FnOnce() -> Result<RecordingParts> + Send + 'static,
+    ) -> Result<Self> {
         let (sender, items) = bounded(QUEUE_CAPACITY);
         let part = Arc::new(AtomicU32::new(1));
         let current_part = Arc::clone(&part);
@@ -80,14 +84,14 @@ impl Recorder {
             .name("recorder".to_owned())
             .spawn(move || write(open()?, &items, &current_part))
             .context("starting the recorder's thread")?;
-        Ok(Self { sender, thread, first: first.to_owned(), part, given, lost: 0, lost_outputs: 0 })
+        Ok(Self { sender, thread, first: first.to_owned(), part, input_count, lost: 0, lost_outputs: 0 })
     }
 
     /// Records an input without waiting; counts it as lost if the queue is full. Fails if the recorder has stopped because of a write
     /// error: [`Self::finish`] returns it.
     pub fn record(&mut self, now: Timestamp<HostClock>, input: Input) -> Result<()> {
-        let item = RecorderItem::Input(now, self.given, input);
-        self.given += 1;
+        let item = RecorderItem::Input(now, self.input_count, input);
+        self.input_count += 1;
         match self.try_send(item) {
             Ok(()) => Ok(()),
             Err(TrySendError::Full(_)) => {
@@ -138,7 +142,7 @@ impl Recorder {
 
     /// Ends the recording without waiting for the disk.
     pub fn stop(self) -> StoppingRecorder {
-        let end = Box::new(RecorderItem::End(self.given));
+        let end = Box::new(RecorderItem::End(self.input_count));
         // With a full queue the last gap is not recorded; it ends where its channel does.
         drop(self.sender.try_send(end));
         StoppingRecorder { thread: self.thread }
@@ -147,15 +151,15 @@ impl Recorder {
     /// Writes the queued items, ends the file and returns its totals.
     pub fn finish(self) -> Result<RecordingTotals> {
         // A thread that has gone says why when it is joined.
-        drop(self.sender.send(Box::new(RecorderItem::End(self.given))));
+        drop(self.sender.send(Box::new(RecorderItem::End(self.input_count))));
         drop(self.sender);
         StoppingRecorder { thread: self.thread }.wait()
     }
 
     /// Queues an item of lower priority than inputs.
     fn offer(&mut self, item: RecorderItem) {
-        let is_crowded = self.sender.len() >= OUTPUT_QUEUE_CAPACITY;
-        if is_crowded || self.try_send(item).is_err() {
+        let is_backlogged = self.sender.len() >= OUTPUT_QUEUE_CAPACITY;
+        if is_backlogged || self.try_send(item).is_err() {
             self.lost_outputs += 1;
         }
     }
@@ -180,10 +184,10 @@ impl StoppingRecorder {
 }
 
 fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &AtomicU32) -> Result<RecordingTotals> {
-    let mut given = None;
+    let mut input_count = None;
     loop {
-        let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
-        let item = match items.recv_timeout(patience) {
+        let flush_timeout = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
+        let item = match items.recv_timeout(flush_timeout) {
             Ok(item) => item,
             Err(RecvTimeoutError::Timeout) => {
                 parts.flush()?;
@@ -202,10 +206,10 @@ fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &
             }
             RecorderItem::Line(now, severity, text) => parts.record_message(now, severity, &text)?,
             RecorderItem::Truth(truth) => parts.record_truth(&truth)?,
-            RecorderItem::End(number) => given = Some(number),
+            RecorderItem::End(number) => input_count = Some(number),
         }
     }
-    let last = given.unwrap_or_else(|| parts.next());
+    let last = input_count.unwrap_or_else(|| parts.next());
     parts.finish(last)
 }
 
@@ -244,34 +248,34 @@ mod tests {
         let path = folder.path().join("recording.mcap");
         let (mut recorder, stuck) = behind_a_stuck_disk(&path);
         let now = |n: u64| Timestamp::from_millis(i64::try_from(n).unwrap());
-        let given = QUEUE_CAPACITY as u64 + 500;
-        for n in 0..given {
+        let input_count = QUEUE_CAPACITY as u64 + 500;
+        for n in 0..input_count {
             recorder.record(now(n), Input::Tick).unwrap();
             recorder.record_events(now(n), &some_events());
         }
         let (lost, lost_outputs) = recorder.losses();
         // What came out gives way at half the queue, and the inputs have the other half to themselves.
         let outputs = OUTPUT_QUEUE_CAPACITY as u64 / 2;
-        assert_eq!(lost_outputs, given - outputs);
+        assert_eq!(lost_outputs, input_count - outputs);
         assert_eq!(lost, outputs + 500);
         drop(stuck);
         while !recorder.sender.is_empty() {
             assert!(!recorder.thread.is_finished(), "the recorder has stopped");
             std::thread::yield_now();
         }
-        recorder.record(now(given), Input::Tick).unwrap();
+        recorder.record(now(input_count), Input::Tick).unwrap();
         let kept = recorder.finish().unwrap();
-        assert_eq!((kept.inputs, kept.lost), (given - lost + 1, lost));
+        assert_eq!((kept.inputs, kept.lost), (input_count - lost + 1, lost));
 
         let bytes = std::fs::read(&path).unwrap();
         let found: Vec<_> = RecordingReader::open(&bytes).unwrap().collect();
         let gaps: Vec<_> = found.iter().filter_map(|item| item.as_ref().err()).collect();
-        let expected = u32::try_from(given - lost).unwrap();
+        let expected = u32::try_from(input_count - lost).unwrap();
         let [ReadError::Gap { expected: at, found: next, .. }] = gaps[..] else {
             panic!("{gaps:?}");
         };
-        assert_eq!((*at, u64::from(*next)), (expected, given));
-        assert_eq!(found.last(), Some(&Ok((now(given), Input::Tick))));
+        assert_eq!((*at, u64::from(*next)), (expected, input_count));
+        assert_eq!(found.last(), Some(&Ok((now(input_count), Input::Tick))));
     }
 
     #[test]
@@ -293,8 +297,8 @@ mod tests {
         assert!(second.is_file());
         let config = Config::default().station_config().unwrap();
         let station = Station::new(config, Timestamp::ZERO).unwrap();
-        let standing = station_status(&station, Some(&recorder));
-        assert_eq!(standing.recording.as_deref(), Some("recording.2.mcap"));
+        let status = station_status(&station, Some(&recorder));
+        assert_eq!(status.recording.as_deref(), Some("recording.2.mcap"));
         assert_eq!(recorder.finish().unwrap().parts, 2);
     }
 

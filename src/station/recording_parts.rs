@@ -134,9 +134,9 @@ impl RecordingParts {
         self.write(RecordingWriter::flush)
     }
 
-    /// Ends the file; `given` is the number of the session's inputs so far.
-    pub fn finish(mut self, given: u64) -> Result<RecordingTotals> {
-        self.record_gap(self.last, given)?;
+    /// Ends the file; `input_count` is the number of the session's inputs so far.
+    pub fn finish(mut self, input_count: u64) -> Result<RecordingTotals> {
+        self.record_gap(self.last, input_count)?;
         self.end_part()?;
         Ok(self.totals)
     }
@@ -264,7 +264,7 @@ impl WatchedFile {
 
     /// Fails if the disk has less free space.
     pub fn check_free_space(&self, floor_bytes: u64) -> Result<()> {
-        // A file system that cannot be asked may well have room.
+        // A file system that does not report its free space may have enough.
         let Ok(disk) = statvfs(&self.path) else {
             return Ok(());
         };

@@ -185,8 +185,8 @@ impl RequestHandler {
     /// Sends a command to a robot's simulated brick, or to the first; never waits.
     fn forward_to_simulator(&mut self, robot: Option<RobotId>, command: &SimulatorCommand) -> Result<()> {
         let name = command.name();
-        let wanted = |brick: &ReachableBrick| robot.is_none() || brick.robot.is_none() || brick.robot == robot;
-        let index = self.bricks.iter().position(wanted);
+        let is_target = |brick: &ReachableBrick| robot.is_none() || brick.robot.is_none() || brick.robot == robot;
+        let index = self.bricks.iter().position(is_target);
         let index = index.with_context(|| match robot {
             Some(robot) if !self.bricks.is_empty() => format!("{name}: {robot} is no simulated brick of this station"),
             _ => format!("{name}: this station has no simulated brick of its own"),
@@ -485,14 +485,14 @@ mod tests {
         let start = Request::StartRecording { values: vec![] };
         let mut recorder = None;
         // Gone between the look at the folder and the file: the recorder's thread cannot make it.
-        let gone = folder.path().join("gone/recording.mcap");
+        let missing = folder.path().join("gone/recording.mcap");
         let lost = Recorder::start_in_session(
-            &gone,
+            &missing,
             &header(&Config::default(), 0).unwrap(),
             Config::default().record.limits(),
             0,
         );
-        handler.ended_recordings.push((gone, lost.unwrap().stop()));
+        handler.ended_recordings.push((missing, lost.unwrap().stop()));
         handler.execute(Timestamp::ZERO, 0, &start, &mut recorder);
         handler.execute(Timestamp::ZERO, 0, &Request::StopRecording, &mut recorder);
         let mut failures = DeferredErrors::default();

@@ -31,9 +31,9 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let mut failures = DeferredErrors::default();
     failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
     failures.record(report_learned(args, &config, &session));
-    let has_heard = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
+    let has_observations = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
-    if !has_heard {
+    if !has_observations {
         print_line(
             "no robot was heard; `posebridge doctor` looks for ports, rights and settings, and `posebridge doctor URL` listens on a link",
         );
@@ -50,9 +50,9 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
     let session = run_in_runtime(session(args, &config, file_name, laps))?;
     let robots = session.collectors.entries();
-    let heard = robots.first().map_or_else(String::new, |robot| source_table(&robot.value.sources));
+    let sources = robots.first().map_or_else(String::new, |robot| source_table(&robot.value.sources));
     session.into_result().while_running()?;
-    Ok(heard)
+    Ok(sources)
 }
 
 fn run_in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {

@@ -71,7 +71,7 @@ impl StationLoop {
         let mut deadline_timer = DeadlineTimer::new(self.timer);
         let mut clock_step = ClockStepDetector::default();
         while !ending.stop.is_cancelled() && finished.len() < self.links.iter().len() {
-            let silent_at = ending.silence.and_then(|span| last_byte.map(|last| last + span));
+            let silent_at = ending.silence.and_then(|limit| last_byte.map(|last| last + limit));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
             let deadline = self.station.deadline().into_iter().chain(end_at).min();
             let (now, input) = tokio::select! {
@@ -152,8 +152,8 @@ impl StationLoop {
 
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
-            let standing = station_status(&self.station, self.recorder.as_ref());
-            dashboard.publish_status(now, standing, self.requests.overrides());
+            let status = station_status(&self.station, self.recorder.as_ref());
+            dashboard.publish_status(now, status, self.requests.overrides());
         }
     }
 

@@ -108,9 +108,9 @@ fn write(
     floor_bytes: u64,
 ) -> Result<u64> {
     let mut flushed = Timestamp::<HostClock>::ZERO;
-    let patience = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
+    let flush_timeout = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
     loop {
-        let is_due = match traffic.recv_timeout(patience) {
+        let is_due = match traffic.recv_timeout(flush_timeout) {
             Ok(one) => {
                 let written = match one.direction {
                     Direction::In(peer) => log.received(one.now, one.link, peer, &one.bytes),
@@ -180,14 +180,14 @@ impl<W: Write> TrafficLog<W> {
         if self.peers.len() >= MAX_PEERS && !self.peers.contains_key(&key) {
             evict_oldest_peer(&mut self.peers);
         }
-        let heard = self
+        let stream = self
             .peers
             .entry(key)
             .or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::with_all_dialects(*config) });
-        heard.last_seen = now;
+        stream.last_seen = now;
         let (writer, frames) = (&mut self.writer, &mut self.frames);
         let mut written = Ok(());
-        heard.framer.push(now, bytes, &mut |found| {
+        stream.framer.push(now, bytes, &mut |found| {
             let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
                 return;
             };
@@ -232,11 +232,11 @@ impl<W: Write> TrafficLog<W> {
 }
 
 /// Evicts the peer that was silent longest; the frame it may have begun is lost.
-fn evict_oldest_peer(heard: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
-    let silent = heard.iter().min_by_key(|(_, heard)| heard.last_seen);
+fn evict_oldest_peer(streams: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
+    let silent = streams.iter().min_by_key(|(_, stream)| stream.last_seen);
     let silent = silent.map(|(key, _)| *key);
     if let Some(silent) = silent {
-        heard.remove(&silent);
+        streams.remove(&silent);
     }
 }
 

@@ -77,11 +77,11 @@ impl CsvTable {
 impl CsvRow<'_> {
     pub fn text(&self, column: &str) -> Result<&str> {
         let CsvTable { name, columns, .. } = self.table;
-        let Some(place) = columns.iter().position(|known| known == column) else {
+        let Some(index) = columns.iter().position(|known| known == column) else {
             let known: Vec<&str> = columns.iter().collect();
             bail!("`{name}` has no column `{column}`; it has: {}. Name it in the first line", known.join(", "))
         };
-        match self.cells.get(place) {
+        match self.cells.get(index) {
             Some(text) if !text.is_empty() => Ok(text),
             _ => bail!("`{name}` line {}: column `{column}` is empty", self.line),
         }

@@ -93,13 +93,13 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
         Format::Tlog => !is_copied,
         Format::Mcap => false,
     };
-    let wanted: Vec<Format> = args.formats.iter().copied().filter(needs_engine).collect();
-    if wanted.is_empty() {
+    let engine_formats: Vec<Format> = args.formats.iter().copied().filter(needs_engine).collect();
+    if engine_formats.is_empty() {
         return Ok(());
     }
     let session = ExportSession::open(args, kind).before_start()?;
-    let run = session.run(args, &wanted).while_running()?;
-    if wanted.contains(&Format::Tum) {
+    let run = session.run(args, &engine_formats).while_running()?;
+    if engine_formats.contains(&Format::Tum) {
         write_trajectories(args, &run).while_running()?;
     }
     Ok(())
@@ -109,15 +109,15 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
 fn check(args: &ExportArgs) -> Result<InputKind> {
     let name = args.recording.display();
     let kind = InputFile::open(&args.recording)?.kind;
-    let wants = |format| args.formats.contains(&format);
+    let is_requested = |format| args.formats.contains(&format);
     match kind {
         InputKind::Bytes => {
             bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
         }
-        InputKind::Own if wants(Format::Mcap) => {
+        InputKind::Own if is_requested(Format::Mcap) => {
             bail!("--format mcap: `{name}` is a recording of posebridge already")
         }
-        InputKind::Descriptor if wants(Format::Tlog) => {
+        InputKind::Descriptor if is_requested(Format::Tlog) => {
             bail!("--format tlog: `{name}` is a descriptor, there are no frames in its data")
         }
         InputKind::Descriptor => ensure!(
@@ -222,14 +222,14 @@ impl ExportSession {
     }
 
     /// Runs the engine and writes the files of all requested formats except TUM, which needs the whole run.
-    fn run(self, args: &ExportArgs, wanted: &[Format]) -> Result<ExportedRun> {
+    fn run(self, args: &ExportArgs, engine_formats: &[Format]) -> Result<ExportedRun> {
         let mut reader = RecordingReader::open(&self.bytes)?;
         let station_config = recorded_station_config(&self.config, &args.keys)?;
         let utc_start_micros = reader.header().utc_start_micros;
-        let tlog = wanted.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
+        let tlog = engine_formats.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
         let (tlog, fresh) = tlog.transpose()?.unzip();
         let mut files = ExportFiles {
-            csv: wanted.contains(&Format::Csv).then(|| streams(&args.out)),
+            csv: engine_formats.contains(&Format::Csv).then(|| streams(&args.out)),
             tlog: tlog.map(|file| {
                 let out = BufWriter::new(file);
                 TrafficLog::new(out, utc_start_micros, &station_config.links)
@@ -270,9 +270,9 @@ fn robot_poses(
     {
         return Ok(vec![RobotPoses { label: None, estimates: only.value, truth }]);
     }
-    let wants_truth = args.formats.contains(&Format::Tum);
+    let needs_truth = args.formats.contains(&Format::Tum);
     let robots = robots.into_iter().map(|robot| {
-        let known = wants_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
+        let known = needs_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
         let truth = known.transpose()?.and_then(|known| known.truth);
         Ok(RobotPoses { label: Some(robot.label), estimates: robot.value, truth })
     });
@@ -376,11 +376,11 @@ fn write_robot(args: &ExportArgs, robot: &RobotPoses, part: &str) -> Result<()> 
     let suffix = robot.label.as_ref().map_or_else(String::new, |_| format!("-{part}"));
     let (estimate, truth) = trajectories(robot);
     if estimate.is_empty() {
-        let place = if robot.truth.is_some() { " where there is truth" } else { "" };
+        let scope = if robot.truth.is_some() { " where there is truth" } else { "" };
         match &robot.label {
             // The others have theirs.
-            Some(label) => print_line(&format!("there is no valid estimate of {label}{place} to write")),
-            None => bail!("there is no valid estimate{place} to write"),
+            Some(label) => print_line(&format!("there is no valid estimate of {label}{scope} to write")),
+            None => bail!("there is no valid estimate{scope} to write"),
         }
         return Ok(());
     }

@@ -40,9 +40,9 @@ impl GroundTruth {
             return Ok(Self::default());
         }
         let of_truth = samples.iter().map(|sample| TimedPose { time: sample.time, pose: sample.pose });
-        let believed =
+        let odometry_samples =
             samples.iter().filter_map(|sample| Some(TimedPose { time: sample.time, pose: sample.odometry? }));
-        let odometry = PoseTrack::new(believed, MAX_INTERPOLATION_GAP);
+        let odometry = PoseTrack::new(odometry_samples, MAX_INTERPOLATION_GAP);
         Ok(Self {
             truth: Some(PoseTrack::new(of_truth, MAX_INTERPOLATION_GAP)),
             odometry: (!odometry.samples().is_empty()).then_some(odometry),
@@ -53,12 +53,12 @@ impl GroundTruth {
 /// The samples of one robot; see [`GroundTruth::load`].
 fn samples_of(robot: Option<RobotId>, mut samples: Vec<TruthSample>) -> Vec<TruthSample> {
     let is_named = |sample: &TruthSample| sample.robot.is_some();
-    let wanted = match robot {
+    let selected = match robot {
         None if samples.iter().all(is_named) => samples.iter().filter_map(|sample| sample.robot).min(),
         Some(_) if !samples.iter().any(is_named) => None,
         None | Some(_) => robot,
     };
-    samples.retain(|sample| sample.robot == wanted);
+    samples.retain(|sample| sample.robot == selected);
     samples
 }
 
@@ -116,10 +116,10 @@ mod tests {
 
     /// A second apart, each as far east as its place in the list.
     fn samples(robots: &[Option<RobotId>]) -> Vec<TruthSample> {
-        let sample = |(place, robot): (i32, &Option<RobotId>)| TruthSample {
+        let sample = |(index, robot): (i32, &Option<RobotId>)| TruthSample {
             robot: *robot,
-            time: Timestamp::from_millis(1_000 * i64::from(place)),
-            pose: Pose::new(Meters(f64::from(place)), Meters(0.0), Heading::default()),
+            time: Timestamp::from_millis(1_000 * i64::from(index)),
+            pose: Pose::new(Meters(f64::from(index)), Meters(0.0), Heading::default()),
             odometry: None,
         };
         (0..).zip(robots).map(sample).collect()
@@ -128,7 +128,7 @@ mod tests {
     #[test]
     fn the_truth_is_that_of_one_robot_and_samples_that_name_none_answer_for_any() {
         let (two, unnamed, mixed) = ([Some(id(2)), Some(id(1)), Some(id(2))], [None, None], [Some(id(1)), None]);
-        for (wanted, robots, expected) in [
+        for (requested, robots, expected) in [
             (None, &two[..], &[1.0][..]),
             (Some(id(2)), &two, &[0.0, 2.0]),
             (Some(id(3)), &two, &[]),
@@ -136,9 +136,9 @@ mod tests {
             (None, &mixed, &[1.0]),
             (Some(id(2)), &mixed, &[]),
         ] {
-            let found = samples_of(wanted, samples(robots));
+            let found = samples_of(requested, samples(robots));
             let positions: Vec<f64> = found.iter().map(|sample| sample.pose.x.0).collect();
-            assert_eq!(positions, expected, "{wanted:?} of {robots:?}");
+            assert_eq!(positions, expected, "{requested:?} of {robots:?}");
         }
     }
 

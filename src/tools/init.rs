@@ -75,17 +75,17 @@ fn robot(args: &InitArgs) -> Result<BundledRobot> {
 }
 
 fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
-    let given = |url: &str, is_listening| TemplateLink {
+    let template_link = |url: &str, is_listening| TemplateLink {
         url: url.to_owned(),
         is_listening,
         origin: "as given to `posebridge init`".to_owned(),
         notes: Vec::new(),
     };
     if let Some(url) = &args.link {
-        return Ok(given(url, false));
+        return Ok(template_link(url, false));
     }
     if let Some(url) = &args.listen {
-        return Ok(given(url, true));
+        return Ok(template_link(url, true));
     }
     let own: Config = toml::from_str(robot.text).context(robot.name)?;
     let usual = own.links.first().ok_or_else(|| anyhow!("config/robots/{}.toml names no link", robot.name))?;

@@ -164,25 +164,25 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     }
     let config = config_with_overlay(&reader.header().config_toml, overlay)?;
     let mut station = Station::new(recorded_station_config(&config, &[])?, Timestamp::ZERO)?;
-    let mut heard = SessionObservations::default();
+    let mut session = SessionObservations::default();
     for_each_input(&name, &mut reader, |now, input| {
         station.handle(now, input);
         while let Some(output) = station.poll() {
             if let Output::Event(event) = output {
-                heard.on_event(&event);
+                session.on_event(&event);
             }
         }
         Ok(())
     })?;
     ensure!(
-        !(heard.observations.is_empty() && heard.thermometers.is_empty()),
+        !(session.observations.is_empty() && session.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \
          record again"
     );
-    if heard.restarts > 0 {
+    if session.restarts > 0 {
         bail!(
             "`{name}`: the brick restarted {} time(s), its clock began anew; record a drive without a restart",
-            heard.restarts
+            session.restarts
         );
     }
     let robot = config.robot_file(station.robots().first());
@@ -192,9 +192,9 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         name,
         robot: robot.with_geometry(&filter_config.geometry),
         config: filter_config,
-        arrivals: heard.arrivals_on_brick_clock(),
-        observations: heard.observations,
-        thermometers: heard.thermometers,
+        arrivals: session.arrivals_on_brick_clock(),
+        observations: session.observations,
+        thermometers: session.thermometers,
     })
 }
 
@@ -220,11 +220,11 @@ mod tests {
     fn a_thermometers_clock_that_falls_is_a_restart_and_a_reading_that_was_overtaken_is_none() {
         let channel = ChannelName::from_bytes(b"temp1");
         let fallen = |stamps: &[i64]| {
-            let mut heard = SessionObservations::default();
+            let mut session = SessionObservations::default();
             for at_millis in stamps {
-                heard.push_reading(brick(3), channel, reading(*at_millis));
+                session.push_reading(brick(3), channel, reading(*at_millis));
             }
-            let readings = heard.thermometers[0].readings().map(<[_]>::len);
+            let readings = session.thermometers[0].readings().map(<[_]>::len);
             readings.map_err(|error| error.to_string())
         };
         assert_eq!(fallen(&[60_000, 61_000, 60_100, 62_000]), Ok(4));
@@ -234,12 +234,12 @@ mod tests {
 
     #[test]
     fn a_thermometer_is_called_by_its_brick_where_two_bricks_have_a_channel_of_that_name() {
-        let mut heard = SessionObservations::default();
+        let mut session = SessionObservations::default();
         for (system, channel) in [(3, "temp1"), (4, "temp1"), (4, "temp2")] {
             let channel = ChannelName::from_bytes(channel.as_bytes());
-            heard.push_reading(brick(system), channel, reading(0));
+            session.push_reading(brick(system), channel, reading(0));
         }
-        let all = &heard.thermometers;
+        let all = &session.thermometers;
         let names: Vec<String> = all.iter().map(|one| one.name_among(all)).collect();
         assert_eq!(names, ["temp1@0-3/1", "temp1@0-4/1", "temp2"]);
     }

@@ -127,8 +127,8 @@ struct RelayEndpoint {
 impl RelayEndpoint {
     async fn open(name: &'static str, flags: &StationLink, timer: HostTimer, kind: LinkKind) -> Result<Self> {
         let mut port = flags.to_link(timer).with_context(|| format!("{name} end"))?;
-        let place = flags.open(&mut port).await?;
-        print_line(&format!("{name} end {place}"));
+        let endpoint = flags.open(&mut port).await?;
+        print_line(&format!("{name} end {endpoint}"));
         match (kind, port.is_datagram()) {
             (LinkKind::Stream, true) => print_line(&format!(
                 "{name} end: the profile is for streams, so that a datagram may leave in pieces or lack bytes"
@@ -243,8 +243,8 @@ impl Relay {
     }
 
     fn record(&mut self, at: Timestamp<HostClock>, input: Input) {
-        let is_lost = self.recorder.as_mut().is_some_and(|recorder| recorder.record(at, input).is_err());
-        if is_lost && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
+        let has_failed = self.recorder.as_mut().is_some_and(|recorder| recorder.record(at, input).is_err());
+        if has_failed && let Some(Err(error)) = self.recorder.take().map(Recorder::finish) {
             tracing::error!(error = format!("{error:#}"), "the recording ends here");
             self.recording_failure = Some(error);
         }
@@ -279,8 +279,8 @@ impl Relay {
                 continue;
             }
             is_played = true;
-            let on_the_way = self.link.counters(end).bytes_on_the_way;
-            if on_the_way > 0 || !to.outbox.is_empty(&to.port) {
+            let in_transit = self.link.counters(end).bytes_on_the_way;
+            if in_transit > 0 || !to.outbox.is_empty(&to.port) {
                 return false;
             }
         }

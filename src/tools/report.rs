@@ -122,7 +122,7 @@ fn chosen_robots(
     notes: &mut Vec<String>,
 ) -> Result<ChosenRobots> {
     let labels: Vec<String> = robots.iter().map(|robot| robot.label.clone()).collect();
-    let unknown = args.only.iter().find(|wanted| !labels.contains(wanted));
+    let unknown = args.only.iter().find(|requested| !labels.contains(requested));
     if let Some(unknown) = unknown {
         bail!("--only {unknown}: the session has no such robot; it has {}", labels.join(", "));
     }

@@ -90,7 +90,7 @@ impl Scorer {
         &mut self,
         observed: &ObservationKind,
         stamp: Timestamp<BrickClock>,
-        belief: &impl EstimateSource,
+        estimates: &impl EstimateSource,
     ) {
         let is_motion = matches!(
             observed,
@@ -99,7 +99,7 @@ impl Scorer {
                 | ObservationKind::BodyVelocity { .. }
         );
         if is_motion {
-            self.score_until(stamp, belief);
+            self.score_until(stamp, estimates);
         }
     }
 
@@ -110,19 +110,19 @@ impl Scorer {
     }
 
     /// At the end: scores references after the last motion, up to the last observation.
-    pub fn finish(&mut self, belief: &impl EstimateSource) {
-        if let Some(latest) = belief.latest() {
-            self.score_until(latest, belief);
+    pub fn finish(&mut self, estimates: &impl EstimateSource) {
+        if let Some(latest) = estimates.latest() {
+            self.score_until(latest, estimates);
         }
     }
 
     /// Scores observed references: a negative estimate of the delay must not require future data.
-    fn score_until(&mut self, until: Timestamp<BrickClock>, belief: &impl EstimateSource) {
-        let delay = self.learned_delay(belief);
+    fn score_until(&mut self, until: Timestamp<BrickClock>, estimates: &impl EstimateSource) {
+        let delay = self.learned_delay(estimates);
         let true_at = |reference: &ErrorReference| reference.time - delay.unwrap_or(TimeDelta::ZERO);
         while let Some(reference) = self.next.filter(|next| next.time.max(true_at(next)) <= until) {
             let scored_at = |stamp| {
-                let estimate = belief.estimate_at(stamp)?;
+                let estimate = estimates.estimate_at(stamp)?;
                 error(&estimate, &reference)
             };
             if let Some((error, pair)) = scored_at(true_at(&reference)) {
@@ -137,8 +137,8 @@ impl Scorer {
         }
     }
 
-    fn learned_delay(&self, belief: &impl EstimateSource) -> Option<TimeDelta> {
-        let learned = self.is_delay_learned.then(|| belief.calibration()).flatten()?;
+    fn learned_delay(&self, estimates: &impl EstimateSource) -> Option<TimeDelta> {
+        let learned = self.is_delay_learned.then(|| estimates.calibration()).flatten()?;
         Some(TimeDelta::from_secs_f64(learned.fix_delay_s.value))
     }
 }
@@ -203,13 +203,13 @@ mod tests {
     struct Driver {
         delay: TimeDelta,
         /// The latest instant that it was asked for.
-        asked: Cell<Timestamp<BrickClock>>,
+        latest_request: Cell<Timestamp<BrickClock>>,
         latest: Timestamp<BrickClock>,
     }
 
     impl EstimateSource for Driver {
         fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-            self.asked.set(self.asked.get().max(stamp));
+            self.latest_request.set(self.latest_request.get().max(stamp));
             let pose = Pose::new(Meters(stamp.as_secs_f64()), Meters(0.0), Heading::default());
             Some(TimedPose { time: stamp, pose }.with_covariance([[0.0; 5]; 5]))
         }
@@ -250,7 +250,11 @@ mod tests {
     }
 
     fn driver(delay_s: f64) -> Driver {
-        Driver { delay: TimeDelta::from_secs_f64(delay_s), asked: Cell::new(Timestamp::ZERO), latest: Timestamp::ZERO }
+        Driver {
+            delay: TimeDelta::from_secs_f64(delay_s),
+            latest_request: Cell::new(Timestamp::ZERO),
+            latest: Timestamp::ZERO,
+        }
     }
 
     fn rms(errors: &[PoseError]) -> f64 {
@@ -293,11 +297,11 @@ mod tests {
         let (mut scorer, mut driver) = (Scorer::new(&run(-0.5), &prior(0.15)), driver(-0.5));
         drive(&mut scorer, &mut driver, 3.2);
         assert_eq!(scorer.errors.len(), 2, "the third is true at 3.5 s");
-        assert!(driver.asked.get() <= driver.latest);
+        assert!(driver.latest_request.get() <= driver.latest);
         drive(&mut scorer, &mut driver, 10.1);
         scorer.finish(&driver);
         assert_eq!(scorer.errors.len(), 9);
-        assert!(driver.asked.get() <= driver.latest);
+        assert!(driver.latest_request.get() <= driver.latest);
         assert!(rms(&scorer.errors) < 1e-9);
     }
 }

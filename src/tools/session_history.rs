@@ -182,7 +182,7 @@ impl EventWatcher for PerRobot<SessionHistory> {
     fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
         let robots = station.robots();
         for entry in self.entries_mut() {
-            // Both are in the order in which robots were heard, but not every robot has been observed.
+            // Both are in the order of the first frame of each robot, but not every robot has an observation.
             let robot = robots.iter().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
             entry.value.record_calibration(now, robot);
         }
@@ -192,7 +192,7 @@ impl EventWatcher for PerRobot<SessionHistory> {
 impl SessionHistory {
     fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: Option<&Robot>) {
         self.last = self.last.max(now);
-        let is_due = self.last_calibration_poll.is_none_or(|asked| now - asked >= LEARNED_PERIOD);
+        let is_due = self.last_calibration_poll.is_none_or(|last_poll| now - last_poll >= LEARNED_PERIOD);
         let Some(robot) = robot.filter(|robot| is_due && robot.latest_time().is_some()) else {
             return;
         };
@@ -239,8 +239,8 @@ impl EventTimeline {
         } else if let Event::BrickClockAligned { uncertainty, .. } = event {
             self.push_once(t_s, &alignment_text("the brick's clock", *uncertainty), "brick clock");
         } else if let Event::CameraClockAligned { camera, uncertainty, .. } = event {
-            let whose = format!("the clock of camera {camera}");
-            self.push_once(t_s, &alignment_text(&whose, *uncertainty), &whose);
+            let subject = format!("the clock of camera {camera}");
+            self.push_once(t_s, &alignment_text(&subject, *uncertainty), &subject);
         } else if let Event::ReceiveError { link, defect } = event {
             let what = format!("first on link {link}: {}", kind_of(defect));
             self.push_once(t_s, &what, &what);
@@ -279,8 +279,8 @@ impl EventTimeline {
     }
 }
 
-fn alignment_text(whose: &str, uncertainty: TimeDelta) -> String {
-    format!("{whose} aligned, ± {:.2} ms", uncertainty.as_millis_f64())
+fn alignment_text(subject: &str, uncertainty: TimeDelta) -> String {
+    format!("{subject} aligned, ± {:.2} ms", uncertainty.as_millis_f64())
 }
 
 const fn kind_of(defect: &ReceiveError) -> &'static str {

@@ -350,7 +350,7 @@ fn link_table(history: &SessionHistory) -> ReportBlock {
         let round_trip = report.health.round_trip;
         let mut row = vec![id.to_string()];
         row.extend(LINK_COUNTERS.iter().map(|counter| (counter.read)(&report.health).to_string()));
-        row.push(round_trip.map_or_else(|| NO_VALUE.to_owned(), |span| format!("{:.1}", span.as_millis_f64())));
+        row.push(round_trip.map_or_else(|| NO_VALUE.to_owned(), |duration| format!("{:.1}", duration.as_millis_f64())));
         row
     });
     ReportBlock::table(&header, rows.collect())

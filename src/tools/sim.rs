@@ -203,9 +203,9 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
             link: args.link.link.as_deref().map(|url| for_system(url, system)),
         };
         let simulation = simulation(scenario, args);
-        let (ports, place) = ports(args, &link, timer).await.before_start()?;
+        let (ports, endpoint) = ports(args, &link, timer).await.before_start()?;
         let name = args.robots.map_or_else(|| "brick".to_owned(), |_| format!("brick {system}"));
-        print_line(&format!("{name} up, seed {}, {place}", simulation.scenario().seed));
+        print_line(&format!("{name} up, seed {}, {endpoint}", simulation.scenario().seed));
         bricks.push(BrickDrive::unattended(simulation, ports));
     }
     let stop = CancellationToken::new();
@@ -223,22 +223,22 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
 
 /// All open ports of a brick, and a description of them.
 async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(BrickPorts, String)> {
-    let (brick, mut place) = open(link, timer).await?;
+    let (brick, mut endpoint) = open(link, timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
     let mut ports = BrickPorts::of(SimulatedCable::fixed(brick));
     let camera = StationLink { listen: args.camera.camera_listen.clone(), link: args.camera.camera_link.clone() };
     if camera.listen.is_some() || camera.link.is_some() {
-        let (port, its_place) = open(&camera, timer).await?;
+        let (port, own_endpoint) = open(&camera, timer).await?;
         ports.camera = Some(port);
-        place.push_str("; its camera ");
-        place.push_str(&its_place);
+        endpoint.push_str("; its camera ");
+        endpoint.push_str(&own_endpoint);
     }
     if args.images_listen.is_some() {
         let eye = StationLink { listen: args.images_listen.clone(), link: None };
-        let (port, its_place) = open(&eye, timer).await?;
+        let (port, own_endpoint) = open(&eye, timer).await?;
         ports.images = Some(port);
-        place.push_str("; its images ");
-        place.push_str(&its_place);
+        endpoint.push_str("; its images ");
+        endpoint.push_str(&own_endpoint);
     }
     if let Some(url) = &args.announce {
         let beacon = beacon_of(beacon_port)?;
@@ -246,13 +246,13 @@ async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(
         let (port, _) = open(&to, timer).await?;
         ports.announcement = Some(Announcement::new(port, beacon));
     }
-    Ok((ports, place))
+    Ok((ports, endpoint))
 }
 
 async fn open(link: &StationLink, timer: HostTimer) -> Result<(Link, String)> {
     let mut port = link.to_link(timer)?;
-    let place = link.open(&mut port).await?;
-    Ok((port, place))
+    let endpoint = link.open(&mut port).await?;
+    Ok((port, endpoint))
 }
 
 /// The UDP beacon of an EV3 that listens on this port.

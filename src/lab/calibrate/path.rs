@@ -173,8 +173,8 @@ fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePa
         if args.unknown_start {
             config.start = None;
         }
-        let sights = drive.references.iter().copied();
-        Ok(FreePath::new(&drive.name, &config, &drive.observations, sights))
+        let fixes = drive.references.iter().copied();
+        Ok(FreePath::new(&drive.name, &config, &drive.observations, fixes))
     });
     paths.collect()
 }
@@ -266,7 +266,7 @@ fn to_calibration(config: &FilterConfig, found: &PathCalibration) -> Calibration
     let mut calibration = config.calibration;
     for unknown in UNKNOWNS {
         let UnknownEstimate { after, .. } = found.entry(unknown);
-        let place: &mut UncertainValue = match unknown {
+        let parameter: &mut UncertainValue = match unknown {
             CalibrationUnknown::RadiusScale => &mut calibration.radius_scale,
             CalibrationUnknown::TrackScale => &mut calibration.track_scale,
             CalibrationUnknown::RadiusDifference => &mut calibration.radius_difference,
@@ -274,7 +274,7 @@ fn to_calibration(config: &FilterConfig, found: &PathCalibration) -> Calibration
             CalibrationUnknown::TagForward => &mut calibration.tag_forward_m,
             CalibrationUnknown::TagLeft => &mut calibration.tag_left_m,
         };
-        *place = after;
+        *parameter = after;
     }
     calibration
 }

@@ -75,7 +75,7 @@ impl PathCalibrationResult {
             .number("", "before", signed, |entry| Some(entry.before.value))
             .number("", "found", signed, |entry| Some(entry.after.value))
             .number("", "sigma", plain, |entry| Some(entry.after.sigma))
-            .text("", "standing", |entry| standing_text(entry.status).to_owned());
+            .text("", "standing", |entry| status_text(entry.status).to_owned());
         report.heading("Numbers");
         report.table("", &table);
         let has = |status| entries.iter().any(|entry| entry.status == status);
@@ -90,7 +90,7 @@ impl PathCalibrationResult {
                 "before": entry.before.value,
                 "value": entry.after.value,
                 "sigma": entry.after.sigma,
-                "standing": standing_key(entry.status),
+                "standing": status_key(entry.status),
             });
             (entry.unknown.key().to_owned(), object)
         });
@@ -233,8 +233,8 @@ const fn wiring_text(wiring: Wiring) -> Option<&'static str> {
     }
 }
 
-const fn standing_text(standing: UnknownStatus) -> &'static str {
-    match standing {
+const fn status_text(status: UnknownStatus) -> &'static str {
+    match status {
         UnknownStatus::Estimated => "found",
         UnknownStatus::Fixed => "held",
         UnknownStatus::Unobservable => "not seen",
@@ -242,8 +242,8 @@ const fn standing_text(standing: UnknownStatus) -> &'static str {
     }
 }
 
-const fn standing_key(standing: UnknownStatus) -> &'static str {
-    match standing {
+const fn status_key(status: UnknownStatus) -> &'static str {
+    match status {
         UnknownStatus::Estimated => "found",
         UnknownStatus::Fixed => "held",
         UnknownStatus::Unobservable => "unseen",
@@ -279,20 +279,24 @@ fn run_json(run: &RunComparison) -> Value {
 }
 
 fn plot(run: &RunComparison) -> Plot {
-    let line =
-        |name: &str, places: &[[f64; 2]]| Curve::line(name, places.iter().map(|[x, y]| (*x, *y)).collect::<Vec<_>>());
-    let seen: Vec<[f64; 2]> = run.path.fixes.iter().map(|sight| sight.position_m).collect();
-    let off_mm = |name: &str, places: &[[f64; 2]]| {
-        let off = run.path.fixes.iter().zip(places).map(|(sight, [x, y])| {
-            let [seen_x, seen_y] = sight.position_m;
-            (sight.at_s, 1e3 * (x - seen_x).hypot(y - seen_y))
+    let line = |name: &str, positions: &[[f64; 2]]| {
+        Curve::line(name, positions.iter().map(|[x, y]| (*x, *y)).collect::<Vec<_>>())
+    };
+    let measured: Vec<[f64; 2]> = run.path.fixes.iter().map(|fix| fix.position_m).collect();
+    let off_mm = |name: &str, positions: &[[f64; 2]]| {
+        let off = run.path.fixes.iter().zip(positions).map(|(fix, [x, y])| {
+            let [measured_x, measured_y] = fix.position_m;
+            (fix.at_s, 1e3 * (x - measured_x).hypot(y - measured_y))
         });
         Curve::line(name, off.collect::<Vec<_>>())
     };
-    let (places_before, places_after) = (&run.before.positions_m, &run.after.positions_m);
-    let map = [line("seen", &seen), line("before", places_before), line("after", places_after)];
-    let distances =
-        [Curve::new("seen", CurveShape::Level(0.0)), off_mm("before", places_before), off_mm("after", places_after)];
+    let (positions_before, positions_after) = (&run.before.positions_m, &run.after.positions_m);
+    let map = [line("seen", &measured), line("before", positions_before), line("after", positions_after)];
+    let distances = [
+        Curve::new("seen", CurveShape::Level(0.0)),
+        off_mm("before", positions_before),
+        off_mm("after", positions_after),
+    ];
     let [before, after] = run.errors();
     Plot::new(
         run.path.name.clone(),

@@ -153,7 +153,7 @@ fn load_recording(path: &Path, flags: &DataFlags, watch: ReferenceSettings) -> R
 }
 
 fn fix_references(observations: &[Observation], config: &FilterConfig) -> Vec<PositionFix> {
-    let sights = observations.iter().filter_map(|observation| {
+    let fixes = observations.iter().filter_map(|observation| {
         let ObservationKind::Fix(fix) = observation.measurement else {
             return None;
         };
@@ -165,7 +165,7 @@ fn fix_references(observations: &[Observation], config: &FilterConfig) -> Vec<Po
             tag_m: [fix.tag_in_body.x.0, fix.tag_in_body.y.0],
         })
     });
-    sights.collect()
+    fixes.collect()
 }
 
 #[cfg(test)]

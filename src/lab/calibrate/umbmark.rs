@@ -132,8 +132,8 @@ fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
     let paths: Vec<FreePath> = drives
         .iter()
         .map(|drive| {
-            let sights = drive.references.iter().copied();
-            FreePath::new(&drive.name, &drive.config, &drive.observations, sights)
+            let fixes = drive.references.iter().copied();
+            FreePath::new(&drive.name, &drive.config, &drive.observations, fixes)
         })
         .collect();
     let squares = calibrate_squares(&first.config, &paths, args.side_m)
@@ -158,8 +158,8 @@ fn drives(args: &UmbmarkArgs) -> Result<Vec<CalibrationDrive>, Failure> {
 /// Adds advice to an error about a missing direction: one recording is one square, unless a descriptor selects several.
 fn with_advice(error: anyhow::Error, drives: &[CalibrationDrive]) -> anyhow::Error {
     let is_too_little = matches!(error.downcast_ref(), Some(CalibrationError::TooFewData { .. }));
-    let are_seen = drives.iter().all(|drive| !drive.references.is_empty());
-    if !(is_too_little && are_seen) {
+    let has_fixes = drives.iter().all(|drive| !drive.references.is_empty());
+    if !(is_too_little && has_fixes) {
         return error;
     }
     error.context(format!(
@@ -237,14 +237,14 @@ impl UmbmarkResult {
 
     fn warnings(&self) -> Vec<String> {
         let largest = self.result.corner_rad.abs().max(self.result.bend_rad.abs());
-        let mut doubts = Vec::new();
+        let mut caveats = Vec::new();
         if self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4) {
-            doubts.push(format!(
+            caveats.push(format!(
                 "the ends along x and along y tell corners apart by {:.2} degrees: was one of them a square that ended elsewhere, or measured along another axis?",
                 self.result.disagreement_rad.to_degrees()
             ));
         }
-        doubts
+        caveats
     }
 
     fn report(&self) -> Report {
@@ -418,7 +418,7 @@ fn cut_lap(drive: &Drive, config: &FilterConfig, first: usize, last: usize) -> R
         .filter(|arrival| (first..=last).contains(&arrival.step))
         .map(|arrival| arrival.observation)
         .collect();
-    let sights = (first..=last).filter_map(|step| {
+    let fixes = (first..=last).filter_map(|step| {
         let pose = drive.truth.get(step)?;
         Some(PositionFix {
             at_s: seconds(drive.time_at(step)),
@@ -428,5 +428,5 @@ fn cut_lap(drive: &Drive, config: &FilterConfig, first: usize, last: usize) -> R
         })
     });
     let name = format!("steps {first} to {last}");
-    Ok(FreePath::new(&name, &config, &observations, sights))
+    Ok(FreePath::new(&name, &config, &observations, fixes))
 }

@@ -92,8 +92,8 @@ fn plan_scenarios(args: &LabAccuracyArgs) -> Result<Vec<PlannedScenario>> {
     } else {
         args.scenarios.clone()
     };
-    let planned = names.into_iter().map(|asked| {
-        let (name, mut scenario) = load_scenario(&asked)?;
+    let planned = names.into_iter().map(|requested| {
+        let (name, mut scenario) = load_scenario(&requested)?;
         if let Some(seed) = args.seed {
             scenario = scenario.with_seed(seed);
         }

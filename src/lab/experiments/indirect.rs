@@ -102,8 +102,8 @@ fn is_acceleration(observed: &ObservationKind) -> bool {
 fn recorded_round(one: &RobotDrive, rows: &[FilterRow]) -> Vec<FilteredDrive> {
     let courses = rows.iter().filter_map(|row| {
         let mut filter = (find_filter(row.filter)?.build)(&one.config);
-        let hears = |observed: &ObservationKind| row.sensors.accepts(observed);
-        Some(one.drive.run_filter(filter.as_mut(), hears))
+        let accepts = |observed: &ObservationKind| row.sensors.accepts(observed);
+        Some(one.drive.run_filter(filter.as_mut(), accepts))
     });
     courses.collect()
 }
@@ -194,14 +194,14 @@ fn drive_all(scenario: &Scenario, runs: u32) -> Result<RoundsResult> {
 }
 
 /// Summarises the rounds for each row; `truth_m` is the path of the first round by an independent instrument.
-fn evaluate(wanted: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f64, f64)>) -> RoundsResult {
+fn evaluate(selected: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f64, f64)>) -> RoundsResult {
     let mut rows: Vec<RowResult> = Vec::new();
-    for (index, row) in wanted.iter().copied().enumerate() {
+    for (index, row) in selected.iter().copied().enumerate() {
         let courses = rounds.iter().filter_map(|round| round.get(index));
         let ends: Vec<Option<PoseError>> = courses.map(|course| course.end).collect();
         let first = rounds.first().and_then(|round| round.get(index));
-        let of = |rows: &[RowResult], wanted: &dyn Fn(&FilterRow) -> bool| {
-            let found = rows.iter().find(|found| wanted(&found.row));
+        let of = |rows: &[RowResult], matches: &dyn Fn(&FilterRow) -> bool| {
+            let found = rows.iter().find(|found| matches(&found.row));
             found.map(|found| count_nearer(&ends, &found.ends))
         };
         rows.push(RowResult {
@@ -250,8 +250,8 @@ fn round(scenario: &Scenario, run: u32) -> Vec<FilteredDrive> {
         let accepted = observations.filter(|observation| row.sensors.accepts(&observation.measurement));
         let course = run_filter(filter.as_mut(), accepted, truth);
         // Only the first round is drawn.
-        let way_m = if run == 0 { course.track_m } else { Vec::new() };
-        Some(FilteredDrive { track_m: way_m, ..course })
+        let course_m = if run == 0 { course.track_m } else { Vec::new() };
+        Some(FilteredDrive { track_m: course_m, ..course })
     });
     courses.collect()
 }

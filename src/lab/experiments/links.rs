@@ -91,8 +91,8 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<LinkCase>> {
         args.profiles.clone()
     };
     let mut cases = Vec::new();
-    for asked in names {
-        let (name, profile) = load_profile(&asked)?;
+    for requested in names {
+        let (name, profile) = load_profile(&requested)?;
         for &loss in &args.losses {
             for &delay_ms in &args.delays_ms {
                 for &skew_ppm in &args.skews_ppm {
@@ -110,10 +110,10 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<LinkCase>> {
 }
 
 /// A bundled profile by its name, else one from a file, named after the file.
-fn load_profile(asked: &str) -> Result<(String, LinkProfile)> {
-    let profile = link_profile::load(asked)?;
-    let file_name = asked.strip_suffix(".toml").and_then(|path| Path::new(path).file_name());
-    let name = file_name.map_or_else(|| asked.to_owned(), |name| name.to_string_lossy().into_owned());
+fn load_profile(requested: &str) -> Result<(String, LinkProfile)> {
+    let profile = link_profile::load(requested)?;
+    let file_name = requested.strip_suffix(".toml").and_then(|path| Path::new(path).file_name());
+    let name = file_name.map_or_else(|| requested.to_owned(), |name| name.to_string_lossy().into_owned());
     Ok((name, profile))
 }
 
@@ -217,7 +217,7 @@ fn ages(received: &[ReceivedEstimate]) -> Vec<TimeDelta> {
 
 fn summarise(case: &LinkCase, laps: &[LapResult]) -> PoseRow {
     let ages = sorted(laps, |lap| &lap.ages);
-    let ways = [sorted(laps, |lap| &lap.to_station), sorted(laps, |lap| &lap.to_brick)];
+    let directions = [sorted(laps, |lap| &lap.to_station), sorted(laps, |lap| &lap.to_brick)];
     PoseRow {
         profile: case.name.clone(),
         conditions: case.conditions,
@@ -225,7 +225,7 @@ fn summarise(case: &LinkCase, laps: &[LapResult]) -> PoseRow {
         odometry_rms_m: mean_square(laps, |lap| lap.odometry_rms_m),
         age_p50_ms: quantile_ms(&ages, 0.5),
         age_p99_ms: quantile_ms(&ages, 1.0 - TAIL_SHARE),
-        link_delay_p99_ms: round_trip_ms(&ways, 1.0 - TAIL_SHARE),
+        link_delay_p99_ms: round_trip_ms(&directions, 1.0 - TAIL_SHARE),
         outages: laps.iter().map(|lap| lap.outages).sum(),
     }
 }
@@ -239,13 +239,13 @@ fn sorted(laps: &[LapResult], of: impl Fn(&LapResult) -> &Vec<TimeDelta>) -> Vec
 fn quantile_ms(sorted: &[TimeDelta], share: f64) -> Option<f64> {
     let last = sorted.len().checked_sub(1)?;
     let index = (last as f64 * share).round() as usize;
-    sorted.get(index).map(|span| span.as_millis_f64())
+    sorted.get(index).map(|delay| delay.as_millis_f64())
 }
 
 /// Quantile of the round trip, assuming independent delays of both directions. The sum of both quantiles would be wrong: where one
 /// piece in a hundred stalls, one in fifty does there or back.
-fn round_trip_ms(ways: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
-    let [there, back] = ways.each_ref().map(|way| even_sample(way));
+fn round_trip_ms(directions: &[Vec<TimeDelta>; 2], share: f64) -> Option<f64> {
+    let [there, back] = directions.each_ref().map(|direction| even_sample(direction));
     let mut sums: Vec<TimeDelta> = there.iter().flat_map(|there| back.iter().map(move |back| *there + *back)).collect();
     sums.sort_unstable();
     quantile_ms(&sums, share)
@@ -348,11 +348,11 @@ mod tests {
 
     #[test]
     fn two_ways_that_stall_one_time_in_a_hundred_stall_together_one_time_in_fifty() {
-        let mut way: Vec<TimeDelta> = vec![TimeDelta::from_millis(10); 1_000];
-        way[990..].fill(TimeDelta::from_millis(100));
-        let ways = [way.clone(), way];
-        assert_eq!(round_trip_ms(&ways, 0.97), Some(20.0));
-        assert_eq!(round_trip_ms(&ways, 0.99), Some(110.0));
+        let mut direction: Vec<TimeDelta> = vec![TimeDelta::from_millis(10); 1_000];
+        direction[990..].fill(TimeDelta::from_millis(100));
+        let directions = [direction.clone(), direction];
+        assert_eq!(round_trip_ms(&directions, 0.97), Some(20.0));
+        assert_eq!(round_trip_ms(&directions, 0.99), Some(110.0));
         assert_eq!(round_trip_ms(&[Vec::new(), Vec::new()], 0.99), None);
     }
 

@@ -68,8 +68,8 @@ impl LiveArgs {
             .duration
             .map_or_else(|| "Ctrl-C when done".to_owned(), |seconds| format!("it ends after {seconds} s or at Ctrl-C"));
         print_line(&format!("recording `{}`: {task}; {end}", recording.display()));
-        let heard = run::record(&self.run_args(folder, robot), RECORDING)?;
-        print_line(&format!("heard\n{}", heard.trim_end()));
+        let sources = run::record(&self.run_args(folder, robot), RECORDING)?;
+        print_line(&format!("heard\n{}", sources.trim_end()));
         Ok(Some(recording))
     }
 
@@ -101,11 +101,11 @@ impl LiveArgs {
 
     fn links(&self) -> Vec<LinkFlag> {
         let named = [(&self.link, ConnectRole::Dial), (&self.listen, ConnectRole::Listen)];
-        let given = named.into_iter().filter_map(|(url, role)| {
+        let link_flags = named.into_iter().filter_map(|(url, role)| {
             let url = url.clone()?;
             Some(LinkFlag { url, role })
         });
-        given.collect()
+        link_flags.collect()
     }
 
     fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {

@@ -81,10 +81,10 @@ impl RecordedArgs {
     }
 
     fn read(&self, recordings: &[PathBuf], overlay: Overlay<'_>) -> Result<Vec<RobotDrive>> {
-        let judge = self.judge.map(EndReference::end_reference);
+        let end_reference = self.judge.map(EndReference::end_reference);
         let one = |path: &PathBuf| -> Result<RobotDrive> {
             let run = own_recording::read(path, overlay)?;
-            let drive = RecordedDrive::new(&run.observations, &run.config, judge)
+            let drive = RecordedDrive::new(&run.observations, &run.config, end_reference)
                 .with_context(|| format!("recording `{}`", run.name))?;
             Ok(RobotDrive { config: drive.configure(&run.config), drive, name: run.name })
         };

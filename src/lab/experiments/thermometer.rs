@@ -294,11 +294,11 @@ struct RunRoles {
 impl RunRoles {
     /// Selects roles from `all` runs; `usual` are the default runs to identify and to predict.
     fn resolve(args: &LabThermometerArgs, all: &[String], usual: [&[String]; 2]) -> Result<Self> {
-        let named = |asked: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
-            for name in asked {
+        let named = |requested: &[String], flag: &str, usual: &[String]| -> Result<Vec<String>> {
+            for name in requested {
                 ensure!(all.contains(name), "`{flag} {name}`: there is no such run; there are: {}", all.join(", "));
             }
-            Ok(if asked.is_empty() { usual.to_vec() } else { asked.to_vec() })
+            Ok(if requested.is_empty() { usual.to_vec() } else { requested.to_vec() })
         };
         let [identify, predict] = usual;
         let identify = named(&args.identify, "--identify", identify)?;

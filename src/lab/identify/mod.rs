@@ -88,10 +88,10 @@ pub fn execute(args: &IdentifyArgs) -> Result<(), Failure> {
 fn run(
     source: &SourceArgs,
     output: &OutputArgs,
-    asked: &ExperimentSource,
+    requested: &ExperimentSource,
     experiment: impl FnOnce(&noise::ExperimentData) -> Result<Findings>,
 ) -> Result<(), Failure> {
-    let data = source.read(asked, output)?;
+    let data = source.read(requested, output)?;
     let folder = output.folder()?;
     let findings = experiment(&data).while_running()?;
     output.write_outcome(&folder, &report(&findings, &data.name))

@@ -65,15 +65,15 @@ fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
         return Ok(RestChannel { stretches: vec![all] });
     }
     let resting = RestObservations::from_observations(&observations).gyro;
-    let standing = resting.stretches.iter().map(Vec::len).sum::<usize>();
-    if standing == 0 {
+    let resting_count = resting.stretches.iter().map(Vec::len).sum::<usize>();
+    if resting_count == 0 {
         bail!(
             "the robot of `{}` never stood: no reading of its gyro lies where the counts of its wheels were the same for {MIN_STANDSTILL_S} s \
              and more; record it standing, or cut such a stretch out with --from and --to",
             data.name
         )
     }
-    let left_out = all.len() - standing.min(all.len());
+    let left_out = all.len() - resting_count.min(all.len());
     if left_out > 0 {
         notes.push(format!(
             "{left_out} more lie outside of rest: less than {MIN_STANDSTILL_S} s after a wheel moved, or after the last count of the wheels"
@@ -377,7 +377,7 @@ impl SourceArgs {
     fn simulate(&self, bundled: &str) -> Result<ExperimentData> {
         let (name, scenario) = match &self.sim {
             None => ("bundled experiment".to_owned(), Scenario::from_toml(bundled)?),
-            Some(asked) => drives::load_scenario(asked)?,
+            Some(requested) => drives::load_scenario(requested)?,
         };
         let scenario = scenario.with_seed(self.seed);
         let drive = scenario.drive(0);

@@ -73,10 +73,10 @@ fn check_onset(args: &StepArgs, name: &str, samples: &[TimedSample]) -> Result<(
     let (Some(onset_s), [first, .., last]) = (args.onset, samples) else {
         return Ok(());
     };
-    let span_s = last.at_s - first.at_s;
+    let duration_s = last.at_s - first.at_s;
     ensure!(
-        (-span_s..=span_s).contains(&onset_s),
-        "--onset is {onset_s}: the samples of `{name}` end {span_s} s after the first; give seconds after the first sample"
+        (-duration_s..=duration_s).contains(&onset_s),
+        "--onset is {onset_s}: the samples of `{name}` end {duration_s} s after the first; give seconds after the first sample"
     );
     Ok(())
 }
@@ -107,12 +107,12 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     let drives = source::load(path, &flags, watch).map_err(|failure| match failure {
         Failure::CouldNotStart(error) | Failure::Failed(error) => error,
     })?;
-    let asked = args.channel.unwrap_or(ChannelName::Temperature);
-    let channel = asked.channel();
+    let channel_name = args.channel.unwrap_or(ChannelName::Temperature);
+    let channel = channel_name.channel();
     let mut runs = Vec::new();
     for drive in &drives.drives {
-        for part in parts(asked, drive)? {
-            runs.push(run_from_part(args, asked, &part)?);
+        for part in parts(channel_name, drive)? {
+            runs.push(run_from_part(args, channel_name, &part)?);
         }
     }
     Ok(StepDataset {
@@ -131,8 +131,8 @@ struct StepPart<'a> {
 }
 
 /// Each thermometer of a posebridge recording separately; else the whole drive, which has each sensor once.
-fn parts(asked: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_>>> {
-    if asked != ChannelName::Temperature || drive.thermometers.is_empty() {
+fn parts(channel_name: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_>>> {
+    if channel_name != ChannelName::Temperature || drive.thermometers.is_empty() {
         return Ok(vec![StepPart { name: drive.name.clone(), drive, observations: &drive.observations }]);
     }
     let parts = drive.thermometers.iter().map(|one| {
@@ -143,9 +143,9 @@ fn parts(asked: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_
     parts.collect()
 }
 
-fn run_from_part(args: &StepArgs, asked: ChannelName, part: &StepPart<'_>) -> Result<StepRun> {
-    let all = asked.channel().samples(part.observations);
-    report_skipped(&part.name, asked.channel().excluded_count(part.observations));
+fn run_from_part(args: &StepArgs, channel_name: ChannelName, part: &StepPart<'_>) -> Result<StepRun> {
+    let all = channel_name.channel().samples(part.observations);
+    report_skipped(&part.name, channel_name.channel().excluded_count(part.observations));
     check_onset(args, &part.name, &all)?;
     let samples = crop(args, &all);
     if samples.is_empty() {
@@ -157,13 +157,13 @@ fn run_from_part(args: &StepArgs, asked: ChannelName, part: &StepPart<'_>) -> Re
         bail!(
             "run `{}` holds no {} there; what it holds for --channel: {}",
             part.name,
-            asked.channel().name(),
+            channel_name.channel().name(),
             if others.is_empty() { "nothing".to_owned() } else { others.join(", ") }
         );
     }
     let (noise, geometry) = (&part.drive.config.noise, &part.drive.config.geometry);
-    let sigma = asked.channel().noise(noise, geometry, &samples);
-    Ok(StepRun { sampling: asked.channel().sampling(), ..run_from_samples(args, &part.name, samples, sigma)? })
+    let sigma = channel_name.channel().noise(noise, geometry, &samples);
+    Ok(StepRun { sampling: channel_name.channel().sampling(), ..run_from_samples(args, &part.name, samples, sigma)? })
 }
 
 fn run_from_samples(args: &StepArgs, name: &str, samples: Vec<TimedSample>, sigma: Option<f64>) -> Result<StepRun> {
@@ -190,8 +190,8 @@ fn load_table(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     );
     let unit = args.time_unit.unwrap_or(TimeUnit::S);
     let listing = CsvTable::read(path)?;
-    let column = |asked: &Option<String>, place: usize, flag: &str| {
-        let named = asked.clone().or_else(|| listing.columns().get(place).map(str::to_owned));
+    let column = |requested: &Option<String>, position: usize, flag: &str| {
+        let named = requested.clone().or_else(|| listing.columns().get(position).map(str::to_owned));
         named.with_context(|| format!("`{}` has no column for {flag}", path.display()))
     };
     let time = column(&args.time_column, 0, "--time-column")?;

@@ -13,7 +13,7 @@ use super::step_dataset::{StepDataset, StepRun, StepTruth};
 const STEP_PX: f64 = 280.0;
 const REST_PX: f64 = 160.0;
 /// Number of plotted samples; more do not fit side by side.
-const DRAWN: usize = 600;
+const MAX_PLOTTED_SAMPLES: usize = 600;
 
 pub(super) struct StepResult {
     pub(super) run: StepRun,
@@ -24,14 +24,14 @@ pub(super) struct StepResult {
 pub(super) fn findings(material: &StepDataset, found: &[StepResult]) -> Findings {
     let compared = direction_comparison(found);
     let mut notes: Vec<String> = found.iter().map(note).collect();
-    notes.extend(compared.map(|ways| direction_note(&ways)));
+    notes.extend(compared.map(|directions| direction_note(&directions)));
     let mut more = Map::new();
     more.insert("sensor".to_owned(), json!(material.sensor));
     more.insert("runs".to_owned(), found.iter().map(run_object).collect());
-    let ways = compared.map(
-        |ways| json!({ "up_s": uncertain_value_json(ways.up), "down_s": uncertain_value_json(ways.down), "z": ways.z, "differ": ways.differ() }),
+    let directions = compared.map(
+        |directions| json!({ "up_s": uncertain_value_json(directions.up), "down_s": uncertain_value_json(directions.down), "z": directions.z, "differ": directions.differ() }),
     );
-    more.insert("ways".to_owned(), json!(ways));
+    more.insert("ways".to_owned(), json!(directions));
     Findings {
         name: "identify-step",
         title: format!("Step response: {}", material.sensor),
@@ -46,8 +46,8 @@ fn direction_of(found: &StepResult) -> StepDirection {
     StepDirection::from_step(found.identified.response().step)
 }
 
-const fn direction_name(way: StepDirection) -> &'static str {
-    match way {
+const fn direction_name(direction: StepDirection) -> &'static str {
+    match direction {
         StepDirection::Up => "up",
         StepDirection::Down => "down",
     }
@@ -103,9 +103,9 @@ fn note(found: &StepResult) -> String {
         .iter()
         .map(|candidate| {
             let order = candidate.fit.response.lags.len();
-            let is_told_apart = IdentifiedStep::is_resolved(candidate);
-            let doubt = if is_told_apart { "" } else { ", not told apart" };
-            format!("{order}: {:.1}{doubt}", candidate.criterion)
+            let is_resolved = IdentifiedStep::is_resolved(candidate);
+            let remark = if is_resolved { "" } else { ", not told apart" };
+            format!("{order}: {:.1}{remark}", candidate.criterion)
         })
         .collect();
     format!(
@@ -120,12 +120,15 @@ fn note(found: &StepResult) -> String {
     )
 }
 
-fn direction_note(ways: &DirectionComparison) -> String {
-    let verdict =
-        if ways.differ() { "they differ: identify and predict each way by its own" } else { "no difference is shown" };
+fn direction_note(directions: &DirectionComparison) -> String {
+    let verdict = if directions.differ() {
+        "they differ: identify and predict each way by its own"
+    } else {
+        "no difference is shown"
+    };
     format!(
         "mean lag up {:.4} ± {:.4} s, down {:.4} ± {:.4} s, {:+.1} sigma apart: {verdict}",
-        ways.up.value, ways.up.sigma, ways.down.value, ways.down.sigma, ways.z
+        directions.up.value, directions.up.sigma, directions.down.value, directions.down.sigma, directions.z
     )
 }
 
@@ -157,7 +160,7 @@ fn run_object(found: &StepResult) -> Value {
 fn picture(material: &StepDataset, found: &StepResult) -> Plot {
     let samples = &found.identified.samples;
     let response = found.identified.response();
-    let every = samples.len().div_ceil(DRAWN).max(1);
+    let every = samples.len().div_ceil(MAX_PLOTTED_SAMPLES).max(1);
     let by = |of: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
         let drawn = samples.iter().step_by(every);
         drawn.map(|sample| (sample.at_s, of(sample.at_s, sample.value))).collect()

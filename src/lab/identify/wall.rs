@@ -108,7 +108,7 @@ fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
             Ok(fit) => {
                 all.extend(quantities(&fit, logs, None, Some(&run.name)));
                 notes.push(noise_note(&run.name, &fit));
-                notes.push(reach_note(run, &fit));
+                notes.push(coverage_note(run, &fit));
                 notes.extend(hand_note(&run.log).map(|note| format!("{}: {note}", run.name)));
                 pictures.push(picture(&run.name, &run.log, &fit));
             }
@@ -150,7 +150,7 @@ fn noise_note(of: &str, fit: &StepFit) -> String {
     format!("{of}: {} readings, noise of a reading by the fit {:.1} mm", fit.readings, 1e3 * fit.range_sigma_m)
 }
 
-fn reach_note(run: &recorded::RunLog, fit: &StepFit) -> String {
+fn coverage_note(run: &recorded::RunLog, fit: &StepFit) -> String {
     let last_s = run.log.readings().last().map(|(at_s, _)| at_s);
     let driven = run.log.drives_from_s().zip(last_s);
     let driven_s = driven.map_or(0.0, |(from_s, last_s)| last_s - from_s);

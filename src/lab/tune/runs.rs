@@ -35,7 +35,7 @@ impl TuneDataset {
     /// Reads recordings or simulates drives.
     pub(super) fn load(args: &TuneArgs) -> Result<Self> {
         let material = match &args.sim {
-            Some(asked) => simulated(args, asked)?,
+            Some(requested) => simulated(args, requested)?,
             None => recorded(args)?,
         };
         ensure!(material.training().next().is_some(), "no run is left to tune on: --hold-out takes them all");
@@ -142,9 +142,9 @@ fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<
     Ok(TuneRun { name: run.name.clone(), set, observations, config, reference: RunReference::Recorded(Box::new(run)) })
 }
 
-fn simulated(args: &TuneArgs, asked: &str) -> Result<TuneDataset> {
-    let scenario = drives::load_scenario(asked)?.1.with_seed(args.seed);
-    let robot = RobotFile { name: format!("simulated, {asked}"), ..RobotFile::default() };
+fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
+    let scenario = drives::load_scenario(requested)?.1.with_seed(args.seed);
+    let robot = RobotFile { name: format!("simulated, {requested}"), ..RobotFile::default() };
     let drives = (0..2 * args.runs).map(|run| {
         let set = if run < args.runs { RunSet::Training } else { RunSet::HeldOut };
         run_from_drive(&scenario.drive(run), format!("run {run}"), set)
@@ -158,7 +158,7 @@ fn simulated(args: &TuneArgs, asked: &str) -> Result<TuneDataset> {
         ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
         ..robot
     });
-    Ok(TuneDataset { runs, robot, source: format!("sim {asked}, seed {}", args.seed) })
+    Ok(TuneDataset { runs, robot, source: format!("sim {requested}, seed {}", args.seed) })
 }
 
 fn run_from_drive(drive: &Drive, name: String, set: RunSet) -> TuneRun {

@@ -121,8 +121,8 @@ fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
 /// The station's configuration of a recorded session. The keys of signed links come from these files, else from the original paths.
 pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<StationConfig> {
     let mut station_config = config.station_config()?;
-    let given = files.iter().map(|path| read_key(path));
-    let given: Vec<Key> = given.collect::<Result<_>>()?;
+    let keys = files.iter().map(|path| read_key(path));
+    let keys: Vec<Key> = keys.collect::<Result<_>>()?;
     for (index, link) in config.links.iter().enumerate() {
         let Some(section) = &link.signing else {
             continue;
@@ -131,7 +131,7 @@ pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<Sta
         let Some(begun) = &section.begun else {
             bail!("{name}: the recording does not say with which stamps its signing began");
         };
-        let key = key_by_name(&begun.key_name, &given, section).with_context(|| name.clone())?;
+        let key = key_by_name(&begun.key_name, &keys, section).with_context(|| name.clone())?;
         let signing = section.to_signing_config(key, begun.memory());
         if let Some(link) = station_config.links.get_mut(index) {
             link.signing = Some(signing);
@@ -141,17 +141,17 @@ pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<Sta
 }
 
 /// The key with this name: from the given ones, else from its original file.
-fn key_by_name(wanted: &str, given: &[Key], section: &SigningSection) -> Result<Key> {
-    if let Some(key) = given.iter().find(|key| key.name() == wanted) {
+fn key_by_name(key_name: &str, keys: &[Key], section: &SigningSection) -> Result<Key> {
+    if let Some(key) = keys.iter().find(|key| key.name() == key_name) {
         return Ok(key.clone());
     }
-    let names: Vec<String> = given.iter().map(Key::name).collect();
-    let given_names = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
+    let names: Vec<String> = keys.iter().map(Key::name).collect();
+    let key_names = if names.is_empty() { String::new() } else { format!(" (you gave {})", names.join(", ")) };
     let cure = format!(
-        "this link was signed with the key {wanted}, which no recording holds: give it with `--key FILE`{given_names}"
+        "this link was signed with the key {key_name}, which no recording holds: give it with `--key FILE`{key_names}"
     );
     let key = read_key(Path::new(&section.key_file)).with_context(|| cure.clone())?;
-    if key.name() != wanted {
+    if key.name() != key_name {
         bail!("{cure} (`{}` holds {})", section.key_file, key.name());
     }
     Ok(key)
@@ -233,12 +233,12 @@ mod tests {
     #[test]
     fn of_two_keys_one_may_be_given_and_the_other_lie_where_it_did() {
         let folder = tempfile::tempdir().unwrap();
-        let [here, given, foreign] = ["a", "b", "c"].map(|name| folder.path().join(name));
-        let [own, other, third] = [&here, &given, &foreign].map(|path| create_key(path).unwrap());
+        let [here, supplied, foreign] = ["a", "b", "c"].map(|name| folder.path().join(name));
+        let [own, other, third] = [&here, &supplied, &foreign].map(|path| create_key(path).unwrap());
         let both = [third.clone(), other.clone()];
-        for (wanted, file) in [(&own, &here), (&other, &here)] {
-            let found = key_by_name(&wanted.name(), &both, &section(file)).unwrap();
-            assert_eq!(found, *wanted);
+        for (expected, file) in [(&own, &here), (&other, &here)] {
+            let found = key_by_name(&expected.name(), &both, &section(file)).unwrap();
+            assert_eq!(found, *expected);
         }
         let error = key_by_name(&own.name(), &both, &section(&foreign)).unwrap_err();
         let error = format!("{error:#}");

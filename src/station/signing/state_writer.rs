@@ -153,8 +153,8 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let folders = [1, 2, 3].map(|link| root.path().join(format!("stick-{link}")));
         let links: Vec<SignedLink> = folders.iter().zip(1..).map(|(folder, link)| kept(folder, link)).collect();
-        for gone in &folders[..2] {
-            std::fs::remove_dir_all(gone).unwrap();
+        for removed in &folders[..2] {
+            std::fs::remove_dir_all(removed).unwrap();
         }
         let memory = SigningState { last_sent: SigningTime::from_units(7), ..SigningState::default() };
         let snapshot = StateSnapshot { memories: vec![Some(memory.clone()); 3], ending: ShutdownKind::Clean };

@@ -232,7 +232,7 @@ impl EmbeddedBricks {
             .name("brick".to_owned())
             .spawn(move || thread.run())
             .context("starting the thread of the simulated bricks")?;
-        is_ready.recv().map_err(|_gone| anyhow!("the thread of the simulated bricks died"))??;
+        is_ready.recv().map_err(|_closed| anyhow!("the thread of the simulated bricks died"))??;
         Ok(Self { thread: Some(thread), stop, finished, bricks })
     }
 

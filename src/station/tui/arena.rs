@@ -13,7 +13,7 @@ use super::model::{Model, Robot};
 use super::theme::{StyleRole, Theme, sanitize};
 
 /// Display duration of fixes, as on the page.
-const FIXES_SPAN_S: f64 = 20.0;
+const FIX_WINDOW_S: f64 = 20.0;
 /// Lag behind the filter's time from which an accepted fix counts as late, as on the page (web/model/marks.js).
 const LATE_FROM_S: f64 = 0.15;
 /// Half width of the map without data.
@@ -79,7 +79,7 @@ struct Map<'a> {
 
 /// A robot that is not selected: position and label.
 struct OtherRobot {
-    place: MapPoint,
+    position: MapPoint,
     heading_rad: Number,
     label: String,
 }
@@ -87,8 +87,8 @@ struct OtherRobot {
 impl OtherRobot {
     fn of(robot: &Robot) -> Option<Self> {
         let latest = robot.estimates.last()?;
-        let place = map_point(latest.x_m, latest.y_m)?;
-        Some(Self { place, heading_rad: latest.heading_rad, label: sanitize(robot.label()) })
+        let position = map_point(latest.x_m, latest.y_m)?;
+        Some(Self { position, heading_rad: latest.heading_rad, label: sanitize(robot.label()) })
     }
 }
 
@@ -97,7 +97,7 @@ impl<'a> Map<'a> {
         let robot = model.selected_robot();
         let latest = robot.and_then(|robot| robot.estimates.last());
         let fixes = robot.into_iter().flat_map(|robot| robot.fixes.iter());
-        let fixes = fixes.filter(|fix| model.now_s - fix.t_s <= FIXES_SPAN_S);
+        let fixes = fixes.filter(|fix| model.now_s - fix.t_s <= FIX_WINDOW_S);
         let selected = robot.map(|robot| robot.id.as_str());
         let others = model.visible_robots().into_iter().filter(|robot| Some(robot.id.as_str()) != selected);
         let path = model.simulator.as_ref().map_or(&[][..], |known| known.path.as_slice());
@@ -119,7 +119,7 @@ impl<'a> Map<'a> {
     /// Points that the map must contain; fixes are excluded, because they may be anywhere.
     fn visible_points(&self) -> impl Iterator<Item = &MapPoint> {
         let lines = [&self.path, &self.truth, &self.odometry, &self.estimate];
-        lines.into_iter().flatten().chain(self.others.iter().map(|other| &other.place))
+        lines.into_iter().flatten().chain(self.others.iter().map(|other| &other.position))
     }
 
     fn paint(&self, theme: Theme, context: &mut Context<'_>) {
@@ -139,7 +139,7 @@ impl<'a> Map<'a> {
             }
         }
         for other in &self.others {
-            let (x, y) = other.place;
+            let (x, y) = other.position;
             let text = format!("{} {}", arrow_of(other.heading_rad), other.label);
             context.print(x, y, Span::styled(text, theme.style(StyleRole::Quiet)));
         }
@@ -158,9 +158,9 @@ impl<'a> Map<'a> {
     }
 }
 
-fn draw_polyline(places: &[MapPoint], theme: Theme, role: StyleRole, context: &mut Context<'_>) {
+fn draw_polyline(points: &[MapPoint], theme: Theme, role: StyleRole, context: &mut Context<'_>) {
     let color = theme.colour(role);
-    for pair in places.windows(2) {
+    for pair in points.windows(2) {
         let [(x1, y1), (x2, y2)] = *pair else {
             continue;
         };

@@ -135,8 +135,8 @@ impl TerminalLoop {
             self.model.push_message(&line);
         }
         self.screen.show(&self.model)?;
-        let heard = self.tty.read(DRAW_PERIOD_MILLIS)?;
-        for action in keys::parse_key_presses(&heard).into_iter().filter_map(action_of) {
+        let input = self.tty.read(DRAW_PERIOD_MILLIS)?;
+        for action in keys::parse_key_presses(&input).into_iter().filter_map(action_of) {
             self.apply(action);
         }
         Ok(())
@@ -186,12 +186,12 @@ pub fn choose(model: &mut Model, action: UiAction) {
     let robots = model.visible_robots().len().max(1);
     let chosen = &mut model.selection;
     // All together come before the first panel and behind the last.
-    let places = PANELS.len() + 1;
-    let place = chosen.panel.map_or(0, |panel| panel + 1);
-    let panel_at = |place: usize| (place % places).checked_sub(1);
+    let slots = PANELS.len() + 1;
+    let slot = chosen.panel.map_or(0, |panel| panel + 1);
+    let panel_at = |slot: usize| (slot % slots).checked_sub(1);
     match action {
-        UiAction::NextPanel => chosen.panel = panel_at(place + 1),
-        UiAction::PreviousPanel => chosen.panel = panel_at(place + places - 1),
+        UiAction::NextPanel => chosen.panel = panel_at(slot + 1),
+        UiAction::PreviousPanel => chosen.panel = panel_at(slot + slots - 1),
         UiAction::NextRobot => chosen.robot = (chosen.robot + 1) % robots,
         UiAction::PreviousRobot => chosen.robot = (chosen.robot + robots - 1) % robots,
         UiAction::Help => chosen.has_help = !chosen.has_help,

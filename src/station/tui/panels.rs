@@ -60,7 +60,7 @@ fn error_line(model: &Model, theme: Theme) -> Line<'static> {
 
 fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
     let quiet = |text: &'static str| Span::styled(text, theme.style(StyleRole::Quiet));
-    let place = vec![
+    let position = vec![
         quiet("x "),
         Span::raw(signed(estimate.x_m, 3)),
         quiet("  y "),
@@ -80,7 +80,7 @@ fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
         (false, Some(age_s)) => Span::raw(format!("last fix {age_s:.1} s ago")),
     };
     let resets = Span::raw(format!("  resets {}", estimate.reset_counter));
-    [Line::from(place), Line::from(heading), Line::from(vec![fix, resets])]
+    [Line::from(position), Line::from(heading), Line::from(vec![fix, resets])]
 }
 
 /// Robots listed in the overview; the full-screen panel shows as many as fit.
@@ -141,14 +141,14 @@ const NAME_AT_LEAST: usize = 9;
 fn draw_sources(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     let sources: Vec<_> = model.selected_robot().into_iter().flat_map(|robot| &robot.sources).collect();
     let longest = sources.iter().map(|(name, _)| name.chars().count()).max();
-    let room = area.width.saturating_sub(SOURCE_WIDTHS.iter().sum::<u16>() + GAPS);
-    let most = usize::from(room).max(NAME_AT_LEAST);
+    let remaining = area.width.saturating_sub(SOURCE_WIDTHS.iter().sum::<u16>() + GAPS);
+    let most = usize::from(remaining).max(NAME_AT_LEAST);
     let name_width = longest.unwrap_or(0).clamp(NAME_AT_LEAST, most);
     let rows = sources.into_iter().map(|(name, source)| source_row(truncate(name, name_width), source, theme));
     let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
-    let [seen, gated, nis, claims, _last] = SOURCE_WIDTHS.map(Constraint::Length);
+    let [observed, gated, nis, claims, _last] = SOURCE_WIDTHS.map(Constraint::Length);
     let name = Constraint::Length(name_width as u16);
-    Table::new(rows, [name, seen, gated, nis, claims, Constraint::Min(0)])
+    Table::new(rows, [name, observed, gated, nis, claims, Constraint::Min(0)])
         .header(head.style(theme.style(StyleRole::Quiet)))
         .render(area, buffer);
 }

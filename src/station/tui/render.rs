@@ -23,8 +23,8 @@ pub fn render(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     let [head, body, foot] =
         Layout::vertical([Constraint::Length(1), Constraint::Min(1), Constraint::Length(1)]).areas(area);
     head_line(model, theme).render(head, buffer);
-    for (panel, place) in panel_layout(model, area, body) {
-        draw_panel(panel, model, theme, place, buffer);
+    for (panel, panel_area) in panel_layout(model, area, body) {
+        draw_panel(panel, model, theme, panel_area, buffer);
     }
     foot_line(model, theme).render(foot, buffer);
     if model.selection.has_help {
@@ -53,14 +53,14 @@ fn tiled_layout(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
             .areas(body);
     let width = NUMBERS_WIDTH.min(upper.width / 5 * 3);
     let [left, mut right] = Layout::horizontal([Constraint::Min(1), Constraint::Length(width)]).areas(upper);
-    let mut places = vec![(map, left)];
+    let mut panel_areas = vec![(map, left)];
     for (index, panel) in numbers.iter().enumerate() {
-        let wanted = u16::try_from((panel.lines)(model)).unwrap_or(u16::MAX);
-        if wanted == 0 {
+        let desired_height = u16::try_from((panel.lines)(model)).unwrap_or(u16::MAX);
+        if desired_height == 0 {
             continue;
         }
         let is_last = index + 1 == numbers.len();
-        let mut height = wanted.saturating_add(FRAME).min(right.height);
+        let mut height = desired_height.saturating_add(FRAME).min(right.height);
         // What would be too small for the next one goes to this one.
         if is_last || right.height - height <= FRAME {
             height = right.height;
@@ -68,23 +68,23 @@ fn tiled_layout(model: &Model, body: Rect) -> Vec<(&'static Panel, Rect)> {
         if height <= FRAME {
             break;
         }
-        places.push((panel, Rect { height, ..right }));
+        panel_areas.push((panel, Rect { height, ..right }));
         right = Rect { y: right.y + height, height: right.height - height, ..right };
     }
-    places.push((events, lower));
-    places
+    panel_areas.push((events, lower));
+    panel_areas
 }
 
-fn draw_panel(panel: &Panel, model: &Model, theme: Theme, place: Rect, buffer: &mut Buffer) {
+fn draw_panel(panel: &Panel, model: &Model, theme: Theme, outer: Rect, buffer: &mut Buffer) {
     // Where there are a few lines only, a frame would take them.
-    if place.height <= FRAME + 1 || place.width <= FRAME {
-        (panel.draw)(model, theme, place, buffer);
+    if outer.height <= FRAME + 1 || outer.width <= FRAME {
+        (panel.draw)(model, theme, outer, buffer);
         return;
     }
     let title = Span::styled(format!(" {} ", panel.title), theme.style(StyleRole::Strong));
     let block = Block::new().borders(Borders::ALL).border_style(theme.style(StyleRole::Quiet)).title(title);
-    let inner = block.inner(place);
-    block.render(place, buffer);
+    let inner = block.inner(outer);
+    block.render(outer, buffer);
     (panel.draw)(model, theme, inner, buffer);
 }
 
@@ -145,8 +145,8 @@ fn help(theme: Theme, body: Rect, buffer: &mut Buffer) {
         })
         .collect();
     let height = body.height.min(lines.len() as u16 + FRAME);
-    let place = Rect { height, ..body };
-    Clear.render(place, buffer);
+    let overlay = Rect { height, ..body };
+    Clear.render(overlay, buffer);
     let block = Block::new().borders(Borders::ALL).title(" Keys ");
-    Paragraph::new(lines).block(block).render(place, buffer);
+    Paragraph::new(lines).block(block).render(overlay, buffer);
 }

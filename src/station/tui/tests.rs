@@ -362,8 +362,8 @@ fn what_is_typed_is_heard_and_a_terminal_that_hangs_up_is_an_error() {
     let tty = Tty::open_at(&name).unwrap();
     assert_eq!(tty.read(0).unwrap(), b"");
     nix::unistd::write(&pty.master, b"k\x1b[A").unwrap();
-    let heard = tty.read(1_000).unwrap();
-    assert_eq!(keys::parse_key_presses(&heard), [KeyPress::Letter('k'), KeyPress::Up]);
+    let input = tty.read(1_000).unwrap();
+    assert_eq!(keys::parse_key_presses(&input), [KeyPress::Letter('k'), KeyPress::Up]);
     let area = tty.area().unwrap();
     assert_eq!((area.width, area.height), (80, 24));
     drop(pty.master);

@@ -100,8 +100,8 @@ impl Tty {
 
     /// Typed bytes; waits at most `within_millis`.
     pub fn read(&self, within_millis: u16) -> io::Result<Vec<u8>> {
-        let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
-        match poll(&mut asked, PollTimeout::from(within_millis)) {
+        let mut poll_fds = [PollFd::new(self.file.as_fd(), PollFlags::POLLIN)];
+        match poll(&mut poll_fds, PollTimeout::from(within_millis)) {
             Ok(0) | Err(Errno::EINTR) => return Ok(Vec::new()),
             Ok(_) => {}
             Err(error) => return Err(error.into()),
@@ -157,8 +157,8 @@ impl Tty {
 
     fn write_with_timeout(&self, bytes: &mut Vec<u8>) {
         while !bytes.is_empty() {
-            let mut asked = [PollFd::new(self.file.as_fd(), PollFlags::POLLOUT)];
-            if !matches!(poll(&mut asked, PollTimeout::from(WRITE_TIMEOUT_MILLIS)), Ok(1)) {
+            let mut poll_fds = [PollFd::new(self.file.as_fd(), PollFlags::POLLOUT)];
+            if !matches!(poll(&mut poll_fds, PollTimeout::from(WRITE_TIMEOUT_MILLIS)), Ok(1)) {
                 return;
             }
             match (&self.file).write(bytes) {

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use posebridge_link::UDP_RECEIVE_BUFFER_BYTES as WANTED_BYTES;
+use posebridge_link::UDP_RECEIVE_BUFFER_BYTES as RECOMMENDED_BYTES;
 
 use super::context::{CheckResult, DiagnosticContext, SystemRoots, names_in, running, value_in};
 
@@ -132,12 +132,12 @@ pub(super) fn check_receive_buffer(context: &DiagnosticContext) -> Vec<CheckResu
     let granted = value_in(&path).and_then(|text| text.parse::<usize>().ok());
     vec![match granted {
         None => CheckResult::skipped(format!("{} cannot be read", path.display())),
-        Some(bytes) if bytes >= WANTED_BYTES => {
-            CheckResult::ok(format!("UDP links get the receive buffer that they ask for ({WANTED_BYTES} bytes)"))
+        Some(bytes) if bytes >= RECOMMENDED_BYTES => {
+            CheckResult::ok(format!("UDP links get the receive buffer that they ask for ({RECOMMENDED_BYTES} bytes)"))
         }
         Some(bytes) => CheckResult::warning(
-            format!("UDP links get a receive buffer of {bytes} of {WANTED_BYTES} bytes: enough for a few robots"),
-            format!("for many robots run `sudo sysctl net.core.rmem_max={WANTED_BYTES}`"),
+            format!("UDP links get a receive buffer of {bytes} of {RECOMMENDED_BYTES} bytes: enough for a few robots"),
+            format!("for many robots run `sudo sysctl net.core.rmem_max={RECOMMENDED_BYTES}`"),
         ),
     }]
 }

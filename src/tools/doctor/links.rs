@@ -163,26 +163,26 @@ impl ListenResult {
 /// Listens for `listen_for`, or until the protocol is certain.
 async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> ListenResult {
     let end = timer.now() + listen_for;
-    let mut heard = ListenResult::default();
+    let mut received = ListenResult::default();
     let mut next_look = DETECT_INTERVAL_BYTES;
     loop {
         let event = tokio::select! {
             event = port.next_event() => event,
-            () = timer.sleep_until(end) => return heard,
+            () = timer.sleep_until(end) => return received,
         };
         match event {
-            LinkEvent::Bytes { bytes, .. } => heard.bytes.extend_from_slice(&bytes),
+            LinkEvent::Bytes { bytes, .. } => received.bytes.extend_from_slice(&bytes),
             LinkEvent::Down { reason, .. } => {
-                heard.lost_reason = Some(reason);
-                return heard;
+                received.lost_reason = Some(reason);
+                return received;
             }
-            LinkEvent::Finished { .. } => return heard,
+            LinkEvent::Finished { .. } => return received,
             LinkEvent::Up { .. } => {}
         }
-        if heard.bytes.len() >= next_look {
-            next_look = heard.bytes.len() + DETECT_INTERVAL_BYTES;
-            if heard.is_enough() {
-                return heard;
+        if received.bytes.len() >= next_look {
+            next_look = received.bytes.len() + DETECT_INTERVAL_BYTES;
+            if received.is_enough() {
+                return received;
             }
         }
     }
@@ -226,7 +226,7 @@ impl LinkListener {
         match url.transport().scheme() {
             "serial" => try_speeds(&url, async |url: &LinkUrl| self.attempt(url).await).await,
             "tcp" | "udp" => match self.attempt(&url).await {
-                Ok(heard) => classify(link, &heard),
+                Ok(received) => classify(link, &received),
                 Err(verdict) => verdict,
             },
             scheme => CheckResult::skipped(format!(
@@ -253,12 +253,12 @@ async fn try_speeds(
     mut attempt: impl AsyncFnMut(&LinkUrl) -> Result<ListenResult, CheckResult>,
 ) -> CheckResult {
     let first = match attempt(url).await {
-        Ok(heard) => heard,
+        Ok(received) => received,
         Err(verdict) => return verdict,
     };
     if let Some(line) = fixed_speed_kind(url.path()) {
-        let place = format!("{url} ({line}, where the speed does not matter)");
-        return classify(&place, &first);
+        let endpoint = format!("{url} ({line}, where the speed does not matter)");
+        return classify(&endpoint, &first);
     }
     let own_baud = baud_of(url);
     let at_own = classify(&format!("{url} at {own_baud} baud"), &first);
@@ -271,8 +271,8 @@ async fn try_speeds(
         };
         match attempt(&other).await {
             Err(verdict) => return verdict,
-            Ok(heard) if heard.detect().protocol.is_known() => {
-                return wrong_speed(&other, own_baud, &heard);
+            Ok(received) if received.detect().protocol.is_known() => {
+                return wrong_speed(&other, own_baud, &received);
             }
             Ok(_) => {}
         }
@@ -325,11 +325,11 @@ fn fixed_speed_kind(path: &Path) -> Option<&'static str> {
 }
 
 /// Classifies the received data and its meaning for the station.
-fn classify(place: &str, heard: &ListenResult) -> CheckResult {
-    let found = heard.detect();
-    let description = describe(place, heard, found);
+fn classify(endpoint: &str, received: &ListenResult) -> CheckResult {
+    let found = received.detect();
+    let description = describe(endpoint, received, found);
     match found.protocol {
-        Protocol::NoData => silent_result(place, heard),
+        Protocol::NoData => silent_result(endpoint, received),
         Protocol::Unrecognized => CheckResult::problem(
             description,
             "check_listening the speed, the wires (ground too) and that both ends speak one protocol",
@@ -354,35 +354,35 @@ fn classify(place: &str, heard: &ListenResult) -> CheckResult {
     }
 }
 
-fn describe(place: &str, heard: &ListenResult, found: ProtocolDetection) -> String {
+fn describe(endpoint: &str, received: &ListenResult, found: ProtocolDetection) -> String {
     let name = found.protocol.name();
-    let bytes = heard.bytes.len();
+    let bytes = received.bytes.len();
     if found.protocol.is_known() {
         let (frames, of) = (found.frames, found.frame_bytes);
-        format!("{place}: {name}, whole frames {frames}, with {of} of {bytes} bytes")
+        format!("{endpoint}: {name}, whole frames {frames}, with {of} of {bytes} bytes")
     } else {
-        format!("{place}: {name}, {bytes} bytes")
+        format!("{endpoint}: {name}, {bytes} bytes")
     }
 }
 
-fn silent_result(place: &str, heard: &ListenResult) -> CheckResult {
-    if let Some(reason) = &heard.lost_reason {
+fn silent_result(endpoint: &str, received: &ListenResult) -> CheckResult {
+    if let Some(reason) = &received.lost_reason {
         return CheckResult::problem(
-            format!("{place}: the link was lost before a byte came: {reason}"),
+            format!("{endpoint}: the link was lost before a byte came: {reason}"),
             "check_listening the cable and the power of the robot",
         );
     }
     CheckResult::warning(
-        format!("{place}: silence"),
+        format!("{endpoint}: silence"),
         "is the robot on and its program running, are its sending and receiving wires crossed? \
          A brick without a program only answers when it is asked",
     )
 }
 
-fn wrong_speed(url: &LinkUrl, own_baud: u32, heard: &ListenResult) -> CheckResult {
+fn wrong_speed(url: &LinkUrl, own_baud: u32, received: &ListenResult) -> CheckResult {
     let baud = baud_of(url);
-    let place = format!("{} at {baud} baud", url.path().display());
-    let result = classify(&place, heard);
+    let endpoint = format!("{} at {baud} baud", url.path().display());
+    let result = classify(&endpoint, received);
     let link = format!("write the link as {url}");
     let advice = match result.advice.as_str() {
         "" => link,

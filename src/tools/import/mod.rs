@@ -219,8 +219,8 @@ impl DescriptorSource {
             robot: RobotFile { start, ..robot_run.robot.clone() },
             filter: robot_run.filter.clone(),
             world: WorldConfig {
-                landmarks: places(robot_run.run.landmarks.iter().map(|(id, at)| (id.0, *at))),
-                beacons: places(robot_run.run.beacons.iter().map(|(id, at)| (id.0, *at))),
+                landmarks: numbered_points(robot_run.run.landmarks.iter().map(|(id, at)| (id.0, *at))),
+                beacons: numbered_points(robot_run.run.beacons.iter().map(|(id, at)| (id.0, *at))),
                 walls: Vec::new(),
             },
             links: Vec::new(),
@@ -244,7 +244,7 @@ impl DescriptorSource {
     }
 }
 
-fn places(places: impl Iterator<Item = (u32, Point2<Arena>)>) -> Vec<NumberedPlace> {
-    let place = |(id, at): (u32, Point2<Arena>)| NumberedPlace { id, x_m: at.x.0, y_m: at.y.0 };
-    places.map(place).collect()
+fn numbered_points(points: impl Iterator<Item = (u32, Point2<Arena>)>) -> Vec<NumberedPlace> {
+    let to_point = |(id, at): (u32, Point2<Arena>)| NumberedPlace { id, x_m: at.x.0, y_m: at.y.0 };
+    points.map(to_point).collect()
 }

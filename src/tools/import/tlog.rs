@@ -124,9 +124,9 @@ fn timed_record<'f>(record: &TlogRecord<'f, ()>, own: Address) -> TimedRecord<'f
 }
 
 fn clock_reading(frame: &FrameRef<'_>, own: Address) -> Option<ClockReading> {
-    let asked = own_request(frame, own);
-    let (micros, wraps_micros) = if let Some(asked) = asked {
-        (asked.as_micros(), None)
+    let requested_at = own_request(frame, own);
+    let (micros, wraps_micros) = if let Some(requested_at) = requested_at {
+        (requested_at.as_micros(), None)
     } else {
         let stamp = dialect::timestamp_of(frame)?;
         let wraps_micros = match stamp {
@@ -141,7 +141,7 @@ fn clock_reading(frame: &FrameRef<'_>, own: Address) -> Option<ClockReading> {
         clock: (frame.source, frame.message_id),
         micros,
         wrap_period_micros: wraps_micros,
-        is_host_clock: asked.is_some(),
+        is_host_clock: requested_at.is_some(),
     })
 }
 
@@ -242,12 +242,12 @@ impl InputBuilder<'_, '_> {
             return self.emit_bytes(at, frame);
         };
         self.of_station += 1;
-        let Some(asked) = own_request(&of_station, self.own) else {
+        let Some(requested_at) = own_request(&of_station, self.own) else {
             return;
         };
         // The stamp has nanoseconds, the record's time has not.
-        if (at - asked).as_secs_f64().abs() < 1e-3 {
-            at = asked;
+        if (at - requested_at).as_secs_f64().abs() < 1e-3 {
+            at = requested_at;
         }
         self.emit(at, &Input::Tick);
     }

@@ -294,8 +294,8 @@ fn own_text(facts: &RecordingFacts) -> String {
     for damage in &facts.damages {
         let _ = writeln!(text, "damaged: {damage}");
     }
-    if let Some(torn) = &facts.truncation {
-        let _ = writeln!(text, "cut off at {torn}");
+    if let Some(truncation) = &facts.truncation {
+        let _ = writeln!(text, "cut off at {truncation}");
     }
     text
 }

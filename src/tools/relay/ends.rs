@@ -69,9 +69,9 @@ impl FromArgMatches for RelayEnds {
 
 /// The values of an argument with their positions on the command line.
 fn ends_in_order(matches: &ArgMatches, id: &str, end: impl Fn(&String) -> StationLink) -> Vec<(usize, StationLink)> {
-    let places = matches.indices_of(id).into_iter().flatten();
+    let indices = matches.indices_of(id).into_iter().flatten();
     let values = matches.get_many::<String>(id).into_iter().flatten();
-    places.zip(values.map(end)).collect()
+    indices.zip(values.map(end)).collect()
 }
 
 #[cfg(test)]

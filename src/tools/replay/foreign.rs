@@ -204,17 +204,17 @@ pub fn replay_run(
     let mut observations = 0;
     for timed in &robot_run.run.observations {
         let elapsed = timed.arrival - first.arrival;
-        let place = window.position(elapsed);
-        if place == WindowPosition::After {
+        let position = window.position(elapsed);
+        if position == WindowPosition::After {
             break;
         }
         if let Some(pace) = &pace {
             pace.wait(elapsed);
         }
-        lane.push(timed.arrival, &Input::Observation(timed.observation), place)?;
+        lane.push(timed.arrival, &Input::Observation(timed.observation), position)?;
         let observation = &timed.observation;
         scorer.on_observation(&observation.measurement, observation.stamp, &lane.station);
-        if place == WindowPosition::Before {
+        if position == WindowPosition::Before {
             scorer.reset();
         }
         recorded = recorded.max(elapsed);
@@ -233,7 +233,7 @@ pub fn replay_run(
             .station
             .robots()
             .first()
-            .and_then(|heard| LearnedCalibration::of_robot(heard, name, robot, &prior)),
+            .and_then(|entry| LearnedCalibration::of_robot(entry, name, robot, &prior)),
         duration: recorded,
         observations,
     })

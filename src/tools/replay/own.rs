@@ -342,17 +342,17 @@ struct ReplayCursor<'c, 'l> {
 impl ReplayCursor<'_, '_> {
     fn push(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
         let elapsed = now - *self.first.get_or_insert(now);
-        let place = self.window.position(elapsed);
-        self.is_finished |= place == WindowPosition::After;
+        let position = self.window.position(elapsed);
+        self.is_finished |= position == WindowPosition::After;
         if self.is_finished {
             return Ok(());
         }
-        self.has_started |= place == WindowPosition::Within;
+        self.has_started |= position == WindowPosition::Within;
         if let Some(pace) = self.pace {
             pace.wait(elapsed);
         }
         for lane in &mut *self.lanes {
-            lane.push(now, input, place)?;
+            lane.push(now, input, position)?;
         }
         self.duration = self.duration.max(elapsed);
         Ok(())

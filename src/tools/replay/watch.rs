@@ -114,14 +114,14 @@ pub struct ReplayLane<'w> {
 }
 
 impl ReplayLane<'_> {
-    pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, place: WindowPosition) -> Result<()> {
+    pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, position: WindowPosition) -> Result<()> {
         self.station.handle(now, input);
         while let Some(output) = &self.station.poll() {
-            if let (Output::Event(event), WindowPosition::Within) = (output, place) {
+            if let (Output::Event(event), WindowPosition::Within) = (output, position) {
                 self.watcher.observe(now, event)?;
             }
         }
-        if place == WindowPosition::Within {
+        if position == WindowPosition::Within {
             self.watcher.after_input(now, &self.station);
         }
         Ok(())
@@ -224,18 +224,18 @@ pub(super) fn write_charts(
 mod tests {
     use super::*;
 
-    fn place(window: Window, elapsed_s: f64) -> WindowPosition {
+    fn position(window: Window, elapsed_s: f64) -> WindowPosition {
         window.position(TimeDelta::from_secs_f64(elapsed_s))
     }
 
     #[test]
     fn a_window_holds_both_of_its_ends_and_without_ends_everything() {
         let window = Window { from: Some(TimeDelta::from_millis(1_000)), to: Some(TimeDelta::from_millis(2_000)) };
-        let places = [0.999, 1.0, 2.0, 2.001].map(|elapsed_s| place(window, elapsed_s));
+        let positions = [0.999, 1.0, 2.0, 2.001].map(|elapsed_s| position(window, elapsed_s));
         assert_eq!(
-            places,
+            positions,
             [WindowPosition::Before, WindowPosition::Within, WindowPosition::Within, WindowPosition::After]
         );
-        assert_eq!(place(Window::default(), 1e6), WindowPosition::Within);
+        assert_eq!(position(Window::default(), 1e6), WindowPosition::Within);
     }
 }

@@ -122,14 +122,14 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
     let base = base_of(args)?;
     let camera_every = args.camera_every as usize;
     let runs = [errors_of(&table, &base, &every_method(), camera_every)];
-    let judge = if table.has_truth() {
+    let reference = if table.has_truth() {
         "the true pose in the file"
     } else if table.rows.iter().any(|row| row.camera.is_some()) {
         "those camera images that no filter was given"
     } else {
         "nothing: the file has neither camera nor truth, so there are paths and no errors"
     };
-    let source = format!("{name}: {} rows; judged by {judge}", table.rows.len());
+    let source = format!("{name}: {} rows; judged by {reference}", table.rows.len());
     let command = rerun_command(None);
     let example = example(table, &base, camera_every);
     Ok(report(source, command, &runs, Vec::new(), example))

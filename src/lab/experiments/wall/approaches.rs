@@ -93,9 +93,9 @@ fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     use EstimatorPlacement::{Brick, Host};
     let tuned = tuned(scene, model);
     let (most, fast) = (scene.approach.most_pwm, scene.approach.fast_pwm);
-    let case = |source, place, (tuning, gains), most_pwm| ApproachCase {
+    let case = |source, placement, (tuning, gains), most_pwm| ApproachCase {
         source,
-        placement: place,
+        placement,
         gains,
         tuning,
         max_pwm: most_pwm,
@@ -197,7 +197,7 @@ impl DistanceEstimator for EstimatorAdapter {
     }
 
     fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate> {
-        let belief = self.estimator.estimate(at_s)?;
-        Some(RangeEstimate { distance_m: belief.distance_m, towards_m_per_s: belief.towards_m_per_s })
+        let estimate = self.estimator.estimate(at_s)?;
+        Some(RangeEstimate { distance_m: estimate.distance_m, towards_m_per_s: estimate.towards_m_per_s })
     }
 }

@@ -12,7 +12,7 @@ use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
 use super::steps::{PIECE, StepResults};
 
 /// Plots every n-th control cycle: 30 ms are less than a line's width.
-const DRAWN_EVERY: usize = 4;
+const SAMPLE_STRIDE: usize = 4;
 
 fn axes(y_name: &str, curves: impl IntoIterator<Item = Curve>) -> Axes {
     Axes::new("time [s]", y_name, 280.0, curves)
@@ -64,8 +64,8 @@ pub(super) fn validation(steps: &StepResults) -> Plot {
                 WallReading::Input(input) => kalman.observe_input(entry.at_s, input),
                 WallReading::Range(range_m) => kalman.observe_range(entry.at_s, range_m),
             }
-            let belief = kalman.estimate(entry.at_s);
-            points.extend(belief.map(|belief| (entry.at_s, belief.distance_m)));
+            let estimate = kalman.estimate(entry.at_s);
+            points.extend(estimate.map(|estimate| (entry.at_s, estimate.distance_m)));
         }
         curves.push(Curve::line(format!("sigma_u {:.0} mm", 1e3 * process_m), points));
     }
@@ -81,20 +81,20 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     };
     let tuned: Vec<&ApproachResult> = driven.iter().filter(is_drawn).collect();
     let name = |driven: &ApproachResult| {
-        let who = match driven.case.source {
+        let source = match driven.case.source {
             DistanceSource::LastReading => "last reading",
             DistanceSource::Line => "line",
             DistanceSource::Faithful | DistanceSource::Corrected => "filter",
         };
-        format!("{who}, PWM {:.0}", driven.case.max_pwm)
+        format!("{source}, PWM {:.0}", driven.case.max_pwm)
     };
-    let ways = tuned.iter().map(|driven| {
-        let moments = driven.first.samples.iter().step_by(DRAWN_EVERY);
-        let way = moments.map(|moment| (moment.at_s, moment.distance_m));
-        Curve::line(name(driven), way)
+    let curves = tuned.iter().map(|driven| {
+        let moments = driven.first.samples.iter().step_by(SAMPLE_STRIDE);
+        let trajectory = moments.map(|moment| (moment.at_s, moment.distance_m));
+        Curve::line(name(driven), trajectory)
     });
-    let mut ways: Vec<Curve> = ways.collect();
-    ways.push(Curve::new("target", CurveShape::Level(scene.approach.target_m)));
+    let mut curves: Vec<Curve> = curves.collect();
+    curves.push(Curve::new("target", CurveShape::Level(scene.approach.target_m)));
     let stops = tuned.iter().map(|driven| {
         let stops = driven.stops.iter().flatten();
         let stops = stops.map(|stop| (stop.time_s, 1e3 * stop.error_m));
@@ -104,7 +104,7 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     Plot::new(
         "Approaches with tuned gains, on the brick",
         "above the first run of each kind, below where and when all of them stopped",
-        vec![axes("true distance [m]", ways), stops],
+        vec![axes("true distance [m]", curves), stops],
     )
 }
 
@@ -119,8 +119,8 @@ pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f6
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (_, range_m)| (low.min(*range_m), high.max(*range_m)));
     // A line through two readings of the same instant leads anywhere: the picture would show nothing else.
-    let span = high - low;
-    let is_visible = move |value: &f64| *value > low - span && *value < high + span;
+    let extent = high - low;
+    let is_visible = move |value: &f64| *value > low - extent && *value < high + extent;
     let mut curves = vec![
         Curve::dots("readings", readings),
         Curve::line("line through two", by(&|foreseen| foreseen.line_m.filter(is_visible))),

@@ -148,13 +148,13 @@ impl RunReader<'_> {
     /// The run with an additional column: the requested one, which must exist, or the first common name that exists.
     fn column<'c>(
         &mut self,
-        asked: Option<&'c str>,
+        requested: Option<&'c str>,
         usual: &[&'c str],
         extra: fn(&'c str) -> ExtraColumn<'c>,
     ) -> Result<Option<DatasetRun>> {
         let known = self.set.descriptor.clone();
         let mut found = None;
-        for column in asked.map_or_else(|| usual.to_vec(), |asked| vec![asked]) {
+        for column in requested.map_or_else(|| usual.to_vec(), |requested| vec![requested]) {
             let Some(text) = with_extra(self.text, self.run, extra(column))? else {
                 break;
             };
@@ -163,7 +163,7 @@ impl RunReader<'_> {
             let loaded = self.set.load(self.run, self.flags);
             match loaded {
                 Ok(loaded) => found = Some(loaded.run),
-                Err(error) if asked.is_some() => {
+                Err(error) if requested.is_some() => {
                     self.set.descriptor = known;
                     return Err(error);
                 }
@@ -376,9 +376,9 @@ pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Resul
     added.insert("runs".to_owned(), vec![run].into());
     let key = match extra {
         ExtraColumn::Command(column) => {
-            let place = column_of(column, &[("scale", PER_PWM.into())]);
-            added.insert("left".to_owned(), place.clone());
-            added.insert("right".to_owned(), place);
+            let column_entry = column_of(column, &[("scale", PER_PWM.into())]);
+            added.insert("left".to_owned(), column_entry.clone());
+            added.insert("right".to_owned(), column_entry);
             "body_velocity"
         }
         ExtraColumn::Filtered(column) => {
@@ -399,12 +399,12 @@ pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Resul
 }
 
 fn column_of(column: &str, more: &[(&str, toml::Value)]) -> toml::Value {
-    let mut place = toml::Table::new();
-    place.insert("column".to_owned(), column.into());
+    let mut entry = toml::Table::new();
+    entry.insert("column".to_owned(), column.into());
     for (key, value) in more {
-        place.insert((*key).to_owned(), value.clone());
+        entry.insert((*key).to_owned(), value.clone());
     }
-    place.into()
+    entry.into()
 }
 
 fn is_in(stream: &toml::Table, run: &str) -> bool {

@@ -18,7 +18,7 @@ use crate::lab::experiments::recorded::rerun_command;
 /// Result of the paper's own step: v_ss in m/s and t_90 in s.
 const PAPER_STEP: (f64, f64) = (1.225, 0.997);
 
-const WHOLE_MM: Format = Format::new(Unit::Millimetres, 0);
+const MILLIMETRES: Format = Format::new(Unit::Millimetres, 0);
 const THREE: Format = Format::new(Unit::None, 3);
 const FIVE: Format = Format::new(Unit::None, 5);
 
@@ -168,10 +168,10 @@ fn add_validation(report: &mut Report, steps: &StepResults) {
     }
     let table = Table::of(&steps.validations)
         .text("filter", "filter", |case| variant_name(case.variant).to_owned())
-        .number("process_m", "sigma_u", WHOLE_MM, |case| Some(case.process_m))
+        .number("process_m", "sigma_u", MILLIMETRES, |case| Some(case.process_m))
         .labels(2)
         .number("gain", "gain", THREE, |case| Some(case.validation.gain))
-        .number("gate_m", "gate", WHOLE_MM, |case| Some(case.validation.gate_m))
+        .number("gate_m", "gate", MILLIMETRES, |case| Some(case.validation.gate_m))
         .count("used", "used", |case| case.validation.used)
         .count("gated", "gated", |case| case.validation.gated)
         .number("predicted_share", "predicted", Format::new(Unit::Percent, 1), |case| {
@@ -188,10 +188,10 @@ fn add_validation(report: &mut Report, steps: &StepResults) {
 fn add_gate(report: &mut Report, trials: &[GateTrial]) {
     report.heading("Gate: a reading of the step made wrong, range-kf, sigma_u 50 mm");
     let table = Table::of(trials)
-        .number("added_m", "added", WHOLE_MM, |trial| Some(trial.added_m))
+        .number("added_m", "added", MILLIMETRES, |trial| Some(trial.added_m))
         .text("", "verdict", |trial| if trial.is_gated { "refused" } else { "used" }.to_owned())
         .data("refused", |trial| json!(trial.is_gated))
-        .number("jumped_m", "estimate jumps", WHOLE_MM, |trial| Some(trial.jumped_m));
+        .number("jumped_m", "estimate jumps", MILLIMETRES, |trial| Some(trial.jumped_m));
     report.table("gate", &table);
 }
 
@@ -211,9 +211,9 @@ fn add_approaches(report: &mut Report, prepared: &SimulatedSetup, driven: &[Appr
         .text("gains", "gains", |row| row.case.tuning.to_owned())
         .number("most_pwm", "PWM", Format::new(Unit::None, 0), |row| Some(row.case.max_pwm))
         .labels(4)
-        .number("mean_error_m", "error", WHOLE_MM.signed(), |row| Some(row.summary.mean_error_m))
+        .number("mean_error_m", "error", MILLIMETRES.signed(), |row| Some(row.summary.mean_error_m))
         .data("rms_error_m", |row| json!(row.summary.rms_error_m))
-        .number("worst_error_m", "worst", WHOLE_MM, |row| Some(row.summary.worst_error_m))
+        .number("worst_error_m", "worst", MILLIMETRES, |row| Some(row.summary.worst_error_m))
         .text("", "near", |row| format!("{}/{}", row.summary.near, row.summary.runs))
         .data("near", |row| json!(row.summary.near))
         .data("runs", |row| json!(row.summary.runs))

@@ -187,7 +187,7 @@ async fn a_tcp_server_is_called_and_heard() {
 }
 
 #[tokio::test]
-async fn datagrams_are_heard() {
+async fn datagrams_are_received() {
     let url = LinkUrl::parse("udp://127.0.0.1:0").unwrap();
     let listener = listener();
     let OpenOutcome::Up(mut port, _) = open(&url, role_of(&url), listener.timer).await else {
@@ -198,8 +198,8 @@ async fn datagrams_are_heard() {
     for _ in 0..20 {
         robot.send_to(&FRAME, station).await.unwrap();
     }
-    let heard = listen(&mut port, listener.timer, listener.listen_for).await;
-    assert_eq!(heard.detect().protocol, Protocol::Mavlink2);
+    let received = listen(&mut port, listener.timer, listener.listen_for).await;
+    assert_eq!(received.detect().protocol, Protocol::Mavlink2);
 }
 
 #[tokio::test]
