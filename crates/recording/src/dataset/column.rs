@@ -133,7 +133,7 @@ dimension!(Id, "number", false, unit("none", 1.0));
 /// A column of the dimension `D`: `SI value = (raw * scale + offset + zero) * factor`, with `offset` in the unit.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Column<D> {
-    pub(super) column: ColumnRef,
+    pub(super) source: ColumnRef,
     pub(super) unit: Unit,
     pub(super) scale: f64,
     pub(super) offset: f64,
@@ -179,7 +179,7 @@ impl<D: Dimension> ColumnVisitor<D> {
             return Err(E::custom(text));
         };
         Ok(Column {
-            column: raw.column,
+            source: raw.column,
             unit: *unit,
             scale: raw.scale.map_or(1.0, |scale| scale.0),
             offset: raw.offset.map_or(0.0, |offset| offset.0),

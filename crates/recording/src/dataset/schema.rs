@@ -265,13 +265,13 @@ trait HasColumnRefs {
 }
 impl<D> HasColumnRefs for Column<D> {
     fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
-        visit(&self.column);
+        visit(&self.source);
     }
 }
 impl HasColumnRefs for HeadingColumns {
     fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
         match self {
-            Self::Angle(column) => visit(&column.column),
+            Self::Angle(column) => visit(&column.source),
             Self::Quaternion { qz, qw } => {
                 visit(qz);
                 visit(qw);

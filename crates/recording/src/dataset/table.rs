@@ -192,7 +192,7 @@ impl DatasetTable {
     }
 
     pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<BoundColumn<D>, LoadError> {
-        Ok(BoundColumn { index: self.index_of(&column.column)?, column: column.clone() })
+        Ok(BoundColumn { index: self.index_of(&column.source)?, column: column.clone() })
     }
 
     /// The column may be absent from the descriptor.
