@@ -4,10 +4,11 @@ use std::sync::Arc;
 
 use posebridge_telemetry::{
     ArenaMap, BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation,
-    OnlineCalibration, ScalarEstimate, SensorNoise, StartPose, Timestamp,
+    OnlineCalibration, ScalarEstimate, SensorNoise, StartPose, Timestamp, UncertainValue,
 };
 
 use crate::params::Params;
+use crate::validation::is_valid_start;
 
 /// A filter of a pose or of one quantity: observations in, estimates out.
 pub trait Filter: Send {
@@ -15,8 +16,11 @@ pub trait Filter: Send {
 
     /// Sets the pose at [`Filter::latest_time`], after all observations of that instant; counts as a reset.
     ///
-    /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] and no change when a number is not finite or a sigma is negative.
-    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome;
+    /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] and no change when a number is not finite or a sigma is negative;
+    /// [`FusionOutcome::Unused`] from a filter that has no pose.
+    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        if is_valid_start(start) { FusionOutcome::Unused } else { FusionOutcome::Malformed }
+    }
 
     /// Applies a command after all observations up to [`Filter::latest_time`].
     ///
@@ -33,8 +37,11 @@ pub trait Filter: Send {
     fn latest_time(&self) -> Option<Timestamp<BrickClock>>;
 
     /// The estimate for an instant: past ones as far as the history reaches, later ones by prediction. `None` before the first
-    /// observation and for instants older than the history.
-    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate>;
+    /// observation, for instants older than the history, and from a filter that has no pose.
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        let _ = stamp;
+        None
+    }
 
     /// The learned calibration; `None` for a filter that learns nothing.
     fn calibration(&self) -> Option<Calibration> {
@@ -71,6 +78,15 @@ pub struct FilterConfig {
     /// Priors of the systematic errors. A constant whose sigma is zero is fixed and not estimated.
     pub calibration: Calibration,
     pub arena_map: Arc<ArenaMap>,
+}
+
+impl FilterConfig {
+    /// The gyro bias at power-up: from the calibration, or within the gyro's own spread.
+    pub(crate) fn gyro_bias_prior(&self) -> UncertainValue {
+        let known = self.calibration.gyro_bias_rad_per_s;
+        let sigma = if known.sigma > 0.0 { known.sigma } else { self.noise.gyro_bias_rad_per_s };
+        UncertainValue { value: known.value, sigma }
+    }
 }
 
 #[cfg(test)]

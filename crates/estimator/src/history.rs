@@ -1,17 +1,9 @@
-//! Late data for any filter: the entries of the last seconds, with states from which they can be applied again.
+//! Late data for any filter: the entries of the last seconds, with states from which they can be applied again. So the
+//! order of arrival does not matter, bit for bit, as long as nothing is older than the history.
 //!
-//! A late entry is inserted at its own time. The states from there on are out of date; [`FixedLagHistory::insert`]
-//! returns each of these entries with the state before it, oldest first, for the filter to apply again. So the order of
-//! arrival does not matter, bit for bit, as long as nothing is older than the history.
-//!
-//! # Model
-//! ```text
-//! state p      the state after the first p entries of the history; state 0 is the base
-//! kept         the last RECENT_STATES states, and of the older ones each with p = 0 mod CHECKPOINT_INTERVAL
-//! state p      that is not kept: from the nearest kept one before it, by applying the entries between them again
-//! ```
-//! A state is large: to keep all of them would take a hundred kilobytes for each robot, and a station with hundreds of robots would
-//! fetch each from memory instead of from a cache. Most late entries are only a few entries late, and these cost nothing more.
+//! State p is the state after the first p entries; state 0 is the base. Kept are the last `RECENT_STATES` states, and
+//! of the older ones each with p = 0 mod `CHECKPOINT_INTERVAL`: all of them would take a hundred kilobytes for each
+//! robot, and a station with hundreds of robots would fetch each from memory instead of from a cache.
 
 use std::cmp::Ordering;
 use std::collections::VecDeque;
@@ -179,7 +171,6 @@ pub struct Replay<'h, E, S> {
     next: usize,
 }
 
-/// One entry that has to be applied.
 #[derive(Debug)]
 pub struct ReplayStep<'h, E, S> {
     pub entry: &'h E,

@@ -1,9 +1,4 @@
-//! Filters that turn observations into a pose with its covariance.
-//!
-//! Gets [`Observation`](posebridge_telemetry::Observation)s in brick time from the pipeline and gives back one
-//! [`FusionRecord`](posebridge_telemetry::FusionRecord) per observation and an
-//! [`Estimate`](posebridge_telemetry::Estimate) for any instant. It knows no bytes, no links and no clock but the
-//! brick's; it converts no stamps.
+//! Filters that turn observations into a pose with its covariance, in brick time.
 //!
 //! Letters inside this crate, SI units and radians throughout:
 //!
@@ -26,6 +21,7 @@ pub mod papers;
 pub mod params;
 mod registry;
 pub mod smoother;
+pub mod tracking;
 pub mod update;
 mod validation;
 

@@ -1,7 +1,5 @@
-//! Every tunable of the filters, declared once.
-//!
-//! The keys of `[filter]`, their range checks and the configuration's schema follow from [`PARAMS`]. Geometry and
-//! sensor noise are not here: they belong to a robot, not to a filter.
+//! Every tunable of the filters, declared once: the keys of `[filter]`, their range checks and the schema follow from
+//! [`PARAMS`]. Geometry and sensor noise belong to a robot, not to a filter.
 
 use std::ops::RangeInclusive;
 
@@ -29,7 +27,6 @@ pub struct Params {
     pub wall_gate_m: f64,
 }
 
-/// One tunable: its key, unit, default, range and accessors.
 pub struct Param {
     /// Its key in the configuration, below `[filter]`; at most 16 bytes, so that it fits PARAM messages.
     pub key: &'static str,
@@ -164,13 +161,11 @@ impl Params {
     }
 }
 
-/// Why a tunable was not set.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParamError {
     #[error("unknown filter parameter `{key}`")]
     Unknown { key: String },
-    /// Outside the row's range.
     #[error("filter parameter `{key}` is {value}, must lie in {low} to {high}")]
     OutOfRange { key: &'static str, value: f64, low: f64, high: f64 },
 }

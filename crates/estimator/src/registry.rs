@@ -16,14 +16,11 @@ pub struct FilterEntry {
     pub name: &'static str,
     pub summary: &'static str,
     pub quantity: EstimatedQuantity,
-    /// The treatment of late observations.
     pub late_data: LateDataPolicy,
-    /// How the filter gets its first pose.
     pub initialization: Initialization,
     pub build: fn(&FilterConfig) -> Box<dyn Filter>,
 }
 
-/// The quantity that a filter estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EstimatedQuantity {
     Pose,

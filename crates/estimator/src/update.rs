@@ -1,7 +1,4 @@
-//! The measurement update: whitening, then one scalar at a time.
-//!
-//! No matrix inverse, no square root of P: a scalar update needs one division. Correlated noise is whitened first, so that
-//! the components may be used one after the other.
+//! The measurement update: whitening, then one scalar at a time. No matrix inverse, no square root of P.
 
 use std::array::from_fn;
 
@@ -10,7 +7,6 @@ use nalgebra::{SMatrix, SVector};
 use crate::numerics::cholesky::{lower_triangle, solve_lower};
 use crate::numerics::covariance::symmetrise;
 
-/// A linearised measurement: innovation, its derivative by the state, its noise.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearizedMeasurement<const N: usize, const M: usize> {
     /// z - h(x), angles wrapped.
@@ -108,9 +104,7 @@ impl<const K: usize> ScalarMeasurement<K> {
         }
         cross
     }
-}
 
-impl<const K: usize> ScalarMeasurement<K> {
     /// One row of P H', with the same order of summation as [`Self::cross_covariance`].
     #[inline]
     fn cross_covariance_at<const N: usize>(&self, covariance: &SMatrix<f64, N, N>, i: usize) -> f64 {
@@ -119,7 +113,6 @@ impl<const K: usize> ScalarMeasurement<K> {
     }
 }
 
-/// The result of a scalar observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScalarOutcome {
     /// S = H P H' + R.
@@ -129,7 +122,6 @@ pub struct ScalarOutcome {
     pub outcome: UpdateOutcome,
 }
 
-/// Whether a scalar observation was used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UpdateOutcome {
     /// State and covariance changed.

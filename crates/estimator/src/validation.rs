@@ -3,10 +3,9 @@
 use std::cmp::Reverse;
 
 use nalgebra::{SMatrix, SVector};
-use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, Pose, PoseCorrection, Radians,
-    SensorId, StartPose, TimeDelta, Timestamp,
+    BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, StartPose, TimeDelta,
+    Timestamp,
 };
 
 use crate::motion::{InsertOutcome, MotionReading};
@@ -75,14 +74,6 @@ pub(crate) fn reject_repeated(
     (stamp < before).then_some(FusionOutcome::TooOld)
 }
 
-pub(crate) fn correction_between(before: Pose<Arena>, after: Pose<Arena>) -> PoseCorrection {
-    PoseCorrection {
-        dx_m: after.x.0 - before.x.0,
-        dy_m: after.y.0 - before.y.0,
-        turn: Radians(wrap_rad(after.heading.rad() - before.heading.rad())),
-    }
-}
-
 /// Whether all numbers are finite and no sigma is negative.
 pub(crate) fn is_valid_start(start: &StartPose) -> bool {
     let sigmas = [start.position_sigma_m, start.heading_sigma_rad];
@@ -95,7 +86,6 @@ fn are_within_limits(values: &[f64]) -> bool {
     values.iter().all(|value| value.abs() <= MAX_MAGNITUDE)
 }
 
-/// Whether every number of an observation is finite and within limits.
 fn is_finite(observed: &ObservationKind) -> bool {
     match *observed {
         ObservationKind::WheelAngles { left, right } => are_within_limits(&[left.0, right.0]),
@@ -167,7 +157,6 @@ pub(crate) const fn blank_record(sensor: SensorId, stamp: Timestamp<BrickClock>)
     }
 }
 
-/// The outcome of a reading that a track did or did not insert.
 pub(crate) const fn fusion_outcome(added: InsertOutcome) -> FusionOutcome {
     match added {
         InsertOutcome::Inserted(_) => FusionOutcome::Accepted,
@@ -216,11 +205,6 @@ pub(crate) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome
     record.nis += outcome.nis;
     record.degrees_of_freedom += 1;
     record.log_likelihood -= 0.5 * (outcome.nis + (std::f64::consts::TAU * outcome.innovation_variance).ln());
-}
-
-/// The outcome of setting a pose on a filter that has none.
-pub(crate) fn outcome_without_pose(start: &StartPose) -> FusionOutcome {
-    if is_valid_start(start) { FusionOutcome::Unused } else { FusionOutcome::Malformed }
 }
 
 #[cfg(test)]

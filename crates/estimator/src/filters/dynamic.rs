@@ -1,33 +1,24 @@
-//! Dynamic measurement: the final value of a slow sensor, known long before the sensor shows it.
+//! Dynamic measurement: the final value of a slow sensor with known dynamics, known long before the sensor shows it.
 //!
-//! Gets temperatures, gives the temperature of what the thermometer is dipped into. The sensor's dynamics are known
-//! ([`DynamicModel`]); its initial state is not, and is estimated together with the input.
-//!
-//! # Model
 //! ```text
 //! X = [u; x]     F = blkdiag(1, e^(A dt))     H = [G, C]     Q by the walk of u     R = sigma^2
 //! start, with the first sample y of a sensor:  u = y / G,  x = 0,  P = (1e5 sigma)^2 I, then that sample is used like any other
 //! ```
-//! With q = 0 this is recursive least squares for u and the initial states, and so block least squares.
-//!
-//! # Assumptions
-//! The dynamics are right and the input is constant (or walks, with `dynamic_walk`). A trend or a wrong time constant is not
-//! seen in the sigma that it gives. There is no gate: paper 2 has none, and a wrong model would lock it.
+//! With q = 0 this is recursive least squares for u and the initial states. There is no gate: paper 2 has none, and a
+//! wrong model would lock it.
 //!
 //! Source: Paper 2 (Markovsky); docs/lab/thermometer.md.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
-    StartPose, Timestamp,
+    BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
 
 use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::{DynamicModel, MAX_STATES, QUANTITY, ROWS};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
-use crate::validation;
-use crate::validation::{add_innovation, outcome_without_pose};
+use crate::validation::{self, add_innovation};
 
 /// Large enough to weigh almost nothing against two samples, small enough to keep ten digits of P.
 const PRIOR_SIGMAS: f64 = 1e5;
@@ -41,7 +32,6 @@ struct State {
     covariance: SMatrix<f64, ROWS, ROWS>,
 }
 
-/// Estimates the final value of a slow sensor.
 pub struct DynamicFilter {
     model: DynamicModel,
     sigma: f64,
@@ -167,7 +157,6 @@ impl DynamicFilter {
         std::array::from_fn(|column| (0..ROWS).map(|i| row[i] * back[(i, column)]).sum())
     }
 
-    /// Rejects a sensor's samples that are repeated or out of order.
     fn reject_repeated(&self, observation: &Observation) -> Option<FusionOutcome> {
         let (_, last) = self.last_samples.iter().flatten().find(|(sensor, _)| *sensor == observation.sensor)?;
         validation::reject_repeated(Some(*last), observation.stamp)
@@ -191,11 +180,6 @@ impl Filter for DynamicFilter {
         })
     }
 
-    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
-    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
-        outcome_without_pose(start)
-    }
-
     /// Restarts without a state: the length of the break is unknown, and the sensor went on.
     fn restart_clock(&mut self) {
         self.state = None;
@@ -204,10 +188,6 @@ impl Filter for DynamicFilter {
 
     fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.state.map(|state| state.stamp)
-    }
-
-    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
-        None
     }
 
     /// The predicted final value, in degrees Celsius. For a constant all that was seen counts for every instant.

@@ -1,19 +1,18 @@
-//! Dead reckoning by the wheels alone: the pose that a brick computes without help.
-//!
-//! It uses the papers' midpoint rule (paper 1, equation 13) and nominal geometry, looks at no gyro and no fix, and is there to
-//! be compared with. Its covariance grows by the same noise model as that of the other filters.
+//! Dead reckoning by the wheels alone, as a brick computes it: midpoint rule (paper 1, equation 13), nominal geometry,
+//! no gyro and no fix. It is there to be compared with.
 
 use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, MetersPerSecond, Observation, Pose,
-    PoseCorrection, RadiansPerSecond, StartPose, TimeDelta, Timestamp, Validity,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
+    Timestamp,
 };
 
 use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::models::differential_drive::{body_step, propagate_pose, step_noise};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SPEED_HOLD};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
+use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
 
 #[derive(Clone, Copy, Debug)]
@@ -26,18 +25,18 @@ struct DeadReckonedState {
 }
 
 impl DeadReckonedState {
-    fn at_origin() -> Self {
+    fn at_start(start: Option<StartPose>) -> Self {
+        let start = start.unwrap_or_else(unplaced);
         Self {
             stamp: None,
-            pose: Pose::default(),
-            covariance: Matrix3::zeros(),
+            pose: start.pose,
+            covariance: diagonal_pose_covariance(start.position_sigma_m, start.heading_sigma_rad),
             forward_m_per_s: 0.0,
             turn_rad_per_s: 0.0,
         }
     }
 }
 
-/// Dead reckoning by the wheels alone.
 pub struct OdometryFilter {
     config: FilterConfig,
     track: MotionTrack,
@@ -45,26 +44,22 @@ pub struct OdometryFilter {
     states: VecDeque<DeadReckonedState>,
     /// The pose was given, by the configuration or by a person.
     has_pose: bool,
-    reset_counter: u8,
-    last_jump: Option<PoseCorrection>,
+    status: TrackingStatus,
 }
 
 impl OdometryFilter {
-    /// Starts at the configured pose, or at the arena's origin.
     pub fn new(config: &FilterConfig) -> Self {
-        let start = config.start.map_or_else(DeadReckonedState::at_origin, |start| state_at_start(&start));
         Self {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
-            states: VecDeque::from([start]),
+            states: VecDeque::from([DeadReckonedState::at_start(config.start)]),
             has_pose: config.start.is_some(),
-            reset_counter: 0,
-            last_jump: None,
+            status: TrackingStatus::default(),
         }
     }
 
     fn last(&self) -> DeadReckonedState {
-        self.states.back().copied().unwrap_or_else(DeadReckonedState::at_origin)
+        self.states.back().copied().unwrap_or_else(|| DeadReckonedState::at_start(None))
     }
 
     /// Propagates an estimate by the wheels' motion; where none is known the robot rests.
@@ -123,14 +118,9 @@ impl OdometryFilter {
     }
 }
 
-fn state_at_start(start: &StartPose) -> DeadReckonedState {
-    DeadReckonedState {
-        stamp: None,
-        pose: start.pose,
-        covariance: diagonal_pose_covariance(start.position_sigma_m, start.heading_sigma_rad),
-        forward_m_per_s: 0.0,
-        turn_rad_per_s: 0.0,
-    }
+/// At the arena's origin, from which a pose that is not known is counted.
+fn unplaced() -> StartPose {
+    StartPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 }
 }
 
 fn diagonal_pose_covariance(position_sigma_m: f64, heading_sigma_rad: f64) -> Matrix3<f64> {
@@ -154,10 +144,9 @@ impl Filter for OdometryFilter {
         }
         let last = self.last();
         self.states.clear();
-        self.states.push_back(DeadReckonedState { stamp: last.stamp, ..state_at_start(start) });
+        self.states.push_back(DeadReckonedState { stamp: last.stamp, ..DeadReckonedState::at_start(Some(*start)) });
         self.has_pose = true;
-        self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(validation::correction_between(last.pose, start.pose));
+        self.status.record_jump(last.pose, start.pose);
         FusionOutcome::PoseReset
     }
 
@@ -168,8 +157,7 @@ impl Filter for OdometryFilter {
                 self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
             }
             FilterCommand::ResetPose => {
-                let _ =
-                    self.set_pose(&StartPose { pose: Pose::default(), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
+                let _ = self.set_pose(&unplaced());
                 self.has_pose = false;
             }
             // It learns nothing.
@@ -195,27 +183,14 @@ impl Filter for OdometryFilter {
         let from = self.states.get(index.checked_sub(1)?)?;
         from.stamp?;
         let state = self.propagate(from, stamp);
-        let mut covariance = [[0.0; 5]; 5];
-        for (row, values) in covariance.iter_mut().enumerate().take(3) {
-            for (column, value) in values.iter_mut().enumerate().take(3) {
-                *value = state.covariance[(row, column)];
-            }
-        }
-        Some(Estimate {
-            stamp,
+        let published = PublishedState {
             pose: state.pose,
-            forward_speed: MetersPerSecond(state.forward_m_per_s),
-            turn_rate: RadiansPerSecond(state.turn_rad_per_s),
-            covariance,
-            validity: Validity {
-                position: self.has_pose,
-                heading: self.has_pose,
-                speeds: self.latest_time().is_some_and(|latest| stamp - latest <= SPEED_HOLD),
-            },
-            is_dead_reckoning: true,
-            fix_age: None,
-            reset_counter: self.reset_counter,
-            last_correction: self.last_jump,
-        })
+            speeds: [state.forward_m_per_s, state.turn_rad_per_s],
+            covariance: with_speed_variances(&state.covariance, [0.0; 2]),
+            has_position: self.has_pose,
+            has_heading: self.has_pose,
+        };
+        let status = TrackingStatus { last_motion: self.latest_time(), ..self.status };
+        Some(status.estimate(stamp, &published, self.config.params.fix_timeout_s))
     }
 }

@@ -1,18 +1,12 @@
 //! Two wheels on one axle: wheel travel to body motion, and how uncertain that is.
 //!
-//! # Model
 //! ```text
-//! d   = (s_L + s_R) / 2
-//! dth = (s_R - s_L) / b
-//! var s_i = k_w^2 |s_i|                                        each wheel for itself
-//! var d   = (var s_L + var s_R) / 4 + k_d^2 |d|
+//! d   = (s_L + s_R) / 2            dth = (s_R - s_L) / b            var s_i = k_w^2 |s_i|      each wheel for itself
+//! var d   = (var s_L + var s_R) / 4 + k_d^2 |d|                     cov(d, dth) = (var s_R - var s_L) / (2 b)
 //! var dth = (var s_L + var s_R) / b^2 + k_t^2 |dth| + k_h^2 |d|
-//! cov(d, dth) = (var s_R - var s_L) / (2 b)
 //! ```
-//! At rest there is no noise: a robot at rest does not become uncertain.
-//!
-//! Source: Paper 1, equation 14 (with half the track for its r); square-root-of-distance law: Borenstein and Feng (1996);
-//! docs/maths/pose.md section 2.
+//! Source: Paper 1, equation 14 (with half the track for its r); square-root-of-distance law: Borenstein and Feng
+//! (1996); docs/maths/pose.md section 2.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
@@ -25,6 +19,13 @@ use crate::numerics::covariance::symmetrise;
 pub struct WheelTravel {
     pub left_m: f64,
     pub right_m: f64,
+}
+
+impl WheelTravel {
+    /// The travel of wheels that have turned by these angles.
+    pub fn from_rotation(left_rad: f64, right_rad: f64, geometry: &DriveGeometry) -> Self {
+        Self { left_m: geometry.left_wheel_radius.0 * left_rad, right_m: geometry.right_wheel_radius.0 * right_rad }
+    }
 }
 
 /// Variances of a step's distance and turn, and their covariance.
@@ -65,7 +66,6 @@ pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorN
 pub struct CalibratedStep {
     /// The travel of the true wheels.
     pub travel: WheelTravel,
-    /// Distance and change of heading.
     pub step: BodyStep,
     /// Derivatives of the distance by the errors, m.
     pub forward_by_scales: [f64; 3],

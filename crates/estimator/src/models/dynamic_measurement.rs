@@ -1,10 +1,5 @@
-//! Models of slow sensors: the reading is the input, filtered by the sensor's dynamics.
+//! Models of slow sensors: how they approach a constant input, which [`crate::filters::dynamic`] estimates.
 //!
-//! A thermometer in a bath shows the bath's temperature only after minutes, but its first readings determine the final
-//! value long before. The models here describe how sensors approach a constant input; [`crate::filters::dynamic`]
-//! estimates the input.
-//!
-//! # Model
 //! ```text
 //! y_i(t) = G_i u + C_i x_i(t)       dx_i/dt = A_i x_i       each sensor i with states of its own
 //! X = [u; x_1; x_2; ..]             F(dt) = blkdiag(1, e^(A dt))             H_i = [G_i, 0 .. C_i .. 0]
@@ -16,9 +11,7 @@
 //! a step du of the input            y_i does not leap with it: C_i dx_i = -G_i du, a direction B = [1; -G_i at x_i ..]
 //! an input that walks               Q(dt) = integral over dt of F(s) B B' F(s)' ds, times its density
 //! ```
-//! # Assumptions
-//! The input is the same for all sensors; the dynamics are linear, stable and known. Of a sensor with several lags it is not known
-//! which lag takes up a step of the input: each takes up the same share.
+//! Of a sensor with several lags it is not known which takes up a step of the input: each takes up the same share.
 //!
 //! Source: Paper 2 (Markovsky), the augmented model; docs/lab/thermometer.md sections M1 and M2.
 
@@ -43,7 +36,6 @@ pub struct DynamicModel {
     step: [f64; ROWS],
 }
 
-/// H of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SensorOutput {
     sensor: SensorId,
@@ -152,7 +144,6 @@ impl DynamicModel {
         Some(known.row)
     }
 
-    /// Number of states of all sensors together.
     pub const fn states(&self) -> usize {
         self.state_count
     }
@@ -232,7 +223,6 @@ fn is_stable(coefficients: &[f64]) -> bool {
     true
 }
 
-/// Why a model is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {

@@ -1,20 +1,9 @@
-//! A body in the plane whose speeds are states and whose accelerations are an input.
+//! A body in the plane whose speeds are states and whose accelerations are an input; rows as telemetry's
+//! `estimate::row`, SI units.
 //!
-//! The motion of the filters whose state holds speeds instead of using wheel travel. [`advance`] and [`jacobian`] are for filters that
-//! carry more rows or sigma points; [`PredictionStep`] carries mean and covariance together, and neither multiplies the zeros of F nor
-//! computes more than one triangle of P.
-//!
-//! # Model
 //! ```text
-//! x = [x, y, th, v, w]'     m, m, rad, m/s, rad/s; rows as telemetry::estimate::row
-//! u = [a, alpha]'           m/s2, rad/s2          T  length of the step, s
-//!
-//! phi = th + T w / 2                     mean heading during the step
-//! x'  = x + v T cos phi
-//! y'  = y + v T sin phi
-//! th' = th + T w
-//! v'  = v + T a
-//! w'  = w + T alpha
+//! x = [x, y, th, v, w]'     u = [a, alpha]'     phi = th + T w / 2  the mean heading during the step T
+//! x'  = x + v T cos phi     y'  = y + v T sin phi     th' = th + T w     v'  = v + T a     w'  = w + T alpha
 //!
 //!     | 1  0  -v T sin phi   T cos phi   -v T^2 sin phi / 2 |
 //!     | 0  1   v T cos phi   T sin phi    v T^2 cos phi / 2 |
@@ -22,20 +11,17 @@
 //!     | 0  0   0             1            0                 |
 //!     | 0  0   0             0            1                 |
 //! ```
-//! # Assumptions
-//! Accelerations are constant over a step, and the step is short against v / a: position and heading follow the speeds at its
-//! beginning. The heading is not wrapped: a filter that compares it with an integral must know how many turns both have made.
+//! The heading is not wrapped: a filter that compares it with an integral must know how many turns both have made.
 //!
-//! Source: Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; its Jacobian by hand; docs/lab/square.md sections M3 and M4.
+//! Source: Paper 1 (Valera et al.), equations 13, 20 to 22 and 24; its Jacobian by hand; docs/lab/square.md sections M3
+//! and M4.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::DriveGeometry;
 use posebridge_telemetry::estimate::row;
 
 pub const N: usize = 5;
-/// Mean of the state, SI units.
 pub type Mean = SVector<f64, N>;
-/// Covariance of the state, SI units squared.
 pub type Covariance = SMatrix<f64, N, N>;
 
 /// The accelerations of the body, along its x axis and about the vertical: the input.

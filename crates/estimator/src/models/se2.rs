@@ -1,17 +1,12 @@
-//! Rigid motion in the plane: a step along a circular arc and its derivatives.
+//! A step along a circular arc and its derivatives.
 //!
-//! # Model
 //! ```text
-//! a = th + dth / 2                       mean heading during the step
-//! x' = x + c d cos a                     c = sin(dth/2) / (dth/2): the chord of the arc, exact for constant curvature
-//! y' = y + c d sin a
-//! th' = th + dth
+//! a = th + dth / 2      x' = x + c d cos a      y' = y + c d sin a      th' = th + dth      c = sin(dth/2) / (dth/2)
 //! ```
 //! Source: Paper 1 (Valera et al.), equation 13, which has c = 1 (the midpoint rule); docs/maths/pose.md section 2.
 
 use super::lie::chord_ratio;
 
-/// A step of the body: distance along its path and change of heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BodyStep {
     /// Distance along the path of the body's origin, forward positive.
@@ -20,7 +15,6 @@ pub struct BodyStep {
     pub turn_rad: f64,
 }
 
-/// The rule that turns a step into a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepRule {
     /// The chord of the arc: exact for constant curvature.
@@ -29,7 +23,6 @@ pub enum StepRule {
     Midpoint,
 }
 
-/// The displacement of a step and its derivatives by the start heading and by the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
     pub dx_m: f64,

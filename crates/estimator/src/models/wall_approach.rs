@@ -1,32 +1,24 @@
-//! A robot that drives straight at a wall: distance and speed under a motor input, in discrete time by two rules.
+//! A robot that drives straight at a wall on level ground: distance and speed under a held motor input, in discrete
+//! time by two rules.
 //!
-//! # Model
 //! ```text
 //! x = [z, v]'     z distance to the wall, m      v speed towards it, m/s      u motor input, 1 at PWM 80
 //! dz/dt = -v      dv/dt = (u - d v) / m          steady speed u / d           a = d / m, 1/s
 //!
 //! Euler:  A = [1, -dt; 0, 1 - a dt]              B = [0; dt/m]
 //! exact:  A = [1, -g;  0, E]                     B = [-(dt - g)/d; (1 - E)/d]       E = e^(-a dt)   g = (1 - E)/a
-//! ```
-//! White noise on distance and speed, of spectral densities q_z (m^2/s) and q_v (m^2/s^3), leaves over dt
 //!
-//! ```text
-//! Q = q_z [dt, 0; 0, 0] + q_v [ (dt - 2 g + g_2)/a^2,  -(g - g_2)/a ]     g_2 = (1 - E^2)/(2 a)
-//!                             [ -(g - g_2)/a,          g_2          ]
+//! Q = q_z [dt, 0; 0, 0] + q_v [ (dt - 2 g + g_2)/a^2,  -(g - g_2)/a ]     g_2 = (1 - E^2)/(2 a), after white noise of densities
+//!                             [ -(g - g_2)/a,          g_2          ]     q_z (m^2/s) on distance and q_v (m^2/s^3) on speed
 //! ```
-//! # Assumptions
-//! The drag is linear and the input constant during the step; the floor is level.
-//!
-//! Source: Paper 3 (Lab 7: step test, d and m, Euler's rule); exact discretisation: Van Loan (1978); docs/lab/wall.md sections M1, M2.
+//! Source: Paper 3 (Lab 7: step test, d and m, Euler's rule); exact discretisation: Van Loan (1978); docs/lab/wall.md
+//! sections M1, M2.
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Row of the distance to the wall, m.
 pub const DISTANCE: usize = 0;
-/// Row of the speed towards the wall, m/s.
 pub const SPEED: usize = 1;
 
-/// The response of a robot's speed to its motor input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallApproachModel {
     /// Drag d: input per steady speed.

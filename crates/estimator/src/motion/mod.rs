@@ -1,9 +1,5 @@
-//! Wheel travel and gyro rate over time, independent of any filter state.
-//!
-//! A filter queries these tracks for the travel between any two instants; between two readings it is linear. So a fix whose
-//! stamp lies inside an encoder interval is applied at its own time, and a late reading changes nothing but the intervals
-//! that it belongs to. The travel of a track depends on the readings that it holds and not on the order in which they came.
-//! The tracks hold no filter state, and reject only what a wheel cannot do.
+//! Wheel travel and gyro rate over time, independent of any filter state. The travel of a track depends on the readings
+//! that it holds, linear between two, and not on the order in which they came.
 
 mod gyro;
 mod reading;
@@ -11,7 +7,7 @@ mod track;
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::TimeDelta;
+use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
 pub use gyro::{GyroTrack, GyroTurn};
 pub use reading::{InsertOutcome, MotionReading, MotionSource};
@@ -23,6 +19,62 @@ pub(crate) const SPEED_HOLD: TimeDelta = TimeDelta::from_millis(500);
 pub(crate) const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 /// The same for its heading, rad per sqrt(s).
 pub(crate) const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
+
+/// Values with their instants, oldest first.
+#[derive(Clone, Debug)]
+pub(crate) struct TimeSeries<T> {
+    entries: VecDeque<(Timestamp<BrickClock>, T)>,
+    is_truncated: bool,
+}
+
+impl<T> Default for TimeSeries<T> {
+    fn default() -> Self {
+        Self { entries: VecDeque::new(), is_truncated: false }
+    }
+}
+
+impl<T> TimeSeries<T> {
+    /// The index at which a value of this instant belongs, and the instant before it.
+    ///
+    /// Errors: there is one already, or all are later and older ones were discarded.
+    fn vacancy(&self, stamp: Timestamp<BrickClock>) -> Result<(usize, Option<Timestamp<BrickClock>>), InsertOutcome> {
+        let index = count_before(&self.entries, |(at, _)| *at < stamp);
+        let before = index.checked_sub(1).and_then(|i| self.entries.get(i)).map(|(at, _)| *at);
+        if self.entries.get(index).is_some_and(|(at, _)| *at == stamp) {
+            Err(InsertOutcome::Duplicate)
+        } else if before.is_none() && self.is_truncated {
+            Err(InsertOutcome::TooOld)
+        } else {
+            Ok((index, before))
+        }
+    }
+
+    fn count_until(&self, stamp: Timestamp<BrickClock>) -> usize {
+        count_before(&self.entries, |(at, _)| *at <= stamp)
+    }
+
+    pub(crate) fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<&(Timestamp<BrickClock>, T)> {
+        self.entries.get(self.count_until(stamp).checked_sub(1)?)
+    }
+
+    /// Appends the value of an instant that is not before the last one, or replaces the one of the same instant, and discards
+    /// what is older than `length`.
+    pub(crate) fn push(&mut self, stamp: Timestamp<BrickClock>, value: T, length: TimeDelta) {
+        if self.entries.back().is_some_and(|(last, _)| *last == stamp) {
+            self.entries.pop_back();
+        }
+        self.entries.push_back((stamp, value));
+        self.discard_before(stamp - length);
+    }
+
+    /// Discards values that instants from `horizon` on do not need; the one before it stays.
+    pub(crate) fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
+        while self.entries.get(1).is_some_and(|(second, _)| *second <= horizon) {
+            self.entries.pop_front();
+            self.is_truncated = true;
+        }
+    }
+}
 
 /// Number of elements at the front for which `belongs` holds, as [`VecDeque::partition_point`], but by a search from
 /// the back in doubling steps: recent elements are the likely ones, and in the cache.
@@ -55,6 +107,22 @@ pub fn count_before<T>(queue: &VecDeque<T>, belongs: impl Fn(&T) -> bool) -> usi
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn it_reaches_back_by_its_length_and_no_further() {
+        let mut series = TimeSeries::default();
+        let length = TimeDelta::from_millis(250);
+        for k in 0..10_i64 {
+            series.push(Timestamp::from_millis(100 * k), k, length);
+        }
+        series.push(Timestamp::from_millis(900), 90, length);
+        let at = |millis| series.last_at_or_before(Timestamp::from_millis(millis)).map(|(_, value)| *value);
+        assert_eq!(
+            [5_000, 899, 650, 599].map(at),
+            [Some(90), Some(8), Some(6), None],
+            "the third is kept to start from"
+        );
+    }
 
     #[test]
     fn it_counts_what_halving_counts() {

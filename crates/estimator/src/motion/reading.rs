@@ -31,7 +31,6 @@ pub enum MotionSource {
     Wheels,
 }
 
-/// A motion observation, as measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MotionReading {
     /// Total rotation of each wheel.
@@ -80,13 +79,9 @@ impl MotionReading {
     /// Travel from this reading to the next one, `dt_s` later; `None` when they are of different kinds.
     pub(super) fn travel_to(&self, next: &Self, dt_s: f64, geometry: &DriveGeometry) -> Option<WheelTravel> {
         match (*self, *next) {
-            (
-                Self::Wheels { left_rad: left_before_rad, right_rad: right_before_rad },
-                Self::Wheels { left_rad, right_rad },
-            ) => Some(WheelTravel {
-                left_m: geometry.left_wheel_radius.0 * (left_rad - left_before_rad),
-                right_m: geometry.right_wheel_radius.0 * (right_rad - right_before_rad),
-            }),
+            (Self::Wheels { left_rad: left, right_rad: right }, Self::Wheels { left_rad, right_rad }) => {
+                Some(WheelTravel::from_rotation(left_rad - left, right_rad - right, geometry))
+            }
             (Self::Odometer(from), Self::Odometer(to)) => Some(arc_between(from, to, geometry.track_width.0)),
             (Self::Velocity { forward_m_per_s, turn_rad_per_s }, Self::Velocity { .. }) => {
                 let half_m_per_s = 0.5 * turn_rad_per_s * geometry.track_width.0;

@@ -1,11 +1,9 @@
 //! The wheels' travel over time, from whichever source is best.
 
-use std::collections::VecDeque;
-
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
-use super::count_before;
 use super::reading::{InsertOutcome, MotionReading, MotionSource};
+use super::{TimeSeries, count_before};
 use crate::models::differential_drive::{WheelTravel, body_step};
 
 /// Over a longer interval between two counter readings the path is not taken for an arc. Five lost frames in a row at
@@ -14,7 +12,6 @@ const MAX_ARC_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 #[derive(Clone, Copy, Debug)]
 struct MotionSample {
-    stamp: Timestamp<BrickClock>,
     reading: MotionReading,
     /// Since the first sample; an unknown step counts as zero.
     cumulative_travel: WheelTravel,
@@ -38,20 +35,18 @@ pub enum TravelSegment {
     BeyondData { until: Timestamp<BrickClock> },
 }
 
-/// Cumulative wheel travel over time, from whichever source is best.
 #[derive(Clone, Debug)]
 pub struct MotionTrack {
     geometry: DriveGeometry,
     max_wheel_rad_per_s: f64,
     source: Option<MotionSource>,
-    samples: VecDeque<MotionSample>,
-    is_truncated: bool,
+    samples: TimeSeries<MotionSample>,
 }
 
 impl MotionTrack {
     /// An empty track for a robot of this geometry whose wheels cannot turn faster than the limit.
     pub fn new(geometry: DriveGeometry, max_wheel_rad_per_s: f64) -> Self {
-        Self { geometry, max_wheel_rad_per_s, source: None, samples: VecDeque::new(), is_truncated: false }
+        Self { geometry, max_wheel_rad_per_s, source: None, samples: TimeSeries::default() }
     }
 
     /// A larger jump than this re-bases the counters from now on.
@@ -64,44 +59,40 @@ impl MotionTrack {
         if self.source.is_some_and(|current| source < current) {
             return InsertOutcome::Superseded;
         }
-        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
-        if self.samples.get(index).is_some_and(|sample| sample.stamp == stamp) {
-            return InsertOutcome::Duplicate;
-        }
-        let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
-        let before = before.map(|sample| sample.stamp);
-        let takes_over = self.source.is_some_and(|current| source > current);
-        let is_first_but_late = before.is_none() && self.is_truncated;
-        if is_first_but_late || (takes_over && index < self.samples.len()) {
+        let (index, before) = match self.samples.vacancy(stamp) {
+            Ok(vacancy) => vacancy,
+            Err(refused) => return refused,
+        };
+        let samples = &mut self.samples.entries;
+        if self.source.is_some_and(|current| source > current) && index < samples.len() {
             return InsertOutcome::TooOld;
         }
         self.source = Some(source);
-        let sample = MotionSample { stamp, reading: *reading, cumulative_travel: WheelTravel::default(), step: None };
-        self.samples.insert(index, sample);
+        let sample = MotionSample { reading: *reading, cumulative_travel: WheelTravel::default(), step: None };
+        samples.insert(index, (stamp, sample));
         self.sum_from(index);
         match before {
-            Some(before) if self.samples[index].step.is_none() => InsertOutcome::Rebased(before),
+            Some(before) if self.samples.entries[index].1.step.is_none() => InsertOutcome::Rebased(before),
             _ => InsertOutcome::Inserted(before),
         }
     }
 
     /// Recomputes the steps to the sample at `index` and to the next one, and all later sums.
     fn sum_from(&mut self, index: usize) {
-        for i in index..self.samples.len() {
-            let Some(before) = i.checked_sub(1).and_then(|j| self.samples.get(j)).copied() else {
-                continue;
-            };
-            let step = if i <= index + 1 { self.step(&before, &self.samples[i]) } else { self.samples[i].step };
-            let sample = &mut self.samples[i];
-            sample.step = step;
-            sample.cumulative_travel = sum(before.cumulative_travel, step.unwrap_or_default());
+        for i in index.max(1)..self.samples.entries.len() {
+            let (from, before) = self.samples.entries[i - 1];
+            let (to, mut sample) = self.samples.entries[i];
+            if i <= index + 1 {
+                sample.step = self.step(&before.reading, &sample.reading, (to - from).as_secs_f64());
+            }
+            sample.cumulative_travel = sum(before.cumulative_travel, sample.step.unwrap_or_default());
+            self.samples.entries[i].1 = sample;
         }
     }
 
-    fn step(&self, from: &MotionSample, to: &MotionSample) -> Option<WheelTravel> {
-        let dt_s = (to.stamp - from.stamp).as_secs_f64();
-        let step = from.reading.travel_to(&to.reading, dt_s, &self.geometry)?;
-        let is_held = matches!(from.reading, MotionReading::Velocity { .. });
+    fn step(&self, from: &MotionReading, to: &MotionReading, dt_s: f64) -> Option<WheelTravel> {
+        let step = from.travel_to(to, dt_s, &self.geometry)?;
+        let is_held = matches!(from, MotionReading::Velocity { .. });
         (is_held || self.is_possible(step, dt_s)).then_some(step)
     }
 
@@ -114,20 +105,20 @@ impl MotionTrack {
     }
 
     pub fn segment(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> TravelSegment {
-        let index = count_before(&self.samples, |sample| sample.stamp <= from);
-        let Some(after) = self.samples.get(index) else {
+        let index = self.samples.count_until(from);
+        let Some((after_stamp, after)) = self.samples.entries.get(index) else {
             return TravelSegment::BeyondData { until: to };
         };
-        let until = after.stamp.min(to);
-        let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
-        let (Some(before), Some(step)) = (before, after.step) else {
+        let until = to.min(*after_stamp);
+        let before = index.checked_sub(1).and_then(|i| self.samples.entries.get(i));
+        let (Some((before_stamp, _)), Some(step)) = (before, after.step) else {
             return TravelSegment::Gap { until };
         };
-        let length = after.stamp - before.stamp;
+        let length = *after_stamp - *before_stamp;
         let share = (until - from).as_nanos() as f64 / length.as_nanos() as f64;
         let is_counted = matches!(after.reading, MotionReading::Wheels { .. });
         let path_var_m2 = if is_counted && length > MAX_ARC_INTERVAL { share * self.path_variance(step) } else { 0.0 };
-        let is_complete = from == before.stamp && until == after.stamp;
+        let is_complete = from == *before_stamp && until == *after_stamp;
         TravelSegment::Known {
             until,
             travel: if is_complete { step } else { self.travel_between(from, until) },
@@ -143,26 +134,16 @@ impl MotionTrack {
 
     /// The reading before the one at `stamp` and the travel since, where the interval is short enough to give a speed.
     pub fn step_to(&self, stamp: Timestamp<BrickClock>) -> Option<(Timestamp<BrickClock>, WheelTravel)> {
-        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
-        let sample = self.samples.get(index).filter(|sample| sample.stamp == stamp)?;
-        let before = self.samples.get(index.checked_sub(1)?)?.stamp;
-        let is_short = stamp - before <= MAX_ARC_INTERVAL;
-        let step = sample.step.filter(|_| is_short)?;
+        let index = self.samples.count_until(stamp).checked_sub(1)?;
+        let (_, sample) = self.samples.entries.get(index).filter(|(at, _)| *at == stamp)?;
+        let before = self.samples.entries.get(index.checked_sub(1)?)?.0;
+        let step = sample.step.filter(|_| stamp - before <= MAX_ARC_INTERVAL)?;
         Some((before, step))
     }
 
     /// The stamp of the last reading up to and including an instant.
     pub fn last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
-        let index = count_before(&self.samples, |sample| sample.stamp <= stamp);
-        let last = self.samples.get(index.checked_sub(1)?)?;
-        Some(last.stamp)
-    }
-
-    /// The same by bisection, for an instant before most readings.
-    pub fn bisect_last_at_or_before(&self, stamp: Timestamp<BrickClock>) -> Option<Timestamp<BrickClock>> {
-        let index = self.samples.partition_point(|sample| sample.stamp <= stamp);
-        let last = self.samples.get(index.checked_sub(1)?)?;
-        Some(last.stamp)
+        self.samples.last_at_or_before(stamp).map(|sample| sample.0)
     }
 
     /// Travel between two instants, linear inside each interval; unknown motion counts as rest.
@@ -171,30 +152,27 @@ impl MotionTrack {
     }
 
     fn travel_at(&self, stamp: Timestamp<BrickClock>) -> WheelTravel {
-        let index = count_before(&self.samples, |sample| sample.stamp < stamp);
-        let after = self.samples.get(index);
-        let before = index.checked_sub(1).and_then(|i| self.samples.get(i));
-        match (before, after) {
-            (Some(before), Some(after)) => {
-                let interval_nanos = (after.stamp - before.stamp).as_nanos() as f64;
-                let part = (stamp - before.stamp).as_nanos() as f64 / interval_nanos;
+        let samples = &self.samples.entries;
+        let index = count_before(samples, |(at, _)| *at < stamp);
+        let before = index.checked_sub(1).and_then(|i| samples.get(i));
+        match (before, samples.get(index)) {
+            (Some((before_stamp, before)), Some((after_stamp, after))) => {
+                let interval_nanos = (*after_stamp - *before_stamp).as_nanos() as f64;
+                let part = (stamp - *before_stamp).as_nanos() as f64 / interval_nanos;
                 let step = difference(after.cumulative_travel, before.cumulative_travel);
                 WheelTravel {
                     left_m: before.cumulative_travel.left_m + part * step.left_m,
                     right_m: before.cumulative_travel.right_m + part * step.right_m,
                 }
             }
-            (Some(only), None) | (None, Some(only)) => only.cumulative_travel,
+            (Some((_, only)), None) | (None, Some((_, only))) => only.cumulative_travel,
             (None, None) => WheelTravel::default(),
         }
     }
 
     /// Discards readings that instants from `horizon` on do not need; the one before it stays, for interpolation.
     pub fn discard_before(&mut self, horizon: Timestamp<BrickClock>) {
-        while self.samples.get(1).is_some_and(|second| second.stamp <= horizon) {
-            self.samples.pop_front();
-            self.is_truncated = true;
-        }
+        self.samples.discard_before(horizon);
     }
 }
 

@@ -1,7 +1,5 @@
-//! Quantiles of the chi-square distribution: for gates, which test whether an innovation fits its covariance, and for the bands around
-//! mean normalised errors.
-//!
-//! The regularised lower incomplete gamma function by its power series, inverted by bisection:
+//! Quantiles of the chi-square distribution: the regularised lower incomplete gamma function by its power series,
+//! inverted by bisection.
 //!
 //! ```text
 //! F(x; n) = P(n/2, x/2)      P(a, x) = x^a e^-x / Γ(a + 1) · Σ_k x^k / ((a + 1) ... (a + k))

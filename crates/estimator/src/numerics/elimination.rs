@@ -1,19 +1,16 @@
 //! Elimination of one variable at a time by plane rotations: a sparse QR factorisation along a chain.
 //!
-//! The rows of a linear least-squares problem come in the order of time. A row touches only the variables that are active
-//! then, the *front*; a variable that no later row touches is eliminated: its row of the triangle R is put aside and the
-//! variable leaves the front. R is the Cholesky factor of the normal equations, but these are never formed, because rows
-//! whose weights differ by 1e9 would lose all digits when squared.
+//! Rows come in the order of time and touch only the active variables, the *front*; a variable that no later row
+//! touches is eliminated into the triangle R. The normal equations are never formed: rows whose weights differ by 1e9
+//! would lose all digits when squared.
 //!
-//! # Model
 //! ```text
 //! minimise |A delta - rhs|^2          A = Q R
 //! r_v delta_v + sum r_s delta_s = rhs_v                      one conditional per variable v, s the front that it leaves
 //! cov(v, s') = -(1/r_v) sum r_s cov(s, s')                   in reverse order: the joint covariance of each front,
 //! var v      = (1 - r_v sum r_s cov(s, v)) / r_v^2           which is Takahashi's selected inverse on a chain
 //! ```
-//! Source: Bierman (1977), Factorization Methods for Discrete Sequential Estimation, chapters 4 and 5; Takahashi, Fagan and Chen
-//! (1973); docs/maths/pose.md section B4.
+//! Source: Bierman (1977), chapters 4 and 5; Takahashi, Fagan and Chen (1973); docs/maths/pose.md section B4.
 
 /// Most active variables: two poses, the heading where a window began, two biases and six constants are 15.
 const CAPACITY: usize = 16;

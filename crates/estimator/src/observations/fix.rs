@@ -6,16 +6,14 @@
 //! H   = [ 1 0 -l_y | -(v - w l_y) at tau | 1 0 at l ] Ad(U)
 //!       [ 0 1  l_x | -w l_x        at tau | 0 1 at l ]
 //!       [ 0 0  1   | -w            at tau | 0 0 at l ]
-//! R   = R_s' R_z R_s
+//! R   = R_s' R_z R_s, plus (v sigma_t)^2 and (w sigma_t)^2 for a stamp that may be off by sigma_t
 //! ```
-//! A stamp that may be off by sigma_t moves what was seen by v sigma_t and turns it by w sigma_t; both enter R.
-//!
 //! Source: docs/maths/pose.md section 4.
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quantities::wrap_rad};
 
-use super::model::{JacobianRow, ObservationModel, PoseView, StateTerm};
+use super::{JacobianRow, ObservationModel, PoseView, StateTerm};
 use crate::models::lie::Se2;
 
 /// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot is at rest and the timestamp is exact.
@@ -29,10 +27,16 @@ pub struct FixContext {
     pub turn_rad_per_s: f64,
 }
 
+impl FixContext {
+    /// Of a fix that is taken for one of its stamp's instant.
+    pub fn at_speeds(stamp_sigma_s: f64, forward_m_per_s: f64, turn_rad_per_s: f64) -> Self {
+        Self { moved_since: Se2::default(), stamp_sigma_s, forward_m_per_s, turn_rad_per_s }
+    }
+}
+
 /// Variances of a fix, in the arena: xx, xy, yy in m², heading in rad².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FixNoise {
-    /// xx, xy and yy in the arena, m².
     pub position: Matrix2<f64>,
     pub heading_rad2: f64,
 }
@@ -60,7 +64,6 @@ pub fn fix_noise(
     }
 }
 
-/// Innovation, H and R of the position alone.
 pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances: &FixContext) -> ObservationModel<2> {
     let moved = circumstances.moved_since;
     let shown = view.pose().compose(moved.inverse());
@@ -93,7 +96,6 @@ pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances
     }
 }
 
-/// Innovation, H and R of position and heading.
 pub fn pose(
     view: &impl PoseView,
     fix: &Fix,
@@ -125,13 +127,12 @@ pub fn with_heading_variance(position: &Matrix2<f64>, heading_rad2: f64) -> Matr
 
 /// The pose of a robot with this heading, in rad, from the tag's position in the fix.
 pub fn mid_axle(fix: &Fix, heading_rad: f64) -> Pose<Arena> {
-    let lever = lever_in_arena(fix, heading_rad);
+    let lever = lever_in_arena([fix.tag_in_body.x.0, fix.tag_in_body.y.0], heading_rad);
     Pose::new(Meters(fix.position.x.0 - lever[0]), Meters(fix.position.y.0 - lever[1]), Heading::from_rad(heading_rad))
 }
 
-/// From mid-axle to the tag of a robot with this heading, m.
-pub(crate) fn lever_in_arena(fix: &Fix, heading_rad: f64) -> Vector2<f64> {
+/// From mid-axle to a tag of a robot with this heading, m.
+pub(crate) fn lever_in_arena([x, y]: [f64; 2], heading_rad: f64) -> Vector2<f64> {
     let (sin, cos) = heading_rad.sin_cos();
-    let (x, y) = (fix.tag_in_body.x.0, fix.tag_in_body.y.0);
     Vector2::new(x * cos - y * sin, x * sin + y * cos)
 }

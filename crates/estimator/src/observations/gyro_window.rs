@@ -1,8 +1,6 @@
-//! The gyro against the encoders' heading over a window, instead of sample by sample.
-//!
-//! Differences of one-degree counts every 50 ms are not white: what one interval has too much, the next has too little.
-//! Over a window the quantisation is bounded instead of accumulated. The state carries the turn psi since the window began, by
-//! the encoders; its errors are those of the heading, so that the two move together. The gyro observes it:
+//! The gyro against the encoders' heading over a window: differences of one-degree counts are not white sample by
+//! sample, and over a window the quantisation is bounded. The state carries the turn psi since the window began, by the
+//! encoders:
 //!
 //! ```text
 //! z = G                          the gyro's turn over the window, bias included
@@ -10,18 +8,15 @@
 //! H = [.. 1 at psi, T at b_g, 1 at eps]
 //! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
-//! The rounding at the end of one window is the one at the beginning of the next, with the opposite sign: it is kept as a state,
-//! so that it cancels instead of adding up. Where the robot was at rest through the window, both ends have the same rounding, and it
-//! drops out of h and R. Unchanged counts do not prove it: a robot that turns by less than a count per window is not
-//! at rest, and its turn must be taken neither for bias nor, when the count comes, for slip.
-//!
-//! When the window closes, psi is forgotten (zero mean, zero variance) and the next one begins.
+//! The rounding at the end of one window is that at the beginning of the next with the opposite sign, so it is kept as
+//! a state. Where the robot rested, both ends have the same rounding, and it drops out of h and R; unchanged counts
+//! alone do not prove rest.
 //!
 //! Source: docs/maths/pose.md section 3.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Timestamp};
 
-use super::model::{PoseView, StateTerm};
+use super::{PoseView, StateTerm};
 use crate::motion::GyroTurn;
 
 /// Sums since the window began.
@@ -37,15 +32,6 @@ impl GyroWindow {
     pub const fn starting(at: Timestamp<BrickClock>) -> Self {
         Self { start: at, until: at, forward_m: 0.0 }
     }
-}
-
-/// The rounding of the encoders' heading at the end of a window.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum EndRounding {
-    /// Not the one at its beginning: the wheels have moved, or may have.
-    Independent { variance_rad2: f64 },
-    /// The same for a robot at rest.
-    Unchanged,
 }
 
 /// Variance of the turn that a gyro reports over samples with this sum of squared lengths, rad².
@@ -65,13 +51,11 @@ pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
     (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
 
-/// The gyro's turn over a window against its prediction.
+/// The gyro's turn over a window against its prediction, whose derivative by [`StateTerm::WindowTurn`] is one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroWindowModel {
     /// z - h(x), rad.
     pub innovation: f64,
-    /// Derivative by [`StateTerm::WindowTurn`].
-    pub by_window_turn: f64,
     /// Derivative by [`StateTerm::GyroBias`], s.
     pub by_gyro_bias: f64,
     /// Derivative by [`StateTerm::HeadingRounding`].
@@ -80,26 +64,22 @@ pub struct GyroWindowModel {
     pub variance: f64,
 }
 
-/// Innovation, H and R of a window. R includes the rounding at its end unless it equals that at the beginning, which is
-/// a state.
+/// Innovation, H and R of a window. R includes the variance of the rounding at its end, rad²; `None` for a robot at rest, where it
+/// equals that at the beginning, which is a state.
 pub fn measurement(
     view: &impl PoseView,
     window: &GyroWindow,
     gyro: &GyroTurn,
     noise: &SensorNoise,
-    rounded: EndRounding,
+    end_rounding_rad2: Option<f64>,
 ) -> GyroWindowModel {
     let length_s = (window.until - window.start).as_secs_f64();
-    let (by_rounding, rounding_rad2) = match rounded {
-        EndRounding::Independent { variance_rad2 } => (1.0, variance_rad2),
-        EndRounding::Unchanged => (0.0, 0.0),
-    };
+    let (by_rounding, rounding_rad2) = end_rounding_rad2.map_or((0.0, 0.0), |variance| (1.0, variance));
     let predicted = view.term(StateTerm::WindowTurn)
         + view.term(StateTerm::GyroBias) * length_s
         + by_rounding * view.term(StateTerm::HeadingRounding);
     GyroWindowModel {
         innovation: gyro.turn_rad - predicted,
-        by_window_turn: 1.0,
         by_gyro_bias: length_s,
         by_rounding,
         variance: gyro_variance(noise, gyro.squared_intervals_s2) + rounding_rad2,

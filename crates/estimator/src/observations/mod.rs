@@ -1,11 +1,67 @@
-//! Observation models: one file per kind of observation, each with h(x), H and R.
+//! Observation models, each with h(x), H and R, and their interface to filters: states by name, never by the filter's rows.
 
-pub mod accelerometer;
-pub mod beacon;
-pub mod compass;
+pub mod absolute;
 pub mod fix;
 pub mod gyro_window;
-pub mod landmark;
-pub mod model;
 pub mod speed;
-pub mod wall;
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::models::lie::Se2;
+
+/// A state besides the pose that a sensor's reading may depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StateTerm {
+    /// Gyro bias, rad/s.
+    GyroBias,
+    /// Turn since the gyro window began, by the encoders, rad.
+    WindowTurn,
+    /// By how much the encoders' heading was rounded where the gyro window began, rad.
+    HeadingRounding,
+    /// Delay of the fixes, s.
+    FixDelay,
+    /// Error of the tag's configured position, forward, m.
+    TagForward,
+    /// The same to the left, m.
+    TagLeft,
+    /// Offset of the ranges to one beacon, m, by its number among the beacons of the arena.
+    BeaconOffset(usize),
+    /// Relative error of the ranges to one beacon.
+    BeaconScale(usize),
+    /// Offset of the ranges to landmarks, m.
+    LandmarkOffset,
+    /// Relative error of the ranges to landmarks.
+    LandmarkScale,
+}
+
+/// The part of a filter's state that observation models use.
+pub trait PoseView {
+    fn pose(&self) -> Se2;
+
+    /// The value of a state; zero where the filter does not have it.
+    fn term(&self, term: StateTerm) -> f64;
+}
+
+/// No component of an observation depends on more states besides the pose.
+const MAX_TERMS: usize = 2;
+
+/// A row of H by name: the derivatives of a predicted component by the left-invariant error of the pose and by other
+/// states.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JacobianRow {
+    pub forward: f64,
+    pub left: f64,
+    pub heading: f64,
+    /// Derivatives by other states; a filter that does not have one leaves it out.
+    pub terms: [Option<(StateTerm, f64)>; MAX_TERMS],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObservationModel<const M: usize> {
+    /// z - h(x), angles wrapped.
+    pub innovation: SVector<f64, M>,
+    /// H, a row per component.
+    pub rows: [JacobianRow; M],
+    /// R.
+    pub noise: SMatrix<f64, M, M>,
+}

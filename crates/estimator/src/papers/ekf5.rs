@@ -1,32 +1,26 @@
 //! The five-state EKF with two integrated headings as observations: the third filter of paper 1.
 //!
-//! # Model
 //! ```text
 //! x = [x, y, th, v, w]'           moves as models::planar_speeds, driven by the accelerations of the wheels
 //! z = [v_enc, th_enc, th_gyro]'   h = [v, th, th]'
 //! R = diag(5.1, 0.938, 0.332)     P0 = 0.05 I     x0 = 0                    cm and degrees
 //! Q per 0.05 s: 2 for x, 2 for y, 0.1 for th, and 1 and 3 for the speeds: see [`SpeedVarianceOrder`]
 //! ```
-//! th_enc and th_gyro are integrals. Their errors do not come anew with each sample, as a Kalman filter assumes, but stay:
-//! the filter is over-confident in its heading by design. `ekf5-corrected` is what becomes of it without that.
-//!
-//! # Assumptions
-//! A known bias of the gyro is subtracted; an unknown one drifts into th_gyro, and into the pose. The integrals begin anew,
-//! at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the counters, and, with fixes,
-//! after each fix that was used: otherwise their drift would be held against every fix for ever.
+//! th_enc and th_gyro are integrals, whose errors stay: the filter is over-confident in its heading by design. They
+//! begin anew, at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the
+//! counters, and after each fix that was used: otherwise their drift would be held against every fix for ever.
 //!
 //! Source: Paper 1 (Valera et al.), equations 24 to 26; docs/lab/square.md section M4.
 
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, StartPose};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 
 use super::paper_scaffold::{
-    GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
+    FixStep, GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
 };
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
-use super::rows;
-use super::rows::{position_in_arena, with_heading};
+use super::rows::{self, position_in_arena, with_heading};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::{FixContext, fix_noise};
@@ -61,7 +55,6 @@ pub enum FixUsage {
     Used,
 }
 
-/// As in the paper with [`SpeedVarianceOrder::Printed`].
 pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
     Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes, predict_linearized), config))
 }
@@ -79,13 +72,11 @@ pub fn process_noise(order: SpeedVarianceOrder, dt_s: f64) -> Covariance {
 /// Moves state and covariance of the filter by a number of seconds, process noise included.
 pub(super) type Prediction = fn(&mut FiveStateEkf, f64, Acceleration);
 
-/// The prediction of the EKF: P' = F P F' + Q.
 pub(super) fn predict_linearized(filter: &mut FiveStateEkf, dt_s: f64, felt: Acceleration) {
     let step = PredictionStep { interval_s: dt_s, variances: process_noise(filter.order, dt_s).diagonal().into() };
     step.predict(&mut filter.mean, &mut filter.covariance, felt);
 }
 
-/// State, covariance and the integrals th_enc and th_gyro.
 #[derive(Clone, Copy)]
 pub(super) struct FiveStateEkf {
     pub(super) mean: Mean,
@@ -193,19 +184,9 @@ impl SampledFilter for FiveStateEkf {
         rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 
-    fn use_fix(
-        &mut self,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
-        let circumstances = FixContext {
-            stamp_sigma_s,
-            forward_m_per_s: self.mean[FORWARD],
-            turn_rad_per_s: self.mean[TURN],
-            ..FixContext::default()
-        };
+    fn use_fix(&mut self, step: &FixStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let fix = &step.fix;
+        let circumstances = FixContext::at_speeds(step.stamp_sigma_s, self.mean[FORWARD], self.mean[TURN]);
         let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
         let rows = [X, Y, HEADING];
         let (innovation, jacobian) = position_in_arena(rows.map(|row| self.mean[row]), rows, fix);

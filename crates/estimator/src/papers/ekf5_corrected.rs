@@ -1,6 +1,6 @@
-//! The EKF of paper 1 with its integrated observations put right: errors that stay are states, and all noise has a source.
+//! The EKF of paper 1 with its integrated observations put right: errors that stay are states, and all noise has a
+//! source.
 //!
-//! # Model
 //! ```text
 //! x = [x, y, th, v, w, s, c, g, b]'     the five states of [`super::ekf5`] and, beside them:
 //!     s    path that the counters have seen, m            s' = v + slip along the path
@@ -10,18 +10,11 @@
 //! z = [s_enc, th_enc, th_gyro]'         h = [s, th + c, th + g]'
 //! R = [(r tick)^2 / 24, (r tick / b_0)^2 / 6, (0.01 degrees)^2]          rounding of the counts alone: it is bounded
 //! ```
-//! Against the printed filter: rows are named, so their order is not in question; SI units and the configured noise instead of
-//! printed numbers; the counted path instead of its difference over 50 ms, whose rounding is not white; and the two integrated
-//! headings keep their errors.
+//! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations measure their change: one sample of
+//! an accelerometer is no mean over the interval. Fixes are not used: `pose` does that better.
 //!
-//! An integral that begins anew begins at the filter's own heading, th_0. Its error is then that of th with the other sign,
-//! and P is filled in accordingly.
-//!
-//! # Assumptions
-//! v and w walk with `accel_m_s2` and `turn_acc_rad_s2`, also where accelerations measure their change: one sample of an
-//! accelerometer is no mean over the interval. The geometry is taken as given. Fixes are not used: `pose` does that better.
-//!
-//! Source: Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8; docs/lab/square.md section M5.
+//! Source: Augmenting the state with correlated errors: Bar-Shalom, Li and Kirubarajan (2001), chapter 8;
+//! docs/lab/square.md section M5.
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
@@ -40,13 +33,9 @@ use crate::observations::gyro_window::gyro_variance;
 use crate::update::ScalarMeasurement;
 
 pub const N: usize = 9;
-/// Path that the counters have seen since their base, m.
 pub const COUNTED_PATH: usize = 5;
-/// Error of the heading by the wheels, rad.
 pub const WHEEL_HEADING_ERROR: usize = 6;
-/// Error of the integrated gyro, rad.
 pub const GYRO_HEADING_ERROR: usize = 7;
-/// Bias of the gyro, rad/s.
 pub const GYRO_BIAS: usize = 8;
 
 /// Variance of the integrated gyro beside its error state, (0.01 degrees)². Its complete error is in the state; this keeps
@@ -60,7 +49,6 @@ const INITIAL_TURN_SIGMA: f64 = 1.0;
 type Mean = SVector<f64, N>;
 type Covariance = SMatrix<f64, N, N>;
 
-/// State, covariance and the sums s_enc, th_enc and th_gyro.
 #[derive(Clone, Copy)]
 struct CorrectedEkf {
     mean: Mean,
@@ -73,14 +61,13 @@ struct CorrectedEkf {
 }
 
 pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    let bias = config.calibration.gyro_bias_rad_per_s;
-    let bias_sigma = if bias.sigma > 0.0 { bias.sigma } else { config.noise.gyro_bias_rad_per_s };
+    let bias = config.gyro_bias_prior();
     let mut mean = Mean::zeros();
     mean[GYRO_BIAS] = bias.value;
     let mut covariance = Covariance::zeros();
     covariance[(FORWARD, FORWARD)] = INITIAL_FORWARD_SIGMA * INITIAL_FORWARD_SIGMA;
     covariance[(TURN, TURN)] = INITIAL_TURN_SIGMA * INITIAL_TURN_SIGMA;
-    covariance[(GYRO_BIAS, GYRO_BIAS)] = bias_sigma * bias_sigma;
+    covariance[(GYRO_BIAS, GYRO_BIAS)] = bias.sigma * bias.sigma;
     let maths = CorrectedEkf {
         mean,
         covariance,
@@ -162,13 +149,7 @@ impl CorrectedEkf {
     /// Sets the error of a heading integral that restarts at th: that of th with the other sign.
     fn restart_heading_error(&mut self, error: usize, variance: f64) {
         self.mean[error] = 0.0;
-        rows::set_independent_variance(&mut self.covariance, error, 0.0);
-        for other in (0..N).filter(|other| *other != error) {
-            let opposite = -self.covariance[(HEADING, other)];
-            self.covariance[(error, other)] = opposite;
-            self.covariance[(other, error)] = opposite;
-        }
-        self.covariance[(error, error)] = self.covariance[(HEADING, HEADING)] + variance;
+        rows::set_opposite(&mut self.covariance, error, HEADING, variance);
     }
 
     fn restart_wheel_heading(&mut self) {

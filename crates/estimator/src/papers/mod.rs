@@ -9,7 +9,6 @@ pub mod paper1;
 mod paper_scaffold;
 pub mod range_kf;
 mod rows;
-mod state_history;
 pub mod ukf5;
 pub mod velocity_kf;
 pub mod wheel_kf;

@@ -1,8 +1,6 @@
-//! Sampling interval and units of paper 1.
-//!
-//! The paper prints its matrices without units; only centimetres and degrees make sense of them (docs/lab/square.md
-//! section M1). A Kalman filter does not care in which units its states are kept as long as P, Q and R are in the same ones, so
-//! the states here are SI and the printed numbers are brought to SI, which changes no gain.
+//! Sampling interval and units of paper 1, which prints its matrices without units: only centimetres and degrees make
+//! sense of them (docs/lab/square.md section M1). Here the states are SI and the printed numbers are brought to SI,
+//! which changes no gain.
 
 use crate::models::planar_speeds::{Covariance, Mean, N};
 
@@ -18,7 +16,6 @@ pub fn variances_si(diagonal: [f64; N]) -> [f64; N] {
     std::array::from_fn(|i| diagonal[i] * UNITS[i] * UNITS[i])
 }
 
-/// The same as a matrix.
 pub fn covariance_si(diagonal: [f64; N]) -> Covariance {
     Covariance::from_diagonal(&Mean::from(variances_si(diagonal)))
 }

@@ -1,16 +1,10 @@
 //! The scaffold of the filters of paper 1: everything but their equations.
 //!
-//! Observations are used when they come. Each one moves the state to its own instant, if that is ahead, and is then
-//! applied; a late one is applied to the present state, or rejected where it would make an interval negative. So the
-//! order of the sensors within one instant does not matter, and a filter's own file holds only its matrices.
-//!
-//! ```text
-//! speeds are held for 0.5 s after the last reading of the wheels, accelerations for 0.3 s after they were felt;
-//! behind that the pose stays and only the variance grows
-//! an interval of more than 0.3 s between two readings of the wheels is a gap: over what of it has not been predicted yet the
-//! robot is taken to have driven at the counters' mean speeds
-//! ```
-//! A history of past states answers for earlier instants, as they were estimated then: nothing is corrected afterwards.
+//! Observations are used when they come: each moves the state to its own instant, if that is ahead, and is then
+//! applied; a late one is applied to the present state, or rejected where it would make an interval negative. Speeds
+//! are held for 0.5 s, accelerations for 0.3 s; behind that the pose stays and only the variance grows. Over a gap of
+//! the wheels of more than 0.3 s the robot is taken to have driven at the counters' mean speeds. A history answers for
+//! earlier instants, as they were estimated then.
 //!
 //! Source: docs/lab/square.md section M1.
 
@@ -18,21 +12,19 @@ use std::collections::BTreeMap;
 
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
-    MetersPerSecond, Observation, ObservationKind, Pose, PoseCorrection, RadiansPerSecond, SensorId, StartPose,
-    TimeDelta, Timestamp, UncertainValue, Validity,
+    Arena, BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
+    Observation, ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
-use super::state_history::StateHistory;
 use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{WheelTravel, body_step};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::models::se2::BodyStep;
-use crate::motion::SPEED_HOLD;
+use crate::motion::{SPEED_HOLD, TimeSeries};
 use crate::numerics::chi_square::chi_square_gates;
 use crate::observations::fix::{FixContext, fix_noise, mid_axle};
-use crate::validation;
-use crate::validation::reject_repeated;
+use crate::tracking::{PublishedState, TrackingStatus};
+use crate::validation::{self, reject_repeated};
 
 /// Accelerations are held for the longest interval that is no gap.
 const ACCELERATION_HOLD: TimeDelta = MAX_STEP;
@@ -43,8 +35,7 @@ struct FilterSnapshot<M> {
     stamp: Option<Timestamp<BrickClock>>,
     filter: M,
     acceleration: Option<(Timestamp<BrickClock>, Acceleration)>,
-    last_motion: Option<Timestamp<BrickClock>>,
-    last_fix: Option<Timestamp<BrickClock>>,
+    status: TrackingStatus,
     /// The pose was given, by the configuration, a person or a fix.
     has_pose: bool,
 }
@@ -56,7 +47,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
             return;
         };
         // Before the first reading of the wheels nothing is stale yet.
-        let held_until = self.last_motion.unwrap_or(from) + SPEED_HOLD;
+        let held_until = self.status.last_motion.unwrap_or(from) + SPEED_HOLD;
         let moving_until = held_until.clamp(from, stamp);
         let (felt, felt_until) = self
             .acceleration
@@ -94,7 +85,6 @@ impl<M: SampledFilter> FilterSnapshot<M> {
     }
 }
 
-/// A filter that applies observations when they arrive.
 pub(super) struct OnArrivalFilter<M> {
     context: SampledContext,
     counters: WheelCounters,
@@ -103,9 +93,7 @@ pub(super) struct OnArrivalFilter<M> {
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
     current: FilterSnapshot<M>,
     /// The state after each instant within the history.
-    history: StateHistory<FilterSnapshot<M>>,
-    reset_counter: u8,
-    last_jump: Option<PoseCorrection>,
+    history: TimeSeries<FilterSnapshot<M>>,
 }
 
 impl<M: SampledFilter> OnArrivalFilter<M> {
@@ -118,8 +106,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             stamp: None,
             filter: maths,
             acceleration: None,
-            last_motion: None,
-            last_fix: None,
+            status: TrackingStatus::default(),
             has_pose: config.start.is_some(),
         };
         Self {
@@ -129,9 +116,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             last_acceleration: None,
             last_fixes: BTreeMap::new(),
             current: first,
-            history: StateHistory::new(config.params.history_s),
-            reset_counter: 0,
-            last_jump: None,
+            history: TimeSeries::default(),
         }
     }
 
@@ -139,12 +124,13 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
     fn save(&mut self, next: FilterSnapshot<M>) {
         self.current = next;
         if let Some(stamp) = next.stamp {
-            self.history.push(stamp, next);
+            let length = TimeDelta::from_secs_f64(self.context.config.params.history_s);
+            self.history.push(stamp, next, length);
         }
     }
 
     fn restart_history(&mut self, next: FilterSnapshot<M>) {
-        self.history.clear();
+        self.history = TimeSeries::default();
         self.save(next);
     }
 
@@ -194,7 +180,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
                 next.filter.use_wheels(&step, &self.context, record)
             }
         };
-        next.last_motion = next.last_motion.max(Some(stamp));
+        next.status.last_motion = next.status.last_motion.max(Some(stamp));
         self.save(next);
         verdict
     }
@@ -244,40 +230,18 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         let mut next = self.current;
         next.advance_to(observation.stamp, &self.context);
         let verdict = if next.has_pose {
-            let stamp_sigma_s = observation.stamp_sigma.as_secs_f64();
-            next.filter.use_fix(fix, stamp_sigma_s, &self.context, record)
+            let step = FixStep { fix: *fix, stamp_sigma_s: observation.stamp_sigma.as_secs_f64() };
+            next.filter.use_fix(&step, &self.context, record)
         } else {
             initialize_from_fix(&mut next.filter, fix, &self.context)
         };
         if verdict == FusionOutcome::Accepted {
             next.has_pose = true;
-            next.last_fix = next.last_fix.max(Some(observation.stamp));
+            next.status.last_fix = next.status.last_fix.max(Some(observation.stamp));
             self.last_fixes.insert(observation.sensor, observation.stamp);
             self.save(next);
         }
         verdict
-    }
-
-    fn build_estimate(&self, at: &FilterSnapshot<M>, stamp: Timestamp<BrickClock>) -> Estimate {
-        let state = at.filter.gaussian_state(&self.context);
-        let fix_age = at.last_fix.map(|last_fix| (stamp - last_fix).max(TimeDelta::ZERO));
-        let timeout = TimeDelta::from_secs_f64(self.context.config.params.fix_timeout_s);
-        Estimate {
-            stamp,
-            pose: pose_of(&state.mean),
-            forward_speed: MetersPerSecond(state.mean[row::FORWARD]),
-            turn_rate: RadiansPerSecond(state.mean[row::TURN]),
-            covariance: std::array::from_fn(|i| std::array::from_fn(|j| state.covariance[(i, j)])),
-            validity: Validity {
-                position: at.has_pose,
-                heading: at.has_pose,
-                speeds: at.last_motion.is_some_and(|last| stamp - last <= SPEED_HOLD),
-            },
-            is_dead_reckoning: fix_age.is_none_or(|age| age > timeout),
-            fix_age,
-            reset_counter: self.reset_counter,
-            last_correction: self.last_jump,
-        }
     }
 }
 
@@ -296,7 +260,7 @@ fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &Samp
     FusionOutcome::Accepted
 }
 
-fn pose_of(mean: &Mean) -> Pose<posebridge_telemetry::Arena> {
+fn pose_of(mean: &Mean) -> Pose<Arena> {
     Pose::new(Meters(mean[row::X]), Meters(mean[row::Y]), Heading::from_rad(mean[row::HEADING]))
 }
 
@@ -316,15 +280,14 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         let before = pose_of(&next.filter.gaussian_state(&self.context).mean);
         next.filter.initialize_pose(start);
         next.has_pose = true;
+        next.status.record_jump(before, start.pose);
         self.restart_history(next);
-        self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(validation::correction_between(before, start.pose));
         FusionOutcome::PoseReset
     }
 
     fn restart_clock(&mut self) {
-        let mut next =
-            FilterSnapshot { stamp: None, acceleration: None, last_motion: None, last_fix: None, ..self.current };
+        let mut next = FilterSnapshot { stamp: None, acceleration: None, ..self.current };
+        next.status.forget_stamps();
         let position_m = validation::RESTART_POSITION_SIGMA_M;
         let heading_rad = validation::RESTART_HEADING_SIGMA_RAD;
         next.filter.reset_speeds(position_m, heading_rad, &self.context);
@@ -345,15 +308,22 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        let (_, mut at) = self.history.last_at_or_before(stamp)?;
+        let (_, mut at) = *self.history.last_at_or_before(stamp)?;
         at.advance_to(stamp, &self.context);
-        Some(self.build_estimate(&at, stamp))
+        let state = at.filter.gaussian_state(&self.context);
+        let published = PublishedState {
+            pose: pose_of(&state.mean),
+            speeds: [state.mean[row::FORWARD], state.mean[row::TURN]],
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| state.covariance[(i, j)])),
+            has_position: at.has_pose,
+            has_heading: at.has_pose,
+        };
+        Some(at.status.estimate(stamp, &published, self.context.config.params.fix_timeout_s))
     }
 }
 
 // The interface to one filter's equations.
 
-/// Configuration and gates for a filter's equations.
 pub(super) struct SampledContext {
     pub(super) config: FilterConfig,
     /// With one, two and three degrees of freedom.
@@ -405,10 +375,8 @@ pub(super) trait SampledFilter: Copy + Send {
         let _ = context;
     }
 
-    /// Restarts the gyro's integral.
     fn rebase_gyro(&mut self) {}
 
-    /// Uses the wheels' rotation since the previous reading.
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome;
 
     fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
@@ -416,20 +384,19 @@ pub(super) trait SampledFilter: Copy + Send {
         FusionOutcome::Unused
     }
 
-    /// Uses a fix whose stamp may be off by `stamp_sigma_s`.
-    fn use_fix(
-        &mut self,
-        fix: &Fix,
-        stamp_sigma_s: f64,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
-        let _ = (fix, stamp_sigma_s, context, record);
+    fn use_fix(&mut self, fix: &FixStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let _ = (fix, context, record);
         FusionOutcome::Unused
     }
 }
 
-/// What the gyro measured since the reading before.
+/// A fix whose stamp may be off by `stamp_sigma_s`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FixStep {
+    pub(super) fix: Fix,
+    pub(super) stamp_sigma_s: f64,
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GyroStep {
     /// Mean turn rate, bias included.
@@ -454,11 +421,7 @@ pub(super) struct WheelStep {
 impl WheelStep {
     /// Distance and turn that go with the rotation.
     pub(super) fn body_step(&self, geometry: &DriveGeometry) -> BodyStep {
-        let travel = WheelTravel {
-            left_m: geometry.left_wheel_radius.0 * self.left_rad,
-            right_m: geometry.right_wheel_radius.0 * self.right_rad,
-        };
-        body_step(travel, geometry)
+        body_step(WheelTravel::from_rotation(self.left_rad, self.right_rad, geometry), geometry)
     }
 
     /// Whether the interval is so long that its mean speed is no speed.
@@ -480,7 +443,6 @@ pub(super) enum CounterOutcome {
     Rejected(FusionOutcome),
 }
 
-/// The last reading of both counters.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct WheelCounters {
     last: Option<(Timestamp<BrickClock>, [f64; 2])>,

@@ -1,9 +1,6 @@
-//! The distance to a wall ahead, predicted between the readings of a slow range sensor and filtered.
+//! The distance to a wall ahead, predicted by the drive train between the readings of a slow range sensor, and
+//! filtered.
 //!
-//! Gets ranges and the motor's command, gives the distance. Between readings the model of the drive train predicts;
-//! outliers are rejected.
-//!
-//! # Model
 //! ```text
 //! x = [z, v]'    models::wall_approach       h(x) = z     H = [1 0]     R = sigma_z^2
 //! u = d c        c the command, in m/s: the speed that the robot would settle at. PWM p is c = (p / 80) / d
@@ -20,17 +17,15 @@
 
 use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, StartPose,
-    TimeDelta, Timestamp,
+    BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, TimeDelta, Timestamp,
 };
 
-use super::state_history::StateHistory;
 use crate::filter::{Filter, FilterConfig};
 use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
+use crate::motion::TimeSeries;
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
-use crate::validation;
-use crate::validation::{add_innovation, outcome_without_pose};
+use crate::validation::{self, add_innovation};
 
 /// The mean interval of the paper's loop, to which its process noise per step refers.
 const PAPER_STEP_S: f64 = 0.0076;
@@ -45,7 +40,6 @@ const LONGEST_EULER_STEP: f64 = 1.0;
 /// Three standard deviations, squared.
 const GATE_NIS: f64 = 9.0;
 
-/// Which form of the paper's filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RangeFilterVariant {
     Paper,
@@ -62,7 +56,6 @@ struct State {
     command_m_per_s: f64,
 }
 
-/// Filters the distance to a wall.
 pub struct RangeFilter {
     variant: RangeFilterVariant,
     model: WallApproachModel,
@@ -72,13 +65,12 @@ pub struct RangeFilter {
     history_s: f64,
     /// `None` before the first reading.
     state: Option<State>,
-    history: StateHistory<State>,
+    history: TimeSeries<State>,
     command: Option<(Timestamp<BrickClock>, f64)>,
     last_range: Option<Timestamp<BrickClock>>,
 }
 
 impl RangeFilter {
-    /// Without a state until its first reading.
     pub fn new(config: &FilterConfig, variant: RangeFilterVariant) -> Self {
         let params = &config.params;
         let sigma_m = config.noise.wall_range_m;
@@ -94,7 +86,7 @@ impl RangeFilter {
             gate_min_m: params.wall_gate_m,
             history_s: params.history_s,
             state: None,
-            history: StateHistory::new(params.history_s),
+            history: TimeSeries::default(),
             command: None,
             last_range: None,
         }
@@ -214,7 +206,7 @@ impl RangeFilter {
 
     fn save_state(&mut self, state: State) {
         self.state = Some(state);
-        self.history.push(state.stamp, state);
+        self.history.push(state.stamp, state, TimeDelta::from_secs_f64(self.history_s));
     }
 }
 
@@ -229,15 +221,10 @@ impl Filter for RangeFilter {
         })
     }
 
-    /// There is no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
-    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
-        outcome_without_pose(start)
-    }
-
     /// Restarts with the next reading: the distance driven during the break is unknown.
     fn restart_clock(&mut self) {
         self.state = None;
-        self.history.clear();
+        self.history = TimeSeries::default();
         self.command = None;
         self.last_range = None;
     }
@@ -247,14 +234,10 @@ impl Filter for RangeFilter {
         self.state.map(|state| state.stamp).max(commanded)
     }
 
-    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
-        None
-    }
-
     /// The distance to the wall, in metres, and its rate.
     fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {
         let (_, state) = self.history.last_at_or_before(stamp)?;
-        let state = self.predict_state(state, stamp);
+        let state = self.predict_state(*state, stamp);
         Some(ScalarEstimate {
             stamp,
             value: state.mean[DISTANCE],

@@ -74,6 +74,18 @@ pub(super) fn set_independent_variance<const N: usize>(covariance: &mut SMatrix<
     covariance[(row, row)] = variance;
 }
 
+/// Makes a row the opposite of another one, plus an independent error of this variance: the row of an integral that starts at
+/// that one's estimate.
+pub(super) fn set_opposite<const N: usize>(covariance: &mut SMatrix<f64, N, N>, row: usize, of: usize, variance: f64) {
+    set_independent_variance(covariance, row, 0.0);
+    for other in (0..N).filter(|other| *other != row) {
+        let opposite = -covariance[(of, other)];
+        covariance[(row, other)] = opposite;
+        covariance[(other, row)] = opposite;
+    }
+    covariance[(row, row)] = covariance[(of, of)] + variance;
+}
+
 // Innovations of several scalars at once: used one after the other, recorded together.
 
 /// Uses scalars with independent noises, all predicted from the present state, without a gate.
@@ -174,7 +186,7 @@ pub(super) fn position_in_arena<const N: usize>(
     [x, y, heading]: [usize; 3],
     fix: &Fix,
 ) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
-    let lever = lever_in_arena(fix, heading_rad);
+    let lever = lever_in_arena([fix.tag_in_body.x.0, fix.tag_in_body.y.0], heading_rad);
     let mut jacobian = SMatrix::<f64, 2, N>::zeros();
     jacobian[(0, x)] = 1.0;
     jacobian[(1, y)] = 1.0;
@@ -182,46 +194,4 @@ pub(super) fn position_in_arena<const N: usize>(
     jacobian[(1, heading)] = lever[0];
     let measured = Vector2::new(fix.position.x.0, fix.position.y.0);
     (measured - Vector2::new(x_m, y_m) - lever, jacobian)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::observations::fix::mid_axle;
-    use posebridge_telemetry::{Meters, Point2};
-
-    const FIX: Fix = Fix {
-        position: Point2::new(Meters(1.3), Meters(-0.4)),
-        heading: None,
-        covariance: None,
-        tag_in_body: Point2::new(Meters(0.2), Meters(-0.1)),
-        reset_counter: 0,
-    };
-
-    fn innovation(at: [f64; 3]) -> Vector2<f64> {
-        position_in_arena::<3>(at, [0, 1, 2], &FIX).0
-    }
-
-    #[test]
-    fn a_robot_that_turned_left_has_its_tag_ahead_of_it_to_the_north() {
-        let pose = mid_axle(&FIX, std::f64::consts::FRAC_PI_2);
-        // The tag is 0.2 m ahead, which is north, and 0.1 m to the right, which is east.
-        assert!((pose.x.0 - 1.2).abs() < 1e-12 && (pose.y.0 + 0.6).abs() < 1e-12);
-        assert!(innovation([pose.x.0, pose.y.0, pose.heading.rad()]).norm() < 1e-12);
-    }
-
-    #[test]
-    fn the_jacobian_of_a_position_in_the_arena_agrees_with_central_differences() {
-        let at = [0.7, 0.2, -2.3];
-        let jacobian = position_in_arena::<3>(at, [0, 1, 2], &FIX).1;
-        let h = 1e-6;
-        for column in 0..3 {
-            let (mut above, mut below) = (at, at);
-            above[column] += h;
-            below[column] -= h;
-            // The innovation falls by as much as the prediction grows.
-            let slope = (innovation(below) - innovation(above)) / (2.0 * h);
-            assert!((jacobian.column(column) - slope).norm() < 1e-9, "{column}");
-        }
-    }
 }

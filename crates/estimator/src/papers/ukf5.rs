@@ -1,21 +1,16 @@
-//! The five states of [`super::ekf5`] carried by sigma points instead of a Jacobian: the outlook of paper 1.
+//! The five states of [`super::ekf5`] predicted by sigma points instead of a Jacobian: the outlook of paper 1.
 //!
-//! # Model
 //! ```text
 //! X_0 = x, X_i = x + sqrt(5) L e_i, X_(5+i) = x - sqrt(5) L e_i      P = L L'
 //! each X_i moves as models::planar_speeds
 //! x' = sum W_i X_i        th' = th_0 + atan2(sum W_i sin(th_i - th_0), sum W_i cos(th_i - th_0))
 //! P' = sum W_i (X_i - x')(X_i - x')' + Q                 W_0 = 0, W_i = 1/10
 //! ```
-//! The weights are those of the unscented transform with kappa = 0, alpha = 1, beta = 0, known as the cubature rule. None of them
-//! is negative, so P' is positive semi-definite whatever the model does. The customary kappa = 3 - n = -2 gives the middle point
-//! -2/3 and can make P' indefinite.
+//! The weights are those with kappa = 0, alpha = 1, beta = 0, the cubature rule. None is negative, so P' is positive
+//! semi-definite whatever the model does; the customary kappa = 3 - n can make it indefinite.
 //!
-//! The observations are rows of the state. For a linear h the sigma points give the Kalman update itself, so the update is that
-//! of the EKF, and only the prediction differs.
-//!
-//! Source: Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et al.),
-//! equations 24 to 26; docs/lab/square.md section M6.
+//! Source: Julier and Uhlmann (2004); Arasaratnam and Haykin (2009), section III, for the weights; paper 1 (Valera et
+//! al.), equations 24 to 26; docs/lab/square.md section M6.
 
 use posebridge_telemetry::estimate::row::HEADING;
 

@@ -1,16 +1,12 @@
 //! A Kalman filter for the two speeds, driven by the accelerations of the wheels: the second filter of paper 1.
 //!
-//! # Model
 //! ```text
 //! x = [v, w]'      x_k = x_(k-1) + dt [a, alpha]'      z = x      both from the encoders
 //! Q = diag(2.2, 2.2) per 0.05 s      R = diag(5.1, 1.938)      P0 = diag(10, 10)      x0 = 0      cm and degrees
 //! then the pose by the midpoint rule from v and w at k-1
 //! ```
-//! F and C are identities and Q and R diagonal, so v and w are two filters of one state each.
-//!
-//! # Assumptions
-//! The paper gives the pose no covariance. Here pose and speeds share one matrix in which the pose is carried along but never
-//! corrected: its gain is zero, as in the paper, and its covariance is that which Joseph's form gives for such a gain.
+//! The paper gives the pose no covariance. Here pose and speeds share one matrix in which the pose is never corrected:
+//! its gain is zero, and its covariance is that which Joseph's form gives for such a gain.
 //!
 //! Source: Paper 1 (Valera et al.), equations 13, 14, 20 to 23; docs/lab/square.md section M3.
 

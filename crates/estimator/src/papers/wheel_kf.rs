@@ -1,17 +1,14 @@
-//! One Kalman filter per wheel, then odometry from the filtered wheels: the first filter of paper 1.
+//! One Kalman filter per wheel, then odometry from the filtered wheels: the first filter of paper 1. Uses only the
+//! encoders.
 //!
-//! Uses only the encoders. Its pose cannot be better than theirs, only smoother: slip and wrong geometry pass through.
-//!
-//! # Model
 //! ```text
 //! x = [phi, phidot]'   degrees, degrees/s      F = [ 1 dt ]      C = [ 1 0 ]
 //!                                                  [ 0 1  ]
 //! Q = diag(0.1, 10) per 0.05 s      R_right = 2.5, R_left = 1.5 degrees^2      x0 = 0, P0 = 10 I
 //! s_i = r_i (phi_k - phi_(k-1))     d = (s_L + s_R) / 2     dth = (s_R - s_L) / b     pose by the midpoint rule
 //! ```
-//! # Assumptions
-//! The intervals are the observed ones; Q grows with them. The paper gives the pose no covariance: here it is that of
-//! the configured motion noise plus that of the two wheels' filters.
+//! The paper gives the pose no covariance: here it is that of the configured motion noise plus that of the two wheels'
+//! filters.
 //!
 //! Source: Paper 1 (Valera et al.), equations 13 to 19; docs/lab/square.md section M2.
 
@@ -41,12 +38,10 @@ const INITIAL_VARIANCE: f64 = 10.0;
 const ANGLE: usize = 0;
 const RATE: usize = 1;
 
-/// The filter of one wheel, in degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingleWheelFilter {
     /// [phi, phidot]: rotation in degrees, its rate in degrees/s.
     pub mean: Vector2<f64>,
-    /// P, 2 x 2.
     pub covariance: Matrix2<f64>,
     variance: f64,
 }
@@ -80,7 +75,6 @@ fn process(dt_s: f64) -> Matrix2<f64> {
 /// Both wheels, and the pose up to their last reading.
 #[derive(Clone, Copy)]
 struct WheelKf {
-    /// Left, right.
     wheels: [SingleWheelFilter; 2],
     /// The counters' turn since the first base: left, right.
     counted_deg: [f64; 2],
@@ -106,14 +100,9 @@ pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 impl WheelKf {
-    /// Travel of the filtered wheels since the last pose update.
     fn travel(&self, context: &SampledContext) -> WheelTravel {
-        let geometry = &context.config.geometry;
         let turned = |wheel: usize| (self.wheels[wheel].mean[ANGLE] - self.moved[wheel]).to_radians();
-        WheelTravel {
-            left_m: geometry.left_wheel_radius.0 * turned(0),
-            right_m: geometry.right_wheel_radius.0 * turned(1),
-        }
+        WheelTravel::from_rotation(turned(0), turned(1), &context.config.geometry)
     }
 
     /// The pose after that travel, with the noise of the motion plus `open`.
@@ -178,10 +167,7 @@ impl SampledFilter for WheelKf {
         let speeds = Self::motion_noise(rates, context);
         let geometry = &context.config.geometry;
         let [left, right] = self.wheels.map(|wheel| wheel.mean[RATE].to_radians());
-        let step = body_step(
-            WheelTravel { left_m: geometry.left_wheel_radius.0 * left, right_m: geometry.right_wheel_radius.0 * right },
-            geometry,
-        );
+        let step = body_step(WheelTravel::from_rotation(left, right, geometry), geometry);
         let mut covariance = Covariance::zeros();
         covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose_covariance);
         covariance[(row::FORWARD, row::FORWARD)] = speeds.forward_var_m2;

@@ -1,29 +1,20 @@
-//! The most likely path given all observations: reports show it, and filters are compared with it.
+//! The most likely path given all motion readings, gyro windows and fixes, for reports and to compare filters with.
 //!
-//! Gets all observations of a run in any order and gives back a pose with its covariance for every motion reading, with the
-//! calibration that fits best. It uses every motion reading, gyro windows and fixes; other kinds of observation are ignored,
-//! and so are fixes before the first motion reading and after the last.
-//!
-//! # Model
 //! ```text
 //! minimise  |start|^2 + sum |motion|^2 + sum |gyro window|^2 + sum |fix|^2 + sum |prior|^2      residuals over their sigmas
 //! ```
-//! in rounds: descend with the fixes in use; then test each fix against all the others; again, until that changes nothing.
-//!
-//! # Assumptions
-//! The noise is the configured one, and white; the wheels do not slip beyond it (there is no slip test here); windows of
-//! the gyro are independent of each other.
+//! in rounds: descend with the fixes in use; then test each fix against all the others; again, until that changes
+//! nothing. There is no slip test, and windows of the gyro are taken as independent of each other.
 //!
 //! Source: docs/maths/pose.md.
 
 use posebridge_telemetry::Observation;
 
 use super::factors::{Whitener, bias_prior, pose_from_fix, whitener};
-use super::forward_pass::{InitialGuess, PassContext, filter_initial_guess};
-use super::gauss_newton::{Optimum, minimize};
+use super::forward_pass::{InitialGuess, LinearizedProblem, PassContext, filter_initial_guess, linearize};
 use super::posterior::GatedObservation;
 use super::problem::{CONSTANTS, FIX_DELAY, ProblemValues, RunData, SmoothingProblem, UnwrappedPose, constants_of};
-use super::trajectory::{OfflineError, SmoothedTrajectory};
+use super::{OfflineError, SmoothedTrajectory};
 use crate::filter::FilterConfig;
 use crate::numerics::chi_square::chi_square_gates;
 use crate::validation;
@@ -101,7 +92,6 @@ const HEADING_STARTS: u32 = 8;
 /// For a first guess from all fixes in use.
 const UNGATED: InitialGuess = InitialGuess { gates: [f64::INFINITY; 3], heading_sigma_rad: f64::INFINITY };
 
-/// The state that one round passes to the next.
 pub(super) struct OuterIteration {
     /// The noise of the motion is computed with these.
     pub(super) constants: [f64; CONSTANTS],
@@ -119,7 +109,6 @@ enum PreviousOptimum {
 }
 
 impl OuterIteration {
-    /// Before the first round.
     pub(super) fn initial(config: &FilterConfig, fixes: usize) -> Self {
         let constants = constants_of(&config.calibration).map(|known| known.value);
         Self { constants, delay_s: constants[FIX_DELAY], is_used: vec![true; fixes], previous: None }
@@ -220,8 +209,11 @@ impl OuterIteration {
 
 /// Initial values for everything but the first pose.
 fn initial_values(problem: &SmoothingProblem<'_>, constants: [f64; CONSTANTS], first: UnwrappedPose) -> ProblemValues {
-    let (bias, _) = bias_prior(problem.config);
-    ProblemValues { poses: vec![first; problem.poses], biases: vec![bias; problem.windows.len()], constants }
+    ProblemValues {
+        poses: vec![first; problem.poses],
+        biases: vec![bias_prior(problem.config).value; problem.windows.len()],
+        constants,
+    }
 }
 
 /// The initial values: one start, or several directions where the heading is not known.
@@ -256,4 +248,71 @@ pub(super) fn whiteners(
     constants: &[f64; CONSTANTS],
 ) -> Result<Vec<Whitener>, OfflineError> {
     problem.segments.iter().map(|by| whitener(by, problem.config, constants).ok_or(OfflineError::NotFinite)).collect()
+}
+
+// The damped Gauss-Newton descent, from a first guess to the values of least cost.
+//
+//     (J'J + lambda I) delta = -J'r         Levenberg (1944); units of m, rad, rad/s, s, and one for the scales
+//
+// lambda is zero as long as the cost falls; a step that would raise it is rejected, and lambda grows.
+// Source: docs/maths/pose.md section B3.
+
+const MAX_STEPS: u32 = 100;
+/// Converged when no unknown moves by more: ten nanometres, ten nanoradians.
+const CONVERGED: f64 = 1e-8;
+/// The first damping; the information of one good fix is ten thousand times that.
+const INITIAL_DAMPING: f64 = 1.0;
+/// Smaller damping is set to zero: earlier, the first undamped step would overshoot along the rows that are known to a
+/// micrometre.
+const MIN_DAMPING: f64 = 1e-6;
+/// At this damping the step is far below a nanometre.
+const MAX_DAMPING: f64 = 1e16;
+/// Share of the cost by which rounding alone may raise it.
+const ROUNDING: f64 = 1e-9;
+
+#[derive(Clone, Debug)]
+pub(super) struct Optimum {
+    pub(super) values: ProblemValues,
+    /// Linearised there, undamped.
+    pub(super) linearised: LinearizedProblem,
+    pub(super) steps: u32,
+}
+
+/// Descends from `values`.
+///
+/// Errors: [`OfflineError::Diverged`] when no step lowers the cost, or they do not become small;
+/// [`OfflineError::NotFinite`] when the first guess has no finite cost.
+fn minimize(ground: PassContext<'_, '_>, mut values: ProblemValues) -> Result<Optimum, OfflineError> {
+    let layout = ground.problem.layout();
+    let mut damping = 0.0;
+    let mut here = linearize(ground, &values, damping);
+    if !here.cost.is_finite() {
+        return Err(OfflineError::NotFinite);
+    }
+    for steps in 1..=MAX_STEPS {
+        let step = here.chain.solve(layout.count());
+        let size = step.iter().fold(0.0_f64, |most, part| most.max(part.abs()));
+        let mut there = values.clone();
+        there.retract(layout, &step);
+        // A maximum over NaN is none: the sum is checked as well.
+        let is_finite = step.iter().sum::<f64>().is_finite();
+        if is_finite && size < CONVERGED && damping == 0.0 {
+            let linearised = linearize(ground, &there, 0.0);
+            return Ok(Optimum { values: there, linearised, steps });
+        }
+        let tried = linearize(ground, &there, damping);
+        if is_finite && tried.cost <= here.cost * (1.0 + ROUNDING) + ROUNDING {
+            let relaxed = if damping > MIN_DAMPING { damping / 10.0 } else { 0.0 };
+            values = there;
+            here = if relaxed == damping { tried } else { linearize(ground, &values, relaxed) };
+            damping = relaxed;
+        } else {
+            damping = (damping * 10.0).max(INITIAL_DAMPING);
+            if damping > MAX_DAMPING {
+                break;
+            }
+            here = linearize(ground, &values, damping);
+        }
+    }
+    Err(OfflineError::Diverged { cost: here.cost })
 }

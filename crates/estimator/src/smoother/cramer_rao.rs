@@ -1,25 +1,17 @@
-//! The posterior Cramer-Rao bound of a run: a lower bound of any filter's error.
+//! The posterior Cramer-Rao bound of a run: no estimate that uses what has arrived by a step can have a smaller mean
+//! squared error.
 //!
-//! No estimate that uses what has arrived by a step can have a smaller mean squared error than the bound says. Monte-Carlo runs
-//! report their error as a multiple of it. The bound takes the noise of the configuration and the sigmas of the calibration;
-//! it holds every gyro sample against its own step and leaves the rounding of the encoders out, so it knows a little more than
-//! a filter can.
-//!
-//! # Model
 //! ```text
 //! J+ = Q^-1 + H'R^-1 H - Q^-1 F (J + F'Q^-1 F)^-1 F'Q^-1             the information matrix, for a regular Q
 //! P+ = (M^-1 + H'R^-1 H)^-1,  M = F P F' + Q,  P = J^-1             the same by the matrix inversion lemma
 //! ```
-//! The second form is used, since Q is singular here: three coordinates move with noise in two, and at rest with none. It is
-//! the Riccati recursion of an extended Kalman filter linearised along the *true* path; the expectation over paths is left to
-//! the mean over runs.
+//! The second form is used, since Q is singular here. It is linearised along the *true* path; the expectation over
+//! paths is left to the mean over runs. Fixes see mid-axle without delay, nothing slips, every gyro sample is held
+//! against its own step, and the rounding of the encoders is left out: a bound that knows more than a filter does is
+//! lower, and still a bound.
 //!
-//! # Assumptions
-//! Fixes see mid-axle with the configured noise and without delay or lever to be found; nothing slips; the gyro's rounding is
-//! uniform noise. A bound that knows more than a filter does is lower, and still a bound.
-//!
-//! Source: Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21; docs/maths/pose.md
-//! section B5.
+//! Source: Tichavsky, Muravchik and Nehorai (1998), IEEE Transactions on Signal Processing 46(5), equation 21;
+//! docs/maths/pose.md section B5.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 use posebridge_telemetry::{Arena, Calibration, Pose};
@@ -63,11 +55,9 @@ pub struct FixArrival {
     pub exposure_step: usize,
     /// Not before `exposure_step`.
     pub arrival_step: usize,
-    /// The observed part of the pose.
     pub content: FixContent,
 }
 
-/// The observed part of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixContent {
     Position,
@@ -124,7 +114,7 @@ impl<'a> BoundRecursion<'a> {
         start[X] = position;
         start[Y] = position;
         start[HEADING] = heading;
-        start[GYRO_BIAS] = bias_prior(config).1;
+        start[GYRO_BIAS] = bias_prior(config).sigma;
         let known = constants_of(calibration);
         for (row, known) in start.iter_mut().skip(FIRST_CONSTANT).zip(known) {
             *row = known.sigma;

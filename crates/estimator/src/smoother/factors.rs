@@ -1,17 +1,14 @@
-//! The constraints besides motion and fixes, as whitened rows: start, gyro windows, walks and priors.
+//! The constraints of a smoothing problem as whitened rows: a residual over its sigma with its derivatives.
 //!
-//! # Model
 //! ```text
 //! r = G - (th_to - th_from) - b_g T        a gyro window
 //! r = b_g - b_g of the window before       the bias walks from window to window
 //! ```
-//! A row is a residual over its sigma with its derivatives; the cost is the sum of the squares.
-//!
 //! Source: docs/maths/pose.md section B2.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{DriveGeometry, Heading, Meters, StartPose};
+use posebridge_telemetry::{DriveGeometry, Heading, Meters, StartPose, UncertainValue};
 
 use super::problem::{
     AssociatedFix, CONSTANTS, FIX_DELAY, GyroInterval, MotionSegment, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE,
@@ -19,11 +16,10 @@ use super::problem::{
 };
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{CalibratedStep, WheelTravel, calibrated_step, step_noise};
-use crate::models::lie::Se2;
 use crate::models::se2::{BodyStep, StepRule, displace};
 use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 use crate::numerics::elimination::Variable;
-use crate::observations::fix::{FixContext, FixNoise, fix_noise};
+use crate::observations::fix::{FixContext, FixNoise, fix_noise, lever_in_arena};
 
 /// Most unknowns in one row: two poses and three constants.
 pub(super) const MAX_ROW_ENTRIES: usize = 9;
@@ -91,20 +87,19 @@ pub(super) fn constant_row(config: &FilterConfig, constant: usize, value: f64) -
     WhitenedRow::from_residual(weight * (value - prior.value)).with_derivative(constant, weight)
 }
 
-/// The prior of the gyro bias: its mean and one standard deviation, rad/s.
-pub(super) fn bias_prior(config: &FilterConfig) -> (f64, f64) {
-    let known = config.calibration.gyro_bias_rad_per_s;
-    let sigma = if known.sigma > 0.0 { known.sigma } else { config.noise.gyro_bias_rad_per_s };
-    (known.value, sigma.max(MIN_SIGMA))
+/// The prior of the gyro bias, rad/s.
+pub(super) fn bias_prior(config: &FilterConfig) -> UncertainValue {
+    let prior = config.gyro_bias_prior();
+    UncertainValue { sigma: prior.sigma.max(MIN_SIGMA), ..prior }
 }
 
 /// The prior of the bias over a window, or its random walk since the window before.
 pub(super) fn bias_row(problem: &SmoothingProblem<'_>, values: &ProblemValues, window: usize) -> WhitenedRow {
     let bias = values.biases[window];
     let Some(before) = window.checked_sub(1) else {
-        let (mean, sigma) = bias_prior(problem.config);
-        return WhitenedRow::from_residual((bias - mean) / sigma)
-            .with_derivative(VariableLayout::bias(window), 1.0 / sigma);
+        let prior = bias_prior(problem.config);
+        return WhitenedRow::from_residual((bias - prior.value) / prior.sigma)
+            .with_derivative(VariableLayout::bias(window), 1.0 / prior.sigma);
     };
     let walk = problem.config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
     let sigma = walk * problem.windows[window].since_last_s.max(0.0).sqrt();
@@ -337,7 +332,7 @@ pub(super) fn fix_rows(
     let white = noise.position.cholesky()?.l().try_inverse()?;
     let at = true_pose(values.poses[associated.node], associated, values);
     let (sin, cos) = at.heading_rad.sin_cos();
-    let lever = lever_in_arena(associated, values, at);
+    let lever = lever(associated, values, at.heading_rad);
     let measured = Vector2::new(associated.fix.position.x.0, associated.fix.position.y.0);
     let innovation = white * (measured - Vector2::new(at.x_m, at.y_m) - lever);
     // Minus the derivatives of h: of the pose's xi, of the delay, of the lever.
@@ -374,17 +369,9 @@ fn with_constant(problem: &SmoothingProblem<'_>, row: WhitenedRow, constant: usi
 }
 
 fn noise_of_fix(problem: &SmoothingProblem<'_>, associated: &AssociatedFix) -> FixNoise {
-    let mut noise = fix_noise(
-        &associated.fix,
-        &problem.config.noise,
-        [1.0, 1.0],
-        &FixContext {
-            moved_since: Se2::default(),
-            stamp_sigma_s: associated.stamp_sigma_s,
-            forward_m_per_s: associated.forward_m_per_s,
-            turn_rad_per_s: associated.turn_rad_per_s,
-        },
-    );
+    let AssociatedFix { stamp_sigma_s, forward_m_per_s, turn_rad_per_s, .. } = *associated;
+    let circumstances = FixContext::at_speeds(stamp_sigma_s, forward_m_per_s, turn_rad_per_s);
+    let mut noise = fix_noise(&associated.fix, &problem.config.noise, [1.0, 1.0], &circumstances);
     noise.position += Matrix2::from_diagonal_element(MIN_VARIANCE);
     noise
 }
@@ -395,11 +382,9 @@ fn true_pose(node: UnwrappedPose, associated: &AssociatedFix, values: &ProblemVa
     node.retract([-earlier_s * associated.forward_m_per_s, 0.0, -earlier_s * associated.turn_rad_per_s])
 }
 
-fn lever_in_arena(associated: &AssociatedFix, values: &ProblemValues, at: UnwrappedPose) -> Vector2<f64> {
-    let (sin, cos) = at.heading_rad.sin_cos();
-    let forward = associated.fix.tag_in_body.x.0 + values.constants[TAG_FORWARD];
-    let left = associated.fix.tag_in_body.y.0 + values.constants[TAG_LEFT];
-    Vector2::new(cos * forward - sin * left, sin * forward + cos * left)
+fn lever(associated: &AssociatedFix, values: &ProblemValues, heading_rad: f64) -> Vector2<f64> {
+    let tag = associated.fix.tag_in_body;
+    lever_in_arena([tag.x.0 + values.constants[TAG_FORWARD], tag.y.0 + values.constants[TAG_LEFT]], heading_rad)
 }
 
 /// The pose by a fix alone, with this heading where it has none.
@@ -409,7 +394,7 @@ pub(super) fn pose_from_fix(associated: &AssociatedFix, values: &ProblemValues, 
         y_m: associated.fix.position.y.0,
         heading_rad: associated.fix.heading.map_or(heading_rad, Heading::rad),
     };
-    let lever = lever_in_arena(associated, values, at);
+    let lever = lever(associated, values, at.heading_rad);
     UnwrappedPose { x_m: at.x_m - lever.x, y_m: at.y_m - lever.y, ..at }
 }
 

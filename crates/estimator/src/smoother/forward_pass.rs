@@ -1,9 +1,6 @@
-//! One pass over a problem in time order: to linearise it, or to filter a first guess.
-//!
-//! Both use the same rows in the same order. To linearise, the rows are evaluated at given values and each variable is
-//! eliminated after its last row. To filter, the values are computed on the way: each pose is predicted from the one
-//! before it, and after each observation everything that is active moves to the solution so far. That is an extended
-//! information filter; its result is a first guess near enough for the descent.
+//! One pass over a problem in time order, with the same rows in the same order either way: to linearise it at given
+//! values, or to filter a first guess (an extended information filter, in which everything active moves to the solution
+//! so far after each observation).
 //!
 //! Source: docs/maths/pose.md sections B3 and B4.
 
@@ -26,7 +23,6 @@ pub(super) struct PassContext<'p, 'a> {
     pub(super) is_used: &'p [bool],
 }
 
-/// A linearised problem, eliminated.
 #[derive(Clone, Debug)]
 pub(super) struct LinearizedProblem {
     /// Sum of the squared residuals at the values.

@@ -1,25 +1,22 @@
 //! Leave-one-out tests of the fixes, and covariances of poses and constants, at the optimum.
 //!
-//! # Model
 //! ```text
 //! nu = z - h at the optimum, whitened          P the covariance there
 //! S  = I + H P H'    for a fix that was not used
 //! S  = I - H P H'    for one that was, because the optimum has moved towards it
 //! ```
-//! In both cases nu' S^-1 nu is the NIS of the fix against all other observations.
-//!
 //! Source: docs/maths/pose.md section B3.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{Calibration, UncertainValue};
 
+use super::SmoothedPose;
+use super::batch::Optimum;
 use super::factors::{WhitenedRow, bias_prior, fix_rows};
-use super::gauss_newton::Optimum;
 use super::problem::{
     CONSTANTS, FIX_DELAY, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE, ReadingPose, SmoothingProblem, TAG_FORWARD,
     TAG_LEFT, TRACK_SCALE, VariableKind,
 };
-use super::trajectory::SmoothedPose;
 use crate::numerics::elimination::JointCovariance;
 use crate::update::nis_and_log_likelihood;
 
@@ -75,7 +72,6 @@ impl GatedObservation {
         gated
     }
 
-    /// The pose at each motion reading.
     pub(super) fn poses(&self, problem: &SmoothingProblem<'_>, values: &ProblemValues) -> Vec<SmoothedPose> {
         problem
             .readings
@@ -103,16 +99,13 @@ impl GatedObservation {
             value: values.constants[constant],
             sigma: self.constants[constant].max(0.0).sqrt(),
         };
-        let (mean, sigma) = bias_prior(problem.config);
-        let bias = values.biases.last().map_or(UncertainValue { value: mean, sigma }, |&value| UncertainValue {
-            value,
-            sigma: self.last_bias.max(0.0).sqrt(),
-        });
+        let sigma = self.last_bias.max(0.0).sqrt();
+        let last_bias = values.biases.last().map(|&value| UncertainValue { value, sigma });
         Calibration {
             radius_scale: known(RADIUS_SCALE),
             radius_difference: known(RADIUS_DIFFERENCE),
             track_scale: known(TRACK_SCALE),
-            gyro_bias_rad_per_s: bias,
+            gyro_bias_rad_per_s: last_bias.unwrap_or_else(|| bias_prior(problem.config)),
             fix_delay_s: known(FIX_DELAY),
             tag_forward_m: known(TAG_FORWARD),
             tag_left_m: known(TAG_LEFT),

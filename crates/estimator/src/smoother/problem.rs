@@ -1,8 +1,5 @@
-//! From observations to a least-squares problem: the unknown poses, the motion between them, and the fixes.
-//!
-//! There is a pose at every motion reading and at the instant of every fix, and one for all instants of a standstill:
-//! at rest the motion is exact, so these are one pose. The motion comes from the same tracks that the filters use; the
-//! order in which the observations came does not matter.
+//! From observations to a least-squares problem: a pose at every motion reading and at the instant of every fix, but
+//! one for all instants of a standstill, where the motion is exact; the motion between them; and the fixes.
 //!
 //! Source: docs/maths/pose.md sections B1 and B2.
 
@@ -31,7 +28,6 @@ const MAX_PARTS: f64 = 1e3;
 /// Half of the interval over which the speeds at a fix are taken, three periods of a 20 Hz encoder in all.
 const HALF_SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(75);
 
-/// The motion from one pose to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MotionSegment {
     /// Known travel of the wheels, with the nominal geometry.
@@ -44,7 +40,6 @@ pub(super) enum MotionSegment {
     Unobserved(f64),
 }
 
-/// A fix with the pose at its exposure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AssociatedFix {
     /// Its number among the run's fixes.
@@ -54,16 +49,13 @@ pub(super) struct AssociatedFix {
     pub(super) stamp_sigma_s: f64,
     /// Nominal, at the exposure.
     pub(super) forward_m_per_s: f64,
-    /// Nominal, at the exposure.
     pub(super) turn_rad_per_s: f64,
     /// The delay with which `node` was chosen.
     pub(super) delay_s: f64,
 }
 
-/// A gyro window between two poses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct GyroInterval {
-    /// The pose at its beginning.
     pub(super) from: usize,
     /// The pose at its end; the same one at rest.
     pub(super) to: usize,
@@ -156,7 +148,6 @@ impl<'a> RunData<'a> {
         problem
     }
 
-    /// Appends the poses between two stops.
     fn advance(&self, problem: &mut SmoothingProblem<'a>, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) {
         let mut at = from;
         while at < to {
@@ -224,10 +215,10 @@ impl<'a> RunData<'a> {
 
     fn window(&self, from: ReadingPose, to: ReadingPose) -> Option<GyroInterval> {
         let length_s = (to.stamp - from.stamp).as_secs_f64();
-        if length_s <= 0.0 || !self.gyro.covers(from.stamp, to.stamp) {
+        if length_s <= 0.0 {
             return None;
         }
-        let turn = self.gyro.turn_between(from.stamp, to.stamp);
+        let turn = self.gyro.covered_turn(from.stamp, to.stamp)?;
         let quantisation = if from.pose == to.pose {
             0.0
         } else {
@@ -276,7 +267,6 @@ pub(super) struct SmoothingProblem<'a> {
     pub(super) fixes: Vec<AssociatedFix>,
     /// In the order of time.
     pub(super) windows: Vec<GyroInterval>,
-    /// In the order of time.
     pub(super) readings: Vec<ReadingPose>,
     pub(super) is_free: [bool; CONSTANTS],
 }
@@ -337,17 +327,11 @@ impl<'a> SmoothingProblem<'a> {
 // Source: Barrau and Bonnabel (2018), Annual Review of Control, Robotics, and Autonomous Systems 1; docs/maths/pose.md section B1.
 
 pub(super) const CONSTANTS: usize = 6;
-/// Relative error of the mean wheel radius.
 pub(super) const RADIUS_SCALE: usize = 0;
-/// Relative difference of the wheels' radii.
 pub(super) const RADIUS_DIFFERENCE: usize = 1;
-/// Relative error of the track width.
 pub(super) const TRACK_SCALE: usize = 2;
-/// Delay of the fixes, s.
 pub(super) const FIX_DELAY: usize = 3;
-/// Error of the tag's configured position, forward, m.
 pub(super) const TAG_FORWARD: usize = 4;
-/// The same to the left, m.
 pub(super) const TAG_LEFT: usize = 5;
 
 /// The constants of a calibration, in the order of their numbers.
@@ -404,7 +388,6 @@ impl VariableLayout {
     }
 }
 
-/// A pose whose heading is not wrapped.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct UnwrappedPose {
     pub(super) x_m: f64,
@@ -414,7 +397,6 @@ pub(super) struct UnwrappedPose {
 }
 
 impl UnwrappedPose {
-    /// T Exp(xi).
     pub(super) fn retract(self, [forward, left, turn]: [f64; 3]) -> Self {
         // sin h / h and (1 - cos h) / h, by series where the quotients would lose digits.
         let (along, across) = if turn.abs() < 1e-4 {
@@ -442,7 +424,6 @@ impl UnwrappedPose {
     }
 }
 
-/// A value for each unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ProblemValues {
     pub(super) poses: Vec<UnwrappedPose>,

@@ -5,13 +5,13 @@ use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ROWS};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    BrickClock, Celsius, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
-    TimeDelta, Timestamp,
+    BrickClock, Celsius, FusionOutcome, FusionRecord, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 
+use crate::support::observe;
 use crate::support::robot::config;
 
 const ONE: SensorId = SensorId::THERMOMETER;
@@ -35,12 +35,7 @@ fn filter(sigma_k: f64, model: DynamicModel) -> DynamicFilter {
 }
 
 fn observe(filter: &mut DynamicFilter, sensor: SensorId, at_s: f64, celsius: f64) -> FusionRecord {
-    filter.observe(&Observation {
-        sensor,
-        stamp: Timestamp::from_secs_f64(at_s),
-        stamp_sigma: TimeDelta::ZERO,
-        measurement: ObservationKind::Temperature(Celsius(celsius)),
-    })
+    filter.observe(&observe::at_s(at_s, sensor, ObservationKind::Temperature(Celsius(celsius))))
 }
 
 fn now(filter: &DynamicFilter) -> ScalarEstimate {

@@ -1,19 +1,18 @@
 //! A filter's step allocates nothing once its history has filled: no pause at a bad moment, and no slow growth over a day.
 
 use std::hint::black_box;
-use std::sync::Arc;
 
 use allocation_counter::measure;
 use posebridge_estimator::{FILTERS, Filter, FilterConfig};
 use posebridge_telemetry::{
-    Arena, ArenaMap, BeaconId, Celsius, FusionOutcome, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observation, ObservationKind, Point2, Pose, Radians, RadiansPerSecond, SensorId, UncertainValue, Wall,
-    quantities::wrap_rad,
+    Arena, BeaconId, Celsius, FusionOutcome, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation,
+    ObservationKind, Point2, Pose, Radians, RadiansPerSecond, SensorId, UncertainValue, quantities::wrap_rad,
 };
 
 use crate::support::any::all_unknown;
 use crate::support::filters::named;
 use crate::support::robot::config;
+use crate::support::simulation::furnished;
 use crate::support::steady::{FORWARD_M_PER_S, LATE_STEPS, TURN_RAD_PER_S, at, fix, gyro, pose, stamp, wheels};
 
 /// A minute at 20 Hz: twenty times the history.
@@ -23,20 +22,8 @@ const MEASURED: i64 = 600;
 /// Two fixes each second.
 const FIX_EVERY: i64 = 10;
 
-const LANDMARK: Point2<Arena> = Point2::new(Meters(1.5), Meters(-0.5));
-
-/// The robot of the tests in an arena with a landmark, which is a beacon as well, and a square of walls.
-fn furnished() -> FilterConfig {
-    let corner = |x_m, y_m| Point2::new(Meters(x_m), Meters(y_m));
-    let corners = [corner(-3.0, -3.0), corner(3.0, -3.0), corner(3.0, 3.0), corner(-3.0, 3.0)];
-    let walls = (0..4).map(|i| Wall { from: corners[i], to: corners[(i + 1) % 4] });
-    let world = ArenaMap {
-        landmarks: [(LandmarkId(1), LANDMARK)].into(),
-        beacons: [(BeaconId(1), LANDMARK)].into(),
-        walls: walls.collect(),
-    };
-    FilterConfig { arena_map: Arc::new(world), ..config() }
-}
+/// A landmark of the furnished arena, where there is a beacon as well.
+const LANDMARK: Point2<Arena> = Point2::new(Meters(-1.0), Meters(-1.2));
 
 /// Every other observation that a sensor may make at the end of a step. The ranges are what they would be.
 fn others(step: i64) -> [Observation; 8] {
@@ -44,7 +31,7 @@ fn others(step: i64) -> [Observation; 8] {
     let (dx_m, dy_m) = (LANDMARK.x.0 - pose.x.0, LANDMARK.y.0 - pose.y.0);
     let range = Meters(dx_m.hypot(dy_m));
     let bearing = Radians(wrap_rad(dy_m.atan2(dx_m) - pose.heading.rad()));
-    let (id, beacon) = (LandmarkId(1), BeaconId(1));
+    let (id, beacon) = (LandmarkId(0), BeaconId(10));
     let rest = MetersPerSecondSquared(0.0);
     [
         at(step, SensorId::ACCELEROMETER, ObservationKind::WheelAccelerations { left: rest, right: rest }),
@@ -92,7 +79,7 @@ fn warm(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
 fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
     let mut guilty = Vec::new();
     for entry in FILTERS {
-        let mut filter = warm(entry.name, &furnished());
+        let mut filter = warm(entry.name, &furnished(&config()));
         let counted = measure(|| {
             (WARM_UP..WARM_UP + MEASURED).for_each(|k| step(filter.as_mut(), k));
             // Wheel readings out of order.
@@ -113,7 +100,7 @@ fn a_step_of_any_filter_allocates_nothing_once_its_history_is_full() {
 /// The flagship with every state, and with a heading that stays unknown: the robot is at rest, and no fix has one.
 #[test]
 fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_heading() {
-    let mut config = FilterConfig { calibration: all_unknown(), ..furnished() };
+    let mut config = FilterConfig { calibration: all_unknown(), ..furnished(&config()) };
     config.calibration.fix_delay_s = UncertainValue { value: 0.12, sigma: 0.1 };
     let mut filter = warm("pose", &config);
     let counted = measure(|| {
@@ -146,7 +133,7 @@ fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_headi
 fn the_counter_detects_an_allocation_and_the_flagship_uses_its_input() {
     let counted = measure(|| drop(black_box(vec![0_u8; 64])));
     assert_eq!(counted.count_total, 1);
-    let mut filter = warm("pose", &furnished());
+    let mut filter = warm("pose", &furnished(&config()));
     assert_eq!(filter.observe(&gyro(WARM_UP)).outcome, FusionOutcome::Accepted);
     assert_eq!(filter.observe(&wheels(WARM_UP)).outcome, FusionOutcome::Accepted);
     let late_fix = fix(WARM_UP - LATE_STEPS + 1);

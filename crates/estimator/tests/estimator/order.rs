@@ -10,10 +10,11 @@ use posebridge_telemetry::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::support::any::all_unknown;
-use crate::support::filters::without_start;
+use crate::support::any::learning_everything;
+use crate::support::filters::{drive_straight, latest, without_start};
+use crate::support::observe::{gyro, wheels};
 use crate::support::robot::config;
-use crate::support::simulation::{Camera, SimulatedSensors, add, add_accelerometers, drive_lap, furnished, stamp};
+use crate::support::simulation::{Camera, SimulatedSensors, add, add_accelerometers, drive_lap, stamp};
 
 /// The history of 3 s: every delay is shorter by a millisecond at least.
 const LATEST_BY_MS: i64 = 3_000;
@@ -136,11 +137,6 @@ fn the_order_of_arrival_does_not_matter() {
     }
 }
 
-/// A configuration that estimates every state.
-fn learning_everything() -> FilterConfig {
-    FilterConfig { calibration: all_unknown(), ..furnished(&config()) }
-}
-
 #[test]
 fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
     let config = learning_everything();
@@ -198,73 +194,20 @@ fn two_fixes_of_one_instant_count_in_either_order() {
 }
 
 #[test]
-fn a_late_fix_does_what_the_same_fix_does_in_time() {
-    let in_time = observations(7);
-    let mut late = in_time.clone();
-    let is_it = |observation: &Observation| observation.sensor == SensorId::CAMERA && observation.stamp == stamp(750);
-    let fix = late.remove(late.iter().position(is_it).expect("the camera looks at every second step"));
-    let without = final_state_text::<CORE_STATES>(&config(), &late);
-    late.push(fix);
-    assert!(final_state_text::<CORE_STATES>(&config(), &in_time) == final_state_text::<CORE_STATES>(&config(), &late));
-    assert!(final_state_text::<CORE_STATES>(&config(), &in_time) != without);
-}
-
-/// A list for each instant, in the order in which they are applied: first the gyro, then the wheels, then the camera.
-fn instants() -> Vec<Vec<Observation>> {
-    let mut observations = drive_lap(Some(Camera { every: 3, ..CAMERA }), 5).observations();
-    observations.retain(|observation| observation.stamp < stamp(STEPS));
-    observations.sort_by_key(|observation| {
-        (observation.stamp, observation.sensor != SensorId::GYRO, observation.sensor != SensorId::WHEELS)
-    });
-    observations.chunk_by(|one, next| one.stamp == next.stamp).map(<[Observation]>::to_vec).collect()
-}
-
-fn latest_state_text(filter: &PoseFilter<CORE_STATES>) -> String {
-    let estimate = filter.latest_time().and_then(|latest| filter.estimate_at(latest)).expect("something was observed");
-    format!("{:?} {estimate:?}", filter.state())
-}
-
-/// After every pair: also when a window closes, and when the gyro was silent.
-#[test]
-fn a_gyro_after_the_wheels_of_its_instant_is_as_one_before_them() {
-    let mut in_order = PoseFilter::<CORE_STATES>::new(&config());
-    let mut behind = PoseFilter::<CORE_STATES>::new(&config());
-    for (index, instant) in instants().iter_mut().enumerate() {
-        if (200..230).contains(&index) {
-            instant.retain(|observation| observation.sensor != SensorId::GYRO);
-        }
-        for observation in instant.iter() {
-            let record = in_order.observe(observation);
-            assert_ne!(record.outcome, FusionOutcome::TooOld, "{observation:?}");
-        }
-        if instant[0].sensor == SensorId::GYRO {
-            instant.swap(0, 1);
-        }
-        for observation in instant.iter() {
-            behind.observe(observation);
-        }
-        assert!(latest_state_text(&behind) == latest_state_text(&in_order), "instant {index}");
-    }
-}
-
-#[test]
 fn an_observation_after_a_change_of_tunables_uses_the_new_ones() {
     let changed = Params { turn_acceleration_rad_per_s2: 9.0, acceleration_m_per_s2: 0.1, ..Params::default() };
     let changed = FilterCommand::SetParams(changed);
     let mut between = PoseFilter::<CORE_STATES>::new(&config());
     let mut before = PoseFilter::<CORE_STATES>::new(&config());
-    let mut instants = instants().into_iter();
-    for observation in instants.by_ref().take(101).flatten() {
-        before.observe(&observation);
-        between.observe(&observation);
-    }
-    let instant = instants.next().expect("there are eight hundred");
-    let (gyro, wheels) = (&instant[0], &instant[1]);
+    drive_straight(&mut between, 5_000);
+    drive_straight(&mut before, 5_000);
+    let (gyro, wheels) = (gyro(5_050, 0.4), wheels(5_050, 36.0, 36.2));
     assert_eq!(before.apply_command(&changed), FusionOutcome::Accepted);
-    before.observe(gyro);
-    before.observe(wheels);
-    between.observe(wheels);
+    before.observe(&gyro);
+    before.observe(&wheels);
+    between.observe(&wheels);
     assert_eq!(between.apply_command(&changed), FusionOutcome::Accepted);
-    between.observe(gyro);
-    assert_eq!(latest_state_text(&between), latest_state_text(&before));
+    between.observe(&gyro);
+    let state = |filter: &PoseFilter<CORE_STATES>| format!("{:?} {:?}", filter.state(), latest(filter));
+    assert_eq!(state(&between), state(&before));
 }

@@ -1,8 +1,7 @@
 //! The filters of paper 1 against the paper and against independent implementations: gains in the steady state, derivatives, sigma
-//! points, records; a foreign Kalman filter, and the paper's EKF written out.
+//! points, records; the textbook's Kalman filter, and the paper's EKF written out.
 
-use adskalman::{ObservationModel, StateAndCovariance, TransitionModelLinearNoControl};
-use nalgebra::{Matrix2, SMatrix, SVector, U1, U2, Vector1, Vector2};
+use nalgebra::{Matrix1, Matrix2, RowVector2, SMatrix, SVector, Vector1, Vector2};
 use posebridge_estimator::Filter;
 use posebridge_estimator::models::planar_speeds::{self, Acceleration, Covariance, Mean};
 use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder, process_noise};
@@ -16,6 +15,7 @@ use rand_pcg::Pcg64;
 use crate::support::filters::{latest, named, rest, without_start};
 use crate::support::observe::{accelerations, gyro, wheels};
 use crate::support::robot::{GEOMETRY, NOISE, RADIUS_M, TRACK_M, config};
+use crate::support::textbook;
 
 /// The published covariance in the paper's units: cm, degrees and these per second.
 fn covariance_in_paper_units(filter: &dyn Filter) -> Covariance {
@@ -284,52 +284,6 @@ fn every_update_leaves_a_full_record() {
     }
 }
 
-/// A linear model for the foreign crate: F, Q, input, H and R of one step.
-struct Foreign<const M: usize> {
-    f: [Matrix2<f64>; 2],
-    q: Matrix2<f64>,
-    input: Vector2<f64>,
-    h: SMatrix<f64, M, 2>,
-    h_transposed: SMatrix<f64, 2, M>,
-    r: SMatrix<f64, M, M>,
-}
-
-impl<const M: usize> TransitionModelLinearNoControl<f64, U2> for Foreign<M> {
-    fn F(&self) -> &Matrix2<f64> {
-        &self.f[0]
-    }
-    fn FT(&self) -> &Matrix2<f64> {
-        &self.f[1]
-    }
-    fn Q(&self) -> &Matrix2<f64> {
-        &self.q
-    }
-    fn predict(&self, before: &StateAndCovariance<f64, U2>) -> StateAndCovariance<f64, U2> {
-        StateAndCovariance::new(
-            self.f[0] * before.state() + self.input,
-            self.f[0] * before.covariance() * self.f[1] + self.q,
-        )
-    }
-}
-
-macro_rules! observed_by {
-    ($m:literal, $dim:ty) => {
-        impl ObservationModel<f64, U2, $dim> for Foreign<$m> {
-            fn H(&self) -> &SMatrix<f64, $m, 2> {
-                &self.h
-            }
-            fn HT(&self) -> &SMatrix<f64, 2, $m> {
-                &self.h_transposed
-            }
-            fn R(&self) -> &SMatrix<f64, $m, $m> {
-                &self.r
-            }
-        }
-    };
-}
-observed_by!(1, U1);
-observed_by!(2, U2);
-
 /// Seeded intervals around the paper's, and a robot that drives an uneven way: milliseconds, left and right angle in rad.
 fn uneven_drive(seed: u64) -> Vec<(i64, f64, f64)> {
     let mut random = Pcg64::seed_from_u64(seed);
@@ -348,47 +302,30 @@ fn uneven_drive(seed: u64) -> Vec<(i64, f64, f64)> {
         .collect()
 }
 
-/// Steps the foreign filter: predict, then update in Joseph's form.
-macro_rules! foreign_step {
-    ($model:expr, $before:expr, $measured:expr) => {
-        adskalman::KalmanFilterNoControl::new($model, $model)
-            .step($before, $measured)
-            .expect("its covariances are positive")
-    };
-}
-
 #[test]
-fn the_wheel_filter_equals_an_independent_kalman_filter() {
+fn the_wheel_filter_equals_the_textbooks_kalman_filter() {
     let mut wheel = SingleWheelFilter::at_rest(RIGHT_VARIANCE);
-    let mut foreign = StateAndCovariance::new(Vector2::zeros(), Matrix2::identity() * 10.0);
-    let drive = uneven_drive(1);
-    for pair in drive.windows(2) {
+    let (mut x, mut p) = (Vector2::zeros(), Matrix2::identity() * 10.0);
+    for pair in uneven_drive(1).windows(2) {
         let dt_s = (pair[1].0 - pair[0].0) as f64 * 1e-3;
         let counted = pair[1].2 / DEGREE;
         let f = Matrix2::new(1.0, dt_s, 0.0, 1.0);
-        let model = Foreign::<1> {
-            f: [f, f.transpose()],
-            q: Matrix2::new(0.1, 0.0, 0.0, 10.0) * (dt_s / 0.05),
-            input: Vector2::zeros(),
-            h: SMatrix::<f64, 1, 2>::new(1.0, 0.0),
-            h_transposed: Vector2::new(1.0, 0.0),
-            r: SMatrix::<f64, 1, 1>::new(2.5),
-        };
-        foreign = foreign_step!(&model, &foreign, &Vector1::new(counted));
+        x = f * x;
+        p = f * p * f.transpose() + Matrix2::new(0.1, 0.0, 0.0, 10.0) * (dt_s / 0.05);
+        textbook::update(&mut x, &mut p, &RowVector2::new(1.0, 0.0), &Matrix1::new(2.5), &Vector1::new(counted));
         wheel.predict(dt_s);
         assert!(wheel.update(counted).is_some());
-        assert!((wheel.mean - foreign.state()).amax() < 1e-9);
-        assert!((wheel.covariance - foreign.covariance()).amax() < 1e-9);
+        assert!((wheel.mean - x).amax() < 1e-9);
+        assert!((wheel.covariance - p).amax() < 1e-9);
     }
 }
 
 #[test]
-fn the_velocity_filter_equals_an_independent_kalman_filter() {
+fn the_velocity_filter_equals_the_textbooks_kalman_filter() {
     let mut filter = named("velocity-kf", &config());
-    let mut foreign = StateAndCovariance::new(Vector2::zeros(), Matrix2::identity() * 10.0);
-    let drive = uneven_drive(2);
+    let (mut x, mut p) = (Vector2::zeros(), Matrix2::identity() * 10.0);
     let felt_at = |k: usize| (0.3 * (k as f64 * 0.11).sin(), 0.2 * (k as f64 * 0.07).cos());
-    for (k, pair) in drive.windows(2).enumerate() {
+    for (k, pair) in uneven_drive(2).windows(2).enumerate() {
         let (left, right) = felt_at(k);
         if k == 0 {
             filter.observe(&wheels(pair[0].0, pair[0].1, pair[0].2));
@@ -400,24 +337,17 @@ fn the_velocity_filter_equals_an_independent_kalman_filter() {
         let [left_m, right_m] = [pair[1].1 - pair[0].1, pair[1].2 - pair[0].2].map(|turned| turned * RADIUS_M);
         let felt = Acceleration::from_wheels(left, right, &GEOMETRY);
         let per_unit = Vector2::new(1.0 / CENTIMETRE, 1.0 / DEGREE);
-        let model = Foreign::<2> {
-            f: [Matrix2::identity(); 2],
-            q: Matrix2::identity() * (2.2 * dt_s / 0.05),
-            input: Vector2::new(felt.forward_m_per_s2, felt.turn_rad_per_s2).component_mul(&per_unit) * dt_s,
-            h: Matrix2::identity(),
-            h_transposed: Matrix2::identity(),
-            r: Matrix2::new(5.1, 0.0, 0.0, 1.938),
-        };
+        x += Vector2::new(felt.forward_m_per_s2, felt.turn_rad_per_s2).component_mul(&per_unit) * dt_s;
+        p += Matrix2::identity() * (2.2 * dt_s / 0.05);
         let speeds = Vector2::new(0.5 * (left_m + right_m), (right_m - left_m) / TRACK_M) / dt_s;
-        foreign = foreign_step!(&model, &foreign, &speeds.component_mul(&per_unit));
+        let r = Matrix2::new(5.1, 0.0, 0.0, 1.938);
+        textbook::update(&mut x, &mut p, &Matrix2::identity(), &r, &speeds.component_mul(&per_unit));
 
         let ours = latest(filter.as_ref());
-        let v = ours.forward_speed.0 / CENTIMETRE;
-        let w = ours.turn_rate.0 / DEGREE;
-        assert!((Vector2::new(v, w) - foreign.state()).amax() < 1e-9, "step {k}");
-        let p = covariance_in_paper_units(filter.as_ref());
-        let block = p.fixed_view::<2, 2>(row::FORWARD, row::FORWARD);
-        assert!((block - foreign.covariance()).amax() < 1e-9, "step {k}");
+        let (v, w) = (ours.forward_speed.0 / CENTIMETRE, ours.turn_rate.0 / DEGREE);
+        assert!((Vector2::new(v, w) - x).amax() < 1e-9, "step {k}");
+        let block = covariance_in_paper_units(filter.as_ref()).fixed_view::<2, 2>(row::FORWARD, row::FORWARD) - p;
+        assert!(block.amax() < 1e-9, "step {k}");
     }
 }
 
@@ -449,10 +379,7 @@ impl Literal {
         h[(1, 2)] = 1.0;
         h[(2, 2)] = 1.0;
         let r = SMatrix::<f64, 3, 3>::from_diagonal(&SVector::from([5.1, 0.938, 0.332]));
-        let s = h * self.p * h.transpose() + r;
-        let k = self.p * h.transpose() * s.try_inverse().expect("positive definite");
-        self.x += k * (z - h * self.x);
-        self.p = (Covariance::identity() - k * h) * self.p;
+        textbook::update(&mut self.x, &mut self.p, &h, &r, z);
     }
 }
 

@@ -5,10 +5,11 @@ use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::{RangeFilter, RangeFilterVariant};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
-    FusionOutcome, FusionRecord, Meters, MetersPerSecond, Observation, ObservationKind, RadiansPerSecond,
-    ScalarEstimate, SensorId, TimeDelta, Timestamp,
+    FusionOutcome, FusionRecord, Meters, MetersPerSecond, ObservationKind, RadiansPerSecond, ScalarEstimate, SensorId,
+    Timestamp,
 };
 
+use crate::support::observe;
 use crate::support::robot::config;
 
 /// The paper's loop: 84 steps of 7.6 ms on average, 19 of them with a reading.
@@ -24,12 +25,7 @@ fn configured(process_sigma: f64) -> FilterConfig {
 }
 
 fn observe(filter: &mut RangeFilter, at_s: f64, observed: ObservationKind) -> FusionRecord {
-    filter.observe(&Observation {
-        sensor: SensorId::RANGE,
-        stamp: Timestamp::from_secs_f64(at_s),
-        stamp_sigma: TimeDelta::ZERO,
-        measurement: observed,
-    })
+    filter.observe(&observe::at_s(at_s, SensorId::RANGE, observed))
 }
 
 fn command(filter: &mut RangeFilter, at_s: f64, forward_m_per_s: f64) -> FusionRecord {

@@ -4,13 +4,12 @@ use posebridge_estimator::Filter;
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_telemetry::{
-    Celsius, FusionOutcome, Observation, ObservationKind, ScalarEstimate, SensorId, TimeDelta, Timestamp,
-};
+use posebridge_telemetry::{Celsius, FusionOutcome, Observation, ObservationKind, ScalarEstimate, SensorId};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 
+use crate::support::observe::at_s;
 use crate::support::robot::config;
 
 /// Four readings a second.
@@ -57,13 +56,8 @@ fn with_noise(sigma_k: f64) -> Thermometer {
     Thermometer::new(&config(), &ThermometerSettings { sigma_k, ..ThermometerSettings::default() })
 }
 
-fn observation(at_s: f64, shown_c: f64) -> Observation {
-    Observation {
-        sensor: SensorId::THERMOMETER,
-        stamp: Timestamp::from_secs_f64(at_s),
-        stamp_sigma: TimeDelta::ZERO,
-        measurement: ObservationKind::Temperature(Celsius(shown_c)),
-    }
+fn observation(at_seconds: f64, shown_c: f64) -> Observation {
+    at_s(at_seconds, SensorId::THERMOMETER, ObservationKind::Temperature(Celsius(shown_c)))
 }
 
 fn observe(thermometer: &mut Thermometer, at_s: f64, shown_c: f64) -> (FusionOutcome, ScalarEstimate) {

@@ -3,18 +3,15 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, FusionRecord, ObservationKind, TimeDelta, Timestamp};
 
-use super::columns::linearize;
-use super::entry::kind_index;
+use super::entry::sort_key;
 use super::motion_update::{UpdateContext, has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
 use super::relocalize::{initialize_from_fix, reject_fix, reset_to_fix};
-use super::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, PositionState, RejectedFixes};
+use super::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, PositionState, RejectedFixes, linearize};
 use crate::models::lie::Se2;
 use crate::numerics::covariance::symmetrise;
-use crate::observations::beacon::Beacon;
-use crate::observations::landmark::RangeBearing;
-use crate::observations::model::{ObservationModel, PoseView, StateTerm};
-use crate::observations::{beacon, compass, fix, landmark, wall};
+use crate::observations::absolute::{self, RangeBearing};
+use crate::observations::{ObservationModel, PoseView, StateTerm, fix};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
@@ -25,7 +22,6 @@ const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
 /// How far before the state's instant the motion track is queried.
 pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
 
-/// Updates the state by an absolute observation; the outcome is in the record.
 pub(super) fn update_absolute<const N: usize>(
     state: &mut PoseState<N>,
     observation: &ObservationKind,
@@ -40,7 +36,7 @@ pub(super) fn update_absolute<const N: usize>(
         update_gyro_window(state, context);
         state.restart_window(window.until);
     }
-    let mut update = AbsoluteUpdate { context, kind: kind_index(observation), record };
+    let mut update = AbsoluteUpdate { context, kind: sort_key(observation).0, record };
     let outcome = if let ObservationKind::Fix(fix) = observation {
         update.update_fix(state, fix, stamp_sigma)
     } else if state.position_state == PositionState::Unknown {
@@ -50,7 +46,7 @@ pub(super) fn update_absolute<const N: usize>(
     };
     record.outcome = outcome;
     if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
-        state.last_fix = state.stamp;
+        state.status.last_fix = state.stamp;
         // Agreement of a compass, a wall or a range does not prove that the position is right: only a fix answers for the fixes.
         if matches!(observation, ObservationKind::Fix(_)) {
             state.rejected_fixes = RejectedFixes::default();
@@ -66,7 +62,6 @@ struct AbsoluteUpdate<'a> {
 
 /// The position has the same noise along both axes; the heading has its own.
 const POSE_GROUPS: [NoiseGroup; 3] = [NoiseGroup::Position, NoiseGroup::Position, NoiseGroup::Heading];
-/// The same without heading.
 const POSITION_GROUPS: [NoiseGroup; 2] = [NoiseGroup::Position; 2];
 
 impl AbsoluteUpdate<'_> {
@@ -109,7 +104,6 @@ impl AbsoluteUpdate<'_> {
         NoiseSource { sensor: self.record.sensor, kind: self.kind, group }
     }
 
-    /// Factor on the configured variance of a group of components.
     fn noise_scale<const N: usize>(&self, state: &PoseState<N>, group: NoiseGroup) -> f64 {
         state.noise_scales.factor(self.noise_source(group))
     }
@@ -187,29 +181,25 @@ impl AbsoluteUpdate<'_> {
                 let range_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.landmark_range_m.powi(2);
                 let bearing_rad2 = self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2);
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
-                let model = world
-                    .landmarks
-                    .get(&id)
-                    .and_then(|position| landmark::measurement(state, *position, sighting, range_m2, bearing_rad2));
+                let model = world.landmarks.get(&id);
+                let model = model.and_then(|at| absolute::landmark(state, *at, sighting, range_m2, bearing_rad2));
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range, NoiseGroup::Bearing])
             }
             ObservationKind::BeaconRange { id, range } => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.beacon_range_m.powi(2);
                 let known = world.beacons.iter().enumerate().find(|(_, (known, _))| **known == id);
-                let model = known.and_then(|(slot, (_, position))| {
-                    let beacon = Beacon { position: *position, slot };
-                    beacon::measurement(state, beacon, range.0, variance_m2)
-                });
+                let model = known
+                    .and_then(|(slot, (_, position))| absolute::beacon(state, *position, slot, range.0, variance_m2));
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
-                let model = wall::measurement(state, &world.walls, range.0, variance_m2);
+                let model = absolute::wall(state, &world.walls, range.0, variance_m2);
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
             }
             ObservationKind::CompassHeading(heading) => {
                 let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
-                let model = compass::measurement(state, heading.rad(), variance_rad2);
+                let model = absolute::compass(state, heading.rad(), variance_rad2);
                 self.gate_and_apply_if_some(state, Some(&model), [NoiseGroup::Heading])
             }
             ObservationKind::WheelAngles { .. }
@@ -259,7 +249,6 @@ impl AbsoluteUpdate<'_> {
         FusionOutcome::Accepted
     }
 
-    /// Adapts the noise scale of each group of components to an innovation.
     fn learn_scales<const N: usize, const M: usize>(
         &self,
         state: &mut PoseState<N>,

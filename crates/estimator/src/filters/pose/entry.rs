@@ -6,52 +6,19 @@ use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, Heading, ObservationK
 
 use super::relocalize::StateCommand;
 use crate::history::HistoryEntry;
-use crate::observations::accelerometer::WheelAccelerations;
+use crate::models::planar_speeds::Acceleration;
+use crate::motion::MotionReading;
 
-/// The effect of one history entry on the state.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum UpdateKind {
     TurnRate(f64),
-    Accelerations(WheelAccelerations),
-    Motion,
-    /// A fix, a landmark, a range or a heading.
+    Accelerations(Acceleration),
+    Motion(MotionReading),
+    /// A fix, a landmark, a range or a heading, and the sigma of its stamp.
     Absolute(ObservationKind, TimeDelta),
     Command(StateCommand),
 }
 
-impl UpdateKind {
-    /// Order of the updates of one instant, so that the order of arrival does not matter. Commands come last, in the order given.
-    pub(super) const fn rank(&self) -> u8 {
-        match self {
-            Self::TurnRate(_) => 0,
-            Self::Accelerations(_) => 1,
-            Self::Motion => 2,
-            Self::Absolute(..) => 3,
-            Self::Command(_) => 4,
-        }
-    }
-
-    /// The order of two actions of one rank, sensor and instant: absolute observations are ordered by their values.
-    pub(super) fn order(&self, other: &Self) -> Ordering {
-        match (self, other) {
-            (Self::Absolute(ours, _), Self::Absolute(theirs, _)) => {
-                compare_sort_keys(&sort_key(ours), &sort_key(theirs))
-            }
-            _ => Ordering::Equal,
-        }
-    }
-
-    /// Whether two actions of one sensor and instant have the same content.
-    pub(super) fn is_duplicate_of(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Absolute(ours, _), Self::Absolute(theirs, _)) => ours == theirs,
-            (Self::Accelerations(_), Self::Accelerations(_)) => true,
-            _ => false,
-        }
-    }
-}
-
-/// An observation with its instant and its source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseEntry {
     pub(super) stamp: Timestamp<BrickClock>,
@@ -60,6 +27,17 @@ pub(super) struct PoseEntry {
 }
 
 impl PoseEntry {
+    /// Order of the updates of one instant, so that the order of arrival does not matter. Commands come last, in the order given.
+    const fn rank(&self) -> u8 {
+        match self.update {
+            UpdateKind::TurnRate(_) => 0,
+            UpdateKind::Accelerations(_) => 1,
+            UpdateKind::Motion(_) => 2,
+            UpdateKind::Absolute(..) => 3,
+            UpdateKind::Command(_) => 4,
+        }
+    }
+
     /// Whether this is an absolute observation that was not used.
     pub(super) const fn is_without_effect(&self, verdict: FusionOutcome) -> bool {
         matches!(self.update, UpdateKind::Absolute(..))
@@ -68,7 +46,12 @@ impl PoseEntry {
 
     /// Whether two entries have the same instant and content: a datagram that was received twice.
     pub(super) fn is_duplicate_of(&self, other: &Self) -> bool {
-        self.stamp == other.stamp && self.sensor == other.sensor && self.update.is_duplicate_of(&other.update)
+        let is_same = match (&self.update, &other.update) {
+            (UpdateKind::Absolute(ours, _), UpdateKind::Absolute(theirs, _)) => ours == theirs,
+            (UpdateKind::Accelerations(_), UpdateKind::Accelerations(_)) => true,
+            _ => false,
+        };
+        is_same && self.stamp == other.stamp && self.sensor == other.sensor
     }
 }
 
@@ -79,56 +62,43 @@ impl HistoryEntry for PoseEntry {
 
     /// By stamp, rank and sensor, and two absolute observations of one sensor by their values.
     fn order(&self, other: &Self) -> Ordering {
-        let key = |entry: &Self| (entry.stamp, entry.update.rank(), entry.sensor.0);
-        key(self).cmp(&key(other)).then_with(|| self.update.order(&other.update))
-    }
-}
-
-/// The number of a kind of absolute observation, which distinguishes those of one sensor.
-pub(super) const fn kind_index(observation: &ObservationKind) -> u8 {
-    match observation {
-        ObservationKind::Fix(_) => 0,
-        ObservationKind::Landmark { .. } => 1,
-        ObservationKind::BeaconRange { .. } => 2,
-        ObservationKind::WallRange(_) => 3,
-        ObservationKind::CompassHeading(_) => 4,
-        ObservationKind::WheelAngles { .. }
-        | ObservationKind::OdometerPose(_)
-        | ObservationKind::BodyVelocity { .. }
-        | ObservationKind::TurnRate(_)
-        | ObservationKind::WheelAccelerations { .. }
-        | ObservationKind::Temperature(_) => 5,
+        let key = |entry: &Self| (entry.stamp, entry.rank(), entry.sensor.0);
+        key(self).cmp(&key(other)).then_with(|| match (&self.update, &other.update) {
+            (UpdateKind::Absolute(ours, _), UpdateKind::Absolute(theirs, _)) => {
+                let ((kind, values), (other_kind, other_values)) = (sort_key(ours), sort_key(theirs));
+                let differences = values.iter().zip(&other_values).map(|(ours, theirs)| ours.total_cmp(theirs));
+                differences.fold(kind.cmp(&other_kind), Ordering::then)
+            }
+            _ => Ordering::Equal,
+        })
     }
 }
 
 /// Number of values that distinguish two absolute observations of one instant.
-const SORT_KEY_LEN: usize = 11;
+const VALUES: usize = 10;
 
-/// All values of an observation, which distinguish two of one instant.
-fn sort_key(observation: &ObservationKind) -> [f64; SORT_KEY_LEN] {
-    let mut numbers = [0.0; SORT_KEY_LEN];
-    numbers[0] = f64::from(kind_index(observation));
+/// The number of a kind of absolute observation, which distinguishes those of one sensor, and all values of the observation.
+pub(super) fn sort_key(observation: &ObservationKind) -> (u8, [f64; VALUES]) {
     match *observation {
-        ObservationKind::Fix(fix) => numbers[1..].copy_from_slice(&fix_sort_key(&fix)),
-        ObservationKind::Landmark { id, range, bearing } => {
-            numbers[1..4].copy_from_slice(&[f64::from(id.0), range.0, bearing.0]);
-        }
-        ObservationKind::BeaconRange { id, range } => {
-            numbers[1..3].copy_from_slice(&[f64::from(id.0), range.0]);
-        }
-        ObservationKind::WallRange(range) => numbers[1] = range.0,
-        ObservationKind::CompassHeading(heading) => numbers[1] = heading.rad(),
+        ObservationKind::Fix(fix) => (0, fix_values(&fix)),
+        ObservationKind::Landmark { id, range, bearing } => (1, padded(&[f64::from(id.0), range.0, bearing.0])),
+        ObservationKind::BeaconRange { id, range } => (2, padded(&[f64::from(id.0), range.0])),
+        ObservationKind::WallRange(range) => (3, padded(&[range.0])),
+        ObservationKind::CompassHeading(heading) => (4, padded(&[heading.rad()])),
         ObservationKind::WheelAngles { .. }
         | ObservationKind::OdometerPose(_)
         | ObservationKind::BodyVelocity { .. }
         | ObservationKind::TurnRate(_)
         | ObservationKind::WheelAccelerations { .. }
-        | ObservationKind::Temperature(_) => {}
+        | ObservationKind::Temperature(_) => (5, [0.0; VALUES]),
     }
-    numbers
 }
 
-fn fix_sort_key(fix: &Fix) -> [f64; SORT_KEY_LEN - 1] {
+fn padded(values: &[f64]) -> [f64; VALUES] {
+    std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
+}
+
+fn fix_values(fix: &Fix) -> [f64; VALUES] {
     let claimed = fix.covariance.map_or([f64::INFINITY; 4], |own| [own.xx_m2, own.xy_m2, own.yy_m2, own.heading_rad2]);
     [
         fix.position.x.0,
@@ -142,8 +112,4 @@ fn fix_sort_key(fix: &Fix) -> [f64; SORT_KEY_LEN - 1] {
         fix.tag_in_body.y.0,
         f64::from(fix.reset_counter),
     ]
-}
-
-fn compare_sort_keys(ours: &[f64; SORT_KEY_LEN], theirs: &[f64; SORT_KEY_LEN]) -> Ordering {
-    ours.iter().zip(theirs).map(|(ours, theirs)| ours.total_cmp(theirs)).fold(Ordering::Equal, Ordering::then)
 }

@@ -1,17 +1,12 @@
-//! The flagship: an EKF with pose, speeds and gyro bias that applies every observation at its own time.
-//!
-//! The filter keeps its inputs for a few seconds, with states between them. A late observation is put where it belongs,
-//! the state before it is restored and what came after is applied again: exactly what would have happened had it come in time.
-//! The order of arrival does not matter, bit for bit, as long as nothing is older than the history.
+//! The main filter: an EKF with pose, speeds and gyro bias that applies every observation at its own time, by replaying
+//! what came after.
 //!
 //! Source: docs/maths/pose.md.
 
 mod absolute_update;
-pub mod columns;
 mod entry;
 pub mod motion_update;
 pub mod noise_scales;
-mod predict;
 pub mod propagation;
 mod relocalize;
 pub mod smoother;
@@ -20,26 +15,30 @@ pub mod state;
 use std::borrow::Cow;
 
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, StartPose,
-    TimeDelta, Timestamp, UncertainValue,
+    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
+    SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
 use self::entry::{PoseEntry, UpdateKind};
 use self::motion_update::UpdateContext;
 use self::relocalize::StateCommand;
-use self::state::{CAMERA_STATES, CORE_STATES, PoseState, RANGE_STATES};
+use self::state::{
+    CAMERA_STATES, CORE_STATES, FORWARD, HEADING, LEFT, PoseBlock, PoseState, PositionState, RANGE_STATES, arena_pose,
+};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::history::{FixedLagHistory, ReplayStep};
+use crate::models::lie::Se2;
+use crate::models::planar_speeds::Acceleration;
 use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
-use crate::observations::accelerometer::WheelAccelerations;
 use crate::params::Params;
+use crate::tracking::PublishedState;
+use crate::update::preview_scalar;
 use crate::validation;
 
 /// A gap in a sensor's readings keeps the history from being discarded for no longer than this.
 const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 
-/// Builds the pose filter with as many states as the configuration needs.
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     let calibration = &config.calibration;
     let is_estimated = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
@@ -59,7 +58,6 @@ pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
     }
 }
 
-/// The pose filter with N states, see [`state`].
 pub struct PoseFilter<const N: usize> {
     config: FilterConfig,
     track: MotionTrack,
@@ -71,7 +69,6 @@ pub struct PoseFilter<const N: usize> {
 }
 
 impl<const N: usize> PoseFilter<N> {
-    /// A filter without observations.
     pub fn new(config: &FilterConfig) -> Self {
         Self {
             config: config.clone(),
@@ -122,7 +119,7 @@ impl<const N: usize> PoseFilter<N> {
     /// changes the interpolation since the reading before it, so each sensor is settled up to its last reading before
     /// the horizon.
     fn settled_until(&self, horizon: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
-        [self.track.bisect_last_at_or_before(horizon), self.gyro.bisect_last_at_or_before(horizon)]
+        [self.track.last_at_or_before(horizon), self.gyro.last_at_or_before(horizon)]
             .into_iter()
             .flatten()
             .fold(horizon, Timestamp::min)
@@ -146,54 +143,28 @@ impl<const N: usize> PoseFilter<N> {
     }
 
     fn observe_valid(&mut self, observation: &Observation, record: &mut FusionRecord) {
-        let Some(action) = update_kind(observation) else {
+        let stamp = observation.stamp;
+        let Some(update) = update_kind(observation, &self.config.geometry) else {
             record.outcome = FusionOutcome::Unused;
             return;
         };
-        match action {
+        let entry = PoseEntry { stamp, sensor: observation.sensor, update };
+        let added = match update {
+            UpdateKind::TurnRate(rate) => self.gyro.insert(stamp, rate),
+            UpdateKind::Motion(reading) => self.track.insert(stamp, &reading),
             UpdateKind::Absolute(..) | UpdateKind::Accelerations(_) | UpdateKind::Command(_) => {
-                self.insert_unless_duplicate(observation, action, record);
+                // In the order of time: behind the first that is older there is no other of this instant.
+                let mut recent = self.history.entries().iter().rev().take_while(|other| other.stamp >= stamp);
+                let is_repeated = recent.any(|other| other.is_duplicate_of(&entry));
+                if is_repeated { InsertOutcome::Duplicate } else { InsertOutcome::Inserted(Some(stamp)) }
             }
-            UpdateKind::TurnRate(rate) => {
-                let added = self.gyro.insert(observation.stamp, rate);
-                self.insert_motion(observation, action, added, record);
-            }
-            UpdateKind::Motion => {
-                if let Some(reading) = MotionReading::from_observation(&observation.measurement) {
-                    let added = self.track.insert(observation.stamp, &reading);
-                    self.insert_motion(observation, action, added, record);
-                }
-            }
-        }
-    }
-
-    fn insert_unless_duplicate(&mut self, observation: &Observation, action: UpdateKind, record: &mut FusionRecord) {
-        let entry = pose_entry(observation, action);
-        // In the order of time: behind the first that is older there is no other of this instant.
-        let entries = self.history.entries().iter().rev();
-        let is_repeated =
-            entries.take_while(|other| other.stamp >= observation.stamp).any(|other| other.is_duplicate_of(&entry));
-        if is_repeated {
-            record.outcome = FusionOutcome::Malformed;
-            return;
-        }
-        self.insert(entry, Some(observation.stamp), record);
-    }
-
-    fn insert_motion(
-        &mut self,
-        observation: &Observation,
-        action: UpdateKind,
-        added: InsertOutcome,
-        record: &mut FusionRecord,
-    ) {
-        record.outcome = validation::fusion_outcome(added);
-        let changed_after = match added {
-            InsertOutcome::Inserted(before) => before,
-            InsertOutcome::Rebased(before) => Some(before),
-            InsertOutcome::Superseded | InsertOutcome::Duplicate | InsertOutcome::TooOld => return,
         };
-        self.insert(pose_entry(observation, action), changed_after, record);
+        record.outcome = validation::fusion_outcome(added);
+        match added {
+            InsertOutcome::Inserted(changed_after) => self.insert(entry, changed_after, record),
+            InsertOutcome::Rebased(changed_after) => self.insert(entry, Some(changed_after), record),
+            InsertOutcome::Superseded | InsertOutcome::Duplicate | InsertOutcome::TooOld => {}
+        }
     }
 
     /// Applies a command after all observations of its instant, or to the initial state before the first one.
@@ -238,9 +209,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
             FilterCommand::SetOnlineCalibration(learning) => {
                 self.insert_command(StateCommand::SetOnlineCalibration(*learning));
             }
-            FilterCommand::ResetCalibration => {
-                self.insert_command(StateCommand::ResetCalibration);
-            }
+            FilterCommand::ResetCalibration => self.insert_command(StateCommand::ResetCalibration),
         }
         FusionOutcome::Accepted
     }
@@ -275,16 +244,12 @@ impl<const N: usize> Filter for PoseFilter<N> {
             state = Cow::Owned(after);
         }
         state.stamp.filter(|known_from| *known_from <= stamp)?;
-        Some(predict::estimate(&state, stamp, &context))
+        Some(estimate(&state, stamp, &context))
     }
 }
 
-const fn pose_entry(observation: &Observation, action: UpdateKind) -> PoseEntry {
-    PoseEntry { stamp: observation.stamp, sensor: observation.sensor, update: action }
-}
-
 /// The update by an observation; `None` for a kind that the filter does not use.
-fn update_kind(observation: &Observation) -> Option<UpdateKind> {
+fn update_kind(observation: &Observation, geometry: &DriveGeometry) -> Option<UpdateKind> {
     match observation.measurement {
         ObservationKind::Fix(_)
         | ObservationKind::Landmark { .. }
@@ -294,12 +259,14 @@ fn update_kind(observation: &Observation) -> Option<UpdateKind> {
             Some(UpdateKind::Absolute(observation.measurement, observation.stamp_sigma))
         }
         ObservationKind::WheelAccelerations { left, right } => {
-            Some(UpdateKind::Accelerations(WheelAccelerations { left_m_per_s2: left.0, right_m_per_s2: right.0 }))
+            Some(UpdateKind::Accelerations(Acceleration::from_wheels(left.0, right.0, geometry)))
         }
         ObservationKind::TurnRate(rate) => Some(UpdateKind::TurnRate(rate.0)),
         ObservationKind::WheelAngles { .. }
         | ObservationKind::OdometerPose(_)
-        | ObservationKind::BodyVelocity { .. } => Some(UpdateKind::Motion),
+        | ObservationKind::BodyVelocity { .. } => {
+            MotionReading::from_observation(&observation.measurement).map(UpdateKind::Motion)
+        }
         ObservationKind::Temperature(_) => None,
     }
 }
@@ -331,14 +298,14 @@ fn apply_update<const N: usize>(
             state.stamp = state.stamp.or(Some(stamp));
             state.predict_speeds_and_bias(stamp, context.config);
         }
-        UpdateKind::Motion | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
+        UpdateKind::Motion(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
             state.advance(stamp, context.track, context.config);
         }
     }
     match entry.update {
         UpdateKind::TurnRate(rate) => motion_update::update_turn_rate(state, rate, context),
         UpdateKind::Accelerations(felt) => motion_update::update_accelerations(state, felt, stamp, context),
-        UpdateKind::Motion => motion_update::update_motion(state, stamp, context, record),
+        UpdateKind::Motion(_) => motion_update::update_motion(state, stamp, context, record),
         UpdateKind::Absolute(observation, sigma) => {
             absolute_update::update_absolute(state, &observation, sigma, context, record);
         }
@@ -349,4 +316,63 @@ fn apply_update<const N: usize>(
 /// A record for an entry that is applied again, which was reported when it came. Its sensor selects the noise scale.
 const fn scratch_record(entry: &PoseEntry) -> FusionRecord {
     validation::blank_record(entry.sensor, entry.stamp)
+}
+
+struct PublishedPose {
+    pose: Se2,
+    covariance: PoseBlock,
+}
+
+impl PublishedPose {
+    fn from_state<const N: usize>(state: &PoseState<N>) -> Self {
+        Self { pose: state.pose, covariance: state.pose_covariance() }
+    }
+}
+
+/// The estimate for an instant, with the gyro readings of the window that is still open.
+///
+/// A window stays open in the state until it is full, so this update is computed on a copy. An estimate is requested after every
+/// observation and needs a third of the state: where nothing else changes, only that third is computed.
+fn estimate<const N: usize>(
+    from: &PoseState<N>,
+    stamp: Timestamp<BrickClock>,
+    context: &UpdateContext<'_>,
+) -> Estimate {
+    let is_there = from.stamp.is_some_and(|known| known == stamp);
+    if is_there && let Some(shown) = with_open_window(from, context) {
+        return build_estimate(from, &shown, stamp, context.config);
+    }
+    let mut state = *from;
+    state.advance(stamp, context.track, context.config);
+    motion_update::update_gyro_window(&mut state, context);
+    build_estimate(&state, &PublishedPose::from_state(&state), stamp, context.config)
+}
+
+/// The pose with the gyro readings of the window so far; `None` after wheel slip, which changes more than the pose.
+fn with_open_window<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<PublishedPose> {
+    let Some(scalar) = motion_update::preview_gyro_window(state, context) else {
+        return Some(PublishedPose::from_state(state));
+    };
+    if motion_update::is_slip(state, &scalar, context) {
+        return None;
+    }
+    let rows = [FORWARD, LEFT, HEADING];
+    let (correction, covariance) = preview_scalar(&state.mean, &state.covariance, &scalar, rows)?;
+    Some(PublishedPose { pose: state.pose.compose(Se2::exp(correction)), covariance })
+}
+
+fn build_estimate<const N: usize>(
+    state: &PoseState<N>,
+    shown: &PublishedPose,
+    stamp: Timestamp<BrickClock>,
+    config: &FilterConfig,
+) -> Estimate {
+    let published = PublishedState {
+        pose: arena_pose(shown.pose),
+        speeds: [state.forward.value, state.turn.value],
+        covariance: state.covariance_in_arena(shown.pose.heading_rad, &shown.covariance),
+        has_position: state.position_state != PositionState::Unknown,
+        has_heading: state.is_heading_known_at(shown.covariance[2][2]),
+    };
+    state.status.estimate(stamp, &published, config.params.fix_timeout_s)
 }

@@ -2,19 +2,17 @@
 
 use posebridge_telemetry::{BrickClock, FusionRecord, TimeDelta, Timestamp};
 
-use super::columns::linearize_gyro_window;
-use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDOW_TURN};
+use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDOW_TURN, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
+use crate::models::planar_speeds::Acceleration;
 use crate::motion::{GyroTrack, MotionTrack};
 use crate::numerics::chi_square::ChiSquareGates;
-use crate::observations::accelerometer::{WheelAccelerations, speed_change};
-use crate::observations::gyro_window::{EndRounding, largest_rounding, rounding_variance};
+use crate::observations::gyro_window::{largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
 use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
 use crate::validation::add_innovation;
 
-/// The inputs of an update besides the state.
 pub struct UpdateContext<'a> {
     pub config: &'a FilterConfig,
     pub track: &'a MotionTrack,
@@ -49,7 +47,7 @@ pub fn update_motion<const N: usize>(
             state.turn.observe(speed::turn_reading(step, &noise, dt_s, geometry));
         }
     }
-    state.last_motion = Some(stamp);
+    state.status.last_motion = Some(stamp);
     let length_s = context.config.params.gyro_window_s;
     match state.window {
         None => {
@@ -58,7 +56,7 @@ pub fn update_motion<const N: usize>(
             state.restart_window(stamp);
         }
         Some(window) if (stamp - window.start).as_secs_f64() >= length_s => {
-            if context.gyro.covers(window.start, stamp)
+            if context.gyro.covered_turn(window.start, stamp).is_some()
                 && let Some((scalar, outcome)) = update_gyro_window(state, context)
             {
                 add_innovation(record, scalar.innovation, &outcome);
@@ -78,20 +76,20 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
     state.turn.observe(reading);
 }
 
-/// Changes the speeds by an acceleration sample.
 pub fn update_accelerations<const N: usize>(
     state: &mut PoseState<N>,
-    felt: WheelAccelerations,
+    felt: Acceleration,
     stamp: Timestamp<BrickClock>,
     context: &UpdateContext<'_>,
 ) {
     let since = state.last_acceleration.map(|last| stamp - last);
     if let Some(dt) = since.filter(|dt| *dt > TimeDelta::ZERO && *dt <= MAX_ACCELERATION_INTERVAL) {
-        let change = speed_change(felt, dt.as_secs_f64(), &context.config.geometry, &context.config.noise);
-        state.forward.value += change.forward_m_per_s;
-        state.forward.variance += change.forward_variance;
-        state.turn.value += change.turn_rad_per_s;
-        state.turn.variance += change.turn_variance;
+        let config = context.config;
+        let changes = speed::speed_changes(felt, dt.as_secs_f64(), &config.geometry, &config.noise);
+        for (speed, change) in [&mut state.forward, &mut state.turn].into_iter().zip(changes) {
+            speed.value += change.value;
+            speed.variance += change.variance;
+        }
     }
     state.last_acceleration = Some(stamp);
 }
@@ -102,17 +100,15 @@ pub fn update_gyro_window<const N: usize>(
     state: &mut PoseState<N>,
     context: &UpdateContext<'_>,
 ) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
-    let (scalar, before) = preview_gyro_window(state, context)?;
+    let scalar = preview_gyro_window(state, context)?;
     if is_slip(state, &scalar, context) {
-        inflate_for_slip(state, scalar.innovation.powi(2), before.nis, context.config);
+        let innovation_variance = scalar.innovation_variance(&state.covariance);
+        inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, context.config);
         state.slipped_at = state.window.map(|window| window.until);
     }
     let outcome = match end_rounding(state, context) {
-        EndRounding::Independent { variance_rad2 } => update_with_end_rounding(state, &scalar, variance_rad2),
-        EndRounding::Unchanged => {
-            let (mean, covariance) = (&mut state.mean, &mut state.covariance);
-            use_scalar(mean, covariance, &scalar, f64::INFINITY)
-        }
+        Some(variance_rad2) => update_with_end_rounding(state, &scalar, variance_rad2),
+        None => use_scalar(&mut state.mean, &mut state.covariance, &scalar, f64::INFINITY),
     };
     state.inject();
     (outcome.outcome == UpdateOutcome::Used).then_some((scalar, outcome))
@@ -144,9 +140,8 @@ fn update_with_end_rounding<const N: usize>(
     outcome
 }
 
-/// Whether gyro and encoders disagree so far that the wheels must have slipped.
 pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> bool {
-    preview_gyro_window(state, context).is_some_and(|(scalar, _)| is_slip(state, &scalar, context))
+    preview_gyro_window(state, context).is_some_and(|scalar| is_slip(state, &scalar, context))
 }
 
 /// Whether gyro and encoders disagree by more than rounding can, beyond what chance adds. Rounding is not normal but bounded: while
@@ -161,15 +156,11 @@ pub(super) fn is_slip<const N: usize>(
     if beyond_rad <= 0.0 {
         return false;
     }
-    let rounding_rad2 = match end_rounding(state, context) {
-        EndRounding::Independent { variance_rad2 } => variance_rad2,
-        EndRounding::Unchanged => 0.0,
-    };
     let but_rounding = ScalarMeasurement {
         innovation: beyond_rad,
         rows: [scalar.rows[0], scalar.rows[1]],
         jacobian: [scalar.jacobian[0], scalar.jacobian[1]],
-        variance: scalar.variance - rounding_rad2,
+        variance: scalar.variance - end_rounding(state, context).unwrap_or(0.0),
     };
     let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
     beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
@@ -178,7 +169,12 @@ pub(super) fn is_slip<const N: usize>(
 /// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance
 /// is wrong by something between minus and plus half of it, uniformly, and the window's path was integrated in a wrong
 /// direction. Position variance excludes the share that chance explains: a false alarm must not cost position.
-fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, nis: f64, config: &FilterConfig) {
+fn inflate_for_slip<const N: usize>(
+    state: &mut PoseState<N>,
+    slip_rad2: f64,
+    innovation_variance: f64,
+    config: &FilterConfig,
+) {
     let forward_m = state.window.map_or(0.0, |window| window.forward_m);
     for row in [HEADING, WINDOW_TURN] {
         for column in [HEADING, WINDOW_TURN] {
@@ -186,25 +182,24 @@ fn inflate_for_slip<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64, ni
         }
     }
     // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
-    let beyond_chance_rad2 = slip_rad2 * (1.0 - config.params.slip_nis / nis).max(0.0);
+    let beyond_chance_rad2 = slip_rad2 * (1.0 - config.params.slip_nis / (slip_rad2 / innovation_variance)).max(0.0);
     let along_m2 = beyond_chance_rad2 * config.geometry.track_width.0.powi(2) / 12.0;
     let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
     state.covariance[(LEFT, LEFT)] += across_m2;
 }
 
-fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> EndRounding {
-    match state.window {
-        Some(window) if state.tick_activity.is_stationary(window.start, window.until) => EndRounding::Unchanged,
-        _ => EndRounding::Independent { variance_rad2: rounding_variance(&context.config.geometry) },
-    }
+/// The variance of the rounding at the window's end; `None` where it is that at the beginning, because the robot rested.
+fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<f64> {
+    let rested = state.window.is_some_and(|window| state.tick_activity.is_stationary(window.start, window.until));
+    (!rested).then(|| rounding_variance(&context.config.geometry))
 }
 
 /// Evaluates the window so far without changing the state.
 pub(super) fn preview_gyro_window<const N: usize>(
     state: &PoseState<N>,
     context: &UpdateContext<'_>,
-) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
+) -> Option<ScalarMeasurement<3>> {
     let window = state.window?;
     if window.until <= window.start {
         return None;
@@ -213,12 +208,7 @@ pub(super) fn preview_gyro_window<const N: usize>(
     let noise = &context.config.noise;
     let model = gyro_window::measurement(state, &window, &turn, noise, end_rounding(state, context));
     let scalar = linearize_gyro_window(&model);
-    let s = scalar.innovation_variance(&state.covariance);
-    (s > 0.0).then(|| {
-        let outcome =
-            ScalarOutcome { innovation_variance: s, nis: scalar.innovation.powi(2) / s, outcome: UpdateOutcome::Used };
-        (scalar, outcome)
-    })
+    (scalar.innovation_variance(&state.covariance) > 0.0).then_some(scalar)
 }
 
 #[cfg(test)]
@@ -231,17 +221,17 @@ mod tests {
     #[test]
     fn a_slip_costs_position_only_as_far_as_chance_does_not_explain_it() {
         let config = config();
-        let (slip_rad2, nis) = (0.04, 2.0 * config.params.slip_nis);
-        let grown_by = |nis| {
+        let slip_rad2 = 0.04;
+        let grown_by = |nis: f64| {
             let mut state = PoseState::<CORE_STATES>::initial(&config);
             state.window = Some(GyroWindow { forward_m: 0.3, ..GyroWindow::starting(Timestamp::ZERO) });
             let before = state.covariance;
-            inflate_for_slip(&mut state, slip_rad2, nis, &config);
+            inflate_for_slip(&mut state, slip_rad2, slip_rad2 / nis, &config);
             state.covariance - before
         };
         // Half of the disagreement is beyond chance: the distance is uniform over half of the track times it either way,
         // and the path of 0.3 m was integrated in a direction that is wrong by half of it.
-        let grown = grown_by(nis);
+        let grown = grown_by(2.0 * config.params.slip_nis);
         let track_m = config.geometry.track_width.0;
         for (row, expected) in [
             (FORWARD, 0.02 * track_m * track_m / 12.0),

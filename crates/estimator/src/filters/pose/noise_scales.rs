@@ -1,14 +1,13 @@
 //! Learns the true noise of each source relative to the configured one, from its innovations, rejected ones included.
 //!
-//! # Model
 //! ```text
 //! R_i = s_g R_0i           s_g the scale of the group of component i: position, heading, range, bearing
 //! ln s_g <- ln s_g + gain * mean over the group of  u_i sign(nu_i^2 / S_ii - m)
 //! gain = max(g_min, 2.33 / (3 + k))       k observations so far         m = 0.4549, the median of chi-square with one degree
 //! u_i = sqrt(R_i / S_ii)                  how much of the innovation's spread is the sensor's own
 //! ```
-//! The median is not moved by a few gross outliers, however gross, and a gate that was set too narrow opens by itself, because
-//! what it refuses counts as well.
+//! Gross outliers do not move the median, and a gate that was set too narrow opens by itself, because what it refuses
+//! counts as well.
 //!
 //! Source: docs/maths/pose.md section 6; Robbins and Monro (1951) for quantiles by stochastic approximation.
 

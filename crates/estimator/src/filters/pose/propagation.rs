@@ -1,12 +1,11 @@
 //! How the state of the pose filter moves: by the known travel of the wheels, else by the held speeds.
 //!
-//! # Model
 //! ```text
 //! X <- X exp((d, 0), dth)               d, dth from the wheels with the learned radii and track
-//! xi <- Ad(step^-1) xi + G (d, dth)'s errors
-//! psi <- psi + dth
+//! xi <- Ad(step^-1) xi + G (d, dth)'s errors            psi <- psi + dth
 //! ```
-//! The errors' motion does not depend on where the robot is or where it points: therefore the filter works with an unknown heading.
+//! The errors' motion does not depend on where the robot is or points: therefore the filter works with an unknown
+//! heading.
 //!
 //! Source: docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
 
@@ -236,7 +235,7 @@ impl<const N: usize> PoseState<N> {
     /// are kept.
     fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
-        let has_recent_fix = self.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
+        let has_recent_fix = self.status.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
         let walk_var = config.params.wear_per_sqrt_m.powi(2) * forward_m.abs();
         if !has_recent_fix || walk_var <= 0.0 {
             return;
@@ -250,7 +249,7 @@ impl<const N: usize> PoseState<N> {
     }
 
     fn move_unobserved(&mut self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>, config: &FilterConfig) {
-        let last = self.last_motion.unwrap_or(from);
+        let last = self.status.last_motion.unwrap_or(from);
         let held_to = (last + SPEED_HOLD).clamp(from, to);
         if held_to > from {
             self.move_by_speeds((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64(), config);

@@ -1,15 +1,13 @@
 //! Initialisation and relocalisation of the pose filter: by the first fix, or after the gate has rejected fixes for too
 //! long.
 //!
-//! # Model
-//! A fix with a heading has as many components as the pose, so that the pose follows from it alone. With H_x the derivatives of
-//! the innovation's prediction by the pose's rows and H_o those by all others (delay, tag):
+//! With H_x the derivatives of a fix's prediction by the pose's rows and H_o those by all others (delay, tag):
 //! ```text
 //! 0 = H_x xi + H_o o + n       xi = A o - H_x^-1 n        A = -H_x^-1 H_o
 //! cov(xi, o) = A P_o           P_xi = A P_o A' + H_x^-1 R H_x^-T
 //! ```
-//! A heading that the fix does not contain is uniform on the circle. Left-invariant, the robot that turns about its tag goes along a
-//! straight line in xi, so that this expresses exactly what is known, however far the tag is from mid-axle.
+//! A heading that the fix does not contain is uniform on the circle. Left-invariant, the robot that turns about its tag
+//! goes along a straight line in xi, so that this expresses exactly what is known.
 //!
 //! Source: docs/maths/pose.md section 4.
 
@@ -18,14 +16,13 @@ use std::f64::consts::PI;
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, StartPose};
 
-use super::columns::linearize;
 use super::state::{
-    FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, PositionState, RejectedFixes, calibration_rows, gyro_bias_prior,
+    FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, PositionState, RejectedFixes, calibration_rows, linearize,
 };
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::fix::{self, FixContext, FixNoise};
-use crate::observations::model::{PoseView, StateTerm};
+use crate::observations::{PoseView, StateTerm};
 use crate::params::Params;
 use crate::update::LinearizedMeasurement;
 
@@ -75,7 +72,7 @@ pub(super) fn reset_to_fix<const N: usize>(
     if initialize_from_fix(state, fix, noise, circumstances) == FusionOutcome::Malformed {
         return FusionOutcome::Malformed;
     }
-    state.record_correction_from(before);
+    state.status.record_jump(before, state.arena_pose());
     FusionOutcome::PoseReset
 }
 
@@ -152,7 +149,11 @@ pub(super) enum StateCommand {
 impl<const N: usize> PoseState<N> {
     pub(super) fn apply_command(&mut self, revision: StateCommand, config: &FilterConfig) {
         match revision {
-            StateCommand::SetPose(start) => self.reset_pose_to(&start),
+            StateCommand::SetPose(start) => {
+                let before = self.arena_pose();
+                self.initialize_pose(&start);
+                self.status.record_jump(before, self.arena_pose());
+            }
             StateCommand::ResetPose => self.reset_pose(),
             StateCommand::SetOnlineCalibration(OnlineCalibration::Frozen) => self.freeze_calibration(config),
             StateCommand::SetOnlineCalibration(OnlineCalibration::Enabled) => self.resume_calibration(),
@@ -167,9 +168,9 @@ impl<const N: usize> PoseState<N> {
         self.pose = Se2::default();
         self.close_window();
         self.position_state = PositionState::Unknown;
-        self.last_fix = None;
+        self.status.last_fix = None;
         self.rejected_fixes = RejectedFixes::default();
-        self.record_correction_from(before);
+        self.status.record_jump(before, self.arena_pose());
     }
 
     fn freeze_calibration(&mut self, config: &FilterConfig) {
@@ -194,7 +195,7 @@ impl<const N: usize> PoseState<N> {
 
     fn reset_calibration(&mut self, config: &FilterConfig) {
         let was_frozen = self.frozen_variances.take().is_some();
-        self.set_row(GYRO_BIAS, gyro_bias_prior(config));
+        self.set_row(GYRO_BIAS, config.gyro_bias_prior());
         for (row, known) in calibration_rows(&config.calibration) {
             self.set_row(row, known);
         }

@@ -1,17 +1,15 @@
-//! Rauch-Tung-Striebel smoother: the pose filter run forwards over a complete recording and back again.
+//! Rauch-Tung-Striebel smoother: the pose filter run forwards over a complete recording and back again. Each state x is
+//! augmented by a copy c of its value one observation ago, so that the filter itself gives their joint covariance:
 //!
-//! # Model
-//! Each state x is augmented by a copy c of its value one observation ago, carried through the same steps and updates, so that
-//! the filter itself gives their joint covariance after it:
 //! ```text
 //! x_k^s = c_k + C (x_(k+1)^s - x_(k+1))          C = Cov(c_k, x_(k+1)) Cov(x_(k+1))^-1
 //! P_k^s = Cov(c_k) + C (P_(k+1)^s - Cov(x_(k+1))) C'
 //! ```
-//! That is the textbook's recursion with the filtered covariances of the joint state in the place of the predicted ones: it needs
-//! no Jacobian of what lies between, and bears rows that are forgotten on the way (gyro windows), which make the predicted
-//! covariance singular. The inverse is taken on what is uncertain at all.
+//! It needs no Jacobian of what lies between, and bears rows that are forgotten on the way (gyro windows), which make
+//! the predicted covariance singular. The inverse is taken on what is uncertain at all.
 //!
-//! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
+//! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md
+//! section 11.
 
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::{BrickClock, Calibration, Observation, Timestamp};
@@ -22,7 +20,7 @@ use super::state::{PoseState, RANGE_STATES};
 use super::{apply_update, scratch_record, update_kind};
 use crate::filter::FilterConfig;
 use crate::history::HistoryEntry;
-use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
+use crate::motion::{GyroTrack, InsertOutcome, MotionTrack};
 use crate::numerics::chi_square::chi_square_gates;
 use crate::numerics::covariance::inverse_of_uncertain;
 use crate::validation;
@@ -85,13 +83,12 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
     let mut gyro = GyroTrack::default();
     let mut entries = Vec::with_capacity(observations.len());
     for observation in validation::valid_in_time_order(observations) {
-        let Some(action) = update_kind(observation) else {
+        let Some(action) = update_kind(observation, &config.geometry) else {
             continue;
         };
         let added = match action {
             UpdateKind::TurnRate(rate) => gyro.insert(observation.stamp, rate),
-            UpdateKind::Motion => MotionReading::from_observation(&observation.measurement)
-                .map_or(InsertOutcome::TooOld, |reading| track.insert(observation.stamp, &reading)),
+            UpdateKind::Motion(reading) => track.insert(observation.stamp, &reading),
             UpdateKind::Accelerations(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
                 InsertOutcome::Inserted(None)
             }
@@ -129,7 +126,7 @@ fn forward_pass(
     copy_rows(&mut state);
     let mut passed = Vec::with_capacity(entries.len());
     for entry in entries {
-        let observes_pose = matches!(entry.update, UpdateKind::Motion | UpdateKind::Absolute(..));
+        let observes_pose = matches!(entry.update, UpdateKind::Motion(_) | UpdateKind::Absolute(..));
         let before = state;
         let mut record = scratch_record(entry);
         apply_update(&mut state, entry, context, &mut record);

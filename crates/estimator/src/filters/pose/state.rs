@@ -1,6 +1,5 @@
 //! The state of the pose filter: mean, covariance, and what a replay must restore.
 //!
-//! # Model
 //! ```text
 //! X    pose of the body in the arena, an element of SE(2); its error is left-invariant: X_true = X exp(xi), xi in the body
 //! xi   rows 0 to 2: forward m, left m, turn rad
@@ -16,42 +15,34 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Meters, Pose, PoseCorrection, StartPose, TimeDelta, Timestamp,
-    UncertainValue,
+    Arena, BrickClock, Calibration, Heading, Meters, Pose, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
 use super::noise_scales::{NoiseScales, ObserverFrames};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
-use crate::observations::gyro_window::{GyroWindow, rounding_variance};
-use crate::observations::speed::SpeedReading;
-use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, correction_between};
+use crate::observations::gyro_window::{GyroWindow, GyroWindowModel, rounding_variance};
+use crate::observations::speed::Speed;
+use crate::observations::{ObservationModel, PoseView, StateTerm};
+use crate::tracking::TrackingStatus;
+use crate::update::{LinearizedMeasurement, ScalarMeasurement};
+use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
 
-/// Error of the position along the body's x axis, m.
+// Rows, in the order of the module's head; `StateTerm` has the units.
+
 pub const FORWARD: usize = 0;
-/// Error of the position along the body's y axis, m.
 pub const LEFT: usize = 1;
-/// Error of the heading, rad.
 pub const HEADING: usize = 2;
-/// Gyro bias, rad/s.
 pub const GYRO_BIAS: usize = 3;
-/// Turn since the gyro window began, by the encoders, rad.
 pub const WINDOW_TURN: usize = 4;
-/// Relative error of the mean wheel radius.
 pub const RADIUS: usize = 5;
-/// Relative difference of the wheels' radii, right minus left.
 pub const DIFFERENCE: usize = 6;
-/// Relative error of the track width.
 pub const TRACK: usize = 7;
-/// By how much the encoders' heading was rounded where the gyro window began, rad.
 pub const ROUNDING: usize = 8;
 /// Number of states of a robot whose fixes have no unknown delay and whose tag is where they say.
 pub const CORE_STATES: usize = 9;
-/// Delay of the fixes, s.
 pub const DELAY: usize = 9;
-/// Error of the tag's configured position, forward, m.
 pub const TAG_FORWARD: usize = 10;
-/// The same to the left, m.
 pub const TAG_LEFT: usize = 11;
 /// Number of states when delay or lever arm are estimated.
 pub const CAMERA_STATES: usize = 12;
@@ -61,7 +52,6 @@ pub const BEACONS: usize = 12;
 pub const MAX_BEACONS: usize = 8;
 /// Offset of the ranges to landmarks, m: they are all measured by the robot's own camera.
 pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MAX_BEACONS;
-/// Scale of the ranges to landmarks.
 pub const LANDMARK_SCALE: usize = LANDMARK_OFFSET + 1;
 /// Number of states when the offsets and scales of ranges are estimated.
 pub const RANGE_STATES: usize = LANDMARK_OFFSET + 2;
@@ -81,26 +71,6 @@ pub enum PositionState {
     Known,
 }
 
-/// A speed with its variance, m/s or rad/s, kept outside the covariance matrix: it predicts, and wheels and gyro
-/// observe it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ScalarState {
-    pub value: f64,
-    pub variance: f64,
-}
-
-impl ScalarState {
-    pub fn observe(&mut self, reading: SpeedReading) {
-        let s = self.variance + reading.variance;
-        if s > 0.0 {
-            let gain = self.variance / s;
-            self.value += gain * (reading.value - self.value);
-            self.variance *= 1.0 - gain;
-        }
-    }
-}
-
-/// Consecutive rejected fixes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RejectedFixes {
     pub count: u32,
@@ -149,14 +119,12 @@ pub struct PoseState<const N: usize> {
     /// The other states, each in its row; the pose's rows are zero between updates.
     pub mean: SVector<f64, N>,
     pub covariance: SMatrix<f64, N, N>,
-    pub forward: ScalarState,
-    pub turn: ScalarState,
-    /// The gyro window that is open, if any.
+    /// Kept outside the covariance matrix: speeds predict, and wheels and gyro observe them.
+    pub forward: Speed,
+    pub turn: Speed,
     pub window: Option<GyroWindow>,
-    /// Whether it is located in the arena.
     pub position_state: PositionState,
-    pub last_fix: Option<Timestamp<BrickClock>>,
-    pub last_motion: Option<Timestamp<BrickClock>>,
+    pub status: TrackingStatus,
     pub tick_activity: TickActivity,
     /// The latest instant for which wheel slip was detected.
     pub slipped_at: Option<Timestamp<BrickClock>>,
@@ -168,12 +136,9 @@ pub struct PoseState<const N: usize> {
     /// While the constants are frozen: their variances before, each in its row. Meanwhile those of the covariance are
     /// zero, as of given constants.
     pub frozen_variances: Option<SVector<f64, N>>,
-    pub reset_counter: u8,
-    pub last_jump: Option<PoseCorrection>,
 }
 
 impl<const N: usize> PoseState<N> {
-    /// The state before any observation.
     pub fn initial(config: &FilterConfig) -> Self {
         let mut state = Self {
             stamp: None,
@@ -182,12 +147,11 @@ impl<const N: usize> PoseState<N> {
             mean: SVector::zeros(),
             covariance: SMatrix::zeros(),
             // At power-up a robot is assumed to be at rest: 0.1 m/s and 1 rad/s are generous.
-            forward: ScalarState { value: 0.0, variance: 0.01 },
-            turn: ScalarState { value: 0.0, variance: 1.0 },
+            forward: Speed { value: 0.0, variance: 0.01 },
+            turn: Speed { value: 0.0, variance: 1.0 },
             window: None,
             position_state: PositionState::Unknown,
-            last_fix: None,
-            last_motion: None,
+            status: TrackingStatus::default(),
             tick_activity: TickActivity::default(),
             slipped_at: None,
             last_acceleration: None,
@@ -195,10 +159,8 @@ impl<const N: usize> PoseState<N> {
             noise_scales: NoiseScales::default(),
             observer_frames: ObserverFrames::default(),
             frozen_variances: None,
-            reset_counter: 0,
-            last_jump: None,
         };
-        state.set_row(GYRO_BIAS, gyro_bias_prior(config));
+        state.set_row(GYRO_BIAS, config.gyro_bias_prior());
         state.reset_rounding(rounding_variance(&config.geometry));
         for (row, known) in calibration_rows(&config.calibration) {
             state.set_row(row, known);
@@ -221,8 +183,7 @@ impl<const N: usize> PoseState<N> {
             turn: other.turn,
             window: other.window,
             position_state: other.position_state,
-            last_fix: other.last_fix,
-            last_motion: other.last_motion,
+            status: other.status,
             tick_activity: other.tick_activity,
             slipped_at: other.slipped_at,
             last_acceleration: other.last_acceleration,
@@ -231,8 +192,6 @@ impl<const N: usize> PoseState<N> {
             observer_frames: other.observer_frames,
             // They have rows of their own; a resize begins with the learned constants.
             frozen_variances: None,
-            reset_counter: other.reset_counter,
-            last_jump: other.last_jump,
         }
     }
 
@@ -275,19 +234,6 @@ impl<const N: usize> PoseState<N> {
         self.position_state == PositionState::Known && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
     }
 
-    /// Sets the pose; counts as a jump that is not motion.
-    pub fn reset_pose_to(&mut self, start: &StartPose) {
-        let before = self.arena_pose();
-        self.initialize_pose(start);
-        self.record_correction_from(before);
-    }
-
-    /// Counts a jump that is not motion, from `before` to the present estimate.
-    pub fn record_correction_from(&mut self, before: Pose<Arena>) {
-        self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(correction_between(before, self.arena_pose()));
-    }
-
     /// After a restart of the brick: speeds and gyro bias are as unknown as in `fresh`, and the robot may have been
     /// carried a little. The learned constants of wheels and tag stay.
     pub fn restart_clock(&mut self, fresh: &Self) {
@@ -300,21 +246,18 @@ impl<const N: usize> PoseState<N> {
         self.close_window();
         self.stamp = None;
         self.speeds_predicted_to = None;
-        self.last_fix = None;
-        self.last_motion = None;
+        self.status.forget_stamps();
         self.tick_activity = TickActivity::default();
         self.last_acceleration = None;
         self.rejected_fixes = RejectedFixes::default();
     }
 
-    /// Adds to the variance of each coordinate and of the heading.
     pub fn inflate_pose_covariance(&mut self, position_m2: f64, heading_rad2: f64) {
         self.covariance[(FORWARD, FORWARD)] += position_m2;
         self.covariance[(LEFT, LEFT)] += position_m2;
         self.covariance[(HEADING, HEADING)] += heading_rad2;
     }
 
-    /// Sets the pose, without regard to its previous estimate.
     pub fn initialize_pose(&mut self, start: &StartPose) {
         self.clear_rows(&[FORWARD, LEFT, HEADING]);
         self.pose = Se2 { x_m: start.pose.x.0, y_m: start.pose.y.0, heading_rad: wrap_rad(start.pose.heading.rad()) };
@@ -351,7 +294,6 @@ impl<const N: usize> PoseState<N> {
         self.window = None;
     }
 
-    /// The covariance of pose and speeds in the arena.
     pub fn published_covariance(&self) -> [[f64; 5]; 5] {
         self.covariance_in_arena(self.pose.heading_rad, &self.pose_covariance())
     }
@@ -411,20 +353,9 @@ impl<const N: usize> PoseState<N> {
     }
 }
 
-/// The published form of a pose.
 pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
     let heading = Heading::from_rad(pose.heading_rad);
     Pose::new(Meters(pose.x_m), Meters(pose.y_m), heading)
-}
-
-/// The gyro bias at power-up: from the calibration, or within the gyro's own spread.
-pub(super) fn gyro_bias_prior(config: &FilterConfig) -> UncertainValue {
-    let known = config.calibration.gyro_bias_rad_per_s;
-    if known.sigma > 0.0 {
-        known
-    } else {
-        UncertainValue { value: known.value, sigma: config.noise.gyro_bias_rad_per_s }
-    }
 }
 
 /// The constants of a calibration with their rows.
@@ -444,4 +375,59 @@ pub(super) fn calibration_rows(calibration: &Calibration) -> impl Iterator<Item 
     ]
     .into_iter()
     .chain(of_beacons)
+}
+
+// Named states and their columns; nothing else knows both.
+
+/// The column of a named state in the largest state vector; `None` for a beacon beyond the limit.
+const fn column(term: StateTerm) -> Option<usize> {
+    match term {
+        StateTerm::GyroBias => Some(GYRO_BIAS),
+        StateTerm::WindowTurn => Some(WINDOW_TURN),
+        StateTerm::HeadingRounding => Some(ROUNDING),
+        StateTerm::FixDelay => Some(DELAY),
+        StateTerm::TagForward => Some(TAG_FORWARD),
+        StateTerm::TagLeft => Some(TAG_LEFT),
+        StateTerm::BeaconOffset(slot) if slot < MAX_BEACONS => Some(BEACONS + 2 * slot),
+        StateTerm::BeaconScale(slot) if slot < MAX_BEACONS => Some(BEACONS + 2 * slot + 1),
+        StateTerm::BeaconOffset(_) | StateTerm::BeaconScale(_) => None,
+        StateTerm::LandmarkOffset => Some(LANDMARK_OFFSET),
+        StateTerm::LandmarkScale => Some(LANDMARK_SCALE),
+    }
+}
+
+impl<const N: usize> PoseView for PoseState<N> {
+    fn pose(&self) -> Se2 {
+        self.pose
+    }
+
+    fn term(&self, term: StateTerm) -> f64 {
+        column(term).filter(|column| *column < N).map_or(0.0, |column| self.mean[column])
+    }
+}
+
+/// H over the filter's columns; states that this filter does not have are left out.
+pub fn linearize<const N: usize, const M: usize>(model: &ObservationModel<M>) -> LinearizedMeasurement<N, M> {
+    let mut jacobian = SMatrix::<f64, M, N>::zeros();
+    for (index, row) in model.rows.iter().enumerate() {
+        jacobian[(index, FORWARD)] = row.forward;
+        jacobian[(index, LEFT)] = row.left;
+        jacobian[(index, HEADING)] = row.heading;
+        for (term, derivative) in row.terms.into_iter().flatten() {
+            if let Some(column) = column(term).filter(|column| *column < N) {
+                jacobian[(index, column)] = derivative;
+            }
+        }
+    }
+    LinearizedMeasurement { innovation: model.innovation, jacobian, noise: model.noise }
+}
+
+/// A gyro window over the columns, which every variant of the filter has.
+pub const fn linearize_gyro_window(model: &GyroWindowModel) -> ScalarMeasurement<3> {
+    ScalarMeasurement {
+        innovation: model.innovation,
+        rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
+        jacobian: [1.0, model.by_gyro_bias, model.by_rounding],
+        variance: model.variance,
+    }
 }

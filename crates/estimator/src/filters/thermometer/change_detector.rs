@@ -1,16 +1,12 @@
 //! Classifies thermometer readings: expected, outlier, or the start of a new temperature (cumulative sum test).
 //!
-//! The models of a thermometer assume one constant temperature. When the thermometer is moved to another bath, or when the model is
-//! wrong, the readings leave what was expected, all to the same side. Noise does not.
-//!
-//! # Model
 //! ```text
 //! z = (y - expected) / (kappa sqrt(S)), within +-5
 //! c+ <- max(0, c+ + z - 1)        c- <- max(0, c- - z - 1)        a break when c+ or c- exceeds 8
 //! kappa^2 = max(1, (10 + sum of z^2 kappa^2) / (10 + n))          sums forgotten over 100 readings
 //! ```
-//! With these numbers white noise makes a break about once in exp(2 * 8) readings (Wald's approximation), which at 10 Hz is ten days;
-//! a step of many sigmas makes one with the third reading, and a single damaged reading makes none.
+//! With these numbers white noise makes a break about once in exp(2 * 8) readings (Wald's approximation), which at 10
+//! Hz is ten days; a step of many sigmas makes one with the third reading, and a single damaged reading makes none.
 //!
 //! Source: Page (1954), the cumulative sum test.
 
@@ -35,7 +31,6 @@ pub(super) enum ReadingClass {
     StepChange,
 }
 
-/// Cumulative sum test over the deviations of readings from the expected ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct ChangeDetector {
     above: f64,

@@ -1,10 +1,7 @@
-//! A thermometer with unknown dynamics: a bank of fits over all time constants, weighted by the readings.
+//! A thermometer with unknown dynamics: recursive least squares for each node of a grid of time constants, weighted by
+//! the readings, and interpolated in ln tau, because the readings soon know tau a hundred times better than the grid
+//! does.
 //!
-//! For given time constants the readings are linear in what is sought, so that each node of a grid is a recursive least squares fit
-//! (paper 2, the recursion). Between the nodes everything is smooth in ln tau and is interpolated, because the readings soon know tau
-//! a hundred times better than the grid does.
-//!
-//! # Model
 //! ```text
 //! at rest       y = u + noise
 //! one lag       y = u + a e^(-t / tau) + noise
@@ -13,9 +10,7 @@
 //! J(ln tau)     = sum of ln S_k + nu_k^2 / (kappa^2 S_k)          by the innovations nu_k of the fit: minus twice its log-evidence
 //! p(ln tau)     ~ exp(-J / 2)            weight of a kind ~ integral of p over ln tau
 //! ```
-//! # Assumptions
-//! The temperature is constant since the bank began; what is not, is found by [`super::change_detector`], which restarts the bank. The faster of two
-//! lags is a quarter of the slower (a DS18B20 in its sleeve has 5.3 s and 22 s); its share is free.
+//! The faster of two lags is a quarter of the slower (a DS18B20 in its sleeve has 5.3 s and 22 s); its share is free.
 //!
 //! Source: Paper 2 (Markovsky), least squares; docs/lab/thermometer.md, sections M2 and M7.
 
@@ -51,7 +46,6 @@ pub(super) struct MeanVariance {
     pub(super) variance: f64,
 }
 
-/// All kinds of sensor, with their weights.
 #[derive(Clone, Debug)]
 pub(super) struct FilterBank {
     hypotheses: [ResponseHypothesis; 3],
@@ -77,7 +71,6 @@ struct ResponseHypothesis {
     log_evidence: f64,
 }
 
-/// Least squares for one time constant.
 #[derive(Clone, Copy, Debug)]
 struct TimeConstantNode {
     tau_s: f64,
@@ -93,7 +86,6 @@ struct TimeConstantNode {
 }
 
 impl FilterBank {
-    /// For readings with this standard deviation.
     pub(super) fn new(sigma_k: f64) -> Self {
         let hypotheses =
             [ResponseShape::AtRest, ResponseShape::OneLag, ResponseShape::TwoLags].map(ResponseHypothesis::new);

@@ -1,18 +1,9 @@
-//! A thermometer in service: its final value, without the instant of immersion and, if need be, without its time
-//! constant.
+//! A thermometer in service, for hours: its final value, without the instant of immersion and, if need be, without its
+//! time constant.
 //!
-//! Gets temperatures as they come, for hours. [`super::dynamic`] solves one approach to one constant temperature with
-//! given dynamics. Continuous operation adds unknown dynamics (`filter_bank`), and a test that detects where a new
-//! approach begins and rejects damaged readings (`change_detector`).
-//!
-//! # Model
-//! ```text
-//! dynamics given     the filter of paper 2, restarted at every break
-//! none given         all time constants at once, restarted at every break
-//! bound              sigma of the final value, times kappa of the surprise test
-//! ```
-//! # Assumptions
-//! Between two breaks the temperature is constant. What drifts more slowly than the test sees is followed with a lag, by breaks.
+//! The filter of paper 2 ([`super::dynamic`]) or, where no dynamics are given, all time constants at once
+//! (`filter_bank`); both restart where the test in `change_detector` finds a new temperature. The bound is the sigma of
+//! the final value times kappa of that test.
 //!
 //! Source: Paper 2 (Markovsky); docs/lab/thermometer.md, section M7.
 
@@ -20,8 +11,7 @@ mod change_detector;
 mod filter_bank;
 
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId,
-    StartPose, Timestamp,
+    BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
 
 use self::change_detector::{ChangeDetector, ReadingClass};
@@ -30,9 +20,8 @@ use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::DynamicModel;
 use crate::update::{ScalarOutcome, UpdateOutcome};
-use crate::validation::{self, add_innovation, outcome_without_pose};
+use crate::validation::{self, add_innovation};
 
-/// The dynamics and noise of a thermometer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ThermometerSettings {
     /// The response of [`SensorId::THERMOMETER`]; `None` learns it from the readings.
@@ -43,7 +32,6 @@ pub struct ThermometerSettings {
     pub resolution_k: f64,
 }
 
-/// Predicts the final value of one thermometer, reading by reading.
 pub struct Thermometer {
     model: ThermometerModel,
     change_detector: ChangeDetector,
@@ -181,11 +169,6 @@ impl Filter for Thermometer {
         })
     }
 
-    /// A thermometer has no pose: [`FusionOutcome::Unused`], or [`FusionOutcome::Malformed`] for an invalid pose.
-    fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
-        outcome_without_pose(start)
-    }
-
     /// Restarts, because the length of the break is unknown; keeps the learned noise.
     fn restart_clock(&mut self) {
         self.model.reset();
@@ -194,10 +177,6 @@ impl Filter for Thermometer {
 
     fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
         self.last
-    }
-
-    fn estimate_at(&self, _: Timestamp<BrickClock>) -> Option<Estimate> {
-        None
     }
 
     /// The final value for an instant, in degrees Celsius; for a constant all that was seen counts for every instant.

@@ -21,49 +21,34 @@ use posebridge_telemetry::{DriveGeometry, SensorNoise};
 
 use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
 use crate::models::se2::{BodyStep, Displacement, StepRule, displace};
-use crate::numerics::covariance::symmetrise;
 use crate::observations::gyro_window::gyro_variance;
+use crate::papers::rows;
+
+// Rows; the module's head has their units. Speed and bias follow a distance or an angle.
 
 pub const N: usize = 15;
-/// Error of x in the arena, m.
 pub const X: usize = 0;
-/// Error of y in the arena, m.
 pub const Y: usize = 1;
-/// Error of the heading, rad.
 pub const HEADING: usize = 2;
-/// Error of the distance driven, m.
 pub const DISTANCE: usize = 3;
-/// Relative error of the mean wheel radius.
 pub const RADIUS_SCALE: usize = 4;
-/// Relative difference of the wheels' radii, right minus left.
 pub const RADIUS_DIFFERENCE: usize = 5;
-/// Relative error of the track width.
 pub const TRACK_SCALE: usize = 6;
-/// Error of the distance by accelerometers, m; speed and bias follow.
 pub const ACCELERATED_DISTANCE: usize = 7;
-/// Error of the speed by accelerometers, m/s.
 pub const ACCELERATED_SPEED: usize = 8;
-/// Bias of the forward acceleration, m/s².
 pub const FORWARD_BIAS: usize = 9;
-/// Error of the angle by accelerometers, rad; turn rate and bias follow.
 pub const ACCELERATED_ANGLE: usize = 10;
-/// Error of the turn rate by accelerometers, rad/s.
 pub const ACCELERATED_TURN: usize = 11;
-/// Bias of the angular acceleration, rad/s².
 pub const TURN_BIAS: usize = 12;
-/// Error of the gyro's angle, rad.
 pub const GYRO_ANGLE: usize = 13;
-/// Bias of the gyro, rad/s.
 pub const GYRO_BIAS: usize = 14;
 
-/// The errors.
 pub type ErrorState = SVector<f64, N>;
 pub type Covariance = SMatrix<f64, N, N>;
 
 /// Systematic errors of the geometry: mean radius, difference of the radii, track width.
 pub type GeometryScales = [f64; 3];
 
-/// A step of the nominal path with its derivatives by the errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NominalStep {
     pub step: BodyStep,
@@ -120,7 +105,6 @@ impl NominalStep {
     }
 }
 
-/// F of a step.
 pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
     let mut f = Covariance::identity();
     let moved = &nominal.displacement;
@@ -142,7 +126,6 @@ pub fn transition(nominal: &NominalStep, dt_s: f64) -> Covariance {
     f
 }
 
-/// Gamma Q Gamma' of a step.
 pub fn process_noise(
     nominal: &NominalStep,
     elapsed: &SampleIntervals,
@@ -184,33 +167,15 @@ pub fn process_noise(
     q
 }
 
-/// Propagates the errors over a step: paper 4, equations 21 and 22.
-pub fn predict(errors: &mut ErrorState, covariance: &mut Covariance, f: &Covariance, q: &Covariance) {
-    *errors = f * *errors;
-    *covariance = f * *covariance * f.transpose() + q;
-    symmetrise(covariance);
-}
-
 /// Makes a row certain to be zero.
 pub fn clear_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize) {
     errors[row] = 0.0;
-    for i in 0..N {
-        covariance[(row, i)] = 0.0;
-        covariance[(i, row)] = 0.0;
-    }
+    rows::set_independent_variance(covariance, row, 0.0);
 }
 
 /// Starts an instrument's row at the path's row: the reading is set to the nominal value, so its error is the negative
 /// of the path's, except for the rounding of the counts.
 pub fn start_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize, path: usize, rounding_var: f64) {
-    clear_row(errors, covariance, row);
     errors[row] = -errors[path];
-    for i in 0..N {
-        if i != row {
-            let value = -covariance[(path, i)];
-            covariance[(row, i)] = value;
-            covariance[(i, row)] = value;
-        }
-    }
-    covariance[(row, row)] = covariance[(path, path)] + rounding_var;
+    rows::set_opposite(covariance, row, path, rounding_var);
 }

@@ -1,8 +1,6 @@
 //! The instruments beside the wheels, each integrated separately: the angle by a gyro; speed, distance and angle by
-//! accelerometers.
-//!
-//! Each sum is compared with the nominal path at instants that lie within the wheels' last step, so that angle meets angle: the
-//! rounding of the counters then enters once and does not add up.
+//! accelerometers. Each sum is compared with the nominal path within the wheels' last step, so that the rounding of the
+//! counters does not add up.
 
 use posebridge_telemetry::{BrickClock, FusionOutcome, TimeDelta, Timestamp};
 

@@ -1,9 +1,6 @@
-//! The indirect filter: the wheels give the path, and a Kalman filter estimates only its error.
+//! The indirect filter: the wheels alone give the path, and a Kalman filter estimates only its error (see
+//! [`error_state`]), from another sensor's reading minus that of the nominal path.
 //!
-//! Gets wheels, accelerometers, a gyro and fixes. The nominal path comes from the wheels alone; the filter's state is its error
-//! (see [`error_state`]) and its measurements are differences: another sensor's reading minus that of the nominal path.
-//!
-//! # Model
 //! ```text
 //! x = x_ref + e            x_ref from the wheels, without noise            e, P by F, Gamma Q Gamma'
 //! dz = z - h(x_ref)        angle by gyro     - heading of the path   = e_th + g   + rounding of the counts
@@ -13,30 +10,30 @@
 //! feed-forward: x_ref is never touched, the estimate is x_ref + e
 //! feedback:     after each update the path's and the geometry's errors move into x_ref, and become zero
 //! ```
-//! Observations are used when they come, against the state that is there, as in the paper: a late fix errs by what was driven
-//! since. The gate for fixes and the way out of it are ours.
+//! Observations are used when they come, as in the paper. The gate for fixes and the way out of it are ours.
 //!
 //! Source: Paper 4, equations 1 to 22; docs/lab/indirect.md.
 
 pub mod error_state;
 mod instruments;
 mod nominal_path;
-mod path_state;
 
 use std::collections::BTreeMap;
 
+use nalgebra::{Matrix3, Vector2};
 use posebridge_telemetry::{
-    BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId,
-    StartPose, TimeDelta, Timestamp, UncertainValue,
+    Arena, BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters, Observation,
+    ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
 use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
 pub use self::nominal_path::CorrectionMode;
 use self::nominal_path::NominalPath;
-use self::path_state::PathState;
-use super::state_history::StateHistory;
 use crate::filter::{Filter, FilterConfig};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
+use crate::models::se2::{BodyStep, StepRule, displace};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SPEED_HOLD, TimeSeries};
+use crate::numerics::covariance::symmetrise;
+use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
 use crate::validation;
 
 #[derive(Clone, Copy, Debug)]
@@ -45,14 +42,12 @@ struct RejectedFixStreak {
     count: f64,
 }
 
-/// The filter of paper 4: estimates the errors of the path by the wheels.
 pub struct IndirectFilter {
     config: FilterConfig,
     track: MotionTrack,
     path: NominalPath,
-    history: StateHistory<PathState>,
+    history: TimeSeries<PathState>,
     latest: Option<Timestamp<BrickClock>>,
-    /// The last fix of each sensor that was used.
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
     rejected_fixes: Option<RejectedFixStreak>,
 }
@@ -64,7 +59,7 @@ impl IndirectFilter {
             config: config.clone(),
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
             path: NominalPath::new(config, correction),
-            history: StateHistory::new(config.params.history_s),
+            history: TimeSeries::default(),
             latest: None,
             last_fixes: BTreeMap::new(),
             rejected_fixes: None,
@@ -121,7 +116,7 @@ impl IndirectFilter {
         }
         self.last_fixes.insert(record.sensor, stamp);
         self.rejected_fixes = None;
-        self.path.last_fix = self.path.last_fix.max(Some(stamp));
+        self.path.status.last_fix = self.path.status.last_fix.max(Some(stamp));
         if self.path.stamp.is_none() {
             self.path.start_at(stamp);
         }
@@ -140,7 +135,8 @@ impl IndirectFilter {
     fn save_state(&mut self, stamp: Timestamp<BrickClock>) {
         self.latest = self.latest.max(Some(stamp));
         if let Some(end) = self.path.stamp {
-            self.history.push(end, self.path.path_state());
+            let length = TimeDelta::from_secs_f64(self.config.params.history_s);
+            self.history.push(end, self.path.path_state(), length);
         }
     }
 }
@@ -168,7 +164,7 @@ impl Filter for IndirectFilter {
             return FusionOutcome::Malformed;
         }
         self.path.set_pose(start);
-        self.history.clear();
+        self.history = TimeSeries::default();
         self.rejected_fixes = None;
         if let Some(end) = self.latest {
             self.path.start_at(end);
@@ -180,7 +176,7 @@ impl Filter for IndirectFilter {
     fn restart_clock(&mut self) {
         self.path.restart_clock();
         self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
-        self.history.clear();
+        self.history = TimeSeries::default();
         self.latest = None;
         self.last_fixes.clear();
         self.rejected_fixes = None;
@@ -192,7 +188,7 @@ impl Filter for IndirectFilter {
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
         let (at, state) = self.history.last_at_or_before(stamp)?;
-        Some(state.estimate(&self.config, at, stamp))
+        Some(state.estimate(&self.config, *at, stamp))
     }
 
     fn calibration(&self) -> Option<Calibration> {
@@ -207,5 +203,62 @@ impl Filter for IndirectFilter {
             gyro_bias_rad_per_s: known(GYRO_BIAS),
             ..self.config.calibration
         })
+    }
+}
+
+/// Interval over which the speed is a mean; the speed may have changed by its end.
+const TYPICAL_STEP_S: f64 = 0.05;
+
+#[derive(Clone, Copy, Debug)]
+struct PathState {
+    pose: Pose<Arena>,
+    covariance: Matrix3<f64>,
+    forward_m_per_s: f64,
+    turn_rad_per_s: f64,
+    has_pose: bool,
+    has_heading: bool,
+    status: TrackingStatus,
+}
+
+impl PathState {
+    /// The estimate for an instant at or after the state's own: the speeds are held for a while, then the robot is at rest.
+    fn estimate(&self, config: &FilterConfig, at: Timestamp<BrickClock>, stamp: Timestamp<BrickClock>) -> Estimate {
+        let held_until = self.status.last_motion.map_or(at, |moved| moved + SPEED_HOLD);
+        let dt_s = (stamp.min(held_until) - at).as_secs_f64().max(0.0);
+        let (pose, pose_covariance) = self.predict_pose(config, dt_s);
+        let params = &config.params;
+        let grown_s = dt_s + TYPICAL_STEP_S;
+        let accelerations = [params.acceleration_m_per_s2, params.turn_acceleration_rad_per_s2];
+        let published = PublishedState {
+            pose,
+            speeds: [self.forward_m_per_s, self.turn_rad_per_s],
+            covariance: with_speed_variances(&pose_covariance, accelerations.map(|sigma| sigma.powi(2) * grown_s)),
+            has_position: self.has_pose,
+            has_heading: self.has_heading,
+        };
+        self.status.estimate(stamp, &published, params.fix_timeout_s)
+    }
+
+    /// The pose after the speeds were held for `dt_s`; they may change in that time as fast as the parameters allow.
+    fn predict_pose(&self, config: &FilterConfig, dt_s: f64) -> (Pose<Arena>, Matrix3<f64>) {
+        let step = BodyStep { forward_m: self.forward_m_per_s * dt_s, turn_rad: self.turn_rad_per_s * dt_s };
+        let moved = displace(self.pose.heading.rad(), step, StepRule::Arc);
+        let pose = Pose::new(
+            Meters(self.pose.x.0 + moved.dx_m),
+            Meters(self.pose.y.0 + moved.dy_m),
+            Heading::from_rad(self.pose.heading.rad() + step.turn_rad),
+        );
+        let mut f = Matrix3::identity();
+        f[(0, 2)] = moved.by_heading[0];
+        f[(1, 2)] = moved.by_heading[1];
+        let walked_s3 = dt_s.powi(3) / 3.0;
+        let along = Vector2::from(moved.by_forward);
+        let mut q = Matrix3::zeros();
+        let along_m2 = config.params.acceleration_m_per_s2.powi(2) * walked_s3;
+        q.fixed_view_mut::<2, 2>(0, 0).copy_from(&(along * along.transpose() * along_m2));
+        q[(2, 2)] = config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s3;
+        let mut covariance = f * self.covariance * f.transpose() + q;
+        symmetrise(&mut covariance);
+        (pose, covariance)
     }
 }

@@ -2,25 +2,27 @@
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, PoseCorrection, StartPose, Timestamp,
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, StartPose, Timestamp,
 };
 
+use super::PathState;
 use super::error_state::{
     ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, ErrorState,
     FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, N, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
-    TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, predict, process_noise, start_row, transition,
+    TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, process_noise, start_row, transition,
 };
 use super::instruments::{AccelerometerIntegral, GyroAngle};
-use super::path_state::PathState;
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::WheelTravel;
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::{MotionTrack, TravelSegment};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
+use crate::numerics::covariance::symmetrise;
 use crate::observations::fix::{FixContext, FixNoise, fix_noise, mid_axle};
 use crate::papers::rows::{self, position_in_arena, with_heading};
+use crate::tracking::TrackingStatus;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
-use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
+use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
 
 /// Remaining bias of an accelerometer that was set to zero at rest: a hundredth of g.
 const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
@@ -36,7 +38,6 @@ const LARGEST_SCALE: f64 = 0.5;
 /// The least rounding of a path that does not come from counts, rad² and m².
 const LEAST_ROUNDING: f64 = 1e-10;
 
-/// What happens to the estimated errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CorrectionMode {
     /// They are added to the output only, as in the paper's equations.
@@ -52,7 +53,6 @@ pub(super) struct PathPoint {
     pub(super) distance_m: f64,
 }
 
-/// The nominal path, its errors and the instruments beside it.
 pub(super) struct NominalPath {
     pub(super) config: FilterConfig,
     gates: ChiSquareGates,
@@ -72,11 +72,8 @@ pub(super) struct NominalPath {
     pub(super) accelerometers: AccelerometerIntegral,
     pub(super) forward_m_per_s: f64,
     pub(super) turn_rad_per_s: f64,
-    pub(super) last_motion: Option<Timestamp<BrickClock>>,
     pub(super) has_pose: bool,
-    pub(super) last_fix: Option<Timestamp<BrickClock>>,
-    pub(super) reset_counter: u8,
-    pub(super) last_jump: Option<PoseCorrection>,
+    pub(super) status: TrackingStatus,
 }
 
 impl NominalPath {
@@ -99,11 +96,8 @@ impl NominalPath {
             accelerometers: AccelerometerIntegral::default(),
             forward_m_per_s: 0.0,
             turn_rad_per_s: 0.0,
-            last_motion: None,
             has_pose: false,
-            last_fix: None,
-            reset_counter: 0,
-            last_jump: None,
+            status: TrackingStatus::default(),
         };
         path.errors[GYRO_BIAS] = known.gyro_bias_rad_per_s.value;
         let b = config.geometry.track_width.0;
@@ -167,7 +161,7 @@ impl NominalPath {
         if start < to {
             self.forward_m_per_s = (self.end.distance_m - began.distance_m) / length_s;
             self.turn_rad_per_s = (self.end.angle_rad - began.angle_rad) / length_s;
-            self.last_motion = Some(to);
+            self.status.last_motion = Some(to);
         }
         self.drop_silent_instruments(to);
     }
@@ -186,7 +180,10 @@ impl NominalPath {
         };
         let f = transition(&nominal, dt_s);
         let q = process_noise(&nominal, &elapsed, geometry, noise);
-        predict(&mut self.errors, &mut self.covariance, &f, &q);
+        // Paper 4, equations 21 and 22.
+        self.errors = f * self.errors;
+        self.covariance = f * self.covariance * f.transpose() + q;
+        symmetrise(&mut self.covariance);
         self.x_m += nominal.displacement.dx_m;
         self.y_m += nominal.displacement.dy_m;
         self.end.angle_rad += nominal.step.turn_rad;
@@ -395,12 +392,9 @@ impl NominalPath {
             covariance: self.covariance.fixed_view::<3, 3>(0, 0).into_owned(),
             forward_m_per_s: self.forward_m_per_s,
             turn_rad_per_s: self.turn_rad_per_s,
-            last_motion: self.last_motion,
             has_pose: self.has_pose,
             has_heading: self.has_pose && heading_rad2 < USABLE_HEADING_RAD2,
-            last_fix: self.last_fix,
-            reset_counter: self.reset_counter,
-            last_jump: self.last_jump,
+            status: self.status,
         }
     }
 }
@@ -439,12 +433,7 @@ impl NominalPath {
     }
 
     fn fix_noise(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {
-        let circumstances = FixContext {
-            stamp_sigma_s,
-            forward_m_per_s: self.forward_m_per_s,
-            turn_rad_per_s: self.turn_rad_per_s,
-            ..FixContext::default()
-        };
+        let circumstances = FixContext::at_speeds(stamp_sigma_s, self.forward_m_per_s, self.turn_rad_per_s);
         fix_noise(fix, &self.config.noise, [1.0, 1.0], &circumstances)
     }
 
@@ -464,14 +453,13 @@ impl NominalPath {
             }
         }
         self.covariance[(HEADING, HEADING)] = heading_rad2;
-        self.record_correction(before);
+        self.status.record_jump(before, self.pose());
     }
 
-    /// Places the robot at a given pose.
     pub(super) fn set_pose(&mut self, start: &StartPose) {
         let before = self.pose();
         self.reset_to(start);
-        self.record_correction(before);
+        self.status.record_jump(before, self.pose());
     }
 
     pub(super) fn reset_to(&mut self, start: &StartPose) {
@@ -496,18 +484,12 @@ impl NominalPath {
         self.has_pose = true;
     }
 
-    fn record_correction(&mut self, before: Pose<Arena>) {
-        self.reset_counter = self.reset_counter.wrapping_add(1);
-        self.last_jump = Some(validation::correction_between(before, self.pose()));
-    }
-
     /// After a restart of the brick no timestamp holds, and the robot may have been carried.
     pub(super) fn restart_clock(&mut self) {
         self.reset_instruments();
         self.stamp = None;
         self.previous = None;
-        self.last_motion = None;
-        self.last_fix = None;
+        self.status.forget_stamps();
         self.forward_m_per_s = 0.0;
         self.turn_rad_per_s = 0.0;
         for (row, sigma) in

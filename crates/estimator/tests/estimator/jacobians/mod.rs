@@ -5,18 +5,15 @@
 
 mod motion;
 
-use posebridge_estimator::filters::pose::columns::{linearize, linearize_gyro_window};
 use posebridge_estimator::filters::pose::state::{
-    BEACONS, DELAY, MAX_BEACONS, PoseState, RANGE_STATES, TAG_FORWARD, TAG_LEFT,
+    BEACONS, DELAY, MAX_BEACONS, PoseState, RANGE_STATES, TAG_FORWARD, TAG_LEFT, linearize, linearize_gyro_window,
 };
 use posebridge_estimator::models::lie::Se2;
+use posebridge_estimator::models::planar_speeds::Acceleration;
 use posebridge_estimator::motion::{GyroTurn, MotionReading, MotionTrack};
-use posebridge_estimator::observations::accelerometer::{SpeedChange, WheelAccelerations, speed_change};
-use posebridge_estimator::observations::beacon::Beacon;
-use posebridge_estimator::observations::gyro_window::EndRounding;
-use posebridge_estimator::observations::landmark::RangeBearing;
-use posebridge_estimator::observations::model::ObservationModel;
-use posebridge_estimator::observations::{beacon, compass, fix, gyro_window, landmark, wall};
+use posebridge_estimator::observations::absolute::{self, RangeBearing};
+use posebridge_estimator::observations::speed::speed_changes;
+use posebridge_estimator::observations::{ObservationModel, fix, gyro_window};
 use posebridge_estimator::update::LinearizedMeasurement;
 use posebridge_telemetry::{
     Arena, Body, Fix, Heading, Meters, Point2, Pose, SensorNoise, TimeDelta, Wall, quantities::wrap_rad,
@@ -81,7 +78,7 @@ fn fix_without_noise(state: &State, tag_in_body: Point2<Body>, shown: Se2) -> Fi
 }
 
 fn circumstances(moved_since: Se2) -> fix::FixContext {
-    fix::FixContext { moved_since, stamp_sigma_s: 0.0, forward_m_per_s: 0.0, turn_rad_per_s: 0.0 }
+    fix::FixContext { moved_since, ..fix::FixContext::default() }
 }
 
 /// Told places of the tag: mid-axle, ahead, behind to the left, far off to the right.
@@ -154,7 +151,7 @@ fn a_fix_has_the_derivative_by_its_delay_along_a_curved_path() {
 fn a_compass_has_the_derivative_of_its_prediction() {
     for state in odd_states::<RANGE_STATES>() {
         let heading_rad = state.pose.heading_rad;
-        check("compass", &state, |state| compass::measurement(state, heading_rad, 0.1));
+        check("compass", &state, |state| absolute::compass(state, heading_rad, 0.1));
     }
 }
 
@@ -168,12 +165,12 @@ fn a_landmark_has_the_derivatives_of_its_prediction() {
             let landmark = arena_from_body(state.pose) * point::<Body>(forward_m, left_m);
             let measured = RangeBearing { range_m: forward_m.hypot(left_m), bearing_rad: left_m.atan2(forward_m) };
             check("landmark", &state, |state| {
-                landmark::measurement(state, landmark, measured, 0.01, 0.02).expect("it is away")
+                absolute::landmark(state, landmark, measured, 0.01, 0.02).expect("it is away")
             });
         }
         let here = arena_from_body(state.pose).origin();
         let measured = RangeBearing { range_m: 0.0, bearing_rad: 0.0 };
-        assert!(landmark::measurement(&state, here, measured, 0.01, 0.02).is_none());
+        assert!(absolute::landmark(&state, here, measured, 0.01, 0.02).is_none());
     }
 }
 
@@ -190,7 +187,7 @@ fn a_beacon_has_the_derivatives_of_its_prediction_offset_and_scale_included() {
             };
             let range_m = forward_m.hypot(left_m) * (1.0 + scale) + offset_m;
             check("beacon", &state, |state| {
-                beacon::measurement(state, Beacon { position, slot }, range_m, 0.01).expect("it is away")
+                absolute::beacon(state, position, slot, range_m, 0.01).expect("it is away")
             });
         }
     }
@@ -230,16 +227,14 @@ fn a_wall_has_the_derivatives_of_its_prediction_at_any_angle() {
         for ends in WALLS {
             let walls = [wall_about(state.pose, ends)];
             let range_m = distance_to(state.pose, &walls[0]);
-            check("wall", &state, |state| wall::measurement(state, &walls, range_m, 0.01).expect("it is ahead"));
+            check("wall", &state, |state| absolute::wall(state, &walls, range_m, 0.01).expect("it is ahead"));
         }
         // Of all of them, and one behind the robot, the nearest ahead.
         let mut walls = WALLS.map(|ends| wall_about(state.pose, ends)).to_vec();
         walls.push(wall_about(state.pose, [(-0.1, -1.0), (-0.1, 1.0)]));
         let nearest_m =
             walls[..WALLS.len()].iter().map(|wall| distance_to(state.pose, wall)).fold(f64::INFINITY, f64::min);
-        check("nearest wall", &state, |state| {
-            wall::measurement(state, &walls, nearest_m, 0.01).expect("they are ahead")
-        });
+        check("nearest wall", &state, |state| absolute::wall(state, &walls, nearest_m, 0.01).expect("they are ahead"));
     }
 }
 
@@ -253,7 +248,7 @@ fn a_wall_that_is_not_met_is_not_expected() {
             ([(1.0, 0.0), (1.0, 0.0)], "a point"),
         ] {
             let walls = [wall_about(state.pose, ends)];
-            let met = wall::measurement(&state, &walls, 1.0, 0.01);
+            let met = absolute::wall(&state, &walls, 1.0, 0.01);
             assert!(met.is_none(), "{what}");
         }
     }
@@ -262,12 +257,11 @@ fn a_wall_that_is_not_met_is_not_expected() {
 #[test]
 fn a_gyro_window_has_the_derivatives_of_its_prediction() {
     for state in odd_states::<RANGE_STATES>() {
-        let moved = EndRounding::Independent { variance_rad2: 1e-6 };
-        for rounded in [moved, EndRounding::Unchanged] {
+        for end_rounding_rad2 in [Some(1e-6), None] {
             let window = gyro_window::GyroWindow { start: ms(1_000), until: ms(1_450), forward_m: 0.08 };
             let turn = GyroTurn { turn_rad: 0.31, squared_intervals_s2: 0.02 };
             let measure = |state: &State| {
-                linearize_gyro_window(&gyro_window::measurement(state, &window, &turn, &QUIET, rounded))
+                linearize_gyro_window(&gyro_window::measurement(state, &window, &turn, &QUIET, end_rounding_rad2))
             };
             let scalar = measure(&state);
             for row in 0..RANGE_STATES {
@@ -285,15 +279,12 @@ fn a_gyro_window_has_the_derivatives_of_its_prediction() {
 #[test]
 fn accelerations_change_the_speeds_as_their_noise_does() {
     let dt_s = 0.05;
-    let driven = |left_m_per_s2: f64, right_m_per_s2: f64| -> SpeedChange {
-        let felt = WheelAccelerations { left_m_per_s2, right_m_per_s2 };
-        speed_change(felt, dt_s, &GEOMETRY, &QUIET)
-    };
+    let driven =
+        |left, right| speed_changes(Acceleration::from_wheels(left, right, &GEOMETRY), dt_s, &GEOMETRY, &QUIET);
     let (none, by_left, by_right) = (driven(0.0, 0.0), driven(1.0, 0.0), driven(0.0, 1.0));
-    let noise_var = QUIET.accelerometer_m_per_s2.powi(2);
-    let forward_var = (by_left.forward_m_per_s.powi(2) + by_right.forward_m_per_s.powi(2)) * noise_var;
-    let turn_var = (by_left.turn_rad_per_s.powi(2) + by_right.turn_rad_per_s.powi(2)) * noise_var;
-    assert!((by_left.forward_m_per_s - 0.5 * dt_s).abs() < 1e-15 && by_left.turn_rad_per_s < 0.0);
-    assert!((none.forward_variance - forward_var).abs() < 1e-12);
-    assert!((none.turn_variance - turn_var).abs() < 1e-12);
+    for (i, none) in none.into_iter().enumerate() {
+        let squares = by_left[i].value.powi(2) + by_right[i].value.powi(2);
+        assert!((none.variance - squares * QUIET.accelerometer_m_per_s2.powi(2)).abs() < 1e-12);
+    }
+    assert!((by_left[0].value - 0.5 * dt_s).abs() < 1e-15 && by_left[1].value < 0.0);
 }

@@ -1,8 +1,7 @@
 //! A pose that is initialized by a fix, at first or after a reset, while tag and delay are not what the fix says.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::columns::linearize;
-use posebridge_estimator::filters::pose::state::{CAMERA_STATES, DELAY, TAG_FORWARD, TAG_LEFT};
+use posebridge_estimator::filters::pose::state::{CAMERA_STATES, DELAY, TAG_FORWARD, TAG_LEFT, linearize};
 use posebridge_estimator::observations::fix::{self, FixContext};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{

@@ -1,18 +1,18 @@
 //! Observations of every kind, sound and damaged.
 
 use std::f64::consts::PI;
-use std::sync::Arc;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
-    ArenaMap, BeaconId, Calibration, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Observation, ObservationKind, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond,
-    SensorId, TimeDelta, Timestamp, Wall,
+    BeaconId, Calibration, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
+    Observation, ObservationKind, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, TimeDelta,
+    Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
 use super::robot::{config, learning_geometry, unknown};
+use super::simulation::furnished;
 
 /// What was observed, by name in messages.
 #[derive(Clone, Copy, Debug)]
@@ -33,22 +33,7 @@ fn point<S>(x_m: f64, y_m: f64) -> Point2<S> {
 
 /// A furnished room, sensors with noise, and constants that are taken as given.
 pub(crate) fn without_learning() -> FilterConfig {
-    let mut config = config();
-    config.arena_map = Arc::new(ArenaMap {
-        landmarks: [(LandmarkId(1), point(2.0, 1.0)), (LandmarkId(2), point(-1.0, 3.0))].into(),
-        beacons: [(BeaconId(1), point(4.0, 4.0)), (BeaconId(2), point(-3.0, 0.5))].into(),
-        walls: vec![
-            Wall { from: point(5.0, -5.0), to: point(5.0, 5.0) },
-            Wall { from: point(-5.0, 5.0), to: point(5.0, 5.0) },
-        ],
-    });
-    config.noise.accelerometer_m_per_s2 = 0.2;
-    config.noise.compass_rad = 0.05;
-    config.noise.landmark_range_m = 0.03;
-    config.noise.landmark_bearing_rad = 0.03;
-    config.noise.beacon_range_m = 0.05;
-    config.noise.wall_range_m = 0.01;
-    config
+    furnished(&config())
 }
 
 /// The same with every constant to be learned.
@@ -98,7 +83,7 @@ pub(crate) fn one_of_each() -> [ObservationKind; 11] {
         accelerations(0.1, 0.2),
         fix((0.1, 0.2), Some(0.3), Some([1e-4, 0.1, 1e-4, 1e-3]), 0.05),
         landmark(1, 2.0, 0.3),
-        beacon(1, 5.0),
+        beacon(11, 5.0),
         ObservationKind::WallRange(Meters(4.0)),
         ObservationKind::CompassHeading(Heading::from_rad(0.1)),
         ObservationKind::Temperature(Celsius(21.0)),
@@ -147,8 +132,8 @@ fn any_measurement() -> impl Strategy<Value = ObservationKind> {
         5 => (-9.0..9.0).prop_map(|rate| ObservationKind::TurnRate(RadiansPerSecond(rate))),
         3 => (small(), small()).prop_map(|(left, right)| accelerations(left, right)),
         4 => any_fix(),
-        2 => (1..4_u32, 0.0..9.0, -PI..PI).prop_map(|(id, range, at)| landmark(id, range, at)),
-        2 => (1..4_u32, 0.0..9.0).prop_map(|(id, range)| beacon(id, range)),
+        2 => (2..5_u32, 0.0..9.0, -PI..PI).prop_map(|(id, range, at)| landmark(id, range, at)),
+        2 => (12..15_u32, 0.0..9.0).prop_map(|(id, range)| beacon(id, range)),
         2 => (0.0..9.0).prop_map(|range| ObservationKind::WallRange(Meters(range))),
         2 => (-PI..PI).prop_map(|rad| ObservationKind::CompassHeading(Heading::from_rad(rad))),
         1 => (-40.0..90.0).prop_map(|degrees| ObservationKind::Temperature(Celsius(degrees))),

@@ -9,3 +9,4 @@ pub(crate) mod robot;
 pub(crate) mod score;
 pub(crate) mod simulation;
 pub(crate) mod steady;
+pub(crate) mod textbook;

@@ -1,4 +1,4 @@
-//! Observations at so many milliseconds of the brick's clock.
+//! Observations at so many milliseconds, or seconds, of the brick's clock.
 
 use posebridge_telemetry::{
     BrickClock, Fix, Heading, Meters, MetersPerSecondSquared, Observation, ObservationKind, Point2, Radians,
@@ -11,6 +11,10 @@ pub(crate) fn ms(millis: i64) -> Timestamp<BrickClock> {
 
 pub(crate) fn at(millis: i64, sensor: SensorId, measurement: ObservationKind) -> Observation {
     Observation { sensor, stamp: ms(millis), stamp_sigma: TimeDelta::ZERO, measurement }
+}
+
+pub(crate) fn at_s(at_s: f64, sensor: SensorId, measurement: ObservationKind) -> Observation {
+    Observation { stamp: Timestamp::from_secs_f64(at_s), ..at(0, sensor, measurement) }
 }
 
 pub(crate) fn wheels(millis: i64, left_rad: f64, right_rad: f64) -> Observation {

@@ -51,7 +51,7 @@ pub(crate) fn odd_states<const N: usize>() -> [PoseState<N>; 6] {
         let mut state = PoseState::<N>::initial(&config(SensorNoise::EXACT));
         state.restart_window(ms(0));
         state.stamp = Some(ms(0));
-        state.last_motion = Some(ms(0));
+        state.status.last_motion = Some(ms(0));
         state.pose = Se2 { x_m, y_m, heading_rad };
         state.forward.value = forward;
         state.turn.value = turn;
