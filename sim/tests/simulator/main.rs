@@ -7,4 +7,5 @@ mod drives;
 mod impairment_properties;
 mod impairment_statistics;
 mod montecarlo;
+mod refused_files;
 mod support;
