@@ -1,19 +1,15 @@
 //! The overhead camera: measures the pose of the tag on the robot and sends it after a latency, with timestamps of its own clock.
 //!
 //! It streams fixes, or sends one per request, or sends none and outputs images (the corners of the tag, in pixels) to another program
-//! that computes the fixes.
+//! that computes the fixes. It shares the link with the brick but is a component of its own. The log of sent fixes with their true values
+//! is for tests and scores.
 //!
 //! ```text
-//! u = 320 + x / 0.004      v = 240 - y / 0.004      pixels; 4 mm each, image y down
-//! corners: of a square of 0.1 m about the tag, left rear, right rear, right front, left front, seen from the robot
+//! u = 320 + x / 0.004      v = 240 - y / 0.004      pixels; 4 mm each, image y down; from straight above, without distortion
+//! corners: of a square of 0.1 m about the tag, left rear, right rear, right front, left front, as of OpenCV's ArUco and AprilTag
 //! ```
-//! Marker detectors output the same (OpenCV's ArUco, the AprilTag libraries). The image is from straight above, without distortion.
-//!
-//! It shares the link with the brick but is a component of its own. Each sent fix is logged with its true values for tests and scores;
-//! the log never reaches the station.
 
 use std::collections::VecDeque;
-use std::fmt::Write as _;
 
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message, VisionFix, WireStamp};
@@ -32,12 +28,9 @@ pub const CAMERA: Address = Address::new(1, 100);
 /// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
 const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
 
-/// A fix that the camera sent, with the true values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFix {
-    /// World time of the exposure.
     pub exposed: TimeDelta,
-    /// World time of the sending.
     pub sent: TimeDelta,
     pub time: Timestamp<CameraClock>,
     pub position: Point2<Arena>,
@@ -50,21 +43,20 @@ pub struct CameraFix {
 
 #[derive(Debug)]
 pub(crate) struct Camera {
-    settings: CameraSettings,
+    pub(crate) settings: CameraSettings,
     clock: SkewedClock,
     node: MavlinkNode<CameraClock>,
     stream: RandomStream,
     /// Time between images; `None` while a station has stopped them.
     interval: Option<TimeDelta>,
     next_exposure: TimeDelta,
-    is_requested: bool,
     /// Taken but not sent, in the order of sending.
     pending: Vec<CameraFix>,
     last_due: TimeDelta,
     pub(crate) history: HistoryPolicy,
-    log: Vec<CameraFix>,
+    pub(crate) log: Vec<CameraFix>,
     /// Unread images; `Some` once a reader is connected, and then no fix is sent.
-    images: Option<VecDeque<String>>,
+    pub(crate) images: Option<VecDeque<String>>,
     image_count: u64,
     /// The lens is covered: no fixes.
     pub(crate) is_covered: bool,
@@ -74,7 +66,6 @@ pub(crate) struct Camera {
 const MAX_IMAGES: usize = 64;
 
 impl Camera {
-    /// A camera that is switched on at world time 0.
     pub(crate) fn new(settings: CameraSettings, own: Address, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock_start_micros, settings.clock_skew_ppm, 1);
         let node = MavlinkNode::new(own, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
@@ -84,7 +75,6 @@ impl Camera {
                 CameraImages::OnRequest => None,
             },
             next_exposure: TimeDelta::ZERO,
-            is_requested: false,
             settings,
             clock,
             node,
@@ -99,19 +89,9 @@ impl Camera {
         }
     }
 
-    /// Switches from fixes to images for the rest of the run.
-    pub(crate) fn enable_images(&mut self) {
-        self.images = Some(VecDeque::new());
-    }
-
-    /// The next image as a line of JSON.
-    pub(crate) fn next_image(&mut self) -> Option<String> {
-        self.images.as_mut()?.pop_front()
-    }
-
     /// Advances by one step of the world that ends at `world` with the robot at `pose`.
     pub(crate) fn step(&mut self, world: TimeDelta, pose: Pose<Arena>) {
-        let was_requested = std::mem::take(&mut self.is_requested);
+        let was_requested = std::mem::take(&mut self.node.is_fix_requested);
         if let Some(interval) = self.interval.filter(|_| world >= self.next_exposure) {
             self.next_exposure = (self.next_exposure + interval).max(world);
             self.expose(world, pose);
@@ -134,9 +114,6 @@ impl Camera {
     pub(crate) fn handle(&mut self, world: TimeDelta, from: Address, message: &Message) {
         let requests = self.node.handle(self.clock.reading(world), from, message);
         self.apply_intervals(world, &requests);
-        if self.node.take_fix_request() {
-            self.is_requested = true;
-        }
     }
 
     pub(crate) fn next_frame(&mut self) -> Option<Vec<u8>> {
@@ -144,26 +121,11 @@ impl Camera {
         bytes.filter(|_| self.images.is_none())
     }
 
-    /// Applies to later images only.
-    pub(crate) fn set_delay(&mut self, delay: TimeDelta) {
-        self.settings.latency_ms = delay.as_millis_f64();
-    }
-
-    pub(crate) fn log(&self) -> &[CameraFix] {
-        &self.log
-    }
-
     /// Applies requested intervals of fixes to the images; ignores those of other messages.
     fn apply_intervals(&mut self, world: TimeDelta, requests: &[IntervalRequest]) {
         for request in requests {
             if request.message_id == ids::VISION_POSITION_ESTIMATE {
-                self.interval = request.interval.map(|interval| {
-                    if interval <= TimeDelta::ZERO {
-                        TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz)
-                    } else {
-                        interval
-                    }
-                });
+                self.interval = request.interval_or(TimeDelta::from_secs_f64(1.0 / self.settings.rate_hz));
                 self.next_exposure = world;
             }
         }
@@ -193,8 +155,7 @@ impl Camera {
             CameraOrder::Fifo | CameraOrder::Free => due,
         };
         self.last_due = sent;
-        let tag = Point2::<Body>::new(Meters(self.settings.tag_x_m), Meters(self.settings.tag_y_m));
-        let tag = pose * tag;
+        let tag = pose * Point2::<Body>::new(Meters(self.settings.tag_x_m), Meters(self.settings.tag_y_m));
         let fix = CameraFix {
             exposed: world,
             sent,
@@ -249,7 +210,6 @@ impl Camera {
 /// The arena's origin in the image, pixels.
 const ORIGIN_PX: [f64; 2] = [320.0, 240.0];
 const METERS_PER_PX: f64 = 0.004;
-/// Half the side of the tag.
 const HALF_M: f64 = 0.05;
 /// The corners in the tag's space, in halves of its side: forward, left.
 const CORNERS: [[f64; 2]; 4] = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]];
@@ -257,18 +217,13 @@ const CORNERS: [[f64; 2]; 4] = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.
 /// One line of JSON without its line end: image number and corners of the tag.
 fn tag_image(number: u64, tag: Point2<Arena>, heading: Heading) -> String {
     let tag = Pose::<Arena>::new(tag.x, tag.y, heading);
-    let mut line = format!("{{\"image\": {number}, \"corners_px\": [");
-    for (index, [forward, left]) in CORNERS.into_iter().enumerate() {
-        let corner = Point2::<Body>::new(Meters(HALF_M * forward), Meters(HALF_M * left));
-        let corner = tag * corner;
+    let corners = CORNERS.map(|[forward, left]| {
+        let corner = tag * Point2::<Body>::new(Meters(HALF_M * forward), Meters(HALF_M * left));
         let u_px = ORIGIN_PX[0] + corner.x.0 / METERS_PER_PX;
         let v_px = ORIGIN_PX[1] - corner.y.0 / METERS_PER_PX;
-        let between = if index > 0 { ", " } else { "" };
-        // Writing to a String cannot fail.
-        let _ = write!(line, "{between}[{u_px:.3}, {v_px:.3}]");
-    }
-    line.push_str("]}");
-    line
+        format!("[{u_px:.3}, {v_px:.3}]")
+    });
+    format!("{{\"image\": {number}, \"corners_px\": [{}]}}", corners.join(", "))
 }
 
 #[cfg(test)]

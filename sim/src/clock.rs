@@ -31,7 +31,6 @@ impl SkewedClock {
         self.powered_at = world;
     }
 
-    /// Without rounding to ticks.
     pub(crate) fn exact<C: Clock>(&self, world: TimeDelta) -> Timestamp<C> {
         let powered = world - self.powered_at;
         let gained = TimeDelta::from_nanos((powered.as_nanos() as f64 * self.skew_ppm * 1e-6).round() as i64);

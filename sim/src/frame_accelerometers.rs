@@ -1,7 +1,5 @@
-//! Accelerometers on a robot's frame, for a drive of [`montecarlo`](crate::montecarlo).
-//!
-//! The drives' own accelerometers sit on the wheels: they move with the tyres and cannot measure the distance between these. Here they
-//! are fixed to the frame at both ends of the nominal axle, so the lever arm of a turn is known from a ruler.
+//! Accelerometers on a robot's frame, at both ends of the nominal axle, for a drive of [`montecarlo`](crate::montecarlo), whose own ones
+//! sit on the wheels: fixed to the frame, their lever arm in a turn is known from a ruler.
 //!
 //! # Model
 //! ```text
@@ -22,7 +20,6 @@ use crate::random::RandomStream;
 /// Accelerometers at both ends of the nominal axle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameAccelerometers {
-    /// White noise of one observation.
     pub sigma_m_per_s2: f64,
     /// Each one's bias, constant over a drive.
     pub bias_sigma_m_per_s2: f64,

@@ -24,7 +24,6 @@
 //! ```
 
 mod camera;
-mod checks;
 mod clock;
 mod config_file;
 mod firmware;

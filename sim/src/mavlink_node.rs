@@ -2,7 +2,7 @@
 //!
 //! The brick and the camera are two of them behind one link; each schedules its own telemetry.
 
-use posebridge_brick::{Link, Sink};
+use posebridge_brick::Link;
 use posebridge_protocol::dialect::{Encoder, ids};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, CommandResult, Heartbeat, Message};
@@ -16,15 +16,6 @@ const SEQUENCE: usize = 4;
 /// Any message: only the sequence number of its frame is used.
 const NOT_SENT: Heartbeat = Heartbeat { vehicle_type: 0, autopilot: 0, base_mode: 0, system_status: 0 };
 
-/// Appends frames of the brick SDK to a send queue.
-pub(crate) struct SdkFrameSink<'a>(&'a mut Vec<Vec<u8>>);
-
-impl Sink for SdkFrameSink<'_> {
-    fn put(&mut self, frame: &[u8]) {
-        self.0.push(frame.to_vec());
-    }
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct IntervalRequest {
     pub(crate) message_id: u32,
@@ -32,7 +23,12 @@ pub(crate) struct IntervalRequest {
     pub(crate) interval: Option<TimeDelta>,
 }
 
-/// A participant with a clock of kind `C`.
+impl IntervalRequest {
+    pub(crate) fn interval_or(self, default: TimeDelta) -> Option<TimeDelta> {
+        self.interval.map(|interval| if interval <= TimeDelta::ZERO { default } else { interval })
+    }
+}
+
 #[derive(Debug)]
 pub(crate) struct MavlinkNode<C: Clock> {
     own: Address,
@@ -41,7 +37,7 @@ pub(crate) struct MavlinkNode<C: Clock> {
     outgoing: Vec<Vec<u8>>,
     /// Messages that are sent once on request.
     offered_messages: Vec<u32>,
-    is_fix_requested: bool,
+    pub(crate) is_fix_requested: bool,
 }
 
 impl<C: Clock> MavlinkNode<C> {
@@ -67,11 +63,6 @@ impl<C: Clock> MavlinkNode<C> {
         }
     }
 
-    /// Whether a fix was requested since the last call.
-    pub(crate) fn take_fix_request(&mut self) -> bool {
-        std::mem::take(&mut self.is_fix_requested)
-    }
-
     fn is_fix_request(&self, command: &CommandLong) -> bool {
         command.command == ids::COMMAND_REQUEST_MESSAGE
             && command.named_message() == Some(ids::VISION_POSITION_ESTIMATE)
@@ -95,17 +86,13 @@ impl<C: Clock> MavlinkNode<C> {
     }
 
     /// Queues a frame that the brick SDK writes, with this participant's next sequence number.
-    pub(crate) fn send_with_sdk(&mut self, write: impl FnOnce(&mut Link, &mut SdkFrameSink<'_>)) {
-        let sequence = self.next_sequence();
+    pub(crate) fn send_with_sdk(&mut self, write: impl FnOnce(&mut Link, &mut dyn FnMut(&[u8]))) {
+        // The encoder counts for both: it encodes a frame that is not sent.
+        let mut not_sent = Vec::new();
+        self.encoder.encode(self.own, &Message::Heartbeat(NOT_SENT), &mut not_sent);
+        let sequence = not_sent.get(SEQUENCE).copied().unwrap_or_default();
         let mut link = Link::continued(self.own.system.0, self.own.component.0, sequence);
-        write(&mut link, &mut SdkFrameSink(&mut self.outgoing));
-    }
-
-    /// Takes the next number from the encoder, which counts for both: it encodes a frame that is not sent.
-    fn next_sequence(&mut self) -> u8 {
-        let mut frame = Vec::new();
-        self.encoder.encode(self.own, &Message::Heartbeat(NOT_SENT), &mut frame);
-        frame.get(SEQUENCE).copied().unwrap_or_default()
+        write(&mut link, &mut |frame| self.outgoing.push(frame.to_vec()));
     }
 
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {

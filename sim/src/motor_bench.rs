@@ -1,7 +1,4 @@
-//! A wheel's motor on a test bench: a voltage step, and encoder readings.
-//!
-//! The step test that identifies a motor's time constant, dead time and gain. It contains only the motor of the simulated robot with
-//! its load, a delayed command, and an encoder that counts whole degrees.
+//! A wheel's motor on a test bench: the step test that identifies its time constant, dead time and gain.
 //!
 //! # Model
 //! ```text
@@ -9,7 +6,6 @@
 //! tau = (J + m r^2 / 2) / (Kt/R Ke)                            w_end = (volts - friction / (Kt/R)) / Ke
 //! reading k at the first millisecond after k periods, each period of its own length; angle = floor((phi + phi_0) / tick) tick
 //! ```
-//! # Assumptions
 //! The battery holds its voltage; the wheels do not slip.
 //!
 //! # Sources
@@ -20,16 +16,13 @@ use crate::motor::Motor;
 use crate::random::RandomStream;
 use crate::scenario::{RobotSettings, TICK_RAD};
 
-/// A step test of a motor on a test bench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorBench {
     pub robot: RobotSettings,
     pub volts: f64,
     /// Time of the command after the first reading.
     pub rest_s: f64,
-    /// From the command to the voltage.
     pub dead_time_s: f64,
-    /// Mean time between two encoder readings.
     pub period_s: f64,
     /// Uniform relative spread of each period, either way.
     pub period_spread: f64,
@@ -50,11 +43,9 @@ impl Default for MotorBench {
     }
 }
 
-/// Time and angle of an encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderReading {
     pub at_s: f64,
-    /// Total rotation in whole ticks.
     pub angle_rad: f64,
 }
 
@@ -72,9 +63,8 @@ impl MotorBench {
         for step in 0..steps {
             let at_s = f64::from(step) * STEP_S;
             if at_s >= next_s {
-                let spread = self.period_spread * pace.uniform(-1.0, 1.0);
-                next_s += self.period_s * (1.0 + spread);
-                let ticks = ((motor.angle_rad() + phase_rad) / TICK_RAD).floor();
+                next_s += pace.period(self.period_s, self.period_spread);
+                let ticks = ((motor.angle_rad + phase_rad) / TICK_RAD).floor();
                 let angle_rad = ticks * TICK_RAD;
                 readings.push(EncoderReading { at_s, angle_rad });
             }

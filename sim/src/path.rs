@@ -17,7 +17,6 @@ const CLOSED_M: f64 = 1e-3;
 const SEARCH_BACK_M: f64 = 0.05;
 const SEARCH_AHEAD_M: f64 = 0.30;
 
-/// The nearest point on a leg.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Projection {
     pub(crate) along_m: f64,
@@ -71,7 +70,6 @@ impl Segment {
     }
 }
 
-/// A part of the path that is driven without a stop.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct PathLeg {
     segments: Vec<Segment>,
@@ -121,11 +119,11 @@ impl PathLeg {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
-    legs: Vec<PathLeg>,
+    pub(crate) legs: Vec<PathLeg>,
     lap: Vec<Segment>,
     /// Legs per lap; a path without a stop has a single leg for all of its laps.
     lap_legs: usize,
-    is_closed: bool,
+    pub(crate) is_closed: bool,
 }
 
 /// Stored laps of an endless path without a stop; the follower goes back by one after each.
@@ -175,16 +173,8 @@ impl Path {
         Self { legs: vec![PathLeg { segments: lap.repeat(laps) }], lap, lap_legs: 1, is_closed: true }
     }
 
-    pub(crate) fn legs(&self) -> &[PathLeg] {
-        &self.legs
-    }
-
     pub(crate) fn start(&self) -> Pose<Arena> {
         self.legs.first().map_or_else(Pose::default, PathLeg::start)
-    }
-
-    pub(crate) const fn is_closed(&self) -> bool {
-        self.is_closed
     }
 
     pub(crate) fn length_m(&self) -> f64 {
@@ -290,7 +280,7 @@ mod tests {
     #[test]
     fn a_square_is_closed_and_has_four_sides() {
         let square = path(Course::Square { side_m: 1.0, direction: Direction::Left });
-        assert!(square.is_closed() && (square.length_m() - 4.0).abs() < 1e-12);
+        assert!(square.is_closed && (square.length_m() - 4.0).abs() < 1e-12);
         assert_eq!(square.polyline().len(), 5);
         assert!((square.distance_m(point(0.5, 0.5)) - 0.5).abs() < 1e-12);
         assert!((square.distance_m(point(1.03, 0.4)) - 0.03).abs() < 1e-12);
@@ -302,7 +292,7 @@ mod tests {
     #[test]
     fn an_arc_knows_its_left_and_its_curvature() {
         let circle = path(Course::Circle { radius_m: 0.5, direction: Direction::Left });
-        let leg = &circle.legs()[0];
+        let leg = &circle.legs[0];
         // Half way round, at (0, 1); a point inside the circle lies to the left.
         let half = leg.project(point(0.0, 0.9), 0.5 * leg.length_m());
         assert!((half.along_m - 0.5 * leg.length_m()).abs() < 1e-9);
@@ -311,25 +301,25 @@ mod tests {
 
         let right = path(Course::Circle { radius_m: 0.5, direction: Direction::Right });
         assert!(right.distance_m(point(0.0, -1.0)) < 1e-9);
-        let quarter = right.legs()[0].project(point(0.5, -0.5), 0.7);
+        let quarter = right.legs[0].project(point(0.5, -0.5), 0.7);
         assert!(quarter.distance_m < 1e-9 && (quarter.along_m - 0.5 * FRAC_PI_2).abs() < 1e-9);
     }
 
     #[test]
     fn a_projection_near_the_crossing_stays_on_its_own_lobe() {
         let eight = path(Course::FigureEight { radius_m: 0.5 });
-        let leg = &eight.legs()[0];
+        let leg = &eight.legs[0];
         for near_m in [0.0, 0.5 * leg.length_m()] {
             assert!((leg.project(point(0.0, 0.0), near_m).along_m - near_m).abs() < 1e-6);
         }
-        assert!(eight.is_closed());
+        assert!(eight.is_closed);
     }
 
     #[test]
     fn further_laps_of_open_way_points_come_back_first() {
         let path = Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] };
         let scenario = Scenario { path, ..Scenario::default() };
-        assert!(!Path::new(&scenario).is_closed());
+        assert!(!Path::new(&scenario).is_closed);
         let two = Path::new(&scenario.with_laps(2));
         assert!((two.length_m() - (4.0 + 2.0_f64.sqrt())).abs() < 1e-9);
     }

@@ -25,6 +25,11 @@ impl RandomStream {
         low + (high - low) * self.0.random::<f64>()
     }
 
+    /// A period with a uniform relative spread, either way.
+    pub(crate) fn period(&mut self, mean_s: f64, spread: f64) -> f64 {
+        mean_s * (1.0 + spread * self.uniform(-1.0, 1.0))
+    }
+
     /// Either -1 or 1.
     pub(crate) fn sign(&mut self) -> f64 {
         if self.0.random::<bool>() { 1.0 } else { -1.0 }
@@ -41,6 +46,12 @@ fn fnv1a(name: &str) -> u128 {
     const BASIS: u128 = 0x6c62_272e_07bb_0142_62b8_2175_6295_c58d;
     const PRIME: u128 = 0x0000_0000_0100_0000_0000_0000_0000_013b;
     name.bytes().fold(BASIS, |hash, byte| (hash ^ u128::from(byte)).wrapping_mul(PRIME))
+}
+
+#[cfg(test)]
+pub(crate) fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
 }
 
 #[cfg(test)]

@@ -1,15 +1,10 @@
-//! The true motion of the robot: motors, backlash, true wheel sizes, slip.
-//!
-//! Only the sensors and the truth log read it; the firmware never does.
+//! The true motion of the robot: motors, backlash, true wheel sizes, slip. Only the sensors and the truth log read it.
 //!
 //! # Model
 //! ```text
 //! s_l, s_r   travel of the wheels = true radius times wheel rotation, less what slips away, plus k sqrt(|ds|) n
 //! turn       (s_r - s_l) / true track + k sqrt(|dtheta|) n + kicks
 //! pose       an exact arc of (s_l + s_r) / 2 and turn
-//! ```
-//! Faults that a user causes:
-//! ```text
 //! carried    0.1 s along a straight line, turned evenly; the wheels spin in the air and count, the gyro feels the turn
 //! no grip    of each step's rotation the share that is lost turns the shaft and moves nothing
 //! ```
@@ -26,7 +21,6 @@ use crate::wheels::PerWheel;
 
 const KICK_S: f64 = 0.2;
 const KICK_DEG: (f64, f64) = (3.0, 8.0);
-/// Range of the wheel spin in a slip event.
 const SLIP_DEG: (f64, f64) = (10.0, 40.0);
 /// A brick switches off below this voltage.
 const LOWEST_BATTERY_V: f64 = 5.0;
@@ -37,13 +31,16 @@ pub(crate) struct RobotBody {
     backlash: PerWheel<Backlash>,
     radius_m: PerWheel<f64>,
     track_m: f64,
-    battery_v: f64,
+    pub(crate) battery_v: f64,
     battery_drop_v_per_step: f64,
     slip: WheelSlip,
-    faults: RobotFaults,
-    pose: Pose<Arena>,
-    wheel_speed_m_per_s: PerWheel<f64>,
-    turned_rad: f64,
+    carried: Option<CarriedRobot>,
+    lost_grip: PerWheel<GripLoss>,
+    pub(crate) pose: Pose<Arena>,
+    /// Rolling speed of both wheels without the noise of slip.
+    pub(crate) wheel_speed_m_per_s: PerWheel<f64>,
+    /// Total turn of the body, slip included.
+    pub(crate) turned_rad: f64,
 }
 
 impl RobotBody {
@@ -61,7 +58,8 @@ impl RobotBody {
             battery_v: robot.battery_v,
             battery_drop_v_per_step: robot.battery_drop_v_per_min / 60.0 * STEP_S,
             slip: WheelSlip::new(scenario.seed, *errors),
-            faults: RobotFaults::default(),
+            carried: None,
+            lost_grip: PerWheel::default(),
             pose: start,
             wheel_speed_m_per_s: PerWheel::default(),
             turned_rad: 0.0,
@@ -74,15 +72,16 @@ impl RobotBody {
         let battery_v = self.battery_v;
         let rotation = self.motors.as_mut().zip(self.backlash.as_mut()).zip(duty).map(|((motor, play), duty)| {
             motor.step(battery_v * duty);
-            play.follow(motor.angle_rad())
+            play.follow(motor.angle_rad)
         });
         let rolled = self.radius_m.zip(rotation).map(|(r, angle)| r * angle);
         self.wheel_speed_m_per_s = rolled.map(|travel| travel / STEP_S);
-        let grip = self.faults.grip();
-        if let Some((pose, turned_rad)) = self.faults.step_carried() {
+        let grip = self.lost_grip.as_mut().map(GripLoss::next);
+        if let Some(carried) = &mut self.carried {
             // In the air nothing that the wheels do moves anything.
-            self.pose = pose;
-            self.turned_rad += turned_rad;
+            self.pose = carried.step();
+            self.turned_rad += carried.by.turn_rad / f64::from(CARRIED_STEPS);
+            self.carried = self.carried.filter(|carried| carried.steps < CARRIED_STEPS);
             return;
         }
         let gripped = self.slip.grip(rotation).zip(self.radius_m);
@@ -93,11 +92,17 @@ impl RobotBody {
     }
 
     pub(crate) const fn lift(&mut self, by: Displacement) {
-        self.faults.lift(self.pose, by);
+        self.carried = Some(CarriedRobot { from: self.pose, by, steps: 0 });
     }
 
     pub(crate) fn reduce_grip(&mut self, wheel: SlippingWheel, share: f64, duration: TimeDelta) {
-        self.faults.reduce_grip(wheel, share, duration);
+        let lost = GripLoss { share, steps_left: duration.as_nanos() / STEP.as_nanos() };
+        let wheels = &mut self.lost_grip;
+        match wheel {
+            SlippingWheel::Left => wheels.left = lost,
+            SlippingWheel::Right => wheels.right = lost,
+            SlippingWheel::Both => *wheels = PerWheel { left: lost, right: lost },
+        }
     }
 
     fn advance(&mut self, forward_m: f64, turn_rad: f64) {
@@ -114,27 +119,9 @@ impl RobotBody {
         self.turned_rad += turn_rad;
     }
 
-    pub(crate) const fn pose(&self) -> Pose<Arena> {
-        self.pose
-    }
-
     /// Total rotation of the shafts that carry the encoders.
     pub(crate) fn shaft_rad(&self) -> PerWheel<f64> {
-        self.motors.map(|motor| motor.angle_rad())
-    }
-
-    /// Rolling speed of both wheels without the noise of slip.
-    pub(crate) const fn wheel_speed_m_per_s(&self) -> PerWheel<f64> {
-        self.wheel_speed_m_per_s
-    }
-
-    /// Total turn of the body, slip included.
-    pub(crate) const fn turned_rad(&self) -> f64 {
-        self.turned_rad
-    }
-
-    pub(crate) const fn battery_v(&self) -> f64 {
-        self.battery_v
+        self.motors.map(|motor| motor.angle_rad)
     }
 
     /// Along the body's x axis, without slip.
@@ -148,7 +135,7 @@ impl RobotBody {
     }
 
     pub(crate) fn is_at_rest(&self) -> bool {
-        self.motors.left.speed_rad_per_s() == 0.0 && self.motors.right.speed_rad_per_s() == 0.0
+        self.motors.left.speed_rad_per_s == 0.0 && self.motors.right.speed_rad_per_s == 0.0
     }
 }
 
@@ -258,6 +245,19 @@ struct CarriedRobot {
     steps: u32,
 }
 
+impl CarriedRobot {
+    fn step(&mut self) -> Pose<Arena> {
+        self.steps += 1;
+        let share = f64::from(self.steps) / f64::from(CARRIED_STEPS);
+        let advance = Transform2::<Body, Body>::new(
+            Meters(self.by.forward_m * share),
+            Meters(self.by.left_m * share),
+            Heading::from_rad(self.by.turn_rad * share),
+        );
+        self.from * advance
+    }
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 struct GripLoss {
     share: f64,
@@ -275,53 +275,10 @@ impl GripLoss {
     }
 }
 
-#[derive(Clone, Debug, Default)]
-struct RobotFaults {
-    carried: Option<CarriedRobot>,
-    lost_grip: PerWheel<GripLoss>,
-}
-
-impl RobotFaults {
-    const fn lift(&mut self, from: Pose<Arena>, by: Displacement) {
-        self.carried = Some(CarriedRobot { from, by, steps: 0 });
-    }
-
-    fn reduce_grip(&mut self, wheel: SlippingWheel, share: f64, duration: TimeDelta) {
-        let lost = GripLoss { share, steps_left: duration.as_nanos() / STEP.as_nanos() };
-        let wheels = &mut self.lost_grip;
-        match wheel {
-            SlippingWheel::Left => wheels.left = lost,
-            SlippingWheel::Right => wheels.right = lost,
-            SlippingWheel::Both => *wheels = PerWheel { left: lost, right: lost },
-        }
-    }
-
-    /// Share of each wheel's rotation that reaches the floor in the next step.
-    fn grip(&mut self) -> PerWheel<f64> {
-        self.lost_grip.as_mut().map(GripLoss::next)
-    }
-
-    /// Moves a carried robot by one step: its pose, and its turn in radians.
-    fn step_carried(&mut self) -> Option<(Pose<Arena>, f64)> {
-        let carried = self.carried.as_mut()?;
-        carried.steps += 1;
-        let share = f64::from(carried.steps) / f64::from(CARRIED_STEPS);
-        let advance = Transform2::<Body, Body>::new(
-            Meters(carried.by.forward_m * share),
-            Meters(carried.by.left_m * share),
-            Heading::from_rad(carried.by.turn_rad * share),
-        );
-        let moved = (carried.from * advance, carried.by.turn_rad / f64::from(CARRIED_STEPS));
-        if carried.steps >= CARRIED_STEPS {
-            self.carried = None;
-        }
-        Some(moved)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::rms;
     use crate::scenario::MotorSettings;
 
     const AHEAD: PerWheel<f64> = PerWheel { left: 0.5, right: 0.5 };
@@ -342,21 +299,17 @@ mod tests {
         scenario
     }
 
-    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-        let count = values.len() as f64;
-        (values.map(|value| value * value).sum::<f64>() / count).sqrt()
-    }
-
     #[test]
     fn equal_wheels_drive_straight_and_a_larger_right_wheel_turns_left_by_the_mismatch_over_the_track() {
         let mut scenario = exact();
         let straight = driven(&scenario, AHEAD, 1_000);
-        assert!((straight.pose().x.0 - 0.028 * straight.shaft_rad().left).abs() < 1e-9);
-        assert!(straight.pose().y.0.abs() < 1e-12);
-        scenario.errors.radius_mismatch = 0.01;
+        assert!((straight.pose.x.0 - 0.028 * straight.shaft_rad().left).abs() < 1e-9);
+        assert!(straight.pose.y.0.abs() < 1e-12);
+        (scenario.errors.radius_mismatch, scenario.errors.track_error) = (0.01, -0.001);
         let body = driven(&scenario, AHEAD, 2_000);
+        assert!((body.track_m - 0.999 * 0.112).abs() < 1e-12);
         let expected_rad = 0.01 * 0.028 * body.shaft_rad().left / 0.112;
-        assert!((body.turned_rad() / expected_rad - 1.0).abs() < 0.02);
+        assert!((body.turned_rad / expected_rad - 1.0).abs() < 0.02);
     }
 
     /// The relative error of a sigma from 200 draws is 5 %.
@@ -370,14 +323,14 @@ mod tests {
         let mut of_turns = exact();
         of_turns.errors.turn_rad_per_sqrt_rad = 0.01;
         let spin = PerWheel { left: -0.5, right: 0.5 };
-        let turn_rad = driven(&exact(), spin, 1_000).turned_rad();
+        let turn_rad = driven(&exact(), spin, 1_000).turned_rad;
         let cases = [
             ("wheels", of_wheels, AHEAD, 0.0, wheels_rad),
             ("turns", of_turns, spin, turn_rad, 0.01 * turn_rad.sqrt()),
         ];
         for (name, scenario, duty, mean_rad, expected_rad) in cases {
             let turned =
-                (0..200_u32).map(|seed| driven(&scenario.clone().with_seed(seed.into()), duty, 1_000).turned_rad());
+                (0..200_u32).map(|seed| driven(&scenario.clone().with_seed(seed.into()), duty, 1_000).turned_rad);
             let sigma_rad = rms(turned.map(|turned| turned - mean_rad));
             assert!((sigma_rad / expected_rad - 1.0).abs() < 0.15, "{name}: {sigma_rad} against {expected_rad}");
         }
@@ -394,19 +347,6 @@ mod tests {
             let speed = driven(&scenario, PerWheel { left: 1.0, right: 1.0 }, millis).forward_m_per_s();
             assert!((speed - expected).abs() < bound, "{volts} V: {speed} {expected}");
         }
-    }
-
-    #[test]
-    fn geometry_is_drawn_with_its_sigmas() {
-        let mut scenario = exact();
-        scenario.errors.track_error_sigma = 0.02;
-        scenario.errors.track_error = 0.01;
-        let draw =
-            |seed: u32| RobotBody::new(&scenario.clone().with_seed(seed.into()), Pose::default()).track_m / 0.112 - 1.0;
-        let mean = (0..1_000).map(draw).sum::<f64>() / 1_000.0;
-        let sigma = rms((0..1_000).map(|seed| draw(seed) - mean));
-        // Good to 0.02 / sqrt(1000) and to 2 %.
-        assert!((mean - 0.01).abs() < 0.002 && (sigma - 0.02).abs() < 0.0015, "{mean} {sigma}");
     }
 
     /// What both wheels turn in a step, in radians.
@@ -462,16 +402,16 @@ mod tests {
         let mut scenario = exact();
         (scenario.errors.kicks_per_min, scenario.errors.slip_events_per_min) = (6_000.0, 6_000.0);
         let body = driven(&scenario, PerWheel::default(), 10_000);
-        assert_eq!((body.slip.lost_rad, body.turned_rad()), (PerWheel::default(), 0.0));
+        assert_eq!((body.slip.lost_rad, body.turned_rad), (PerWheel::default(), 0.0));
     }
 
     #[test]
     fn a_slip_event_takes_its_size_from_the_travel_of_one_wheel() {
         let mut body = driven(&exact(), AHEAD, 1_000);
-        let before_rad = body.turned_rad();
+        let before_rad = body.turned_rad;
         body.slip.lost_rad.left = 25_f64.to_radians();
         drive(&mut body, AHEAD, 1_000);
-        assert!((body.turned_rad() - before_rad - 25_f64.to_radians() * 0.028 / 0.112).abs() < 1e-9);
+        assert!((body.turned_rad - before_rad - 25_f64.to_radians() * 0.028 / 0.112).abs() < 1e-9);
     }
 
     #[test]
@@ -480,12 +420,12 @@ mod tests {
         body.slip.errors.kicks_per_min = 60_000.0;
         body.step(AHEAD);
         body.slip.errors = ErrorSettings::none();
-        let size_deg = (body.turned_rad() + body.slip.kick_rad).to_degrees();
+        let size_deg = (body.turned_rad + body.slip.kick_rad).to_degrees();
         assert!((3.0..8.0).contains(&size_deg.abs()), "{size_deg}");
         drive(&mut body, AHEAD, 198);
         assert!(body.slip.kick_rad != 0.0, "not before its time");
         drive(&mut body, AHEAD, 2);
-        assert!((body.turned_rad().to_degrees() - size_deg).abs() < 1e-9);
+        assert!((body.turned_rad.to_degrees() - size_deg).abs() < 1e-9);
     }
 
     #[test]
@@ -495,13 +435,13 @@ mod tests {
         let mut body = driven(&scenario, AHEAD, 1_000);
         drive(&mut body, PerWheel::default(), 1_000);
         assert!(body.is_at_rest());
-        let (x_m, shaft_rad) = (body.pose().x.0, body.shaft_rad().left);
+        let (x_m, shaft_rad) = (body.pose.x.0, body.shaft_rad().left);
         let back = PerWheel { left: -0.3, right: -0.3 };
         while body.shaft_rad().left > shaft_rad - 3.9_f64.to_radians() {
             body.step(back);
         }
-        assert_eq!(body.pose().x.0, x_m);
+        assert_eq!(body.pose.x.0, x_m);
         drive(&mut body, back, 500);
-        assert!(body.pose().x.0 < x_m - 0.001);
+        assert!(body.pose.x.0 < x_m - 0.001);
     }
 }

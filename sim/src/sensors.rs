@@ -21,7 +21,7 @@ pub(crate) struct InertialReading {
 #[derive(Clone, Debug)]
 pub(crate) struct SensorBoard {
     encoders: PerWheel<Encoder>,
-    gyro: Gyro,
+    pub(crate) gyro: Gyro,
     accelerometers: Accelerometers,
     thermometer: Option<Thermometer>,
     turned_rad: f64,
@@ -53,15 +53,14 @@ impl SensorBoard {
 
     pub(crate) fn sample(&mut self, body: &RobotBody) {
         self.encoders.as_mut().zip(body.shaft_rad()).map(|(encoder, shaft_rad)| encoder.sample(shaft_rad));
-        self.turned_rad = body.turned_rad();
-        self.wheel_speed_m_per_s = body.wheel_speed_m_per_s();
+        self.turned_rad = body.turned_rad;
+        self.wheel_speed_m_per_s = body.wheel_speed_m_per_s;
         self.steps_since_last += 1;
         if let Some(thermometer) = &mut self.thermometer {
             thermometer.step();
         }
     }
 
-    /// Since power-up.
     pub(crate) fn counts(&self) -> PerWheel<i64> {
         self.encoders.map(Encoder::count)
     }
@@ -90,11 +89,6 @@ impl SensorBoard {
     /// Degrees Celsius; `None` without a thermometer.
     pub(crate) fn read_temperature(&mut self) -> Option<f64> {
         self.thermometer.as_mut().map(Thermometer::read)
-    }
-
-    /// Until a power cycle.
-    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
-        self.gyro.step_bias(rad_per_s);
     }
 
     /// A power cycle: counters and the gyro's integral at zero, biases drawn again.
@@ -152,6 +146,7 @@ impl Gyro {
         self.bias_deg_per_s = self.settings.bias_sigma_deg_per_s * self.stream.normal();
     }
 
+    /// Until a power cycle.
     pub(crate) fn step_bias(&mut self, rad_per_s: f64) {
         self.bias_deg_per_s += rad_per_s.to_degrees();
     }
@@ -260,15 +255,11 @@ mod tests {
     use posebridge_telemetry::Pose;
 
     use super::*;
+    use crate::random::rms;
 
     fn gyro(bias_sigma_deg_per_s: f64, bias_walk_deg_per_s_sqrt_s: f64, seed: u64) -> Gyro {
         let settings = GyroSettings { bias_sigma_deg_per_s, bias_walk_deg_per_s_sqrt_s, ..GyroSettings::default() };
         Gyro::new(settings, RandomStream::new(seed, "gyro"))
-    }
-
-    fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-        let count = values.len() as f64;
-        (values.map(|value| value * value).sum::<f64>() / count).sqrt()
     }
 
     #[test]
@@ -340,13 +331,13 @@ mod tests {
                 board.sample(&body);
             }
             let reading = board.read_inertial();
-            let rate = (body.turned_rad() - turned) / 0.05;
-            let acceleration = (body.wheel_speed_m_per_s().right - speed) / 0.05;
+            let rate = (body.turned_rad - turned) / 0.05;
+            let acceleration = (body.wheel_speed_m_per_s.right - speed) / 0.05;
             assert!((reading.turn_rate_rad_per_s - rate).abs() < 1e-9);
-            assert!((reading.turn_rad - body.turned_rad()).abs() < 1e-9);
+            assert!((reading.turn_rad - body.turned_rad).abs() < 1e-9);
             assert!((reading.wheels_m_per_s2.right - acceleration).abs() < 1e-9);
             assert_eq!(board.read_inertial(), reading, "no time has passed");
-            (turned, speed) = (body.turned_rad(), body.wheel_speed_m_per_s().right);
+            (turned, speed) = (body.turned_rad, body.wheel_speed_m_per_s.right);
         }
         assert!(turned > 0.1 && speed > 0.1);
     }

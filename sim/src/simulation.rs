@@ -1,9 +1,7 @@
 //! The simulated world: robot, sensors, brick and camera behind their links, and the ground truth.
 //!
-//! A brick that sends MAVLink shares one link with the camera. Other bricks have a link of their own, because their protocols have no
-//! address for a second sender; the camera then sends MAVLink on another link.
-//!
-//! The world advances only with [`Simulation::step`]. The caller transports the bytes and paces the steps.
+//! A brick that sends MAVLink shares one link with the camera. Other protocols have no address for a second sender; the camera then sends
+//! MAVLink on a link of its own. The caller transports the bytes and paces the steps.
 
 use std::collections::VecDeque;
 
@@ -26,7 +24,6 @@ use crate::scenario::{DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::PerWheel;
 
-/// Ground truth at one instant. It is never sent to the station.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthSample {
     pub sim_time: TimeDelta,
@@ -73,7 +70,6 @@ pub enum CommandExecutor {
     Link,
 }
 
-/// A simulated robot with its brick and its camera.
 #[derive(Debug)]
 pub struct Simulation {
     scenario: Scenario,
@@ -157,11 +153,11 @@ impl Simulation {
         self.body.step(self.duty);
         self.board.sample(&self.body);
         self.duty = self.brick.step(when, &mut self.board, &self.body);
-        for (instant, pose) in self.brick.take_estimates() {
+        for (instant, pose) in std::mem::take(&mut self.brick.estimates) {
             self.log_estimate(instant, pose);
         }
         if let Some(camera) = &mut self.camera {
-            camera.step(self.world, self.body.pose());
+            camera.step(self.world, self.body.pose);
         }
         self.collect_output();
         self.log_truth();
@@ -181,14 +177,14 @@ impl Simulation {
     /// The camera sends no fixes; its images go to another program through [`Self::poll_image`].
     pub fn with_images(mut self) -> Self {
         if let Some(camera) = &mut self.camera {
-            camera.enable_images();
+            camera.images = Some(VecDeque::new());
         }
         self
     }
 
     /// The next camera image as a line of JSON without its end; `None` unless [`Self::with_images`].
     pub fn poll_image(&mut self) -> Option<String> {
-        self.camera.as_mut()?.next_image()
+        self.camera.as_mut()?.images.as_mut()?.pop_front()
     }
 
     /// Receives bytes from the station now on the brick's link, in pieces of any size; damaged bytes are skipped.
@@ -233,7 +229,7 @@ impl Simulation {
         self.brick_clock.restart(self.world);
         self.board.restart();
         let when = self.brick_time();
-        self.brick.restart(when, &mut self.board, self.body.battery_v());
+        self.brick.restart(when, &mut self.board, self.body.battery_v);
         self.duty = PerWheel::default();
     }
 
@@ -254,7 +250,7 @@ impl Simulation {
 
     /// Completed laps of an endless drive ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
     pub fn laps_done(&self) -> u64 {
-        self.brick.program.follower.laps_done()
+        self.brick.program.follower.laps_done
     }
 
     /// Driven share of the path, 0 to 1; of the current lap in an endless drive.
@@ -285,7 +281,7 @@ impl Simulation {
 
     /// All sent fixes; an endless drive keeps only the last ones.
     pub fn camera_fixes(&self) -> &[CameraFix] {
-        self.camera.as_ref().map_or(&[], Camera::log)
+        self.camera.as_ref().map_or(&[], |camera| &camera.log)
     }
 
     pub fn start_pose(&self) -> Pose<Arena> {
@@ -342,7 +338,7 @@ impl Simulation {
         }
         self.samples += 1;
         trim_history(self.history, self.world, &mut self.truth, |sample| sample.sim_time);
-        let pose = self.body.pose();
+        let pose = self.body.pose;
         self.truth.push(TruthSample {
             sim_time: self.world,
             brick_time: self.brick_clock.exact(self.world),
@@ -355,9 +351,7 @@ impl Simulation {
             steering: self.brick.program.onboard.steering(self.brick_clock.reading(self.world)),
         });
     }
-}
 
-impl Simulation {
     /// Executes a user's command from the next step on. The caller validates it with [`SimulatorCommand::validate`].
     ///
     /// The same commands before the same steps give the same bytes.
@@ -374,11 +368,11 @@ impl Simulation {
             }
             SimulatorCommand::CameraDelay { delay } => {
                 if let Some(camera) = &mut self.camera {
-                    camera.set_delay(delay);
+                    camera.settings.latency_ms = delay.as_millis_f64();
                 }
             }
             SimulatorCommand::GyroBiasStep { rad_per_s } => {
-                self.board.step_gyro_bias(rad_per_s);
+                self.board.gyro.step_bias(rad_per_s);
                 self.brick.step_gyro_bias(rad_per_s);
             }
             SimulatorCommand::Steering(source) => {
@@ -401,24 +395,18 @@ impl Simulation {
     }
 }
 
-/// The messages that become complete with these bytes.
+/// The messages that become complete with these bytes. A brick has no way to report an invalid or unknown one.
 fn decode_messages(framer: &mut Framer, world: TimeDelta, bytes: &[u8]) -> Vec<(Address, Message)> {
     let now = Timestamp::<HostClock>::from_nanos(world.as_nanos());
     let mut messages = Vec::new();
-    let mut sink = |scanned: FramerOutput<'_>| messages.extend(decode_message(&scanned));
+    let mut sink = |scanned: FramerOutput<'_>| {
+        if let FramerOutput::Frame(frame) = scanned
+            && let Ok(Some(message)) = dialect::decode(&frame)
+        {
+            messages.push((frame.source, message));
+        }
+    };
     framer.tick(now, &mut sink);
     framer.push(now, bytes, &mut sink);
     messages
-}
-
-/// `None` if this end does not know the message.
-fn decode_message(scanned: &FramerOutput<'_>) -> Option<(Address, Message)> {
-    match scanned {
-        FramerOutput::Frame(frame) => match dialect::decode(frame) {
-            Ok(Some(message)) => Some((frame.source, message)),
-            // A brick has no way to report an invalid payload.
-            Ok(None) | Err(_) => None,
-        },
-        FramerOutput::UnknownFrame(_) | FramerOutput::Error(_) => None,
-    }
 }

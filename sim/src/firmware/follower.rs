@@ -13,9 +13,7 @@ use super::speed_control::PERIOD_S;
 use crate::path::{Path, PathLeg};
 use crate::scenario::{DriveEnd, DriveSettings};
 
-/// Gain on the heading error, 1/m.
 const HEADING_PER_M: f64 = 8.0;
-/// Gain on the lateral error, 1/m².
 const LATERAL_PER_M2: f64 = 16.0;
 const ACCELERATION_M_PER_S2: f64 = 0.5;
 const ACCELERATION_RAD_PER_S2: f64 = 6.0;
@@ -34,12 +32,9 @@ const STEEPEST_APPROACH_RAD: f64 = 1.0;
 /// Heading error above which the robot turns in place first. Beyond the steepest approach, so that an approach continues.
 const TURN_FIRST_RAD: f64 = 1.3;
 
-/// A commanded motion of the body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Twist {
-    /// Along the body's x axis.
     pub(crate) forward_m_per_s: f64,
-    /// About the vertical.
     pub(crate) turn_rad_per_s: f64,
 }
 
@@ -60,8 +55,7 @@ pub(crate) struct Follower {
     /// Distance along the current leg; never decreases.
     along_m: f64,
     completed_m: f64,
-    /// Completed laps of an endless drive.
-    laps_done: u64,
+    pub(crate) laps_done: u64,
     command: Twist,
     /// Manual command and its expiry. After it the robot stands until it is sent back to its path.
     manual_command: Option<(Twist, Timestamp<BrickClock>)>,
@@ -91,22 +85,14 @@ impl Follower {
             Some(_) => Twist::default(),
             None => self.follow(now, estimate),
         };
+        let Twist { forward_m_per_s, turn_rad_per_s } = self.command;
         self.command = Twist {
-            forward_m_per_s: slew(
-                self.command.forward_m_per_s,
-                requested.forward_m_per_s,
-                ACCELERATION_M_PER_S2 * PERIOD_S,
-            ),
-            turn_rad_per_s: slew(
-                self.command.turn_rad_per_s,
-                requested.turn_rad_per_s,
-                ACCELERATION_RAD_PER_S2 * PERIOD_S,
-            ),
+            forward_m_per_s: slew(forward_m_per_s, requested.forward_m_per_s, ACCELERATION_M_PER_S2 * PERIOD_S),
+            turn_rad_per_s: slew(turn_rad_per_s, requested.turn_rad_per_s, ACCELERATION_RAD_PER_S2 * PERIOD_S),
         };
         self.command
     }
 
-    /// Overrides the path until `until`.
     pub(crate) const fn drive_manually(&mut self, requested: Twist, until: Timestamp<BrickClock>) {
         self.manual_command = Some((requested, until));
     }
@@ -122,10 +108,10 @@ impl Follower {
         let index = self.program.iter().position(|one| leg_of(one) == Some(leg));
         // A path without a stop has all of its laps on one leg: on in the current lap.
         let lap_m = self.path.lap_length_m();
-        let laps = if self.path.legs().len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
+        let laps = if self.path.legs.len() == 1 { (self.along_m / lap_m).floor() } else { 0.0 };
         self.next = index.unwrap_or(self.next);
         self.begun = None;
-        self.completed_m = self.path.legs().iter().take(leg).map(PathLeg::length_m).sum();
+        self.completed_m = self.path.legs.iter().take(leg).map(PathLeg::length_m).sum();
         self.along_m = along_m + laps * lap_m;
     }
 
@@ -143,11 +129,6 @@ impl Follower {
         ((self.completed_m + self.along_m) / total_m).clamp(0.0, 1.0)
     }
 
-    /// Completed laps of an endless drive.
-    pub(crate) const fn laps_done(&self) -> u64 {
-        self.laps_done
-    }
-
     pub(crate) fn clock_restarted(&mut self) {
         self.begun = None;
         self.command = Twist::default();
@@ -157,30 +138,26 @@ impl Follower {
 
     fn follow(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
         match self.program.get(self.next).copied() {
-            Some(Manoeuvre::Rest(duration)) => self.rest(now, duration),
-            Some(Manoeuvre::Turn(heading)) => self.turn((heading - estimate.heading).0),
+            Some(Manoeuvre::Rest(duration)) => {
+                if now - *self.begun.get_or_insert(now) >= duration {
+                    self.advance();
+                }
+                Twist::default()
+            }
+            Some(Manoeuvre::Turn(heading)) => {
+                let error_rad = (heading - estimate.heading).0;
+                if error_rad.abs() < TURN_END_RAD {
+                    self.advance();
+                    return Twist::default();
+                }
+                self.turn(error_rad)
+            }
             Some(Manoeuvre::Drive { leg }) => self.drive(leg, estimate),
             None => Twist::default(),
         }
     }
 
-    fn rest(&mut self, now: Timestamp<BrickClock>, duration: TimeDelta) -> Twist {
-        let begun = *self.begun.get_or_insert(now);
-        if now - begun >= duration {
-            self.advance();
-        }
-        Twist::default()
-    }
-
-    fn turn(&mut self, error_rad: f64) -> Twist {
-        if error_rad.abs() < TURN_END_RAD {
-            self.advance();
-            return Twist::default();
-        }
-        self.turning(error_rad)
-    }
-
-    fn turning(&self, error_rad: f64) -> Twist {
+    fn turn(&self, error_rad: f64) -> Twist {
         let braking = (2.0 * BRAKING_RAD_PER_S2 * error_rad.abs()).sqrt();
         let rate = braking.min(self.settings.turn_rate_rad_per_s).max(CREEP_RAD_PER_S);
         Twist { forward_m_per_s: 0.0, turn_rad_per_s: rate.copysign(error_rad) }
@@ -188,12 +165,11 @@ impl Follower {
 
     fn drive(&mut self, leg: usize, estimate: Pose<Arena>) -> Twist {
         let near_m = self.along_m;
-        let Some((length_m, here)) =
-            self.path.legs().get(leg).map(|leg| (leg.length_m(), leg.project(estimate.origin(), near_m)))
-        else {
+        let Some(leg) = self.path.legs.get(leg) else {
             self.advance();
             return Twist::default();
         };
+        let (length_m, here) = (leg.length_m(), leg.project(estimate.origin(), near_m));
         self.along_m = self.along_m.max(here.along_m);
         self.restart_lap();
         let remaining_m = length_m - self.along_m;
@@ -204,7 +180,7 @@ impl Follower {
         }
         let heading_error_rad = (estimate.heading - here.heading).0;
         if heading_error_rad.abs() > TURN_FIRST_RAD {
-            return self.turning(-heading_error_rad);
+            return self.turn(-heading_error_rad);
         }
         let braking = (2.0 * BRAKING_M_PER_S2 * remaining_m).sqrt();
         let speed = braking.min(self.settings.speed_m_per_s * heading_error_rad.cos().max(0.0)).max(CREEP_M_PER_S);
@@ -218,7 +194,7 @@ impl Follower {
     /// Moves an endless path without a stop back by one lap after its first.
     fn restart_lap(&mut self) {
         let lap_m = self.path.lap_length_m();
-        let is_endless = self.settings.end == DriveEnd::Never && self.path.legs().len() == 1;
+        let is_endless = self.settings.end == DriveEnd::Never && self.path.legs.len() == 1;
         if is_endless && self.path.length_m() > lap_m && self.along_m > lap_m + WELL_INTO_M {
             self.along_m -= lap_m;
             self.laps_done += 1;
@@ -238,7 +214,6 @@ impl Follower {
     }
 }
 
-/// Index of the first leg in the program, after the rest.
 const FIRST_LEG: usize = 1;
 /// Restarts a smooth lap only this far into the next: the projection searches a little backwards.
 const WELL_INTO_M: f64 = 0.1;
@@ -254,10 +229,10 @@ const fn leg_of(manoeuvre: &Manoeuvre) -> Option<usize> {
 fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
     let pause = Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.pause_s));
     let mut program = vec![Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.rest_s))];
-    let legs = path.legs();
+    let legs = &path.legs;
     for (index, _) in legs.iter().enumerate() {
         program.extend([Manoeuvre::Drive { leg: index }, pause]);
-        let next = legs.get(index + 1).or(legs.first().filter(|_| path.is_closed()));
+        let next = legs.get(index + 1).or(legs.first().filter(|_| path.is_closed));
         let turns = legs.len() > 1;
         if let Some(heading) = next.filter(|_| turns).map(|leg: &PathLeg| leg.start().heading) {
             program.extend([Manoeuvre::Turn(heading), pause]);
@@ -266,7 +241,6 @@ fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
     program
 }
 
-/// Limits the change from `from` to `to` to `step`.
 fn slew(from: f64, to: f64, step: f64) -> f64 {
     from + (to - from).max(-step).min(step)
 }

@@ -1,8 +1,7 @@
 //! The MAVLink 2 messages of a brick, as component 1 of its system: wheels, inertial readings, description.
 //!
-//! Its inputs are the brick's clock, the sensors and the station's messages, never the true state. Compact readings are encoded by the
-//! SDK of real robots, so that each run of the simulator tests it. The station decodes with `protocol`, which is an independent
-//! implementation.
+//! Compact readings are encoded by the SDK of real robots, so that each run tests it. The station decodes with `protocol`, which is an
+//! independent implementation.
 
 use posebridge_brick::{Inertial, InertialParts, Sides, WheelTicks};
 use posebridge_protocol::dialect::ids;
@@ -12,7 +11,7 @@ use posebridge_telemetry::{
     RadiansPerSecond, SensorNoise, TimeDelta, Timestamp,
 };
 
-use crate::clock::register_micros;
+use crate::clock::{STEP, register_micros};
 use crate::mavlink_node::{IntervalRequest, MavlinkNode};
 use crate::scenario::{BrickSettings, Scenario, ThermometerSettings, Wire};
 use crate::sensors::{InertialReading, SensorBoard};
@@ -30,39 +29,32 @@ pub(crate) struct BrickMessenger {
     thermometer: Option<ThermometerSettings>,
     geometry: DriveGeometry,
     noise: SensorNoise,
-    node: MavlinkNode<BrickClock>,
-    schedule: Schedule,
+    pub(crate) node: MavlinkNode<BrickClock>,
+    schedule: Vec<ScheduledMessage>,
     /// Counter totals at the last reset; messages count from here.
     zero: PerWheel<i64>,
 }
 
 impl BrickMessenger {
-    /// A brick that is switched on at `now`.
     pub(crate) fn new(scenario: &Scenario, now: Timestamp<BrickClock>) -> Self {
         let thermometer = scenario.thermometer.clone();
-        let schedule = Schedule::new(&scenario.brick, thermometer.as_ref(), now);
+        let schedule = schedule(&scenario.brick, thermometer.as_ref(), now);
         Self {
             settings: scenario.brick,
             thermometer,
             geometry: scenario.drive_geometry(),
             noise: scenario.sensor_noise(),
-            node: MavlinkNode::new(
-                scenario.brick.address_of(BRICK),
-                HEARTBEAT,
-                register_time_of(scenario.brick.wire, now),
-                &schedule.message_ids(),
-            ),
+            node: node(&scenario.brick, &schedule, now),
             schedule,
             zero: PerWheel::default(),
         }
     }
 
-    /// Queues the messages that are due at `now`.
     pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard) {
-        for request in self.node.tick(self.register_time(now)) {
-            self.schedule.apply_request(request, now);
-        }
-        while let Some(topic) = self.schedule.next(now) {
+        let requests = self.node.tick(register_time(self.settings.wire, now));
+        self.apply_requests(now, &requests);
+        let next = |message: &mut ScheduledMessage| message.take_due(now).then_some(message.topic);
+        while let Some(topic) = self.schedule.iter_mut().find_map(next) {
             match topic {
                 Topic::Wheels => self.send_wheels(now, board.counts()),
                 Topic::Inertial => self.send_inertial(now, board),
@@ -83,29 +75,25 @@ impl BrickMessenger {
         from: Address,
         message: &Message,
     ) -> Option<(WireStamp, Pose<Arena>)> {
-        for request in self.node.handle(self.register_time(now), from, message) {
-            self.schedule.apply_request(request, now);
-        }
+        let requests = self.node.handle(register_time(self.settings.wire, now), from, message);
+        self.apply_requests(now, &requests);
         usable_estimate(message)
     }
 
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>, zero: PerWheel<i64>) {
-        self.schedule = Schedule::new(&self.settings, self.thermometer.as_ref(), now);
-        let own = self.settings.address_of(BRICK);
-        self.node = MavlinkNode::new(own, HEARTBEAT, self.register_time(now), &self.schedule.message_ids());
+        self.schedule = schedule(&self.settings, self.thermometer.as_ref(), now);
+        self.node = node(&self.settings, &self.schedule, now);
         self.zero = zero;
     }
 
-    pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
-        self.node.next_bytes()
-    }
-
-    pub(crate) fn take_frames(&mut self) -> Vec<Vec<u8>> {
-        self.node.take_frames()
-    }
-
-    fn register_time(&self, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
-        register_time_of(self.settings.wire, now)
+    /// Requests for messages that the brick does not have are ignored.
+    fn apply_requests(&mut self, now: Timestamp<BrickClock>, requests: &[IntervalRequest]) {
+        for request in requests {
+            for message in self.schedule.iter_mut().filter(|message| message.message_id == request.message_id) {
+                message.interval = request.interval_or(message.default).map(|interval| interval.max(STEP));
+                message.due = now;
+            }
+        }
     }
 
     fn send_wheels(&mut self, now: Timestamp<BrickClock>, counts: PerWheel<i64>) {
@@ -113,7 +101,7 @@ impl BrickMessenger {
         match self.settings.wire {
             Wire::Compact => {
                 let ticks = wheel_ticks(register_micros(now), counts);
-                self.node.send_with_sdk(|link, sink| link.wheel_ticks(&ticks, sink));
+                self.node.send_with_sdk(|link, mut sink| link.wheel_ticks(&ticks, &mut sink));
             }
             Wire::Standard => {
                 let rolled = |radius: Meters, count: i64| radius * (self.geometry.tick.0 * count as f64);
@@ -131,7 +119,7 @@ impl BrickMessenger {
         match self.settings.wire {
             Wire::Compact => {
                 let inertial = inertial(register_micros(now), &reading);
-                self.node.send_with_sdk(|link, sink| link.inertial(&inertial, sink));
+                self.node.send_with_sdk(|link, mut sink| link.inertial(&inertial, &mut sink));
             }
             Wire::Standard => {
                 let wheels = reading.wheels_m_per_s2;
@@ -167,7 +155,7 @@ impl BrickMessenger {
 }
 
 /// The brick's clock as other systems read it: a register that wraps, or 64 bits that do not.
-fn register_time_of(wire: Wire, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
+fn register_time(wire: Wire, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
     match wire {
         Wire::Compact => Timestamp::from_micros(i64::from(register_micros(now))),
         Wire::Standard => now,
@@ -195,11 +183,9 @@ fn usable_estimate(message: &Message) -> Option<(WireStamp, Pose<Arena>)> {
 
 /// Short enough that a station that starts late receives the description soon.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
-/// The time step of the world.
-const SHORTEST: TimeDelta = TimeDelta::from_millis(1);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Topic {
+#[derive(Clone, Copy, Debug)]
+enum Topic {
     Wheels,
     Inertial,
     Description,
@@ -215,83 +201,52 @@ struct ScheduledMessage {
     due: Timestamp<BrickClock>,
 }
 
-#[derive(Clone, Debug)]
-pub(crate) struct Schedule {
-    slots: Vec<ScheduledMessage>,
+impl ScheduledMessage {
+    /// Whether it is due at `now`; then it is due again after its interval.
+    fn take_due(&mut self, now: Timestamp<BrickClock>) -> bool {
+        let Some(interval) = self.interval.filter(|_| self.due <= now) else {
+            return false;
+        };
+        self.due = self.due + interval;
+        if self.due <= now {
+            self.due = now + interval;
+        }
+        true
+    }
 }
 
-impl Schedule {
-    /// The schedule of a brick that was powered up at `now`; everything is due at once.
-    pub(crate) fn new(
-        settings: &BrickSettings,
-        thermometer: Option<&ThermometerSettings>,
-        now: Timestamp<BrickClock>,
-    ) -> Self {
-        let telemetry = TimeDelta::from_secs_f64(1.0 / settings.telemetry_hz);
-        let (wheels, inertial) = match settings.wire {
-            Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
-            Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
-        };
-        let slot = |topic, message_id, default| ScheduledMessage {
-            topic,
-            message_id,
-            default,
-            interval: Some(default),
-            due: now,
-        };
-        let thermometer = thermometer.map(|settings| {
-            let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
-            let period = TimeDelta::from_secs_f64(1.0 / settings.rate_hz);
-            slot(Topic::Thermometer, message_id, period)
-        });
-        Self {
-            slots: [
-                slot(Topic::Description, ids::PB_ROBOT_DESCRIPTION, DESCRIPTION_PERIOD),
-                slot(Topic::Wheels, wheels, telemetry),
-                slot(Topic::Inertial, inertial, telemetry),
-            ]
-            .into_iter()
-            .chain(thermometer)
-            .collect(),
-        }
-    }
+/// The schedule of a brick that was powered up at `now`; everything is due at once.
+fn schedule(
+    settings: &BrickSettings,
+    thermometer: Option<&ThermometerSettings>,
+    now: Timestamp<BrickClock>,
+) -> Vec<ScheduledMessage> {
+    let message =
+        |topic, message_id, default| ScheduledMessage { topic, message_id, default, interval: Some(default), due: now };
+    let telemetry = TimeDelta::from_secs_f64(1.0 / settings.telemetry_hz);
+    let (wheels, inertial) = match settings.wire {
+        Wire::Compact => (ids::PB_WHEEL_TICKS, ids::PB_INERTIAL),
+        Wire::Standard => (ids::WHEEL_DISTANCE, ids::SCALED_IMU),
+    };
+    let mut schedule = vec![
+        message(Topic::Description, ids::PB_ROBOT_DESCRIPTION, DESCRIPTION_PERIOD),
+        message(Topic::Wheels, wheels, telemetry),
+        message(Topic::Inertial, inertial, telemetry),
+    ];
+    schedule.extend(thermometer.map(|settings| {
+        let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
+        message(Topic::Thermometer, message_id, TimeDelta::from_secs_f64(1.0 / settings.rate_hz))
+    }));
+    schedule
+}
 
-    pub(crate) fn message_ids(&self) -> Vec<u32> {
-        self.slots.iter().map(|slot| slot.message_id).collect()
-    }
-
-    /// Requests for messages that the brick does not have are ignored.
-    pub(crate) fn apply_request(&mut self, request: IntervalRequest, now: Timestamp<BrickClock>) {
-        for slot in &mut self.slots {
-            if slot.message_id != request.message_id {
-                continue;
-            }
-            slot.interval = match request.interval {
-                Some(interval) if interval <= TimeDelta::ZERO => Some(slot.default),
-                Some(interval) => Some(interval.max(SHORTEST)),
-                None => None,
-            };
-            slot.due = now;
-        }
-    }
-
-    /// The next topic that is due at `now`; each comes once per interval.
-    pub(crate) fn next(&mut self, now: Timestamp<BrickClock>) -> Option<Topic> {
-        for slot in &mut self.slots {
-            let Some(interval) = slot.interval else {
-                continue;
-            };
-            if slot.due > now {
-                continue;
-            }
-            slot.due = slot.due + interval;
-            if slot.due <= now {
-                slot.due = now + interval;
-            }
-            return Some(slot.topic);
-        }
-        None
-    }
+fn node(
+    settings: &BrickSettings,
+    schedule: &[ScheduledMessage],
+    now: Timestamp<BrickClock>,
+) -> MavlinkNode<BrickClock> {
+    let offered: Vec<u32> = schedule.iter().map(|message| message.message_id).collect();
+    MavlinkNode::new(settings.address_of(BRICK), HEARTBEAT, register_time(settings.wire, now), &offered)
 }
 
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
@@ -327,30 +282,6 @@ mod tests {
     use posebridge_telemetry::{EncoderTicks, Radians};
 
     use super::*;
-
-    fn count(schedule: &mut Schedule, topic: Topic, from_ms: i64, to_ms: i64) -> usize {
-        (from_ms..to_ms)
-            .flat_map(|ms| std::iter::from_fn(|| schedule.next(Timestamp::from_millis(ms))).collect::<Vec<_>>())
-            .filter(|due| *due == topic)
-            .count()
-    }
-
-    #[test]
-    fn requests_change_stop_and_restore_intervals_of_their_own_message() {
-        let mut schedule = Schedule::new(&BrickSettings::default(), None, Timestamp::ZERO);
-        let millis = TimeDelta::from_millis;
-        for (second, message_id, interval, expected) in [
-            (0, ids::HEARTBEAT, None, 20),
-            (1, ids::PB_WHEEL_TICKS, Some(millis(100)), 10),
-            (2, ids::PB_WHEEL_TICKS, None, 0),
-            (3, ids::PB_WHEEL_TICKS, Some(TimeDelta::ZERO), 20),
-            (4, ids::PB_WHEEL_TICKS, Some(TimeDelta::from_micros(1)), 1_000),
-        ] {
-            let from_ms = second * 1_000;
-            schedule.apply_request(IntervalRequest { message_id, interval }, Timestamp::from_millis(from_ms));
-            assert_eq!(count(&mut schedule, Topic::Wheels, from_ms, from_ms + 1_000), expected, "second {second}");
-        }
-    }
 
     /// Compares the frame of the station's own encoder with that of the SDK.
     fn assert_same_frame(message: &Message, write: impl FnOnce(&mut Link, &mut dyn FnMut(&[u8]))) {

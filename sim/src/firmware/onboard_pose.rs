@@ -18,7 +18,7 @@ pub(crate) struct DeadReckoning {
     metres_per_count: PerWheel<f64>,
     track_m: f64,
     last: PerWheel<i64>,
-    pose: Pose<Odom>,
+    pub(crate) pose: Pose<Odom>,
 }
 
 impl DeadReckoning {
@@ -56,10 +56,6 @@ impl DeadReckoning {
     /// The counters were zeroed: the pose stays.
     pub(crate) fn counters_zeroed(&mut self) {
         self.last = PerWheel::default();
-    }
-
-    pub(crate) const fn pose(&self) -> Pose<Odom> {
-        self.pose
     }
 }
 

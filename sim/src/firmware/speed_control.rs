@@ -33,7 +33,6 @@ pub(crate) struct SpeedControl {
 }
 
 impl SpeedControl {
-    /// Starts at rest with the counter at zero.
     pub(crate) fn new(robot: &RobotSettings) -> Self {
         Self {
             motor: robot.motor,
@@ -87,15 +86,15 @@ mod tests {
         let mut motor = Motor::new(&robot.motor, 0.0);
         let mut drive = |target_rad_per_s: f64, steps: u32| {
             for _ in 0..steps {
-                let duty = control.duty(target_rad_per_s, (motor.angle_rad() / TICK_RAD).floor() as i64);
+                let duty = control.duty(target_rad_per_s, (motor.angle_rad / TICK_RAD).floor() as i64);
                 // A tenth weaker than the brick assumes.
                 (0..10).for_each(|_| motor.step(0.9 * robot.battery_v * duty));
             }
             motor
         };
-        let at_one_second = drive(7.0, 100).angle_rad();
-        let mean = (drive(7.0, 200).angle_rad() - at_one_second) / 2.0;
+        let at_one_second = drive(7.0, 100).angle_rad;
+        let mean = (drive(7.0, 200).angle_rad - at_one_second) / 2.0;
         assert!((mean - 7.0).abs() < 0.1, "{mean} rad/s");
-        assert_eq!(drive(0.0, 100).speed_rad_per_s(), 0.0);
+        assert_eq!(drive(0.0, 100).speed_rad_per_s, 0.0);
     }
 }

@@ -11,7 +11,6 @@ use serde::Serialize;
 /// Beyond this the oldest entries are dropped and counted.
 const LOG_ENTRIES: usize = 1 << 20;
 
-/// Why bytes did not arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossCause {
     BufferFull,
@@ -23,7 +22,6 @@ pub enum LossCause {
     LinkDown,
 }
 
-/// The outcome of a byte range of a unit on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ByteOutcome {
     Delivered {
@@ -47,7 +45,6 @@ pub enum ByteOutcome {
     },
 }
 
-/// The outcome of a byte range, for the log of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogEntry {
     /// Counted from 0 in the order of offering.

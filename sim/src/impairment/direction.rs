@@ -7,15 +7,12 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::byte_log::{ByteAccount, ByteOutcome, Counters, LogEntry, LossCause};
 use super::profile::{DirectionProfile, Fragment, LinkKind, PieceSizes};
-use super::states::{GilbertElliott, OutageState};
-use super::timing::{Delays, RateLimiter, SentRange, Slots};
-use super::unit_draws::{UnitDraw, UnitDraws};
+use super::stages::{GilbertElliott, RateLimiter, SentRange, Slots, UnitDraw, UnitDraws};
 use crate::random::RandomStream;
 
 /// What is offered beyond is dropped as by a full buffer, so that a long delay does not fill the memory.
 const MAX_IN_TRANSIT_BYTES: u64 = 16 * 1024 * 1024;
 
-/// Bytes that arrive together, with their time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery {
     pub at: Timestamp<HostClock>,
@@ -55,17 +52,18 @@ struct TransitChunk {
 #[derive(Clone, Debug)]
 pub struct ImpairedDirection {
     kind: LinkKind,
-    link_state: OutageState,
+    is_up: bool,
     rate_limiter: RateLimiter,
     unit_draws: UnitDraws,
     burst_loss: Option<GilbertElliott>,
-    delays: Delays,
     slots: Option<Slots>,
     fragments: Option<Fragments>,
     /// Sorted by arrival, then by the order of offering.
     in_transit: BTreeMap<(Timestamp<HostClock>, u64), TransitChunk>,
     next_order: u64,
     arrived: VecDeque<Delivery>,
+    /// Of a unit that does not overtake.
+    last_arrival: Timestamp<HostClock>,
     latest: Timestamp<HostClock>,
     account: ByteAccount,
 }
@@ -77,16 +75,16 @@ impl ImpairedDirection {
         let stream = |stage: &str| RandomStream::new(seed, &format!("link {name} {stage}"));
         Self {
             kind,
-            link_state: OutageState::Up,
+            is_up: true,
             rate_limiter: RateLimiter::new(profile.rate, kind),
             unit_draws: UnitDraws::new(profile, kind, stream),
             burst_loss: profile.burst_loss.map(|settings| GilbertElliott::new(settings, stream("burst states"))),
-            delays: Delays::new(profile, stream("jitter"), stream("stalls")),
             slots: profile.slot_ms.map(|period| Slots::new(period, stream("slots"))),
             fragments: profile.fragment.map(|settings| Fragments::new(settings, stream("fragments"))),
             in_transit: BTreeMap::new(),
             next_order: 0,
             arrived: VecDeque::new(),
+            last_arrival: Timestamp::from_nanos(i64::MIN),
             latest: Timestamp::from_nanos(i64::MIN / 2),
             account: ByteAccount::default(),
         }
@@ -99,11 +97,10 @@ impl ImpairedDirection {
         let in_transit = self.account.counters.bytes_on_the_way;
         self.account.on_offered(bytes.len());
         let drawn = self.unit_draws.draw(bytes.len());
-        let delay = self.delays.draw();
         if let Some(burst_loss) = &mut self.burst_loss {
             burst_loss.advance_to(now);
         }
-        if self.link_state == OutageState::Down {
+        if !self.is_up {
             self.record_loss(unit, 0..bytes.len(), LossCause::LinkDown);
             return unit;
         }
@@ -116,16 +113,16 @@ impl ImpairedDirection {
         self.record_loss(unit, left..bytes.len(), LossCause::BufferFull);
         if drawn.is_lost {
             self.record_loss(unit, 0..left, LossCause::Unit);
-        } else if delay.stalled > TimeDelta::ZERO {
-            let by = delay.stalled;
+        } else if drawn.stalled > TimeDelta::ZERO {
+            let by = drawn.stalled;
             self.account.record(unit, 0..left, ByteOutcome::Stalled { by });
         }
         let unit = OfferedUnit { number: unit, bytes, draw: drawn };
         for chunk in sent {
             // A link that stalls holds up what comes behind, even if the unit of the stall is lost.
-            let at = self.delays.arrival(chunk.at, delay.delay);
+            self.last_arrival = self.last_arrival.max(chunk.at + unit.draw.delay);
             if !unit.draw.is_lost {
-                self.send(&unit, &chunk, at);
+                self.send(&unit, &chunk, self.last_arrival);
             }
         }
         unit.number
@@ -155,7 +152,7 @@ impl ImpairedDirection {
     /// The link goes down: everything in transit is lost, and everything offered until [`Self::reconnect`].
     pub fn disconnect(&mut self, now: Timestamp<HostClock>) {
         let now = self.advance_to(now);
-        self.link_state = OutageState::Down;
+        self.is_up = false;
         for chunk in std::mem::take(&mut self.in_transit).into_values() {
             // A copy is no byte that was offered.
             if !chunk.is_duplicate {
@@ -165,12 +162,12 @@ impl ImpairedDirection {
             }
         }
         self.rate_limiter.clear(now);
-        self.delays.clear(now);
+        self.last_arrival = self.last_arrival.min(now);
     }
 
     pub fn reconnect(&mut self, now: Timestamp<HostClock>) {
         self.advance_to(now);
-        self.link_state = OutageState::Up;
+        self.is_up = true;
     }
 
     /// Delivers what arrives by `now`. Returns the present instant, which never decreases.
@@ -208,7 +205,6 @@ impl ImpairedDirection {
         self.arrived.extend(deliveries);
     }
 
-    /// Records the arrival of a chunk and returns its bytes.
     fn arrive(&mut self, at: Timestamp<HostClock>, chunk: TransitChunk) -> Vec<u8> {
         for run in chunk.runs {
             let outcome =

@@ -19,7 +19,6 @@ const HALF_CIRCLE: u64 = 128;
 /// Bounds the entries that wait for the rest of a frame.
 const MAX_PENDING: usize = 65_536;
 
-/// Outcome of the frames of one sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
     pub sent: u64,
@@ -75,7 +74,6 @@ struct RangeOutcome {
     outcome: ByteOutcome,
 }
 
-/// Tracks the outcome of the frames of one direction.
 #[derive(Debug)]
 pub struct FrameLedger {
     framer: Framer,
@@ -213,7 +211,6 @@ impl FrameLedger {
 }
 
 impl FrameInTransit {
-    /// Counts bytes of the frame that have arrived or are lost.
     fn count_bytes(&mut self, bytes: u64, account: &mut SenderAccount) {
         self.undecided_bytes = self.undecided_bytes.saturating_sub(bytes);
         if self.undecided_bytes > 0 {

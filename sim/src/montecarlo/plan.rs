@@ -113,7 +113,6 @@ impl DrivePlan {
     }
 }
 
-/// Plans laps along the ideal pose.
 struct LapPlanner {
     laps: Laps,
     step_s: f64,
@@ -140,8 +139,8 @@ impl LapPlanner {
         let parts = ramped(laps.side_m, laps.speed_m_per_s * self.step_s, laps.ramp_steps);
         self.commands.extend(parts.into_iter().map(|forward_m| StepCommand {
             forward_m,
-            turn_rad: 0.0,
             side: Some(side),
+            ..StepCommand::default()
         }));
         let (sin, cos) = self.heading_rad.sin_cos();
         self.at_m.0 += laps.side_m * cos;
@@ -151,11 +150,8 @@ impl LapPlanner {
     fn push_turn(&mut self, turn_rad: f64) {
         let parts = ramped(turn_rad.abs(), self.laps.turn_rate_rad_per_s * self.step_s, self.laps.ramp_steps);
         let sign = turn_rad.signum();
-        self.commands.extend(parts.into_iter().map(|part| StepCommand {
-            forward_m: 0.0,
-            turn_rad: sign * part,
-            side: None,
-        }));
+        self.commands
+            .extend(parts.into_iter().map(|part| StepCommand { turn_rad: sign * part, ..StepCommand::default() }));
         self.heading_rad = wrap_rad(self.heading_rad + turn_rad);
     }
 }
@@ -174,7 +170,6 @@ const POINTS_PER_LEG: usize = 4_000;
 
 #[derive(Clone, Copy, Debug)]
 struct Waypoint {
-    /// Distance from the start along the path.
     along_m: f64,
     /// Tangent of the path, unwrapped.
     heading_rad: f64,

@@ -15,13 +15,19 @@ use crate::random::RandomStream;
 use crate::robot_body::draw_geometry;
 use crate::scenario::ErrorSettings;
 use crate::sensors::quantise;
+use crate::wheels::PerWheel;
 
 pub(super) fn nominal_geometry(robot: &NominalRobot) -> DriveGeometry {
+    let radius_m = PerWheel { left: robot.wheel_radius_m, right: robot.wheel_radius_m };
+    geometry(radius_m, robot.track_width_m, robot.tick_deg)
+}
+
+fn geometry(radius_m: PerWheel<f64>, track_width_m: f64, tick_deg: f64) -> DriveGeometry {
     DriveGeometry {
-        left_wheel_radius: Meters(robot.wheel_radius_m),
-        right_wheel_radius: Meters(robot.wheel_radius_m),
-        track_width: Meters(robot.track_width_m),
-        tick: Radians(robot.tick_deg.to_radians()),
+        left_wheel_radius: Meters(radius_m.left),
+        right_wheel_radius: Meters(radius_m.right),
+        track_width: Meters(track_width_m),
+        tick: Radians(tick_deg.to_radians()),
     }
 }
 
@@ -34,15 +40,9 @@ pub(super) fn true_geometry(scenario: &Scenario, seed: u64) -> DriveGeometry {
     };
     let robot = &scenario.robot;
     let (radius_m, track_m) = draw_geometry(seed, &errors, robot.wheel_radius_m, robot.track_width_m);
-    DriveGeometry {
-        left_wheel_radius: Meters(radius_m.left),
-        right_wheel_radius: Meters(radius_m.right),
-        track_width: Meters(track_m),
-        tick: Radians(robot.tick_deg.to_radians()),
-    }
+    geometry(radius_m, track_m, robot.tick_deg)
 }
 
-/// True pose, wheel rotation and disturbances.
 pub(super) struct Robot {
     geometry: DriveGeometry,
     motion: MotionNoise,
@@ -56,9 +56,7 @@ pub(super) struct Robot {
 /// Rotation of both wheels over one step, as ideal encoders would measure it: without rounding, blind to slip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelTurn {
-    /// Forward positive.
     pub left: Radians,
-    /// Forward positive.
     pub right: Radians,
 }
 
@@ -186,7 +184,6 @@ impl GyroSensor {
         }
     }
 
-    /// Reading for a step with this true turn.
     pub(super) fn observe(&mut self, turn_rad: f64) -> ObservationKind {
         let rate_deg_per_s =
             turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
@@ -228,7 +225,6 @@ impl Accelerometers {
     }
 }
 
-/// The camera of one run, with the fixes in transit.
 pub(super) struct CameraSensor {
     camera: Camera,
     step_s: f64,
@@ -258,7 +254,6 @@ impl CameraSensor {
         }
     }
 
-    /// Takes an image if it is due.
     pub(super) fn observe(&mut self, step: usize, robot: &PlanarPose) {
         if !step.is_multiple_of(self.camera.every_steps as usize) {
             return;

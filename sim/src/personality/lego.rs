@@ -34,7 +34,6 @@ pub(super) trait LegoFirmware: Debug + Send + Sync {
     fn step(&mut self, pass: &mut FirmwarePass<'_>) -> PerWheel<f64>;
     /// Receives bytes from the station; `now` is world time.
     fn receive(&mut self, now: TimeDelta, bytes: &[u8]);
-    /// A new peer is connected to the link.
     fn reopen(&mut self);
     /// Power cycle: everything is reset except the brick's name.
     fn restart(&mut self, pass: &mut FirmwarePass<'_>);
@@ -57,12 +56,10 @@ pub(super) struct FirmwarePass<'a> {
 }
 
 impl FirmwarePass<'_> {
-    /// Encoder counts since power-up.
     pub(super) fn counts(&self) -> PerWheel<i64> {
         self.board.counts()
     }
 
-    /// The brick's clock in its millisecond register.
     pub(super) const fn tick_ms(&self) -> u32 {
         (self.now.as_micros() / 1_000) as u32
     }
@@ -100,7 +97,6 @@ pub(super) struct TelegramBuffer {
 }
 
 impl TelegramBuffer {
-    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         if now - self.last_received >= RESYNC_TIMEOUT {
             self.clear();
@@ -188,7 +184,6 @@ impl Radio {
     }
 }
 
-/// Of the payload, in bytes.
 const LENGTH: usize = 24;
 /// Flags of a valid position and heading.
 const USABLE: u8 = 0b11;
@@ -263,26 +258,21 @@ mod tests {
         [0xe8, 0x03, 0, 0, 0, 0, 0xc0, 0x3f, 0, 0, 0, 0xbf, 0, 0, 0x80, 0x3e, 0, 0, 0, 0x3c, 3, 7, 2, 1, 0];
 
     #[test]
-    fn an_estimate_is_read_with_or_without_the_zero_at_its_end() {
+    fn an_estimate_is_read_with_or_without_the_zero_at_its_end_and_what_is_incomplete_or_not_finite_is_none() {
         for message in [&MESSAGE[..], &MESSAGE[..24]] {
             let (stamp, pose) = estimate_from(message).unwrap();
             assert_eq!(stamp, WireStamp::Millis32(1_000));
-            assert_eq!((pose.x.0, pose.y.0), (1.5, -0.5));
-            assert_eq!(pose.heading.rad(), 0.25);
+            assert_eq!((pose.x.0, pose.y.0, pose.heading.rad()), (1.5, -0.5, 0.25));
         }
-    }
-
-    #[test]
-    fn what_is_short_long_invalid_or_not_finite_is_no_estimate() {
-        assert_eq!(estimate_from(&MESSAGE[..23]), None);
-        assert_eq!(estimate_from(&[&MESSAGE[..], &[0]].concat()), None);
-        for flags in 0..3 {
-            let mut message = MESSAGE;
-            message[20] = flags;
-            assert_eq!(estimate_from(&message), None);
+        let changed = |at: usize, bytes: &[u8]| {
+            let mut message = MESSAGE.to_vec();
+            message[at..at + bytes.len()].copy_from_slice(bytes);
+            message
+        };
+        let [none, position, heading] = [0, 1, 2].map(|flags| changed(20, &[flags]));
+        let (short, long, nan) = (&MESSAGE[..23], [&MESSAGE[..], &[0]].concat(), changed(12, &f32::NAN.to_le_bytes()));
+        for message in [short, &long, &none, &position, &heading, &nan] {
+            assert_eq!(estimate_from(message), None, "{message:02x?}");
         }
-        let mut message = MESSAGE;
-        message[12..16].copy_from_slice(&f32::NAN.to_le_bytes());
-        assert_eq!(estimate_from(&message), None);
     }
 }

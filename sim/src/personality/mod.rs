@@ -9,9 +9,6 @@ mod lego;
 mod nxt;
 mod plugged_sensors;
 
-#[cfg(test)]
-mod tests;
-
 use std::collections::VecDeque;
 
 use posebridge_protocol::message::Message;
@@ -45,11 +42,10 @@ pub(crate) struct Brick {
     /// Interval between program restarts of a LEGO brick, and the world time of the next.
     program_restarts: Option<(TimeDelta, TimeDelta)>,
     outgoing: VecDeque<Vec<u8>>,
-    /// Estimates that the program of a LEGO brick took: instant and pose.
-    estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
+    /// Estimates that the program of a LEGO brick took, until somebody takes them: instant and pose.
+    pub(crate) estimates: Vec<(Timestamp<BrickClock>, Pose<Arena>)>,
 }
 
-/// An instant in world time and by the brick's own clock.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BrickTime {
     pub(crate) sim_time: TimeDelta,
@@ -75,7 +71,6 @@ impl Brick {
         }
     }
 
-    /// One pass; returns the duty of both motors.
     pub(crate) fn step(&mut self, when: BrickTime, board: &mut SensorBoard, body: &RobotBody) -> PerWheel<f64> {
         match &mut self.emulation {
             BrickEmulation::Mavlink(messenger) => {
@@ -89,7 +84,7 @@ impl Brick {
                     now: when.now,
                     board,
                     senses: &self.senses,
-                    battery_v: body.battery_v(),
+                    battery_v: body.battery_v,
                     program: &mut self.program,
                     outgoing: &mut self.outgoing,
                     estimates: &mut self.estimates,
@@ -126,7 +121,6 @@ impl Brick {
         }
     }
 
-    /// A new peer is connected to the link.
     pub(crate) fn reopen(&mut self) {
         if let BrickEmulation::Lego(firmware) = &mut self.emulation {
             firmware.reopen();
@@ -155,17 +149,12 @@ impl Brick {
     /// The next bytes for the station: whole frames, or one telegram.
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         match &mut self.emulation {
-            BrickEmulation::Mavlink(messenger) => messenger.next_bytes(),
+            BrickEmulation::Mavlink(messenger) => messenger.node.next_bytes(),
             BrickEmulation::Lego(_) => self.outgoing.pop_front(),
         }
     }
 
-    /// Estimates that the program of a LEGO brick took since the last call.
-    pub(crate) fn take_estimates(&mut self) -> Vec<(Timestamp<BrickClock>, Pose<Arena>)> {
-        std::mem::take(&mut self.estimates)
-    }
-
     pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
-        self.senses.step_gyro_bias(rad_per_s);
+        self.senses.gyro.gyro.step_bias(rad_per_s);
     }
 }

@@ -21,7 +21,6 @@ use crate::scenario::{AccelerometerSettings, GyroSettings, Scenario};
 use crate::sensors::Gyro;
 
 const GYRO_STEPS: u32 = 3;
-/// Update period of accelerometer and compass, in steps.
 const SLOW_STEPS: u32 = 10;
 /// One g, in m/s² and in counts of the HiTechnic accelerometer.
 const G_M_PER_S2: f64 = 9.806_65;
@@ -39,14 +38,16 @@ const STEEPEST_RAD: f64 = 0.8;
 
 #[derive(Clone, Debug)]
 pub(crate) struct PluggedSensors {
-    gyro: PluggedGyro,
-    accelerometer: PluggedAccelerometer,
+    pub(super) gyro: PluggedGyro,
+    pub(super) accelerometer: PluggedAccelerometer,
     compass_noise: RandomStream,
     echo: RandomStream,
     wall_x_m: Option<f64>,
     steps: u32,
-    compass_deg: u16,
-    range_cm: u8,
+    /// Measured direction of the body, from north, clockwise, 0 to 359.
+    pub(super) compass_deg: u16,
+    /// Distance ahead, or 255.
+    pub(super) range_cm: u8,
 }
 
 impl PluggedSensors {
@@ -73,11 +74,11 @@ impl PluggedSensors {
     /// Updates from the body for one step; `power` is the mean of both motors' duties, -1 to 1.
     pub(crate) fn step(&mut self, body: &RobotBody, power: f64) {
         if self.steps.is_multiple_of(GYRO_STEPS) {
-            self.gyro.sample(body.turned_rad());
+            self.gyro.sample(body.turned_rad);
         }
         if self.steps.is_multiple_of(SLOW_STEPS) {
             self.accelerometer.sample(body);
-            let north_deg = 90.0 - body.pose().heading.rad().to_degrees();
+            let north_deg = 90.0 - body.pose.heading.rad().to_degrees();
             let shown_deg =
                 north_deg + COMPASS_SIGMA_DEG * self.compass_noise.normal() + COMPASS_MOTOR_ERROR_DEG * power;
             self.compass_deg = shown_deg.round().rem_euclid(360.0) as u16;
@@ -86,44 +87,15 @@ impl PluggedSensors {
         self.steps = self.steps.wrapping_add(1);
     }
 
-    /// Until a power cycle.
-    pub(crate) fn step_gyro_bias(&mut self, rad_per_s: f64) {
-        self.gyro.gyro.step_bias(rad_per_s);
-    }
-
     /// A power cycle: the gyro's integral is zero and its bias is drawn again.
     pub(crate) fn restart(&mut self) {
         self.gyro.gyro.power_up();
         self.gyro.angle_deg = 0.0;
     }
 
-    /// Rate of the gyro, counter-clockwise positive, with bias and noise.
-    pub(crate) const fn rate_deg_per_s(&self) -> f64 {
-        self.gyro.rate_deg_per_s
-    }
-
-    pub(crate) const fn angle_deg(&self) -> f64 {
-        self.gyro.angle_deg
-    }
-
-    /// Along the body's x, y and z, in counts of 1/200 g.
-    pub(crate) const fn acceleration_counts(&self) -> [i16; 3] {
-        self.accelerometer.counts
-    }
-
-    /// Measured direction of the body, from north, clockwise, 0 to 359.
-    pub(crate) const fn compass_deg(&self) -> u16 {
-        self.compass_deg
-    }
-
-    /// Distance ahead, or 255.
-    pub(crate) const fn range_cm(&self) -> u8 {
-        self.range_cm
-    }
-
     fn measure_range(&mut self, body: &RobotBody) -> u8 {
         let noise_cm = ECHO_SIGMA_CM * self.echo.normal();
-        let pose = body.pose();
+        let pose = body.pose;
         let Some(ahead_m) = self.wall_x_m.map(|wall| wall - pose.x.0) else {
             return NO_ECHO;
         };
@@ -134,11 +106,12 @@ impl PluggedSensors {
 }
 
 #[derive(Clone, Debug)]
-struct PluggedGyro {
-    gyro: Gyro,
+pub(super) struct PluggedGyro {
+    pub(super) gyro: Gyro,
     turned_rad: f64,
-    rate_deg_per_s: f64,
-    angle_deg: f64,
+    /// Counter-clockwise positive, with bias and noise.
+    pub(super) rate_deg_per_s: f64,
+    pub(super) angle_deg: f64,
 }
 
 impl PluggedGyro {
@@ -152,12 +125,13 @@ impl PluggedGyro {
 }
 
 #[derive(Clone, Debug)]
-struct PluggedAccelerometer {
+pub(super) struct PluggedAccelerometer {
     settings: AccelerometerSettings,
     stream: RandomStream,
     tilt_m_per_s2: [f64; 2],
     speed_m_per_s: f64,
-    counts: [i16; 3],
+    /// Along the body's x, y and z, in counts of 1/200 g.
+    pub(super) counts: [i16; 3],
 }
 
 impl PluggedAccelerometer {
@@ -211,11 +185,11 @@ mod tests {
     fn a_left_turn_is_positive_for_gyro_and_accelerometer_and_negative_for_the_compass() {
         let senses = felt(Pose::default(), PerWheel { left: 0.2, right: 0.4 });
         // 1.6 V between the wheels is 3.3 rad/s of rotation: 28 mm / 112 mm of that turns the body.
-        assert!((senses.rate_deg_per_s() - 47.0).abs() < 1.5, "{senses:?}");
-        assert!((senses.angle_deg() - 42.0).abs() < 3.0, "{senses:?}");
+        assert!((senses.gyro.rate_deg_per_s - 47.0).abs() < 1.5, "{senses:?}");
+        assert!((senses.gyro.angle_deg - 42.0).abs() < 3.0, "{senses:?}");
         // v w = 0.12 m/s times 0.82 rad/s is 2 counts.
-        assert_eq!(senses.acceleration_counts(), [0, 2, 200]);
-        assert!((30..60).contains(&senses.compass_deg()), "{senses:?}");
+        assert_eq!(senses.accelerometer.counts, [0, 2, 200]);
+        assert!((30..60).contains(&senses.compass_deg), "{senses:?}");
     }
 
     #[test]
@@ -228,7 +202,7 @@ mod tests {
             (180.0, NO_ECHO..=NO_ECHO),
         ] {
             let start = Pose::new(Meters(0.4), Meters(0.0), Heading::from_rad(heading_deg.to_radians()));
-            let range_cm = felt(start, PerWheel::default()).range_cm();
+            let range_cm = felt(start, PerWheel::default()).range_cm;
             assert!(expected.contains(&range_cm), "{heading_deg} degrees: {range_cm}");
         }
     }

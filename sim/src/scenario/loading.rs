@@ -14,8 +14,7 @@ use serde::de::{Deserialize, DeserializeOwned, Error};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, Deserializer};
 
-use crate::checks::LARGEST;
-use crate::config_file::{ConfigFileError, line_of};
+use crate::config_file::{ConfigFileError, LARGEST, check_ranges, line_of};
 
 const HEADER: [&str; 2] = ["x_m", "y_m"];
 const MIN_WAYPOINTS: usize = 2;
@@ -26,53 +25,23 @@ const MIN_SPACING_M: f64 = 1e-3;
 /// The kind of file in error messages.
 const WHAT: &str = "scenario";
 
-/// Why a scenario cannot be loaded.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ScenarioError {
-    /// Invalid text, or an unknown name of a bundled scenario.
-    #[error(transparent)]
-    File(#[from] ConfigFileError),
-    /// Reading the file of way-points failed.
-    #[error("scenario is not usable: line {line}: way-points in {} cannot be read: {source}", file.display())]
-    WaypointsUnread {
-        /// Line of the scenario that names the file, from 1.
-        line: usize,
-        /// As the scenario names it.
-        file: PathBuf,
-        source: io::Error,
-    },
-    /// An invalid line in the file of way-points.
-    #[error("way-points are not usable: {}, line {line}: {reason}", file.display())]
-    WaypointsFile {
-        /// As the scenario names it.
-        file: PathBuf,
-        /// Line of that file, from 1; its last one if way-points are missing.
-        line: usize,
-        reason: String,
-    },
-    /// MAVLink has too few system ids for the vehicles.
-    #[error("{count} robots from system {first} on are too many: at most {most}")]
-    TooManyRobots { count: u8, first: u8, most: u8 },
-}
-
-fn toml_error(error: toml::de::Error) -> ScenarioError {
-    ConfigFileError::Toml { what: WHAT, error }.into()
+fn toml_error(error: toml::de::Error) -> ConfigFileError {
+    ConfigFileError::Toml { what: WHAT, error }
 }
 
 /// Parses a scenario and the file of way-points that it may name, which `read` loads.
 pub(super) fn parse_with_file<T: DeserializeOwned>(
     text: &str,
     read: &mut dyn FnMut(&Path) -> io::Result<String>,
-) -> Result<T, ScenarioError> {
+) -> Result<T, ConfigFileError> {
     let points_text;
     let mut table = DeTable::parse(text).map_err(toml_error)?;
     if let Some((file, line)) = named_file(text, table.get_mut())? {
         let points = match read(&file) {
             Ok(points) => from_csv(&points),
-            Err(source) => return Err(ScenarioError::WaypointsUnread { line, file, source }),
+            Err(source) => return Err(ConfigFileError::WaypointsUnread { line, file, source }),
         };
-        let points = points.map_err(|(line, reason)| ScenarioError::WaypointsFile { file, line, reason })?;
+        let points = points.map_err(|(line, reason)| ConfigFileError::WaypointsFile { file, line, reason })?;
         // Debug writes each number in its shortest exact form, and as TOML does.
         points_text = format!("{points:?}");
         let value = DeValue::parse(&points_text).map_err(toml_error)?;
@@ -81,10 +50,12 @@ pub(super) fn parse_with_file<T: DeserializeOwned>(
             waypoints.insert(Spanned::new(0..0, "points_m".into()), value);
         }
     }
-    T::deserialize(Deserializer::from(table)).map_err(|mut error| {
+    let scenario = T::deserialize(Deserializer::from(table)).map_err(|mut error| {
         error.set_input(Some(text));
         toml_error(error)
-    })
+    })?;
+    check_ranges(text).map_err(toml_error)?;
+    Ok(scenario)
 }
 
 /// The table `[path.waypoints]` and its range in the text.
@@ -101,10 +72,10 @@ fn waypoints_in<'a, 'i>(scenario: &'a mut DeTable<'i>) -> Option<(Range<usize>, 
 }
 
 /// The way-point file that the scenario names, and the line that names it.
-fn named_file(text: &str, scenario: &mut DeTable<'_>) -> Result<Option<(PathBuf, usize)>, ScenarioError> {
+fn named_file(text: &str, scenario: &mut DeTable<'_>) -> Result<Option<(PathBuf, usize)>, ConfigFileError> {
     let refused = |span: Range<usize>, reason: &str| {
         let reason = format!("line {}: {reason}", line_of(text, span.start));
-        Err(ConfigFileError::Impossible { what: WHAT, reason }.into())
+        Err(ConfigFileError::Impossible { what: WHAT, reason })
     };
     let Some((span, waypoints)) = waypoints_in(scenario) else {
         return Ok(None);
@@ -205,7 +176,7 @@ mod tests {
 
     const SCENARIO: &str = "seed = 3\n[path.waypoints]\nfile = \"lap/points.csv\"\n";
 
-    fn with_file(file: io::Result<&str>) -> Result<Scenario, ScenarioError> {
+    fn with_file(file: io::Result<&str>) -> Result<Scenario, ConfigFileError> {
         let mut file = Some(file.map(str::to_owned));
         Scenario::from_toml_with(SCENARIO, &mut |path| {
             assert_eq!(path, Path::new("lap/points.csv"));
@@ -213,7 +184,7 @@ mod tests {
         })
     }
 
-    fn assert_refused(read: Result<Scenario, ScenarioError>, parts: &[&str]) {
+    fn assert_refused(read: Result<Scenario, ConfigFileError>, parts: &[&str]) {
         let message = read.unwrap_err().to_string();
         for part in parts {
             assert!(message.contains(part), "{message} lacks {part}");
@@ -233,41 +204,11 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_file_is_refused_by_name_and_line() {
+    fn what_cannot_be_read_is_too_long_or_has_a_wrong_key_beside_it_is_refused() {
         let most = "0,0\n1,0\n".repeat(MAX_WAYPOINTS / 2 + 1);
-        for (file, line, reason) in [
-            ("", 1, "number of way-points is 0"),
-            ("x_m,y_m\n# nothing\n1,2\n", 3, "number of way-points is 1"),
-            ("x,y\n0,0\n1,0\n", 1, "\"x\" is no number"),
-            ("0,0\nx_m,y_m\n1,0\n", 2, "\"x_m\" is no number"),
-            ("0,0\n\n1;0\n", 3, "\"1;0\" is no way-point"),
-            ("0,0\n1,0,0\n", 2, "is no way-point"),
-            ("0,0\n1,\n", 2, "\"\" is no number"),
-            ("0,0\n1,0\nnan,0\n", 3, "(NaN, 0) is not within"),
-            ("# inf\n0,inf\n1,0\n", 2, "(0, inf) is not within"),
-            ("0,0\n1e7,0\n", 2, "(10000000, 0) is not within"),
-            ("0,0\n# again\n0,0.0005\n", 3, "less than 1 mm"),
-            (&most, 10_001, "more than 10000"),
-        ] {
-            assert_refused(with_file(Ok(file)), &[&format!("lap/points.csv, line {line}: "), reason]);
-        }
+        assert_refused(with_file(Ok(&most)), &["lap/points.csv, line 10001: ", "more than 10000"]);
         assert_refused(with_file(Err(io::Error::other("no such file"))), &["line 3", "lap/points.csv", "no such file"]);
         assert_refused(Scenario::from_toml(SCENARIO), &["line 3", "lap/points.csv", "points_m"]);
-    }
-
-    #[test]
-    fn a_wrong_key_is_refused_with_its_line_before_any_file_is_read() {
-        for (text, line, reason) in [
-            ("[path.waypoints]\n", "line 1", "points_m or file"),
-            ("[path.waypoints]\npoints_m = [[0, 0], [1, 0]]\nfile = \"a.csv\"\n", "line 3", "both"),
-            ("\n[path.waypoints]\nfile = 3\n", "line 3", "in quotes"),
-            ("[path.square]\nfile = \"a.csv\"\n", "line 2", "file"),
-            ("path = 3\n", "line 1", "path"),
-            ("[path.waypoints\n", "line 1", "path.waypoints"),
-        ] {
-            let read = Scenario::from_toml_with(text, &mut |_| unreachable!("nothing to read"));
-            assert_refused(read, &[line, reason]);
-        }
         let beside = "[path.waypoints]\nfile = \"a.csv\"\nside_m = 3\n";
         let read = Scenario::from_toml_with(beside, &mut |_| Ok("0,0\n1,0\n".to_owned()));
         assert_refused(read, &["line 3", "side_m"]);

@@ -3,7 +3,6 @@
 //! A scenario is one TOML text; every key has a default and every number names its unit. `docs/simulator.md` holds the table of keys
 //! with the sources of the defaults. The caller reads files.
 
-mod course;
 mod loading;
 mod robot;
 mod sensors;
@@ -12,14 +11,12 @@ mod side_by_side;
 use std::io;
 use std::path::Path;
 
-use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
+use posebridge_telemetry::{Arena, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise};
 use serde::Deserialize;
 
-use crate::checks;
-use crate::config_file::bundled_text;
+use crate::config_file::{MAX_LAPS, bundle, bundled_text};
 
-pub use course::{Course, Direction, DriveEnd, DriveSettings, StartPose};
-pub use loading::ScenarioError;
+pub use crate::config_file::ConfigFileError as ScenarioError;
 pub use robot::{
     BrickProgram, BrickSettings, ErrorSettings, MissingSensor, MotorSettings, Personality, PortSensor, RobotSettings,
     Wire,
@@ -28,16 +25,9 @@ pub use sensors::{
     AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings, ThermometerSettings,
 };
 
-/// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/` and a line here.
-pub const BUNDLED: &[(&str, &str)] = &[
-    ("square", include_str!("../../../config/scenarios/square.toml")),
-    ("circle", include_str!("../../../config/scenarios/circle.toml")),
-    ("figure-eight", include_str!("../../../config/scenarios/figure-eight.toml")),
-    ("waypoints", include_str!("../../../config/scenarios/waypoints.toml")),
-    ("straight", include_str!("../../../config/scenarios/straight.toml")),
-    ("rough", include_str!("../../../config/scenarios/rough.toml")),
-    ("thermometer", include_str!("../../../config/scenarios/thermometer.toml")),
-];
+/// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/` and its name here.
+pub const BUNDLED: &[(&str, &str)] =
+    bundle!("scenarios": "square", "circle", "figure-eight", "waypoints", "straight", "rough", "thermometer");
 
 /// The pose by which the brick steers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -50,24 +40,19 @@ pub enum Steering {
     Estimate,
 }
 
-/// The configuration of a simulation.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scenario {
     pub seed: u64,
     pub steering: Steering,
-    /// In its own space; [`StartPose`] places it in the arena.
     pub path: Course,
-    /// Origin and direction of the path.
     pub start: StartPose,
     pub drive: DriveSettings,
     /// As its brick is configured.
     pub robot: RobotSettings,
-    /// Deviations of the real robot from `robot`.
     pub errors: ErrorSettings,
     pub gyro: GyroSettings,
     pub accelerometer: AccelerometerSettings,
-    /// Clock and telemetry.
     pub brick: BrickSettings,
     pub camera: CameraSettings,
     #[serde(deserialize_with = "sensors::thermometer")]
@@ -111,7 +96,7 @@ impl Scenario {
 
     /// At least one.
     pub fn with_laps(mut self, laps: u32) -> Self {
-        self.drive.laps = laps.clamp(1, checks::MAX_LAPS);
+        self.drive.laps = laps.clamp(1, MAX_LAPS);
         self
     }
 
@@ -148,6 +133,131 @@ impl Scenario {
     }
 }
 
+/// The shape of the path, in its own space: it begins at the origin and leaves along x; [`StartPose`] places it in the arena.
+/// Way-points are used as given, relative to the start pose.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Course {
+    /// Straight sides with turns in place; closed.
+    Square {
+        #[serde(default = "default_side")]
+        side_m: f64,
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// A circle without a stop; closed.
+    Circle {
+        #[serde(default = "default_radius")]
+        radius_m: f64,
+        #[serde(default)]
+        direction: Direction,
+    },
+    /// Two circles without a stop, the left one first; closed.
+    FigureEight {
+        #[serde(default = "default_radius")]
+        radius_m: f64,
+    },
+    /// Straight legs between points, with turns in place. Further laps begin with a leg back to the first point.
+    Waypoints {
+        /// At least two points (x, y). A scenario may name a file instead, see [`Scenario::from_toml_with`].
+        #[serde(deserialize_with = "loading::waypoints")]
+        points_m: Vec<[f64; 2]>,
+    },
+}
+
+impl Default for Course {
+    fn default() -> Self {
+        Self::Square { side_m: default_side(), direction: Direction::default() }
+    }
+}
+
+const fn default_side() -> f64 {
+    1.0
+}
+
+const fn default_radius() -> f64 {
+    0.5
+}
+
+/// Of a closed path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// Counter-clockwise.
+    #[default]
+    Left,
+    /// Clockwise.
+    Right,
+}
+
+impl Direction {
+    pub(crate) const fn sign(self) -> f64 {
+        match self {
+            Self::Left => 1.0,
+            Self::Right => -1.0,
+        }
+    }
+}
+
+/// Origin and x axis of the path in the arena.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartPose {
+    /// East.
+    pub x_m: f64,
+    /// North.
+    pub y_m: f64,
+    /// Counter-clockwise from east.
+    pub heading_deg: f64,
+}
+
+impl StartPose {
+    pub(crate) fn pose(self) -> Pose<Arena> {
+        Pose::new(Meters(self.x_m), Meters(self.y_m), Heading::from_rad(self.heading_deg.to_radians()))
+    }
+}
+
+/// Whether a drive ends after its laps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DriveEnd {
+    #[default]
+    LastLap,
+    /// Endless laps. A path that is not closed returns to its first point.
+    Never,
+}
+
+/// Limits and timing of the drive. The motors may be slower.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DriveSettings {
+    /// Ignored by an endless drive.
+    pub laps: u32,
+    /// Set by the caller, never by a scenario.
+    #[serde(skip)]
+    pub end: DriveEnd,
+    /// On legs and circles.
+    pub speed_m_per_s: f64,
+    /// Of turns in place.
+    pub turn_rate_rad_per_s: f64,
+    /// Rest before the first movement, in which a station estimates the gyro's bias.
+    pub rest_s: f64,
+    /// Rest before and after each turn in place.
+    pub pause_s: f64,
+}
+
+impl Default for DriveSettings {
+    fn default() -> Self {
+        Self {
+            laps: 1,
+            end: DriveEnd::default(),
+            speed_m_per_s: 0.22,
+            turn_rate_rad_per_s: 1.2,
+            rest_s: 2.0,
+            pause_s: 0.25,
+        }
+    }
+}
+
 /// NXT and EV3 motors resolve one degree of the output shaft.
 pub(crate) const TICK_RAD: f64 = std::f64::consts::PI / 180.0;
 
@@ -168,36 +278,5 @@ mod tests {
         assert_eq!(Scenario::default().thermometer, None);
         let dipped = Scenario::from_toml("[thermometer]\nafter_c = 48.7\n").unwrap();
         assert_eq!(dipped.thermometer.unwrap().after_c, 48.7);
-    }
-
-    #[test]
-    fn errors_name_the_line_and_the_key() {
-        for (text, line, key) in [
-            ("seed = 1\nspeling = 3\n", 2, "speling"),
-            ("[robot]\n\ntrack_width_m = -0.1\n", 3, "track_width_m"),
-            ("[camera]\nrate_hz = \"fast\"\n", 2, "rate_hz"),
-            ("[path.square]\nside_m = nan\n", 2, "side_m"),
-            ("[path.waypoints]\npoints_m = [[0, 0]]\n", 2, "points_m"),
-            ("[path.spiral]\n", 1, "spiral"),
-            ("[drive]\nlaps = 10001\n", 2, "laps"),
-            ("[brick]\nsystem = 251\n", 2, "system"),
-            ("[brick]\nclock_start_micros = 281474976710656\n", 2, "2^48"),
-            ("[brick]\nclock_tick_micros = 0\n", 2, "tick"),
-            ("[brick]\ntelegram_bytes = 129\n", 2, "telegram"),
-            ("[thermometer]\nchannel = \"water\"\n", 2, "temp"),
-            ("[thermometer]\nchannel = \"temperature1\"\n", 2, "temp"),
-            ("[thermometer]\nlags_s = []\n", 2, "time constants"),
-            ("[thermometer]\nlags_s = [0.0, 3.0]\n", 2, "time constants"),
-            ("[thermometer]\nshares = [0.5, 0.6]\n", 2, "sum up to 1"),
-            ("[thermometer]\nlags_s = [3.0]\n", 1, "one share for each lag"),
-            ("[thermometer]\nafter_c = -300.0\n", 2, "after_c"),
-            ("[thermometer]\nlag_s = 3.0\n", 2, "lag_s"),
-        ] {
-            let message = Scenario::from_toml(text).unwrap_err().to_string();
-            assert!(
-                message.contains(&format!("line {line}")) && message.contains(key),
-                "{message} lacks line {line} or {key}"
-            );
-        }
     }
 }

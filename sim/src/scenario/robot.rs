@@ -3,26 +3,18 @@
 use posebridge_telemetry::{Address, SystemId, TimeDelta};
 use serde::Deserialize;
 
-use crate::checks;
-
 /// The nominal robot. Defaults: a LEGO NXT on 56 mm wheels.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotSettings {
-    #[serde(deserialize_with = "checks::positive")]
     pub wheel_radius_m: f64,
-    #[serde(deserialize_with = "checks::positive")]
     pub track_width_m: f64,
     /// Of the whole robot; each wheel carries half.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub mass_kg: f64,
     /// Total play between each encoder and its wheel.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub backlash_deg: f64,
-    #[serde(deserialize_with = "checks::positive")]
     pub battery_v: f64,
     /// The voltage stays at 5 V or above.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub battery_drop_v_per_min: f64,
     pub motor: MotorSettings,
 }
@@ -47,16 +39,12 @@ impl Default for RobotSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct MotorSettings {
     /// Kt/R.
-    #[serde(deserialize_with = "checks::positive")]
     pub torque_n_m_per_v: f64,
     /// Ke.
-    #[serde(deserialize_with = "checks::positive")]
     pub back_emf_v_s_per_rad: f64,
     /// J at the output shaft.
-    #[serde(deserialize_with = "checks::positive")]
     pub inertia_kg_m2: f64,
     /// Coulomb friction.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub friction_n_m: f64,
 }
 
@@ -78,31 +66,21 @@ impl MotorSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct ErrorSettings {
     /// Relative, of both radii.
-    #[serde(deserialize_with = "checks::relative")]
     pub radius_error: f64,
-    #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_error_sigma: f64,
     /// Right radius minus left radius, as a fraction of their mean.
-    #[serde(deserialize_with = "checks::relative")]
     pub radius_mismatch: f64,
-    #[serde(deserialize_with = "checks::relative_sigma")]
     pub radius_mismatch_sigma: f64,
     /// Relative.
-    #[serde(deserialize_with = "checks::relative")]
     pub track_error: f64,
-    #[serde(deserialize_with = "checks::relative_sigma")]
     pub track_error_sigma: f64,
     /// Slip of each wheel: sigma per square root of its travel.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub wheel_travel_m_per_sqrt_m: f64,
     /// Slip in turns: sigma of the heading per square root of the turn.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub turn_rad_per_sqrt_rad: f64,
     /// Events in which a wheel spins without grip for 10 to 40 counts, per minute of motion.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub slip_events_per_min: f64,
     /// Disturbances that turn the robot by 3 to 8 degrees unseen by the encoders, per minute of motion.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub kicks_per_min: f64,
 }
 
@@ -125,18 +103,14 @@ impl Default for ErrorSettings {
 
 impl ErrorSettings {
     /// No deviations: the encoders' readings are exact.
-    pub const fn none() -> Self {
+    pub fn none() -> Self {
         Self {
-            radius_error: 0.0,
             radius_error_sigma: 0.0,
-            radius_mismatch: 0.0,
             radius_mismatch_sigma: 0.0,
-            track_error: 0.0,
             track_error_sigma: 0.0,
             wheel_travel_m_per_sqrt_m: 0.0,
             turn_rad_per_sqrt_rad: 0.0,
-            slip_events_per_min: 0.0,
-            kicks_per_min: 0.0,
+            ..Self::default()
         }
     }
 }
@@ -168,37 +142,27 @@ pub enum MissingSensor {
 #[serde(default, deny_unknown_fields)]
 pub struct BrickSettings {
     /// Default rate of wheel and inertial messages; a station may request another.
-    #[serde(deserialize_with = "checks::rate_hz")]
     pub telemetry_hz: f64,
     pub wire: Wire,
     /// MAVLink system id of brick and camera.
-    #[serde(deserialize_with = "checks::vehicle_system")]
     pub system: u8,
     /// Start value; just below 2^32 makes the register wrap early.
-    #[serde(deserialize_with = "checks::clock_micros")]
     pub clock_start_micros: u64,
-    /// Positive runs fast.
-    #[serde(deserialize_with = "checks::skew_ppm")]
     pub clock_skew_ppm: f64,
-    #[serde(deserialize_with = "checks::tick_micros")]
     pub clock_tick_micros: u32,
     pub personality: Personality,
     /// Running from power-up.
     pub program: BrickProgram,
     /// Interval of program restarts, at which a LEGO brick zeroes its counters; `None` for no restarts.
-    #[serde(deserialize_with = "checks::restart_interval_s")]
     pub program_restart_s: Option<f64>,
     pub missing_sensor: MissingSensor,
     /// Turn-around of the radio of an NXT or EV3, from receiving to sending; `None` for that of the personality.
-    #[serde(deserialize_with = "checks::turn_around_ms")]
     pub turn_around_ms: Option<f64>,
     /// Longest telegram of an NXT's firmware; 64 for old ones.
-    #[serde(deserialize_with = "checks::telegram_bytes")]
     pub telegram_bytes: usize,
     /// In the sensor ports 1 to 4 of an NXT.
     pub sensors: [PortSensor; 4],
     /// A wall across the arena at this x, for the ultrasonic sensor.
-    #[serde(deserialize_with = "checks::optional_finite")]
     pub wall_x_m: Option<f64>,
 }
 

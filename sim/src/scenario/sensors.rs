@@ -3,25 +3,18 @@
 use serde::Deserialize;
 use serde::de::{Deserializer, Error};
 
-use crate::checks;
-
 /// Defaults: the HiTechnic gyro behind a brick that averages over the telemetry interval.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GyroSettings {
     /// White noise of one mean.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_deg_per_s: f64,
     /// 0 for none.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub quantum_deg_per_s: f64,
     /// Saturation, either sign.
-    #[serde(deserialize_with = "checks::positive")]
     pub range_deg_per_s: f64,
     /// At power-up.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub bias_sigma_deg_per_s: f64,
-    #[serde(deserialize_with = "checks::non_negative")]
     pub bias_walk_deg_per_s_sqrt_s: f64,
 }
 
@@ -42,13 +35,10 @@ impl Default for GyroSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct AccelerometerSettings {
     /// White noise of one mean.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_m_per_s2: f64,
     /// 0 for none.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub quantum_m_per_s2: f64,
     /// At power-up, from tilt.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub bias_sigma_m_per_s2: f64,
 }
 
@@ -84,9 +74,7 @@ pub enum CameraImages {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Blackout {
-    #[serde(deserialize_with = "checks::non_negative")]
     pub from_s: f64,
-    #[serde(deserialize_with = "checks::non_negative")]
     pub to_s: f64,
 }
 
@@ -96,45 +84,32 @@ pub struct Blackout {
 pub struct CameraSettings {
     pub is_present: bool,
     pub images: CameraImages,
-    #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
     /// Of each axis.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub position_sigma_m: f64,
-    #[serde(deserialize_with = "checks::non_negative")]
     pub heading_sigma_deg: f64,
     pub sees_heading: bool,
     /// Whether a fix carries its standard deviations as covariance.
     pub reports_covariance: bool,
     /// Mean, from the exposure to the sending of the fix.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub latency_ms: f64,
     /// Half the width of the uniform spread of the latency.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub jitter_ms: f64,
     pub order: CameraOrder,
     /// Probability that an image gives no fix.
-    #[serde(deserialize_with = "checks::probability")]
     pub dropout: f64,
     pub blackouts: Vec<Blackout>,
-    #[serde(deserialize_with = "checks::probability")]
     pub outlier: f64,
     /// Of each axis, in addition to the normal noise.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub outlier_sigma_m: f64,
     /// In addition to the normal noise.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub outlier_sigma_deg: f64,
     /// Lever arm from mid-axle to the tag, forward; the fix is the tag's position.
-    #[serde(deserialize_with = "checks::finite")]
     pub tag_x_m: f64,
     /// Lever arm from mid-axle to the tag, to the left.
-    #[serde(deserialize_with = "checks::finite")]
     pub tag_y_m: f64,
-    #[serde(deserialize_with = "checks::clock_micros")]
     pub clock_start_micros: u64,
     /// Positive runs fast.
-    #[serde(deserialize_with = "checks::skew_ppm")]
     pub clock_skew_ppm: f64,
 }
 
@@ -172,7 +147,6 @@ pub struct ThermometerSettings {
     #[serde(deserialize_with = "channel")]
     pub channel: String,
     /// Of reading and sending.
-    #[serde(deserialize_with = "checks::rate_hz")]
     pub rate_hz: f64,
     #[serde(deserialize_with = "lags")]
     pub lags_s: Vec<f64>,
@@ -180,18 +154,13 @@ pub struct ThermometerSettings {
     #[serde(deserialize_with = "shares")]
     pub shares: Vec<f64>,
     /// White noise of a reading.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub sigma_k: f64,
     /// 0 for none.
-    #[serde(deserialize_with = "checks::non_negative")]
     pub resolution_k: f64,
     /// Temperature of the bath in which it has rested.
-    #[serde(deserialize_with = "checks::degrees_c")]
     pub before_c: f64,
     /// Temperature of the bath into which it is dipped.
-    #[serde(deserialize_with = "checks::degrees_c")]
     pub after_c: f64,
-    #[serde(deserialize_with = "checks::non_negative")]
     pub dipped_at_s: f64,
 }
 

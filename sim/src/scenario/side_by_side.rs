@@ -1,7 +1,7 @@
 //! One scenario for several robots, side by side in one arena.
 
 use super::{Scenario, ScenarioError};
-use crate::checks;
+use crate::config_file::LAST_VEHICLE_SYSTEM;
 use crate::path::Path;
 
 /// Robots and cameras are switched on one after the other: offset between the clocks of neighbours.
@@ -28,7 +28,7 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::TooManyRobots`] if there are not enough systems for vehicles.
     pub fn side_by_side(&self, count: u8) -> Result<Vec<Self>, ScenarioError> {
-        let systems = checks::LAST_VEHICLE_SYSTEM - self.brick.system + 1;
+        let systems = LAST_VEHICLE_SYSTEM - self.brick.system + 1;
         if count > systems {
             return Err(ScenarioError::TooManyRobots { count, first: self.brick.system, most: systems });
         }

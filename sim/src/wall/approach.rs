@@ -10,14 +10,13 @@
 use posebridge_protocol::framing::checksum;
 use posebridge_telemetry::{HostClock, Timestamp};
 
-use super::car::{Car, ControlPeriods, Pid, RangeEstimate, RangeReading, Ranger};
+use super::car::{Car, Pid, RangeEstimate, RangeReading, Ranger, control_periods};
 use super::scene::{Gains, HostSettings, WallScene};
 use crate::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
 
 /// Estimates a distance from readings and commands. All times are the brick's, in seconds.
 pub trait DistanceEstimator {
     fn on_reading(&mut self, reading: RangeReading);
-    /// The PWM from `at_s` on.
     fn on_command(&mut self, at_s: f64, pwm: f64);
     /// The estimate at an instant not before its last input; `None` before the first reading.
     fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate>;
@@ -33,19 +32,16 @@ pub struct ApproachTask {
     pub run: u32,
 }
 
-/// One control cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachSample {
     pub at_s: f64,
     pub distance_m: f64,
-    /// True speed towards the wall.
     pub towards_m_per_s: f64,
     pub estimate: Option<RangeEstimate>,
     /// Applied from then on.
     pub pwm: f64,
 }
 
-/// The result of an approach.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Approach {
     /// Every control cycle; the last is the one at which the car stood, if it did.
@@ -55,7 +51,6 @@ pub struct Approach {
     pub stop: Option<StopPoint>,
 }
 
-/// Time and distance at which a car stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopPoint {
     pub at_s: f64,
@@ -64,34 +59,9 @@ pub struct StopPoint {
 }
 
 pub fn approach(scene: &WallScene, task: &ApproachTask, estimator: &mut dyn DistanceEstimator) -> Approach {
-    drive(scene, task, &mut OnboardLoop(estimator))
-}
-
-pub(super) trait ControlLoop {
-    /// Processes this cycle's reading, if any, and returns the present estimate.
-    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate>;
-    fn on_command(&mut self, at_s: f64, pwm: f64);
-}
-
-struct OnboardLoop<'a>(&'a mut dyn DistanceEstimator);
-
-impl ControlLoop for OnboardLoop<'_> {
-    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate> {
-        if let Some(reading) = reading {
-            self.0.on_reading(reading);
-        }
-        self.0.estimate_at(at_s)
-    }
-
-    fn on_command(&mut self, at_s: f64, pwm: f64) {
-        self.0.on_command(at_s, pwm);
-    }
-}
-
-pub(super) fn drive(scene: &WallScene, task: &ApproachTask, control: &mut dyn ControlLoop) -> Approach {
     let settings = &scene.approach;
     let mut car = Car::new(&scene.car, settings.start_m);
-    let mut ticks = ControlPeriods::new(scene.control, scene.seed, task.run);
+    let mut next_period_s = control_periods(scene.control, scene.seed, task.run);
     let mut ranger = Ranger::new(scene.ranger, scene.seed, task.run);
     let mut pid = Pid {
         gains: task.gains,
@@ -105,9 +75,12 @@ pub(super) fn drive(scene: &WallScene, task: &ApproachTask, control: &mut dyn Co
     while at_s < settings.longest_s && run.stop.is_none() {
         let reading = ranger.read(at_s, car.distance_m);
         run.readings.extend(reading);
-        let estimate = control.step(at_s, reading);
+        if let Some(reading) = reading {
+            estimator.on_reading(reading);
+        }
+        let estimate = estimator.estimate_at(at_s);
         let pwm = estimate.map_or(0.0, |estimate| pid.steer(estimate, dt_s));
-        control.on_command(at_s, pwm);
+        estimator.on_command(at_s, pwm);
         run.samples.push(ApproachSample {
             at_s,
             distance_m: car.distance_m,
@@ -119,14 +92,13 @@ pub(super) fn drive(scene: &WallScene, task: &ApproachTask, control: &mut dyn Co
         if has_driven && car.towards_m_per_s <= settings.still_m_per_s {
             run.stop = Some(StopPoint { at_s, distance_m: car.distance_m });
         }
-        dt_s = ticks.next_s();
+        dt_s = next_period_s();
         car.drive(pwm, dt_s);
         at_s += dt_s;
     }
     run
 }
 
-/// Profile and seed of the link to the host.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HostLink {
     pub profile: LinkProfile,
@@ -141,7 +113,7 @@ pub fn approach_over_link(
     link: &HostLink,
     estimator: &mut dyn DistanceEstimator,
 ) -> Approach {
-    let mut control = RemoteLoop {
+    let mut remote = RemoteEstimator {
         estimator,
         settings: scene.host,
         link: ImpairedLink::new(&link.profile, link.seed, Timestamp::ZERO),
@@ -150,10 +122,11 @@ pub fn approach_over_link(
         last_estimate: None,
         unsent_commands: Vec::new(),
     };
-    drive(scene, task, &mut control)
+    approach(scene, task, &mut remote)
 }
 
-struct RemoteLoop<'a> {
+/// The brick's side of the link to the host that has the estimator.
+struct RemoteEstimator<'a> {
     estimator: &'a mut dyn DistanceEstimator,
     settings: HostSettings,
     link: ImpairedLink,
@@ -164,14 +137,9 @@ struct RemoteLoop<'a> {
     unsent_commands: Vec<(f64, f64)>,
 }
 
-fn time_from_secs(at_s: f64) -> Timestamp<HostClock> {
-    Timestamp::from_secs_f64(at_s)
-}
-
-impl RemoteLoop<'_> {
-    /// Processes the link's events until `at_s`, each at its instant.
+impl RemoteEstimator<'_> {
     fn advance_to(&mut self, at_s: f64) {
-        let now = time_from_secs(at_s);
+        let now = Timestamp::from_secs_f64(at_s);
         while let Some(at) = self.link.deadline().filter(|at| *at <= now) {
             while let Some(event) = self.link.poll(at) {
                 match event {
@@ -219,17 +187,20 @@ impl RemoteLoop<'_> {
     }
 
     fn send(&mut self, at_s: f64, frame: WallFrame) {
-        self.link.offer(LinkEnd::Brick, time_from_secs(at_s), &frame.encode());
+        self.link.offer(LinkEnd::Brick, Timestamp::from_secs_f64(at_s), &frame.encode());
         self.advance_to(at_s);
     }
 }
 
-impl ControlLoop for RemoteLoop<'_> {
-    fn step(&mut self, at_s: f64, reading: Option<RangeReading>) -> Option<RangeEstimate> {
+impl DistanceEstimator for RemoteEstimator<'_> {
+    fn on_reading(&mut self, reading: RangeReading) {
+        self.advance_to(reading.at_s);
+        self.send(reading.at_s, WallFrame::Reading(reading.at_s, reading.range_m));
+    }
+
+    /// The newest estimate on the brick, extrapolated; `None` once it is stale.
+    fn estimate_at(&mut self, at_s: f64) -> Option<RangeEstimate> {
         self.advance_to(at_s);
-        if let Some(reading) = reading {
-            self.send(at_s, WallFrame::Reading(reading.at_s, reading.range_m));
-        }
         let (of_s, estimate) = self.last_estimate?;
         let age_s = at_s - of_s;
         (age_s <= self.settings.stale_after_s)
@@ -305,7 +276,6 @@ impl WallFrame {
     }
 }
 
-/// Splits received bytes into frames.
 #[derive(Debug, Default)]
 pub(super) struct WallFramer {
     held: Vec<u8>,

@@ -36,33 +36,19 @@ impl Car {
     }
 }
 
-#[derive(Clone, Debug)]
-pub(super) struct ControlPeriods {
-    settings: ControlSettings,
-    stream: RandomStream,
+/// The lengths of the control cycles of a run.
+pub(super) fn control_periods(settings: ControlSettings, seed: u64, run: u32) -> impl FnMut() -> f64 {
+    let mut stream = RandomStream::new(seed, &format!("wall control {run}"));
+    move || stream.period(settings.period_s, settings.period_spread)
 }
 
-impl ControlPeriods {
-    pub(super) fn new(settings: ControlSettings, seed: u64, run: u32) -> Self {
-        Self { settings, stream: RandomStream::new(seed, &format!("wall control {run}")) }
-    }
-
-    pub(super) fn next_s(&mut self) -> f64 {
-        let spread = self.settings.period_spread;
-        self.settings.period_s * (1.0 + spread * self.stream.uniform(-1.0, 1.0))
-    }
-}
-
-/// A reading of the range sensor with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeReading {
-    /// Time of measurement, in brick time.
     pub at_s: f64,
     /// At least 0.
     pub range_m: f64,
 }
 
-/// The estimated distance to the wall, and the speed towards it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeEstimate {
     pub distance_m: f64,
@@ -96,8 +82,7 @@ impl Ranger {
         if at_s < self.next_s {
             return None;
         }
-        let spread = self.settings.period_spread * self.pace.uniform(-1.0, 1.0);
-        self.next_s += self.settings.period_s * (1.0 + spread);
+        self.next_s += self.pace.period(self.settings.period_s, self.settings.period_spread);
         let sigma_m = self.settings.sigma_m + self.settings.sigma_share * distance_m;
         let range_m = (distance_m + sigma_m * self.noise.normal()).max(0.0);
         let is_missed = self.misses.bernoulli(self.settings.miss_probability);
@@ -126,7 +111,6 @@ impl Pid {
     }
 }
 
-/// A PWM and the instant from which it holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedCommand {
     /// Brick time from which it holds.
@@ -134,7 +118,6 @@ pub struct TimedCommand {
     pub pwm: f64,
 }
 
-/// The result of a step test.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepRun {
     /// The PWM of each control cycle, in order.
@@ -151,7 +134,7 @@ const LONGEST_S: f64 = 60.0;
 /// Draws step `run`. The same scene and number give the same readings, bit for bit.
 pub fn simulate_step(scene: &WallScene, run: u32) -> StepRun {
     let mut car = Car::new(&scene.car, scene.step.start_m);
-    let mut ticks = ControlPeriods::new(scene.control, scene.seed, run);
+    let mut next_period_s = control_periods(scene.control, scene.seed, run);
     let mut ranger = Ranger::new(scene.ranger, scene.seed, run);
     let mut run = StepRun::default();
     let mut at_s = 0.0;
@@ -165,7 +148,7 @@ pub fn simulate_step(scene: &WallScene, run: u32) -> StepRun {
                 break;
             }
         }
-        let dt_s = ticks.next_s();
+        let dt_s = next_period_s();
         car.drive(pwm, dt_s);
         at_s += dt_s;
     }

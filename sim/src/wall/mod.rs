@@ -1,8 +1,7 @@
 //! A car before a wall: a slow drive, a time-of-flight sensor with its own rate, and a PID controller on board.
 //!
-//! Two experiments of paper 3 with known truth. [`simulate_step`] gives the readings of a step test, from which the
-//! drive can be identified. [`approach`] drives up to the wall by the distance of a [`DistanceEstimator`]; with
-//! [`approach_over_link`] the estimator is on the other side of an impaired link. This module has no filter.
+//! Two experiments of paper 3 with known truth and without a filter: [`simulate_step`] gives the readings of a step test; [`approach`]
+//! drives up to the wall by the distance of a [`DistanceEstimator`], [`approach_over_link`] by one behind an impaired link.
 //!
 //! # Model
 //! ```text
@@ -10,11 +9,8 @@
 //! reading = z + (sigma + share z) n, never below zero, every period, now and then none          n standard normal
 //! PWM = kp e + ki int(e) + kd de/dt, within +- PWM_max        e = estimated z - target, de/dt = -estimated v
 //! ```
-//! Between two control cycles the PWM is held and the motion is exact.
-//!
-//! # Assumptions
-//! The wall is perpendicular to the path, the floor level, the battery constant. Brick and host share one clock: clock alignment is
-//! another experiment.
+//! Between two control cycles the PWM is held and the motion is exact. The wall is perpendicular to the path, the floor level, the battery
+//! constant; brick and host share one clock.
 //!
 //! # Sources
 //! Paper 3 (Lab 7); `config/scenarios/lab/wall.toml` has every number of the default scene with its origin.

@@ -101,11 +101,13 @@ fn each_answers_timesync_with_its_own_clock() {
 fn a_station_can_change_stop_and_restore_intervals() {
     let mut simulation = Simulation::new(Scenario::default());
     run(&mut simulation, 1_000);
-    for (interval_ms, expected) in [(Some(10), 100), (None, 0), (Some(0), 20)] {
-        let interval = interval_ms.map(TimeDelta::from_millis);
+    // At most one in each step of a millisecond; other messages keep their interval.
+    for (micros, expected) in [(Some(10_000), 100), (None, 0), (Some(0), 20), (Some(1), 990), (Some(100_000), 10)] {
+        let interval = micros.map(TimeDelta::from_micros);
         simulation.receive(&request_interval(BRICK, ids::PB_WHEEL_TICKS, interval));
         let received = listen(&mut simulation, 990);
-        assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_))), expected);
+        assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_))), expected, "{micros:?}");
+        assert!((19..=20).contains(&count(&received, |message| matches!(message, Message::Inertial(_)))));
         assert_eq!(count(&received, |message| matches!(message, Message::CommandAck(_))), 1);
     }
     simulation.receive(&request_interval(CAMERA, ids::VISION_POSITION_ESTIMATE, Some(TimeDelta::from_millis(500))));
@@ -281,24 +283,6 @@ fn the_same_program_drives_the_same_way_whatever_the_brick_speaks() {
     let expected = driven(Personality::Mavlink);
     for personality in LEGO {
         assert!(driven(personality) == expected, "{personality:?}");
-    }
-}
-
-#[test]
-fn a_restarted_lego_brick_begins_at_zero_and_answers_again() {
-    // The tick of the NXT's Command module, the counter of the EV3's motor B.
-    let requests = [
-        (Personality::Nxt, &[10, 0, 1, 0x94, 1, 0, 1, 0, 20, 0, 4, 0][..]),
-        (Personality::Ev3, &[9, 0, 1, 0, 0, 4, 0, 0xB3, 0, 1, 0x60]),
-    ];
-    for (personality, request) in requests {
-        let mut simulation = lego(personality, BrickProgram::Path);
-        run(&mut simulation, 4_000);
-        simulation.restart_brick();
-        simulation.receive(request);
-        let telegrams = run(&mut simulation, 80);
-        let value = i32::from_le_bytes(*telegrams.last().unwrap().last_chunk().unwrap());
-        assert!((-10..=10).contains(&value), "{personality:?}: {value}");
     }
 }
 

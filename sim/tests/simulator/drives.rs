@@ -196,14 +196,6 @@ fn a_later_camera_is_later_by_what_was_said() {
 }
 
 #[test]
-fn the_links_commands_are_left_to_who_owns_the_link() {
-    let duration = TimeDelta::from_millis(100);
-    for command in [SimulatorCommand::LinkProfile(None), SimulatorCommand::PullCable { duration }] {
-        assert_eq!(Simulation::new(Scenario::default()).execute(&command), CommandExecutor::Link);
-    }
-}
-
-#[test]
 fn a_drive_without_an_end_remembers_ten_minutes_and_little_more() {
     let second = TimeDelta::from_millis(1_000);
     for telemetry_hz in [1.0, 200.0] {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use posebridge_sim::impairment::{
     BurstLoss, ByteOutcome, Delay, DirectionProfile, Disconnects, Fragment, ImpairedDirection, ImpairedLink,
-    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, LossCause, PieceSizes, Rate, Reorder, Stall,
+    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, LossCause, PieceSizes, RandomDelay, Rate,
 };
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use proptest::prelude::*;
@@ -327,12 +327,20 @@ fn traffic() -> impl Strategy<Value = Vec<(Timestamp<HostClock>, Vec<u8>)>> {
     })
 }
 
+/// Up to these.
+fn random_delay(probability: f64, from_ms: f64, longer_ms: f64) -> impl Strategy<Value = RandomDelay> {
+    (0.0..probability, 0.0..from_ms, 0.0..longer_ms).prop_map(|(probability, from_ms, longer_ms)| {
+        let to_ms = from_ms + longer_ms;
+        RandomDelay { probability, from_ms, to_ms }
+    })
+}
+
 /// What both kinds of link have in common.
 fn profile() -> impl Strategy<Value = DirectionProfile> {
     let rate = prop::option::of((500.0..20_000.0, 64_u32..2_000, 0_u32..200));
     let burst_loss = prop::option::of((0.05..0.5, 0.01..0.2, 0.0..0.2, 0.5..1.0));
     let delay = (0.0..30.0, 0.0..20.0);
-    let stall = prop::option::of((0.0..0.2, 0.0..50.0, 0.0..300.0));
+    let stall = prop::option::of(random_delay(0.2, 50.0, 300.0));
     let slot_ms = prop::option::of(0.5..20.0);
     (rate, burst_loss, 0.0..0.2, 0.0..0.01, delay, stall, slot_ms).prop_map(
         |(rate, burst_loss, loss, bit_error_rate, (base_ms, jitter_mean_ms), stall, slot_ms)| DirectionProfile {
@@ -346,10 +354,7 @@ fn profile() -> impl Strategy<Value = DirectionProfile> {
             }),
             bit_error_rate,
             delay: Delay { base_ms, jitter_mean_ms },
-            stalls: stall
-                .into_iter()
-                .map(|(probability, from_ms, longer_ms)| Stall { probability, from_ms, to_ms: from_ms + longer_ms })
-                .collect(),
+            stalls: stall.into_iter().collect(),
             slot_ms,
             ..DirectionProfile::default()
         },
@@ -367,14 +372,10 @@ fn stream_profile() -> impl Strategy<Value = DirectionProfile> {
 }
 
 fn datagram_profile() -> impl Strategy<Value = DirectionProfile> {
-    let reorder = prop::option::of((0.0..0.5, 0.0..20.0, 0.0..50.0));
+    let reorder = prop::option::of(random_delay(0.5, 20.0, 50.0));
     (profile(), 0.0..0.3, reorder).prop_map(|(profile, duplicate, reorder)| DirectionProfile {
         duplicate,
-        reorder: reorder.map(|(probability, from_ms, longer_ms)| Reorder {
-            probability,
-            from_ms,
-            to_ms: from_ms + longer_ms,
-        }),
+        reorder,
         ..profile
     })
 }

@@ -3,7 +3,7 @@
 
 use posebridge_sim::impairment::{
     BurstLoss, ByteOutcome, Delay, Delivery, DirectionProfile, Disconnects, Fragment, ImpairedDirection, ImpairedLink,
-    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, PieceSizes, Rate, Reorder, Stall,
+    ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile, LogEntry, PieceSizes, RandomDelay, Rate,
 };
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -19,7 +19,8 @@ fn jitter_is_exponential_above_the_base() {
 
 #[test]
 fn stalls_come_as_often_and_last_as_long_as_they_should() {
-    let profile = impaired(|profile| profile.stalls = vec![Stall { probability: 0.05, from_ms: 50.0, to_ms: 500.0 }]);
+    let profile =
+        impaired(|profile| profile.stalls = vec![RandomDelay { probability: 0.05, from_ms: 50.0, to_ms: 500.0 }]);
     let delays_ms = delays_ms(&profile, LinkKind::Stream, 20_000);
     let stalls: Vec<f64> = delays_ms.into_iter().filter(|delay| *delay > 0.0).collect();
     assert_frequency(stalls.len(), 20_000, 0.05);
@@ -152,7 +153,7 @@ fn single_bytes_and_whole_units_are_lost_at_their_rates() {
 fn datagrams_are_repeated_and_overtaken_at_their_rates() {
     let profile = impaired(|profile| {
         profile.duplicate = 0.05;
-        profile.reorder = Some(Reorder { probability: 0.1, from_ms: 2.0, to_ms: 6.0 });
+        profile.reorder = Some(RandomDelay { probability: 0.1, from_ms: 2.0, to_ms: 6.0 });
     });
     let mut direction = ImpairedDirection::new(&profile, LinkKind::Datagram, SEED, "copies");
     for millis in 0..20_000 {

@@ -6,5 +6,7 @@ mod camera;
 mod drives;
 mod impairment_properties;
 mod impairment_statistics;
+mod lego_bricks;
 mod montecarlo;
+mod refused_files;
 mod support;

@@ -389,19 +389,6 @@ fn the_camera_has_the_files_rate_noise_and_delay() {
 }
 
 #[test]
-fn the_slow_camera_is_later() {
-    for (name, least, most) in [("camera-1hz", 4, 8), ("kicks-camera-1hz", 5, 7)] {
-        let mut late = Vec::new();
-        for run in 0..10 {
-            let drive = bundled(name).drive(run);
-            late.extend(fixes(&drive).iter().map(|(arrived, taken, _)| arrived - taken));
-        }
-        assert_eq!(late.iter().min(), Some(&least), "{name}");
-        assert_eq!(late.iter().max(), Some(&most), "{name}");
-    }
-}
-
-#[test]
 fn the_true_noise_of_the_camera_is_a_multiple_of_what_is_told() {
     for (name, factor) in [("noise-x4", 4.0), ("noise-quarter", 0.25)] {
         let drive = bundled(name).drive(0);

@@ -47,12 +47,11 @@ enum Operand {
     Local(usize),
 }
 
-/// A direct command in execution: its byte codes and its memory.
 #[derive(Clone, Debug)]
 pub(super) struct BytecodeMachine {
     code: Vec<u8>,
-    program_counter: usize,
-    globals: Vec<u8>,
+    pub(super) program_counter: usize,
+    pub(super) globals: Vec<u8>,
     locals: Vec<u8>,
 }
 
@@ -60,19 +59,6 @@ impl BytecodeMachine {
     /// A command that has not begun; its memory is zero.
     pub(super) fn new(code: &[u8], globals: usize, locals: usize) -> Self {
         Self { code: code.to_vec(), program_counter: 0, globals: vec![0; globals], locals: vec![0; locals] }
-    }
-
-    /// The memory that a reply contains.
-    pub(super) fn globals(&self) -> &[u8] {
-        &self.globals
-    }
-
-    pub(super) const fn program_counter(&self) -> usize {
-        self.program_counter
-    }
-
-    pub(super) const fn jump_to(&mut self, program_counter: usize) {
-        self.program_counter = program_counter;
     }
 
     /// Relative, backward if negative.
@@ -295,85 +281,4 @@ fn jump_compared(comparison: u8, width: OperandWidth, machine: &mut BytecodeMach
     });
     let by = machine.int(OperandWidth::Long)?;
     if is_taken { machine.jump(by) } else { Ok(()) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn machine(code: &[u8]) -> BytecodeMachine {
-        let mut machine = BytecodeMachine::new(code, 4, 40);
-        machine.globals = vec![0xFE, 0xFF, 0xFF, 0x7F];
-        machine
-    }
-
-    #[test]
-    fn constants_and_variables_of_every_length_are_read() {
-        let cases: &[(&[u8], OperandWidth, i32)] = &[
-            (&[0x1F], OperandWidth::Long, 31),
-            (&[0x3F], OperandWidth::Long, -1),
-            (&[0x20], OperandWidth::Long, -32),
-            (&[0x81, 0x9C], OperandWidth::Long, -100),
-            (&[0x82, 0xE8, 0x03], OperandWidth::Long, 1_000),
-            (&[0x83, 1, 0, 0, 0x80], OperandWidth::Long, -0x7FFF_FFFF),
-            (&[0x60], OperandWidth::Byte, -2),
-            (&[0xE1, 0], OperandWidth::Word, -2),
-            (&[0xE2, 0, 0], OperandWidth::Byte, -2),
-            (&[0xE3, 0, 0, 0, 0], OperandWidth::Long, 0x7FFF_FFFE),
-        ];
-        for (code, width, value) in cases {
-            assert_eq!(machine(code).int(*width), Ok(*value), "{code:02x?}");
-        }
-        assert_eq!(machine(&[0x84, b'a', b'b', 0]).text(), Ok(b"ab".to_vec()));
-    }
-
-    #[test]
-    fn what_is_written_lies_where_the_operand_says() {
-        let mut machine = machine(&[0x61, 0x40, 0xC1, 36]);
-        machine.write_int(OperandWidth::Word, 0x0102).unwrap();
-        assert_eq!(machine.globals(), [0xFE, 2, 1, 0x7F]);
-        machine.write_real(1.0).unwrap();
-        machine.write_text("EV3", 4).unwrap();
-        assert_eq!(machine.locals[..4], 1.0_f32.to_le_bytes());
-        assert_eq!(&machine.locals[36..], b"EV3\0");
-    }
-
-    #[test]
-    fn outside_the_memory_and_the_code_is_a_fault() {
-        for code in
-            [&[0x64][..], &[0xE1, 4], &[0xE3, 0xFF, 0xFF, 0xFF, 0x7F], &[0x88, 0], &[0x84, b'a'], &[0x82, 1], &[]]
-        {
-            assert_eq!(machine(code).int(OperandWidth::Byte), Err(ExecutionFault), "{code:02x?}");
-            assert_eq!(machine(code).write_int(OperandWidth::Byte, 1), Err(ExecutionFault), "{code:02x?}");
-        }
-        assert_eq!(machine(&[0x61]).write_real(1.0), Err(ExecutionFault));
-        assert_eq!(machine(&[]).jump(-1), Err(ExecutionFault));
-    }
-
-    #[test]
-    fn numbers_are_added_moved_and_compared() {
-        // Codes, and the first byte of the global memory after them.
-        let cases: &[(&str, &[u8], u8)] = &[
-            ("40 + -2 as bytes", &[0x10, 0x81, 40, 0x3E, 0x60], 38),
-            ("40 - 2 as bytes", &[0x14, 0x81, 40, 2, 0x60], 38),
-            ("7 * 6 as longs", &[0x1A, 7, 6, 0x60], 42),
-            ("7 / 2 as longs", &[0x1E, 7, 2, 0x60], 3),
-            ("7 / 0 as longs", &[0x1E, 7, 0, 0x60], 0),
-            ("the move is jumped over: 5 >= 4", &[0x7A, 5, 4, 3, 0x30, 9, 0x60], 0),
-            ("3 >= 4 is false", &[0x7A, 3, 4, 3, 0x30, 9, 0x60], 9),
-            ("jump if false", &[0x41, 0, 3, 0x30, 9, 0x60], 0),
-            (
-                "7 as a real number, halved, as a byte",
-                &[0x33, 7, 0x40, 0x33, 2, 0x44, 0x1F, 0x40, 0x44, 0x40, 0x3C, 0x40, 0x60],
-                3,
-            ),
-        ];
-        for (name, code, expected) in cases {
-            let mut machine = BytecodeMachine::new(code, 8, 8);
-            while let Some(code) = machine.next_code() {
-                calculate(code, &mut machine).unwrap().unwrap();
-            }
-            assert_eq!(machine.globals()[0], *expected, "{name}");
-        }
-    }
 }

@@ -1,12 +1,10 @@
 //! The firmware of an unmodified LEGO EV3: executes direct commands, receives mailbox messages, and runs a program.
 //!
 //! ```text
-//! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes      answer .. 02 globals, 04
-//! if it failed system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                                    answer .. 03
-//! opcode status, 05 failed
+//! direct   LE16 length, LE16 counter, 00 (80: no answer), LE16 locals << 10 | globals, byte codes   answer .. 02 globals, 04 if it failed
+//! system   LE16 length, LE16 counter, 01 (81: no answer), opcode ..                   answer .. 03 opcode status, 05 if it failed
 //! ```
-//! Commands are executed in order, each within a pass of 1 ms unless it waits for a sensor. The emulation follows LEGO's documents and
-//! shares no code with the station's codec.
+//! Commands are executed in order, each within a pass of 1 ms unless it waits for a sensor.
 //!
 //! # Sources
 //! LEGO MINDSTORMS EV3 communication and firmware developer kits. docs/simulator.md describes what is ours.
@@ -74,7 +72,6 @@ pub(super) struct Ev3 {
 }
 
 impl Ev3 {
-    /// A brick that is switched on at world time 0.
     pub(super) fn new(scenario: &Scenario) -> Self {
         let program = scenario.brick.program;
         Self {
@@ -129,7 +126,7 @@ impl Ev3 {
     /// Executes a command until it ends, fails or waits.
     fn run_command(&mut self, mut command: Command, pass: &mut FirmwarePass<'_>) {
         for _ in 0..CODES_PER_PASS {
-            let start = command.machine.program_counter();
+            let start = command.machine.program_counter;
             let Some(code) = command.machine.next_code() else {
                 return self.answer(&command, DIRECT_DONE);
             };
@@ -137,7 +134,7 @@ impl Ev3 {
                 Ok(Flow::Next) => {}
                 Ok(Flow::End) => return self.answer(&command, DIRECT_DONE),
                 Ok(Flow::Wait) => {
-                    command.machine.jump_to(start);
+                    command.machine.program_counter = start;
                     break;
                 }
                 Err(_fault) => return self.answer(&command, DIRECT_FAILED),
@@ -148,12 +145,10 @@ impl Ev3 {
 
     fn answer(&mut self, command: &Command, kind: u8) {
         if command.is_answered {
-            let globals = command.machine.globals();
-            self.wire.send(&[&command.counter[..], &[kind], globals].concat());
+            self.wire.send(&[&command.counter[..], &[kind], &command.machine.globals].concat());
         }
     }
 
-    /// Executes a system command and returns its status.
     fn system(&mut self, opcode: u8, rest: &[u8]) -> u8 {
         if opcode != WRITE_MAILBOX {
             return STATUS_UNKNOWN_ERROR;
@@ -183,9 +178,9 @@ impl Ev3 {
 impl LegoFirmware for Ev3 {
     fn step(&mut self, pass: &mut FirmwarePass<'_>) -> PerWheel<f64> {
         // A command that waits for a sensor that is not there would wait for ever: the next one takes its place.
-        let is_free = self.command.is_none() || self.sensors.is_waiting_forever();
+        let is_free = self.command.is_none() || self.sensors.is_waited_for_in_vain;
         if is_free && let Some(frame) = self.wire.next_frame() {
-            self.sensors.cancel_wait();
+            self.sensors.is_waited_for_in_vain = false;
             self.begin(&frame);
         }
         if let Some(command) = self.command.take() {
@@ -193,7 +188,7 @@ impl LegoFirmware for Ev3 {
         }
         self.run(pass);
         let duty = self.motors.step(pass.sim_time, pass.counts());
-        pass.outgoing.extend(self.wire.step(pass.sim_time));
+        pass.outgoing.extend(self.wire.radio.step(pass.sim_time));
         duty
     }
 

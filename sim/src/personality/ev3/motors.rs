@@ -35,7 +35,6 @@ const FULL_PERCENT: f64 = 100.0;
 pub(super) enum MotorDrive {
     /// Share of the battery's voltage, -1 to 1.
     Power(f64),
-    /// Percent of the full speed.
     Speed(f64),
 }
 
@@ -89,7 +88,6 @@ impl Motors {
         matches!(port, LEFT | RIGHT)
     }
 
-    /// Updates from the encoders for one pass and returns the duty of both motors.
     pub(super) fn step(&mut self, world: TimeDelta, positions: PerWheel<i64>) -> PerWheel<f64> {
         self.ports[LEFT].position = positions.left;
         self.ports[RIGHT].position = positions.right;
@@ -104,7 +102,6 @@ impl Motors {
         PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
-    /// Both motors on at these duties, as the program on the brick sets them.
     pub(super) fn drive(&mut self, duty: PerWheel<f64>) {
         for (index, duty) in [(LEFT, duty.left), (RIGHT, duty.right)] {
             self.ports[index].running = Some((MotorDrive::Power(duty), StopCondition::Stopped));
@@ -112,7 +109,6 @@ impl Motors {
         }
     }
 
-    /// Sets what START applies, for the ports of a bit field.
     pub(super) fn set(&mut self, field: i32, drive: MotorDrive) {
         self.each(field, |port| port.setting = drive);
     }
@@ -154,7 +150,6 @@ impl Motors {
         self.each(field, |port| port.tacho_zero = port.position);
     }
 
-    /// Whether a port of the bit field is in a movement with an end condition.
     pub(super) fn is_busy(&self, field: i32) -> bool {
         let is_moving =
             |port: &MotorOutput| matches!(port.running, Some((_, StopCondition::Turned(_) | StopCondition::Time(_))));
@@ -231,52 +226,19 @@ impl MotorOutput {
 mod tests {
     use super::*;
 
-    const B: i32 = 2;
-
-    fn motors() -> Motors {
-        Motors::new(&RobotSettings::default())
-    }
-
-    /// The duty of the left motor after a pass at a time in milliseconds and a position in degrees.
-    fn step(motors: &mut Motors, millis: i64, left: i64) -> f64 {
-        motors.step(TimeDelta::from_millis(millis), PerWheel { left, right: 0 }).left
-    }
-
-    #[test]
-    fn power_waits_for_the_start_and_the_polarity_turns_it_around() {
-        let mut motors = motors();
-        motors.set(B, MotorDrive::Power(0.4));
-        assert_eq!(step(&mut motors, 0, 0), 0.0);
-        motors.start(B);
-        assert_eq!(step(&mut motors, 0, 0), 0.4);
-        motors.set_polarity(B, 0);
-        assert_eq!(step(&mut motors, 0, 0), -0.4);
-        motors.stop(B);
-        assert_eq!(step(&mut motors, 0, 0), 0.0);
-    }
-
     #[test]
     fn a_movement_is_busy_until_its_end() {
+        const B: i32 = 2;
         let until = StopCondition::Time(TimeDelta::from_millis(5));
+        // Time in milliseconds and position in degrees.
         for (end, last, first_after) in [(StopCondition::Turned(90), (0, -89), (0, -90)), (until, (4, 0), (5, 0))] {
-            let mut motors = motors();
+            let mut motors = Motors::new(&RobotSettings::default());
             motors.begin(B, MotorDrive::Power(0.3), end);
-            step(&mut motors, last.0, last.1);
-            assert!(motors.is_busy(B) && motors.is_busy(15) && !motors.is_busy(4));
-            step(&mut motors, first_after.0, first_after.1);
-            assert!(!motors.is_busy(B));
+            let busy = [last, first_after].map(|(millis, left)| {
+                motors.step(TimeDelta::from_millis(millis), PerWheel { left, right: 0 });
+                [B, 15, 4].map(|field| motors.is_busy(field))
+            });
+            assert_eq!(busy, [[true, true, false], [false; 3]]);
         }
-    }
-
-    #[test]
-    fn counter_and_tacho_are_zeroed_for_themselves() {
-        let mut motors = motors();
-        step(&mut motors, 0, 50);
-        motors.clear_counts(B);
-        step(&mut motors, 0, 60);
-        motors.reset_tachos(15);
-        step(&mut motors, 0, 65);
-        assert_eq!((motors.count(1), motors.tacho(1).0), (15, 5));
-        assert_eq!((motors.count(0), motors.count(9)), (0, 0));
     }
 }

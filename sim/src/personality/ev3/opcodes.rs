@@ -24,7 +24,6 @@ const MEMORY_KB: (i32, i32) = (6_000, 5_000);
 /// An empty and a full battery, in volts.
 const EMPTY_V: f64 = 6.2;
 const FULL_V: f64 = 7.5;
-/// Supply current of the brick without motors.
 const CURRENT_A: f32 = 0.2;
 
 impl Ev3 {

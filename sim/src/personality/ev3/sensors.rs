@@ -33,12 +33,18 @@ const MOTOR_FULL: f64 = 100.0;
 #[derive(Clone, Debug, Default)]
 pub(super) struct SensorPorts {
     missing: MissingSensor,
-    is_waited_for_in_vain: bool,
-    modes: [u8; SENSOR_PORTS],
-    /// End of each port's mode change.
-    ready_at: [TimeDelta; SENSOR_PORTS],
+    /// A command waits for a sensor that is not there.
+    pub(super) is_waited_for_in_vain: bool,
+    ports: [SensorPort; SENSOR_PORTS],
     /// Zero point of the gyro's angle.
     angle_zero_deg: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct SensorPort {
+    mode: u8,
+    /// End of the last change of the mode.
+    ready_at: TimeDelta,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,17 +69,8 @@ impl SensorPorts {
         Self { missing, ..Self::default() }
     }
 
-    /// State after a program start.
     pub(super) fn reset(&mut self) {
         *self = Self::new(self.missing);
-    }
-
-    pub(super) const fn is_waiting_forever(&self) -> bool {
-        self.is_waited_for_in_vain
-    }
-
-    pub(super) const fn cancel_wait(&mut self) {
-        self.is_waited_for_in_vain = false;
     }
 
     /// The result for a command that waits for a reading: without a sensor it depends on the firmware.
@@ -87,8 +84,7 @@ impl SensorPorts {
 
     pub(super) fn kind_and_mode(&self, port: usize) -> (u8, u8) {
         let kind = kind(port);
-        let mode = self.modes.get(port).copied().unwrap_or_default();
-        (kind, if kind == NO_SENSOR { 0 } else { mode })
+        (kind, if kind == NO_SENSOR { 0 } else { self.port(port).mode })
     }
 
     pub(super) fn read(
@@ -111,42 +107,41 @@ impl SensorPorts {
             };
         }
         self.set_mode(now, port, mode);
-        if self.ready_at.get(port).is_some_and(|settled| now < *settled) {
+        if !self.is_ready(now, port) {
             return SensorReading::NotYet;
         }
-        let rate = -senses.rate_deg_per_s().round();
-        let angle = (self.angle_zero_deg - senses.angle_deg()).round();
-        match (kind, self.modes.get(port).copied().unwrap_or_default()) {
+        let rate = -senses.gyro.rate_deg_per_s.round();
+        let angle = (self.angle_zero_deg - senses.gyro.angle_deg).round();
+        match (kind, self.port(port).mode) {
             (GYRO, 0) => SensorReading::Values(vec![angle], GYRO_FULL_DEG_PER_S),
             (GYRO, 1) => SensorReading::Values(vec![rate], GYRO_FULL_DEG_PER_S),
             (GYRO, 3) => SensorReading::Values(vec![angle, rate], GYRO_FULL_DEG_PER_S),
             (ULTRASONIC, 0) => {
-                let range_cm = f64::from(senses.range_cm());
+                let range_cm = f64::from(senses.range_cm);
                 SensorReading::Values(vec![range_cm], RANGE_FULL_CM)
             }
             _ => SensorReading::NoSensor,
         }
     }
 
-    /// Whether the port's mode change is complete.
     pub(super) fn is_ready(&self, now: TimeDelta, port: usize) -> bool {
-        self.ready_at.get(port).is_none_or(|settled| now >= *settled)
+        now >= self.port(port).ready_at
+    }
+
+    fn port(&self, port: usize) -> SensorPort {
+        self.ports.get(port).copied().unwrap_or_default()
     }
 
     /// Zeroes the gyro's angle, as a sensor does on the command to clear changes.
     pub(super) const fn clear(&mut self, senses: &PluggedSensors) {
-        self.angle_zero_deg = senses.angle_deg();
+        self.angle_zero_deg = senses.gyro.angle_deg;
     }
 
     fn set_mode(&mut self, now: TimeDelta, port: usize, mode: i32) {
-        let (Ok(mode), Some(current)) = (u8::try_from(mode), self.modes.get_mut(port)) else {
-            return;
-        };
-        if *current != mode {
-            *current = mode;
-            if let Some(settled) = self.ready_at.get_mut(port) {
-                *settled = now + MODE_CHANGE;
-            }
+        if let (Ok(mode), Some(port)) = (u8::try_from(mode), self.ports.get_mut(port))
+            && port.mode != mode
+        {
+            *port = SensorPort { mode, ready_at: now + MODE_CHANGE };
         }
     }
 }

@@ -35,7 +35,7 @@ pub fn beacon(tcp_port: u16) -> Vec<u8> {
 #[derive(Clone, Debug)]
 pub(super) struct Ev3Wire {
     received: TelegramBuffer,
-    radio: Radio,
+    pub(super) radio: Radio,
 }
 
 impl Ev3Wire {
@@ -52,13 +52,11 @@ impl Ev3Wire {
         self.radio.reset();
     }
 
-    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         self.radio.receive();
         self.received.receive(now, bytes);
     }
 
-    /// The next complete frame without its length field.
     pub(super) fn next_frame(&mut self) -> Option<Vec<u8>> {
         if self.received.bytes.starts_with(GREETING) {
             self.answer_greeting();
@@ -73,11 +71,6 @@ impl Ev3Wire {
     /// Queues a frame; drops it if no buffer is free.
     pub(super) fn send(&mut self, frame: &[u8]) {
         self.radio.send(with_length(frame));
-    }
-
-    /// The frame whose transmission is complete at `now`.
-    pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
-        self.radio.step(now)
     }
 
     fn answer_greeting(&mut self) {
@@ -116,7 +109,7 @@ mod tests {
             for (at, chunk) in (1..).zip(greeting.chunks(size)) {
                 wire.receive(ms(at), chunk);
                 assert_eq!(wire.next_frame(), None);
-                sent.extend(wire.step(ms(at)));
+                sent.extend(wire.radio.step(ms(at)));
             }
             assert_eq!(sent, [b"Accept:EV340\r\n\r\n"], "pieces of {size}");
             wire.receive(ms(60), &FRAME);

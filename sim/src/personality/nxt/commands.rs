@@ -10,10 +10,32 @@
 
 use super::super::lego::FirmwarePass;
 use super::outputs::{OutputCommand, TachoCounter};
-use super::telegram::{TelegramReply, TelegramRequest, direct, status, system};
+use super::telegram::{TelegramReply, TelegramRequest, direct, padded, status, system};
 use super::{MAX_MESSAGE_BYTES, Nxt, PATH_PROGRAM, SLEEP_TIMEOUT, low_speed};
 
 const FILE_NAME_BYTES: usize = 20;
+/// Protocol 1.124 and firmware 1.31, as an up-to-date brick answers: minor before major.
+const VERSIONS: [u8; 4] = [124, 1, 31, 1];
+/// LEGO's block of addresses with an invented number; the last byte is always zero.
+const ADDRESS: [u8; 7] = [0x00, 0x16, 0x53, 0x0B, 0x0E, 0x01, 0x00];
+/// Of four connections; the firmware reports none.
+const SIGNALS: [u8; 4] = [0; 4];
+const FREE_FLASH: u32 = 29_704;
+/// In a telegram, with the final zero.
+const NAME_BYTES: usize = 15;
+/// Bytes of a reply besides the data of an IO map.
+const MAP_HEAD: usize = 9;
+const COMMAND: u32 = 0x0001_0001;
+const OUTPUT: u32 = 0x0002_0001;
+const INPUT: u32 = 0x0003_0001;
+const LOW_SPEED: u32 = 0x000B_0001;
+/// The Command module before the memory pool of the programs, which must not be read.
+const COMMAND_BYTES: usize = 52;
+const TICK_AT: usize = 20;
+const PROGRAM_STATE_AT: usize = 28;
+const FILE_NAME_AT: usize = 32;
+const FORMAT: &[u8] = b"MindstormsNXT";
+const RUNNING: u8 = 2;
 
 impl Nxt {
     pub(super) fn direct(&mut self, request: TelegramRequest<'_>, pass: &mut FirmwarePass<'_>) -> TelegramReply {
@@ -33,20 +55,15 @@ impl Nxt {
             direct::PLAY_TONE => request.bytes(0, 4).map(|_| Vec::new()),
             direct::STOP_SOUND => Ok(Vec::new()),
             direct::SET_OUTPUT => self.set_output(request),
-            direct::GET_OUTPUT => {
-                let state = self.outputs.state(request.byte(0)?);
-                state.ok_or(status::OUT_OF_RANGE)
+            direct::GET_OUTPUT => self.outputs.state(request.byte(0)?),
+            direct::RESET_POSITION => {
+                let is_rotation = request.byte(1)? == 0;
+                let counter = if is_rotation { TachoCounter::Rotation } else { TachoCounter::Block };
+                self.outputs.zero(request.byte(0)?, counter)
             }
-            direct::RESET_POSITION => self.reset_position(request),
-            direct::SET_INPUT => self.set_input(request),
-            direct::GET_INPUT => {
-                let values = self.inputs.values(request.byte(0)?);
-                values.ok_or(status::OUT_OF_RANGE)
-            }
-            direct::RESET_SCALED => {
-                let is_there = self.inputs.has(request.byte(0)?);
-                is_there.then(Vec::new).ok_or(status::OUT_OF_RANGE)
-            }
+            direct::SET_INPUT => self.inputs.set(request.byte(0)?, request.byte(1)?, request.byte(2)?),
+            direct::GET_INPUT => self.inputs.values(request.byte(0)?),
+            direct::RESET_SCALED => self.inputs.values(request.byte(0)?).map(|_| Vec::new()),
             direct::BUS_STATUS | direct::BUS_WRITE | direct::BUS_READ => self.bus(request),
             direct::WRITE_MESSAGE => self.write_message(request),
             direct::READ_MESSAGE => self.read_message(request),
@@ -83,32 +100,12 @@ impl Nxt {
             run_state: request.byte(5)?,
             limit: request.long(6)?,
         };
-        let is_done = self.outputs.command(request.byte(0)?, order);
-        is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
-    }
-
-    fn reset_position(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
-        let counter = match request.byte(1)? {
-            0 => TachoCounter::Rotation,
-            _ => TachoCounter::Block,
-        };
-        let is_done = self.outputs.zero(request.byte(0)?, counter);
-        is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
-    }
-
-    fn set_input(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
-        let (port, kind, mode) = (request.byte(0)?, request.byte(1)?, request.byte(2)?);
-        let is_done = self.inputs.set(port, kind, mode);
-        is_done.then(Vec::new).ok_or(status::OUT_OF_RANGE)
+        self.outputs.command(request.byte(0)?, order)
     }
 
     fn bus(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
         let port = request.byte(0)?;
-        if !self.inputs.has(port) {
-            return Err(status::OUT_OF_RANGE);
-        }
-        let sensor = self.inputs.on_bus(port);
-        let sensor = sensor.ok_or(status::CHANNEL_NOT_CONFIGURED)?;
+        let sensor = self.inputs.on_bus(port)?;
         match request.opcode {
             direct::BUS_WRITE => {
                 let reply_length = usize::from(request.byte(2)?);
@@ -148,27 +145,7 @@ impl Nxt {
         }
         Ok(answer)
     }
-}
 
-/// Pads with zeros to `length`.
-fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
-    let zeros = std::iter::repeat(&0);
-    bytes.iter().chain(zeros).take(length).copied().collect()
-}
-
-/// Protocol 1.124 and firmware 1.31, as an up-to-date brick answers: minor before major.
-const VERSIONS: [u8; 4] = [124, 1, 31, 1];
-/// LEGO's block of addresses with an invented number; the last byte is always zero.
-const ADDRESS: [u8; 7] = [0x00, 0x16, 0x53, 0x0B, 0x0E, 0x01, 0x00];
-/// Of four connections; the firmware reports none.
-const SIGNALS: [u8; 4] = [0; 4];
-const FREE_FLASH: u32 = 29_704;
-/// In a telegram, with the final zero.
-const NAME_BYTES: usize = 15;
-/// Bytes of a reply besides the data of an IO map.
-const MAP_HEAD: usize = 9;
-
-impl Nxt {
     pub(super) fn system(&mut self, request: TelegramRequest<'_>, pass: &FirmwarePass<'_>) -> TelegramReply {
         match request.opcode {
             system::VERSIONS => Ok(VERSIONS.to_vec()),
@@ -184,7 +161,7 @@ impl Nxt {
                 Ok(Vec::new())
             }
             system::READ_MAP => self.read_map(request, pass),
-            system::WRITE_MAP => self.write_map(request),
+            system::WRITE_MAP => self.write_map(request, pass),
             // Nothing ever waits in the buffers of USB (0) and high-speed port (1).
             system::POLL_LENGTH | system::POLL => match request.byte(0)? {
                 buffer @ 0..=1 => Ok(vec![buffer, 0]),
@@ -197,7 +174,7 @@ impl Nxt {
     fn read_map(&mut self, request: TelegramRequest<'_>, pass: &FirmwarePass<'_>) -> TelegramReply {
         let (id, offset, count) = (request.long(0)?, request.word(4)?, request.word(6)?);
         let map = self.map(id, pass).ok_or(status::MODULE_NOT_FOUND)?;
-        if usize::from(count) + MAP_HEAD > self.wire.longest() {
+        if usize::from(count) + MAP_HEAD > self.wire.longest {
             return Err(status::OUT_OF_BOUNDS);
         }
         let from = usize::from(offset);
@@ -206,12 +183,12 @@ impl Nxt {
         Ok([&id.to_le_bytes()[..], &count.to_le_bytes(), data].concat())
     }
 
-    fn write_map(&mut self, request: TelegramRequest<'_>) -> TelegramReply {
+    fn write_map(&mut self, request: TelegramRequest<'_>, pass: &FirmwarePass<'_>) -> TelegramReply {
         let (id, offset, count) = (request.long(0)?, request.word(4)?, request.word(6)?);
         let data = request.bytes(8, usize::from(count))?;
         let from = usize::from(offset);
-        let length = map_length(id).ok_or(status::MODULE_NOT_FOUND)?;
-        if from + data.len() > length {
+        let map = self.map(id, pass).ok_or(status::MODULE_NOT_FOUND)?;
+        if from + data.len() > map.len() {
             return Err(status::OUT_OF_BOUNDS);
         }
         match id {
@@ -222,33 +199,7 @@ impl Nxt {
         }
         Ok([&id.to_le_bytes()[..], &count.to_le_bytes()].concat())
     }
-}
 
-const COMMAND: u32 = 0x0001_0001;
-const OUTPUT: u32 = 0x0002_0001;
-const INPUT: u32 = 0x0003_0001;
-const LOW_SPEED: u32 = 0x000B_0001;
-/// The Command module before the memory pool of the programs, which must not be read.
-const COMMAND_BYTES: usize = 52;
-const TICK_AT: usize = 20;
-const PROGRAM_STATE_AT: usize = 28;
-const FILE_NAME_AT: usize = 32;
-const FORMAT: &[u8] = b"MindstormsNXT";
-const RUNNING: u8 = 2;
-
-/// Bytes; `None` if the module does not exist.
-const fn map_length(id: u32) -> Option<usize> {
-    match id {
-        COMMAND => Some(COMMAND_BYTES),
-        OUTPUT => Some(97),
-        INPUT => Some(80),
-        LOW_SPEED => Some(166),
-        _ => None,
-    }
-}
-
-impl Nxt {
-    /// `None` if the module does not exist.
     fn map(&self, id: u32, pass: &FirmwarePass<'_>) -> Option<Vec<u8>> {
         match id {
             COMMAND => Some(self.command_map(pass)),

@@ -15,9 +15,9 @@ use crate::random::RandomStream;
 use crate::scenario::PortSensor;
 
 use super::super::plugged_sensors::PluggedSensors;
+use super::telegram::{TelegramReply, status};
 
 pub(super) const PORTS: usize = 4;
-/// Size of a port in the Input module.
 const MAP_BYTES: usize = 20;
 const FULL_SCALE: u16 = 1_023;
 /// Sensor types: the first unknown one, light sensors, I2C without and with 9 V.
@@ -34,7 +34,6 @@ const PRESSED_BELOW: u16 = 460;
 /// Passes until a configured port is valid: analog, and I2C.
 const ANALOG_PASSES: u32 = 10;
 const LOW_SPEED_PASSES: u32 = 60;
-/// Range of the gyro's rest value.
 const REST_COUNTS: (f64, f64) = (580.0, 625.0);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,7 +60,7 @@ impl InputPorts {
     }
 
     pub(super) fn step(&mut self, senses: &PluggedSensors) {
-        let gyro = (self.gyro_rest + senses.rate_deg_per_s()).round();
+        let gyro = (self.gyro_rest + senses.gyro.rate_deg_per_s).round();
         for port in &mut self.ports {
             port.invalid_passes = port.invalid_passes.saturating_sub(1);
             port.raw = match port.sensor {
@@ -75,17 +74,11 @@ impl InputPorts {
         }
     }
 
-    /// Configures a port; false if there is no such port, type or mode.
-    pub(super) fn set(&mut self, port: u8, kind: u8, mode: u8) -> bool {
-        let Some(input) = self.ports.get_mut(usize::from(port)) else {
-            return false;
-        };
-        if kind >= TYPES {
-            return false;
-        }
+    pub(super) fn set(&mut self, port: u8, kind: u8, mode: u8) -> TelegramReply {
+        let input = self.ports.get_mut(usize::from(port)).filter(|_| kind < TYPES).ok_or(status::OUT_OF_RANGE)?;
         (input.kind, input.mode) = (kind, mode);
         input.invalid_passes = if is_low_speed(kind) { LOW_SPEED_PASSES } else { ANALOG_PASSES };
-        true
+        Ok(Vec::new())
     }
 
     /// A program was started or stopped: all ports are unconfigured.
@@ -95,19 +88,16 @@ impl InputPorts {
         }
     }
 
-    pub(super) fn has(&self, port: u8) -> bool {
-        usize::from(port) < self.ports.len()
-    }
-
     /// The sensor on a port that is configured for I2C and valid.
-    pub(super) fn on_bus(&self, port: u8) -> Option<PortSensor> {
-        let input = self.ports.get(usize::from(port))?;
-        (is_low_speed(input.kind) && input.invalid_passes == 0).then_some(input.sensor)
+    pub(super) fn on_bus(&self, port: u8) -> Result<PortSensor, u8> {
+        let input = self.ports.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
+        let is_configured = is_low_speed(input.kind) && input.is_valid();
+        is_configured.then_some(input.sensor).ok_or(status::CHANNEL_NOT_CONFIGURED)
     }
 
-    /// The reply to GETINPUTVALUES after its status; `None` if the port does not exist.
-    pub(super) fn values(&self, port: u8) -> Option<Vec<u8>> {
-        let input = self.ports.get(usize::from(port))?;
+    /// The reply to GETINPUTVALUES after its status.
+    pub(super) fn values(&self, port: u8) -> TelegramReply {
+        let input = self.ports.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         let is_calibrated = 0;
         let mut values = vec![port, u8::from(input.is_valid()), is_calibrated];
         values.extend([input.kind, input.mode]);
@@ -115,7 +105,7 @@ impl InputPorts {
         values.extend(input.normalised().to_le_bytes());
         values.extend(input.scaled().to_le_bytes());
         values.extend(input.normalised().to_le_bytes());
-        Some(values)
+        Ok(values)
     }
 
     pub(super) fn map(&self) -> Vec<u8> {
@@ -187,7 +177,7 @@ mod tests {
     fn a_port_that_was_set_up_is_invalid_until_it_has_settled() {
         let mut inputs = InputPorts::new(PortSensor::USUAL, 5);
         let senses = PluggedSensors::new(&Scenario::default());
-        assert!(inputs.set(0, LIGHT_INACTIVE, 0));
+        inputs.set(0, LIGHT_INACTIVE, 0).unwrap();
         let valid = |inputs: &InputPorts| (inputs.values(0).unwrap()[1], inputs.map()[16]);
         for _ in 0..ANALOG_PASSES {
             assert_eq!(valid(&inputs), (0, 1));
@@ -199,14 +189,5 @@ mod tests {
         // What a light sensor would show is another thing than the raw value.
         assert_eq!(inputs.values(0).unwrap()[7..9], (1_023 - raw).to_le_bytes());
         assert_ne!(inputs.gyro_rest, InputPorts::new(PortSensor::USUAL, 6).gyro_rest, "each gyro has its own");
-    }
-
-    #[test]
-    fn a_port_without_an_analog_sensor_shows_the_pull_up() {
-        let mut inputs = InputPorts::new(PortSensor::USUAL, 5);
-        inputs.set(1, LOW_SPEED_9V, MODE_PERCENT);
-        inputs.step(&PluggedSensors::new(&Scenario::default()));
-        assert_eq!(inputs.map()[22..28], [0xFF, 3, 0xFF, 3, 100, 0]);
-        assert_eq!(inputs.on_bus(1), None);
     }
 }

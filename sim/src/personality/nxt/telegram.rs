@@ -107,12 +107,10 @@ impl<'a> TelegramRequest<'a> {
         self.rest.get(index..).and_then(<[u8]>::first_chunk).copied().ok_or(status::INSANE_PACKET)
     }
 
-    /// The 16-bit word at `index` after the opcode.
     pub(super) fn word(&self, index: usize) -> Result<u16, u8> {
         self.array(index).map(u16::from_le_bytes)
     }
 
-    /// The 32-bit word at `index` after the opcode.
     pub(super) fn long(&self, index: usize) -> Result<u32, u8> {
         self.array(index).map(u32::from_le_bytes)
     }
@@ -162,4 +160,9 @@ pub(super) fn request_length(bytes: &[u8]) -> Option<usize> {
         _ => return None,
     };
     Some(length)
+}
+
+pub(super) fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
+    let zeros = std::iter::repeat(&0);
+    bytes.iter().chain(zeros).take(length).copied().collect()
 }

@@ -22,7 +22,6 @@ use super::telegram::request_length;
 const HELLO: u8 = 0x98;
 const KIND_OF_LINK: &[u8] = b"bluetooth";
 const GOODBYE: u8 = 0x99;
-/// Type and opcode.
 const SHORTEST: usize = 2;
 /// Queued replies: one in transmission, one waiting.
 const SEND_BUFFERS: usize = 2;
@@ -41,15 +40,14 @@ enum TelegramFraming {
 
 #[derive(Clone, Debug)]
 pub(super) struct NxtWire {
-    longest: usize,
+    pub(super) longest: usize,
     framing: TelegramFraming,
     prefixed: TelegramBuffer,
     bare: VecDeque<Vec<u8>>,
-    radio: Radio,
+    pub(super) radio: Radio,
 }
 
 impl NxtWire {
-    /// A new link. Telegrams are `longest` bytes at most in both directions.
     pub(super) fn new(longest: usize, turn_around: TimeDelta) -> Self {
         Self {
             longest,
@@ -60,10 +58,6 @@ impl NxtWire {
         }
     }
 
-    pub(super) const fn longest(&self) -> usize {
-        self.longest
-    }
-
     pub(super) fn reopen(&mut self) {
         self.framing = TelegramFraming::Unknown;
         self.prefixed.clear();
@@ -71,7 +65,6 @@ impl NxtWire {
         self.radio.reset();
     }
 
-    /// `now` is world time.
     pub(super) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         let Some(first) = bytes.first() else {
             return;
@@ -112,64 +105,9 @@ impl NxtWire {
         self.prefixed.next(SHORTEST..=self.longest)
     }
 
-    pub(super) fn is_idle(&self) -> bool {
-        self.radio.is_idle()
-    }
-
     /// Queues a telegram; drops it if no buffer is free.
     pub(super) fn send(&mut self, telegram: &[u8]) {
         let is_bare = self.framing == TelegramFraming::Bare;
         self.radio.send(if is_bare { telegram.to_vec() } else { with_length(telegram) });
-    }
-
-    /// The telegram whose transmission is complete at `now`.
-    pub(super) fn step(&mut self, now: TimeDelta) -> Option<Vec<u8>> {
-        self.radio.step(now)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn ms(count: i64) -> TimeDelta {
-        TimeDelta::from_millis(count)
-    }
-
-    /// When what is sent at once goes out, in milliseconds after 1000.
-    fn sent_at(wire: &mut NxtWire) -> Vec<(i64, Vec<u8>)> {
-        (0..200).filter_map(|at: i64| Some((at, wire.step(ms(1_000 + at))?))).collect()
-    }
-
-    const BATTERY: [u8; 4] = [2, 0, 0, 0x0B];
-
-    #[test]
-    fn the_first_answer_waits_for_the_turn_and_the_second_does_not_and_the_third_is_lost() {
-        let mut wire = NxtWire::new(128, ms(30));
-        wire.receive(ms(1_000), &BATTERY);
-        (1..=3).for_each(|answer| wire.send(&[answer; 105]));
-        let sent = sent_at(&mut wire);
-        // 107 bytes take 2.3 ms.
-        assert_eq!(sent.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [33, 37]);
-        assert_eq!(sent[1].1[..3], [105, 0, 2]);
-        // Nothing was received since: no turn.
-        wire.send(&[4]);
-        assert_eq!(sent_at(&mut wire), [(1, vec![1, 0, 4])]);
-    }
-
-    #[test]
-    fn the_bare_form_greets_has_no_prefix_and_parts_telegrams_of_one_write() {
-        let mut wire = NxtWire::new(128, ms(30));
-        wire.receive(ms(1_000), &[0x98]);
-        assert_eq!(sent_at(&mut wire)[0].1, b"bluetooth");
-        wire.receive(ms(1_000), &[0x80, 0x05, 0, 6, 0, 0, 0x07, 0]);
-        assert_eq!(wire.next_telegram().unwrap(), [0x80, 0x05, 0, 6, 0]);
-        assert_eq!(wire.next_telegram().unwrap(), [0, 0x07, 0]);
-        assert_eq!(wire.next_telegram(), None);
-        wire.send(&[2, 0x0B, 0, 1, 2]);
-        assert_eq!(sent_at(&mut wire)[0].1, [2, 0x0B, 0, 1, 2]);
-        wire.receive(ms(1_000), &[0x99]);
-        wire.receive(ms(1_000), &BATTERY);
-        assert_eq!(wire.next_telegram().unwrap(), BATTERY[2..]);
     }
 }
