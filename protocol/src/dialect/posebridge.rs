@@ -80,14 +80,7 @@ pub(super) fn inertial_of(payload: &[u8]) -> Result<Inertial, PayloadError> {
 }
 
 pub(super) fn write_inertial(version: WireVersion, inertial: &Inertial) -> Payload {
-    let mut data = PB_INERTIAL_DATA {
-        time_us: micros32(inertial.stamp),
-        turn_urad: 0,
-        turn_rate: 0,
-        accel_left: 0,
-        accel_right: 0,
-        valid: 0,
-    };
+    let mut data = PB_INERTIAL_DATA { time_us: micros32(inertial.stamp), ..PB_INERTIAL_DATA::DEFAULT };
     if let Some(turn_rate) = inertial.turn_rate {
         data.turn_rate = (turn_rate.0 / TURN_RATE_UNIT_RAD_PER_S).round() as i16;
         data.valid |= TURN_RATE_VALID;

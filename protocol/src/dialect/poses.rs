@@ -65,12 +65,9 @@ pub(super) fn write_attitude(
 ) -> Payload {
     let data = ATTITUDE_DATA {
         time_boot_ms: millis32(stamp),
-        roll: 0.0,
-        pitch: 0.0,
         yaw: yaw_from_heading(heading) as f32,
-        rollspeed: 0.0,
-        pitchspeed: 0.0,
         yawspeed: negate(turn_rate.0) as f32,
+        ..ATTITUDE_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }
@@ -100,10 +97,9 @@ pub(super) fn write_local_position(
         time_boot_ms: millis32(stamp),
         x: y.0 as f32,
         y: x.0 as f32,
-        z: 0.0,
         vx: y_speed.0 as f32,
         vy: x_speed.0 as f32,
-        vz: 0.0,
+        ..LOCAL_POSITION_NED_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }
@@ -127,12 +123,10 @@ pub(super) fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
         usec: micros64(fix.stamp),
         x: fix.y.0 as f32,
         y: fix.x.0 as f32,
-        z: 0.0,
-        roll: 0.0,
-        pitch: 0.0,
         yaw: fix.heading.map_or(f32::NAN, |heading| yaw_from_heading(heading) as f32),
         covariance: fix_triangle(fix.covariance),
         reset_counter: fix.reset_counter,
+        ..VISION_POSITION_ESTIMATE_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }
@@ -166,17 +160,17 @@ pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
 
 pub(super) fn odometry(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Micros64(reader.u64());
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
     let [x, y, _z] = reader.f32s();
     let attitude: [f32; 4] = reader.f32s();
     let [forward, _side, _down] = reader.f32s();
     let [_roll_rate, _pitch_rate, yaw_rate] = reader.f32s();
     let pose_covariance: [f32; TRIANGLE_LEN] = reader.f32s();
     reader.skip::<{ 4 * TRIANGLE_LEN }>();
-    let (pose_frame, twist_frame) = (reader.u8(), reader.u8());
-    let reset_counter = reader.u8();
-    let estimator = reader.u8();
-    let quality = reader.i8();
+    let (pose_frame, twist_frame) = (reader.number::<u8>(), reader.number::<u8>());
+    let reset_counter = reader.number::<u8>();
+    let estimator = reader.number::<u8>();
+    let quality = reader.number::<i8>();
     if quality < 0 {
         let message_id = ids::ODOMETRY;
         return Err(PayloadError::SenderFailed { message_id });
@@ -247,20 +241,20 @@ pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Paylo
             (frame::LOCAL_FRD, turn_frd(planar_from(pose)), odometry.covariance.map(turn_frd_covariance))
         }
     };
-    PayloadWriter::new()
-        .u64(micros64(odometry.stamp))
+    PayloadWriter::new(ids::ODOMETRY)
+        .number::<u64>(micros64(odometry.stamp))
         .f32s(&[wire.x as f32, wire.y as f32, 0.0])
         .f32s(&quaternion(wire.angle))
         .f32s(&[odometry.forward_speed.0 as f32, 0.0, 0.0])
         .f32s(&[0.0, 0.0, negate(odometry.turn_rate.0) as f32])
         .f32s(&triangle(covariance))
         .f32s(&triangle(None))
-        .u8(frame)
-        .u8(frame::BODY_FRD)
+        .number::<u8>(frame)
+        .number::<u8>(frame::BODY_FRD)
         .extensions()
-        .u8(odometry.reset_counter)
-        .u8(ESTIMATOR_UNKNOWN)
-        .i8(odometry.quality)
+        .number::<u8>(odometry.reset_counter)
+        .number::<u8>(ESTIMATOR_UNKNOWN)
+        .number::<i8>(odometry.quality)
         .finish(version)
 }
 
@@ -297,15 +291,10 @@ pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorSta
     flags.set(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS, valid.position_valid && !valid.dead_reckoning);
     let data = ESTIMATOR_STATUS_DATA {
         time_usec: micros64(status.stamp),
-        vel_ratio: 0.0,
         pos_horiz_ratio: status.position_ratio as f32,
-        pos_vert_ratio: 0.0,
-        mag_ratio: 0.0,
-        hagl_ratio: 0.0,
-        tas_ratio: 0.0,
         pos_horiz_accuracy: status.position_sigma.0 as f32,
-        pos_vert_accuracy: 0.0,
         flags,
+        ..ESTIMATOR_STATUS_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }

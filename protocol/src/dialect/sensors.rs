@@ -6,10 +6,10 @@ use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED
 use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
 use super::frames::negate;
-use super::ids;
 use super::payload::{
     Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
 };
+use super::{ids, services};
 use crate::framing::WireVersion;
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
@@ -74,15 +74,8 @@ pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
     let data = SCALED_IMU_DATA {
         time_boot_ms: millis32(imu.stamp),
         xacc: (acceleration.0 / MILLI_GRAVITY_M_PER_S2).round() as i16,
-        yacc: 0,
-        zacc: 0,
-        xgyro: 0,
-        ygyro: 0,
         zgyro: (negate(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
-        xmag: 0,
-        ymag: 0,
-        zmag: 0,
-        temperature: 0,
+        ..SCALED_IMU_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }
@@ -107,20 +100,9 @@ pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
     let data = HIGHRES_IMU_DATA {
         time_usec: micros64(imu.stamp),
         xacc: imu.forward_acceleration.unwrap_or_default().0 as f32,
-        yacc: 0.0,
-        zacc: 0.0,
-        xgyro: 0.0,
-        ygyro: 0.0,
         zgyro: negate(imu.turn_rate.unwrap_or_default().0) as f32,
-        xmag: 0.0,
-        ymag: 0.0,
-        zmag: 0.0,
-        abs_pressure: 0.0,
-        diff_pressure: 0.0,
-        pressure_alt: 0.0,
-        temperature: 0.0,
         fields_updated,
-        id: 0,
+        ..HIGHRES_IMU_DATA::DEFAULT
     };
     Payload::encode(version, &data)
 }
@@ -128,16 +110,16 @@ pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
 /// Forward-looking ranges inside the sensor's own limits; others are not used.
 pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
-    let min_cm = reader.u16();
-    let max_cm = reader.u16();
-    let current_cm = reader.u16();
-    let (_kind, _id) = (reader.u8(), reader.u8());
-    let orientation = reader.u8();
-    let variance_cm2 = reader.u8();
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let min_cm = reader.number::<u16>();
+    let max_cm = reader.number::<u16>();
+    let current_cm = reader.number::<u16>();
+    let (_kind, _id) = (reader.number::<u8>(), reader.number::<u8>());
+    let orientation = reader.number::<u8>();
+    let variance_cm2 = reader.number::<u8>();
     // Extensions: two fields of view and a quaternion for a custom orientation, then the quality.
     reader.skip::<24>();
-    let quality = reader.u8();
+    let quality = reader.number::<u8>();
     let is_in_range = current_cm >= min_cm && (current_cm < max_cm || max_cm == 0);
     if orientation != ORIENTATION_FORWARD || quality == QUALITY_INVALID || !is_in_range {
         return None;
@@ -158,24 +140,24 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
     // One below the limit: a range at the limit means that nothing was seen.
     let current_cm = ((range.0 / CENTIMETER_M).round() as u16).min(max_cm - 1);
     let id = 0;
-    PayloadWriter::new()
-        .u32(millis32(stamp))
-        .u16(min_cm)
-        .u16(max_cm)
-        .u16(current_cm)
-        .u8(RANGER_UNKNOWN)
-        .u8(id)
-        .u8(ORIENTATION_FORWARD)
-        .u8(variance_cm2)
+    PayloadWriter::new(ids::DISTANCE_SENSOR)
+        .number::<u32>(millis32(stamp))
+        .number::<u16>(min_cm)
+        .number::<u16>(max_cm)
+        .number::<u16>(current_cm)
+        .number::<u8>(RANGER_UNKNOWN)
+        .number::<u8>(id)
+        .number::<u8>(ORIENTATION_FORWARD)
+        .number::<u8>(variance_cm2)
         .finish(version)
 }
 
 /// Only the temperature; the pressures are not used.
 pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
     reader.skip::<8>();
-    let temperature_cdeg_c = reader.i16();
+    let temperature_cdeg_c = reader.number::<i16>();
     Ok(Some(Message::Thermometer {
         stamp,
         channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
@@ -186,8 +168,8 @@ pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
 /// Only named values whose names mark them as temperatures are used.
 pub(super) fn named_value(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
-    let value = reader.f32();
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let value = reader.number::<f32>();
     let name = reader.bytes::<NAME_BYTES>();
     let channel = ChannelName::from_bytes(&name);
     if !name.starts_with(TEMPERATURE_NAME) {
@@ -214,20 +196,17 @@ pub(super) fn write_thermometer(
     stamp: WireStamp,
     channel: &ChannelName,
     temperature: Celsius,
-) -> (u32, Payload) {
-    let writer = PayloadWriter::new().u32(millis32(stamp));
+) -> Payload {
     if channel.as_str().as_bytes() == SCALED_PRESSURE_CHANNEL {
         let (absolute_hpa, differential_hpa, of_differential_cdeg_c) = (0.0, 0.0, 0);
-        let payload = writer
-            .f32(absolute_hpa)
-            .f32(differential_hpa)
-            .i16((temperature.0 / CENTIDEGREE_C).round() as i16)
+        PayloadWriter::new(ids::SCALED_PRESSURE)
+            .number::<u32>(millis32(stamp))
+            .f32s(&[absolute_hpa, differential_hpa])
+            .number::<i16>((temperature.0 / CENTIDEGREE_C).round() as i16)
             .extensions()
-            .i16(of_differential_cdeg_c)
-            .finish(version);
-        (ids::SCALED_PRESSURE, payload)
+            .number::<i16>(of_differential_cdeg_c)
+            .finish(version)
     } else {
-        let payload = writer.f32(temperature.0 as f32).text::<NAME_BYTES>(channel.as_str()).finish(version);
-        (ids::NAMED_VALUE_FLOAT, payload)
+        services::write_named_value(version, &NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
     }
 }

@@ -53,7 +53,6 @@ impl<C: Clock> PeerTable<C> {
         Self { timeout, peers: BTreeMap::new() }
     }
 
-    /// Any message keeps a known peer alive.
     pub(super) fn record_activity(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
             peer.last_seen = now;
