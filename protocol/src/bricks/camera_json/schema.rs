@@ -1,14 +1,6 @@
 //! Parses one line of a camera: JSON to values in SI units in the arena, or the error and its key.
 //!
-//! # Model
-//! ```text
-//! space "arena"   x_m, y_m, heading as they stand            counter-clockwise from x
-//! space "ned"     x_m north, y_m east, heading clockwise     x = y_m, y = x_m, heading = pi/2 - heading
-//! ```
-//! `serde_json` parses the JSON and limits its nesting.
-//!
-//! # Sources
-//! docs/protocols/camera-json.md; RFC 8259 (JSON).
+//! `serde_json` parses the JSON and limits its nesting. Sources: docs/protocols/camera-json.md; RFC 8259 (JSON).
 
 use std::ops::RangeInclusive;
 
@@ -56,10 +48,8 @@ const MAX_TIME_S: f64 = 9e9;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
     pub(super) camera: ChannelName,
-    /// Whether the camera makes a fix on request.
     pub(super) takes_requests: Option<bool>,
     pub(super) message: CameraMessage,
-    /// Unknown keys, made printable.
     pub(super) unknown: Vec<String>,
 }
 
@@ -83,7 +73,6 @@ pub(super) struct CameraFixMessage {
     pub(super) heading: Option<Heading>,
     /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
     pub(super) covariance: Option<[f64; 4]>,
-    /// In per cent.
     pub(super) quality: Option<f64>,
     pub(super) reset_counter: u8,
     /// `None` if the camera does not distinguish tags.

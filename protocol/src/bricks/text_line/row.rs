@@ -1,6 +1,7 @@
 //! Parses one line to values in SI units.
 
 use super::settings::{ChecksumPolicy, Column, ColumnSign, LineLayout, Quantity, Separator, TextLineSettings};
+use crate::message::WireStamp;
 
 /// Largest turn rate, rad/s: sixteen turns per second, beyond any gyro of such a board.
 const MAX_RAD_PER_S: f64 = 100.0;
@@ -14,18 +15,13 @@ const MAX_COUNT: i64 = 1 << 53;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BoardReading {
-    pub(super) time: Option<BoardTime>,
+    /// Of the board's own clock, 32 bits.
+    pub(super) time: Option<WireStamp>,
     pub(super) left: Option<i64>,
     pub(super) right: Option<i64>,
     pub(super) turn_rate_rad_per_s: Option<f64>,
     pub(super) range_m: Option<f64>,
     pub(super) temperature_c: Option<f64>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum BoardTime {
-    Millis(u32),
-    Micros(u32),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -165,8 +161,8 @@ impl BoardReading {
     /// Stores a value; `None` if it is not a valid number for its quantity.
     fn set(&mut self, column: Column, value: &str) -> Option<()> {
         match column.quantity {
-            Quantity::TimeMs => self.time = Some(BoardTime::Millis(counter(value)?)),
-            Quantity::TimeUs => self.time = Some(BoardTime::Micros(counter(value)?)),
+            Quantity::TimeMs => self.time = Some(WireStamp::Millis32(counter(value)?)),
+            Quantity::TimeUs => self.time = Some(WireStamp::Micros32(counter(value)?)),
             Quantity::LeftTicks => self.left = Some(count(value, column.sense)?),
             Quantity::RightTicks => self.right = Some(count(value, column.sense)?),
             Quantity::GyroDegPerS => {
