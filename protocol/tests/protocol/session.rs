@@ -438,18 +438,6 @@ fn values_sent_until(session: &mut Session<HostClock>, end_ms: i64) -> Vec<(i64,
 }
 
 #[test]
-fn a_request_during_a_running_list_completes_it_without_speeding_it_up() {
-    let mut session = owner();
-    session.handle(at(0), GCS, &LIST);
-    assert_eq!(values_sent_until(&mut session, 25), [(0, 0), (20, 1)]);
-    session.handle(at(25), Address::new(254, 190), &LIST);
-    assert_eq!(values_sent_until(&mut session, 85), [(40, 2), (60, 0), (80, 1)]);
-    // A list that has just ended does not begin again at once.
-    session.handle(at(85), GCS, &LIST);
-    assert_eq!(values_sent_until(&mut session, 1_000), [(100, 0), (120, 1), (140, 2)]);
-}
-
-#[test]
 fn a_clock_that_is_set_back_does_not_hold_a_list_up() {
     let mut session = owner();
     session.handle(at(3_600_000), GCS, &LIST);
