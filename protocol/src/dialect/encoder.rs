@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use mavlink_core::utils::remove_trailing_zeroes;
 use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
+use super::services::PARAM_TYPE_REAL32;
 use super::{posebridge, poses, sensors, services};
 use crate::framing::{FrameHeader, START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
@@ -54,14 +56,21 @@ impl Encoder {
     }
 
     fn write(&mut self, from: Address, message: &Message, seal: Option<&FrameSigner<'_>>, out: &mut Vec<u8>) -> usize {
-        let Some(payload) = payload_of(self.version, message) else {
+        let Some(payload) = payload_of(message) else {
             return 0;
         };
         let message_id = payload.message_id;
         let Some(shape) = CATALOGUE.layout(message_id) else {
             return 0;
         };
-        let payload = payload.bytes();
+        let payload = match self.version {
+            // Without extension fields, and with the zeros at its end.
+            WireVersion::V1 => &payload.bytes[..usize::from(shape.max_len_v1)],
+            WireVersion::V2 => {
+                let len = remove_trailing_zeroes(&payload.bytes[..usize::from(shape.max_len_v2)]);
+                &payload.bytes[..len]
+            }
+        };
         let [id0, id1, id2, _] = message_id.to_le_bytes();
         let start = out.len();
         out.reserve(payload.len() + MAX_FRAME_OVERHEAD);
@@ -115,57 +124,52 @@ impl Encoder {
 }
 
 /// `None` where the dialects have no such message.
-fn payload_of(version: WireVersion, message: &Message) -> Option<Payload> {
+fn payload_of(message: &Message) -> Option<Payload> {
     Some(match message {
-        Message::WheelTicks(ticks) => posebridge::write_ticks(version, ticks),
-        Message::Inertial(inertial) => posebridge::write_inertial(version, inertial),
-        Message::PlanarPose(pose) => posebridge::write_pose(version, pose),
-        Message::FusionHealth(health) => posebridge::write_health(version, health),
-        Message::RobotDescription(robot) => posebridge::write_robot(version, robot),
-        Message::Heartbeat(heartbeat) => services::write_heartbeat(version, *heartbeat),
-        Message::SystemTime { unix_micros, since_boot } => {
-            services::write_system_time(version, *unix_micros, *since_boot)
+        Message::WheelTicks(ticks) => posebridge::write_ticks(ticks),
+        Message::Inertial(inertial) => posebridge::write_inertial(inertial),
+        Message::PlanarPose(pose) => posebridge::write_pose(pose),
+        Message::FusionHealth(health) => posebridge::write_health(health),
+        Message::RobotDescription(robot) => posebridge::write_robot(robot),
+        Message::Heartbeat(heartbeat) => services::write_heartbeat(*heartbeat),
+        Message::SystemTime { unix_micros, since_boot } => services::write_system_time(*unix_micros, *since_boot),
+        Message::TimeSync(sync) => services::write_time_sync(sync),
+        Message::SetMessageInterval(request) => services::write_interval(request),
+        Message::Command(command) => services::write_command(command),
+        Message::CommandInt(command) => services::write_command_int(command),
+        Message::CommandAck(ack) => services::write_ack(*ack),
+        Message::StatusText { severity, text, part } => services::write_status_text(*severity, text, *part),
+        Message::ParamRequestList { target } => services::write_param_request_list(*target),
+        Message::ParamRequestRead { target, name, index } => services::write_param_request_read(*target, name, *index),
+        Message::ParamSet { target, name, value } => {
+            services::write_param_set(*target, name, *value, PARAM_TYPE_REAL32)
         }
-        Message::TimeSync(sync) => services::write_time_sync(version, sync),
-        Message::SetMessageInterval(request) => services::write_interval(version, request),
-        Message::Command(command) => services::write_command(version, command),
-        Message::CommandInt(command) => services::write_command_int(version, command),
-        Message::CommandAck(ack) => services::write_ack(version, *ack),
-        Message::StatusText { severity, text, part } => services::write_status_text(version, *severity, text, *part),
-        Message::ParamRequestList { target } => services::write_param_request_list(version, *target),
-        Message::ParamRequestRead { target, name, index } => {
-            services::write_param_request_read(version, *target, name, *index)
-        }
-        Message::ParamSet { target, name, value } => services::write_param_set(version, *target, name, *value),
-        Message::ParamSetUnsupported { target, name, kind } => {
-            services::write_param_set_unsupported(version, *target, name, *kind)
-        }
-        Message::ParamValue { name, value, count, index } => {
-            services::write_param_value(version, name, *value, *count, *index)
-        }
-        Message::AutopilotVersion(message) => services::write_autopilot_version(version, *message),
-        Message::ProtocolVersion(message) => services::write_protocol_version(version, *message),
-        Message::ComponentInformation(message) => services::write_component_information(version, message),
-        Message::MessageInterval(message) => services::write_message_interval(version, *message),
-        Message::NamedValue(message) => services::write_named_value(version, message),
-        Message::FloatArray(message) => services::write_float_array(version, message),
-        Message::WheelDistance { stamp, left, right } => sensors::write_wheel_distance(version, *stamp, *left, *right),
-        Message::ScaledImu(imu) => sensors::write_scaled(version, imu),
-        Message::HighresImu(imu) => sensors::write_highres(version, imu),
-        Message::DistanceSensor { stamp, range, sigma } => sensors::write_distance(version, *stamp, *range, *sigma),
+        // The value has an unreadable type, so none is written.
+        Message::ParamSetUnsupported { target, name, kind } => services::write_param_set(*target, name, 0.0, *kind),
+        Message::ParamValue { name, value, count, index } => services::write_param_value(name, *value, *count, *index),
+        Message::AutopilotVersion(message) => services::write_autopilot_version(*message),
+        Message::ProtocolVersion(message) => services::write_protocol_version(*message),
+        Message::ComponentInformation(message) => services::write_component_information(message),
+        Message::MessageInterval(message) => services::write_message_interval(*message),
+        Message::NamedValue(message) => services::write_named_value(message),
+        Message::FloatArray(message) => services::write_float_array(message),
+        Message::WheelDistance { stamp, left, right } => sensors::write_wheel_distance(*stamp, *left, *right),
+        Message::ScaledImu(imu) => sensors::write_scaled(imu),
+        Message::HighresImu(imu) => sensors::write_highres(imu),
+        Message::DistanceSensor { stamp, range, sigma } => sensors::write_distance(*stamp, *range, *sigma),
         Message::Thermometer { stamp, channel, temperature } => {
-            sensors::write_thermometer(version, *stamp, channel, *temperature)
+            sensors::write_thermometer(*stamp, channel, *temperature)
         }
         // The dialects have none; it comes from bricks with protocols of their own.
         Message::Compass { .. } => return None,
-        Message::VisionPosition(fix) => poses::write_vision(version, fix),
-        Message::MocapPosition(fix) => poses::write_mocap(version, fix),
-        Message::Odometry(odometry) => poses::write_odometry(version, odometry),
+        Message::VisionPosition(fix) => poses::write_vision(fix),
+        Message::MocapPosition(fix) => poses::write_mocap(fix),
+        Message::Odometry(odometry) => poses::write_odometry(odometry),
         Message::LocalPosition { stamp, x, y, x_speed, y_speed } => {
-            poses::write_local_position(version, *stamp, *x, *y, *x_speed, *y_speed)
+            poses::write_local_position(*stamp, *x, *y, *x_speed, *y_speed)
         }
-        Message::Attitude { stamp, heading, turn_rate } => poses::write_attitude(version, *stamp, *heading, *turn_rate),
-        Message::EstimatorStatus(status) => poses::write_estimator_status(version, status),
+        Message::Attitude { stamp, heading, turn_rate } => poses::write_attitude(*stamp, *heading, *turn_rate),
+        Message::EstimatorStatus(status) => poses::write_estimator_status(status),
     })
 }
 

@@ -1,4 +1,4 @@
-//! Encoding of payloads: little-endian, trailing zeros and extension fields, for any message; and why a payload is refused.
+//! The fields of payloads, little-endian, for any message; and why a payload is refused.
 //!
 //! Messages without enumerations use the generated types. Those with enumerations are read and written field by field
 //! in wire order, because the generated code rejects a whole message for one value that its XML does not list, and an
@@ -8,35 +8,52 @@ use mavlink_core::{MavlinkVersion, MessageData};
 use num_traits::{FromBytes, ToBytes};
 use posebridge_telemetry::Address;
 
-use crate::framing::WireVersion;
 use crate::message::{Message, WireStamp};
 
 pub(super) const MAX_PAYLOAD: usize = 255;
 
+/// The fields of a message in wire order; fields at its end that are not written are zero.
 #[derive(Debug)]
 pub(super) struct Payload {
     pub(super) message_id: u32,
-    bytes: [u8; MAX_PAYLOAD],
+    pub(super) bytes: [u8; MAX_PAYLOAD],
     len: usize,
 }
 
 impl Payload {
-    pub(super) fn bytes(&self) -> &[u8] {
-        &self.bytes[..self.len]
+    pub(super) const fn new(message_id: u32) -> Self {
+        Self { message_id, bytes: [0; MAX_PAYLOAD], len: 0 }
     }
 
-    /// Encodes a generated message; truncates trailing zeros in version 2, extensions in version 1.
-    pub(super) fn encode<D: MessageData>(version: WireVersion, data: &D) -> Self {
-        let mut bytes = [0; MAX_PAYLOAD];
-        let len = data.ser(mavlink_version(version), &mut bytes);
-        Self { message_id: D::ID, bytes, len }
+    /// Encodes a generated message.
+    pub(super) fn encode<D: MessageData>(data: &D) -> Self {
+        let mut payload = Self::new(D::ID);
+        payload.len = data.ser(MavlinkVersion::V2, &mut payload.bytes);
+        payload
     }
-}
 
-const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
-    match version {
-        WireVersion::V1 => MavlinkVersion::V1,
-        WireVersion::V2 => MavlinkVersion::V2,
+    /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
+    pub(super) fn raw(mut self, bytes: &[u8]) -> Self {
+        self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
+        self.len += bytes.len();
+        self
+    }
+
+    /// Little-endian.
+    pub(super) fn number<T: ToBytes + Copy>(self, value: T) -> Self {
+        self.raw(value.to_le_bytes().as_ref())
+    }
+
+    pub(super) fn f32s(self, values: &[f32]) -> Self {
+        values.iter().fold(self, |payload, value| payload.number::<f32>(*value))
+    }
+
+    pub(super) fn text<const N: usize>(self, text: &str) -> Self {
+        self.raw(&text_to::<N>(text))
+    }
+
+    pub(super) fn address(self, address: Address) -> Self {
+        self.raw(&[address.system.0, address.component.0])
     }
 }
 
@@ -90,59 +107,6 @@ impl<'a> PayloadReader<'a> {
     pub(super) fn address(&mut self) -> Address {
         let [system, component] = self.bytes();
         Address::new(system, component)
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct PayloadWriter {
-    message_id: u32,
-    bytes: [u8; MAX_PAYLOAD],
-    len: usize,
-    /// Offset of the extension fields, if there are any.
-    base_len: Option<usize>,
-}
-
-impl PayloadWriter {
-    pub(super) const fn new(message_id: u32) -> Self {
-        Self { message_id, bytes: [0; MAX_PAYLOAD], len: 0, base_len: None }
-    }
-
-    /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
-    pub(super) fn raw(mut self, bytes: &[u8]) -> Self {
-        self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
-        self.len += bytes.len();
-        self
-    }
-
-    /// Little-endian.
-    pub(super) fn number<T: ToBytes + Copy>(self, value: T) -> Self {
-        self.raw(value.to_le_bytes().as_ref())
-    }
-
-    pub(super) fn f32s(self, values: &[f32]) -> Self {
-        values.iter().fold(self, |writer, value| writer.number::<f32>(*value))
-    }
-
-    pub(super) fn text<const N: usize>(self, text: &str) -> Self {
-        self.raw(&text_to::<N>(text))
-    }
-
-    pub(super) fn address(self, address: Address) -> Self {
-        self.raw(&[address.system.0, address.component.0])
-    }
-
-    /// The following fields are extensions: version 1 does not carry them.
-    pub(super) fn extensions(mut self) -> Self {
-        self.base_len = Some(self.len);
-        self
-    }
-
-    pub(super) fn finish(self, version: WireVersion) -> Payload {
-        let len = match version {
-            WireVersion::V1 => self.base_len.unwrap_or(self.len),
-            WireVersion::V2 => mavlink_core::utils::remove_trailing_zeroes(&self.bytes[..self.len.max(1)]),
-        };
-        Payload { message_id: self.message_id, bytes: self.bytes, len }
     }
 }
 

@@ -18,9 +18,8 @@ use super::frames::{
 };
 use super::ids;
 use super::payload::{
-    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+    Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
-use crate::framing::WireVersion;
 use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
 
 /// MAV_FRAME values of ODOMETRY.
@@ -57,19 +56,14 @@ pub(super) fn attitude(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn write_attitude(
-    version: WireVersion,
-    stamp: WireStamp,
-    heading: Heading,
-    turn_rate: RadiansPerSecond,
-) -> Payload {
+pub(super) fn write_attitude(stamp: WireStamp, heading: Heading, turn_rate: RadiansPerSecond) -> Payload {
     let data = ATTITUDE_DATA {
         time_boot_ms: millis32(stamp),
         yaw: yaw_from_heading(heading) as f32,
         yawspeed: negate(turn_rate.0) as f32,
         ..ATTITUDE_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn local_position(payload: &[u8]) -> Decoded {
@@ -86,7 +80,6 @@ pub(super) fn local_position(payload: &[u8]) -> Decoded {
 
 /// `x` and `y` are the arena's, east and north.
 pub(super) fn write_local_position(
-    version: WireVersion,
     stamp: WireStamp,
     x: Meters,
     y: Meters,
@@ -101,7 +94,7 @@ pub(super) fn write_local_position(
         vy: x_speed.0 as f32,
         ..LOCAL_POSITION_NED_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn vision_position(payload: &[u8]) -> Decoded {
@@ -118,7 +111,7 @@ pub(super) fn vision_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_vision(fix: &VisionFix) -> Payload {
     let data = VISION_POSITION_ESTIMATE_DATA {
         usec: micros64(fix.stamp),
         x: fix.y.0 as f32,
@@ -128,7 +121,7 @@ pub(super) fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
         reset_counter: fix.reset_counter,
         ..VISION_POSITION_ESTIMATE_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 /// ATT_POS_MOCAP has no reset counter: it reads as 0.
@@ -146,7 +139,7 @@ pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_mocap(fix: &VisionFix) -> Payload {
     let data = ATT_POS_MOCAP_DATA {
         time_usec: micros64(fix.stamp),
         q: fix.heading.map_or([f32::NAN; 4], |heading| quaternion(yaw_from_heading(heading))),
@@ -155,7 +148,7 @@ pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
         z: 0.0,
         covariance: fix_triangle(fix.covariance),
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn odometry(payload: &[u8]) -> Decoded {
@@ -232,7 +225,7 @@ const fn unknown_frame(frame: u8) -> PayloadError {
     PayloadError::UnknownFrame { message_id: ids::ODOMETRY, frame }
 }
 
-pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
+pub(super) fn write_odometry(odometry: &Odometry) -> Payload {
     let (frame, wire, covariance) = match odometry.pose {
         OdometryPose::Arena(pose) => {
             (frame::LOCAL_NED, turn_ned(planar_from(pose)), odometry.covariance.map(turn_ned_covariance))
@@ -241,7 +234,7 @@ pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Paylo
             (frame::LOCAL_FRD, turn_frd(planar_from(pose)), odometry.covariance.map(turn_frd_covariance))
         }
     };
-    PayloadWriter::new(ids::ODOMETRY)
+    Payload::new(ids::ODOMETRY)
         .number::<u64>(micros64(odometry.stamp))
         .f32s(&[wire.x as f32, wire.y as f32, 0.0])
         .f32s(&quaternion(wire.angle))
@@ -251,11 +244,9 @@ pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Paylo
         .f32s(&triangle(None))
         .number::<u8>(frame)
         .number::<u8>(frame::BODY_FRD)
-        .extensions()
         .number::<u8>(odometry.reset_counter)
         .number::<u8>(ESTIMATOR_UNKNOWN)
         .number::<i8>(odometry.quality)
-        .finish(version)
 }
 
 fn planar_from<S>(pose: Pose<S>) -> PlanarPoint {
@@ -282,7 +273,7 @@ pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
 }
 
 /// A position by dead reckoning is "relative" and not "absolute". There is no flag for "predicted".
-pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
+pub(super) fn write_estimator_status(status: &EstimatorStatus) -> Payload {
     let valid = status.flags;
     let mut flags = EstimatorStatusFlags::empty();
     flags.set(EstimatorStatusFlags::ESTIMATOR_ATTITUDE, valid.heading_valid);
@@ -296,7 +287,7 @@ pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorSta
         flags,
         ..ESTIMATOR_STATUS_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 fn heading_from_yaw(yaw_rad: f64) -> Heading {
@@ -333,20 +324,16 @@ mod tests {
     /// The payload of a pose in the arena, with some of its bytes replaced.
     fn decoded(changes: &[(usize, u8)]) -> Result<Odometry, PayloadError> {
         let pose = Pose::<Arena>::new(Meters(1.0), Meters(2.0), Heading::from_rad(0.25));
-        let payload = write_odometry(
-            WireVersion::V2,
-            &Odometry {
-                stamp: WireStamp::Micros64(7),
-                pose: OdometryPose::Arena(pose),
-                forward_speed: MetersPerSecond(0.0),
-                turn_rate: RadiansPerSecond(0.0),
-                covariance: None,
-                reset_counter: 9,
-                quality: 80,
-            },
-        );
-        let mut bytes = [0; 255];
-        bytes[..payload.bytes().len()].copy_from_slice(payload.bytes());
+        let payload = write_odometry(&Odometry {
+            stamp: WireStamp::Micros64(7),
+            pose: OdometryPose::Arena(pose),
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance: None,
+            reset_counter: 9,
+            quality: 80,
+        });
+        let mut bytes = payload.bytes;
         for (offset, byte) in changes {
             bytes[*offset] = *byte;
         }

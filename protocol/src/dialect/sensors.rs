@@ -7,10 +7,9 @@ use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared,
 
 use super::frames::negate;
 use super::payload::{
-    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+    Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
 use super::{ids, services};
-use crate::framing::WireVersion;
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
@@ -52,10 +51,10 @@ pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn write_wheel_distance(version: WireVersion, stamp: WireStamp, left: Meters, right: Meters) -> Payload {
+pub(super) fn write_wheel_distance(stamp: WireStamp, left: Meters, right: Meters) -> Payload {
     let mut distance = [0.0; 16];
     (distance[0], distance[1]) = (left.0, right.0);
-    Payload::encode(version, &WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
+    Payload::encode(&WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
 }
 
 pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
@@ -68,7 +67,7 @@ pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
 }
 
 /// SCALED_IMU has no value for "missing": zero is written.
-pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_scaled(imu: &PlanarImu) -> Payload {
     let turn_rate = imu.turn_rate.unwrap_or_default();
     let acceleration = imu.forward_acceleration.unwrap_or_default();
     let data = SCALED_IMU_DATA {
@@ -77,7 +76,7 @@ pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
         zgyro: (negate(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
         ..SCALED_IMU_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
@@ -92,7 +91,7 @@ pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_highres(imu: &PlanarImu) -> Payload {
     // Not the generated default: that is the first flag, not the empty set.
     let mut fields_updated = HighresImuUpdatedFlags::empty();
     fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO, imu.turn_rate.is_some());
@@ -104,7 +103,7 @@ pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
         fields_updated,
         ..HIGHRES_IMU_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 /// Forward-looking ranges inside the sensor's own limits; others are not used.
@@ -131,7 +130,7 @@ pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     })
 }
 
-pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
+pub(super) fn write_distance(stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
     let variance_cm2 = sigma.map_or(VARIANCE_UNKNOWN, |sigma| {
         let variance = (sigma.0 / CENTIMETER_M).powi(2).round();
         variance.clamp(0.0, f64::from(VARIANCE_UNKNOWN - 1)) as u8
@@ -140,7 +139,7 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
     // One below the limit: a range at the limit means that nothing was seen.
     let current_cm = ((range.0 / CENTIMETER_M).round() as u16).min(max_cm - 1);
     let id = 0;
-    PayloadWriter::new(ids::DISTANCE_SENSOR)
+    Payload::new(ids::DISTANCE_SENSOR)
         .number::<u32>(millis32(stamp))
         .number::<u16>(min_cm)
         .number::<u16>(max_cm)
@@ -149,7 +148,6 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
         .number::<u8>(id)
         .number::<u8>(ORIENTATION_FORWARD)
         .number::<u8>(variance_cm2)
-        .finish(version)
 }
 
 /// Only the temperature; the pressures are not used.
@@ -191,22 +189,14 @@ fn check_temperature(message_id: u32, degrees_c: f64) -> Result<Celsius, Payload
     }
 }
 
-pub(super) fn write_thermometer(
-    version: WireVersion,
-    stamp: WireStamp,
-    channel: &ChannelName,
-    temperature: Celsius,
-) -> Payload {
+pub(super) fn write_thermometer(stamp: WireStamp, channel: &ChannelName, temperature: Celsius) -> Payload {
     if channel.as_str().as_bytes() == SCALED_PRESSURE_CHANNEL {
-        let (absolute_hpa, differential_hpa, of_differential_cdeg_c) = (0.0, 0.0, 0);
-        PayloadWriter::new(ids::SCALED_PRESSURE)
+        let (absolute_hpa, differential_hpa) = (0.0, 0.0);
+        Payload::new(ids::SCALED_PRESSURE)
             .number::<u32>(millis32(stamp))
             .f32s(&[absolute_hpa, differential_hpa])
             .number::<i16>((temperature.0 / CENTIDEGREE_C).round() as i16)
-            .extensions()
-            .number::<i16>(of_differential_cdeg_c)
-            .finish(version)
     } else {
-        services::write_named_value(version, &NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
+        services::write_named_value(&NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
     }
 }
