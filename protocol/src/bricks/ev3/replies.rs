@@ -278,11 +278,7 @@ mod tests {
         found
     }
 
-    /// A capture by QUT's robotics toolbox for the EV3: `hello!` for the mailbox `abc`.
-    const MAILBOX: [u8; 20] = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-        b'!', 0x00,
-    ];
+    const MAILBOX: [u8; 20] = *include_bytes!("../../../tests/data/ev3_mailbox.bin");
     const ANSWER: [u8; 9] = [7, 0, 7, 0, 2, 1, 2, 3, 4];
 
     #[test]

@@ -179,11 +179,7 @@ mod tests {
 
     #[test]
     fn a_message_for_a_mailbox_is_that_of_a_capture() {
-        // QUT's robotics toolbox for the EV3.
-        let captured = [
-            0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-            b'!', 0x00,
-        ];
+        let captured = include_bytes!("../../../tests/data/ev3_mailbox.bin");
         assert_eq!(encode_mailbox_write(1, "abc", b"hello!\0"), captured);
     }
 }

@@ -81,10 +81,7 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
 
 /// All events of a codec when the replies of a live session come in such chunks.
 fn decode_in_chunks(chunk: usize) -> Vec<RecordedEvent> {
-    let mailbox = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-        b'!', 0x00,
-    ];
+    let mailbox = include_bytes!("../../data/ev3_mailbox.bin");
     let mut brick = Ev3Double::default();
     let mut codec = codec(Ev3Settings::default());
     let mut now = Timestamp::ZERO;
