@@ -1,27 +1,18 @@
-//! Detects the protocol of a link from its bytes.
+//! Detects the protocol of a link from its bytes, to help people to set up a link; the station never chooses by it.
 //!
-//! Takes the bytes of some seconds, from any point of the stream; returns the protocol and the share of the bytes that
-//! it explains. It helps people to set up a link: nothing is decoded, and the station never chooses a protocol by it.
-//!
-//! # Model
 //! ```text
-//! protocol     detected by
 //! MAVLink 2    one frame with the right checksum
-//! MAVLink 1    two such frames, or one that is more than half of the bytes
+//! MAVLink 1    two such frames, or one that is more than half of the bytes: noise gives three in 20 MB
 //! NMEA 0183    one sentence with the right checksum
 //! EV3, NXT     lengths lead from telegram to telegram to the end
 //! text         19 of 20 bytes printable ASCII or white space, and a line end
-//! noise        none of these
 //! ```
-//! The first row that fits is the result. MAVLink 1 needs more because its start byte and checksum alone let noise
-//! through: three false frames in 20 MB of random bytes. The bricks' telegrams have neither start byte nor checksum, so only
-//! those that a brick sends are considered.
+//! The first row that fits is the result. Only telegrams that a brick sends are considered.
 //!
 //! # Sources
-//! MAVLink: [`crate::framing`]. NMEA 0183: `$`, text, `*` and the exclusive or of the text as two hexadecimal digits,
-//! at most 82 characters. NXT: LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (length, little-endian, excludes itself) and
-//! appendix 2 (reply 02, opcode, status; message write 80 09). EV3: LEGO MINDSTORMS EV3 Communication Developer Kit, section 3
-//! (length, message counter, reply type; system command 81 9E writes a mailbox).
+//! NMEA 0183: `$`, text, `*` and the exclusive or of the text as two hexadecimal digits, at most 82 characters. LEGO
+//! MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (length) and 2 (reply 02, opcode, status; message write 80 09); EV3
+//! Communication Developer Kit, section 3 (length, message counter, reply type; system command 81 9E writes a mailbox).
 
 use posebridge_telemetry::Timestamp;
 
@@ -117,11 +108,9 @@ fn text_protocol(bytes: &[u8]) -> Protocol {
 pub enum Protocol {
     Mavlink2,
     Mavlink1,
-    /// NXT telegrams over Bluetooth, each with its length before it.
     Nxt,
     /// EV3 telegrams, or the brick's announcement by UDP.
     Ev3,
-    /// NMEA 0183 sentences, as from satellite receivers.
     Nmea,
     Text,
     /// Another protocol, or the wrong baud rate.
@@ -159,7 +148,6 @@ impl Protocol {
         matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea)
     }
 
-    /// False for noise and silence.
     pub const fn is_known(self) -> bool {
         !matches!(self, Self::Unrecognized | Self::NoData)
     }
@@ -175,7 +163,6 @@ pub struct ProtocolDetection {
     pub frame_bytes: usize,
 }
 
-/// Whole units of one protocol among the bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct UnitCounts {
     pub(super) frames: usize,
@@ -209,7 +196,6 @@ type TelegramPredicate = fn(&[u8]) -> bool;
 /// The predicates exclude each other.
 const TELEGRAM_KINDS: &[(Protocol, TelegramPredicate)] = &[(Protocol::Ev3, is_of_ev3), (Protocol::Nxt, is_of_nxt)];
 
-/// The protocol whose telegrams fill the bytes.
 fn detect_telegrams(bytes: &[u8]) -> Option<(Protocol, UnitCounts)> {
     for skipped in 0..bytes.len().min(MAX_SKIPPED) {
         let rest = bytes.get(skipped..).unwrap_or_default();

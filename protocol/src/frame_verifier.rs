@@ -102,7 +102,6 @@ impl FrameVerifier {
         }
     }
 
-    /// Counters per sender, in the order of addresses.
     pub fn source_health(&self) -> Vec<SourceHealth> {
         let mut sources = self.closed_sources.clone();
         for sequences in self.present.values().chain(self.suspended.values()) {
@@ -126,7 +125,6 @@ impl FrameVerifier {
         self.signer.as_ref().map(|signer| signer.state(now))
     }
 
-    /// Number of signed streams that were new.
     pub fn signing_stream_count(&self) -> u64 {
         self.signer.as_ref().map_or(0, LinkSigner::streams_seen)
     }
@@ -175,7 +173,6 @@ mod tests {
         frames
     }
 
-    /// The verifier's result for each frame of a peer.
     fn verify(verifier: &mut FrameVerifier, peer: PeerId, frames: &[Vec<u8>]) -> Vec<Result<u32, SignatureError>> {
         let mut verdicts = Vec::new();
         let mut framer = Framer::new(FramerConfig::default());

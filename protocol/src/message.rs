@@ -20,16 +20,13 @@ pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
 /// A message in either direction between station, brick and camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
-    /// HEARTBEAT (0).
     Heartbeat(Heartbeat),
     /// SYSTEM_TIME (2): a fall of the time since boot means a restart.
     SystemTime {
         /// 0 if unknown.
         unix_micros: u64,
-        /// In milliseconds.
         since_boot: WireStamp,
     },
-    /// TIMESYNC (111).
     TimeSync(TimeSync),
     /// COMMAND_LONG (76) with MAV_CMD_SET_MESSAGE_INTERVAL (511).
     SetMessageInterval(SetMessageInterval),
@@ -37,7 +34,6 @@ pub enum Message {
     Command(CommandLong),
     /// COMMAND_INT (75) with any command.
     CommandInt(CommandInt),
-    /// COMMAND_ACK (77).
     CommandAck(CommandAck),
     /// STATUSTEXT (253), one chunk.
     StatusText {
@@ -47,27 +43,17 @@ pub enum Message {
         text: String,
         part: TextPart,
     },
-    /// AUTOPILOT_VERSION (148).
     AutopilotVersion(AutopilotVersion),
-    /// PROTOCOL_VERSION (300).
     ProtocolVersion(ProtocolVersion),
-    /// COMPONENT_INFORMATION_BASIC (396).
     ComponentInformation(ComponentInformation),
-    /// MESSAGE_INTERVAL (244).
     MessageInterval(MessageInterval),
     /// NAMED_VALUE_FLOAT (251), except temperatures: those are [`Self::Thermometer`].
     NamedValue(NamedValue),
-    /// DEBUG_FLOAT_ARRAY (350).
     FloatArray(FloatArray),
-    /// PB_WHEEL_TICKS (own dialect).
     WheelTicks(WheelTicks),
-    /// PB_INERTIAL (own dialect).
     Inertial(Inertial),
-    /// PB_PLANAR_POSE (own dialect).
     PlanarPose(PlanarPose),
-    /// PB_FUSION_HEALTH (own dialect).
     FusionHealth(FusionHealth),
-    /// PB_ROBOT_DESCRIPTION (own dialect).
     RobotDescription(RobotDescription),
     /// WHEEL_DISTANCE (9000), first two wheels: distance since boot.
     WheelDistance {
@@ -90,7 +76,6 @@ pub enum Message {
     /// SCALED_PRESSURE (29), only the temperature; its channel is [`SCALED_PRESSURE_CHANNEL`]. NAMED_VALUE_FLOAT (251)
     /// with a name that begins with `temp`, in degrees Celsius.
     Thermometer {
-        /// Time since the sender's boot.
         stamp: WireStamp,
         /// At most ten bytes on the wire.
         channel: ChannelName,
@@ -106,34 +91,28 @@ pub enum Message {
     VisionPosition(VisionFix),
     /// ATT_POS_MOCAP (138): a fix from outside, of the body's origin.
     MocapPosition(VisionFix),
-    /// ODOMETRY (331).
     Odometry(Odometry),
     /// LOCAL_POSITION_NED (32), the planar parts.
     LocalPosition {
-        /// Time since the sender's boot.
         stamp: WireStamp,
         /// East in the arena; `y` is north.
         x: Meters,
         y: Meters,
         /// Along the arena's x.
         x_speed: MetersPerSecond,
-        /// Along the arena's y.
         y_speed: MetersPerSecond,
     },
     /// ATTITUDE (30), the planar parts.
     Attitude {
-        /// Time since the sender's boot.
         stamp: WireStamp,
-        /// In the arena.
         heading: Heading,
         /// Counter-clockwise positive.
         turn_rate: RadiansPerSecond,
     },
-    /// ESTIMATOR_STATUS (230).
     EstimatorStatus(EstimatorStatus),
-    /// PARAM_REQUEST_LIST (21).
-    ParamRequestList { target: Address },
-    /// PARAM_REQUEST_READ (20).
+    ParamRequestList {
+        target: Address,
+    },
     ParamRequestRead {
         target: Address,
         /// At most 16 bytes; empty in a request by index.
@@ -144,21 +123,18 @@ pub enum Message {
     /// PARAM_SET (23), real-valued.
     ParamSet {
         target: Address,
-        /// At most 16 bytes.
         name: String,
         value: f32,
     },
     /// PARAM_SET (23) of a type that does not fit into 32 bits or does not exist. The sender gets the present value.
     ParamSetUnsupported {
         target: Address,
-        /// At most 16 bytes.
         name: String,
         /// MAV_PARAM_TYPE of the value.
         kind: u8,
     },
     /// PARAM_VALUE (22), real-valued.
     ParamValue {
-        /// At most 16 bytes.
         name: String,
         value: f32,
         count: u16,
@@ -230,6 +206,13 @@ pub struct Heartbeat {
     pub system_status: u8,
 }
 
+impl Heartbeat {
+    /// An active robot.
+    pub const ROVER: Self = Self { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
+    /// An active camera.
+    pub const CAMERA: Self = Self { vehicle_type: 30, autopilot: 8, ..Self::ROVER };
+}
+
 /// A time request or its reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeSync {
@@ -298,15 +281,12 @@ pub struct CommandInt {
     pub target: Address,
     /// MAV_FRAME of the coordinates.
     pub frame: u8,
-    /// MAV_CMD, supported or not.
     pub command: u16,
-    /// The first four parameters.
     pub params: [f32; 4],
     /// The fifth parameter: metres times 10^4 in a local frame, degrees of latitude times 10^7 in a global one,
     /// unscaled in other frames. `y` is the sixth, in the same way.
     pub x: i32,
     pub y: i32,
-    /// The seventh parameter.
     pub z: f32,
 }
 
@@ -355,18 +335,15 @@ pub struct CommandAck {
     pub command: u16,
     /// MAV_RESULT: 0 accepted, 2 denied, 3 unsupported, 4 failed.
     pub result: u8,
-    /// `None` on the wire is 0/0.
     pub target: Option<Address>,
 }
 
 /// Total encoder counts of both wheels, forward positive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WheelTicks {
-    /// When the counts were read.
     pub stamp: WireStamp,
     /// 32 bits on the wire, wraps.
     pub left: EncoderTicks,
-    /// 32 bits on the wire, wraps.
     pub right: EncoderTicks,
 }
 
@@ -381,6 +358,12 @@ pub struct Inertial {
     pub turn: Option<Radians>,
     /// Forward acceleration at the left and at the right wheel.
     pub wheel_accelerations: Option<(MetersPerSecondSquared, MetersPerSecondSquared)>,
+}
+
+impl Inertial {
+    pub(crate) const fn empty(stamp: WireStamp) -> Self {
+        Self { stamp, turn_rate: None, turn: None, wheel_accelerations: None }
+    }
 }
 
 /// The planar parts of an inertial measurement unit.
@@ -411,6 +394,14 @@ pub struct PlanarPose {
     pub reset_counter: u8,
     /// The valid parts.
     pub flags: PoseFlags,
+}
+
+impl PlanarPose {
+    /// The larger of the standard deviations of x and y; NaN if there is none.
+    pub fn position_sigma_m(&self) -> f64 {
+        let [xx_m2, _, _, yy_m2, ..] = self.covariance;
+        xx_m2.max(yy_m2).sqrt()
+    }
 }
 
 /// The valid parts of a [`PlanarPose`].
@@ -489,13 +480,10 @@ pub struct VisionFix {
 pub struct Odometry {
     pub stamp: WireStamp,
     pub pose: OdometryPose,
-    /// Along the body's x axis.
     pub forward_speed: MetersPerSecond,
-    /// About the vertical.
     pub turn_rate: RadiansPerSecond,
     /// As in [`PlanarPose::covariance`], if known.
     pub covariance: Option<[f64; 6]>,
-    /// Counts jumps that are not motion.
     pub reset_counter: u8,
     /// In per cent from 1; 0 unset, -1 failed.
     pub quality: i8,
@@ -514,7 +502,6 @@ pub enum OdometryPose {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EstimatorStatus {
     pub stamp: WireStamp,
-    /// The valid parts.
     pub flags: PoseFlags,
     /// Horizontal position innovation test ratio: NIS over gate.
     pub position_ratio: f64,
@@ -534,11 +521,8 @@ pub struct AutopilotVersion {
 /// PROTOCOL_VERSION (300), in hundredths: MAVLink 2 is 200.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProtocolVersion {
-    /// The version in use.
     pub version: u16,
-    /// The oldest supported version.
     pub min_version: u16,
-    /// The newest supported version.
     pub max_version: u16,
 }
 
@@ -547,11 +531,9 @@ pub struct ProtocolVersion {
 pub struct ComponentInformation {
     /// MAV_PROTOCOL_CAPABILITY bits.
     pub capabilities: u64,
-    /// Time since the sender's boot.
     pub stamp: WireStamp,
     /// At most 31 bytes.
     pub vendor: String,
-    /// At most 31 bytes.
     pub model: String,
     /// At most 23 bytes, as major.minor.patch.
     pub software_version: String,
@@ -569,18 +551,15 @@ pub struct MessageInterval {
 /// NAMED_VALUE_FLOAT (251) that is no temperature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NamedValue {
-    /// Time since the sender's boot.
     pub stamp: WireStamp,
     /// At most ten bytes on the wire.
     pub name: ChannelName,
-    /// In the unit that its name stands for.
     pub value: f32,
 }
 
 /// DEBUG_FLOAT_ARRAY (350).
 #[derive(Clone, Debug, PartialEq)]
 pub struct FloatArray {
-    /// Time since the sender's boot.
     pub stamp: WireStamp,
     /// At most ten bytes on the wire.
     pub name: ChannelName,

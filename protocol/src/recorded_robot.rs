@@ -19,10 +19,6 @@ use crate::session::{Session, SessionConfig, SessionOutput};
 
 /// The player's address: a robot's own component.
 pub const ADDRESS: Address = Address::new(1, 1);
-const GROUND_ROVER: u8 = 10;
-const ACTIVE: u8 = 4;
-const HEARTBEAT: Heartbeat =
-    Heartbeat { vehicle_type: GROUND_ROVER, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 /// The simulated brick's period: a station that connects later needs the geometry.
 const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -61,7 +57,7 @@ impl RecordedRobot {
     pub fn new(start: Timestamp<BrickClock>, geometry: DriveGeometry, name: &str) -> Self {
         let config = SessionConfig {
             own: ADDRESS,
-            heartbeat: HEARTBEAT,
+            heartbeat: Heartbeat::ROVER,
             heartbeat_period: HEARTBEAT_PERIOD,
             timesync_period: None,
             peer_timeout: PEER_TIMEOUT,
@@ -94,7 +90,7 @@ impl RecordedRobot {
     /// Sends the heartbeat, for a station that replies only to known senders, or that has just connected.
     pub fn send_heartbeat_now(&mut self) {
         self.last_description = self.now;
-        self.encode(&Message::Heartbeat(HEARTBEAT));
+        self.encode(&Message::Heartbeat(Heartbeat::ROVER));
         let description = self.description.clone();
         self.encode(&Message::RobotDescription(description));
     }

@@ -1,17 +1,10 @@
-//! Statistics of a recording or a link: by sender, by message, in time.
+//! Statistics of a recording or a link: by sender, by message, in time; the results of `posebridge inspect`.
 //!
-//! Takes verified frames, with their arrival times if those are known; the results are those of `posebridge inspect`.
-//! Decodes only timestamps.
-//!
-//! # Model
 //! ```text
 //! rate    = (frames - 1) / (last - first)         the frames of a burst have no rate
-//! silence = time from one frame to the next       >= GAP: reported
 //! drift   = (change of stamp) / (change of arrival) - 1,  between the first and the last stamp that were decoded
 //! ```
-//! # Assumptions
-//! The link delays the first and the last timestamped message about alike: over ten seconds 10 ms of difference are
-//! 1000 ppm.
+//! The link delays the first and the last timestamped message about alike: over ten seconds 10 ms of difference are 1000 ppm.
 
 use std::collections::BTreeMap;
 
@@ -64,7 +57,7 @@ impl MessageStatistics {
         Self {
             frames: self.frames + other.frames,
             bytes: self.bytes + other.bytes,
-            first: min_present(self.first, other.first),
+            first: [self.first, other.first].into_iter().flatten().min(),
             last: self.last.max(other.last),
             longest_silence: self.longest_silence.max(other.longest_silence),
         }
@@ -75,10 +68,6 @@ impl MessageStatistics {
         let elapsed_s = (self.last? - self.first?).as_secs_f64();
         (self.frames > 1 && elapsed_s > 0.0).then(|| (self.frames - 1) as f64 / elapsed_s)
     }
-}
-
-fn min_present(one: Option<Timestamp<HostClock>>, other: Option<Timestamp<HostClock>>) -> Option<Timestamp<HostClock>> {
-    [one, other].into_iter().flatten().min()
 }
 
 /// A sender's clock by the stamps of one message, the first with stamps that it sent.
@@ -127,7 +116,6 @@ pub struct SenderStatistics {
     /// `None` without stamps or arrival times.
     pub clock: Option<SenderClockStatistics>,
     last_sequence: u8,
-    /// Its numbers, if all were of one link.
     numbers: SequenceCounter,
     /// The only link of a log with this sender.
     only_link: Option<usize>,
@@ -374,7 +362,6 @@ mod tests {
     use crate::message::{Message, WireStamp};
     use posebridge_telemetry::Meters;
 
-    /// A message with a stamp.
     fn stamped(millis: u32) -> Message {
         Message::WheelDistance {
             stamp: WireStamp::Micros64(u64::from(millis) * 1_000),

@@ -1,9 +1,7 @@
 //! Wheel totals from motor counters that may be reset while the station runs.
 //!
-//! A program that starts or stops on a LEGO brick sets the counters of the motors to zero. That is no motion. Nor is a damaged byte in a
-//! telegram without a checksum. Both bricks whose counts are polled share this rule.
-//!
-//! # Model
+//! A program that starts or stops on a LEGO brick sets the counters of the motors to zero. That is no motion. Nor is a
+//! damaged byte in a telegram without a checksum.
 //! ```text
 //! dt           since the last sample that was accepted                        v: speed before, w: speed after
 //! reached      |change| <= fastest dt + margin                                of both wheels
@@ -17,18 +15,15 @@
 //!    where both reach it, and zeroed                                                            the less surprising of motion
 //!    and a beginning at zero: distance of the change from hull(0, v dt, w dt)
 //! ```
-//! What the wheels have turned since the counters were set to zero is motion.
-//!
-//! # What cannot be known
-//! Wheels that turn back against their speed in a silence, far, and to near where they began, look as if they had been set to
-//! zero; and counters that are set to zero while they are small look like motion: three to eight counts at 30 ms, 1 to
-//! 4 mm with wheels of 56 mm.
+//! What the wheels have turned since the counters were set to zero is motion. Counters that are set to zero while they are
+//! small look like motion: three to eight counts at 30 ms, 1 to 4 mm with wheels of 56 mm.
 //!
 //! # Sources
-//! That a program's start resets all motors: documentation of nxt-python, "start_program". Sharpest change of speed: the EV3's large
-//! motor has 175 rpm within its time constant of 105 ms (Pybricks' identified model); the NXT's is slower (Philo's motor measurements).
+//! That a program's start resets all motors: documentation of nxt-python, "start_program". Sharpest change of speed: the
+//! EV3's large motor has 175 rpm within its time constant of 105 ms (Pybricks' identified model); the NXT's is slower
+//! (Philo's motor measurements).
 
-use posebridge_telemetry::TimeDelta;
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 /// Largest acceleration, counts per s^2.
 const MAX_COUNTS_PER_S2: f64 = 10_000.0;
@@ -61,6 +56,26 @@ pub(super) enum WheelState {
     Turning,
 }
 
+/// The last counts of both wheels, and since when they are unchanged.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Standstill(Option<([i32; 2], Timestamp<HostClock>)>);
+
+impl Standstill {
+    pub(super) fn record(&mut self, counts: [i32; 2], at: Timestamp<HostClock>) {
+        if self.0.is_none_or(|(last, _)| last != counts) {
+            self.0 = Some((counts, at));
+        }
+    }
+
+    /// Wheels whose counts have not changed for `least` are at rest.
+    pub(super) fn wheel_state(&self, now: Timestamp<HostClock>, least: TimeDelta) -> WheelState {
+        match self.0 {
+            Some((_, since)) if now - since >= least => WheelState::Standing,
+            _ => WheelState::Turning,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CounterUpdate {
     /// Totals of the left and the right wheel.
@@ -74,7 +89,6 @@ pub(super) enum CounterUpdate {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotorCounters {
     limits: MotorLimits,
-    /// Time since the first sample.
     now_s: f64,
     last: Option<CounterSample>,
     suspect: Option<CounterSample>,
@@ -256,7 +270,6 @@ mod tests {
     const CYCLE: TimeDelta = TimeDelta::from_millis(30);
     const LIMITS: MotorLimits = MotorLimits { max_counts_per_s: 1_600.0, margin: 3.0 };
 
-    /// Counts that are read each cycle, but for some silences.
     #[derive(Debug)]
     struct Bench(MotorCounters);
 
@@ -284,7 +297,6 @@ mod tests {
         }
     }
 
-    /// What becomes of counts that are read each cycle.
     fn updates_of(samples: &[[i32; 2]]) -> Vec<CounterUpdate> {
         let mut bench = Bench::new();
         samples.iter().map(|counts| bench.push(*counts)).collect()

@@ -16,7 +16,6 @@ pub(super) enum SplitItem<'a> {
 #[derive(Debug, Default)]
 pub(super) struct LineSplitter<const LONGEST: usize> {
     line: Vec<u8>,
-    /// Bytes of a line that is too long.
     dropped: u32,
 }
 

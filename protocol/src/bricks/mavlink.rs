@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, Timestamp};
 
-use super::codec::{BrickCodec, CodecEvent, CodecSettings};
+use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings};
 use crate::dialect::{Encoder, decode};
 use crate::framing::{FrameRef, Framer, FramerConfig, FramerCounters, FramerOutput, SequenceTracker, WireVersion};
 use crate::message::Message;
@@ -35,7 +35,7 @@ impl BrickCodec for MavlinkCodec {
         self.sequences.handle_link_loss();
     }
 
-    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: CodecEventSink<'_>) {
         let sequences = &mut self.sequences;
         self.framer.push(now, bytes, &mut |found| {
             handle_frame(now, sequences, found, sink);
@@ -46,7 +46,7 @@ impl BrickCodec for MavlinkCodec {
         self.framer.deadline()
     }
 
-    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         let sequences = &mut self.sequences;
         self.framer.tick(now, &mut |found| handle_frame(now, sequences, found, sink));
     }
@@ -73,7 +73,7 @@ fn handle_frame(
     now: Timestamp<HostClock>,
     sequences: &mut SequenceTracker,
     found: FramerOutput<'_>,
-    sink: &mut dyn FnMut(CodecEvent<'_>),
+    sink: CodecEventSink<'_>,
 ) {
     match found {
         FramerOutput::Error(defect) => sink(CodecEvent::Error(defect)),

@@ -1,8 +1,5 @@
-//! The brick protocols, in one table.
-//!
-//! A brick protocol converts a link's bytes to [`Message`](crate::message::Message)s and back. The station treats all of them
-//! alike; messages that a protocol does not have are not sent. MAVLink is one of them; a brick with another protocol has a folder
-//! here with its specification and captured bytes, and a row in [`BRICK_PROTOCOLS`].
+//! The brick protocols, in one table: each converts a link's bytes to [`Message`](crate::message::Message)s and back. A
+//! brick with a protocol of its own has a folder here with its specification and captured bytes.
 //!
 //! Some bricks only answer requests. Their codec makes the requests: [`BrickCodec::poll`] returns them, and
 //! [`BrickCodec::deadline`] is the time of the next request or timeout.
@@ -10,15 +7,13 @@
 pub mod camera_json;
 mod codec;
 mod counters;
-mod estimate;
 pub mod ev3;
-mod heartbeat;
 mod line_splitter;
 mod mavlink;
 pub mod nxt;
 pub mod text_line;
 
-pub use codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
+pub use codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS};
 
 /// Every brick protocol. To add one: a folder here and a row there.
 pub const BRICK_PROTOCOLS: &[BrickProtocol] = &[

@@ -8,30 +8,54 @@ use std::sync::LazyLock;
 use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 
-use super::foreign::FOREIGN_MESSAGES;
 use super::generated::posebridge;
+use super::payload::MAX_PAYLOAD;
 
 /// Number of ids in a lookup page: those of the standard dialects lie on four, ours on one.
 const PAGE: usize = 256;
 /// Ids have 24 bits.
 const PAGES: usize = 1 << 16;
-/// A payload is at most this long.
-const MAX_PAYLOAD: usize = 255;
 
 pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
     LazyLock::new(|| MessageCatalogue::build(supported_messages()));
 /// Also with the messages of foreign dialects.
 pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
-    let foreign = FOREIGN_MESSAGES.iter().map(|message| {
-        let shape = MessageLayout {
-            crc_extra: message.crc_extra,
-            max_len_v1: message.max_len_v1,
-            max_len_v2: message.max_len_v2,
-        };
-        (message.id, shape)
-    });
+    let foreign = FOREIGN_MESSAGES.iter().map(|message| (message.id, message.layout));
     MessageCatalogue::build(supported_messages().chain(foreign))
 });
+
+/// Messages that the station does not decode but can verify, by rising id. The live framer forwards them unverified; an
+/// inspection of a recording verifies and names them. The generated types of these dialects would double the build time.
+///
+/// # Sources
+/// `all.xml` and `ardupilotmega.xml` of the MAVLink project with everything that they include (upstream commit
+/// 19795337), less the messages of `common.xml`; seeds and lengths by pymavlink 2.4.50's `mavparse`. Where pymavlink's
+/// own `ardupilotmega` dialect has a message too, its seed is the same.
+const FOREIGN_TABLE: &str = include_str!("foreign_messages.csv");
+static FOREIGN_MESSAGES: LazyLock<Vec<ForeignMessage>> =
+    LazyLock::new(|| FOREIGN_TABLE.lines().filter_map(ForeignMessage::parse).collect());
+
+#[derive(Clone, Copy, Debug)]
+struct ForeignMessage {
+    id: u32,
+    layout: MessageLayout,
+    name: &'static str,
+}
+
+impl ForeignMessage {
+    /// `None` for the heading of the table.
+    fn parse(row: &'static str) -> Option<Self> {
+        let [id, crc_extra, max_len_v1, max_len_v2, name] = row.split(',').collect::<Vec<_>>()[..] else {
+            return None;
+        };
+        let layout = MessageLayout {
+            crc_extra: crc_extra.parse().ok()?,
+            max_len_v1: max_len_v1.parse().ok()?,
+            max_len_v2: max_len_v2.parse().ok()?,
+        };
+        Some(Self { id: id.parse().ok()?, layout, name })
+    }
+}
 
 /// The name of a message in its definition, also in foreign dialects; `None` for an unknown id.
 pub fn message_name(id: u32) -> Option<&'static str> {
@@ -161,8 +185,9 @@ mod tests {
 
     #[test]
     fn foreign_messages_shadow_none_of_ours_and_are_sorted_by_id() {
+        assert_eq!(FOREIGN_MESSAGES.len(), FOREIGN_TABLE.lines().count() - 1);
         assert!(FOREIGN_MESSAGES.is_sorted_by(|one, next| one.id < next.id));
-        for message in FOREIGN_MESSAGES {
+        for message in FOREIGN_MESSAGES.iter() {
             assert_eq!(CATALOGUE.layout(message.id), None, "{}", message.name);
         }
         // RADIO of ArduPilot, as ardupilotmega.xml defines it.

@@ -56,7 +56,6 @@ pub enum CommandError {
         /// From 1 to 7.
         index: u8,
         value: f32,
-        /// The valid values.
         expected: &'static str,
     },
 }

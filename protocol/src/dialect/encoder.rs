@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use mavlink_core::utils::remove_trailing_zeroes;
 use posebridge_telemetry::Address;
 
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
-use super::{ids, posebridge, poses, sensors, services};
-use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
+use super::services::PARAM_TYPE_REAL32;
+use super::{posebridge, poses, sensors, services};
+use crate::framing::{FrameHeader, START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
 
@@ -54,13 +56,21 @@ impl Encoder {
     }
 
     fn write(&mut self, from: Address, message: &Message, seal: Option<&FrameSigner<'_>>, out: &mut Vec<u8>) -> usize {
-        let Some((message_id, payload)) = payload_of(self.version, message) else {
+        let Some(payload) = payload_of(message) else {
             return 0;
         };
+        let message_id = payload.message_id;
         let Some(shape) = CATALOGUE.layout(message_id) else {
             return 0;
         };
-        let payload = payload.bytes();
+        let payload = match self.version {
+            // Without extension fields, and with the zeros at its end.
+            WireVersion::V1 => &payload.bytes[..usize::from(shape.max_len_v1)],
+            WireVersion::V2 => {
+                let len = remove_trailing_zeroes(&payload.bytes[..usize::from(shape.max_len_v2)]);
+                &payload.bytes[..len]
+            }
+        };
         let [id0, id1, id2, _] = message_id.to_le_bytes();
         let start = out.len();
         out.reserve(payload.len() + MAX_FRAME_OVERHEAD);
@@ -92,10 +102,9 @@ impl Encoder {
     /// The checksum's seed is computed from the old checksum, so that messages of unknown dialects can be changed as
     /// well. After an error the frame is unchanged.
     pub fn readdress(&mut self, frame: &mut [u8], sender: Address) -> Result<(), RenumberError> {
-        rewrite(frame, |frame, layout| {
-            frame[layout.sequence_at] = self.next_sequence(sender);
-            frame[layout.system_at] = sender.system.0;
-            frame[layout.system_at + 1] = sender.component.0;
+        rewrite(frame, |frame, header| {
+            let at = header.sequence_at();
+            frame[at..at + 3].copy_from_slice(&[self.next_sequence(sender), sender.system.0, sender.component.0]);
             Ok(())
         })
     }
@@ -114,78 +123,53 @@ impl Encoder {
     }
 }
 
-/// Message id and payload; `None` where the dialects have no such message.
-fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)> {
+/// `None` where the dialects have no such message.
+fn payload_of(message: &Message) -> Option<Payload> {
     Some(match message {
-        Message::WheelTicks(ticks) => (ids::PB_WHEEL_TICKS, posebridge::write_ticks(version, ticks)),
-        Message::Inertial(inertial) => (ids::PB_INERTIAL, posebridge::write_inertial(version, inertial)),
-        Message::PlanarPose(pose) => (ids::PB_PLANAR_POSE, posebridge::write_pose(version, pose)),
-        Message::FusionHealth(health) => (ids::PB_FUSION_HEALTH, posebridge::write_health(version, health)),
-        Message::RobotDescription(robot) => (ids::PB_ROBOT_DESCRIPTION, posebridge::write_robot(version, robot)),
-        Message::Heartbeat(heartbeat) => (ids::HEARTBEAT, services::write_heartbeat(version, *heartbeat)),
-        Message::SystemTime { unix_micros, since_boot } => {
-            (ids::SYSTEM_TIME, services::write_system_time(version, *unix_micros, *since_boot))
-        }
-        Message::TimeSync(sync) => (ids::TIMESYNC, services::write_time_sync(version, sync)),
-        Message::SetMessageInterval(request) => (ids::COMMAND_LONG, services::write_interval(version, request)),
-        Message::Command(command) => (ids::COMMAND_LONG, services::write_command(version, command)),
-        Message::CommandInt(command) => (ids::COMMAND_INT, services::write_command_int(version, command)),
-        Message::CommandAck(ack) => (ids::COMMAND_ACK, services::write_ack(version, *ack)),
-        Message::StatusText { severity, text, part } => {
-            (ids::STATUSTEXT, services::write_status_text(version, *severity, text, *part))
-        }
-        Message::ParamRequestList { target } => {
-            (ids::PARAM_REQUEST_LIST, services::write_param_request_list(version, *target))
-        }
-        Message::ParamRequestRead { target, name, index } => {
-            (ids::PARAM_REQUEST_READ, services::write_param_request_read(version, *target, name, *index))
-        }
+        Message::WheelTicks(ticks) => posebridge::write_ticks(ticks),
+        Message::Inertial(inertial) => posebridge::write_inertial(inertial),
+        Message::PlanarPose(pose) => posebridge::write_pose(pose),
+        Message::FusionHealth(health) => posebridge::write_health(health),
+        Message::RobotDescription(robot) => posebridge::write_robot(robot),
+        Message::Heartbeat(heartbeat) => services::write_heartbeat(*heartbeat),
+        Message::SystemTime { unix_micros, since_boot } => services::write_system_time(*unix_micros, *since_boot),
+        Message::TimeSync(sync) => services::write_time_sync(sync),
+        Message::SetMessageInterval(request) => services::write_interval(request),
+        Message::Command(command) => services::write_command(command),
+        Message::CommandInt(command) => services::write_command_int(command),
+        Message::CommandAck(ack) => services::write_ack(*ack),
+        Message::StatusText { severity, text, part } => services::write_status_text(*severity, text, *part),
+        Message::ParamRequestList { target } => services::write_param_request_list(*target),
+        Message::ParamRequestRead { target, name, index } => services::write_param_request_read(*target, name, *index),
         Message::ParamSet { target, name, value } => {
-            (ids::PARAM_SET, services::write_param_set(version, *target, name, *value))
+            services::write_param_set(*target, name, *value, PARAM_TYPE_REAL32)
         }
-        Message::ParamSetUnsupported { target, name, kind } => {
-            (ids::PARAM_SET, services::write_param_set_unsupported(version, *target, name, *kind))
-        }
-        Message::ParamValue { name, value, count, index } => {
-            (ids::PARAM_VALUE, services::write_param_value(version, name, *value, *count, *index))
-        }
-        Message::AutopilotVersion(message) => {
-            (ids::AUTOPILOT_VERSION, services::write_autopilot_version(version, *message))
-        }
-        Message::ProtocolVersion(message) => {
-            (ids::PROTOCOL_VERSION, services::write_protocol_version(version, *message))
-        }
-        Message::ComponentInformation(message) => {
-            (ids::COMPONENT_INFORMATION_BASIC, services::write_component_information(version, message))
-        }
-        Message::MessageInterval(message) => {
-            (ids::MESSAGE_INTERVAL, services::write_message_interval(version, *message))
-        }
-        Message::NamedValue(message) => (ids::NAMED_VALUE_FLOAT, services::write_named_value(version, message)),
-        Message::FloatArray(message) => (ids::DEBUG_FLOAT_ARRAY, services::write_float_array(version, message)),
-        Message::WheelDistance { stamp, left, right } => {
-            (ids::WHEEL_DISTANCE, sensors::write_wheel_distance(version, *stamp, *left, *right))
-        }
-        Message::ScaledImu(imu) => (ids::SCALED_IMU, sensors::write_scaled(version, imu)),
-        Message::HighresImu(imu) => (ids::HIGHRES_IMU, sensors::write_highres(version, imu)),
-        Message::DistanceSensor { stamp, range, sigma } => {
-            (ids::DISTANCE_SENSOR, sensors::write_distance(version, *stamp, *range, *sigma))
-        }
+        // The value has an unreadable type, so none is written.
+        Message::ParamSetUnsupported { target, name, kind } => services::write_param_set(*target, name, 0.0, *kind),
+        Message::ParamValue { name, value, count, index } => services::write_param_value(name, *value, *count, *index),
+        Message::AutopilotVersion(message) => services::write_autopilot_version(*message),
+        Message::ProtocolVersion(message) => services::write_protocol_version(*message),
+        Message::ComponentInformation(message) => services::write_component_information(message),
+        Message::MessageInterval(message) => services::write_message_interval(*message),
+        Message::NamedValue(message) => services::write_named_value(message),
+        Message::FloatArray(message) => services::write_float_array(message),
+        Message::WheelDistance { stamp, left, right } => sensors::write_wheel_distance(*stamp, *left, *right),
+        Message::ScaledImu(imu) => sensors::write_scaled(imu),
+        Message::HighresImu(imu) => sensors::write_highres(imu),
+        Message::DistanceSensor { stamp, range, sigma } => sensors::write_distance(*stamp, *range, *sigma),
         Message::Thermometer { stamp, channel, temperature } => {
-            sensors::write_thermometer(version, *stamp, channel, *temperature)
+            sensors::write_thermometer(*stamp, channel, *temperature)
         }
         // The dialects have none; it comes from bricks with protocols of their own.
         Message::Compass { .. } => return None,
-        Message::VisionPosition(fix) => (ids::VISION_POSITION_ESTIMATE, poses::write_vision(version, fix)),
-        Message::MocapPosition(fix) => (ids::ATT_POS_MOCAP, poses::write_mocap(version, fix)),
-        Message::Odometry(odometry) => (ids::ODOMETRY, poses::write_odometry(version, odometry)),
+        Message::VisionPosition(fix) => poses::write_vision(fix),
+        Message::MocapPosition(fix) => poses::write_mocap(fix),
+        Message::Odometry(odometry) => poses::write_odometry(odometry),
         Message::LocalPosition { stamp, x, y, x_speed, y_speed } => {
-            (ids::LOCAL_POSITION_NED, poses::write_local_position(version, *stamp, *x, *y, *x_speed, *y_speed))
+            poses::write_local_position(*stamp, *x, *y, *x_speed, *y_speed)
         }
-        Message::Attitude { stamp, heading, turn_rate } => {
-            (ids::ATTITUDE, poses::write_attitude(version, *stamp, *heading, *turn_rate))
-        }
-        Message::EstimatorStatus(status) => (ids::ESTIMATOR_STATUS, poses::write_estimator_status(version, status)),
+        Message::Attitude { stamp, heading, turn_rate } => poses::write_attitude(*stamp, *heading, *turn_rate),
+        Message::EstimatorStatus(status) => poses::write_estimator_status(status),
     })
 }
 
@@ -193,20 +177,19 @@ fn payload_of(version: WireVersion, message: &Message) -> Option<(u32, Payload)>
 /// that messages of unknown dialects can be changed as well. After an error the frame is unchanged.
 pub(crate) fn rewrite(
     frame: &mut [u8],
-    change: impl FnOnce(&mut [u8], &FrameLayout) -> Result<(), RenumberError>,
+    change: impl FnOnce(&mut [u8], &FrameHeader) -> Result<(), RenumberError>,
 ) -> Result<(), RenumberError> {
-    let layout = FrameLayout::parse(frame).ok_or(RenumberError::NoFrame)?;
-    if layout.is_signed {
+    let header = FrameHeader::parse(frame).ok_or(RenumberError::NoFrame)?;
+    if header.is_signed() {
         return Err(RenumberError::Signed);
     }
-    let end = layout.end;
-    let body = frame.get(1..end).ok_or(RenumberError::NoFrame)?;
-    let sum = match frame.get(end..end + 2) {
-        Some(&[low, high]) => u16::from_le_bytes([low, high]),
-        _ => return Err(RenumberError::NoFrame),
-    };
+    if frame.len() < header.total {
+        return Err(RenumberError::NoFrame);
+    }
+    let (body, sum) = header.covered(frame);
     let crc_extra = crc_extra_of(body, sum).ok_or(RenumberError::Damaged)?;
-    change(frame, &layout)?;
+    change(frame, &header)?;
+    let end = header.end();
     let sum = checksum(&frame[1..end], crc_extra);
     frame[end..end + 2].copy_from_slice(&sum.to_le_bytes());
     Ok(())
@@ -227,33 +210,5 @@ pub enum RenumberError {
 
 /// Whether a complete frame has a signature; false for other bytes.
 pub fn is_signed(frame: &[u8]) -> bool {
-    FrameLayout::parse(frame).is_some_and(|layout| layout.is_signed)
-}
-
-pub(crate) struct FrameLayout {
-    pub(crate) sequence_at: usize,
-    /// Offset of the sender's system; the component follows it.
-    pub(crate) system_at: usize,
-    pub(crate) payload_at: usize,
-    /// Offset of the payload's end, where the checksum begins.
-    pub(crate) end: usize,
-    is_signed: bool,
-}
-
-impl FrameLayout {
-    pub(crate) fn parse(frame: &[u8]) -> Option<Self> {
-        match *frame {
-            [START_BYTE_V2, len, flags, _, _, _, _, ..] => Some(Self {
-                sequence_at: 4,
-                system_at: 5,
-                payload_at: 10,
-                end: 10 + usize::from(len),
-                is_signed: flags & FLAG_SIGNED != 0,
-            }),
-            [START_BYTE_V1, len, _, _, _, ..] => {
-                Some(Self { sequence_at: 2, system_at: 3, payload_at: 6, end: 6 + usize::from(len), is_signed: false })
-            }
-            _ => None,
-        }
-    }
+    FrameHeader::parse(frame).is_some_and(|header| header.is_signed())
 }

@@ -1,16 +1,11 @@
 //! Conversion between north-east-down or forward-right-down and our coordinate frames; done only here.
 //!
-//! # Model
 //! ```text
 //! north-east-down   n = y, e = x, yaw = pi/2 - heading      (yaw clockwise from north, heading counter-clockwise from east)
 //! forward-right     f = x, r = -y, yaw = -heading
-//! body rates        yaw rate = -turn rate, forward = forward
 //! ```
 //! Every one of these maps is its own inverse, so each function serves both directions. Covariances are upper triangles, row
-//! by row: xx, xy, x-heading, yy, y-heading, heading-heading.
-//!
-//! # Sources
-//! MAVLink common.xml, MAV_FRAME_LOCAL_NED, MAV_FRAME_LOCAL_FRD, MAV_FRAME_BODY_FRD.
+//! by row: xx, xy, x-heading, yy, y-heading, heading-heading. Source: MAVLink common.xml, MAV_FRAME.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -22,9 +17,7 @@ pub(super) const UNOBSERVED_VARIANCE: f32 = 1e4;
 
 /// Indices of the planar elements in a 6 x 6 upper triangle of x, y, z, roll, pitch, yaw.
 const PLANAR: [usize; 6] = [0, 1, 5, 6, 10, 20];
-/// Indices of the variances of z, roll and pitch there.
 const UNOBSERVED: [usize; 3] = [11, 15, 18];
-/// Elements of such a triangle.
 pub(super) const TRIANGLE_LEN: usize = 21;
 
 /// A planar pose: two coordinates in metres and an angle in radians.

@@ -4,7 +4,6 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageInfo {
     pub id: u32,
-    /// The name in the dialect's definition.
     pub name: &'static str,
 }
 
@@ -66,9 +65,7 @@ pub const COMMAND_REQUEST_MESSAGE: u16 = 512;
 pub const COMMAND_SET_MESSAGE_INTERVAL: u16 = 511;
 /// MAV_CMD_PREFLIGHT_STORAGE; [`super::commands`] defines the meaning of this and the following.
 pub const COMMAND_PREFLIGHT_STORAGE: u16 = 245;
-/// MAV_CMD_LOGGING_START.
 pub const COMMAND_LOGGING_START: u16 = 2_510;
-/// MAV_CMD_LOGGING_STOP.
 pub const COMMAND_LOGGING_STOP: u16 = 2_511;
 /// MAV_CMD_USER_1: set the pose.
 pub const COMMAND_SET_POSE: u16 = 31_010;

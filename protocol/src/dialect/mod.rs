@@ -1,16 +1,12 @@
-//! Decodes frames to messages, and encodes messages to frames.
+//! Decodes frames to [`Message`]s in SI units and our coordinate frames, and encodes messages to frames.
 //!
-//! Takes verified frames from [`crate::framing`] and returns [`Message`]s in SI units and our coordinate frames, and
-//! the other way round. North-east-down, forward-right-down, scaled integers and NaN-for-unknown end here. The only
-//! state is the sequence counters of an [`Encoder`]; values are not validated beyond "is a number".
-//!
-//! Rules for every message: integers saturate when a value does not fit, totals and timestamps wrap, a timestamp of
-//! another resolution is converted, text is cut at a character boundary, floats keep the width of the wire.
+//! Rules for every message: integers saturate when a value does not fit, totals and timestamps wrap, a timestamp of another
+//! resolution is converted, text is cut at a character boundary, floats keep the width of the wire; values are not validated
+//! beyond "is a number".
 
 pub(crate) mod catalogue;
 pub mod commands;
 pub(crate) mod encoder;
-mod foreign;
 pub(crate) mod frames;
 #[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
 pub(crate) mod generated;

@@ -1,40 +1,59 @@
-//! Encoding of payloads: little-endian, trailing zeros and extension fields, for any message; and why a payload is refused.
+//! The fields of payloads, little-endian, for any message; and why a payload is refused.
 //!
 //! Messages without enumerations use the generated types. Those with enumerations are read and written field by field
 //! in wire order, because the generated code rejects a whole message for one value that its XML does not list, and an
 //! unknown command must still be answered.
 
 use mavlink_core::{MavlinkVersion, MessageData};
+use num_traits::{FromBytes, ToBytes};
 use posebridge_telemetry::Address;
 
-use crate::framing::WireVersion;
 use crate::message::{Message, WireStamp};
 
 pub(super) const MAX_PAYLOAD: usize = 255;
 
+/// The fields of a message in wire order; fields at its end that are not written are zero.
 #[derive(Debug)]
 pub(super) struct Payload {
-    bytes: [u8; MAX_PAYLOAD],
+    pub(super) message_id: u32,
+    pub(super) bytes: [u8; MAX_PAYLOAD],
     len: usize,
 }
 
 impl Payload {
-    pub(super) fn bytes(&self) -> &[u8] {
-        &self.bytes[..self.len]
+    pub(super) const fn new(message_id: u32) -> Self {
+        Self { message_id, bytes: [0; MAX_PAYLOAD], len: 0 }
     }
 
-    /// Encodes a generated message; truncates trailing zeros in version 2, extensions in version 1.
-    pub(super) fn encode<D: MessageData>(version: WireVersion, data: &D) -> Self {
-        let mut bytes = [0; MAX_PAYLOAD];
-        let len = data.ser(mavlink_version(version), &mut bytes);
-        Self { bytes, len }
+    /// Encodes a generated message.
+    pub(super) fn encode<D: MessageData>(data: &D) -> Self {
+        let mut payload = Self::new(D::ID);
+        payload.len = data.ser(MavlinkVersion::V2, &mut payload.bytes);
+        payload
     }
-}
 
-const fn mavlink_version(version: WireVersion) -> MavlinkVersion {
-    match version {
-        WireVersion::V1 => MavlinkVersion::V1,
-        WireVersion::V2 => MavlinkVersion::V2,
+    /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
+    pub(super) fn raw(mut self, bytes: &[u8]) -> Self {
+        self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
+        self.len += bytes.len();
+        self
+    }
+
+    /// Little-endian.
+    pub(super) fn number<T: ToBytes + Copy>(self, value: T) -> Self {
+        self.raw(value.to_le_bytes().as_ref())
+    }
+
+    pub(super) fn f32s(self, values: &[f32]) -> Self {
+        values.iter().fold(self, |payload, value| payload.number::<f32>(*value))
+    }
+
+    pub(super) fn text<const N: usize>(self, text: &str) -> Self {
+        self.raw(&text_to::<N>(text))
+    }
+
+    pub(super) fn address(self, address: Address) -> Self {
+        self.raw(&[address.system.0, address.component.0])
     }
 }
 
@@ -54,145 +73,40 @@ impl<'a> PayloadReader<'a> {
         Self { rest: payload }
     }
 
-    fn array<const N: usize>(&mut self) -> [u8; N] {
-        let mut bytes = [0; N];
-        let here = self.rest.len().min(N);
-        let (taken, rest) = self.rest.split_at(here);
-        bytes[..here].copy_from_slice(taken);
+    fn fill(&mut self, bytes: &mut [u8]) {
+        let (taken, rest) = self.rest.split_at(self.rest.len().min(bytes.len()));
+        bytes[..taken.len()].copy_from_slice(taken);
         self.rest = rest;
-        bytes
     }
 
-    pub(super) fn u8(&mut self) -> u8 {
-        u8::from_le_bytes(self.array())
-    }
-
-    pub(super) fn i8(&mut self) -> i8 {
-        i8::from_le_bytes(self.array())
-    }
-
-    pub(super) fn i16(&mut self) -> i16 {
-        i16::from_le_bytes(self.array())
-    }
-
-    pub(super) fn i32(&mut self) -> i32 {
-        i32::from_le_bytes(self.array())
+    /// Little-endian.
+    pub(super) fn number<T: FromBytes<Bytes: Default + Sized>>(&mut self) -> T {
+        let mut bytes = T::Bytes::default();
+        self.fill(bytes.as_mut());
+        T::from_le_bytes(&bytes)
     }
 
     pub(super) fn bytes<const N: usize>(&mut self) -> [u8; N] {
-        self.array()
-    }
-
-    pub(super) fn u16(&mut self) -> u16 {
-        u16::from_le_bytes(self.array())
-    }
-
-    pub(super) fn u32(&mut self) -> u32 {
-        u32::from_le_bytes(self.array())
-    }
-
-    pub(super) fn u64(&mut self) -> u64 {
-        u64::from_le_bytes(self.array())
-    }
-
-    pub(super) fn f32(&mut self) -> f32 {
-        f32::from_le_bytes(self.array())
+        let mut bytes = [0; N];
+        self.fill(&mut bytes);
+        bytes
     }
 
     pub(super) fn f32s<const N: usize>(&mut self) -> [f32; N] {
-        std::array::from_fn(|_| self.f32())
+        std::array::from_fn(|_| self.number())
     }
 
     pub(super) fn skip<const N: usize>(&mut self) {
-        let _: [u8; N] = self.array();
+        let _: [u8; N] = self.bytes();
     }
 
     pub(super) fn text<const N: usize>(&mut self) -> String {
-        text_from(&self.array::<N>())
+        text_from(&self.bytes::<N>())
     }
 
     pub(super) fn address(&mut self) -> Address {
-        let system = self.u8();
-        Address::new(system, self.u8())
-    }
-}
-
-#[derive(Debug)]
-pub(super) struct PayloadWriter {
-    bytes: [u8; MAX_PAYLOAD],
-    len: usize,
-    /// Offset of the extension fields, if there are any.
-    base_len: Option<usize>,
-}
-
-impl PayloadWriter {
-    pub(super) const fn new() -> Self {
-        Self { bytes: [0; MAX_PAYLOAD], len: 0, base_len: None }
-    }
-
-    /// Appends raw bytes; the callers' layouts are constants of at most [`MAX_PAYLOAD`] bytes.
-    pub(super) fn raw(mut self, bytes: &[u8]) -> Self {
-        self.bytes[self.len..self.len + bytes.len()].copy_from_slice(bytes);
-        self.len += bytes.len();
-        self
-    }
-
-    pub(super) fn u8(self, value: u8) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn i8(self, value: i8) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn i16(self, value: i16) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn i32(self, value: i32) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn u16(self, value: u16) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn u32(self, value: u32) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn u64(self, value: u64) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn f32(self, value: f32) -> Self {
-        self.raw(&value.to_le_bytes())
-    }
-
-    pub(super) fn f32s(self, values: &[f32]) -> Self {
-        values.iter().fold(self, |writer, &value| writer.f32(value))
-    }
-
-    pub(super) fn text<const N: usize>(self, text: &str) -> Self {
-        self.raw(&text_to::<N>(text))
-    }
-
-    pub(super) fn address(self, address: Address) -> Self {
-        self.u8(address.system.0).u8(address.component.0)
-    }
-
-    /// The following fields are extensions: version 1 does not carry them.
-    pub(super) fn extensions(mut self) -> Self {
-        self.base_len = Some(self.len);
-        self
-    }
-
-    pub(super) fn finish(self, version: WireVersion) -> Payload {
-        let len = match version {
-            WireVersion::V1 => self.base_len.unwrap_or(self.len),
-            WireVersion::V2 => mavlink_core::utils::remove_trailing_zeroes(&self.bytes[..self.len.max(1)]),
-        };
-        Payload { bytes: self.bytes, len }
+        let [system, component] = self.bytes();
+        Address::new(system, component)
     }
 }
 
@@ -240,7 +154,6 @@ pub(super) const fn micros64(stamp: WireStamp) -> u64 {
 pub enum PayloadError {
     #[error("message {message_id}: {field} is {value}, it must be finite")]
     NotFinite { message_id: u32, field: &'static str, value: f64 },
-    /// Below absolute zero or above the range of any sensor.
     #[error(
         "message {message_id}: a temperature of {degrees_c} degrees Celsius is below absolute zero or above the range of any sensor"
     )]
@@ -254,12 +167,10 @@ pub enum PayloadError {
         /// MAV_FRAME of the pose or of the speeds.
         frame: u8,
     },
-    /// ODOMETRY with a negative quality, which means failed.
     #[error("message {message_id}: its quality is negative, the sender says that it has failed")]
     SenderFailed { message_id: u32 },
     #[error("message {message_id}: {count} wheels, at least 2 are needed")]
     TooFewWheels { message_id: u32, count: u8 },
-    /// The payload does not fit the generated type.
     #[error("message {message_id}: the payload does not fit its definition")]
     Layout { message_id: u32, source: mavlink_core::error::ParserError },
 }

@@ -12,7 +12,6 @@ use super::generated::posebridge::{
 };
 use super::ids;
 use super::payload::{Decoded, Payload, PayloadError, decode_generated, micros32, require_finite, text_from, text_to};
-use crate::framing::WireVersion;
 use crate::message::{FusionHealth, Inertial, Message, PlanarPose, PoseFlags, RobotDescription, WheelTicks, WireStamp};
 
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;
@@ -51,14 +50,14 @@ pub(super) fn ticks_of(payload: &[u8]) -> Result<Option<WheelTicks>, PayloadErro
     }))
 }
 
-pub(super) fn write_ticks(version: WireVersion, ticks: &WheelTicks) -> Payload {
+pub(super) fn write_ticks(ticks: &WheelTicks) -> Payload {
     let data = PB_WHEEL_TICKS_DATA {
         time_us: micros32(ticks.stamp),
         left: ticks.left.0 as i32,
         right: ticks.right.0 as i32,
         flags: LEFT_VALID | RIGHT_VALID,
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn inertial(payload: &[u8]) -> Decoded {
@@ -79,15 +78,8 @@ pub(super) fn inertial_of(payload: &[u8]) -> Result<Inertial, PayloadError> {
     })
 }
 
-pub(super) fn write_inertial(version: WireVersion, inertial: &Inertial) -> Payload {
-    let mut data = PB_INERTIAL_DATA {
-        time_us: micros32(inertial.stamp),
-        turn_urad: 0,
-        turn_rate: 0,
-        accel_left: 0,
-        accel_right: 0,
-        valid: 0,
-    };
+pub(super) fn write_inertial(inertial: &Inertial) -> Payload {
+    let mut data = PB_INERTIAL_DATA { time_us: micros32(inertial.stamp), ..PB_INERTIAL_DATA::DEFAULT };
     if let Some(turn_rate) = inertial.turn_rate {
         data.turn_rate = (turn_rate.0 / TURN_RATE_UNIT_RAD_PER_S).round() as i16;
         data.valid |= TURN_RATE_VALID;
@@ -102,7 +94,7 @@ pub(super) fn write_inertial(version: WireVersion, inertial: &Inertial) -> Paylo
         data.accel_right = (right.0 / ACCELERATION_UNIT_M_PER_S2).round() as i16;
         data.valid |= ACCELERATIONS_VALID;
     }
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn planar_pose(payload: &[u8]) -> Decoded {
@@ -124,7 +116,7 @@ pub(super) fn planar_pose(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_pose(version: WireVersion, pose: &PlanarPose) -> Payload {
+pub(super) fn write_pose(pose: &PlanarPose) -> Payload {
     let fix_age_ms = pose.fix_age.map_or(NO_FIX, |age| {
         let millis = age.as_nanos() / NANOS_PER_MILLI;
         millis.clamp(0, i64::from(NO_FIX - 1)) as u16
@@ -141,7 +133,7 @@ pub(super) fn write_pose(version: WireVersion, pose: &PlanarPose) -> Payload {
         reset_counter: pose.reset_counter,
         flags: flags_to_bits(pose.flags),
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 fn flags_from_bits(bits: u8) -> PoseFlags {
@@ -176,7 +168,7 @@ pub(super) fn fusion_health(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_health(version: WireVersion, health: &FusionHealth) -> Payload {
+pub(super) fn write_health(health: &FusionHealth) -> Payload {
     let lag_ms = health.lag.as_nanos() / NANOS_PER_MILLI;
     let data = PB_FUSION_HEALTH_DATA {
         time_us: micros32(health.stamp),
@@ -188,7 +180,7 @@ pub(super) fn write_health(version: WireVersion, health: &FusionHealth) -> Paylo
         sensor: health.sensor.0,
         verdict: health.verdict,
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn robot_description(payload: &[u8]) -> Decoded {
@@ -205,7 +197,7 @@ pub(super) fn robot_description(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_robot(version: WireVersion, robot: &RobotDescription) -> Payload {
+pub(super) fn write_robot(robot: &RobotDescription) -> Payload {
     let data = PB_ROBOT_DESCRIPTION_DATA {
         left_wheel_radius: robot.left_wheel_radius.0 as f32,
         right_wheel_radius: robot.right_wheel_radius.0 as f32,
@@ -215,5 +207,5 @@ pub(super) fn write_robot(version: WireVersion, robot: &RobotDescription) -> Pay
         gyro_resolution: robot.gyro_resolution.0 as f32,
         name: text_to::<16>(&robot.name).into(),
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }

@@ -18,9 +18,8 @@ use super::frames::{
 };
 use super::ids;
 use super::payload::{
-    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+    Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
-use crate::framing::WireVersion;
 use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
 
 /// MAV_FRAME values of ODOMETRY.
@@ -57,22 +56,14 @@ pub(super) fn attitude(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn write_attitude(
-    version: WireVersion,
-    stamp: WireStamp,
-    heading: Heading,
-    turn_rate: RadiansPerSecond,
-) -> Payload {
+pub(super) fn write_attitude(stamp: WireStamp, heading: Heading, turn_rate: RadiansPerSecond) -> Payload {
     let data = ATTITUDE_DATA {
         time_boot_ms: millis32(stamp),
-        roll: 0.0,
-        pitch: 0.0,
         yaw: yaw_from_heading(heading) as f32,
-        rollspeed: 0.0,
-        pitchspeed: 0.0,
         yawspeed: negate(turn_rate.0) as f32,
+        ..ATTITUDE_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn local_position(payload: &[u8]) -> Decoded {
@@ -89,7 +80,6 @@ pub(super) fn local_position(payload: &[u8]) -> Decoded {
 
 /// `x` and `y` are the arena's, east and north.
 pub(super) fn write_local_position(
-    version: WireVersion,
     stamp: WireStamp,
     x: Meters,
     y: Meters,
@@ -100,12 +90,11 @@ pub(super) fn write_local_position(
         time_boot_ms: millis32(stamp),
         x: y.0 as f32,
         y: x.0 as f32,
-        z: 0.0,
         vx: y_speed.0 as f32,
         vy: x_speed.0 as f32,
-        vz: 0.0,
+        ..LOCAL_POSITION_NED_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn vision_position(payload: &[u8]) -> Decoded {
@@ -122,19 +111,17 @@ pub(super) fn vision_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_vision(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_vision(fix: &VisionFix) -> Payload {
     let data = VISION_POSITION_ESTIMATE_DATA {
         usec: micros64(fix.stamp),
         x: fix.y.0 as f32,
         y: fix.x.0 as f32,
-        z: 0.0,
-        roll: 0.0,
-        pitch: 0.0,
         yaw: fix.heading.map_or(f32::NAN, |heading| yaw_from_heading(heading) as f32),
         covariance: fix_triangle(fix.covariance),
         reset_counter: fix.reset_counter,
+        ..VISION_POSITION_ESTIMATE_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 /// ATT_POS_MOCAP has no reset counter: it reads as 0.
@@ -152,7 +139,7 @@ pub(super) fn mocap_position(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
+pub(super) fn write_mocap(fix: &VisionFix) -> Payload {
     let data = ATT_POS_MOCAP_DATA {
         time_usec: micros64(fix.stamp),
         q: fix.heading.map_or([f32::NAN; 4], |heading| quaternion(yaw_from_heading(heading))),
@@ -161,22 +148,22 @@ pub(super) fn write_mocap(version: WireVersion, fix: &VisionFix) -> Payload {
         z: 0.0,
         covariance: fix_triangle(fix.covariance),
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn odometry(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Micros64(reader.u64());
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
     let [x, y, _z] = reader.f32s();
     let attitude: [f32; 4] = reader.f32s();
     let [forward, _side, _down] = reader.f32s();
     let [_roll_rate, _pitch_rate, yaw_rate] = reader.f32s();
     let pose_covariance: [f32; TRIANGLE_LEN] = reader.f32s();
     reader.skip::<{ 4 * TRIANGLE_LEN }>();
-    let (pose_frame, twist_frame) = (reader.u8(), reader.u8());
-    let reset_counter = reader.u8();
-    let estimator = reader.u8();
-    let quality = reader.i8();
+    let (pose_frame, twist_frame) = (reader.number::<u8>(), reader.number::<u8>());
+    let reset_counter = reader.number::<u8>();
+    let estimator = reader.number::<u8>();
+    let quality = reader.number::<i8>();
     if quality < 0 {
         let message_id = ids::ODOMETRY;
         return Err(PayloadError::SenderFailed { message_id });
@@ -238,7 +225,7 @@ const fn unknown_frame(frame: u8) -> PayloadError {
     PayloadError::UnknownFrame { message_id: ids::ODOMETRY, frame }
 }
 
-pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Payload {
+pub(super) fn write_odometry(odometry: &Odometry) -> Payload {
     let (frame, wire, covariance) = match odometry.pose {
         OdometryPose::Arena(pose) => {
             (frame::LOCAL_NED, turn_ned(planar_from(pose)), odometry.covariance.map(turn_ned_covariance))
@@ -247,21 +234,19 @@ pub(super) fn write_odometry(version: WireVersion, odometry: &Odometry) -> Paylo
             (frame::LOCAL_FRD, turn_frd(planar_from(pose)), odometry.covariance.map(turn_frd_covariance))
         }
     };
-    PayloadWriter::new()
-        .u64(micros64(odometry.stamp))
+    Payload::new(ids::ODOMETRY)
+        .number::<u64>(micros64(odometry.stamp))
         .f32s(&[wire.x as f32, wire.y as f32, 0.0])
         .f32s(&quaternion(wire.angle))
         .f32s(&[odometry.forward_speed.0 as f32, 0.0, 0.0])
         .f32s(&[0.0, 0.0, negate(odometry.turn_rate.0) as f32])
         .f32s(&triangle(covariance))
         .f32s(&triangle(None))
-        .u8(frame)
-        .u8(frame::BODY_FRD)
-        .extensions()
-        .u8(odometry.reset_counter)
-        .u8(ESTIMATOR_UNKNOWN)
-        .i8(odometry.quality)
-        .finish(version)
+        .number::<u8>(frame)
+        .number::<u8>(frame::BODY_FRD)
+        .number::<u8>(odometry.reset_counter)
+        .number::<u8>(ESTIMATOR_UNKNOWN)
+        .number::<i8>(odometry.quality)
 }
 
 fn planar_from<S>(pose: Pose<S>) -> PlanarPoint {
@@ -288,7 +273,7 @@ pub(super) fn estimator_status(payload: &[u8]) -> Decoded {
 }
 
 /// A position by dead reckoning is "relative" and not "absolute". There is no flag for "predicted".
-pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorStatus) -> Payload {
+pub(super) fn write_estimator_status(status: &EstimatorStatus) -> Payload {
     let valid = status.flags;
     let mut flags = EstimatorStatusFlags::empty();
     flags.set(EstimatorStatusFlags::ESTIMATOR_ATTITUDE, valid.heading_valid);
@@ -297,17 +282,12 @@ pub(super) fn write_estimator_status(version: WireVersion, status: &EstimatorSta
     flags.set(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS, valid.position_valid && !valid.dead_reckoning);
     let data = ESTIMATOR_STATUS_DATA {
         time_usec: micros64(status.stamp),
-        vel_ratio: 0.0,
         pos_horiz_ratio: status.position_ratio as f32,
-        pos_vert_ratio: 0.0,
-        mag_ratio: 0.0,
-        hagl_ratio: 0.0,
-        tas_ratio: 0.0,
         pos_horiz_accuracy: status.position_sigma.0 as f32,
-        pos_vert_accuracy: 0.0,
         flags,
+        ..ESTIMATOR_STATUS_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 fn heading_from_yaw(yaw_rad: f64) -> Heading {
@@ -344,20 +324,16 @@ mod tests {
     /// The payload of a pose in the arena, with some of its bytes replaced.
     fn decoded(changes: &[(usize, u8)]) -> Result<Odometry, PayloadError> {
         let pose = Pose::<Arena>::new(Meters(1.0), Meters(2.0), Heading::from_rad(0.25));
-        let payload = write_odometry(
-            WireVersion::V2,
-            &Odometry {
-                stamp: WireStamp::Micros64(7),
-                pose: OdometryPose::Arena(pose),
-                forward_speed: MetersPerSecond(0.0),
-                turn_rate: RadiansPerSecond(0.0),
-                covariance: None,
-                reset_counter: 9,
-                quality: 80,
-            },
-        );
-        let mut bytes = [0; 255];
-        bytes[..payload.bytes().len()].copy_from_slice(payload.bytes());
+        let payload = write_odometry(&Odometry {
+            stamp: WireStamp::Micros64(7),
+            pose: OdometryPose::Arena(pose),
+            forward_speed: MetersPerSecond(0.0),
+            turn_rate: RadiansPerSecond(0.0),
+            covariance: None,
+            reset_counter: 9,
+            quality: 80,
+        });
+        let mut bytes = payload.bytes;
         for (offset, byte) in changes {
             bytes[*offset] = *byte;
         }

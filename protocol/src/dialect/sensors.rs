@@ -6,11 +6,10 @@ use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED
 use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
 use super::frames::negate;
-use super::ids;
 use super::payload::{
-    Decoded, Payload, PayloadError, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, require_finite,
+    Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
-use crate::framing::WireVersion;
+use super::{ids, services};
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
@@ -52,10 +51,10 @@ pub(super) fn wheel_distance(payload: &[u8]) -> Decoded {
     }))
 }
 
-pub(super) fn write_wheel_distance(version: WireVersion, stamp: WireStamp, left: Meters, right: Meters) -> Payload {
+pub(super) fn write_wheel_distance(stamp: WireStamp, left: Meters, right: Meters) -> Payload {
     let mut distance = [0.0; 16];
     (distance[0], distance[1]) = (left.0, right.0);
-    Payload::encode(version, &WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
+    Payload::encode(&WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
 }
 
 pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
@@ -68,23 +67,16 @@ pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
 }
 
 /// SCALED_IMU has no value for "missing": zero is written.
-pub(super) fn write_scaled(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_scaled(imu: &PlanarImu) -> Payload {
     let turn_rate = imu.turn_rate.unwrap_or_default();
     let acceleration = imu.forward_acceleration.unwrap_or_default();
     let data = SCALED_IMU_DATA {
         time_boot_ms: millis32(imu.stamp),
         xacc: (acceleration.0 / MILLI_GRAVITY_M_PER_S2).round() as i16,
-        yacc: 0,
-        zacc: 0,
-        xgyro: 0,
-        ygyro: 0,
         zgyro: (negate(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
-        xmag: 0,
-        ymag: 0,
-        zmag: 0,
-        temperature: 0,
+        ..SCALED_IMU_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
@@ -99,7 +91,7 @@ pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
+pub(super) fn write_highres(imu: &PlanarImu) -> Payload {
     // Not the generated default: that is the first flag, not the empty set.
     let mut fields_updated = HighresImuUpdatedFlags::empty();
     fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO, imu.turn_rate.is_some());
@@ -107,37 +99,26 @@ pub(super) fn write_highres(version: WireVersion, imu: &PlanarImu) -> Payload {
     let data = HIGHRES_IMU_DATA {
         time_usec: micros64(imu.stamp),
         xacc: imu.forward_acceleration.unwrap_or_default().0 as f32,
-        yacc: 0.0,
-        zacc: 0.0,
-        xgyro: 0.0,
-        ygyro: 0.0,
         zgyro: negate(imu.turn_rate.unwrap_or_default().0) as f32,
-        xmag: 0.0,
-        ymag: 0.0,
-        zmag: 0.0,
-        abs_pressure: 0.0,
-        diff_pressure: 0.0,
-        pressure_alt: 0.0,
-        temperature: 0.0,
         fields_updated,
-        id: 0,
+        ..HIGHRES_IMU_DATA::DEFAULT
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 /// Forward-looking ranges inside the sensor's own limits; others are not used.
 pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
-    let min_cm = reader.u16();
-    let max_cm = reader.u16();
-    let current_cm = reader.u16();
-    let (_kind, _id) = (reader.u8(), reader.u8());
-    let orientation = reader.u8();
-    let variance_cm2 = reader.u8();
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let min_cm = reader.number::<u16>();
+    let max_cm = reader.number::<u16>();
+    let current_cm = reader.number::<u16>();
+    let (_kind, _id) = (reader.number::<u8>(), reader.number::<u8>());
+    let orientation = reader.number::<u8>();
+    let variance_cm2 = reader.number::<u8>();
     // Extensions: two fields of view and a quaternion for a custom orientation, then the quality.
     reader.skip::<24>();
-    let quality = reader.u8();
+    let quality = reader.number::<u8>();
     let is_in_range = current_cm >= min_cm && (current_cm < max_cm || max_cm == 0);
     if orientation != ORIENTATION_FORWARD || quality == QUALITY_INVALID || !is_in_range {
         return None;
@@ -149,7 +130,7 @@ pub(super) fn distance_sensor(payload: &[u8]) -> Option<Message> {
     })
 }
 
-pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
+pub(super) fn write_distance(stamp: WireStamp, range: Meters, sigma: Option<Meters>) -> Payload {
     let variance_cm2 = sigma.map_or(VARIANCE_UNKNOWN, |sigma| {
         let variance = (sigma.0 / CENTIMETER_M).powi(2).round();
         variance.clamp(0.0, f64::from(VARIANCE_UNKNOWN - 1)) as u8
@@ -158,24 +139,23 @@ pub(super) fn write_distance(version: WireVersion, stamp: WireStamp, range: Mete
     // One below the limit: a range at the limit means that nothing was seen.
     let current_cm = ((range.0 / CENTIMETER_M).round() as u16).min(max_cm - 1);
     let id = 0;
-    PayloadWriter::new()
-        .u32(millis32(stamp))
-        .u16(min_cm)
-        .u16(max_cm)
-        .u16(current_cm)
-        .u8(RANGER_UNKNOWN)
-        .u8(id)
-        .u8(ORIENTATION_FORWARD)
-        .u8(variance_cm2)
-        .finish(version)
+    Payload::new(ids::DISTANCE_SENSOR)
+        .number::<u32>(millis32(stamp))
+        .number::<u16>(min_cm)
+        .number::<u16>(max_cm)
+        .number::<u16>(current_cm)
+        .number::<u8>(RANGER_UNKNOWN)
+        .number::<u8>(id)
+        .number::<u8>(ORIENTATION_FORWARD)
+        .number::<u8>(variance_cm2)
 }
 
 /// Only the temperature; the pressures are not used.
 pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
     reader.skip::<8>();
-    let temperature_cdeg_c = reader.i16();
+    let temperature_cdeg_c = reader.number::<i16>();
     Ok(Some(Message::Thermometer {
         stamp,
         channel: ChannelName::from_bytes(SCALED_PRESSURE_CHANNEL),
@@ -186,8 +166,8 @@ pub(super) fn scaled_pressure(payload: &[u8]) -> Decoded {
 /// Only named values whose names mark them as temperatures are used.
 pub(super) fn named_value(payload: &[u8]) -> Decoded {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.u32());
-    let value = reader.f32();
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let value = reader.number::<f32>();
     let name = reader.bytes::<NAME_BYTES>();
     let channel = ChannelName::from_bytes(&name);
     if !name.starts_with(TEMPERATURE_NAME) {
@@ -209,25 +189,14 @@ fn check_temperature(message_id: u32, degrees_c: f64) -> Result<Celsius, Payload
     }
 }
 
-pub(super) fn write_thermometer(
-    version: WireVersion,
-    stamp: WireStamp,
-    channel: &ChannelName,
-    temperature: Celsius,
-) -> (u32, Payload) {
-    let writer = PayloadWriter::new().u32(millis32(stamp));
+pub(super) fn write_thermometer(stamp: WireStamp, channel: &ChannelName, temperature: Celsius) -> Payload {
     if channel.as_str().as_bytes() == SCALED_PRESSURE_CHANNEL {
-        let (absolute_hpa, differential_hpa, of_differential_cdeg_c) = (0.0, 0.0, 0);
-        let payload = writer
-            .f32(absolute_hpa)
-            .f32(differential_hpa)
-            .i16((temperature.0 / CENTIDEGREE_C).round() as i16)
-            .extensions()
-            .i16(of_differential_cdeg_c)
-            .finish(version);
-        (ids::SCALED_PRESSURE, payload)
+        let (absolute_hpa, differential_hpa) = (0.0, 0.0);
+        Payload::new(ids::SCALED_PRESSURE)
+            .number::<u32>(millis32(stamp))
+            .f32s(&[absolute_hpa, differential_hpa])
+            .number::<i16>((temperature.0 / CENTIDEGREE_C).round() as i16)
     } else {
-        let payload = writer.f32(temperature.0 as f32).text::<NAME_BYTES>(channel.as_str()).finish(version);
-        (ids::NAMED_VALUE_FLOAT, payload)
+        services::write_named_value(&NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
     }
 }

@@ -6,12 +6,9 @@
 use mavlink::dialects::common::{SYSTEM_TIME_DATA, TIMESYNC_DATA};
 use posebridge_telemetry::{Address, ChannelName};
 
-use super::ids::COMMAND_SET_MESSAGE_INTERVAL;
-use super::payload::{
-    Decoded, Payload, PayloadReader, PayloadWriter, decode_generated, micros64, millis32, specific_address,
-};
+use super::ids;
+use super::payload::{Decoded, Payload, PayloadReader, decode_generated, micros64, millis32, specific_address};
 use super::sensors::NAME_BYTES;
-use crate::framing::WireVersion;
 use crate::message::{
     AutopilotVersion, CommandAck, CommandInt, CommandLong, ComponentInformation, FloatArray, Heartbeat, Message,
     MessageInterval, NamedValue, ProtocolVersion, STOP_INTERVAL, SetMessageInterval, TextPart, TimeSync, WireStamp,
@@ -20,7 +17,7 @@ use crate::message::{
 /// MAVLink's own minor version, in every heartbeat.
 const MAVLINK_VERSION: u8 = 3;
 /// MAV_PARAM_TYPE_REAL32.
-const PARAM_TYPE_REAL32: u8 = 9;
+pub(super) const PARAM_TYPE_REAL32: u8 = 9;
 /// The values of MAV_PARAM_TYPE that fit into the slot and are whole numbers.
 mod integer_type {
     pub(super) const UINT8: u8 = 1;
@@ -31,29 +28,27 @@ mod integer_type {
     pub(super) const INT32: u8 = 6;
 }
 const PARAM_NAME: usize = 16;
-/// Length of one chunk of text.
 pub(super) const STATUS_TEXT: usize = 50;
 
 pub(super) fn heartbeat(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let _custom_mode = reader.u32();
+    let _custom_mode = reader.number::<u32>();
     Message::Heartbeat(Heartbeat {
-        vehicle_type: reader.u8(),
-        autopilot: reader.u8(),
-        base_mode: reader.u8(),
-        system_status: reader.u8(),
+        vehicle_type: reader.number::<u8>(),
+        autopilot: reader.number::<u8>(),
+        base_mode: reader.number::<u8>(),
+        system_status: reader.number::<u8>(),
     })
 }
 
-pub(super) fn write_heartbeat(version: WireVersion, heartbeat: Heartbeat) -> Payload {
-    PayloadWriter::new()
-        .u32(0)
-        .u8(heartbeat.vehicle_type)
-        .u8(heartbeat.autopilot)
-        .u8(heartbeat.base_mode)
-        .u8(heartbeat.system_status)
-        .u8(MAVLINK_VERSION)
-        .finish(version)
+pub(super) fn write_heartbeat(heartbeat: Heartbeat) -> Payload {
+    Payload::new(ids::HEARTBEAT)
+        .number::<u32>(0)
+        .number::<u8>(heartbeat.vehicle_type)
+        .number::<u8>(heartbeat.autopilot)
+        .number::<u8>(heartbeat.base_mode)
+        .number::<u8>(heartbeat.system_status)
+        .number::<u8>(MAVLINK_VERSION)
 }
 
 pub(super) fn system_time(payload: &[u8]) -> Decoded {
@@ -73,7 +68,7 @@ pub(super) fn time_sync(payload: &[u8]) -> Decoded {
     })))
 }
 
-pub(super) fn write_time_sync(version: WireVersion, sync: &TimeSync) -> Payload {
+pub(super) fn write_time_sync(sync: &TimeSync) -> Payload {
     let target = sync.target.unwrap_or_default();
     let data = TIMESYNC_DATA {
         tc1: sync.answer_nanos,
@@ -81,13 +76,13 @@ pub(super) fn write_time_sync(version: WireVersion, sync: &TimeSync) -> Payload 
         target_system: target.system.0,
         target_component: target.component.0,
     };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
 pub(super) fn command_long(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
     let params: [f32; 7] = reader.f32s();
-    let command = reader.u16();
+    let command = reader.number::<u16>();
     let target = reader.address();
     let command = CommandLong { target, command, params };
     SetMessageInterval::from_command(&command).map_or(Message::Command(command), Message::SetMessageInterval)
@@ -96,73 +91,61 @@ pub(super) fn command_long(payload: &[u8]) -> Message {
 pub(super) fn command_int(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
     let params: [f32; 4] = reader.f32s();
-    let (x, y, z) = (reader.i32(), reader.i32(), reader.f32());
-    let command = reader.u16();
+    let (x, y, z) = (reader.number::<i32>(), reader.number::<i32>(), reader.number::<f32>());
+    let command = reader.number::<u16>();
     let target = reader.address();
-    Message::CommandInt(CommandInt { target, frame: reader.u8(), command, params, x, y, z })
+    Message::CommandInt(CommandInt { target, frame: reader.number::<u8>(), command, params, x, y, z })
 }
 
-pub(super) fn write_command_int(version: WireVersion, command: &CommandInt) -> Payload {
-    let (current, autocontinue) = (0, 0);
-    PayloadWriter::new()
+pub(super) fn write_command_int(command: &CommandInt) -> Payload {
+    Payload::new(ids::COMMAND_INT)
         .f32s(&command.params)
-        .i32(command.x)
-        .i32(command.y)
-        .f32(command.z)
-        .u16(command.command)
+        .number::<i32>(command.x)
+        .number::<i32>(command.y)
+        .number::<f32>(command.z)
+        .number::<u16>(command.command)
         .address(command.target)
-        .u8(command.frame)
-        .u8(current)
-        .u8(autocontinue)
-        .finish(version)
+        .number::<u8>(command.frame)
 }
 
-pub(super) fn write_command(version: WireVersion, command: &CommandLong) -> Payload {
-    let confirmation = 0;
-    PayloadWriter::new()
-        .f32s(&command.params)
-        .u16(command.command)
-        .address(command.target)
-        .u8(confirmation)
-        .finish(version)
+pub(super) fn write_command(command: &CommandLong) -> Payload {
+    Payload::new(ids::COMMAND_LONG).f32s(&command.params).number::<u16>(command.command).address(command.target)
 }
 
-pub(super) fn write_interval(version: WireVersion, request: &SetMessageInterval) -> Payload {
+pub(super) fn write_interval(request: &SetMessageInterval) -> Payload {
     let micros = request.interval.map_or(STOP_INTERVAL, |interval| (interval.as_nanos().max(0) as f64 * 1e-3) as f32);
     let mut params = [0.0; 7];
     params[0] = request.message_id as f32;
     params[1] = micros;
-    let command = CommandLong { target: request.target, command: COMMAND_SET_MESSAGE_INTERVAL, params };
-    write_command(version, &command)
+    let command = CommandLong { target: request.target, command: ids::COMMAND_SET_MESSAGE_INTERVAL, params };
+    write_command(&command)
 }
 
 pub(super) fn command_ack(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let command = reader.u16();
-    let result = reader.u8();
-    let _progress = reader.u8();
-    let _detail = reader.u32();
+    let command = reader.number::<u16>();
+    let result = reader.number::<u8>();
+    let _progress = reader.number::<u8>();
+    let _detail = reader.number::<u32>();
     Message::CommandAck(CommandAck { command, result, target: specific_address(reader.address()) })
 }
 
-pub(super) fn write_ack(version: WireVersion, ack: CommandAck) -> Payload {
+pub(super) fn write_ack(ack: CommandAck) -> Payload {
     let (progress, detail) = (0, 0);
-    PayloadWriter::new()
-        .u16(ack.command)
-        .u8(ack.result)
-        .extensions()
-        .u8(progress)
-        .u32(detail)
+    Payload::new(ids::COMMAND_ACK)
+        .number::<u16>(ack.command)
+        .number::<u8>(ack.result)
+        .number::<u8>(progress)
+        .number::<u32>(detail)
         .address(ack.target.unwrap_or_default())
-        .finish(version)
 }
 
 pub(super) fn status_text(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
     Message::StatusText {
-        severity: reader.u8(),
+        severity: reader.number::<u8>(),
         text: reader.text::<STATUS_TEXT>(),
-        part: TextPart { text_id: reader.u16(), index: reader.u8() },
+        part: TextPart { text_id: reader.number::<u16>(), index: reader.number::<u8>() },
     }
 }
 
@@ -172,17 +155,17 @@ pub(super) fn param_request_list(payload: &[u8]) -> Message {
 
 pub(super) fn param_request_read(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let index = reader.i16();
+    let index = reader.number::<i16>();
     let target = reader.address();
     Message::ParamRequestRead { target, name: reader.text::<PARAM_NAME>(), index }
 }
 
 pub(super) fn param_set(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let slot = reader.f32();
+    let slot = reader.number::<f32>();
     let target = reader.address();
     let name = reader.text::<PARAM_NAME>();
-    let kind = reader.u8();
+    let kind = reader.number::<u8>();
     match param_number(slot, kind) {
         Some(value) => Message::ParamSet { target, name, value },
         None => Message::ParamSetUnsupported { target, name, kind },
@@ -208,44 +191,39 @@ fn param_number(slot: f32, kind: u8) -> Option<f32> {
 /// A foreign autopilot has integer parameters, which are not used.
 pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
-    let value = reader.f32();
-    let count = reader.u16();
-    let index = reader.u16();
+    let value = reader.number::<f32>();
+    let count = reader.number::<u16>();
+    let index = reader.number::<u16>();
     let name = reader.text::<PARAM_NAME>();
-    let is_float = reader.u8() == PARAM_TYPE_REAL32;
+    let is_float = reader.number::<u8>() == PARAM_TYPE_REAL32;
     is_float.then_some(Message::ParamValue { name, value, count, index })
 }
 
-pub(super) fn write_system_time(version: WireVersion, unix_micros: u64, since_boot: WireStamp) -> Payload {
+pub(super) fn write_system_time(unix_micros: u64, since_boot: WireStamp) -> Payload {
     let data = SYSTEM_TIME_DATA { time_unix_usec: unix_micros, time_boot_ms: millis32(since_boot) };
-    Payload::encode(version, &data)
+    Payload::encode(&data)
 }
 
-pub(super) fn write_status_text(version: WireVersion, severity: u8, text: &str, part: TextPart) -> Payload {
-    let writer = PayloadWriter::new().u8(severity).text::<STATUS_TEXT>(text);
-    writer.extensions().u16(part.text_id).u8(part.index).finish(version)
+pub(super) fn write_status_text(severity: u8, text: &str, part: TextPart) -> Payload {
+    let writer = Payload::new(ids::STATUSTEXT).number::<u8>(severity).text::<STATUS_TEXT>(text);
+    writer.number::<u16>(part.text_id).number::<u8>(part.index)
 }
 
-pub(super) fn write_param_request_list(version: WireVersion, target: Address) -> Payload {
-    PayloadWriter::new().address(target).finish(version)
+pub(super) fn write_param_request_list(target: Address) -> Payload {
+    Payload::new(ids::PARAM_REQUEST_LIST).address(target)
 }
 
-pub(super) fn write_param_request_read(version: WireVersion, target: Address, name: &str, index: i16) -> Payload {
-    PayloadWriter::new().i16(index).address(target).text::<PARAM_NAME>(name).finish(version)
+pub(super) fn write_param_request_read(target: Address, name: &str, index: i16) -> Payload {
+    Payload::new(ids::PARAM_REQUEST_READ).number::<i16>(index).address(target).text::<PARAM_NAME>(name)
 }
 
-pub(super) fn write_param_set(version: WireVersion, target: Address, name: &str, value: f32) -> Payload {
-    PayloadWriter::new().f32(value).address(target).text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32).finish(version)
+pub(super) fn write_param_set(target: Address, name: &str, value: f32, kind: u8) -> Payload {
+    Payload::new(ids::PARAM_SET).number::<f32>(value).address(target).text::<PARAM_NAME>(name).number::<u8>(kind)
 }
 
-/// The value has an unreadable type, so none is written.
-pub(super) fn write_param_set_unsupported(version: WireVersion, target: Address, name: &str, kind: u8) -> Payload {
-    PayloadWriter::new().f32(0.0).address(target).text::<PARAM_NAME>(name).u8(kind).finish(version)
-}
-
-pub(super) fn write_param_value(version: WireVersion, name: &str, value: f32, count: u16, index: u16) -> Payload {
-    let writer = PayloadWriter::new().f32(value).u16(count).u16(index);
-    writer.text::<PARAM_NAME>(name).u8(PARAM_TYPE_REAL32).finish(version)
+pub(super) fn write_param_value(name: &str, value: f32, count: u16, index: u16) -> Payload {
+    let writer = Payload::new(ids::PARAM_VALUE).number::<f32>(value).number::<u16>(count).number::<u16>(index);
+    writer.text::<PARAM_NAME>(name).number::<u8>(PARAM_TYPE_REAL32)
 }
 
 /// Length of DEBUG_FLOAT_ARRAY.data.
@@ -254,49 +232,43 @@ const ARRAY: usize = 58;
 const LONG_NAME: usize = 32;
 /// Length of its versions, a terminator included.
 const SHORT_NAME: usize = 24;
-/// Bytes of AUTOPILOT_VERSION's uid, versions of other software and of the board, and of vendor and product; unknown
-/// here.
-const NO_HARDWARE: [u8; 44] = [0; 44];
 
 pub(super) fn autopilot_version(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let capabilities = reader.u64();
-    let _uid = reader.u64();
-    Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.u32().to_be_bytes() })
+    let capabilities = reader.number::<u64>();
+    let _uid = reader.number::<u64>();
+    Message::AutopilotVersion(AutopilotVersion { capabilities, software: reader.number::<u32>().to_be_bytes() })
 }
 
-pub(super) fn write_autopilot_version(version: WireVersion, message: AutopilotVersion) -> Payload {
+pub(super) fn write_autopilot_version(message: AutopilotVersion) -> Payload {
     let no_uid = 0;
-    let writer = PayloadWriter::new().u64(message.capabilities).u64(no_uid);
-    let writer = writer.u32(u32::from_be_bytes(message.software));
-    let writer = writer.raw(&NO_HARDWARE[..40]).extensions();
-    writer.raw(&NO_HARDWARE[..18]).finish(version)
+    Payload::new(ids::AUTOPILOT_VERSION)
+        .number::<u64>(message.capabilities)
+        .number::<u64>(no_uid)
+        .number::<u32>(u32::from_be_bytes(message.software))
 }
 
 pub(super) fn protocol_version(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
     Message::ProtocolVersion(ProtocolVersion {
-        version: reader.u16(),
-        min_version: reader.u16(),
-        max_version: reader.u16(),
+        version: reader.number::<u16>(),
+        min_version: reader.number::<u16>(),
+        max_version: reader.number::<u16>(),
     })
 }
 
-pub(super) fn write_protocol_version(version: WireVersion, message: ProtocolVersion) -> Payload {
-    let no_hashes = [0; 16];
-    PayloadWriter::new()
-        .u16(message.version)
-        .u16(message.min_version)
-        .u16(message.max_version)
-        .raw(&no_hashes)
-        .finish(version)
+pub(super) fn write_protocol_version(message: ProtocolVersion) -> Payload {
+    Payload::new(ids::PROTOCOL_VERSION)
+        .number::<u16>(message.version)
+        .number::<u16>(message.min_version)
+        .number::<u16>(message.max_version)
 }
 
 pub(super) fn component_information(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let capabilities = reader.u64();
-    let stamp = WireStamp::Millis32(reader.u32());
-    let _manufactured = reader.u32();
+    let capabilities = reader.number::<u64>();
+    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let _manufactured = reader.number::<u32>();
     let vendor = reader.text::<LONG_NAME>();
     let model = reader.text::<LONG_NAME>();
     Message::ComponentInformation(ComponentInformation {
@@ -309,43 +281,36 @@ pub(super) fn component_information(payload: &[u8]) -> Message {
 }
 
 /// Its texts must end with a zero, so each is one byte shorter than its field.
-pub(super) fn write_component_information(version: WireVersion, message: &ComponentInformation) -> Payload {
+pub(super) fn write_component_information(message: &ComponentInformation) -> Payload {
     let unknown_date = 0;
-    let no_hardware_version = [0; SHORT_NAME];
-    let no_serial_number = [0; LONG_NAME];
-    PayloadWriter::new()
-        .u64(message.capabilities)
-        .u32(millis32(message.stamp))
-        .u32(unknown_date)
+    Payload::new(ids::COMPONENT_INFORMATION_BASIC)
+        .number::<u64>(message.capabilities)
+        .number::<u32>(millis32(message.stamp))
+        .number::<u32>(unknown_date)
         .text::<{ LONG_NAME - 1 }>(&message.vendor)
-        .u8(0)
+        .number::<u8>(0)
         .text::<{ LONG_NAME - 1 }>(&message.model)
-        .u8(0)
+        .number::<u8>(0)
         .text::<{ SHORT_NAME - 1 }>(&message.software_version)
-        .u8(0)
-        .raw(&no_hardware_version)
-        .raw(&no_serial_number)
-        .finish(version)
 }
 
 pub(super) fn message_interval(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let interval_micros = reader.i32();
-    Message::MessageInterval(MessageInterval { message_id: reader.u16(), interval_micros })
+    let interval_micros = reader.number::<i32>();
+    Message::MessageInterval(MessageInterval { message_id: reader.number::<u16>(), interval_micros })
 }
 
-pub(super) fn write_named_value(version: WireVersion, message: &NamedValue) -> Payload {
-    PayloadWriter::new()
-        .u32(millis32(message.stamp))
-        .f32(message.value)
+pub(super) fn write_named_value(message: &NamedValue) -> Payload {
+    Payload::new(ids::NAMED_VALUE_FLOAT)
+        .number::<u32>(millis32(message.stamp))
+        .number::<f32>(message.value)
         .text::<NAME_BYTES>(message.name.as_str())
-        .finish(version)
 }
 
 pub(super) fn float_array(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Micros64(reader.u64());
-    let id = reader.u16();
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
+    let id = reader.number::<u16>();
     let name = ChannelName::from_bytes(&reader.bytes::<NAME_BYTES>());
     let mut values = reader.f32s::<ARRAY>().to_vec();
     while values.last().is_some_and(|value| value.to_bits() == 0) {
@@ -354,17 +319,15 @@ pub(super) fn float_array(payload: &[u8]) -> Message {
     Message::FloatArray(FloatArray { stamp, name, id, values })
 }
 
-pub(super) fn write_float_array(version: WireVersion, message: &FloatArray) -> Payload {
+pub(super) fn write_float_array(message: &FloatArray) -> Payload {
     let held = message.values.len().min(ARRAY);
-    PayloadWriter::new()
-        .u64(micros64(message.stamp))
-        .u16(message.id)
+    Payload::new(ids::DEBUG_FLOAT_ARRAY)
+        .number::<u64>(micros64(message.stamp))
+        .number::<u16>(message.id)
         .text::<NAME_BYTES>(message.name.as_str())
-        .extensions()
         .f32s(&message.values[..held])
-        .finish(version)
 }
 
-pub(super) fn write_message_interval(version: WireVersion, message: MessageInterval) -> Payload {
-    PayloadWriter::new().i32(message.interval_micros).u16(message.message_id).finish(version)
+pub(super) fn write_message_interval(message: MessageInterval) -> Payload {
+    Payload::new(ids::MESSAGE_INTERVAL).number::<i32>(message.interval_micros).number::<u16>(message.message_id)
 }

@@ -1,18 +1,14 @@
 //! Classifies a candidate frame by its header alone, and keeps frames with an unknown id until they are decided.
 //!
-//! Early classification keeps a truncated or invented header from delaying the frames after it: flags that no protocol
-//! version has and lengths that the claimed message cannot have are rejected before their bytes have come. The framer
-//! verifies the checksums.
-//!
-//! The checksum of a frame with an unknown id cannot be verified, so it never stops the scan: the search for verified frames goes on
-//! inside it. It is accepted when a verified frame (or another accepted one, or the end of all bytes) begins exactly where it
-//! ends and no verified frame has begun inside it.
+//! Flags that no version has and lengths that the claimed message cannot have are rejected before their bytes have come. A
+//! frame with an unknown id never stops the scan: it is accepted when a verified frame (or another accepted one, or the end
+//! of all bytes) begins exactly where it ends and no verified frame has begun inside it.
 
 use posebridge_telemetry::Address;
 
 use super::checksum::checksum;
 use super::{FLAG_SIGNED, FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
-use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue, MessageLayout};
+use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue};
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
 const HEADER_V2: usize = 10;
@@ -23,30 +19,28 @@ const CHECKSUM: usize = 2;
 const SIGNATURE: usize = 13;
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FrameHeader {
+pub(crate) struct FrameHeader {
     version: WireVersion,
-    message_id: u32,
+    pub(crate) message_id: u32,
     source: Address,
-    sequence: u8,
+    pub(crate) sequence: u8,
     payload_len: usize,
     /// Length of the complete frame, signature included.
-    pub(super) total: usize,
+    pub(crate) total: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) enum FrameCandidate {
+pub(crate) enum FrameCandidate {
     Incomplete,
     /// Flags or a length that the message cannot have.
     Impossible {
         message_id: u32,
         length: u8,
     },
-    /// A known id; the frame may be incomplete.
     Supported {
         header: FrameHeader,
         crc_extra: u8,
     },
-    /// An unknown id; the frame may be incomplete.
     Unknown {
         header: FrameHeader,
     },
@@ -88,133 +82,113 @@ pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
 /// accepted, which need no second checksum.
 #[inline]
 pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
-    let header = match raw {
-        [START_BYTE_V2, rest @ ..] => header_v2(rest),
-        [START_BYTE_V1, rest @ ..] => header_v1(rest),
-        _ => None,
-    };
-    let header = header.filter(|header| header.total == raw.len())?;
+    let header = FrameHeader::parse(raw).filter(|header| header.total == raw.len())?;
     Some(header.frame(raw))
 }
 
 /// Classifies `bytes`, which begin with a start byte of the version.
 #[inline]
-pub(super) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
-    match bytes {
-        [START_BYTE_V2, rest @ ..] => classify_v2(rest, catalogue),
-        [START_BYTE_V1, rest @ ..] => classify_v1(rest, catalogue),
-        _ => FrameCandidate::Incomplete,
-    }
-}
-
-#[inline]
-fn classify_v2(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
-    if let [length, flags, ..] = *rest
+pub(crate) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
+    if let [START_BYTE_V2, length, flags, ..] = *bytes
         && flags & !FLAG_SIGNED != 0
     {
         // With unknown flags the place of the id is unknown too.
         return FrameCandidate::Impossible { message_id: 0, length };
     }
-    let Some(header) = header_v2(rest) else {
+    let Some(header) = FrameHeader::parse(bytes) else {
         return FrameCandidate::Incomplete;
     };
-    with_layout(header, catalogue, |shape| header.payload_len <= usize::from(shape.max_len_v2))
-}
-
-#[inline]
-fn classify_v1(rest: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
-    let Some(header) = header_v1(rest) else {
-        return FrameCandidate::Incomplete;
-    };
-    // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there, but pymavlink
-    // sends them when it is set to version 1.
-    with_layout(header, catalogue, |shape| {
-        let lengths = [shape.max_len_v1, shape.max_len_v2];
-        lengths.map(usize::from).contains(&header.payload_len)
-    })
-}
-
-/// The header after the start byte of version 2; `None` if it is incomplete.
-#[inline]
-fn header_v2(rest: &[u8]) -> Option<FrameHeader> {
-    let [length, flags, _, sequence, system, component, id0, id1, id2, ..] = *rest else {
-        return None;
-    };
-    let payload_len = usize::from(length);
-    let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE };
-    Some(FrameHeader {
-        version: WireVersion::V2,
-        message_id: u32::from_le_bytes([id0, id1, id2, 0]),
-        source: Address::new(system, component),
-        sequence,
-        payload_len,
-        total: HEADER_V2 + payload_len + CHECKSUM + signature,
-    })
-}
-
-/// The header after the start byte of version 1; `None` if it is incomplete.
-#[inline]
-fn header_v1(rest: &[u8]) -> Option<FrameHeader> {
-    let [length, sequence, system, component, id, ..] = *rest else {
-        return None;
-    };
-    let payload_len = usize::from(length);
-    Some(FrameHeader {
-        version: WireVersion::V1,
-        message_id: u32::from(id),
-        source: Address::new(system, component),
-        sequence,
-        payload_len,
-        total: HEADER_V1 + payload_len + CHECKSUM,
-    })
-}
-
-#[inline]
-fn with_layout(
-    header: FrameHeader,
-    catalogue: &MessageCatalogue,
-    fits: impl Fn(&MessageLayout) -> bool,
-) -> FrameCandidate {
     let Some(shape) = catalogue.layout(header.message_id) else {
         return FrameCandidate::Unknown { header };
     };
-    if !fits(&shape) {
-        return FrameCandidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 };
+    let (shortest, longest) = (usize::from(shape.max_len_v1), usize::from(shape.max_len_v2));
+    let fits = match header.version {
+        // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there,
+        // but pymavlink sends them when it is set to version 1.
+        WireVersion::V1 => [shortest, longest].contains(&header.payload_len),
+        WireVersion::V2 => header.payload_len <= longest,
+    };
+    if fits {
+        FrameCandidate::Supported { header, crc_extra: shape.crc_extra }
+    } else {
+        FrameCandidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 }
     }
-    FrameCandidate::Supported { header, crc_extra: shape.crc_extra }
 }
 
 impl FrameHeader {
+    /// `None` if it is incomplete.
+    #[inline]
+    pub(crate) fn parse(bytes: &[u8]) -> Option<Self> {
+        match *bytes {
+            [START_BYTE_V2, length, flags, _, sequence, system, component, id0, id1, id2, ..] => {
+                let payload_len = usize::from(length);
+                let signature = if flags & FLAG_SIGNED == 0 { 0 } else { SIGNATURE };
+                Some(Self {
+                    version: WireVersion::V2,
+                    message_id: u32::from_le_bytes([id0, id1, id2, 0]),
+                    source: Address::new(system, component),
+                    sequence,
+                    payload_len,
+                    total: HEADER_V2 + payload_len + CHECKSUM + signature,
+                })
+            }
+            [START_BYTE_V1, length, sequence, system, component, id, ..] => {
+                let payload_len = usize::from(length);
+                Some(Self {
+                    version: WireVersion::V1,
+                    message_id: u32::from(id),
+                    source: Address::new(system, component),
+                    sequence,
+                    payload_len,
+                    total: HEADER_V1 + payload_len + CHECKSUM,
+                })
+            }
+            _ => None,
+        }
+    }
+
     /// The frame that begins with this header; `raw` holds exactly [`FrameHeader::total`] bytes.
     #[inline]
     pub(super) fn frame<'a>(&self, raw: &'a [u8]) -> FrameRef<'a> {
-        let at = self.header_len();
         FrameRef {
             version: self.version,
             message_id: self.message_id,
             source: self.source,
             sequence: self.sequence,
-            payload: &raw[at..at + self.payload_len],
+            payload: &raw[self.payload_at()..self.end()],
             raw,
         }
     }
 
-    pub(super) const fn message_id(&self) -> u32 {
-        self.message_id
-    }
-
     /// The part of the frame that the checksum covers, and the checksum in the frame.
     #[inline]
-    pub(super) fn covered<'a>(&self, raw: &'a [u8]) -> (&'a [u8], u16) {
-        let end = self.header_len() + self.payload_len;
+    pub(crate) fn covered<'a>(&self, raw: &'a [u8]) -> (&'a [u8], u16) {
+        let end = self.end();
         (&raw[1..end], u16::from_le_bytes([raw[end], raw[end + 1]]))
     }
 
-    const fn header_len(&self) -> usize {
+    /// Offset of the sequence number; the sender's system and component follow it.
+    pub(crate) const fn sequence_at(&self) -> usize {
+        match self.version {
+            WireVersion::V1 => 2,
+            WireVersion::V2 => 4,
+        }
+    }
+
+    pub(crate) const fn payload_at(&self) -> usize {
         match self.version {
             WireVersion::V1 => HEADER_V1,
             WireVersion::V2 => HEADER_V2,
         }
+    }
+
+    /// Offset of the payload's end, where the checksum begins.
+    pub(crate) const fn end(&self) -> usize {
+        self.payload_at() + self.payload_len
+    }
+
+    pub(crate) const fn is_signed(&self) -> bool {
+        self.total > self.end() + CHECKSUM
     }
 }
 
@@ -292,7 +266,6 @@ impl UnknownSpans {
 mod tests {
     use super::*;
 
-    /// A version 1 frame with a right checksum.
     fn v1(id: u8, crc_extra: u8, payload: usize) -> Vec<u8> {
         let mut raw = vec![START_BYTE_V1, payload as u8, 0, 1, 1, id];
         raw.resize(HEADER_V1 + payload, 7);
@@ -329,11 +302,6 @@ mod tests {
         let unknown = v1(255, 0, 4);
         assert!(matches!(verify(&unknown), VerifiedFrame::UnknownFrame(frame) if !frame.is_signed()));
     }
-}
-
-#[cfg(test)]
-mod unknown_spans_tests {
-    use super::*;
 
     fn claims(list: &[(usize, usize)]) -> UnknownSpans {
         let mut claims = UnknownSpans::default();

@@ -1,19 +1,11 @@
 //! The framer: finds MAVLink frames in the bytes of one link and direction, which arrive in chunks with their times.
 //!
-//! # Model
-//! ```text
-//!            decided          cursor            end of the received bytes
-//!  ...frames...|...undecided...|...not yet examined...|
-//! ```
-//! Everything before `decided` was emitted as frames or counted as garbage. Between `decided` and `cursor` lie claims of unknown
-//! frames ([`UnknownSpans`]). The search stops at a start byte whose frame is not complete yet; these bytes stay in `pending`.
-//! When nothing is pending, the search runs on the caller's slice and copies nothing.
+//! Everything before `decided` was emitted as frames or counted as garbage. Between `decided` and `cursor` lie claims of
+//! unknown frames ([`UnknownSpans`]). The search stops at a start byte whose frame is not complete yet; these bytes stay in
+//! `pending`. A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
 //!
-//! A candidate that fails costs one byte, never its claimed length: a real frame may begin inside it.
-//!
-//! A link that stalls between two reads may interrupt a frame for longer than the gap. When the gap has passed and complete frames
-//! follow the incomplete one, that one is dropped; an incomplete frame after them is kept. When no complete frame follows, it is kept,
-//! too, and marked as overdue: the next bytes, in any number of chunks, complete it, or they contain frames and it is dropped then.
+//! When the gap has passed and complete frames follow an incomplete one, that one is dropped. When none follows, it is kept
+//! and marked as overdue: the next bytes complete it, or they contain frames and it is dropped then.
 
 use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 
@@ -202,7 +194,6 @@ impl Framer {
         self.overdue_end = self.overdue_end.saturating_sub(decided);
     }
 
-    /// Which candidates in `buffer` to wait for, now that its last bytes have arrived.
     fn wait_policy(&self, buffer: &[u8]) -> WaitPolicy {
         match self.config.transport {
             TransportKind::Datagram => WaitPolicy::Never,
@@ -290,7 +281,6 @@ impl ScanPass<'_, '_, '_> {
         }
     }
 
-    /// Moves the cursor to the next start byte; to the end when there is none.
     #[inline]
     fn find_start(&mut self) -> bool {
         let rest = &self.buffer[self.progress.cursor..];
@@ -322,11 +312,7 @@ impl ScanPass<'_, '_, '_> {
             self.progress.frames_end = self.progress.cursor;
         } else {
             self.counters.checksum_errors += 1;
-            (self.sink)(FramerOutput::Error(ReceiveError::Checksum {
-                message_id: header.message_id(),
-                found,
-                expected,
-            }));
+            (self.sink)(FramerOutput::Error(ReceiveError::Checksum { message_id: header.message_id, found, expected }));
             self.progress.cursor += 1;
         }
     }

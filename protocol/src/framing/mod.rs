@@ -1,20 +1,14 @@
-//! Bytes to frames: finds MAVLink frames in whatever a link delivers.
-//!
-//! Gets chunks and their arrival times from a link; returns complete, verified frames that borrow from the chunk, and a
-//! record of everything else. [`crate::dialect`] decodes the payloads; signatures are passed on, not verified.
+//! Bytes to frames: finds MAVLink frames in whatever a link delivers, and records everything else.
 //!
 //! It exists beside the `mavlink` crate's reader because that one cannot drop a truncated frame, counts nothing, drops
-//! unknown messages, and spends most of its time in a bytewise checksum.
-//!
-//! # Sources
-//! MAVLink guide, "Packet Serialization": frame layouts, CRC-16/MCRF4XX over everything between the start byte and the
-//! checksum and then CRC_EXTRA, 13 bytes of signature when incompatibility flag 1 is set.
+//! unknown messages, and spends most of its time in a bytewise checksum. Source: MAVLink guide, "Packet Serialization".
 
 mod candidate;
 mod checksum;
 mod framer;
 mod sequence;
 
+pub(crate) use candidate::{FrameCandidate, FrameHeader, classify};
 pub use candidate::{VerifiedFrame, parse_verified, verify};
 pub use checksum::checksum;
 pub(crate) use checksum::crc_extra_of;
@@ -75,7 +69,6 @@ pub struct FramerCounters {
     pub checksum_errors: u64,
     /// Bytes outside every frame.
     pub garbage_bytes: u64,
-    /// Frames with an unknown id, emitted unverified.
     pub unknown_ids: u64,
     /// Interruptions of a frame for longer than the gap, whether or not its rest came later.
     pub stalls: u64,
@@ -124,6 +117,5 @@ pub enum FramerOutput<'a> {
     /// A frame that is complete by its length but has an unknown id, so that its checksum cannot be verified. Forward it
     /// unchanged; do not trust it.
     UnknownFrame(FrameRef<'a>),
-    /// Damaged input was skipped.
     Error(ReceiveError),
 }

@@ -1,23 +1,13 @@
-//! Counts missing frames by the senders' sequence numbers.
+//! Counts missing frames by the senders' sequence numbers, each (system, component) separately.
 //!
-//! Each (system, component) is counted separately. Missing is what the sender has sent between two received frames,
-//! less what was received between them, as RFC 3550 defines the cumulative loss of RTP. A late frame is subtracted
-//! again; a duplicate counts once. An 8-bit number gives a distance only modulo 256, so that silences need more than
-//! the number:
-//!
+//! Missing is what the sender has sent between two received frames, less what was received between them, as RFC 3550
+//! (section 6.4.1, appendix A.3) defines the cumulative loss of RTP. An 8-bit number gives a distance only modulo 256:
 //! ```text
 //! n = a + 256 k     a = advance of the number modulo 256     k such that n is nearest to pace x (time between the two frames)
 //! ```
-//! The time is the sender's own, from the stamps of its messages. Arrival times are useless for this, because a link
-//! that stalls for seconds delivers everything at once. A sender without stamps is followed by its number alone: an
-//! advance of up to half the circle is a loss, more is an old frame.
-//!
-//! # Assumptions
-//! The sender counts by one and roughly keeps its pace through a silence; see [`send_rate`]. A restarted sender begins
-//! anew: its clock shows it, and losses around the restart are unknown and not counted.
-//!
-//! # Sources
-//! Cumulative number of packets lost: RFC 3550, section 6.4.1 and appendix A.3.
+//! The time is the sender's own, from the stamps of its messages, because a link that stalls delivers everything at once. A
+//! sender without stamps is followed by its number alone: an advance of up to half the circle is a loss, more is an old
+//! frame. A restarted sender begins anew: its clock shows it, and losses around the restart are not counted.
 
 mod missing;
 mod send_rate;

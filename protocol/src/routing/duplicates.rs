@@ -1,27 +1,10 @@
-//! Recognizes frames that came before by another endpoint, and frames that the station sent itself.
+//! Recognizes frames that came before by another endpoint, and frames that the station sent itself (docs/routing.md, "Loops
+//! and duplicates").
 //!
-//! # Model
-//! ```text
-//! frame key     hash of all bytes of the frame
-//! content key   hash of group, source, message id and payload without trailing zeros; for messages of a group with a timestamp
-//! duplicate     a key that was recorded within the window, from another endpoint than now
-//! echo          a frame from our own address whose fingerprint is among those of our last frames, on any link
-//! fingerprint   checksum (16 bits), sequence number, lowest byte of the message id
-//! ```
-//! The same bytes by the same endpoint are no duplicate: weak robots that send every frame with sequence number 0 repeat their
-//! heartbeats bit by bit, and a loop always leads through another endpoint.
-//!
-//! A sender counts its frames on each link for itself, so the copies of one message on two links differ in sequence number and
-//! checksum; their payloads are equal. For a message with the sender's time in it that is enough to recognize the copy. For
-//! others it is not: two heartbeats or two equal commands are two.
-//!
-//! A link may echo, and a ring of stations brings every broadcast back: that is normal. But a frame under our address that we
-//! never sent comes from a sender with the same address, by default another station. Neither receives the other then, and both
-//! must be warned.
-//!
-//! # Assumptions
-//! Two different frames within the window do not share a 64-bit hash by chance (10^4 frames: 3 in 10^12). A foreign frame under
-//! our address is taken for an echo once in 2^32 / 8192 = 524288 times.
+//! A frame is known by the hash of its bytes; on redundant links a message with a timestamp is also known by the hash of its
+//! source, id and payload, because a sender counts its frames on each link for itself. A frame from our own address is an
+//! echo if its fingerprint (checksum, sequence number, lowest byte of the id) is among those of our last frames. Two frames
+//! share a 64-bit hash by chance 3 times in 10^12 (10^4 frames); a foreign one is taken for an echo once in 524288 times.
 
 #[expect(clippy::disallowed_types, reason = "see DuplicateGuard")]
 use std::collections::HashMap;
@@ -32,7 +15,7 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::endpoints::Endpoint;
 use crate::dialect::ids;
-use crate::framing::{FrameRef, START_BYTE_V1, START_BYTE_V2};
+use crate::framing::{FrameHeader, FrameRef};
 
 /// Number of remembered keys per endpoint; the oldest of all are dropped first. A line of 115200 baud carries 8229 of
 /// the smallest telemetry frames (21 bytes) in 15 s.
@@ -45,7 +28,6 @@ const MAX_ENDPOINTS: usize = 32;
 /// Number of preallocated keys: ten seconds of a brick, which arrive at once after a stall and should not grow a
 /// station's memory.
 const RESERVED_KEYS: usize = 4_096;
-/// Most unsorted keys.
 const MAX_WAITING: usize = 64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -204,11 +186,6 @@ impl DuplicateGuard {
 /// Number of remembered sent frames. At a hundred frames per second on each of four links it is 20 s: longer than a
 /// frame takes round a loop.
 const MAX_SENT_FRAMES: usize = 8_192;
-/// Bytes of a frame besides payload and signature: the header with its start byte, and the checksum.
-const BESIDE_PAYLOAD_V1: usize = 8;
-/// The same of a MAVLink 2 frame.
-const BESIDE_PAYLOAD_V2: usize = 12;
-
 #[derive(Clone, Debug)]
 pub(super) struct SentFrameLog(VecDeque<u32>);
 
@@ -233,13 +210,10 @@ impl SentFrameLog {
 
 /// `None` for bytes that are no complete frame.
 fn fingerprint(frame: &[u8]) -> Option<u32> {
-    let (beside, length, sequence, id) = match *frame {
-        [START_BYTE_V2, length, _, _, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V2, length, sequence, id),
-        [START_BYTE_V1, length, sequence, _, _, id, ..] => (BESIDE_PAYLOAD_V1, length, sequence, id),
-        _ => return None,
-    };
-    let (_, checksum) = frame.get(..beside + usize::from(length))?.split_last_chunk::<2>()?;
-    Some(u32::from_le_bytes([checksum[0], checksum[1], sequence, id]))
+    let header = FrameHeader::parse(frame).filter(|header| header.total <= frame.len())?;
+    let (_, sum) = header.covered(frame);
+    let [low, high] = sum.to_le_bytes();
+    Some(u32::from_le_bytes([low, high, header.sequence, header.message_id as u8]))
 }
 
 /// Messages whose payload contains the sender's time: all telemetry that is fused here, and the most common others.
@@ -287,6 +261,11 @@ pub fn has_timestamp(message_id: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dialect::Encoder;
+    use crate::framing::{START_BYTE_V1, START_BYTE_V2, WireVersion};
+    use mavlink::dialects::common;
+    use mavlink_core::Message as _;
+    use posebridge_telemetry::Address;
     use posebridge_telemetry::{LinkId, PeerId};
 
     const WINDOW: TimeDelta = TimeDelta::from_millis(1_000);
@@ -364,15 +343,8 @@ mod tests {
             assert_eq!((guard.recent.len(), guard.expiry_order.len()), (expected, expected), "{links} links");
         }
     }
-}
 
-#[cfg(test)]
-mod sent_frames_tests {
-    use super::*;
-    use crate::dialect::Encoder;
-    use crate::framing::WireVersion;
     use crate::message::{Heartbeat, Message};
-    use posebridge_telemetry::Address;
 
     fn heartbeat(system_status: u8) -> Message {
         Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status })
@@ -418,13 +390,6 @@ mod sent_frames_tests {
         [frame[6], frame[7]] = [0, 0];
         assert!(!log.contains(&frame));
     }
-}
-
-#[cfg(test)]
-mod timestamped_tests {
-    use super::*;
-    use mavlink::dialects::common;
-    use mavlink_core::Message;
 
     #[test]
     fn the_list_can_be_searched() {

@@ -1,13 +1,8 @@
 //! Endpoints, the routes to them, and the target of a message, read from its payload without decoding it.
 //!
-//! About seventy messages name a target. The offset of its bytes follows from the definition in a way that is easy to
-//! get wrong: fields are sent by falling size and not in the order of the definition, extension fields last. The table
-//! is therefore computed with the generated encoders, when it is first needed: each message is encoded twice with
-//! different targets, and the byte that differs is the field. Decoding would not do: one enumeration value that is
-//! newer than our dialect makes the generated decoder reject a command that another system understands.
-//!
-//! # Sources
-//! minimal.xml, standard.xml and common.xml of the MAVLink project, as the `mavlink` crate ships them; our own dialect.
+//! The offset of a target in the payload is computed with the generated encoders when it is first needed: each message is
+//! encoded twice with different targets, and the byte that differs is the field. Decoding would not do: one enumeration
+//! value that is newer than our dialect makes the generated decoder reject a command that another system understands.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -31,7 +26,7 @@ pub struct Endpoint {
 }
 
 /// A route expires after this long without a frame: thirty missed heartbeats.
-pub(super) const LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
+pub const ROUTE_LIFETIME: TimeDelta = TimeDelta::from_millis(30_000);
 const MAX_ROUTES: usize = MAX_PEERS;
 
 /// More routes than this behind one endpoint are invented: eight bits name this many systems.
@@ -49,12 +44,10 @@ impl RouteTable {
         self.0.insert((source, endpoint), now);
     }
 
-    /// The endpoints of one component, by rising link and peer.
     pub(super) fn to_component(&self, now: Timestamp<HostClock>, address: Address) -> BTreeSet<Endpoint> {
         self.endpoints_in_range(now, address, address)
     }
 
-    /// The endpoints of any component of a system.
     pub(super) fn to_system(&self, now: Timestamp<HostClock>, system: SystemId) -> BTreeSet<Endpoint> {
         let component = |number| Address { system, component: ComponentId(number) };
         self.endpoints_in_range(now, component(0), component(u8::MAX))
@@ -69,7 +62,7 @@ impl RouteTable {
         let highest = Endpoint { link: LinkId(u16::MAX), peer: PeerId(u32::MAX) };
         self.0
             .range((first, lowest)..=(last, highest))
-            .filter(|(_, last_seen)| now - **last_seen <= LIFETIME)
+            .filter(|(_, last_seen)| now - **last_seen <= ROUTE_LIFETIME)
             .map(|((_, endpoint), _)| *endpoint)
             .collect()
     }
@@ -78,7 +71,7 @@ impl RouteTable {
     /// with the most, at once, so that a flood costs no search per frame. If no endpoint has many, the flood comes from
     /// invented endpoints, and the link with the most routes loses as many.
     fn evict_routes(&mut self, now: Timestamp<HostClock>) {
-        self.0.retain(|_, last_seen| now - *last_seen <= LIFETIME);
+        self.0.retain(|_, last_seen| now - *last_seen <= ROUTE_LIFETIME);
         if self.0.len() < MAX_ROUTES {
             return;
         }
@@ -120,7 +113,6 @@ pub enum MessageTarget {
 }
 
 impl MessageTarget {
-    /// `None` for a broadcast.
     pub const fn system(self) -> Option<SystemId> {
         match self {
             Self::Broadcast => None,
@@ -137,7 +129,6 @@ struct TargetOffsets {
     component: Option<u8>,
 }
 
-/// By rising message id.
 static OFFSETS: LazyLock<Vec<TargetOffsets>> = LazyLock::new(|| {
     let standard = common::MavMessage::all_ids().iter();
     let own = posebridge::MavMessage::all_ids().iter();
@@ -171,14 +162,14 @@ pub fn retarget(message_id: u32, frame: &mut [u8], to: Address) -> Result<(), Re
     let index = OFFSETS.binary_search_by_key(&message_id, |entry| entry.message_id);
     let offsets = index.map_err(|_unknown| RenumberError::NoFrame)?;
     let TargetOffsets { system, component, .. } = OFFSETS[offsets];
-    rewrite(frame, |frame, layout| {
-        let position = |offset: u8| layout.payload_at + usize::from(offset);
+    rewrite(frame, |frame, header| {
+        let position = |offset: u8| header.payload_at() + usize::from(offset);
         // What is cut off is zero: a broadcast.
-        if position(system) >= layout.end {
+        if position(system) >= header.end() {
             return Err(RenumberError::NoFrame);
         }
         frame[position(system)] = to.system.0;
-        let component = component.map(position).filter(|position| *position < layout.end);
+        let component = component.map(position).filter(|position| *position < header.end());
         if let Some(component) = component.filter(|position| frame[*position] != 0) {
             frame[component] = to.component.0;
         }
@@ -250,11 +241,6 @@ mod tests {
         }
         assert_eq!(routes.to_component(at(2), robot).len(), 1);
     }
-}
-
-#[cfg(test)]
-mod targets_tests {
-    use super::*;
 
     #[test]
     fn a_command_for_another_system_is_otherwise_the_same_command() {

@@ -1,23 +1,8 @@
-//! Routes frames: a station between several links is also a router.
+//! Routes frames: a station between several links is also a router (docs/routing.md; MAVLink guide, "Routing").
 //!
-//! Gets the frames that [`crate::framing`] finds, each with its endpoint, and returns the links and peers to which each
-//! is forwarded. It is a value: it sends nothing, reads no clock and changes no byte. It does not decide which frames
-//! are used, but distinguishes duplicates from another endpoint ([`DuplicateStatus`]).
-//!
-//! # Model
-//! ```text
-//! target          0, none, or message id unknown    every other link, and the other peers of the same link
-//! system s        s ≠ own, or component 0           the endpoints from which s was received
-//! component s/c   received                          the endpoints from which s/c was received
-//! component s/c   not received, s ≠ own             the endpoints from which s was received
-//! component s/c   not received, s = own             none; nor any for the station's own address
-//! ```
-//! A frame is never forwarded back to its endpoint, nor to another link of the same group: those lead to the same
-//! robot. The rules of the links (forwarding, filters) apply in addition.
-//!
-//! # Sources
-//! MAVLink guide, "Routing": broadcasts go everywhere, targeted messages only to known destinations, unknown messages are
-//! forwarded like broadcasts.
+//! It is a value: it sends nothing, reads no clock and changes no byte. It does not decide which frames are used, but
+//! distinguishes duplicates from another endpoint ([`DuplicateStatus`]). A frame is never forwarded back to its endpoint,
+//! nor to another link of the same group: those lead to the same robot.
 
 mod duplicates;
 mod endpoints;
@@ -28,7 +13,7 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, TimeDelta, Timestamp};
 
 pub use duplicates::has_timestamp;
-pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, retarget, target_of};
+pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, ROUTE_LIFETIME, retarget, target_of};
 pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRateLimiter, LinkRules, RateLimits, message_id_named};
 
 use self::duplicates::{DuplicateGuard, SentFrameLog, content_key, frame_key};
@@ -36,8 +21,6 @@ use self::endpoints::RouteTable;
 use crate::dialect::ids;
 use crate::framing::FrameRef;
 
-/// A route expires after this long without a frame.
-pub const ROUTE_LIFETIME: TimeDelta = endpoints::LIFETIME;
 /// COMMAND_CANCEL of common.xml.
 const COMMAND_CANCEL: u32 = 80;
 
@@ -126,7 +109,6 @@ impl FrameRouter {
         }
     }
 
-    /// The station sends this frame, on whichever link.
     pub fn record_sent(&mut self, frame: &[u8]) {
         self.sent_frames.record(frame);
     }
@@ -154,18 +136,16 @@ impl FrameRouter {
         frame: &FrameRef<'_>,
         sender: impl Into<SenderInfo>,
     ) -> RoutingDecision {
-        let SenderInfo { check, sharing } = sender.into();
         let is_own_address = frame.source == self.config.own;
         // The station's component speaks in the systems of robots, too.
         let may_be_own = is_own_address || frame.source.component == self.config.own.component;
         let is_echo = may_be_own && self.sent_frames.contains(frame.raw);
         if is_echo || is_own_address {
-            let occurrence = if is_echo { DuplicateStatus::Echo } else { DuplicateStatus::AddressConflict };
-            let to = Vec::new();
-            return RoutingDecision { duplicate_status: occurrence, to };
+            let duplicate_status = if is_echo { DuplicateStatus::Echo } else { DuplicateStatus::AddressConflict };
+            return RoutingDecision { duplicate_status, to: Vec::new() };
         }
-        let occurrence = self.classify_duplicate(now, from, frame);
-        self.decide(now, from, frame, SenderInfo { check, sharing }, occurrence)
+        let duplicate_status = self.classify_duplicate(now, from, frame);
+        self.decide(now, from, frame, sender.into(), duplicate_status)
     }
 
     /// The other endpoint from which a frame came first, while that is remembered.
@@ -193,21 +173,15 @@ impl FrameRouter {
         from: Endpoint,
         frame: &FrameRef<'_>,
         sender: SenderInfo,
-        occurrence: DuplicateStatus,
+        duplicate_status: DuplicateStatus,
     ) -> RoutingDecision {
-        let SenderInfo { check, sharing } = sender;
         // A loop is no route: it would send commands around. A redundant link is one.
-        if check == SenderCheck::Verified && occurrence != DuplicateStatus::Loop {
+        if sender.check == SenderCheck::Verified && duplicate_status != DuplicateStatus::Loop {
             self.routes.observe(now, frame.source, from);
         }
-        let to = match occurrence {
-            DuplicateStatus::New => self.destinations(now, (from, sharing), frame),
-            DuplicateStatus::Duplicate
-            | DuplicateStatus::Loop
-            | DuplicateStatus::Echo
-            | DuplicateStatus::AddressConflict => Vec::new(),
-        };
-        RoutingDecision { duplicate_status: occurrence, to }
+        let is_new = duplicate_status == DuplicateStatus::New;
+        let to = if is_new { self.destinations(now, from, sender.sharing, frame) } else { Vec::new() };
+        RoutingDecision { duplicate_status, to }
     }
 
     /// The destinations of a frame whose target's endpoint only the caller knows, subject to the rules.
@@ -218,8 +192,8 @@ impl FrameRouter {
         recipient: Endpoint,
     ) -> Vec<(LinkId, Recipients)> {
         let target = target_of(frame.message_id, frame.payload);
-        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled);
-        let may_go = leaves && recipient != from && self.is_allowed_out(recipient.link, target, frame);
+        let may_go =
+            self.forwards_from(from.link) && recipient != from && self.is_allowed_out(recipient.link, target, frame);
         may_go.then_some((recipient.link, Recipients::Peer(recipient.peer))).into_iter().collect()
     }
 
@@ -273,52 +247,35 @@ impl FrameRouter {
         }
     }
 
+    fn forwards_from(&self, link: LinkId) -> bool {
+        self.config.links.get(&link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled)
+    }
+
     fn destinations(
         &self,
         now: Timestamp<HostClock>,
-        (from, sharing): (Endpoint, LinkSharing),
+        from: Endpoint,
+        sharing: LinkSharing,
         frame: &FrameRef<'_>,
     ) -> Vec<(LinkId, Recipients)> {
-        let leaves = self.config.links.get(&from.link).is_none_or(|rules| rules.forward != ForwardPolicy::Disabled);
-        if !leaves {
+        if !self.forwards_from(from.link) {
             return Vec::new();
         }
         let target = target_of(frame.message_id, frame.payload);
         let may_leave = |link: LinkId| {
-            (sharing == LinkSharing::Shared || link != from.link) && self.is_allowed_out(link, target, frame)
+            let is_here = link == from.link;
+            (sharing == LinkSharing::Shared || !is_here)
+                && (is_here || !self.are_redundant(link, from.link))
+                && self.is_allowed_out(link, target, frame)
         };
-        match target {
-            // Nothing is collected before it is known that it leaves: of most links the frame has nowhere to go.
-            MessageTarget::Broadcast => {
-                let all = self.broadcast_destinations(from);
-                all.filter(|(link, _)| may_leave(*link)).collect()
-            }
-            MessageTarget::Component(address) if address == self.config.own => Vec::new(),
-            MessageTarget::System(_) | MessageTarget::Component(_) => {
-                let mut to = self.known_endpoints(now, from, target);
-                to.retain(|(link, _)| may_leave(*link));
-                to
-            }
-        }
-    }
-
-    fn broadcast_destinations(&self, from: Endpoint) -> impl Iterator<Item = (LinkId, Recipients)> {
-        let links = self.config.links.keys();
-        links.filter_map(move |link| match *link {
-            link if link == from.link => Some((link, Recipients::AllExcept(from.peer))),
-            link if self.are_redundant(link, from.link) => None,
-            link => Some((link, Recipients::All)),
-        })
-    }
-
-    fn known_endpoints(
-        &self,
-        now: Timestamp<HostClock>,
-        from: Endpoint,
-        target: MessageTarget,
-    ) -> Vec<(LinkId, Recipients)> {
         let endpoints = match target {
-            MessageTarget::Broadcast => return Vec::new(),
+            MessageTarget::Broadcast => {
+                let links = self.config.links.keys().copied().filter(|link| may_leave(*link));
+                let recipients =
+                    |link| if link == from.link { Recipients::AllExcept(from.peer) } else { Recipients::All };
+                return links.map(|link| (link, recipients(link))).collect();
+            }
+            MessageTarget::Component(address) if address == self.config.own => return Vec::new(),
             MessageTarget::System(system) => self.routes.to_system(now, system),
             MessageTarget::Component(address) => {
                 let exact = self.routes.to_component(now, address);
@@ -329,14 +286,8 @@ impl FrameRouter {
                 }
             }
         };
-        let is_other = |endpoint: &Endpoint| {
-            *endpoint != from && (endpoint.link == from.link || !self.are_redundant(endpoint.link, from.link))
-        };
-        endpoints
-            .into_iter()
-            .filter(is_other)
-            .map(|endpoint| (endpoint.link, Recipients::Peer(endpoint.peer)))
-            .collect()
+        let others = endpoints.into_iter().filter(|endpoint| *endpoint != from && may_leave(endpoint.link));
+        others.map(|endpoint| (endpoint.link, Recipients::Peer(endpoint.peer))).collect()
     }
 
     fn is_allowed_out(&self, link: LinkId, target: MessageTarget, frame: &FrameRef<'_>) -> bool {

@@ -84,16 +84,13 @@ pub fn message_id_named(name: &str) -> Option<u32> {
 
 /// Share of the rate that may be sent at once: a delay of a quarter of a second is noticeable in steering.
 const BURST: TimeDelta = TimeDelta::from_millis(250);
-/// A MAVLink 2 frame with signature.
 const MAX_FRAME_BYTES: i64 = 280;
-/// Most senders whose intervals are kept.
 const MAX_SENDERS: usize = MAX_PEERS;
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// Limits of one link. The default limits nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RateLimits {
-    /// Minimum interval of a message of one sender, by message id.
     pub min_intervals: BTreeMap<u32, TimeDelta>,
     /// `None` for no budget. A frame for several peers of the link is charged once, and each of them gets it.
     pub bytes_per_s: Option<u32>,
@@ -110,7 +107,6 @@ pub struct LinkRateLimiter {
 }
 
 impl LinkRateLimiter {
-    /// With a full budget at `now`.
     pub fn new(limits: RateLimits, now: Timestamp<HostClock>) -> Self {
         let mut limiter = Self { limits, last_sent: BTreeMap::new(), budget: 0, refilled: now };
         limiter.budget = limiter.max_budget();
@@ -201,11 +197,6 @@ mod tests {
         }
         assert_eq!(message_id_named("heartbeat"), None);
     }
-}
-
-#[cfg(test)]
-mod limits_tests {
-    use super::*;
 
     const ROBOT: Address = Address::new(1, 1);
 

@@ -1,16 +1,10 @@
-//! The MAVLink services beside the telemetry: heartbeats, time synchronization, message intervals, commands,
-//! parameters.
+//! The MAVLink services beside the telemetry: heartbeats, time synchronization, message intervals, commands, parameters.
 //!
-//! A session is one participant's part on one link. It is a value without IO: it takes time and messages, returns
-//! messages and events, and has a deadline. The station, the simulated brick and the simulated camera all use it, each
-//! in its own clock.
+//! A session is one participant's part on one link, in its own clock: the station's, the simulated brick's, the simulated
+//! camera's. It does not estimate clock offsets (it reports exchanges) and does not interpret parameters or commands.
 //!
-//! It does not estimate clock offsets (it reports exchanges), does not parse bytes, and does not interpret parameters
-//! or commands.
-//!
-//! # Sources
-//! MAVLink guide: "Heartbeat/Connection Protocol", "Time Synchronization Protocol v2", "Command Protocol", and the
-//! command MAV_CMD_SET_MESSAGE_INTERVAL of common.xml.
+//! Sources: MAVLink guide, "Heartbeat/Connection Protocol", "Time Synchronization Protocol v2", "Command Protocol", and
+//! MAV_CMD_SET_MESSAGE_INTERVAL of common.xml.
 
 mod output;
 mod parameters;
@@ -33,7 +27,6 @@ use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message,
 /// The configuration of a [`Session`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionConfig {
-    /// Our address on this link.
     pub own: Address,
     pub heartbeat: Heartbeat,
     /// Time between our heartbeats; the convention is one second.
@@ -207,7 +200,6 @@ impl<C: Clock> Session<C> {
         }
     }
 
-    /// The next action; `None` when there is none.
     pub fn poll(&mut self) -> Option<SessionOutput<C>> {
         self.outputs.pop_front()
     }
@@ -240,7 +232,6 @@ impl<C: Clock> Session<C> {
         self.send(Message::CommandAck(CommandAck { command, result: result as u8, target: Some(to) }));
     }
 
-    /// Queues a message of the owner after the pending ones.
     pub fn queue_message(&mut self, message: Message) {
         self.send(message);
     }

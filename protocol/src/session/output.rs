@@ -13,15 +13,10 @@ pub enum SessionOutput<C: Clock> {
     /// The first message of a peer, or its first one after it was lost.
     PeerSeen { peer: Address, heartbeat: Heartbeat },
     /// No message of a peer within the time-out.
-    PeerLost {
-        peer: Address,
-        /// Time since its last message.
-        silence: TimeDelta,
-    },
+    PeerLost { peer: Address, silence: TimeDelta },
     /// A reply to a time request of ours.
     TimeExchanged {
         peer: Address,
-        /// When we sent the request.
         sent: Timestamp<C>,
         received: Timestamp<C>,
         /// The peer's clock in between.
@@ -55,7 +50,6 @@ pub enum SessionOutput<C: Clock> {
     /// set request.
     ParameterUnsupported {
         by: Address,
-        /// Its index among the offered parameters.
         index: usize,
         /// MAV_PARAM_TYPE of the value.
         kind: u8,

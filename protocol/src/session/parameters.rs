@@ -1,14 +1,9 @@
-//! The parameters of one participant, as ground stations list, read and set them.
+//! The parameters of one participant, as ground stations list, read and set them (MAVLink guide, "Parameter Protocol").
 //!
-//! Stores names and current values. The owner validates values: a set is passed on as a request, and the resulting
-//! value is sent to all listeners, changed or not. All values are 32-bit floats, for which bytewise and C-cast encoding
-//! are the same. Names are case-insensitive: people type either case, and some ground stations know only capitals.
-//!
-//! A list is sent one value at a time, so that a slow link is not flooded; a request during a list extends it until all
-//! values were sent once more. Values are not sent on a link that never requested any: a brick has no use for them.
-//!
-//! # Source
-//! MAVLink guide, "Parameter Protocol"; common.xml, PARAM_REQUEST_READ, PARAM_REQUEST_LIST, PARAM_SET and PARAM_VALUE.
+//! The owner validates values: a set is passed on as a request, and the resulting value is sent to all listeners. All values
+//! are 32-bit floats, for which bytewise and C-cast encoding are the same. Names are case-insensitive: some ground stations
+//! know only capitals. A list is sent one value at a time, so that a slow link is not flooded; a request during a list
+//! extends it until all values were sent once more.
 
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
@@ -32,17 +27,12 @@ struct ParameterListing<C: Clock> {
     due: Timestamp<C>,
 }
 
-fn not_before<C: Clock>(now: Timestamp<C>, earliest: Option<Timestamp<C>>) -> Timestamp<C> {
-    earliest.map_or(now, |earliest| earliest.max(now))
-}
-
 #[derive(Debug)]
 pub(super) struct ParameterServer<C: Clock> {
     offered: Vec<OfferedParameter>,
     listing: Option<ParameterListing<C>>,
     /// No value of any list is sent before this.
     next_allowed: Option<Timestamp<C>>,
-    /// A peer on this link has requested parameters.
     was_requested: bool,
 }
 
@@ -59,6 +49,7 @@ impl<C: Clock> ParameterServer<C> {
     }
 
     /// Handles a request that arrived at `now` from `by`; returns the resulting outputs.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
     pub(super) fn handle(
         &mut self,
         now: Timestamp<C>,
@@ -66,44 +57,38 @@ impl<C: Clock> ParameterServer<C> {
         by: Address,
         message: &Message,
     ) -> Option<SessionOutput<C>> {
-        if self.offered.is_empty() {
+        let (target, requested) = match message {
+            Message::ParamRequestList { target } => (*target, None),
+            Message::ParamRequestRead { target, name, index } => (*target, Some((name, *index))),
+            Message::ParamSet { target, name, .. } | Message::ParamSetUnsupported { target, name, .. } => {
+                (*target, Some((name, -1)))
+            }
+            _ => return None,
+        };
+        if self.offered.is_empty() || !is_for(own, target) {
             return None;
         }
-        #[expect(
-            clippy::wildcard_enum_match_arm,
-            reason = "the session gives every message; most are about something else"
-        )]
+        self.was_requested = true;
+        let Some((name, index)) = requested else {
+            self.list(now);
+            return None;
+        };
+        let Some(known) = self.find(name, index) else {
+            // There is no reply for a parameter that a component does not have; but a request to us alone is reported.
+            let requested = if index == -1 { name.clone() } else { index.to_string() };
+            return (target == own).then_some(SessionOutput::ParameterUnknown { by, requested });
+        };
         match message {
-            Message::ParamRequestList { target } if is_for(own, *target) => {
-                self.list(now);
-                None
+            Message::ParamSet { value, .. } => {
+                Some(SessionOutput::ParameterSetRequested { by, index: known, value: *value })
             }
-            Message::ParamRequestRead { target, name, index } if is_for(own, *target) => {
-                self.was_requested = true;
-                match self.find(name, *index) {
-                    Some(index) => self.value(index).map(SessionOutput::Send),
-                    None => unknown_parameter(own, by, *target, name, *index),
-                }
+            Message::ParamSetUnsupported { kind, .. } => {
+                Some(SessionOutput::ParameterUnsupported { by, index: known, kind: *kind })
             }
-            Message::ParamSet { target, name, value } if is_for(own, *target) => {
-                self.was_requested = true;
-                match self.find(name, -1) {
-                    Some(index) => Some(SessionOutput::ParameterSetRequested { by, index, value: *value }),
-                    None => unknown_parameter(own, by, *target, name, -1),
-                }
-            }
-            Message::ParamSetUnsupported { target, name, kind } if is_for(own, *target) => {
-                self.was_requested = true;
-                match self.find(name, -1) {
-                    Some(index) => Some(SessionOutput::ParameterUnsupported { by, index, kind: *kind }),
-                    None => unknown_parameter(own, by, *target, name, -1),
-                }
-            }
-            _ => None,
+            _ => self.value(known).map(SessionOutput::Send),
         }
     }
 
-    /// Stores a value and returns the message that reports it, if any.
     pub(super) fn set_value(&mut self, index: usize, value: f32) -> Option<Message> {
         self.offered.get_mut(index)?.value = value;
         self.was_requested.then(|| self.value(index))?
@@ -134,8 +119,7 @@ impl<C: Clock> ParameterServer<C> {
     }
 
     fn list(&mut self, now: Timestamp<C>) {
-        self.was_requested = true;
-        let due = not_before(now, self.next_allowed);
+        let due = self.next_allowed.map_or(now, |earliest| earliest.max(now));
         let (next, due) = self.listing.map_or((0, due), |listing| (listing.next, listing.due));
         self.listing = Some(ParameterListing { next, remaining: self.offered.len(), due });
     }
@@ -165,17 +149,4 @@ impl<C: Clock> ParameterServer<C> {
 /// send.
 fn is_for(own: Address, target: Address) -> bool {
     target.system == own.system && (target.component == own.component || target.component == ComponentId(0))
-}
-
-/// A component does not reply for a parameter that it does not have; but a request to us alone is reported to the
-/// owner.
-fn unknown_parameter<C: Clock>(
-    own: Address,
-    by: Address,
-    target: Address,
-    name: &str,
-    index: i16,
-) -> Option<SessionOutput<C>> {
-    let requested = if index == -1 { name.to_owned() } else { index.to_string() };
-    (target == own).then_some(SessionOutput::ParameterUnknown { by, requested })
 }

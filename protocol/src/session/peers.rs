@@ -26,12 +26,8 @@ struct RequestProgress<C: Clock> {
 }
 
 impl<C: Clock> RequestProgress<C> {
-    const fn first(now: Timestamp<C>) -> Self {
-        Self { index: 0, attempts: 0, next: now }
-    }
-
-    const fn at_index(index: usize, now: Timestamp<C>) -> Self {
-        Self { index: index + 1, attempts: 0, next: now }
+    const fn new(index: usize, now: Timestamp<C>) -> Self {
+        Self { index, attempts: 0, next: now }
     }
 }
 
@@ -53,7 +49,6 @@ impl<C: Clock> PeerTable<C> {
         Self { timeout, peers: BTreeMap::new() }
     }
 
-    /// Any message keeps a known peer alive.
     pub(super) fn record_activity(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
             peer.last_seen = now;
@@ -67,14 +62,14 @@ impl<C: Clock> PeerTable<C> {
         }
         let is_robot = heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
         let peer =
-            SessionPeer { last_seen: now, is_robot, request_progress: is_robot.then(|| RequestProgress::first(now)) };
+            SessionPeer { last_seen: now, is_robot, request_progress: is_robot.then(|| RequestProgress::new(0, now)) };
         self.peers.insert(from, peer);
         true
     }
 
     pub(super) fn restart_requests(&mut self, now: Timestamp<C>, peer: Address) {
         if let Some(peer) = self.peers.get_mut(&peer).filter(|peer| peer.is_robot) {
-            peer.request_progress = Some(RequestProgress::first(now));
+            peer.request_progress = Some(RequestProgress::new(0, now));
         }
     }
 
@@ -104,7 +99,7 @@ impl<C: Clock> PeerTable<C> {
     pub(super) fn record_response(&mut self, now: Timestamp<C>, from: Address) {
         if let Some(peer) = self.peers.get_mut(&from) {
             peer.request_progress = peer.request_progress.map(|progress| {
-                if progress.attempts == 0 { progress } else { RequestProgress::at_index(progress.index, now) }
+                if progress.attempts == 0 { progress } else { RequestProgress::new(progress.index + 1, now) }
             });
         }
     }
@@ -129,7 +124,7 @@ impl<C: Clock> SessionPeer<C> {
     fn due_request(&mut self, now: Timestamp<C>, requested_count: usize) -> Option<usize> {
         let mut progress = self.request_progress.filter(|progress| now >= progress.next)?;
         if progress.attempts == MAX_ATTEMPTS {
-            progress = RequestProgress::at_index(progress.index, now);
+            progress = RequestProgress::new(progress.index + 1, now);
         }
         if progress.index >= requested_count {
             self.request_progress = None;

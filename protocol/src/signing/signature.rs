@@ -4,7 +4,7 @@ use posebridge_telemetry::TimeDelta;
 use sha2::{Digest, Sha256};
 
 use super::key::Key;
-use crate::framing::{FLAG_SIGNED, FrameRef, START_BYTE_V2};
+use crate::framing::FrameRef;
 
 /// Bytes of the hash in a signature; link id (1) and timestamp (6) precede it.
 const MAC: usize = 6;
@@ -18,9 +18,7 @@ const MAX_UNITS: u64 = (1 << 48) - 1;
 pub struct SigningTime(u64);
 
 impl SigningTime {
-    /// The beginning of 2015.
     pub const ZERO: Self = Self(0);
-    /// The last instant, in 2104.
     pub const MAX: Self = Self(MAX_UNITS);
 
     /// Saturates at 48 bits.
@@ -49,7 +47,6 @@ impl SigningTime {
         TimeDelta::from_nanos(units.saturating_mul(UNIT_NANOS))
     }
 
-    /// The next instant; `None` after the last.
     pub fn next(self) -> Option<Self> {
         (self < Self::MAX).then_some(Self(self.0 + 1))
     }
@@ -75,7 +72,7 @@ pub struct FrameSigner<'k> {
 
 impl FrameSigner<'_> {
     /// Appends the signature of the frame that begins at `start` and ends with its checksum at the end of `out`. The
-    /// frame's header must have [`FLAG_SIGNED`] set, or no receiver will look for the signature.
+    /// frame's header must have [`super::FLAG_SIGNED`] set, or no receiver will look for the signature.
     pub fn sign(&self, out: &mut Vec<u8>, start: usize) {
         out.push(self.link_id);
         out.extend_from_slice(&self.timestamp.to_wire());
@@ -95,10 +92,7 @@ pub(super) struct Signature<'a> {
 
 impl<'a> Signature<'a> {
     pub(super) fn parse(frame: &FrameRef<'a>) -> Option<Self> {
-        let [START_BYTE_V2, _, flags, ..] = *frame.raw else {
-            return None;
-        };
-        if flags & FLAG_SIGNED == 0 {
+        if !frame.is_signed() {
             return None;
         }
         let (covered, mac) = frame.raw.split_last_chunk::<MAC>()?;
@@ -107,7 +101,6 @@ impl<'a> Signature<'a> {
         Some(Self { link_id, timestamp: SigningTime::from_wire([a, b, c, d, e, f]), mac: *mac, signed_bytes: covered })
     }
 
-    /// Whether this key made the signature over these bytes.
     pub(super) fn is_valid(&self, key: &Key) -> bool {
         is_equal(mac(key, self.signed_bytes), self.mac)
     }

@@ -16,14 +16,12 @@ const BURST: TimeDelta = TimeDelta::from_millis(500);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct StreamId {
     pub source: Address,
-    /// The sender's number of the link.
     pub link_id: u8,
 }
 
 /// The last accepted timestamp of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SignedStreamState {
-    /// By the sender's clock.
     pub timestamp: SigningTime,
     /// Its arrival, by our computer's date.
     pub date: SigningTime,
@@ -45,7 +43,6 @@ pub struct SigningState {
     pub written_at: SigningTime,
     /// Signature time at that instant; ahead of the date if a peer was.
     pub clock: SigningTime,
-    /// The last timestamp of our own frames.
     pub last_sent: SigningTime,
     /// Unlisted streams with this timestamp or an earlier one are rejected: a stream that was dropped to make room had
     /// reached it.

@@ -41,23 +41,6 @@ fn every_protocol_is_found_by_its_name() {
 }
 
 #[test]
-fn mavlink_drops_a_truncated_message() {
-    let mut codec = mavlink();
-    let mut bytes = Vec::new();
-    codec.encode(Timestamp::ZERO, ROBOT, &ticks(1), &mut bytes);
-    let truncated = &bytes[..bytes.len() - 1];
-    let mut events = Vec::new();
-    codec.push(Timestamp::ZERO, truncated, &mut |item| events.push(noted(item)));
-    assert!(events.is_empty());
-    let deadline = codec.deadline().unwrap();
-    codec.tick(deadline + TimeDelta::from_millis(1), &mut |item| {
-        events.push(noted(item));
-    });
-    assert_eq!(codec.deadline(), None);
-    assert!(events.iter().all(Result::is_err), "{events:?}");
-}
-
-#[test]
 fn noise_yields_no_message_in_any_protocol_and_leaves_none_stuck() {
     let noise = noise(2_026, 4_000);
     for protocol in BRICK_PROTOCOLS {

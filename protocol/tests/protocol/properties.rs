@@ -1,13 +1,12 @@
-//! What must hold for any message and any damage. What must hold for any bytes, the fuzz targets show (fuzz/README.md).
+//! What must hold for any message. What must hold for any damage, `resync` shows, and for any bytes the fuzz targets.
 
 use posebridge_protocol::dialect::{MESSAGES, decode};
-use posebridge_protocol::framing::{FrameRef, FramerConfig, SequenceTracker, WireVersion};
+use posebridge_protocol::framing::{FrameRef, SequenceTracker, WireVersion};
 use posebridge_protocol::message::{Message, Odometry, OdometryPose};
 use posebridge_telemetry::{Address, Heading};
 use proptest::prelude::*;
 
-use crate::support::mix::four_message_mix;
-use crate::support::{OwnedFramerOutput, ROBOT, fixed_cases, framed, frames, scan, with_frame};
+use crate::support::{ROBOT, fixed_cases, framed, with_frame};
 
 /// Payloads that mean something to most messages: floats of measurements, small and large integers, letters.
 fn plausible_payload() -> impl Strategy<Value = Vec<u8>> {
@@ -97,31 +96,6 @@ proptest! {
 
 proptest! {
     #![proptest_config(fixed_cases(1_000))]
-
-    #[test]
-    fn damage_costs_only_the_frames_that_it_hits(
-        offset in 0_usize..1_600,
-        noise in prop::collection::vec(any::<u8>(), 1..30),
-        chunk in 1_usize..300,
-    ) {
-        let mix = four_message_mix(16);
-        let mut damaged = mix.concat();
-        let offset = offset.min(damaged.len() - noise.len());
-        damaged[offset..offset + noise.len()].copy_from_slice(&noise);
-        let mut start = 0;
-        let mut intact = Vec::new();
-        for frame in &mix {
-            let end = start + frame.len();
-            if damaged[start..end] == frame[..] {
-                intact.push(OwnedFramerOutput::Frame(frame.clone()));
-            }
-            start = end;
-        }
-        let (found, _) = scan(FramerConfig::default(), &damaged, chunk);
-        let verified = |item: &OwnedFramerOutput| matches!(item, OwnedFramerOutput::Frame(_));
-        let verified: Vec<_> = frames(&found).into_iter().filter(verified).collect();
-        prop_assert_eq!(verified, intact);
-    }
 
     #[test]
     fn losses_add_up_to_the_distance(steps in prop::collection::vec(1_u8..=128, 1..50)) {

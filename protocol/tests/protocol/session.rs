@@ -338,34 +338,6 @@ fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
 }
 
 #[test]
-fn two_sessions_measure_each_other() {
-    // A brick whose clock is 2 s behind, on a link that takes 5 ms in each direction.
-    let offset = TimeDelta::from_millis(-2_000);
-    let mut station = Session::<HostClock>::new(
-        SessionConfig { timesync_period: Some(TimeDelta::from_millis(1_000)), ..quiet() },
-        at(3_000),
-    );
-    let brick_time = |host: Timestamp<HostClock>| Timestamp::<BrickClock>::from_nanos((host + offset).as_nanos());
-    let mut brick =
-        Session::<BrickClock>::new(SessionConfig { own: ROBOT, heartbeat: ROVER, ..quiet() }, brick_time(at(3_000)));
-    station.tick(at(3_000));
-    while let Some(output) = station.poll() {
-        if let SessionOutput::Send(message) = output {
-            brick.handle(brick_time(at(3_005)), STATION, &message);
-        }
-    }
-    while let Some(output) = brick.poll() {
-        if let SessionOutput::Send(message) = output {
-            station.handle(at(3_010), ROBOT, &message);
-        }
-    }
-    let exchanges: Vec<_> = std::iter::from_fn(|| station.poll()).collect();
-    let expected =
-        Output::TimeExchanged { peer: ROBOT, sent: at(3_000), received: at(3_010), peer_nanos: 1_005_000_000 };
-    assert_eq!(exchanges, [expected]);
-}
-
-#[test]
 fn is_due_is_true_exactly_when_a_tick_does_something() {
     let config = SessionConfig {
         timesync_period: Some(TimeDelta::from_millis(700)),
@@ -435,18 +407,6 @@ fn values_sent_until(session: &mut Session<HostClock>, end_ms: i64) -> Vec<(i64,
         }
     }
     sent_values
-}
-
-#[test]
-fn a_request_during_a_running_list_completes_it_without_speeding_it_up() {
-    let mut session = owner();
-    session.handle(at(0), GCS, &LIST);
-    assert_eq!(values_sent_until(&mut session, 25), [(0, 0), (20, 1)]);
-    session.handle(at(25), Address::new(254, 190), &LIST);
-    assert_eq!(values_sent_until(&mut session, 85), [(40, 2), (60, 0), (80, 1)]);
-    // A list that has just ended does not begin again at once.
-    session.handle(at(85), GCS, &LIST);
-    assert_eq!(values_sent_until(&mut session, 1_000), [(100, 0), (120, 1), (140, 2)]);
 }
 
 #[test]

@@ -4,12 +4,10 @@
 
 use posebridge_protocol::bricks::text_line::{ChecksumPolicy, Column, LineLayout, Separator, TextLineSettings};
 use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
-use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{
-    Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, ReceiveError, TimeDelta, Timestamp,
-};
+use posebridge_protocol::message::{Message, PoseFlags, WireStamp};
+use posebridge_telemetry::{Heading, HostClock, Meters, Pose, ReceiveError, TimeDelta, Timestamp};
 
-use crate::support::{at, noise};
+use crate::support::{at, estimate, noise};
 
 fn columns(names: &[&str]) -> TextLineSettings {
     let columns = names.iter().map(|name| Column::from_name(name));
@@ -350,16 +348,10 @@ fn a_heartbeat_a_second_while_lines_come_and_the_estimate_only_when_configured()
     let settings =
         TextLineSettings { estimate_interval: Some(TimeDelta::from_millis(100)), ..TextLineSettings::default() };
     let mut board = codec(settings);
-    let pose = Message::PlanarPose(PlanarPose {
-        stamp: WireStamp::Micros32(12_345_678),
-        pose: Pose::new(Meters(1.2344), Meters(-0.0456), Heading::from_rad(-1.5)),
-        forward_speed: MetersPerSecond(0.0),
-        turn_rate: RadiansPerSecond(0.0),
-        covariance: [0.000_004, 0.0, 0.0, 0.000_009_1, 0.0, 1.0],
-        fix_age: None,
-        reset_counter: 0,
-        flags: PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() },
-    });
+    let pose = Pose::new(Meters(1.2344), Meters(-0.0456), Heading::from_rad(-1.5));
+    let flags = PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() };
+    let covariance = [0.000_004, 0.0, 0.0, 0.000_009_1, 0.0, 1.0];
+    let pose = Message::PlanarPose(estimate(12_345_678, pose, covariance, flags));
     let (mut heartbeats, mut estimates) = (0, Vec::new());
     for n in 0..100_u32 {
         let now = Timestamp::from_millis(i64::from(n) * 50);

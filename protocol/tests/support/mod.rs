@@ -8,8 +8,10 @@ use std::collections::BTreeMap;
 use posebridge_protocol::bricks::{BrickCodec, CodecEvent, CodecSettings, brick_protocol};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerCounters, FramerOutput, WireVersion};
-use posebridge_protocol::message::{Heartbeat, Message};
-use posebridge_telemetry::{Address, HostClock, ReceiveError, TimeDelta, Timestamp};
+use posebridge_protocol::message::{Heartbeat, Message, PlanarPose, PoseFlags, WireStamp};
+use posebridge_telemetry::{
+    Address, Arena, HostClock, MetersPerSecond, Pose, RadiansPerSecond, ReceiveError, TimeDelta, Timestamp,
+};
 use proptest::test_runner::{Config, RngSeed};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -137,6 +139,20 @@ pub(crate) fn status_texts<T>(events: &[(T, RecordedEvent)]) -> Vec<&str> {
         _ => None,
     });
     texts.collect()
+}
+
+/// An estimate at rest, in the brick's time.
+pub(crate) fn estimate(micros: u32, pose: Pose<Arena>, covariance: [f64; 6], flags: PoseFlags) -> PlanarPose {
+    PlanarPose {
+        stamp: WireStamp::Micros32(micros),
+        pose,
+        forward_speed: MetersPerSecond(0.0),
+        turn_rate: RadiansPerSecond(0.0),
+        covariance,
+        fix_age: None,
+        reset_counter: 9,
+        flags,
+    }
 }
 
 /// A codec of this protocol, not yet connected.

@@ -17,12 +17,11 @@ use serde_json::json;
 
 pub use self::schema::CameraJsonSettings;
 use self::schema::{CameraFixMessage, CameraLine, CameraMessage, FieldError};
-use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS};
-use super::heartbeat::HeartbeatSource;
+use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource};
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::dialect::ids;
 use crate::framing::{FramerCounters, TransportKind};
-use crate::message::{CommandLong, Message, TimeSync, VisionFix, WireStamp};
+use crate::message::{CommandLong, Heartbeat, Message, TimeSync, VisionFix, WireStamp};
 
 /// Longest line, bytes without its end: all keys with all digits take 400.
 const MAX_LINE_BYTES: usize = 1_024;
@@ -75,17 +74,11 @@ impl BrickCodec for CameraJsonCodec {
         self.is_error_reported = false;
     }
 
-    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: CodecEventSink<'_>) {
         self.push_from_peer(now, PeerId::default(), bytes, sink);
     }
 
-    fn push_from_peer(
-        &mut self,
-        now: Timestamp<HostClock>,
-        id: PeerId,
-        bytes: &[u8],
-        sink: &mut dyn FnMut(CodecEvent<'_>),
-    ) {
+    fn push_from_peer(&mut self, now: Timestamp<HostClock>, id: PeerId, bytes: &[u8], sink: CodecEventSink<'_>) {
         // Taken out while it is read, because its lines need the rest of the state.
         let mut peer = self.peers.remove(&id).unwrap_or_default();
         let mut splitter = std::mem::take(&mut peer.splitter);
@@ -106,7 +99,7 @@ impl BrickCodec for CameraJsonCodec {
         None
     }
 
-    fn tick(&mut self, _now: Timestamp<HostClock>, _sink: &mut dyn FnMut(CodecEvent<'_>)) {}
+    fn tick(&mut self, _now: Timestamp<HostClock>, _sink: CodecEventSink<'_>) {}
 
     fn poll(&mut self) -> Option<Vec<u8>> {
         self.poll_addressed().map(|(_, bytes)| bytes)
@@ -122,7 +115,9 @@ impl BrickCodec for CameraJsonCodec {
             reason = "a camera is told nothing but questions, however many kinds of message there are"
         )]
         let line = match message {
-            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => time_request(*request_nanos),
+            Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos, .. }) => {
+                encode_line(&json!({ "time_request": request_nanos }))
+            }
             Message::Command(command) => match self.fix_request(command) {
                 Some(line) => line,
                 None => return 0,
@@ -149,7 +144,7 @@ impl CameraJsonCodec {
         id: PeerId,
         peer: &mut CameraPeer,
         cut: SplitItem<'_>,
-        sink: &mut CodecEventSink<'_>,
+        sink: CodecEventSink<'_>,
     ) {
         peer.lines += 1;
         let (line, flaw) = match cut {
@@ -183,7 +178,7 @@ impl CameraJsonCodec {
         &mut self,
         now: Timestamp<HostClock>,
         line: &CameraLine,
-        sink: &mut CodecEventSink<'_>,
+        sink: CodecEventSink<'_>,
     ) -> Result<(), FieldError> {
         let Some((from, camera, is_new)) = self.cameras.get_or_insert(line.camera) else {
             if !std::mem::replace(&mut self.is_overflow_reported, true) {
@@ -210,27 +205,16 @@ impl CameraJsonCodec {
         match line.message {
             CameraMessage::Fix(fix) => self.emit_fix(now, from, &fix, sink),
             CameraMessage::Time { request, nanos } => {
-                let answer = TimeSync {
-                    // Zero would make a request of it.
-                    answer_nanos: nanos.max(1),
-                    request_nanos: request,
-                    target: None,
-                };
-                let message = Message::TimeSync(answer);
-                sink(CodecEvent::Message { from, message });
+                // Zero would make a request of it.
+                let answer = TimeSync { answer_nanos: nanos.max(1), request_nanos: request, target: None };
+                sink(CodecEvent::Message { from, message: Message::TimeSync(answer) });
             }
             CameraMessage::Hello => {}
         }
         Ok(())
     }
 
-    fn emit_fix(
-        &self,
-        now: Timestamp<HostClock>,
-        from: Address,
-        fix: &CameraFixMessage,
-        sink: &mut CodecEventSink<'_>,
-    ) {
+    fn emit_fix(&self, now: Timestamp<HostClock>, from: Address, fix: &CameraFixMessage, sink: CodecEventSink<'_>) {
         if fix.quality.is_some_and(|quality| quality < self.settings.min_quality) {
             // Good to know and no flaw of the line: it is counted, and not used.
             let message_id = ids::VISION_POSITION_ESTIMATE;
@@ -257,7 +241,7 @@ impl CameraJsonCodec {
         sink(CodecEvent::Message { from, message });
     }
 
-    fn report_unknown_keys(&mut self, from: Address, unknown: &[String], sink: &mut CodecEventSink<'_>) {
+    fn report_unknown_keys(&mut self, from: Address, unknown: &[String], sink: CodecEventSink<'_>) {
         for key in unknown {
             if self.unknown.len() < MAX_UNKNOWN_KEYS && self.unknown.insert(key.clone()) {
                 emit_status_text(sink, from, INFO, format!("the camera's `{key}` is not used"));
@@ -273,10 +257,10 @@ impl CameraJsonCodec {
             return None;
         }
         self.requests += 1;
-        Some(fix_request(camera.name, self.requests))
+        Some(encode_line(&json!({ "camera": camera.name.as_str(), "fix_request": self.requests })))
     }
 
-    fn count_error(&mut self, line: &[u8], flaw: &FieldError, sink: &mut CodecEventSink<'_>) {
+    fn count_error(&mut self, line: &[u8], flaw: &FieldError, sink: CodecEventSink<'_>) {
         if flaw.key.is_some() {
             let message_id = LINE_ID;
             sink(CodecEvent::Error(ReceiveError::Payload { message_id }));
@@ -285,13 +269,13 @@ impl CameraJsonCodec {
         }
     }
 
-    fn count_unframed(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+    fn count_unframed(&mut self, bytes: u32, sink: CodecEventSink<'_>) {
         self.counts.garbage_bytes += u64::from(bytes);
         sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes }));
     }
 }
 
-fn emit_status_text(sink: &mut CodecEventSink<'_>, from: Address, severity: u8, text: String) {
+fn emit_status_text(sink: CodecEventSink<'_>, from: Address, severity: u8, text: String) {
     sink(CodecEvent::StatusText { from, severity, text });
 }
 
@@ -321,7 +305,12 @@ impl CameraTable {
             Some(index) => index,
             None if self.0.len() >= MAX_CAMERAS => return None,
             None => {
-                self.0.push(Camera { name, takes_requests: false, heartbeat: HeartbeatSource::for_camera(), lines: 0 });
+                self.0.push(Camera {
+                    name,
+                    takes_requests: false,
+                    heartbeat: HeartbeatSource::new(Heartbeat::CAMERA),
+                    lines: 0,
+                });
                 self.0.len() - 1
             }
         };
@@ -335,10 +324,8 @@ impl CameraTable {
     }
 
     fn source_health(&self) -> Vec<SourceHealth> {
-        let sources = self.0.iter().enumerate();
-        let sources =
-            sources.map(|(index, camera)| SourceHealth { source: address(index), frames: camera.lines, lost: 0 });
-        sources.collect()
+        let cameras = self.0.iter().enumerate();
+        cameras.map(|(index, camera)| SourceHealth { source: address(index), frames: camera.lines, lost: 0 }).collect()
     }
 }
 
@@ -374,14 +361,6 @@ impl ErrorReplies {
         }
         Some(encode_line(&answer))
     }
-}
-
-fn time_request(request: i64) -> Vec<u8> {
-    encode_line(&json!({ "time_request": request }))
-}
-
-fn fix_request(camera: ChannelName, number: u64) -> Vec<u8> {
-    encode_line(&json!({ "camera": camera.as_str(), "fix_request": number }))
 }
 
 fn encode_line(value: &serde_json::Value) -> Vec<u8> {

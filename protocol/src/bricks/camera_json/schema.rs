@@ -1,14 +1,6 @@
 //! Parses one line of a camera: JSON to values in SI units in the arena, or the error and its key.
 //!
-//! # Model
-//! ```text
-//! space "arena"   x_m, y_m, heading as they stand            counter-clockwise from x
-//! space "ned"     x_m north, y_m east, heading clockwise     x = y_m, y = x_m, heading = pi/2 - heading
-//! ```
-//! `serde_json` parses the JSON and limits its nesting.
-//!
-//! # Sources
-//! docs/protocols/camera-json.md; RFC 8259 (JSON).
+//! `serde_json` parses the JSON and limits its nesting. Sources: docs/protocols/camera-json.md; RFC 8259 (JSON).
 
 use std::ops::RangeInclusive;
 
@@ -56,10 +48,8 @@ const MAX_TIME_S: f64 = 9e9;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
     pub(super) camera: ChannelName,
-    /// Whether the camera makes a fix on request.
     pub(super) takes_requests: Option<bool>,
     pub(super) message: CameraMessage,
-    /// Unknown keys, made printable.
     pub(super) unknown: Vec<String>,
 }
 
@@ -83,7 +73,6 @@ pub(super) struct CameraFixMessage {
     pub(super) heading: Option<Heading>,
     /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
     pub(super) covariance: Option<[f64; 4]>,
-    /// In per cent.
     pub(super) quality: Option<f64>,
     pub(super) reset_counter: u8,
     /// `None` if the camera does not distinguish tags.
@@ -142,7 +131,9 @@ impl LineKeys<'_> {
             let Some(request) = request.as_i64() else {
                 return Err(FieldError::for_key("time_answer", "must be the number of the request"));
             };
-            return Ok(CameraMessage::Time { request, nanos: self.time_nanos()? });
+            let nanos = self.time("time_s", "time_us", 1e9)?;
+            let nanos = nanos.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
+            return Ok(CameraMessage::Time { request, nanos: nanos as i64 });
         }
         let is_hello =
             self.0.contains_key("takes_requests") && !["x_m", "y_m"].iter().any(|key| self.0.contains_key(*key));
@@ -156,7 +147,7 @@ impl LineKeys<'_> {
         let pose = self.planar_pose()?;
         let heading = self.heading_rad()?.map(|_| Heading::from_rad(pose.angle));
         Ok(CameraFixMessage {
-            exposed_micros: self.exposed_micros()?,
+            exposed_micros: self.time("exposed_s", "exposed_us", 1e6)?.map(|micros| micros as u64),
             x: Meters(pose.x),
             y: Meters(pose.y),
             heading,
@@ -209,31 +200,14 @@ impl LineKeys<'_> {
         Ok(Some([position_m2, 0.0, position_m2, heading_rad2]))
     }
 
-    fn exposed_micros(&self) -> Result<Option<u64>, FieldError> {
-        let exposed = self.time_s("exposed_s", "exposed_us")?;
-        Ok(exposed.map(|instant| instant.micros))
-    }
-
-    fn time_nanos(&self) -> Result<i64, FieldError> {
-        let instant = self.time_s("time_s", "time_us")?;
-        let instant = instant.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
-        Ok(instant.nanos)
-    }
-
-    /// An instant, in seconds under one key or in microseconds under the other.
-    fn time_s(&self, seconds: &'static str, micros: &'static str) -> Result<Option<CameraInstant>, FieldError> {
+    /// An instant, in seconds under one key or in microseconds under the other, as a whole number of units.
+    fn time(&self, seconds: &'static str, micros: &'static str, units_per_s: f64) -> Result<Option<f64>, FieldError> {
         let in_seconds = self.bounded(seconds, 0.0, MAX_TIME_S)?;
         let in_micros = self.bounded(micros, 0.0, MAX_TIME_S * 1e6)?;
         match (in_seconds, in_micros) {
             (Some(_), Some(_)) => Err(FieldError::for_key(micros, "says the same as the one in seconds")),
-            (Some(exposed), None) => Ok(Some(CameraInstant {
-                micros: (exposed * 1e6).round() as u64,
-                nanos: (exposed * 1e9).round() as i64,
-            })),
-            (None, Some(micros)) => {
-                Ok(Some(CameraInstant { micros: micros.round() as u64, nanos: (micros * 1e3).round() as i64 }))
-            }
-            (None, None) => Ok(None),
+            (Some(seconds), None) => Ok(Some((seconds * units_per_s).round())),
+            (None, micros) => Ok(micros.map(|micros| (micros * (units_per_s / 1e6)).round())),
         }
     }
 
@@ -295,11 +269,6 @@ impl LineKeys<'_> {
         }
         Ok(ChannelName::from_bytes(name))
     }
-}
-
-struct CameraInstant {
-    micros: u64,
-    nanos: i64,
 }
 
 /// Settings for cameras that send JSON.

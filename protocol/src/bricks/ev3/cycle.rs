@@ -1,11 +1,6 @@
 //! One cycle: the request that reads clock, motors and sensors, and the values of its reply.
 //!
-//! # Model
-//! ```text
-//! values    clock u32 us | left count i32 deg | right count i32 deg | sensors f32 each, in their order
-//! ```
-//! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a
-//! break.
+//! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a break.
 
 use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, TimeDelta};
 

@@ -28,12 +28,12 @@ pub use self::settings::{
 use self::stamps::{BrickStamp, StampAdvance, StampChecker};
 use self::telegrams::{DirectCommand, encode_estimate, encode_mailbox_write};
 use super::codec::{
-    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, emit_message, emit_status_text,
+    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource, emit_message,
+    emit_status_text,
 };
-use super::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, WheelState};
-use super::heartbeat::HeartbeatSource;
+use super::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, Standstill};
 use crate::framing::FramerCounters;
-use crate::message::Message;
+use crate::message::{Heartbeat, Message};
 
 /// Shortest and longest distance of two telegrams: 50 Hz is more than a Bluetooth link carries, and below 0.1 Hz steering is impossible.
 const MIN_CYCLE: TimeDelta = TimeDelta::from_millis(20);
@@ -71,8 +71,7 @@ struct Ev3Codec {
     sensors: SensorBank,
     stamps: StampChecker,
     counters: MotorCounters,
-    /// The last counts, and the instant since when they are unchanged.
-    standstill_since: Option<([i32; 2], Timestamp<HostClock>)>,
+    standstill: Standstill,
     turn: TurnAccumulator,
     heartbeat: HeartbeatSource,
     /// Consecutive requests without a reply.
@@ -107,9 +106,9 @@ pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
         requests: OutstandingRequests::default(),
         stamps: StampChecker::default(),
         counters: MotorCounters::new(LIMITS),
-        standstill_since: None,
+        standstill: Standstill::default(),
         turn: TurnAccumulator::default(),
-        heartbeat: HeartbeatSource::default(),
+        heartbeat: HeartbeatSource::new(Heartbeat::ROVER),
         timeouts: 0,
         next_cycle: Timestamp::ZERO,
         wake: None,
@@ -131,13 +130,13 @@ impl BrickCodec for Ev3Codec {
         self.is_damaged = false;
         self.is_rejection_reported = false;
         self.timeouts = 0;
-        self.standstill_since = None;
+        self.standstill = Standstill::default();
         self.next_cycle = now;
         self.is_up = true;
         self.send_requests(now);
     }
 
-    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: CodecEventSink<'_>) {
         self.last_byte = now;
         self.framer.push(bytes);
         self.process_replies(now, sink);
@@ -150,7 +149,7 @@ impl BrickCodec for Ev3Codec {
         all.into_iter().flatten().min()
     }
 
-    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         if self.is_awaiting_quiet() && self.last_byte + QUIET_TIME <= now {
             self.abandon_damaged(now, sink);
         }
@@ -201,7 +200,7 @@ impl Ev3Codec {
         }
         let most = usize::from(self.settings.outstanding.clamp(1, MAX_OUTSTANDING));
         while self.requests.waiting() < most {
-            if let Some(index) = self.sensors.next_pending(now, self.wheels(now)) {
+            if let Some(index) = self.sensors.next_pending(now, self.standstill.wheel_state(now, STANDSTILL_TIME)) {
                 // Alone: the brick stands still while a sensor changes over.
                 if self.requests.waiting() == 0 {
                     self.request_set_up(now, index);
@@ -218,13 +217,6 @@ impl Ev3Codec {
         self.wake = [self.wake, again].into_iter().flatten().min();
     }
 
-    fn wheels(&self, now: Timestamp<HostClock>) -> WheelState {
-        match self.standstill_since {
-            Some((_, since)) if now - since >= STANDSTILL_TIME => WheelState::Standing,
-            _ => WheelState::Turning,
-        }
-    }
-
     fn request_set_up(&mut self, now: Timestamp<HostClock>, index: usize) {
         let mut command = DirectCommand::default();
         self.sensors.write_set_up(index, &mut command);
@@ -239,9 +231,8 @@ impl Ev3Codec {
     }
 
     fn send(&mut self, now: Timestamp<HostClock>, request: Ev3Request, command: &DirectCommand, patience: TimeDelta) {
-        let telegram = command.telegram(self.requests.next_counter());
-        self.outbox.push_back(telegram);
-        self.requests.record_sent(request, command.reply_bytes(), now, patience);
+        let counter = self.requests.record_sent(request, command.reply_bytes(), now, patience);
+        self.outbox.push_back(command.telegram(counter));
     }
 
     fn cycle_period(&self) -> TimeDelta {
@@ -250,12 +241,16 @@ impl Ev3Codec {
     }
 }
 
+fn begins_with_number(values: &[u8]) -> bool {
+    values.first_chunk().is_some_and(|first| f32::from_le_bytes(*first).is_finite())
+}
+
 impl Ev3Codec {
     fn is_awaiting_quiet(&self) -> bool {
         self.framer.waiting_bytes() > 0 || self.is_damaged
     }
 
-    fn process_replies(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) {
+    fn process_replies(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         loop {
             let requests = &self.requests;
             let values_of = |counter| requests.values_of(counter);
@@ -283,7 +278,7 @@ impl Ev3Codec {
         }
     }
 
-    fn record_reply(&mut self, now: Timestamp<HostClock>, timing: ReplyTiming, sink: &mut CodecEventSink<'_>) {
+    fn record_reply(&mut self, now: Timestamp<HostClock>, timing: ReplyTiming, sink: CodecEventSink<'_>) {
         self.counts.frames += 1;
         self.timeouts = 0;
         if timing == ReplyTiming::Late {
@@ -303,18 +298,13 @@ impl Ev3Codec {
         request: &OutstandingRequest,
         timing: ReplyTiming,
         answer: &ReplyBody,
-        sink: &mut CodecEventSink<'_>,
+        sink: CodecEventSink<'_>,
     ) {
         match (request.request, answer) {
-            (Ev3Request::SetUp(index), ReplyBody::Values(values)) => {
-                let shown = values.first_chunk().map(|first| f32::from_le_bytes(*first));
-                if shown.is_some_and(f32::is_finite) {
-                    self.sensors.is_ready(index);
-                } else if let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::Rejected) {
-                    emit_status_text(sink, WARNING, text);
-                }
+            (Ev3Request::SetUp(index), ReplyBody::Values(values)) if begins_with_number(values) => {
+                self.sensors.is_ready(index);
             }
-            (Ev3Request::SetUp(index), ReplyBody::Rejected) => {
+            (Ev3Request::SetUp(index), ReplyBody::Values(_) | ReplyBody::Rejected) => {
                 if let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::Rejected) {
                     emit_status_text(sink, WARNING, text);
                 }
@@ -328,22 +318,19 @@ impl Ev3Codec {
         }
     }
 
-    fn handle_rejection(&mut self, now: Timestamp<HostClock>, included: CycleSensors, sink: &mut CodecEventSink<'_>) {
+    fn handle_rejection(&mut self, now: Timestamp<HostClock>, included: CycleSensors, sink: CodecEventSink<'_>) {
         if included != CycleSensors::default() {
             self.sensors.restart_set_up(now);
             return;
         }
         self.next_cycle = now + REJECTED_PAUSE;
         if !std::mem::replace(&mut self.is_rejection_reported, true) {
-            emit_status_text(
-                sink,
-                ERROR,
-                "the EV3 refuses to tell its clock and its motors' counts; it is asked again each second",
-            );
+            let text = "the EV3 refuses to tell its clock and its motors' counts; it is asked again each second";
+            emit_status_text(sink, ERROR, text);
         }
     }
 
-    fn handle_cycle(&mut self, now: Timestamp<HostClock>, reply: CycleReply, sink: &mut CodecEventSink<'_>) {
+    fn handle_cycle(&mut self, now: Timestamp<HostClock>, reply: CycleReply, sink: CodecEventSink<'_>) {
         let values = reply.values;
         let stamped = BrickStamp { micros: values.micros, sent: reply.sent, answered: now };
         let Some(advance) = self.stamps.push(stamped) else {
@@ -361,17 +348,12 @@ impl Ev3Codec {
         let elapsed = match advance {
             StampAdvance::Continuous(elapsed) => elapsed,
             StampAdvance::Stepped(elapsed) => {
-                emit_status_text(
-                    sink,
-                    INFO,
-                    "the clock of the EV3 was set, or the brick was switched off and on; what was read in between counts by the station's time",
-                );
+                let text = "the clock of the EV3 was set, or the brick was switched off and on; what was read in between counts by the station's time";
+                emit_status_text(sink, INFO, text);
                 elapsed
             }
         };
-        if self.standstill_since.is_none_or(|(counts, _)| counts != values.counts) {
-            self.standstill_since = Some((values.counts, now));
-        }
+        self.standstill.record(values.counts, now);
         if self.handle_counts(now, &values, elapsed, sink) {
             self.handle_sensors(now, &reply, elapsed, sink);
         }
@@ -383,18 +365,15 @@ impl Ev3Codec {
         now: Timestamp<HostClock>,
         values: &CycleValues,
         elapsed: TimeDelta,
-        sink: &mut CodecEventSink<'_>,
+        sink: CodecEventSink<'_>,
     ) -> bool {
         let counts = MotorCounts { wheels: values.counts, third: None };
         let counted = self.counters.push(elapsed, counts);
         let total = match counted {
             CounterUpdate::Total(total) => total,
             CounterUpdate::Rebased(total) => {
-                emit_status_text(
-                    sink,
-                    INFO,
-                    "the counters of the EV3 began anew, as when a program starts; that is taken for no motion",
-                );
+                let text = "the counters of the EV3 began anew, as when a program starts; that is taken for no motion";
+                emit_status_text(sink, INFO, text);
                 // A program's start puts every sensor into its first mode; the gyro then shows an angle.
                 self.sensors.restart_set_up(now);
                 total
@@ -413,7 +392,7 @@ impl Ev3Codec {
         now: Timestamp<HostClock>,
         reply: &CycleReply,
         elapsed: TimeDelta,
-        sink: &mut CodecEventSink<'_>,
+        sink: CodecEventSink<'_>,
     ) {
         let stamp = reply.values.stamp();
         for (index, (role, values)) in reply.sensors.0.iter().zip(reply.values.sensors).enumerate() {
@@ -429,7 +408,7 @@ impl Ev3Codec {
     }
 
     /// Drops an interrupted telegram, and the requests whose replies it was.
-    fn abandon_damaged(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) {
+    fn abandon_damaged(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         let bytes = self.framer.waiting_bytes() as u32;
         if bytes > 0 {
             self.counts.stalls += 1;
@@ -446,7 +425,7 @@ impl Ev3Codec {
         }
     }
 
-    fn record_timeout(&mut self, sink: &mut CodecEventSink<'_>) {
+    fn record_timeout(&mut self, sink: CodecEventSink<'_>) {
         self.timeouts = self.timeouts.saturating_add(1);
         self.lost += 1;
         sink(CodecEvent::Error(ReceiveError::SequenceGap { source: DEFAULT_BRICK_ADDRESS, frames: 1 }));

@@ -1,13 +1,10 @@
 //! Telegrams out of a stream that has neither start byte nor checksum, and the requests that they answer.
 //!
-//! Only a reply to a pending request is accepted: its length, counter and type must be those that the request expects. Anything
-//! else costs one byte, and the search goes on behind it. So a lost or damaged byte costs the reply that it hits and none after it. A
-//! telegram that stops in its middle holds back what follows; [`ReplyFramer::skip_byte`] ends that.
+//! Only a reply to a pending request is accepted: its length, counter and type must be those that the request expects.
+//! Anything else costs one byte, so that damage costs the reply that it hits and none after it. A telegram that stops in its
+//! middle holds back what follows; [`ReplyFramer::skip_byte`] ends that.
 //!
-//! Each request has its own counter, and its reply repeats it. So a reply that comes after its request was given up is still recognized.
-//!
-//! # Sources
-//! LEGO MINDSTORMS EV3 Communication Developer Kit, sections 3 and 4; `c_com.h` of the firmware lms2012.
+//! Sources: LEGO MINDSTORMS EV3 Communication Developer Kit, sections 3 and 4; `c_com.h` of the firmware lms2012.
 
 use std::collections::VecDeque;
 
@@ -85,7 +82,6 @@ impl ReplyFramer {
         }
     }
 
-    /// Skips the first pending byte; the search continues after it.
     pub(super) fn skip_byte(&mut self) {
         if !self.buffer.is_empty() {
             self.buffer.remove(0);
@@ -193,29 +189,21 @@ impl OutstandingRequests {
         self.abandoned.clear();
     }
 
-    pub(super) const fn next_counter(&self) -> u16 {
-        self.last_counter.wrapping_add(1)
-    }
-
+    /// Returns the counter that the telegram must have.
     pub(super) fn record_sent(
         &mut self,
         request: Ev3Request,
         values: usize,
         now: Timestamp<HostClock>,
         patience: TimeDelta,
-    ) {
-        self.last_counter = self.next_counter();
-        self.waiting.push_back(OutstandingRequest {
-            request,
-            counter: self.last_counter,
-            values,
-            sent: now,
-            due: now + patience,
-        });
+    ) -> u16 {
+        let counter = self.allocate_counter();
+        self.waiting.push_back(OutstandingRequest { request, counter, values, sent: now, due: now + patience });
+        counter
     }
 
     pub(super) fn allocate_counter(&mut self) -> u16 {
-        self.last_counter = self.next_counter();
+        self.last_counter = self.last_counter.wrapping_add(1);
         self.last_counter
     }
 
@@ -290,11 +278,7 @@ mod tests {
         found
     }
 
-    /// A capture by QUT's robotics toolbox for the EV3: `hello!` for the mailbox `abc`.
-    const MAILBOX: [u8; 20] = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-        b'!', 0x00,
-    ];
+    const MAILBOX: [u8; 20] = *include_bytes!("../../../tests/data/ev3_mailbox.bin");
     const ANSWER: [u8; 9] = [7, 0, 7, 0, 2, 1, 2, 3, 4];
 
     #[test]

@@ -1,10 +1,8 @@
 //! The sensors of the brick, their set-up, and the gyro's angle without wraps.
 //!
-//! Setting a mode makes the brick wait until the sensor has changed over, so it is done once and in a telegram of its
-//! own: then an error names its port. A missing sensor is set up again now and then; the wheels do not wait for it.
-//!
-//! A firmware may also wait for a missing sensor forever, and answer nothing. Such a set-up interrupts the wheels'
-//! readings until its timeout: it is repeated less and less often, and only while the wheels are at rest.
+//! Setting a mode makes the brick wait, so it is done once and in a telegram of its own: then an error names its port. A
+//! firmware may wait for a missing sensor forever, so a set-up without a reply is repeated less and less often, and only
+//! while the wheels are at rest.
 
 use posebridge_telemetry::{HostClock, Meters, TimeDelta, Timestamp};
 

@@ -8,7 +8,6 @@ pub struct Ev3Settings {
     /// The direction of both motors when the robot drives forward.
     pub motors: MotorDirection,
     pub gyro: Option<GyroSettings>,
-    /// `None` if there is none.
     pub distance: Option<DistanceSettings>,
     /// Most telegrams per second, 0.1 to 50. A slow link reduces them: at a turn-around of 30 ms to about 33.
     pub rate_hz: f64,
@@ -51,7 +50,6 @@ impl MotorPort {
 /// The direction of the motors when the robot drives forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotorDirection {
-    /// The counts increase.
     #[default]
     Forward,
     /// The counts decrease: the motors are mounted the other way round.
@@ -120,7 +118,6 @@ pub enum GyroMounting {
     /// lego-ev3-gyro).
     #[default]
     Upright,
-    /// The arrows face down.
     UpsideDown,
 }
 

@@ -1,9 +1,5 @@
-//! Plausibility of the clock in a reply: it was read between request and reply.
+//! Plausibility of the clock in a reply, which has no checksum: it was read between request and reply.
 //!
-//! The telegrams have no checksum, and one damaged stamp would be taken for a restart of the brick's clock. But of two answers the host
-//! knows between which instants each was given, and by so much the brick's clock has run on.
-//!
-//! # Model
 //! ```text
 //! sent2 - answered1  <=  (stamp2 - stamp1) mod 2^32  <=  answered2 - sent1,   both widened by 1 % and 5 ms
 //! ```

@@ -1,25 +1,12 @@
-//! Telegrams to the brick: direct commands that read it, and the estimate for a mailbox.
-//!
-//! # Model
-//! ```text
-//! telegram   length u16 | counter u16 | type u8 | header u16 | bytecodes         little-endian; the length excludes itself
-//! type       00 with reply
-//! header     local bytes << 10 | global bytes          the reply holds the global bytes
-//! constant   -32..31 in one byte (00..3F); else 81 and one byte
-//! global     60 | index, index < 32
-//!
-//! mailbox    length u16 | counter u16 | 81 | 9E | name length u8 | name 00 | payload length u16 | payload
-//! payload    24 bytes, see [`crate::bricks::estimate`]
-//! ```
-//! A brick on which no program has opened the mailbox drops the message.
+//! Telegrams to the brick: direct commands that read it, and the estimate for a mailbox (SPEC.md, "Link" and "Questions").
 //!
 //! # Sources
-//! LEGO MINDSTORMS EV3 Firmware Developer Kit (bytecodes, parameter encoding) and Communication Developer Kit, section 3 (WRITEMAILBOX) and
-//! 4; `bytecodes.h` and `c_com.h` of the firmware lms2012; captures by QUT's robotics toolbox for the EV3, in which the length of the name
-//! counts its final zero.
+//! LEGO MINDSTORMS EV3 Firmware Developer Kit (bytecodes, parameter encoding) and Communication Developer Kit, section 3
+//! (WRITEMAILBOX) and 4; `bytecodes.h` and `c_com.h` of the firmware lms2012; captures by QUT's robotics toolbox for the
+//! EV3, in which the length of the name counts its final zero.
 
 use super::settings::{MotorPort, SensorPort};
-use crate::bricks::estimate::estimate_bytes;
+use crate::bricks::codec::estimate_bytes;
 use crate::message::PlanarPose;
 
 /// opTIMER_READ_US: microseconds of the brick's clock, 32 bits.
@@ -153,8 +140,7 @@ pub(super) fn encode_mailbox_write(counter: u16, name: &str, payload: &[u8]) -> 
 /// The payload of an estimate; `None` if a number in it is not finite.
 pub(super) fn encode_estimate(pose: &PlanarPose, sequence: u16) -> Option<[u8; 24]> {
     let tick_ms = (pose.stamp.as_micros() / 1_000) as u32;
-    let [xx_m2, _, _, yy_m2, ..] = pose.covariance;
-    let sigma_m = xx_m2.max(yy_m2).sqrt();
+    let sigma_m = pose.position_sigma_m();
     let numbers = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad(), sigma_m];
     numbers.iter().all(|number| number.is_finite()).then(|| estimate_bytes(tick_ms, pose, sigma_m, sequence))
 }
@@ -190,19 +176,10 @@ mod tests {
         assert_eq!(command.telegram(0x1234)[7..], expected);
         assert_eq!(command.telegram(0x1234)[..7], [20, 0, 0x34, 0x12, 0, 12, 0]);
     }
-}
-
-#[cfg(test)]
-mod mailbox_tests {
-    use super::*;
 
     #[test]
     fn a_message_for_a_mailbox_is_that_of_a_capture() {
-        // QUT's robotics toolbox for the EV3.
-        let captured = [
-            0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-            b'!', 0x00,
-        ];
+        let captured = include_bytes!("../../../tests/data/ev3_mailbox.bin");
         assert_eq!(encode_mailbox_write(1, "abc", b"hello!\0"), captured);
     }
 }

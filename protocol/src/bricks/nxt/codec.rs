@@ -7,20 +7,20 @@ use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeD
 
 use super::digital::DigitalSensor;
 use super::estimate::{EstimateMailbox, PUSHED_INTERVAL};
-use super::framer::{StreamContent, TelegramFramer, TelegramPart};
+use super::framer::{TelegramFramer, TelegramPart};
 use super::gyro::AnalogGyro;
 use super::motors::{MotorReadings, PendingAccelerations, TickClock, WheelTotals};
 use super::requests::{
     NxtRequest, PollSchedule, PortState, ReadSize, ReplyMatch, RequestFailure, RequestTracker, ScheduleChange,
-    WheelSource,
 };
-use super::settings::{NxtSensor, NxtSettings};
+use super::settings::{NxtSensor, NxtSettings, WheelSource};
 use super::telegram::{NxtReply, framed, keep_alive};
-use crate::bricks::codec::{BrickCodec, CodecEvent, CodecSettings, DEFAULT_BRICK_ADDRESS};
-use crate::bricks::heartbeat::HeartbeatSource;
+use crate::bricks::codec::{
+    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource,
+};
 use crate::bricks::mavlink;
 use crate::framing::{FramerConfig, FramerCounters, START_BYTE_V2, TransportKind};
-use crate::message::{Message, PlanarPose, WireStamp};
+use crate::message::{Heartbeat, Message, PlanarPose, WireStamp};
 
 /// The brick switches itself off after ten minutes without certain commands; each of these restarts that time.
 const KEEP_ALIVE_PERIOD: TimeDelta = TimeDelta::from_millis(60_000);
@@ -54,7 +54,8 @@ pub(super) struct NxtCodec {
     pub(super) devices: [Option<DigitalSensor>; 4],
     pub(super) accelerations: PendingAccelerations,
     pub(super) mailbox: EstimateMailbox,
-    pub(super) notes: StatusTextFilter,
+    /// Without those whose cause no longer exists: then the same text is emitted again.
+    pub(super) last_texts: BTreeMap<StatusTopic, String>,
     /// Decodes the frames that a program on the brick sends.
     frames: Option<Box<dyn BrickCodec>>,
     damage_counters: FramerCounters,
@@ -80,10 +81,7 @@ pub(in crate::bricks) fn open_push(settings: &CodecSettings) -> Box<dyn BrickCod
 
 impl NxtCodec {
     fn new(settings: &NxtSettings, frames: Option<Box<dyn BrickCodec>>) -> Self {
-        let (speech, source) = match &frames {
-            Some(_) => (StreamContent::TelegramsAndFrames, WheelSource::Pushed),
-            None => (StreamContent::Telegrams, WheelSource::Polled),
-        };
+        let source = if frames.is_some() { WheelSource::Pushed } else { WheelSource::Polled };
         let interval = settings.estimate_interval.unwrap_or(match source {
             WheelSource::Polled => TimeDelta::ZERO,
             WheelSource::Pushed => PUSHED_INTERVAL,
@@ -94,16 +92,16 @@ impl NxtCodec {
         });
         Self {
             brick: DEFAULT_BRICK_ADDRESS,
-            framer: TelegramFramer::new(speech),
+            framer: TelegramFramer::new(source),
             requests: RequestTracker::new(settings.answer_timeout),
-            schedule: PollSchedule::new(settings, source),
+            schedule: PollSchedule::new(settings, source, Timestamp::ZERO),
             outbox: VecDeque::new(),
             is_started: false,
             held_request: None,
             lost_barriers: 0,
             next_keep_alive: Timestamp::ZERO,
             presence: BrickLiveness::default(),
-            heartbeat: HeartbeatSource::default(),
+            heartbeat: HeartbeatSource::new(Heartbeat::ROVER),
             clock: TickClock::default(),
             replies_since_host_tick: 0,
             motors: MotorReadings::default(),
@@ -112,24 +110,28 @@ impl NxtCodec {
             devices: settings.sensors.map(DigitalSensor::new),
             accelerations: PendingAccelerations::default(),
             mailbox: EstimateMailbox::new(settings.mailbox, interval),
-            notes: StatusTextFilter::default(),
+            last_texts: BTreeMap::new(),
             frames,
             damage_counters: FramerCounters::default(),
             settings: settings.clone(),
         }
     }
 
+    /// Emits a text unless it repeats the last one of its topic.
     pub(super) fn report(
         &mut self,
         topic: StatusTopic,
         severity: u8,
         text: impl Into<String>,
-        sink: &mut dyn FnMut(CodecEvent<'_>),
+        sink: CodecEventSink<'_>,
     ) {
-        self.notes.emit_if_new(topic, severity, text.into(), self.brick, sink);
+        let text = text.into();
+        if self.last_texts.insert(topic, text.clone()).as_ref() != Some(&text) {
+            sink(CodecEvent::StatusText { from: self.brick, severity, text });
+        }
     }
 
-    fn expire(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn expire(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         if let Some(part) = self.framer.expire(now) {
             self.handle(now, part, sink);
         }
@@ -146,7 +148,7 @@ impl NxtCodec {
         }
     }
 
-    fn handle(&mut self, now: Timestamp<HostClock>, piece: TelegramPart, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn handle(&mut self, now: Timestamp<HostClock>, piece: TelegramPart, sink: CodecEventSink<'_>) {
         match piece {
             TelegramPart::OutOfSync { bytes } => {
                 self.damage_counters.garbage_bytes += bytes as u64;
@@ -169,7 +171,7 @@ impl NxtCodec {
     }
 
     /// A program on the brick sent a telegram for another receiver.
-    fn handle_foreign(&mut self, now: Timestamp<HostClock>, telegram: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn handle_foreign(&mut self, now: Timestamp<HostClock>, telegram: &[u8], sink: CodecEventSink<'_>) {
         self.damage_counters.unknown_ids += 1;
         // Whether or not it replies, it is there, and the possible reason for no reply is reported.
         self.presence.record_activity(now);
@@ -181,7 +183,7 @@ impl NxtCodec {
         self.report(StatusTopic::ForeignMessages, NOTICE, text, sink);
     }
 
-    fn handle_frame(&mut self, now: Timestamp<HostClock>, frame: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn handle_frame(&mut self, now: Timestamp<HostClock>, frame: &[u8], sink: CodecEventSink<'_>) {
         let Some(frames) = &mut self.frames else {
             return;
         };
@@ -200,7 +202,7 @@ impl NxtCodec {
         }
     }
 
-    fn match_reply(&mut self, now: Timestamp<HostClock>, reply: &NxtReply<'_>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn match_reply(&mut self, now: Timestamp<HostClock>, reply: &NxtReply<'_>, sink: CodecEventSink<'_>) {
         self.lost_barriers = 0;
         match self.requests.match_reply(reply) {
             ReplyMatch::Reply(request) => self.handle_reply(now, &request, reply, sink),
@@ -209,7 +211,7 @@ impl NxtCodec {
         self.record_activity(now, sink);
     }
 
-    fn record_activity(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn record_activity(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         if self.presence.record_reply(now) {
             self.report(StatusTopic::Presence, NOTICE, "the NXT answers again", sink);
             // It may be another program, or the brick without one: requests that the old one left unanswered say nothing about it.
@@ -222,7 +224,7 @@ impl NxtCodec {
     }
 
     /// Reports the number of late replies, each time that it doubles.
-    fn report_late(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn report_late(&mut self, sink: CodecEventSink<'_>) {
         let late = self.requests.counts().late;
         if late.is_power_of_two() {
             let limit = self.settings.answer_timeout.as_millis_f64();
@@ -232,7 +234,7 @@ impl NxtCodec {
     }
 
     /// A barrier had no reply within the time-out. If noise interrupted it, that is no evidence about what answers.
-    fn handle_barrier_timeout(&mut self, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn handle_barrier_timeout(&mut self, sink: CodecEventSink<'_>) {
         self.lost_barriers = self.lost_barriers.saturating_add(1);
         if self.is_blocked_by_program() {
             let text = "the program on the NXT answers no commands: its clock is known by its frames alone";
@@ -240,7 +242,7 @@ impl NxtCodec {
         }
     }
 
-    fn handle_timeout(&mut self, request: &NxtRequest, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn handle_timeout(&mut self, request: &NxtRequest, sink: CodecEventSink<'_>) {
         if *request == NxtRequest::SyncBarrier {
             return;
         }
@@ -248,12 +250,7 @@ impl NxtCodec {
         self.handle_failure(request, RequestFailure::Lost, sink);
     }
 
-    pub(super) fn handle_failure(
-        &mut self,
-        request: &NxtRequest,
-        why: RequestFailure,
-        sink: &mut dyn FnMut(CodecEvent<'_>),
-    ) {
+    pub(super) fn handle_failure(&mut self, request: &NxtRequest, why: RequestFailure, sink: CodecEventSink<'_>) {
         match self.schedule.record_failure(request, why) {
             None => {}
             Some(ScheduleChange::ReadSize) => {
@@ -353,15 +350,13 @@ impl NxtCodec {
 impl BrickCodec for NxtCodec {
     fn on_link_up(&mut self, now: Timestamp<HostClock>) {
         self.is_started = true;
-        self.framer = TelegramFramer::new(match self.frames {
-            Some(_) => StreamContent::TelegramsAndFrames,
-            None => StreamContent::Telegrams,
-        });
+        let source = self.schedule.source;
+        self.framer = TelegramFramer::new(source);
         self.requests.restart();
         self.held_request = None;
         self.lost_barriers = 0;
         self.outbox.clear();
-        self.schedule.reset(now);
+        self.schedule = PollSchedule::new(&self.settings, source, now);
         self.presence.reset(now);
         self.mailbox.reset();
         self.motors = MotorReadings::default();
@@ -372,7 +367,7 @@ impl BrickCodec for NxtCodec {
         self.send_requests(now);
     }
 
-    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: CodecEventSink<'_>) {
         self.expire(now, sink);
         let mut found = Vec::new();
         self.framer.push(now, bytes, &mut found);
@@ -401,7 +396,7 @@ impl BrickCodec for NxtCodec {
         .min()
     }
 
-    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         self.expire(now, sink);
         self.send_requests(now);
     }
@@ -513,34 +508,6 @@ pub(super) enum StatusTopic {
     Gyro,
     /// A sensor port, 0 to 3.
     Port(u8),
-}
-
-#[derive(Debug, Default)]
-pub(super) struct StatusTextFilter {
-    last_texts: BTreeMap<StatusTopic, String>,
-}
-
-impl StatusTextFilter {
-    /// Emits a text unless it repeats the last one of its topic.
-    fn emit_if_new(
-        &mut self,
-        topic: StatusTopic,
-        severity: u8,
-        text: String,
-        from: Address,
-        sink: &mut dyn FnMut(CodecEvent<'_>),
-    ) {
-        if self.last_texts.get(&topic) == Some(&text) {
-            return;
-        }
-        self.last_texts.insert(topic, text.clone());
-        sink(CodecEvent::StatusText { from, severity, text });
-    }
-
-    /// The cause of a topic's text no longer exists; the next text is emitted even if it is the same.
-    pub(super) fn clear(&mut self, topic: StatusTopic) {
-        self.last_texts.remove(&topic);
-    }
 }
 
 #[cfg(test)]

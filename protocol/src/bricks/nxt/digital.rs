@@ -1,17 +1,8 @@
 //! Sensors on the I2C bus: requests without a reply, and answers that are read with the next round of IO maps.
 //!
-//! # Model
-//! ```text
-//! sensor          address  request reply                                          period
-//! accelerometer   02       42      x y z high bytes, x y z low two bits            each round
-//! compass         02       42      a b, heading = 2 a + b degrees clockwise        100 ms
-//! ultrasonic      02       42      centimetres, 255 none; 41 02 measures for ever  100 ms
-//! temperature     98       00      two bytes, big-endian, 1/16 degree above bit 4  1 s; 01 60 sets 12 bits
-//! ```
-//! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last; else the
-//! bus needs its time, or no device answers. The first reading after a set-up only gives the index. An index that remains
-//! still is an answer only of a firmware that was seen to write each answer to the ring's start: with an index before it that no
-//! answers of this length lead from.
+//! A buffer is an answer when nothing is to come on the bus and its write index has moved since it was looked at last. An
+//! index that remains still is an answer only of a firmware that was seen to write each answer to the ring's start: with an
+//! index before it that no answers of this length lead from. The first reading after a set-up only gives the index.
 //!
 //! # Sources
 //! HiTechnic's register tables of NAC1040 and NMC1034; LEGO MINDSTORMS NXT Hardware Developer Kit, ultrasonic sensor; Texas
@@ -39,7 +30,6 @@ const MAX_REPLY_ROUNDS: u8 = 3;
 const UNANSWERED_LIMIT: u8 = 10;
 /// Settling time of a sensor's mode.
 const SETTLING_TIME: TimeDelta = TimeDelta::from_millis(100);
-/// Longest answer of these sensors, in bytes.
 const MAX_REPLY_BYTES: usize = 6;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,7 +107,6 @@ impl DigitalSensor {
         self.last_ring_end = None;
     }
 
-    /// When the pending request was sent.
     pub(super) const fn pending_since(&self) -> Option<Timestamp<HostClock>> {
         self.requested_at
     }

@@ -7,7 +7,7 @@
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::telegram::{NxtStatus, ReplyRequest, message_write};
-use crate::bricks::estimate::estimate_bytes;
+use crate::bricks::codec::estimate_bytes;
 use crate::message::PlanarPose;
 
 /// Interval of estimates to a program that pushes: each turns the radio around, which cannot send and receive at once,
@@ -19,7 +19,6 @@ const PROBE_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 #[derive(Debug)]
 pub(super) struct EstimateMailbox {
     number: u8,
-    /// Shortest time between two estimates.
     interval: TimeDelta,
     last: Option<Timestamp<HostClock>>,
     /// A program reads the mailbox, as far as is known.
@@ -75,11 +74,10 @@ impl EstimateMailbox {
     }
 }
 
-/// The larger of the standard deviations of x and y; infinite when there is none.
+/// Infinite when there is none.
 fn sigma_m(pose: &PlanarPose) -> f64 {
-    let [xx, _, _, yy, ..] = pose.covariance;
-    let variance_m2 = xx.max(yy);
-    if variance_m2 >= 0.0 { variance_m2.sqrt() } else { f64::INFINITY }
+    let sigma_m = pose.position_sigma_m();
+    if sigma_m.is_nan() { f64::INFINITY } else { sigma_m }
 }
 
 #[cfg(test)]
@@ -131,22 +129,9 @@ mod tests {
         mailbox.record_probe_reply(NxtStatus::OK);
         let plain = mailbox.publish(Timestamp::from_millis(200), &pose(), 0).unwrap();
         assert_eq!(plain[..4], [0x80, 0x09, 0x04, 25]);
+        assert!(mailbox.publish(Timestamp::from_millis(5_099), &pose(), 0).is_some());
         assert_eq!(mailbox.publish(Timestamp::from_millis(5_100), &pose(), 0), None);
         assert!(mailbox.take_probe(Timestamp::from_millis(5_100)).is_some());
-    }
-
-    #[test]
-    fn without_a_program_nothing_is_sent_until_the_next_probe() {
-        let mut mailbox = EstimateMailbox::new(0, TimeDelta::ZERO);
-        mailbox.publish(Timestamp::ZERO, &pose(), 0);
-        mailbox.take_probe(Timestamp::ZERO);
-        mailbox.record_probe_reply(NxtStatus::NO_PROGRAM);
-        assert_eq!(mailbox.publish(Timestamp::from_millis(4_999), &pose(), 0), None);
-        assert_eq!(mailbox.take_probe(Timestamp::from_millis(4_999)), None);
-        mailbox.publish(Timestamp::from_millis(5_000), &pose(), 0);
-        assert!(mailbox.take_probe(Timestamp::from_millis(5_000)).is_some());
-        mailbox.record_probe_reply(NxtStatus::OK);
-        assert!(mailbox.publish(Timestamp::from_millis(5_050), &pose(), 0).is_some());
     }
 
     #[test]

@@ -1,33 +1,19 @@
-//! Splits a stream into telegrams, without a start byte or a checksum.
+//! Splits a stream into telegrams, without a start byte or a checksum (SPEC.md, "Framing").
 //!
-//! A telegram is accepted if its length, type, opcode and status are consistent. Otherwise the stream is out of step,
-//! and nothing in it marks the next telegram, except silence, and a length-prefixed MAVLink frame whose checksum is
-//! right. So all bytes are discarded until one of them comes, and the pending requests have to be repeated.
-//!
-//! # Model
-//! ```text
-//! reading   a telegram is complete, nothing follows  emit it
-//!           a complete one follows in the same chunk emit it
-//!           length, opcode or status is wrong        out of step, with the telegram just before it; draining
-//!           a telegram stops in its middle for QUIET out of step, with the telegram just before it; reading
-//! draining  a frame with the right checksum          emit it; reading
-//!           quiet for QUIET, after LONG for SHORT    reading
-//! ```
-//! After a reply there is silence until the next request. Bytes directly after it that are no telegram mean that it
-//! contained a byte too many. A program on the brick that sends by itself may leave no silence: then its frames serve,
-//! or, if it sends something else, the pauses between its messages.
-//!
-//! A complete telegram of another type belongs to a program. It is foreign, and no evidence against the telegrams around
-//! it.
+//! A telegram is accepted if its length, type, opcode and status are consistent. Otherwise the stream is out of step, with
+//! the telegram just before it: all bytes are discarded until silence, or until a length-prefixed MAVLink frame with the
+//! right checksum, and the pending requests have to be repeated. A complete telegram of another type belongs to a program:
+//! it is foreign, and no evidence against the telegrams around it.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::io_maps;
+use super::settings::WheelSource;
 use super::telegram::{
     DIRECT_NO_REPLY, MAX_TELEGRAM_BYTES, NxtReply, PREFIX_BYTES, REPLY, bytes_at, opcode, reply_bytes,
 };
 use crate::dialect::catalogue::CATALOGUE;
-use crate::framing::{START_BYTE_V2, checksum};
+use crate::framing::{FrameCandidate, START_BYTE_V2, checksum, classify};
 
 /// Silence that proves the start of a telegram: three turn-arounds of the radio chip, at about 30 ms.
 const QUIET: TimeDelta = TimeDelta::from_millis(100);
@@ -43,14 +29,6 @@ const SIGNATURE_BYTES: usize = 13;
 /// Mailboxes of a brick, including those that its own program writes.
 const MAILBOXES: u8 = 20;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum StreamContent {
-    /// Replies, and messages from mailbox to mailbox.
-    Telegrams,
-    /// Also MAVLink 2 frames from a program.
-    TelegramsAndFrames,
-}
-
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum TelegramPart {
     /// A complete telegram, without its length.
@@ -63,7 +41,7 @@ pub(super) enum TelegramPart {
 
 #[derive(Debug)]
 pub(super) struct TelegramFramer {
-    content: StreamContent,
+    source: WheelSource,
     /// An incomplete telegram, with its length before it; while draining, a possible begin of a frame.
     pending: Vec<u8>,
     last_byte: Option<Timestamp<HostClock>>,
@@ -77,8 +55,8 @@ enum PrefixMatch {
 }
 
 impl TelegramFramer {
-    pub(super) fn new(content: StreamContent) -> Self {
-        Self { content, pending: Vec::with_capacity(2 * MAX_TELEGRAM_BYTES), last_byte: None, draining_since: None }
+    pub(super) fn new(source: WheelSource) -> Self {
+        Self { source, pending: Vec::with_capacity(2 * MAX_TELEGRAM_BYTES), last_byte: None, draining_since: None }
     }
 
     /// True while bytes are discarded: no request can be answered.
@@ -149,9 +127,9 @@ impl TelegramFramer {
 
     /// Discards bytes that cannot be the begin of a frame; true if a verified frame was found.
     fn resynchronize(&mut self, found: &mut Vec<TelegramPart>) -> bool {
-        let hunted = match self.content {
-            StreamContent::Telegrams => ResyncPoint::nothing_in(&self.pending),
-            StreamContent::TelegramsAndFrames => find_resync_point(&self.pending),
+        let hunted = match self.source {
+            WheelSource::Polled => ResyncPoint::nothing_in(&self.pending),
+            WheelSource::Pushed => find_resync_point(&self.pending),
         };
         if hunted.at > 0 {
             found.push(TelegramPart::OutOfSync { bytes: hunted.at });
@@ -165,12 +143,11 @@ impl TelegramFramer {
         true
     }
 
-    /// The telegram between two offsets in the stream, if there is one.
     fn telegram(&self, begin: usize, end: usize) -> Option<TelegramPart> {
         let telegram = self.pending.get(begin..end)?.get(PREFIX_BYTES..)?.to_vec();
         let is_ours = match telegram.first()? {
             &REPLY | &DIRECT_NO_REPLY => true,
-            &START_BYTE_V2 => self.content == StreamContent::TelegramsAndFrames,
+            &START_BYTE_V2 => self.source == WheelSource::Pushed,
             _ => false,
         };
         Some(if is_ours { TelegramPart::Telegram(telegram) } else { TelegramPart::Foreign(telegram) })
@@ -214,16 +191,11 @@ fn find_resync_point(stream: &[u8]) -> ResyncPoint {
 
 /// Whether this is an undamaged MAVLink 2 frame of a known message.
 fn has_right_checksum(frame: &[u8]) -> bool {
-    let Some([START_BYTE_V2, payload, _, _, _, _, _, id @ ..]) = bytes_at::<HEADER_BYTES>(frame, 0) else {
+    let FrameCandidate::Supported { header, crc_extra } = classify(frame, &CATALOGUE) else {
         return false;
     };
-    let end = HEADER_BYTES + usize::from(payload);
-    let (Some(covered), Some(sum)) = (frame.get(1..end), bytes_at(frame, end)) else {
-        return false;
-    };
-    let [low, middle, high] = id;
-    let shape = CATALOGUE.layout(u32::from_le_bytes([low, middle, high, 0]));
-    shape.is_some_and(|shape| checksum(covered, shape.crc_extra) == u16::from_le_bytes(sum))
+    let (covered, sum) = header.covered(frame);
+    header.total == frame.len() && checksum(covered, crc_extra) == sum
 }
 
 /// Decides as early as the bytes allow: does not wait for the rest of a wrong beginning.
@@ -298,20 +270,12 @@ mod tests {
     const DONE: [u8; 5] = [0x03, 0x00, 0x02, 0x05, 0x00];
 
     fn cut(chunks: &[&[u8]]) -> (Vec<TelegramPart>, TelegramFramer) {
-        let mut cutter = TelegramFramer::new(StreamContent::Telegrams);
+        let mut cutter = TelegramFramer::new(WheelSource::Polled);
         let mut found = Vec::new();
         for chunk in chunks {
             cutter.push(Timestamp::ZERO, chunk, &mut found);
         }
         (found, cutter)
-    }
-
-    #[test]
-    fn two_telegrams_in_one_chunk_are_two() {
-        let (found, cutter) = cut(&[&[&VERSION[..], &DONE[..]].concat()]);
-        let expected = [&VERSION[2..], &DONE[2..]].map(|bytes| TelegramPart::Telegram(bytes.to_vec()));
-        assert_eq!(found, expected);
-        assert_eq!(cutter.deadline(), None);
     }
 
     #[test]
@@ -349,15 +313,6 @@ mod tests {
     }
 
     #[test]
-    fn a_truncated_telegram_is_dropped_after_a_silence() {
-        let (found, mut cutter) = cut(&[&VERSION[..8]]);
-        assert!(found.is_empty());
-        let part = cutter.expire(Timestamp::from_millis(100));
-        assert_eq!(part, Some(TelegramPart::OutOfSync { bytes: 8 }));
-        assert_eq!(cutter.deadline(), None);
-    }
-
-    #[test]
     fn lengths_that_contradict_opcode_or_map_are_refused() {
         let long_version = [0x08, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01, 0x00];
         let unknown_status = [0x03, 0x00, 0x02, 0x05, 0x01];
@@ -392,7 +347,7 @@ mod tests {
 
     #[test]
     fn a_drain_ends_between_two_messages_of_a_program_that_never_rests() {
-        let mut cutter = TelegramFramer::new(StreamContent::Telegrams);
+        let mut cutter = TelegramFramer::new(WheelSource::Polled);
         let mut found = Vec::new();
         cutter.push(Timestamp::ZERO, &[0xFF, 0xFF], &mut found);
         for step in 1..30 {

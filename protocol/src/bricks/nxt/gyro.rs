@@ -1,25 +1,18 @@
 //! The HiTechnic gyro: the turn rate is the difference between a reading and the reading at rest.
 //!
-//! # Model
 //! ```text
-//! rate = sign (raw - rest) deg/s,  for |raw - rest| <= RANGE and a raw below the converter's stop; anything else is an empty port
-//! rest = mean of the readings while both wheels are at rest; the first ENOUGH of them, close together, make it, later ones follow slowly:
-//!        rest += (raw - rest) / n,  n = count of readings, at most MEMORY
-//! rest = mean of a calm, if it is another:  readings over CALM while both wheels are at rest, all within CALM_SPREAD of each other
+//! rate = sign (raw - rest) deg/s,  for |raw - rest| <= RANGE and a raw below the converter's stop; else an empty port
+//! rest = mean of the first readings while both wheels are at rest, if close together; later ones follow slowly
+//! rest = mean of a calm, if it is another:  readings over CALM_TIME at rest, all within CALM_SPREAD of each other
 //! ```
-//! No rate is reported until the rest is known. What is left of it is the filter's gyro bias.
-//!
-//! # Limits of wheels at rest
-//! Wheels are also at rest while the robot is carried or turned in the hand. The first ENOUGH readings may be of such a turn, because
-//! they are few: a robot that drives off would never provide more. So the calm comes behind them. No hand turns for so long at a
-//! rate that is steady within four degrees per second, so what is that steady is rest, however far it is from the earlier
-//! estimate. The limit: on a turntable, or in a car in a long bend, a calm is a turn, and is taken for rest until the next calm
-//! on firm ground. There the rest must be configured.
+//! Wheels are also at rest while the robot is turned in the hand, and a robot that drives off provides only few readings. So
+//! the calm corrects them: no hand turns for so long at a rate that is steady within four degrees per second. On a turntable,
+//! or in a car in a long bend, a calm is a turn: there the rest must be configured.
 //!
 //! # Sources
 //! HiTechnic NGY1044, data sheet: one degree per second and count, +-360 degrees per second, rest around 600, 580 to 625
-//! reported, different for each sensor and drifting with temperature; people average about 500 readings at rest. An open input of
-//! the converter, which has ten bits, reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit: pulled up to 5 V by 10 kOhm).
+//! reported, different for each sensor and drifting with temperature; people average about 500 readings at rest. An open
+//! input of the ten-bit converter reads 1023 (LEGO MINDSTORMS NXT Hardware Developer Kit).
 
 use posebridge_telemetry::{HostClock, RadiansPerSecond, TimeDelta, Timestamp};
 

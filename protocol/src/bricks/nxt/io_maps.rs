@@ -1,16 +1,8 @@
-//! The brick's IO maps: its firmware's own variables. One telegram reads up to 119 bytes.
+//! The brick's IO maps: its firmware's own variables (SPEC.md, "What is asked"). One telegram reads up to 119 bytes.
 //!
-//! # Layout
-//! ```text
-//! module              id        holds
-//! Command             00010001  tick u32 @20, ms since power-up
-//! Output              00020001  3 motors of 32 bytes: count i32 @0, degrees
-//! Input               00030001  4 ports of 20 bytes: raw u16 @2, type @8, invalid @16
-//! Low speed           000B0001  4 ports of 19 bytes: ring of 16, write index @16, bytes still to come @18
-//! ```
 //! # Sources
-//! The firmware's interface files c_output.iom, c_input.iom, c_lowspeed.iom, c_cmd.iom; its loader limits a read over Bluetooth to
-//! 128 - 9 bytes and over USB to 64 - 9.
+//! The firmware's interface files c_output.iom, c_input.iom, c_lowspeed.iom, c_cmd.iom; its loader limits a read over
+//! Bluetooth to 128 - 9 bytes and over USB to 64 - 9.
 
 use super::telegram::{NxtReply, bytes_at, opcode};
 
@@ -42,7 +34,6 @@ impl FirmwareModule {
     }
 }
 
-/// The brick's clock.
 pub(super) const TICK: IoMapWindow = IoMapWindow { module: FirmwareModule::Command, offset: 20, length: 4 };
 
 const MOTOR_BYTES: u16 = 32;
@@ -138,7 +129,6 @@ impl<'a> IoMapData<'a> {
         bytes_at(self.bytes, usize::from(inside))
     }
 
-    /// Since its power-up.
     pub(super) fn tick_millis(&self) -> Option<u32> {
         self.bytes_at(TICK.offset).map(u32::from_le_bytes)
     }
@@ -148,7 +138,6 @@ impl<'a> IoMapData<'a> {
         self.bytes_at(MOTOR_BYTES * u16::from(motor)).map(i32::from_le_bytes)
     }
 
-    /// `None` if the window does not contain it.
     pub(super) fn input(&self, port: u8) -> Option<AnalogInput> {
         let base = INPUT_BYTES * u16::from(port);
         Some(AnalogInput {

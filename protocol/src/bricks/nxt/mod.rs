@@ -1,17 +1,9 @@
-//! The LEGO NXT as it comes out of the box: polled by its own commands, without a program of ours on it.
+//! The LEGO NXT as it comes out of the box: polled by its own commands, without a program of ours on it. `SPEC.md` beside
+//! this file defines the bytes.
 //!
-//! `SPEC.md` beside this file defines the bytes. The station sends one request at a time, because a transaction costs
-//! about 30 ms of the radio chip whatever its size: so it reads whole IO maps, and requests no reply that it can do
-//! without.
-//!
-//! ```text
-//! framer        bytes of the link to telegrams, and resynchronization
-//! requests      which reply belongs to which request, which are lost, and the next request
-//! replies       the content of replies: motors, gyro, digital sensors, tick, status texts
-//! estimate      the pose into a mailbox, for a program on the brick if there is one
-//! ```
-//! A program on the brick that sends MAVLink frames is another row of the table, `nxt-push`: the same codec, which then
-//! polls only the clock.
+//! A transaction costs about 30 ms of the radio chip whatever its size, so the station sends one request at a time, reads
+//! whole IO maps, and requests no reply that it can do without. A program on the brick that sends MAVLink frames is another
+//! row of the table, `nxt-push`: the same codec, which then polls only the clock.
 
 mod codec;
 mod digital;

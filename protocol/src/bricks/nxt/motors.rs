@@ -1,16 +1,13 @@
 //! Readings of motors and accelerometers, combined for both wheels; totals of the wheels, standstill, and the brick's clock.
 //!
-//! The totals follow the rule of [`crate::bricks::counters`]. Each reading was made between its request and its reply, so
-//! the time between two readings is at most from the first one's request to the second one's reply.
-//!
-//! # Sources
-//! 170 rpm without load at 9 V (Philo's motor measurements, philohome.com/nxtmotor): 1020 degrees per second, plus a
-//! half.
+//! Each reading was made between its request and its reply, so the time between two readings is at most from the first
+//! one's request to the second one's reply. Source of the limit: 170 rpm without load at 9 V (Philo's motor measurements,
+//! philohome.com/nxtmotor), 1020 degrees per second, plus a half.
 
 use posebridge_telemetry::{HostClock, MetersPerSecondSquared, TimeDelta, Timestamp};
 
 use super::settings::MotorPort;
-use crate::bricks::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, WheelState};
+use crate::bricks::counters::{CounterUpdate, MotorCounters, MotorCounts, MotorLimits, Standstill, WheelState};
 use crate::message::WireStamp;
 
 /// Wheels whose counts have not changed for this long are at rest; a wheel that turns below this limit is slower than 4
@@ -66,8 +63,7 @@ pub(super) struct AccelerationReading {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MotorReadings {
     readings: [Option<MotorReading>; 3],
-    last_counts: Option<[i32; 2]>,
-    standstill_since: Option<Timestamp<HostClock>>,
+    standstill: Standstill,
 }
 
 impl MotorReadings {
@@ -85,17 +81,12 @@ impl MotorReadings {
         self.readings = [None; 3];
         let wheels = [first.count, second.count];
         let interval = first.interval.union(second.interval);
-        if self.last_counts.replace(wheels) != Some(wheels) {
-            self.standstill_since = Some(interval.answered);
-        }
+        self.standstill.record(wheels, interval.answered);
         Some(WheelReadings { counts: MotorCounts { wheels, third: third.map(|read| read.count) }, interval })
     }
 
     pub(super) fn wheel_state(&self, now: Timestamp<HostClock>) -> WheelState {
-        match self.standstill_since {
-            Some(since) if now - since >= STANDSTILL_TIME => WheelState::Standing,
-            _ => WheelState::Turning,
-        }
+        self.standstill.wheel_state(now, STANDSTILL_TIME)
     }
 }
 
@@ -213,11 +204,6 @@ mod tests {
         assert_eq!(read(2, 550), WheelState::Standing);
         assert_eq!(read(3, 900), WheelState::Turning);
     }
-}
-
-#[cfg(test)]
-mod tick_tests {
-    use super::*;
 
     #[test]
     fn a_tick_that_falls_is_a_restart_and_one_that_wraps_is_not() {

@@ -9,12 +9,11 @@ use super::codec::{NxtCodec, StatusTopic};
 use super::digital::{DigitalMeasurement, DigitalSensor};
 use super::gyro::{GyroReadout, RestUpdate};
 use super::io_maps::{AnalogInput, FirmwareModule, IoMapData, IoMapWindow, TICK};
-use super::motors::TickAdvance;
-use super::motors::{AccelerationReading, PendingAccelerations, RequestInterval};
+use super::motors::{AccelerationReading, PendingAccelerations, RequestInterval, TickAdvance};
 use super::requests::{NxtRequest, PendingRequest, PortState, RequestFailure};
 use super::settings::{AccelerometerMounting, MotorMounting, MotorPort, NxtSensor};
 use super::telegram::{NxtReply, NxtStatus, bytes_at};
-use crate::bricks::codec::CodecEvent;
+use crate::bricks::codec::{CodecEvent, CodecEventSink};
 use crate::bricks::counters::CounterUpdate;
 use crate::message::{Inertial, Message, PlanarImu, WheelTicks};
 
@@ -25,8 +24,6 @@ const NO_SENSOR: u8 = 0;
 /// Offset of a motor's count after the status of GETOUTPUTSTATE: port, power, mode, regulation, turn ratio, run state,
 /// limit.
 const COUNT_AT: usize = 10;
-
-type CodecEventSink<'a> = &'a mut dyn FnMut(CodecEvent<'_>);
 
 impl NxtCodec {
     pub(super) fn handle_reply(
@@ -80,18 +77,15 @@ impl NxtCodec {
         self.replies_since_host_tick += 1;
         if self.replies_since_host_tick > REPLIES_PER_HOST_TICK {
             self.replies_since_host_tick = 0;
-            sink(CodecEvent::ClockReply {
-                from: self.brick,
-                sent: interval.sent,
-                peer_nanos: interval.middle().as_nanos().max(0),
-            });
+            let peer_nanos = interval.middle().as_nanos().max(0);
+            sink(CodecEvent::ClockReply { from: self.brick, sent: interval.sent, peer_nanos });
         }
     }
 
     fn handle_mailbox(&mut self, status: NxtStatus, sink: CodecEventSink<'_>) {
         self.mailbox.record_probe_reply(status);
         if status == NxtStatus::OK {
-            self.notes.clear(StatusTopic::Program);
+            self.last_texts.remove(&StatusTopic::Program);
             return;
         }
         let text = format!("the NXT takes no estimate: {}", status.meaning());
@@ -170,16 +164,13 @@ impl NxtCodec {
     fn handle_tick(&mut self, millis: u32, interval: RequestInterval, sink: CodecEventSink<'_>) {
         if self.clock.push(millis, interval.middle()) == TickAdvance::Restarted {
             self.report(StatusTopic::Clock, NOTICE, "the NXT was switched off and on", sink);
-            self.notes.clear(StatusTopic::Clock);
+            self.last_texts.remove(&StatusTopic::Clock);
             self.totals.brick_restarted();
             self.schedule.set_up_again();
             self.mailbox.reset();
         }
-        sink(CodecEvent::ClockReply {
-            from: self.brick,
-            sent: interval.sent,
-            peer_nanos: i64::from(millis) * 1_000_000,
-        });
+        let peer_nanos = i64::from(millis) * 1_000_000;
+        sink(CodecEvent::ClockReply { from: self.brick, sent: interval.sent, peer_nanos });
     }
 
     fn handle_wheels(&mut self, sink: CodecEventSink<'_>) {
@@ -193,7 +184,7 @@ impl NxtCodec {
                 // A program began or ended: the ports are as it left them, and the brick may even be another.
                 let text = "the NXT's counters began anew: a program was started or stopped";
                 self.report(StatusTopic::Motors, NOTICE, text, sink);
-                self.notes.clear(StatusTopic::Motors);
+                self.last_texts.remove(&StatusTopic::Motors);
                 self.schedule.set_up_again();
                 self.schedule.request_tick();
                 totals
@@ -205,14 +196,12 @@ impl NxtCodec {
             }
         };
         let [left_total, right_total] = totals.map(EncoderTicks);
-        self.emit_message(
-            Message::WheelTicks(WheelTicks {
-                stamp: both.interval.stamp(),
-                left: apply_mounting(left_total, left.mounting),
-                right: apply_mounting(right_total, right.mounting),
-            }),
-            sink,
-        );
+        let ticks = WheelTicks {
+            stamp: both.interval.stamp(),
+            left: apply_mounting(left_total, left.mounting),
+            right: apply_mounting(right_total, right.mounting),
+        };
+        self.emit_message(Message::WheelTicks(ticks), sink);
     }
 
     fn complete_set_up(&mut self, port: u8, now: Timestamp<HostClock>) {
@@ -278,16 +267,9 @@ impl NxtCodec {
                 self.report(StatusTopic::Port(port), WARNING, text, sink);
             }
             GyroReadout::Rate(turn_rate) => {
-                self.notes.clear(StatusTopic::Port(port));
-                self.emit_message(
-                    Message::Inertial(Inertial {
-                        stamp: interval.stamp(),
-                        turn_rate: Some(turn_rate),
-                        turn: None,
-                        wheel_accelerations: None,
-                    }),
-                    sink,
-                );
+                self.last_texts.remove(&StatusTopic::Port(port));
+                let inertial = Inertial { turn_rate: Some(turn_rate), ..Inertial::empty(interval.stamp()) };
+                self.emit_message(Message::Inertial(inertial), sink);
             }
         }
     }
@@ -338,7 +320,7 @@ impl NxtCodec {
             }
             return;
         };
-        self.notes.clear(StatusTopic::Port(port));
+        self.last_texts.remove(&StatusTopic::Port(port));
         let stamp = interval.stamp();
         let message = match measured {
             DigitalMeasurement::NoEcho => return,
@@ -387,12 +369,9 @@ impl NxtCodec {
         }
         let (left, right) = (self.accelerations.left?, self.accelerations.right?);
         self.accelerations = PendingAccelerations::default();
-        Some(Message::Inertial(Inertial {
-            stamp: left.interval.union(right.interval).stamp(),
-            turn_rate: None,
-            turn: None,
-            wheel_accelerations: Some((left.along, right.along)),
-        }))
+        let stamp = left.interval.union(right.interval).stamp();
+        let wheel_accelerations = Some((left.along, right.along));
+        Some(Message::Inertial(Inertial { wheel_accelerations, ..Inertial::empty(stamp) }))
     }
 
     fn emit_message(&self, message: Message, sink: CodecEventSink<'_>) {

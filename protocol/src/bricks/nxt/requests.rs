@@ -1,25 +1,10 @@
 //! Outstanding requests with their replies and timeouts ([`RequestTracker`]), and the next request ([`PollSchedule`]).
 //!
-//! Replies have no number, and two requests of one kind have replies of one kind. A late reply must not be matched to a
-//! later request, or all following replies would be shifted. The brick answers in order, so after every disturbance one
-//! request of another kind is sent: the barrier. Its reply proves that every earlier request is answered or lost; until
-//! then nothing else is requested.
-//!
-//! # Model
-//! ```text
-//! waiting      sent, and within the timeout
-//! overdue      sent, timed out, its reply may still come; dropped when the barrier is answered
-//! a reply      matches the oldest overdue request that it can answer, else the oldest waiting one, else none
-//!
-//! next request, the first of these that is due:
-//!   barrier   at connect and after every disturbance
-//!   tick      three at connect, one after every disturbance, one after every nineteenth other request
-//!   set up    each port with a sensor, after connect and whenever the brick's counters started again
-//!   size      how much of an IO map one reply holds: 119 bytes, else 55, else none; until that is known
-//!   trial     with two outstanding: four ticks and four reads of the motors, by turns; all eight must be answered
-//!   mailbox   an estimate that requires a reply
-//!   round     sensors on the bus that were written to, motors, analog ports; at most one round in 10 ms
-//! ```
+//! Replies have no number, and a late reply must not be matched to a later request of its kind. The brick answers in order,
+//! so after every disturbance one request of another kind is sent, the barrier: its reply proves that every earlier request
+//! is answered or lost. The schedule is the first of these that is due: barrier; tick (three at connect, one after every
+//! disturbance, one after every nineteenth other request); set-up of ports; the size of reads; the trial with two
+//! outstanding; an estimate that requires a reply; a round of bus sensors, motors and analog ports.
 
 use std::collections::VecDeque;
 
@@ -27,7 +12,7 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::digital::is_digital;
 use super::io_maps::{self, ALL_BUFFERS, ALL_INPUTS, ALL_MOTORS, FirmwareModule, IoMapWindow, TICK, parse_reply};
-use super::settings::{MaxOutstanding, MotorPort, NxtSensor, NxtSettings};
+use super::settings::{MaxOutstanding, MotorPort, NxtSensor, NxtSettings, WheelSource};
 use super::telegram::{self, NxtReply, bytes_at, opcode};
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,9 +23,7 @@ pub(super) enum NxtRequest {
     IoMap(IoMapWindow),
     Motor(MotorPort),
     Analog(u8),
-    /// Reads the answer of a digital port's sensor.
     Digital(u8),
-    /// Sets up a port for a sensor of this type.
     SetUp {
         port: u8,
         kind: u8,
@@ -127,7 +110,6 @@ enum SyncBarrier {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RequestCounts {
-    /// Requests with a reply in time.
     pub(super) answered: u64,
     /// Abandoned requests, barriers excluded.
     pub(super) lost: u64,
@@ -289,12 +271,6 @@ pub(super) enum ReadSize {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum WheelSource {
-    Polled,
-    Pushed,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PortState {
     Unused,
     Unconfigured,
@@ -319,14 +295,13 @@ pub(super) enum ScheduleChange {
 
 #[derive(Debug)]
 pub(super) struct PollSchedule {
-    source: WheelSource,
+    pub(super) source: WheelSource,
     wheels: [MotorPort; 2],
     sensors: [NxtSensor; 4],
     pub(super) ports: [PortState; 4],
     read_size: ReadSize,
     is_read_size_known: bool,
     failures: u8,
-    outstanding: MaxOutstanding,
     /// Requests of the trial that have not been sent, and that have not been answered.
     trial: Option<(u8, u8)>,
     most: usize,
@@ -341,45 +316,31 @@ pub(super) struct PollSchedule {
 }
 
 impl PollSchedule {
-    pub(super) fn new(settings: &NxtSettings, source: WheelSource) -> Self {
-        Self {
+    /// For a link that comes up at `now`: everything is still to be detected.
+    pub(super) fn new(settings: &NxtSettings, source: WheelSource, now: Timestamp<HostClock>) -> Self {
+        let is_polled = source == WheelSource::Polled;
+        let is_tried = is_polled && settings.outstanding == MaxOutstanding::Two;
+        let mut schedule = Self {
             source,
             wheels: [settings.left_motor.port, settings.right_motor.port],
             sensors: settings.sensors,
             ports: [PortState::Unused; 4],
             read_size: ReadSize::Complete,
-            is_read_size_known: false,
+            is_read_size_known: !is_polled,
             failures: 0,
-            outstanding: settings.outstanding,
-            trial: None,
+            trial: is_tried.then_some((TRIAL_REQUESTS, TRIAL_REQUESTS)),
             most: 1,
             has_tick: true,
             is_tick_known: false,
             tick_failures: 0,
-            ticks_remaining: 0,
+            ticks_remaining: FIRST_TICKS,
             since_tick: 0,
-            next_tick: Timestamp::ZERO,
+            next_tick: now,
             round: VecDeque::with_capacity(8),
-            next_round: Timestamp::ZERO,
-        }
-    }
-
-    /// The link came up: restarts all detection.
-    pub(super) fn reset(&mut self, now: Timestamp<HostClock>) {
-        self.read_size = ReadSize::Complete;
-        self.is_read_size_known = self.source == WheelSource::Pushed;
-        self.failures = 0;
-        self.most = 1;
-        self.trial = (self.outstanding == MaxOutstanding::Two && self.source == WheelSource::Polled)
-            .then_some((TRIAL_REQUESTS, TRIAL_REQUESTS));
-        self.has_tick = true;
-        self.is_tick_known = false;
-        self.tick_failures = 0;
-        self.ticks_remaining = FIRST_TICKS;
-        self.since_tick = 0;
-        self.next_tick = now;
-        self.next_round = now;
-        self.set_up_again();
+            next_round: now,
+        };
+        schedule.set_up_again();
+        schedule
     }
 
     /// The brick has lost its sensor set-up, or may have.
@@ -412,7 +373,6 @@ impl PollSchedule {
         self.has_tick
     }
 
-    /// True once the largest read is known.
     pub(super) const fn is_read_size_known(&self) -> bool {
         self.is_read_size_known
     }

@@ -11,11 +11,8 @@ const MAILBOXES: u8 = 10;
 /// A motor's port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MotorPort {
-    /// Number 0 on the wire.
     A,
-    /// Number 1.
     B,
-    /// Number 2.
     C,
 }
 
@@ -106,6 +103,15 @@ pub enum MaxOutstanding {
     One,
     /// Two, if a trial at connect shows that the brick answers both.
     Two,
+}
+
+/// How the readings of the wheels come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WheelSource {
+    /// The brick is asked for them.
+    Polled,
+    /// A program on the brick sends MAVLink 2 frames.
+    Pushed,
 }
 
 /// The settings of one NXT.

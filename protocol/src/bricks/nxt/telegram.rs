@@ -1,13 +1,8 @@
-//! Telegrams to and from the brick, without state: commands, and replies with their status.
+//! Telegrams to and from the brick, without state: commands, and replies with their status (SPEC.md, "Framing").
 //!
-//! # Layout
-//! ```text
-//! command   type opcode arguments        type 00 direct, 01 system, with reply; 80, 81 without
-//! reply     02 opcode status values      all numbers little-endian
-//! ```
 //! # Sources
-//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (file errors) and appendix 2 (direct commands, "Error message back to the
-//! host"); where the firmware's source differs from them, the firmware.
+//! LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (file errors) and appendix 2 (direct commands, "Error message
+//! back to the host"); where the firmware's source differs from them, the firmware.
 
 use super::settings::MotorPort;
 

@@ -1,22 +1,15 @@
-//! Validates the time in a line, and substitutes it for lines without one.
+//! Validates the time in a line, and substitutes it for lines without one (SPEC.md, "Time").
 //!
-//! A lost digit makes another time, which the rest of the station would interpret as a restart of the board. But lines
-//! arrive in order, and a board's clock cannot run ahead of the host's by more than the delay of the link.
-//!
-//! # Model
 //! ```text
 //! -0.5 s  <=  (time2 - time1) mod period  <=  1.01 (arrival2 - arrival1) + held back + 0.5 s
 //! held back := max(0, held back + (arrival2 - arrival1) - (time2 - time1)),  less 1 % of the time between
 //! ```
-//! A time that decreases by less than that is accepted: perhaps the line before was damaged, and the station tolerates
-//! timestamps that are a little late. A time that does not fit is rejected once. If the next line fits the rejected one
-//! and not the one before, the board was restarted.
-//!
-//! A board without a clock gets the host's: a line is from any time within the configured delay before its arrival.
+//! A time that decreases by less than that is accepted: perhaps the line before was damaged. A time that does not fit is
+//! rejected once. If the next line fits the rejected one and not the one before, the board was restarted.
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-use super::row::BoardTime;
+use crate::message::WireStamp;
 
 const PERIOD: i128 = 1 << 32;
 /// Largest rate error of a clock: one part in this number: the station's limit for any brick.
@@ -27,7 +20,6 @@ const MAX_CLOCK_ERROR: TimeDelta = TimeDelta::from_millis(500);
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(60_000);
 /// Number of lines without a time that are each followed by a time exchange: the pipeline needs three to know a clock.
 const EXCHANGES_AT_ONCE: u32 = 4;
-/// Interval of the later ones.
 const EXCHANGE_PERIOD: TimeDelta = TimeDelta::from_millis(500);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -38,14 +30,14 @@ pub(super) struct BoardClock {
 
 #[derive(Clone, Copy, Debug)]
 struct LineTime {
-    time: BoardTime,
+    time: WireStamp,
     arrival: Timestamp<HostClock>,
     delay: TimeDelta,
 }
 
 impl BoardClock {
     /// Whether the time of a line that arrived at `arrival` is plausible.
-    pub(super) fn accept(&mut self, time: BoardTime, arrival: Timestamp<HostClock>) -> bool {
+    pub(super) fn accept(&mut self, time: WireStamp, arrival: Timestamp<HostClock>) -> bool {
         let Some(last) = self.last else {
             self.last = Some(LineTime::new(time, arrival));
             return true;
@@ -60,25 +52,25 @@ impl BoardClock {
         false
     }
 
-    pub(super) fn last_accepted(&self) -> Option<BoardTime> {
+    pub(super) fn last_accepted(&self) -> Option<WireStamp> {
         self.last.map(|line_time| line_time.time)
     }
 }
 
 impl LineTime {
-    const fn new(time: BoardTime, arrival: Timestamp<HostClock>) -> Self {
+    const fn new(time: WireStamp, arrival: Timestamp<HostClock>) -> Self {
         Self { time, arrival, delay: TimeDelta::ZERO }
     }
 
     /// The state after a later line of the same clock; `None` if it cannot be one.
-    fn advance(&self, time: BoardTime, arrival: Timestamp<HostClock>) -> Option<Self> {
+    fn advance(&self, time: WireStamp, arrival: Timestamp<HostClock>) -> Option<Self> {
         let on_host = (arrival - self.arrival).max(TimeDelta::ZERO);
         let skew = TimeDelta::from_nanos(on_host.as_nanos() / SKEW_PARTS);
         let most = on_host + skew + self.delay + MAX_CLOCK_ERROR;
         let (ran, step) = match (self.time, time) {
-            (BoardTime::Millis(from), BoardTime::Millis(to)) => (to.wrapping_sub(from), 1_000_000),
-            (BoardTime::Micros(from), BoardTime::Micros(to)) => (to.wrapping_sub(from), 1_000),
-            (BoardTime::Millis(_), BoardTime::Micros(_)) | (BoardTime::Micros(_), BoardTime::Millis(_)) => return None,
+            (WireStamp::Millis32(from), WireStamp::Millis32(to)) => (to.wrapping_sub(from), 1_000_000),
+            (WireStamp::Micros32(from), WireStamp::Micros32(to)) => (to.wrapping_sub(from), 1_000),
+            _ => return None,
         };
         // The counter may have wrapped in a silence: of all that it may mean, the latest that can be.
         let most_steps = i128::from(most.as_nanos()) / step;
@@ -120,7 +112,7 @@ mod tests {
     fn accepted(lines: &[(i64, u32)]) -> Vec<bool> {
         let mut clock = BoardClock::default();
         let accept = |(arrival_ms, time_ms): &(i64, u32)| {
-            clock.accept(BoardTime::Millis(*time_ms), Timestamp::from_millis(*arrival_ms))
+            clock.accept(WireStamp::Millis32(*time_ms), Timestamp::from_millis(*arrival_ms))
         };
         lines.iter().map(accept).collect()
     }
@@ -144,10 +136,10 @@ mod tests {
     #[test]
     fn a_silence_longer_than_the_period_of_microseconds_is_no_restart() {
         let mut clock = BoardClock::default();
-        assert!(clock.accept(BoardTime::Micros(5), Timestamp::ZERO));
+        assert!(clock.accept(WireStamp::Micros32(5), Timestamp::ZERO));
         // Twice the period and a second.
         let later = Timestamp::from_micros(2 * (1 << 32) + 1_000_000);
-        assert!(clock.accept(BoardTime::Micros(1_000_005), later));
-        assert!(!clock.accept(BoardTime::Micros(300_000), later + TimeDelta::from_millis(20)));
+        assert!(clock.accept(WireStamp::Micros32(1_000_005), later));
+        assert!(!clock.accept(WireStamp::Micros32(300_000), later + TimeDelta::from_millis(20)));
     }
 }

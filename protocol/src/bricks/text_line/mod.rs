@@ -17,18 +17,17 @@ use posebridge_telemetry::{
 };
 
 use self::clock::{BoardClock, SubstituteClock};
-use self::row::{BoardReading, BoardTime, ChecksumStatus, LineError, exclusive_or};
+use self::row::{BoardReading, ChecksumStatus, LineError, exclusive_or};
 pub use self::settings::{
     ChecksumPolicy, Column, ColumnSign, LayoutError, LineLayout, QUANTITIES, Quantity, Separator, TextLineSettings,
 };
 use super::codec::{
-    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, emit_message, emit_status_text,
+    BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource, emit_message,
+    emit_status_text, validity_bits,
 };
-use super::estimate::validity_bits;
-use super::heartbeat::HeartbeatSource;
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::framing::FramerCounters;
-use crate::message::{Inertial, Message, PlanarPose, WheelTicks, WireStamp};
+use crate::message::{Heartbeat, Inertial, Message, PlanarPose, WheelTicks, WireStamp};
 
 /// A line that is interrupted for longer was cut off: a board at 9600 baud prints the longest one in 270 ms.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
@@ -69,7 +68,7 @@ pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
         clock: BoardClock::default(),
         substitute_clock: SubstituteClock::default(),
         wheels: ResettableCounters::default(),
-        heartbeat: HeartbeatSource::default(),
+        heartbeat: HeartbeatSource::new(Heartbeat::ROVER),
         counts: FramerCounters::default(),
         is_error_reported: false,
         unknown: BTreeSet::new(),
@@ -85,7 +84,7 @@ impl BrickCodec for TextLineCodec {
         self.substitute_clock = SubstituteClock::default();
     }
 
-    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn push(&mut self, now: Timestamp<HostClock>, bytes: &[u8], sink: CodecEventSink<'_>) {
         self.last_byte = now;
         // The splitter lends its line while it is read, which needs the rest of the state.
         let mut splitter = std::mem::take(&mut self.splitter);
@@ -100,7 +99,7 @@ impl BrickCodec for TextLineCodec {
         (self.splitter.waiting_bytes() > 0).then(|| self.last_byte + QUIET_TIME)
     }
 
-    fn tick(&mut self, now: Timestamp<HostClock>, sink: &mut dyn FnMut(CodecEvent<'_>)) {
+    fn tick(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) {
         if self.deadline().is_some_and(|due| due <= now) {
             let bytes = self.splitter.clear();
             self.may_be_truncated = true;
@@ -141,7 +140,7 @@ impl BrickCodec for TextLineCodec {
 }
 
 impl TextLineCodec {
-    fn handle_line(&mut self, now: Timestamp<HostClock>, line: &[u8], sink: &mut CodecEventSink<'_>) {
+    fn handle_line(&mut self, now: Timestamp<HostClock>, line: &[u8], sink: CodecEventSink<'_>) {
         let is_cut = std::mem::replace(&mut self.may_be_truncated, false);
         let read = row::strip_checksum(line, self.settings.checksum).and_then(|(text, proof)| {
             let unknown = &mut self.unknown;
@@ -166,14 +165,13 @@ impl TextLineCodec {
         }
     }
 
-    fn handle_row(&mut self, now: Timestamp<HostClock>, row: &BoardReading, sink: &mut CodecEventSink<'_>) {
+    fn handle_row(&mut self, now: Timestamp<HostClock>, row: &BoardReading, sink: CodecEventSink<'_>) {
         let stamp = match row.time {
             Some(time) if !self.clock.accept(time, now) => {
                 sink(CodecEvent::Error(ReceiveError::Payload { message_id: LINE_ID }));
                 return;
             }
-            Some(BoardTime::Millis(millis)) => WireStamp::Millis32(millis),
-            Some(BoardTime::Micros(micros)) => WireStamp::Micros32(micros),
+            Some(time) => time,
             None => self.substitute_stamp(now, sink),
         };
         self.counts.frames += 1;
@@ -184,14 +182,14 @@ impl TextLineCodec {
     }
 
     /// The host's time as the stamp of a line without one.
-    fn substitute_stamp(&mut self, now: Timestamp<HostClock>, sink: &mut CodecEventSink<'_>) -> WireStamp {
+    fn substitute_stamp(&mut self, now: Timestamp<HostClock>, sink: CodecEventSink<'_>) -> WireStamp {
         if self.substitute_clock.is_due(now) {
             sink(CodecEvent::ClockReply { from: DEFAULT_BRICK_ADDRESS, sent: now, peer_nanos: now.as_nanos() });
         }
         WireStamp::HostInterval { sent: now - self.settings.delay.max(TimeDelta::ZERO), answered: now }
     }
 
-    fn emit_row(&mut self, stamp: WireStamp, row: &BoardReading, sink: &mut CodecEventSink<'_>) {
+    fn emit_row(&mut self, stamp: WireStamp, row: &BoardReading, sink: CodecEventSink<'_>) {
         if let (Some(left), Some(right)) = (row.left, row.right) {
             let (total, is_rebased) = self.wheels.push([left, right]);
             // At each doubling: a loose wire resets a board many times a second.
@@ -205,26 +203,19 @@ impl TextLineCodec {
             emit_message(sink, Message::WheelTicks(WheelTicks { stamp, left, right }));
         }
         if let Some(rad_per_s) = row.turn_rate_rad_per_s {
-            let inertial =
-                Inertial { stamp, turn_rate: Some(RadiansPerSecond(rad_per_s)), turn: None, wheel_accelerations: None };
+            let inertial = Inertial { turn_rate: Some(RadiansPerSecond(rad_per_s)), ..Inertial::empty(stamp) };
             emit_message(sink, Message::Inertial(inertial));
         }
         if let Some(range_m) = row.range_m {
-            let range = Meters(range_m);
-            let sigma = None;
-            emit_message(sink, Message::DistanceSensor { stamp, range, sigma });
+            emit_message(sink, Message::DistanceSensor { stamp, range: Meters(range_m), sigma: None });
         }
         if let Some(temperature_c) = row.temperature_c {
-            let message = Message::Thermometer {
-                stamp,
-                channel: ChannelName::from_bytes(THERMOMETER),
-                temperature: Celsius(temperature_c),
-            };
-            emit_message(sink, message);
+            let channel = ChannelName::from_bytes(THERMOMETER);
+            emit_message(sink, Message::Thermometer { stamp, channel, temperature: Celsius(temperature_c) });
         }
     }
 
-    fn reject_long(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+    fn reject_long(&mut self, bytes: u32, sink: CodecEventSink<'_>) {
         let is_cut = std::mem::replace(&mut self.may_be_truncated, false);
         self.count_unframed(bytes, sink);
         if !is_cut && !std::mem::replace(&mut self.is_error_reported, true) {
@@ -234,7 +225,7 @@ impl TextLineCodec {
         }
     }
 
-    fn reject(&mut self, line: &[u8], flaw: LineError, sink: &mut CodecEventSink<'_>) {
+    fn reject(&mut self, line: &[u8], flaw: LineError, sink: CodecEventSink<'_>) {
         if let LineError::Checksum { found, expected } = flaw {
             self.counts.checksum_errors += 1;
             sink(CodecEvent::Error(ReceiveError::Checksum {
@@ -247,7 +238,7 @@ impl TextLineCodec {
         }
     }
 
-    fn quote(&mut self, line: &[u8], flaw: LineError, sink: &mut CodecEventSink<'_>) {
+    fn quote(&mut self, line: &[u8], flaw: LineError, sink: CodecEventSink<'_>) {
         if !std::mem::replace(&mut self.is_error_reported, true) {
             let text = format!(
                 "the line `{}` is not understood: {flaw}; expected `{}`",
@@ -258,7 +249,7 @@ impl TextLineCodec {
         }
     }
 
-    fn count_unframed(&mut self, bytes: u32, sink: &mut CodecEventSink<'_>) {
+    fn count_unframed(&mut self, bytes: u32, sink: CodecEventSink<'_>) {
         self.counts.garbage_bytes += u64::from(bytes);
         sink(CodecEvent::Error(ReceiveError::UnframedBytes { bytes }));
     }
@@ -302,14 +293,13 @@ const MAX_NUMBER: f64 = i32::MAX as f64;
 /// board's own clock and `hh` the exclusive or of all characters before the `*`.
 ///
 /// `None` if a number of it is not finite. `last` is the time of the board's last line.
-fn encode_line(pose: &PlanarPose, last: Option<BoardTime>) -> Option<String> {
+fn encode_line(pose: &PlanarPose, last: Option<WireStamp>) -> Option<String> {
     let origin = pose.pose.origin();
-    let [xx_m2, _, _, yy_m2, ..] = pose.covariance;
     let x_mm = to_i32(origin.x.0 * 1_000.0)?;
     let y_mm = to_i32(origin.y.0 * 1_000.0)?;
     let heading_mrad = to_i32(pose.pose.heading.rad() * 1_000.0)?;
     // Rounded up, so that no sigma of a real estimate is zero.
-    let sigma_mm = to_i32((xx_m2.max(yy_m2).sqrt() * 1_000.0).ceil())?;
+    let sigma_mm = to_i32((pose.position_sigma_m() * 1_000.0).ceil())?;
     let tick_ms = tick_ms(pose.stamp, last);
     let flags = validity_bits(pose.flags);
     let text = format!("E,{tick_ms},{x_mm},{y_mm},{heading_mrad},{sigma_mm},{flags}");
@@ -319,9 +309,9 @@ fn encode_line(pose: &PlanarPose, last: Option<BoardTime>) -> Option<String> {
 
 /// The instant as the board's millisecond counter shows it. The stamp holds microseconds modulo 2^32, a shorter period:
 /// the rest comes from the board's last line.
-fn tick_ms(stamp: WireStamp, last: Option<BoardTime>) -> u32 {
+fn tick_ms(stamp: WireStamp, last: Option<WireStamp>) -> u32 {
     let micros = stamp.as_micros();
-    let Some(BoardTime::Millis(last_ms)) = last else {
+    let Some(WireStamp::Millis32(last_ms)) = last else {
         return (micros / 1_000) as u32;
     };
     let last_micros = (u64::from(last_ms) * 1_000) as u32;
@@ -343,9 +333,9 @@ mod tests {
     fn the_tick_is_the_boards_own_after_the_microseconds_have_wrapped() {
         // 100 minutes on the board: 6 000 000 ms, and 6e9 µs modulo 2^32.
         let stamp = WireStamp::Micros32((6_000_000_000_u64 % (1 << 32)) as u32);
-        assert_eq!(tick_ms(stamp, Some(BoardTime::Millis(6_000_040))), 6_000_000);
-        assert_eq!(tick_ms(stamp, Some(BoardTime::Millis(5_999_980))), 6_000_000);
-        let micros = Some(BoardTime::Micros(7));
+        assert_eq!(tick_ms(stamp, Some(WireStamp::Millis32(6_000_040))), 6_000_000);
+        assert_eq!(tick_ms(stamp, Some(WireStamp::Millis32(5_999_980))), 6_000_000);
+        let micros = Some(WireStamp::Micros32(7));
         assert_eq!(tick_ms(WireStamp::Micros32(123_999), micros), 123);
     }
 }

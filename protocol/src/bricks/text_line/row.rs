@@ -1,6 +1,9 @@
 //! Parses one line to values in SI units.
 
+use std::ops::Neg;
+
 use super::settings::{ChecksumPolicy, Column, ColumnSign, LineLayout, Quantity, Separator, TextLineSettings};
+use crate::message::WireStamp;
 
 /// Largest turn rate, rad/s: sixteen turns per second, beyond any gyro of such a board.
 const MAX_RAD_PER_S: f64 = 100.0;
@@ -14,18 +17,13 @@ const MAX_COUNT: i64 = 1 << 53;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct BoardReading {
-    pub(super) time: Option<BoardTime>,
+    /// Of the board's own clock, 32 bits.
+    pub(super) time: Option<WireStamp>,
     pub(super) left: Option<i64>,
     pub(super) right: Option<i64>,
     pub(super) turn_rate_rad_per_s: Option<f64>,
     pub(super) range_m: Option<f64>,
     pub(super) temperature_c: Option<f64>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum BoardTime {
-    Millis(u32),
-    Micros(u32),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -165,10 +163,10 @@ impl BoardReading {
     /// Stores a value; `None` if it is not a valid number for its quantity.
     fn set(&mut self, column: Column, value: &str) -> Option<()> {
         match column.quantity {
-            Quantity::TimeMs => self.time = Some(BoardTime::Millis(counter(value)?)),
-            Quantity::TimeUs => self.time = Some(BoardTime::Micros(counter(value)?)),
-            Quantity::LeftTicks => self.left = Some(count(value, column.sense)?),
-            Quantity::RightTicks => self.right = Some(count(value, column.sense)?),
+            Quantity::TimeMs => self.time = Some(WireStamp::Millis32(counter(value)?)),
+            Quantity::TimeUs => self.time = Some(WireStamp::Micros32(counter(value)?)),
+            Quantity::LeftTicks => self.left = Some(signed(parse_integer(value)?, column.sense)),
+            Quantity::RightTicks => self.right = Some(signed(parse_integer(value)?, column.sense)),
             Quantity::GyroDegPerS => {
                 self.turn_rate_rad_per_s = Some(rate(parse_float(value)?.to_radians(), column.sense)?);
             }
@@ -208,20 +206,15 @@ fn counter(text: &str) -> Option<u32> {
     Some(value as u32)
 }
 
-fn count(text: &str, sense: ColumnSign) -> Option<i64> {
-    let value = parse_integer(text)?;
-    Some(match sense {
-        ColumnSign::Normal => value,
-        ColumnSign::Inverted => -value,
-    })
+fn rate(rad_per_s: f64, sense: ColumnSign) -> Option<f64> {
+    (rad_per_s.abs() <= MAX_RAD_PER_S).then_some(signed(rad_per_s, sense))
 }
 
-fn rate(rad_per_s: f64, sense: ColumnSign) -> Option<f64> {
-    let is_possible = rad_per_s.abs() <= MAX_RAD_PER_S;
-    is_possible.then_some(match sense {
-        ColumnSign::Normal => rad_per_s,
-        ColumnSign::Inverted => -rad_per_s,
-    })
+fn signed<T: Neg<Output = T>>(value: T, sense: ColumnSign) -> T {
+    match sense {
+        ColumnSign::Normal => value,
+        ColumnSign::Inverted => -value,
+    }
 }
 
 /// Range finders without an echo give zero, a negative or a very large number.

@@ -69,19 +69,9 @@ pub enum LayoutError {
 #[derive(Clone, Debug, PartialEq)]
 pub enum LineLayout {
     /// Values in a fixed order, all of them in every line: CSV.
-    Columns {
-        columns: Vec<Column>,
-        /// Between the values.
-        separator: Separator,
-    },
+    Columns { columns: Vec<Column>, separator: Separator },
     /// Names and values in any order, such as `t:123|l:45|r:46`.
-    Pairs {
-        keys: Vec<(String, Column)>,
-        /// Between the pairs.
-        separator: Separator,
-        /// Between a name and its value.
-        key_separator: Separator,
-    },
+    Pairs { keys: Vec<(String, Column)>, separator: Separator, key_separator: Separator },
 }
 
 impl LineLayout {
@@ -124,7 +114,6 @@ pub struct Column {
 }
 
 impl Column {
-    /// A quantity with the normal sign.
     pub const fn new(quantity: Quantity) -> Self {
         Self { quantity, sense: ColumnSign::Normal }
     }
@@ -169,9 +158,7 @@ pub enum Quantity {
     TimeMs,
     /// Microseconds of the board's clock, a whole number that wraps at 2^32: Arduino's `micros()`.
     TimeUs,
-    /// Total count of the left wheel's encoder, a whole number.
     LeftTicks,
-    /// Total count of the right wheel's encoder, a whole number.
     RightTicks,
     GyroDegPerS,
     GyroRadPerS,
@@ -182,7 +169,6 @@ pub enum Quantity {
     /// Range straight ahead in metres; zero and less mean none.
     DistanceM,
     TemperatureC,
-    /// A value that is not used.
     Ignore,
 }
 
@@ -278,7 +264,6 @@ pub enum ChecksumPolicy {
     /// Verified if present.
     #[default]
     Optional,
-    /// A line without it is rejected.
     Required,
 }
 

@@ -58,7 +58,6 @@ const fn bit(number: u64) -> u64 {
     1 << (number % 64)
 }
 
-/// A set of 8-bit numbers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SequenceSet([u64; 4]);
 
@@ -88,7 +87,6 @@ impl SequenceSet {
     }
 }
 
-/// The positions of the set bits, the lowest first.
 fn set_bits(mut word: u64) -> impl Iterator<Item = u8> {
     std::iter::from_fn(move || {
         let bit_index = (word != 0).then(|| word.trailing_zeros() as u8);

@@ -37,7 +37,6 @@ struct StampInterval {
     start: StampedArrival,
     recorded: SequenceSet,
     received: u32,
-    /// Missing frames by the numbers alone.
     gaps: u32,
     /// Recorded frames that were missing before.
     late_frames: u32,
@@ -61,7 +60,6 @@ pub(super) struct SenderSequence {
     /// The frame expected right after a late stamped frame in its datagram: its number, and how many frames it is
     /// behind.
     late_companion: Option<(u8, u64)>,
-    /// Consecutive unexplained earlier stamps.
     stray_count: u32,
     /// The last unexplained old number: a second one right after it means that the sender restarted.
     last_stray: Option<u8>,

@@ -48,7 +48,6 @@ fn every_component_counts_for_itself() {
     assert_eq!(tracker.record_number(ROBOT, 7), 1);
 }
 
-/// What happens between a robot and its receiver; spans in milliseconds.
 #[derive(Clone, Copy)]
 enum Step {
     Transmit(i64),
@@ -257,7 +256,6 @@ impl Robot {
         self.now_ms += off_ms;
     }
 
-    /// What is sent in a span, with the instant of each.
     fn frames(&mut self, duration_ms: i64) -> Vec<(i64, Vec<u8>)> {
         let mut frames = Vec::new();
         for _ in 0..duration_ms {

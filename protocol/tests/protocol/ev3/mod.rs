@@ -9,13 +9,11 @@ use posebridge_protocol::bricks::ev3::{
     DistanceKind, DistanceSettings, Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection, SensorPort,
 };
 use posebridge_protocol::message::{Inertial, Message, PlanarPose, PoseFlags, WheelTicks, WireStamp};
-use posebridge_telemetry::{
-    EncoderTicks, Heading, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond, ReceiveError, Timestamp,
-};
+use posebridge_telemetry::{EncoderTicks, Heading, Meters, Pose, Radians, RadiansPerSecond, ReceiveError, Timestamp};
 use session::{Ev3Session, ReplyCorruption, TURN_AROUND, codec, without_gyro};
 
 use crate::support::ev3_double::{Ev3Double, FailureMode, PluggedSensor, curve};
-use crate::support::{RecordedEvent, noise, recorded};
+use crate::support::{RecordedEvent, estimate, noise, recorded};
 
 #[test]
 fn requests_are_those_of_the_firmware_and_replies_are_decoded() {
@@ -64,8 +62,7 @@ fn requests_are_those_of_the_firmware_and_replies_are_decoded() {
 fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
     for (outstanding, rate_hz, least, most) in [(1, 50.0, 33.0, 33.4), (2, 50.0, 49.5, 50.1), (1, 10.0, 9.9, 10.1)] {
         let settings = Ev3Settings { outstanding, rate_hz, ..Ev3Settings::default() };
-        let mut session = Ev3Session::new(settings, Ev3Double::default());
-        session.run_for(30.0);
+        let session = Ev3Session::run(settings, Ev3Double::default(), 30.0);
         let states = session.ticks().count();
         // One telegram set the gyro up, and the last ones are on their way.
         let telegrams = session.brick.telegrams - 1;
@@ -84,10 +81,7 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
 
 /// All events of a codec when the replies of a live session come in such chunks.
 fn decode_in_chunks(chunk: usize) -> Vec<RecordedEvent> {
-    let mailbox = [
-        0x12, 0x00, 0x01, 0x00, 0x81, 0x9E, 0x04, b'a', b'b', b'c', 0x00, 0x07, 0x00, b'h', b'e', b'l', b'l', b'o',
-        b'!', 0x00,
-    ];
+    let mailbox = include_bytes!("../../data/ev3_mailbox.bin");
     let mut brick = Ev3Double::default();
     let mut codec = codec(Ev3Settings::default());
     let mut now = Timestamp::ZERO;
@@ -206,8 +200,7 @@ fn a_program_that_starts_sets_the_counters_to_zero_and_moves_nothing() {
         }
     };
     let brick = Ev3Double { counts, ..Ev3Double::default() };
-    let mut session = Ev3Session::new(Ev3Settings::default(), brick);
-    session.run_for(8.0);
+    let session = Ev3Session::run(Ev3Settings::default(), brick, 8.0);
     let readings: Vec<_> = session.ticks().collect();
     for pair in readings.windows(2) {
         let (before, after) = (pair[0].1, pair[1].1);
@@ -230,8 +223,7 @@ fn a_missing_sensor_is_reported_by_its_port_and_detected_when_plugged_in() {
     for fails in [FailureMode::ErrorReply, FailureMode::NanValue] {
         let mut brick = Ev3Double { failure: fails, ..Ev3Double::default() };
         let gyro = brick.sensors[1].take();
-        let mut session = Ev3Session::new(Ev3Settings::default(), brick);
-        session.run_for(25.0);
+        let mut session = Ev3Session::run(Ev3Settings::default(), brick, 25.0);
         assert_eq!(session.notes().len(), 1, "{:?}", session.notes());
         assert!(session.notes()[0].contains("port 2"), "{:?}", session.notes());
         assert!(session.ticks().count() > 800);
@@ -255,8 +247,7 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
         counts: |host_s| curve(host_s.min(60.0)),
         ..Ev3Double::default()
     };
-    let mut session = Ev3Session::new(Ev3Settings::default(), brick);
-    session.run_for(360.0);
+    let mut session = Ev3Session::run(Ev3Settings::default(), brick, 360.0);
     let times_s: Vec<f64> = session.ticks().map(|(now, _)| now.as_secs_f64()).collect();
     let gaps: Vec<f64> = times_s.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).map(|pair| pair[0]).collect();
     println!("first wheels at {:.1} s; none for more than a second from {gaps:.1?} s on", times_s[0]);
@@ -278,8 +269,7 @@ fn a_set_up_that_is_never_answered_stops_the_wheels_once_while_they_turn() {
 
 #[test]
 fn setting_the_clock_costs_no_motion_and_is_reported() {
-    let mut session = Ev3Session::new(without_gyro(), Ev3Double::default());
-    session.run_for(5.0);
+    let mut session = Ev3Session::run(without_gyro(), Ev3Double::default(), 5.0);
     session.brick.start_micros += 900_000_000;
     session.run_for(5.0);
     let counts: Vec<_> = session.ticks().map(|(_, ticks)| (ticks.left.0, ticks.right.0)).collect();
@@ -316,8 +306,7 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
         sensors: [None, None, Some(plugged(32, [100.0, 45.0])), Some(plugged(30, [37.5, 0.0]))],
         ..Ev3Double::default()
     };
-    let mut session = Ev3Session::new(all_else(), brick);
-    session.run_for(0.12);
+    let mut session = Ev3Session::run(all_else(), brick, 0.12);
     let modes = session.brick.sensors.map(|sensor| sensor.map(|sensor| sensor.mode));
     assert_eq!(modes[2..], [Some(3), Some(0)]);
     session.brick.sensors[2] = Some(plugged(32, [101.0, 45.0]));
@@ -343,16 +332,9 @@ fn rate_and_angle_distance_and_motors_built_in_backward_are_read_as_they_are_set
 #[test]
 fn the_estimate_goes_to_the_mailbox() {
     let mut codec = codec(without_gyro());
-    let pose = PlanarPose {
-        stamp: WireStamp::Micros32(66_051_999),
-        pose: Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.5)),
-        forward_speed: MetersPerSecond(0.0),
-        turn_rate: RadiansPerSecond(0.0),
-        covariance: [0.0625, 0.0, 0.0, 0.015_625, 0.0, 1.0],
-        fix_age: None,
-        reset_counter: 9,
-        flags: PoseFlags { position_valid: true, ..PoseFlags::default() },
-    };
+    let pose = Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.5));
+    let flags = PoseFlags { position_valid: true, ..PoseFlags::default() };
+    let pose = estimate(66_051_999, pose, [0.0625, 0.0, 0.0, 0.015_625, 0.0, 1.0], flags);
     let mut bytes = Vec::new();
     let message = Message::PlanarPose(pose);
     assert_eq!(codec.encode(Timestamp::ZERO, DEFAULT_BRICK_ADDRESS, &message, &mut bytes), 0);

@@ -49,6 +49,13 @@ impl Ev3Session {
         session
     }
 
+    /// A session that has lasted so long.
+    pub(crate) fn run(settings: Ev3Settings, brick: Ev3Double, seconds: f64) -> Self {
+        let mut session = Self::new(settings, brick);
+        session.run_for(seconds);
+        session
+    }
+
     pub(crate) fn send(&mut self) {
         while let Some(bytes) = self.codec.poll() {
             self.delay_line.send(&mut self.brick, self.now, &bytes);

@@ -29,6 +29,14 @@ impl Bench {
         Self::of("nxt", settings, brick)
     }
 
+    /// A bench whose link has been up until then.
+    pub(crate) fn run(settings: NxtSettings, brick: SimulatedNxt, end_micros: i64) -> Self {
+        let mut bench = Self::new(settings, brick);
+        bench.begin();
+        bench.run_to(end_micros);
+        bench
+    }
+
     pub(crate) fn of(protocol: &str, nxt: NxtSettings, brick: SimulatedNxt) -> Self {
         Self {
             codec: crate::support::codec(protocol, &CodecSettings { nxt, ..CodecSettings::default() }),

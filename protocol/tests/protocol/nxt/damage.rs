@@ -104,9 +104,7 @@ fn a_flipped_bit_anywhere_costs_at_most_one_request() {
 #[test]
 fn after_noise_of_any_kind_the_brick_is_understood_again() {
     for seed in 0..200 {
-        let mut bench = Bench::new(settings(), moving_brick());
-        bench.begin();
-        bench.run_to(SECOND);
+        let mut bench = Bench::run(settings(), moving_brick(), SECOND);
         bench.push(&noise(seed, 1 + seed as usize * 7));
         bench.run_to(3 * SECOND);
         assert_true(&bench);

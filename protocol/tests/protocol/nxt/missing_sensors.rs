@@ -20,9 +20,7 @@ fn a_sensor_that_is_not_plugged_in_is_reported_once_and_the_others_go_on() {
         let mut brick = equipped_brick();
         brick.io_map_limit = maps;
         brick.ports[1].is_plugged = false;
-        let mut bench = Bench::new(equipped(), brick);
-        bench.begin();
-        bench.run_to(60 * SECOND);
+        let bench = Bench::run(equipped(), brick, 60 * SECOND);
         let warnings: Vec<_> = bench.notes().into_iter().filter(|text| text.contains("plugged in")).collect();
         assert!((1..=2).contains(&warnings.len()), "{maps:?} {warnings:?}");
         assert!(warnings[0].starts_with("sensor port 2"), "{warnings:?}");
@@ -37,9 +35,7 @@ fn a_missing_sensor_takes_no_turn_of_the_wheels_with_single_commands() {
         let mut brick = equipped_brick();
         brick.io_map_limit = IoMapLimit::Unknown;
         brick.ports[1].is_plugged = is_plugged;
-        let mut bench = Bench::new(equipped(), brick);
-        bench.begin();
-        bench.run_to(60 * SECOND);
+        let bench = Bench::run(equipped(), brick, 60 * SECOND);
         bench.wheels().len()
     };
     let (with, without) = (wheels(true), wheels(false));
@@ -52,9 +48,7 @@ fn the_gyros_rest_is_learnt_before_the_robot_moves() {
     let mut brick = SimulatedNxt::new();
     brick.ports[0].raw = 597;
     brick.drive = |at| [0, (at.max(4_000_000) / 2_000 - 2_000) as i32, 0];
-    let mut bench = Bench::new(gyro_alone(), brick);
-    bench.begin();
-    bench.run_to(4 * SECOND);
+    let mut bench = Bench::run(gyro_alone(), brick, 4 * SECOND);
     bench.brick.ports[0].raw = 642;
     bench.run_to(6 * SECOND);
     assert!(bench.notes().contains(&"the gyro at port 1 reads 597.0 at rest"));
@@ -67,9 +61,7 @@ fn the_gyros_rest_is_learnt_before_the_robot_moves() {
 fn an_unplugged_gyro_is_reported_and_turns_nothing() {
     let mut brick = SimulatedNxt::new();
     brick.ports[0].raw = 597;
-    let mut bench = Bench::new(gyro_alone(), brick);
-    bench.begin();
-    bench.run_to(3 * SECOND);
+    let mut bench = Bench::run(gyro_alone(), brick, 3 * SECOND);
     bench.brick.ports[0].raw = 1023;
     bench.run_to(6 * SECOND);
     assert!(bench.turn_rates_deg_per_s().iter().all(|rate| rate.abs() < 1e-7));
@@ -87,9 +79,7 @@ fn an_unplugged_gyro_is_reported_and_turns_nothing() {
 fn a_gyro_of_a_robot_that_never_stops_is_reported() {
     let mut brick = moving_brick();
     brick.ports[0].raw = 597;
-    let mut bench = Bench::new(gyro_alone(), brick);
-    bench.begin();
-    bench.run_to(5 * SECOND);
+    let mut bench = Bench::run(gyro_alone(), brick, 5 * SECOND);
     let is_reported = |bench: &Bench| bench.notes().iter().any(|text| text.contains("set gyro_rest"));
     assert!(!is_reported(&bench));
     bench.run_to(6 * SECOND);

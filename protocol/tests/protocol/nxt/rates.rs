@@ -23,9 +23,7 @@ fn states_per_second(maps: IoMapLimit, outstanding: MaxOutstanding) -> f64 {
     let mut brick = moving_brick();
     brick.ports[0].raw = 610;
     brick.io_map_limit = maps;
-    let mut bench = Bench::new(settings, brick);
-    bench.begin();
-    bench.run_to(FROM + SECONDS * SECOND);
+    let bench = Bench::run(settings, brick, FROM + SECONDS * SECOND);
     assert_true(&bench);
     let count = |is: fn(&Message) -> bool| {
         let is_counted = |(at, item): &&(i64, RecordedEvent)| {

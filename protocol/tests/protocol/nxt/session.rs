@@ -3,12 +3,12 @@
 use posebridge_protocol::bricks::nxt::{
     AccelerometerMounting, ForwardAxis, MaxOutstanding, MotorMounting, MotorPort, NxtSensor, NxtSettings, WheelMotor,
 };
-use posebridge_protocol::message::{Message, PlanarPose, PoseFlags, WireStamp};
-use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, Timestamp};
+use posebridge_protocol::message::{Message, PoseFlags};
+use posebridge_telemetry::{Heading, Meters, Pose, Timestamp};
 
 use super::bench::{Bench, request_and_reply_ms};
 use super::brick::{IoMapLimit, SimulatedNxt};
-use crate::support::{HEARTBEAT, RecordedEvent, STATION};
+use crate::support::{HEARTBEAT, RecordedEvent, STATION, estimate};
 
 pub(crate) const SECOND: i64 = 1_000_000;
 
@@ -62,16 +62,8 @@ pub(crate) fn equipped() -> NxtSettings {
 }
 
 fn pose(micros: u32) -> Message {
-    Message::PlanarPose(PlanarPose {
-        stamp: WireStamp::Micros32(micros),
-        pose: Pose::new(Meters(1.5), Meters(0.0), Heading::from_rad(0.0)),
-        forward_speed: MetersPerSecond(0.0),
-        turn_rate: RadiansPerSecond(0.0),
-        covariance: [1e-4; 6],
-        fix_age: None,
-        reset_counter: 0,
-        flags: PoseFlags::default(),
-    })
+    let pose = Pose::new(Meters(1.5), Meters(0.0), Heading::from_rad(0.0));
+    Message::PlanarPose(estimate(micros, pose, [1e-4; 6], PoseFlags::default()))
 }
 
 fn encode(bench: &mut Bench, micros: u32) -> usize {
@@ -124,9 +116,7 @@ fn every_sensor_is_read_with_any_limit_of_the_io_map() {
     ] {
         let mut brick = equipped_brick();
         brick.io_map_limit = maps;
-        let mut bench = Bench::new(equipped(), brick);
-        bench.begin();
-        bench.run_to(5 * SECOND);
+        let bench = Bench::run(equipped(), brick, 5 * SECOND);
         print!("{maps:?} ");
         assert_all_senses(&bench);
         assert_true(&bench);
@@ -143,9 +133,7 @@ fn every_sensor_is_read_with_any_limit_of_the_io_map() {
 
 #[test]
 fn the_clock_is_requested_three_times_and_then_about_every_twentieth() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(10 * SECOND);
+    let bench = Bench::run(NxtSettings::default(), moving_brick(), 10 * SECOND);
     let times = bench.clock_replies();
     for (sent, peer) in &times {
         // The double reads its clock in the middle of the turn-around, and shows whole milliseconds.
@@ -160,9 +148,7 @@ fn the_clock_is_requested_three_times_and_then_about_every_twentieth() {
 #[test]
 fn a_brick_without_a_clock_lives_by_the_stations() {
     let brick = SimulatedNxt { io_map_limit: IoMapLimit::Unknown, ..moving_brick() };
-    let mut bench = Bench::new(NxtSettings::default(), brick);
-    bench.begin();
-    bench.run_to(2 * SECOND);
+    let bench = Bench::run(NxtSettings::default(), brick, 2 * SECOND);
     let mut times = 0;
     for (at, item) in &bench.events {
         if let RecordedEvent::ClockReply { sent, peer_nanos } = item {
@@ -188,9 +174,7 @@ fn motors_may_sit_at_any_ports_in_either_direction() {
             drive: |at| [(at / 10_000) as i32, 7, -(at / 5_000) as i32],
             ..SimulatedNxt::new()
         };
-        let mut bench = Bench::new(settings, brick);
-        bench.begin();
-        bench.run_to(3 * SECOND);
+        let bench = Bench::run(settings, brick, 3 * SECOND);
         let (left, right) = *bench.wheels().last().unwrap();
         assert!((580..=600).contains(&left), "{maps:?} {left}");
         assert!((290..=300).contains(&right), "{maps:?} {right}");
@@ -211,9 +195,7 @@ fn two_accelerometers_are_one_message() {
         NxtSensor::None,
         NxtSensor::None,
     ];
-    let mut bench = Bench::new(NxtSettings { sensors, ..NxtSettings::default() }, brick);
-    bench.begin();
-    bench.run_to(3 * SECOND);
+    let bench = Bench::run(NxtSettings { sensors, ..NxtSettings::default() }, brick, 3 * SECOND);
     let found: Vec<_> = bench
         .messages()
         .filter_map(|message| match message {
@@ -229,9 +211,7 @@ fn two_accelerometers_are_one_message() {
 
 #[test]
 fn the_start_of_a_program_is_no_motion_and_ports_are_set_up_again() {
-    let mut bench = Bench::new(equipped(), equipped_brick());
-    bench.begin();
-    bench.run_to(3 * SECOND);
+    let mut bench = Bench::run(equipped(), equipped_brick(), 3 * SECOND);
     bench.brick.restart_program(3 * SECOND);
     let before = bench.brick.requests.len();
     bench.run_to(6 * SECOND);
@@ -258,9 +238,7 @@ fn the_start_of_a_program_is_no_motion_and_ports_are_set_up_again() {
 
 #[test]
 fn a_brick_that_was_switched_off_and_on_is_noticed_by_its_clock() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(5 * SECOND);
+    let mut bench = Bench::run(NxtSettings::default(), moving_brick(), 5 * SECOND);
     bench.is_cut = true;
     bench.run_to(12 * SECOND);
     bench.is_cut = false;
@@ -276,9 +254,7 @@ fn a_brick_that_was_switched_off_and_on_is_noticed_by_its_clock() {
 
 #[test]
 fn a_silent_brick_is_reported_once_and_its_heartbeat_stops() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(4 * SECOND);
+    let mut bench = Bench::run(NxtSettings::default(), moving_brick(), 4 * SECOND);
     bench.is_cut = true;
     bench.run_to(20 * SECOND);
     let beats = bench.messages().filter(|message| matches!(message, Message::Heartbeat(_))).count();
@@ -327,9 +303,7 @@ fn answers_that_come_too_late_are_counted_and_never_used() {
 
 #[test]
 fn a_stall_within_the_time_out_costs_nothing() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(2 * SECOND);
+    let mut bench = Bench::run(NxtSettings::default(), moving_brick(), 2 * SECOND);
     bench.brick.stall(2 * SECOND + 450_000);
     bench.run_to(4 * SECOND);
     assert_eq!(bench.lost(), 0);
@@ -343,9 +317,7 @@ fn two_outstanding_are_used_only_where_both_are_answered() {
         let mut brick = equipped_brick();
         brick.most_replies = most_replies;
         let settings = NxtSettings { outstanding, ..equipped() };
-        let mut bench = Bench::new(settings, brick);
-        bench.begin();
-        bench.run_to(10 * SECOND);
+        let bench = Bench::run(settings, brick, 10 * SECOND);
         assert_true(&bench);
         let is_refused = bench.notes().iter().any(|text| text.contains("one by one"));
         assert_eq!(is_refused, most_replies == 1);
@@ -359,9 +331,7 @@ fn two_outstanding_are_used_only_where_both_are_answered() {
 
 #[test]
 fn the_estimate_goes_to_a_program_and_nowhere_without_one() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(SECOND);
+    let mut bench = Bench::run(NxtSettings::default(), moving_brick(), SECOND);
     assert_eq!(encode(&mut bench, 6_000_000), 0);
     bench.run_to(2 * SECOND);
     assert_eq!(encode(&mut bench, 7_000_000), 0);
@@ -386,9 +356,7 @@ fn the_estimate_goes_to_a_program_and_nowhere_without_one() {
 
 #[test]
 fn the_brick_is_kept_awake_once_a_minute() {
-    let mut bench = Bench::new(NxtSettings::default(), moving_brick());
-    bench.begin();
-    bench.run_to(181 * SECOND);
+    let bench = Bench::run(NxtSettings::default(), moving_brick(), 181 * SECOND);
     assert_eq!(bench.brick.keep_alives, 4);
 }
 
