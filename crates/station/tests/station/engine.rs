@@ -34,7 +34,7 @@ fn replayed(inputs: &[(Timestamp<HostClock>, Input)]) -> TestStation {
 }
 
 fn all_outputs() -> Vec<posebridge_station::OutputStream> {
-    posebridge_station::OUTPUTS.iter().map(|(_, kind)| stream(*kind, 0)).collect()
+    posebridge_station::OUTPUTS.iter().map(|output| stream(output.kind, 0)).collect()
 }
 
 /// The inputs of a drive: bytes, link states, ticks.

@@ -2,36 +2,10 @@
 
 use super::{driven, sent_messages};
 use crate::support::simulation::StationSimulation;
-use crate::support::{BRICK, STATION, TestStation, at, config, frame, messages, stream, ticks};
-use posebridge_protocol::dialect::ids;
-use posebridge_protocol::message::{Message, PlanarPose, SetMessageInterval, WireStamp};
+use crate::support::{config, messages, stream};
+use posebridge_protocol::message::{Message, PlanarPose, WireStamp};
 use posebridge_station::{OutputInstant, OutputKind};
-use posebridge_telemetry::{Event, HostClock, Output, TimeDelta, Timestamp};
-
-#[test]
-fn a_peer_may_request_a_message_at_an_interval_and_stop_it_again() {
-    let mut config = config();
-    config.links[0].outputs = vec![];
-    let mut station = TestStation::new(&config);
-    let request = |interval| {
-        Message::SetMessageInterval(SetMessageInterval { target: STATION, message_id: ids::ODOMETRY, interval })
-    };
-    let drive = |station: &mut TestStation, from_ms: u32| {
-        for step in 0..20 {
-            let millis = from_ms + step * 50;
-            station.bytes(at(i64::from(millis)), &frame(BRICK, &ticks(millis, 0, 0)));
-        }
-        let odometry =
-            sent_messages(station).iter().filter(|(_, message)| matches!(message, Message::Odometry(_))).count();
-        station.outputs.clear();
-        odometry
-    };
-    assert_eq!(drive(&mut station, 0), 0, "nothing is configured");
-    station.bytes(at(1_000), &frame(BRICK, &request(Some(TimeDelta::from_millis(100)))));
-    assert_eq!(drive(&mut station, 1_000), 10);
-    station.bytes(at(2_000), &frame(BRICK, &request(None)));
-    assert_eq!(drive(&mut station, 2_000), 0);
-}
+use posebridge_telemetry::{Event, Output};
 
 #[test]
 fn the_status_message_has_the_gate_ratio_of_the_last_fix() {
@@ -48,34 +22,6 @@ fn the_status_message_has_the_gate_ratio_of_the_last_fix() {
     // NIS of three components over 16.27: about 0.18 in the mean, and never above 1 for fixes that are used.
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
     assert!((0.08..0.3).contains(&mean), "{mean}");
-}
-
-#[test]
-fn outputs_keep_their_intervals_and_zero_sends_every_estimate() {
-    let mut config = config();
-    config.links[0].outputs =
-        vec![stream(OutputKind::PlanarPose, 0), stream(OutputKind::Odometry, 100), stream(OutputKind::Attitude, 1_000)];
-    let setup = driven(&config);
-    let sent = sent_messages(&setup.station);
-    let of = |matches: fn(&Message) -> bool| -> Vec<Timestamp<HostClock>> {
-        let selected = sent.iter().filter(|(_, message)| matches(message));
-        selected.map(|(now, _)| *now).collect()
-    };
-    let poses = of(|message| matches!(message, Message::PlanarPose(_)));
-    assert_eq!(poses.len(), setup.station.estimates().len());
-    for (instants, interval_ms, at_least) in [
-        (of(|message| matches!(message, Message::Odometry(_))), 100, 120),
-        (of(|message| matches!(message, Message::Attitude { .. })), 1_000, 18),
-    ] {
-        // They leave with estimates, which come each 50 ms: an interval is kept in the mean, and no two leave together.
-        let interval = TimeDelta::from_millis(interval_ms);
-        let shortest = instants.windows(2).map(|pair| pair[1] - pair[0]).min();
-        assert!(shortest > Some(TimeDelta::from_millis(interval_ms / 2)), "{shortest:?}");
-        let all = instants[instants.len() - 1] - instants[0];
-        let expected = all.as_nanos() / interval.as_nanos() + 1;
-        assert!(expected.abs_diff(instants.len() as i64) <= 1, "{} of {expected}", instants.len());
-        assert!(instants.len() >= at_least, "{}", instants.len());
-    }
 }
 
 #[test]
