@@ -174,8 +174,8 @@ impl LinkSection {
 
 impl OutputSection {
     fn to_output_stream(&self) -> Result<OutputStream> {
-        let Some((_, kind)) = OUTPUTS.iter().find(|(name, _)| *name == self.message) else {
-            let known: Vec<_> = OUTPUTS.iter().map(|(name, _)| *name).collect();
+        let Some(output) = OUTPUTS.iter().find(|output| output.name == self.message) else {
+            let known: Vec<_> = OUTPUTS.iter().map(|output| output.name).collect();
             bail!("`outputs.message` is `{}`; there are: {}", self.message, known.join(", "));
         };
         Ok(OutputStream {

@@ -165,7 +165,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
             .map(|row| ParameterValue { name: row.key.to_owned(), value: (row.read)(params) })
             .collect(),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
-        switched_off: station.switched_off().map(|sensor| sensor.0).collect(),
+        switched_off: station.first_robot().switched_off().map(|sensor| sensor.0).collect(),
         simulator: None,
     }
 }

@@ -186,7 +186,7 @@ fn build_station(args: &RunArgs, config: &Config, signing: &SigningSession) -> R
     let mut station_config = config.station_config()?;
     signing.apply_to(&mut station_config);
     let station = Station::new(station_config, Timestamp::ZERO)?;
-    if args.save_calibration.is_some() && station.calibration().is_none() {
+    if args.save_calibration.is_some() && station.first_robot().calibration().is_none() {
         bail!("--save-calibration: the filter `{}` learns no calibration", config.filter.name);
     }
     Ok(station)

@@ -187,7 +187,7 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     }
     let robot = config.robot_file(station.robots().first());
     let mut filter_config = config.filter_config_of(robot)?;
-    filter_config.geometry = station.geometry();
+    filter_config.geometry = station.first_robot().geometry();
     Ok(OwnRecordingRun {
         name,
         robot: robot.with_geometry(&filter_config.geometry),

@@ -33,13 +33,13 @@ pub trait EstimateSource {
 
 impl EstimateSource for Station {
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.estimate_at(stamp)
+        self.first_robot().estimate_at(stamp)
     }
     fn calibration(&self) -> Option<Calibration> {
-        self.calibration()
+        self.first_robot().calibration()
     }
     fn latest(&self) -> Option<Timestamp<BrickClock>> {
-        self.latest_time()
+        self.first_robot().latest_time()
     }
 }
 

@@ -29,47 +29,35 @@ impl SessionSeed {
     }
 }
 
-/// Delays between attempts to open a link, without jitter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BackoffDelays {
-    /// After a loss.
-    pub initial: TimeDelta,
-    /// Doubling ends here.
-    pub maximum: TimeDelta,
-}
-
-impl Default for BackoffDelays {
-    /// A quarter of a second hides a loose contact; five seconds are a tolerable wait after plugging in a brick.
-    fn default() -> Self {
-        Self { initial: TimeDelta::from_millis(250), maximum: TimeDelta::from_millis(5_000) }
-    }
-}
+/// After a loss; hides a loose contact.
+const INITIAL_DELAY: TimeDelta = TimeDelta::from_millis(250);
+/// Doubling ends here: a tolerable wait after plugging in a brick.
+const MAX_DELAY: TimeDelta = TimeDelta::from_millis(5_000);
 
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
-    delays: BackoffDelays,
     nominal: TimeDelta,
     jitter: Pcg32,
 }
 
 impl Backoff {
-    pub(crate) fn new(id: LinkId, session: SessionSeed, delays: BackoffDelays) -> Self {
+    pub(crate) fn new(id: LinkId, session: SessionSeed) -> Self {
         // Every number selects a sequence of its own.
         let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);
-        Self { delays, nominal: delays.initial, jitter: Pcg32::seed_from_u64(seed) }
+        Self { nominal: INITIAL_DELAY, jitter: Pcg32::seed_from_u64(seed) }
     }
 
     /// The next delay; each is nominally twice as long as the one before, up to the longest.
     pub(crate) fn next_delay(&mut self) -> TimeDelta {
         let factor = 1.0 + self.jitter.random_range(-JITTER..=JITTER);
         let wait = TimeDelta::from_secs_f64(self.nominal.as_secs_f64() * factor);
-        self.nominal = (self.nominal + self.nominal).min(self.delays.maximum);
+        self.nominal = (self.nominal + self.nominal).min(MAX_DELAY);
         wait
     }
 
     /// Starts again from the shortest delay, after the link was up for a while.
     pub(crate) fn reset(&mut self) {
-        self.nominal = self.delays.initial;
+        self.nominal = INITIAL_DELAY;
     }
 }
 
@@ -82,7 +70,7 @@ mod tests {
 
     fn waits(id: u16, process: u32, start: u64) -> Vec<f64> {
         let session = SessionSeed::from_parts(process, start);
-        let mut backoff = Backoff::new(LinkId(id), session, BackoffDelays::default());
+        let mut backoff = Backoff::new(LinkId(id), session);
         (0..8).map(|_| backoff.next_delay().as_secs_f64()).collect()
     }
 

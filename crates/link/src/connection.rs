@@ -1,4 +1,4 @@
-//! The interface of an open link, and its counters.
+//! The interface of an open link, its events and its counters.
 //!
 //! A transport opens a [`Connection`], and [`crate::Link`] drives it. A connection does not reopen itself: it reports
 //! its loss once, and the link drops it.
@@ -7,7 +7,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::task::{Context, Poll};
 
-use posebridge_telemetry::{HostClock, PeerId, Priority, Recipients, Timestamp};
+use posebridge_telemetry::{HostClock, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
 use crate::error::LinkError;
 
@@ -32,18 +32,32 @@ pub struct OutgoingFrame<'a> {
     pub frame: &'a [u8],
 }
 
-/// A result of polling an open link.
+/// An event of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ReceivedData {
-    /// Bytes of one read, or one datagram.
+pub enum LinkEvent {
+    /// Bytes came in: one read of a stream, or one datagram.
     Bytes {
+        /// Each peer is a stream of its own.
         peer: PeerId,
         arrival: Timestamp<HostClock>,
         /// At least one.
         bytes: Vec<u8>,
     },
-    /// The end of a file; nothing follows.
-    Finished,
+    Up {
+        at: Timestamp<HostClock>,
+        /// What was opened, for people.
+        detail: String,
+    },
+    /// The link is down. Reported once per loss, and again while it stays down only if the reason changes.
+    Down {
+        /// When the link detected the loss.
+        at: Timestamp<HostClock>,
+        reason: String,
+        /// Time until the next attempt; zero if the current attempt is still running.
+        retry_in: TimeDelta,
+    },
+    /// A file came to its end; nothing follows.
+    Finished { at: Timestamp<HostClock> },
 }
 
 /// The state of an open link's send queue.
@@ -89,9 +103,9 @@ pub trait Connection: Send {
     /// [`Connection::poll`] write them, and report failures.
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters);
 
-    /// Writes queued frames and returns received data. An error means that the link is lost; the connection is unusable
-    /// then.
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>>;
+    /// Writes queued frames and returns received bytes, or the end of a file. An error means that the link is lost; the
+    /// connection is unusable then.
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>>;
 
     fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus;
 }

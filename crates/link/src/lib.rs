@@ -23,7 +23,7 @@
 //! # }
 //! ```
 
-pub mod backoff;
+mod backoff;
 pub mod capacity;
 pub mod connection;
 pub mod error;
@@ -33,17 +33,25 @@ pub mod link_set;
 mod pacer;
 mod send_queue;
 mod stream;
+#[cfg(test)]
+#[path = "../tests/links/traffic.rs"]
+mod traffic;
 pub mod transport;
 pub mod transports;
+#[cfg(test)]
+#[path = "../tests/links/udev.rs"]
+mod udev;
 pub mod url;
 
-pub use backoff::BackoffDelays;
+#[cfg(test)]
+extern crate self as posebridge_link;
+
 pub use capacity::{Backlog, CapacityMeter};
-pub use connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+pub use connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
 pub use error::{LinkError, OpenError};
 pub use host_timer::{DeadlineTimer, HostTimer};
-pub use link::{Link, LinkEvent, LinkOpenConfig, LinkTuning};
+pub use link::{Link, LinkOpenConfig};
 pub use link_set::LinkSet;
 pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport};
-pub use transports::{ConnectRole, DeviceDirectories, LineSettingsPolicy, OpenRequest, UDP_RECEIVE_BUFFER_BYTES};
+pub use transports::{ConnectRole, DeviceDirectories, LineSettingsPolicy, LinkTuning, UDP_RECEIVE_BUFFER_BYTES};
 pub use url::{BluetoothAddress, LinkUrl, Target, UrlError};

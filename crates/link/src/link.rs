@@ -11,19 +11,16 @@ use std::path::PathBuf;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::{HostClock, LinkCounts, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, LinkCounts, LinkId, Priority, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
-use crate::backoff::{Backoff, BackoffDelays, SessionSeed};
-use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::backoff::{Backoff, SessionSeed};
+use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::pacer::Pacer;
 use crate::transport::RATE;
-use crate::transports::{
-    self, ConnectRole, DeviceDirectories, LineSettingsPolicy, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest,
-    timeout_error,
-};
+use crate::transports::{self, ConnectRole, LinkTuning, OPEN_DEADLINE_SECS, OpenFuture, OpenRequest, timeout_error};
 use crate::url::LinkUrl;
 
 /// After a link was up for this long, the back-off starts again from the shortest delay.
@@ -37,47 +34,10 @@ pub struct LinkOpenConfig {
     pub role: ConnectRole,
 }
 
-/// Settings that tests and unusual systems change.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct LinkTuning {
-    pub backoff_delays: BackoffDelays,
-    pub device_directories: DeviceDirectories,
-    pub line_settings: LineSettingsPolicy,
-}
-
-/// An event of a link.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LinkEvent {
-    /// Bytes came in: one read of a stream, or one datagram.
-    Bytes {
-        /// Each peer is a stream of its own.
-        peer: PeerId,
-        arrival: Timestamp<HostClock>,
-        /// At least one.
-        bytes: Vec<u8>,
-    },
-    Up {
-        at: Timestamp<HostClock>,
-        /// What was opened, for people.
-        detail: String,
-    },
-    /// The link is down. Reported once per loss, and again while it stays down only if the reason changes.
-    Down {
-        /// When the link detected the loss.
-        at: Timestamp<HostClock>,
-        reason: String,
-        /// Time until the next attempt; zero if the current attempt is still running.
-        retry_in: TimeDelta,
-    },
-    /// A file came to its end; nothing follows.
-    Finished { at: Timestamp<HostClock> },
-}
-
 /// A link that reconnects by itself.
 pub struct Link {
     config: LinkOpenConfig,
-    device_directories: DeviceDirectories,
-    line_settings: LineSettingsPolicy,
+    tuning: LinkTuning,
     timer: HostTimer,
     state: ConnectionState,
     /// The device's path that survives a replug.
@@ -86,7 +46,6 @@ pub struct Link {
     counters: LinkCounters,
     was_up: bool,
     pending_event: Option<LinkEvent>,
-    /// The last reported reason why the link is down.
     reported_reason: Option<String>,
 }
 
@@ -112,18 +71,6 @@ enum ConnectionState {
     Finished,
 }
 
-impl ConnectionState {
-    const fn name(&self) -> &'static str {
-        match self {
-            Self::Closed => "closed",
-            Self::Opening { .. } => "opening",
-            Self::BackingOff { .. } => "waiting",
-            Self::Up { .. } => "up",
-            Self::Finished => "finished",
-        }
-    }
-}
-
 impl Link {
     pub fn new(config: LinkOpenConfig, timer: HostTimer) -> Self {
         Self::with_tuning(config, LinkTuning::default(), timer)
@@ -131,10 +78,9 @@ impl Link {
 
     pub fn with_tuning(config: LinkOpenConfig, tuning: LinkTuning, timer: HostTimer) -> Self {
         Self {
-            backoff: Backoff::new(config.id, SessionSeed::from_timer(&timer), tuning.backoff_delays),
+            backoff: Backoff::new(config.id, SessionSeed::from_timer(&timer)),
             config,
-            device_directories: tuning.device_directories,
-            line_settings: tuning.line_settings,
+            tuning,
             timer,
             state: ConnectionState::Closed,
             stable_path: None,
@@ -153,8 +99,13 @@ impl Link {
         &self.config.url
     }
 
-    pub const fn is_up(&self) -> bool {
-        matches!(self.state, ConnectionState::Up { .. })
+    pub fn is_up(&self) -> bool {
+        self.connection().is_some()
+    }
+
+    /// `None` while the link is not up.
+    fn connection(&self) -> Option<&dyn Connection> {
+        if let ConnectionState::Up { connection, .. } = &self.state { Some(connection.as_ref()) } else { None }
     }
 
     /// True if each [`LinkEvent::Bytes`] is one datagram, so that no frame crosses two of them.
@@ -164,25 +115,13 @@ impl Link {
 
     /// The local socket address while the link is up; `None` where the transport has none.
     pub fn local_address(&self) -> Option<SocketAddr> {
-        match &self.state {
-            ConnectionState::Up { connection, .. } => connection.local_address(),
-            ConnectionState::Closed
-            | ConnectionState::Opening { .. }
-            | ConnectionState::BackingOff { .. }
-            | ConnectionState::Finished => None,
-        }
+        self.connection()?.local_address()
     }
 
     /// True while the link is up and accepts any peer at [`Link::local_address`]: TCP that listens, and UDP without a host to send
     /// to.
     pub fn is_listening(&self) -> bool {
-        match &self.state {
-            ConnectionState::Up { connection, .. } => connection.is_listening(),
-            ConnectionState::Closed
-            | ConnectionState::Opening { .. }
-            | ConnectionState::BackingOff { .. }
-            | ConnectionState::Finished => false,
-        }
+        self.connection().is_some_and(Connection::is_listening)
     }
 
     pub const fn counters(&self) -> LinkCounters {
@@ -246,7 +185,14 @@ impl Link {
                         pacer.poll(cx, connection.as_mut(), &mut self.counters);
                     }
                     match ready!(connection.poll(cx, &mut self.counters)) {
-                        Ok(incoming) => self.pending_event = Some(self.receive_data(incoming)),
+                        Ok(event) => {
+                            if let LinkEvent::Bytes { bytes, .. } = &event {
+                                self.counters.bytes_in += bytes.len() as u64;
+                            } else {
+                                self.state = ConnectionState::Finished;
+                            }
+                            return Poll::Ready(event);
+                        }
                         Err(loss) => {
                             self.close();
                             self.schedule_retry(loss.to_string());
@@ -265,24 +211,15 @@ impl Link {
         self.send_outgoing(&OutgoingFrame { to: Recipients::All, priority: Priority::Forwarded, frame });
     }
 
-    /// Sends one complete frame to one peer, otherwise like [`Link::send`]. It is lost if the peer is no longer there.
-    pub fn send_to(&mut self, peer: PeerId, frame: &[u8]) {
-        self.send_outgoing(&OutgoingFrame { to: Recipients::Peer(peer), priority: Priority::Forwarded, frame });
-    }
-
-    /// Sends one complete frame to its recipients; a slow link drops frames by their priority.
+    /// Sends one complete frame to its recipients, otherwise like [`Link::send`]. It is lost if a peer is no longer there.
     pub fn send_outgoing(&mut self, out: &OutgoingFrame<'_>) {
-        match &mut self.state {
-            ConnectionState::Up { connection, pacer, .. } => match pacer {
-                Some(pacer) => pacer.send(out, connection.as_mut(), &mut self.counters),
-                None => connection.send(out, &mut self.counters),
-            },
-            ConnectionState::Closed
-            | ConnectionState::Opening { .. }
-            | ConnectionState::BackingOff { .. }
-            | ConnectionState::Finished => {
-                self.counters.drops_out += 1;
-            }
+        let ConnectionState::Up { connection, pacer, .. } = &mut self.state else {
+            self.counters.drops_out += 1;
+            return;
+        };
+        match pacer {
+            Some(pacer) => pacer.send(out, connection.as_mut(), &mut self.counters),
+            None => connection.send(out, &mut self.counters),
         }
     }
 
@@ -344,8 +281,7 @@ impl Link {
             url: self.config.url.clone(),
             role: self.config.role,
             timer: self.timer,
-            device_directories: self.device_directories.clone(),
-            line_settings: self.line_settings,
+            tuning: self.tuning.clone(),
             stable_path: self.stable_path.clone(),
         };
         let deadline = self.timer.now() + TimeDelta::from_millis(1_000 * OPEN_DEADLINE_SECS as i64);
@@ -365,19 +301,6 @@ impl Link {
             pacer: (rate > 0).then(|| Box::new(Pacer::new(rate, self.timer))),
             since: at,
         };
-    }
-
-    fn receive_data(&mut self, incoming: ReceivedData) -> LinkEvent {
-        match incoming {
-            ReceivedData::Bytes { peer, arrival, bytes } => {
-                self.counters.bytes_in += bytes.len() as u64;
-                LinkEvent::Bytes { peer, arrival, bytes }
-            }
-            ReceivedData::Finished => {
-                self.state = ConnectionState::Finished;
-                LinkEvent::Finished { at: self.timer.now() }
-            }
-        }
     }
 
     /// Closes the link before it is opened again: an open device keeps its old number in use.
@@ -413,9 +336,9 @@ impl Link {
 
 impl fmt::Debug for Link {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Port")
+        f.debug_struct("Link")
             .field("config", &self.config)
-            .field("state", &self.state.name())
+            .field("is_up", &self.is_up())
             .field("counters", &self.counters)
             .finish_non_exhaustive()
     }

@@ -8,8 +8,9 @@ use std::task::{Context, Poll};
 
 use posebridge_telemetry::LinkId;
 
+use crate::connection::LinkEvent;
 use crate::error::OpenError;
-use crate::link::{Link, LinkEvent};
+use crate::link::Link;
 
 /// The links of one station loop.
 #[derive(Debug, Default)]
@@ -32,7 +33,6 @@ impl LinkSet {
         self.links.iter_mut().find(|port| port.id() == id)
     }
 
-    /// The links in the order in which they were added.
     pub fn iter(&self) -> std::slice::Iter<'_, Link> {
         self.links.iter()
     }

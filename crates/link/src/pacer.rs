@@ -27,7 +27,6 @@ use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
 use crate::transports::QUEUE_BYTES;
 
-/// The frames that wait for the rate limit.
 pub(crate) struct Pacer {
     timer: HostTimer,
     bucket: TokenBucket,
@@ -107,7 +106,6 @@ impl Pacer {
     }
 }
 
-/// The cost of a frame, in bytes of the limit.
 fn transmit_cost(out: &OutgoingFrame<'_>, connection: &dyn Connection) -> usize {
     out.frame.len() * connection.count_recipients(out.to) as usize
 }

@@ -18,7 +18,7 @@ use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
 use crate::capacity::{COARSE_WRITE_GAP, CapacityMeter};
-use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
 use crate::error::LinkError;
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -51,11 +51,8 @@ impl ByteStream for tokio::net::TcpStream {}
 
 #[derive(Clone, Debug)]
 pub(crate) struct StreamLabel {
-    /// See [`Connection::detail`].
     pub(crate) detail: String,
-    /// See [`Connection::local_address`].
     pub(crate) local_address: Option<SocketAddr>,
-    /// See [`Connection::stable_path`].
     pub(crate) stable_path: Option<PathBuf>,
     pub(crate) peer: PeerId,
 }
@@ -100,7 +97,7 @@ pub(crate) struct StreamConnection<S> {
     write_failure: Option<std::io::Error>,
     buffer: Box<[u8]>,
     /// Fields are dropped in order: this one after the stream is closed.
-    on_close: Option<Box<dyn Send>>,
+    pub(crate) on_close: Option<Box<dyn Send>>,
 }
 
 impl<S: ByteStream> StreamConnection<S> {
@@ -117,12 +114,6 @@ impl<S: ByteStream> StreamConnection<S> {
             buffer: vec![0; READ_BYTES].into_boxed_slice(),
             on_close: None,
         }
-    }
-
-    /// Drops `closing` after the stream is closed.
-    pub(crate) fn with_on_close(mut self, closing: Box<dyn Send>) -> Self {
-        self.on_close = Some(closing);
-        self
     }
 
     /// Limits the system's buffer to what a line of `bytes_per_s` sends in a fiftieth of a second.
@@ -242,12 +233,12 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         self.record_write(taken);
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
         self.flush(cx, counters);
         let mut buffer = ReadBuf::new(&mut self.buffer);
         match Pin::new(&mut self.stream).poll_read(cx, &mut buffer) {
             Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(LinkError::HungUp)),
-            Poll::Ready(Ok(())) => Poll::Ready(Ok(ReceivedData::Bytes {
+            Poll::Ready(Ok(())) => Poll::Ready(Ok(LinkEvent::Bytes {
                 peer: self.label.peer,
                 arrival: self.timer.now(),
                 bytes: buffer.filled().to_vec(),

@@ -7,7 +7,7 @@ use posebridge_telemetry::{
     BrickClock, CameraClock, HostClock, ObservationKind, Radians, RadiansPerSecond, TimeDelta, Timestamp,
 };
 
-use crate::clock::align::{Alignment, ClockAligner};
+use crate::clock::align::{ClockAligner, ExchangeOutcome};
 use crate::clock::unwrap::UnwrapOutcome;
 use crate::observation_extractor::UnalignedObservation;
 use crate::receive::{ReceiveInfo, TimeExchange};
@@ -19,7 +19,7 @@ const GYRO_TURN_PERIOD_RAD: f64 = 4_294.967_296;
 
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClockAlignment {
-    aligner: ClockAligner<BrickClock>,
+    pub(crate) aligner: ClockAligner<BrickClock>,
     last_gyro_turn: Option<(Timestamp<BrickClock>, Radians)>,
 }
 
@@ -28,19 +28,9 @@ pub(crate) struct AlignedTime {
     /// The instant and its sigma; `None` if the timestamp is from before a restart, or belongs to a reply before the
     /// clock is aligned.
     pub(crate) time: Option<(Timestamp<BrickClock>, TimeDelta)>,
-    /// The clock restarted.
     pub(crate) has_restarted: bool,
     /// There is no instant, or the timestamp contradicts the alignment so much that it starts again.
     pub(crate) is_unaligned: bool,
-}
-
-/// The result of a time request and its reply.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ExchangeOutcome<C: posebridge_telemetry::clock::Clock> {
-    pub(crate) has_restarted: bool,
-    /// It contradicts the alignment so much that this starts again.
-    pub(crate) is_contradicted: bool,
-    pub(crate) alignment: Option<Alignment<C>>,
 }
 
 impl ClockAlignment {
@@ -66,19 +56,14 @@ impl ClockAlignment {
         }
     }
 
-    /// The instant of something that the robot relays with a timestamp of its own, which may be older than any
-    /// reordering explains.
-    pub(crate) fn align_relayed(&self, stamp: WireStamp) -> Option<Timestamp<BrickClock>> {
-        self.aligner.nearest_instant(stamp)
-    }
-
     /// A duplicate from a redundant link adds only a bound of the clock.
     pub(crate) fn observe_copy(&mut self, received: ReceiveInfo, stamp: WireStamp) {
         self.aligner.observe_copy(received.endpoint, stamp, received.host_time);
     }
 
     pub(crate) fn observe_exchange(&mut self, exchange: &TimeExchange) -> ExchangeOutcome<BrickClock> {
-        observe_exchange(&mut self.aligner, exchange)
+        let ReceiveInfo { endpoint, host_time } = exchange.answer;
+        self.aligner.observe_exchange(endpoint, exchange.sent, host_time, exchange.peer_nanos)
     }
 
     /// The mean turn rate since the sensor's last observation that arrived: from the integral, where the sender has
@@ -129,15 +114,6 @@ impl ClockAlignment {
         self.aligner.host_at(time).map(|(host, _)| host)
     }
 
-    pub(crate) fn round_trip(&self) -> Option<TimeDelta> {
-        self.aligner.round_trip()
-    }
-
-    /// The largest deviation of the true offset from the aligned one.
-    pub(crate) fn uncertainty(&self) -> Option<TimeDelta> {
-        self.aligner.uncertainty()
-    }
-
     /// The instant of a reading between request and reply, and its sigma: it may lie anywhere between.
     fn reply_time(
         &self,
@@ -149,20 +125,6 @@ impl ClockAlignment {
     }
 }
 
-/// Records a time request and its reply in a clock.
-pub(crate) fn observe_exchange<C: posebridge_telemetry::clock::Clock>(
-    clock: &mut ClockAligner<C>,
-    exchange: &TimeExchange,
-) -> ExchangeOutcome<C> {
-    let ReceiveInfo { endpoint, host_time } = exchange.answer;
-    let (unwrapped, alignment) = clock.observe_exchange(endpoint, exchange.sent, host_time, exchange.peer_nanos);
-    ExchangeOutcome {
-        has_restarted: matches!(unwrapped, UnwrapOutcome::Restarted(_)),
-        is_contradicted: clock.take_contradiction(),
-        alignment,
-    }
-}
-
 /// Standard deviation of a uniform distribution within plus or minus `bound`.
 fn uniform_sigma(bound: TimeDelta) -> TimeDelta {
     TimeDelta::from_secs_f64(bound.as_secs_f64() / 3.0_f64.sqrt())
@@ -171,9 +133,7 @@ fn uniform_sigma(bound: TimeDelta) -> TimeDelta {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation_extractor::ClockSource;
     use posebridge_protocol::routing::Endpoint;
-    use posebridge_telemetry::SensorId;
 
     fn received(millis: i64) -> ReceiveInfo {
         ReceiveInfo { endpoint: Endpoint::default(), host_time: Timestamp::from_millis(millis) }
@@ -202,7 +162,7 @@ mod tests {
     fn a_host_instant_becomes_the_robots_with_an_honest_sigma() {
         let clocks = aligned();
         let (time, sigma) = clocks.at_host_time(Timestamp::from_millis(2_000), TimeDelta::ZERO).expect("it is aligned");
-        let bound = clocks.uncertainty().expect("it is aligned");
+        let bound = clocks.aligner.uncertainty().expect("it is aligned");
         let off = time - Timestamp::from_millis(7_000);
         assert!(off.as_nanos().abs() <= bound.as_nanos(), "{off:?} {bound:?}");
         assert!(bound <= TimeDelta::from_millis(100), "{bound:?}");
@@ -221,31 +181,5 @@ mod tests {
         let interval = WireStamp::HostInterval { sent: Timestamp::from_millis(1), answered: Timestamp::from_millis(5) };
         let unknown = ClockAlignment::default().align(received(5), interval);
         assert!(unknown.is_unaligned && unknown.time.is_none());
-    }
-
-    #[test]
-    fn the_mean_turn_rate_comes_from_the_integral_also_across_its_wrap() {
-        let mut clocks = ClockAlignment::default();
-        let reading = |turn_rad| UnalignedObservation {
-            sensor: SensorId::GYRO,
-            stamp: millis(0),
-            clock_source: ClockSource::Robot,
-            observed: ObservationKind::TurnRate(RadiansPerSecond(9.0)),
-            gyro_turn: Some(Radians(turn_rad)),
-            tag: None,
-        };
-        let rate = |clocks: &mut ClockAlignment, at_ms, turn_rad| {
-            let ObservationKind::TurnRate(rate) =
-                clocks.mean_turn_rate(Timestamp::from_millis(at_ms), &reading(turn_rad))
-            else {
-                panic!("a turn rate stays one");
-            };
-            rate.0
-        };
-        let last_before_wrap = 0.5 * GYRO_TURN_PERIOD_RAD - 0.01;
-        assert_eq!(rate(&mut clocks, 0, last_before_wrap), 9.0, "the first has nothing before it");
-        let across = rate(&mut clocks, 100, -0.5 * GYRO_TURN_PERIOD_RAD + 0.01);
-        assert!((across - 0.2).abs() < 1e-9, "{across}");
-        assert_eq!(rate(&mut clocks, 2_000, 0.0), 9.0, "a gap says nothing");
     }
 }

@@ -11,7 +11,7 @@
 //! # Sources
 //! MAVLink guide, "Parameter Protocol" and "Command Protocol"; docs/ground-stations.md.
 
-use posebridge_estimator::{PARAMS, Params};
+use posebridge_estimator::{FilterCommand, PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
@@ -19,8 +19,7 @@ use posebridge_telemetry::{
     ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
 };
 
-use crate::estimator::Estimator;
-use crate::message_requests::{self, RequestContext};
+use crate::message_requests::{RequestContext, RequestReply};
 use crate::operator::{CommandTarget, TargetedCommand};
 use crate::receive::ReceiveInfo;
 use crate::robot::Robot;
@@ -115,17 +114,14 @@ impl Station {
             config: &self.config,
             now: self.time.now,
             robots: &self.robots,
-            egress: &self.egress,
             link: id,
             role,
             requester,
         };
-        let heartbeat = |sessions: &mut crate::sessions::Sessions| {
-            sessions.with_session(id, role, |session| session.active_heartbeat()).flatten()
-        };
-        let answer = match message_requests::answer(&context, command, heartbeat(&mut self.sessions)) {
+        let heartbeat = self.sessions.with_session(id, role, |session| session.active_heartbeat()).flatten();
+        let answer = match context.answer(command, heartbeat) {
             Some(answer) => answer,
-            None => message_requests::RequestReply::of(self.execute_link_command(id, role, requester, command)),
+            None => RequestReply::of(self.execute_link_command(id, role, requester, command)),
         };
         if answer.is_left_to_others(command) {
             return;
@@ -219,9 +215,9 @@ impl Station {
             Command::SetParameter { name, value } => self.set_parameter(name, value),
             Command::Parameters(storage) => self.store_parameters(storage),
             Command::OnlineCalibration(learning) => {
-                self.command_robots(target, "does not learn", |estimator| estimator.set_online_calibration(learning))?;
+                self.command_robots(target, "does not learn", &FilterCommand::SetOnlineCalibration(learning))?;
                 if target == CommandTarget::Station {
-                    self.robots.keep_online_calibration(learning);
+                    self.robots.settings.online_calibration = Some(learning);
                 }
                 Ok(match learning {
                     OnlineCalibration::Frozen => "calibration frozen".to_owned(),
@@ -229,7 +225,7 @@ impl Station {
                 })
             }
             Command::ResetCalibration => {
-                self.command_robots(target, "does not learn", Estimator::reset_calibration)?;
+                self.command_robots(target, "does not learn", &FilterCommand::ResetCalibration)?;
                 Ok("calibration reset to what is configured".to_owned())
             }
             Command::SwitchSource { sensor, to } => Ok(self.switch_sensor(target, sensor, to)),
@@ -255,8 +251,8 @@ impl Station {
     }
 
     fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> CommandOutcome {
-        self.robots.mark_changed(index);
-        if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
+        self.robots.changed.insert(index);
+        if self.robots.get_mut(index).estimator.filter.set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
         self.robots.keep_first_pose(Some(*start));
@@ -265,15 +261,15 @@ impl Station {
     }
 
     fn reset_pose(&mut self, index: RobotIndex) -> CommandOutcome {
-        if let Some(start) = self.robots.get(index).estimator.start() {
+        if let Some(start) = self.robots.get(index).estimator.config.start {
             return self.set_pose(index, &start);
         }
         let estimator = &mut self.robots.get_mut(index).estimator;
-        if !estimator.forget_pose() {
-            return Err(format!("the filter {} cannot forget its pose", estimator.filter_name()));
+        if !estimator.apply(&FilterCommand::ResetPose) {
+            return Err(format!("the filter {} cannot forget its pose", estimator.entry.name));
         }
         self.robots.keep_first_pose(None);
-        self.robots.mark_changed(index);
+        self.robots.changed.insert(index);
         Ok("pose forgotten: the next fix decides".to_owned())
     }
 
@@ -313,9 +309,8 @@ impl Station {
     /// Sets tunables of the filter and reports those that changed.
     fn apply_params(&mut self, params: Params) -> Result<(), String> {
         // Thermometers have filters of their own, which begin with the tunables of the station.
-        self.command_robots(CommandTarget::Station, "is tuned only by its start", |estimator| {
-            estimator.set_params(params)
-        })?;
+        let command = FilterCommand::SetParams(params);
+        self.command_robots(CommandTarget::Station, "is tuned only by its start", &command)?;
         let before = std::mem::replace(&mut self.config.robot.filter_config.params, params);
         for (index, row) in PARAMS.iter().enumerate() {
             if (row.read)(&before).to_bits() != (row.read)(&params).to_bits() {
@@ -341,12 +336,12 @@ impl Station {
         &mut self,
         target: CommandTarget,
         otherwise: &str,
-        command: impl Fn(&mut Estimator) -> bool,
+        command: &FilterCommand,
     ) -> Result<(), String> {
         let mut refused = None;
         for robot in self.targeted_robots(target) {
-            if !command(&mut robot.estimator) {
-                refused.get_or_insert(robot.estimator.filter_name());
+            if !robot.estimator.apply(command) {
+                refused.get_or_insert(robot.estimator.entry.name);
             }
         }
         refused.map_or(Ok(()), |filter| Err(format!("the filter {filter} {otherwise}")))
@@ -364,7 +359,7 @@ impl Station {
             robot.estimator.switch_sensor(sensor, to);
         }
         if target == CommandTarget::Station {
-            self.robots.keep_sensor_switch(sensor, to);
+            self.robots.settings.sensors.insert(sensor, to);
         }
         let is = match to {
             SensorSwitch::On => "used",

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::thermometer::ThermometerSettings;
 use posebridge_protocol::bricks::{BrickProtocol, CodecSettings};
+use posebridge_protocol::dialect::ids;
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
@@ -131,7 +132,7 @@ pub struct ThermometerConfig {
 }
 
 /// The blocks by the system that they match, so that in a class with one block per robot only a few are tested.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct RobotBlockIndex {
     /// Indices of blocks, in their order; the key `None` has those that match any system.
     by_system: BTreeMap<Option<SystemId>, Vec<usize>>,
@@ -232,13 +233,9 @@ pub struct OutputStream {
 pub enum OutputKind {
     /// PB_PLANAR_POSE, compact.
     PlanarPose,
-    /// ODOMETRY.
     Odometry,
-    /// LOCAL_POSITION_NED.
     LocalPosition,
-    /// ATTITUDE.
     Attitude,
-    /// ESTIMATOR_STATUS.
     EstimatorStatus,
     /// PB_FUSION_HEALTH, one per observation that was compared with a prediction.
     FusionHealth,
@@ -250,18 +247,39 @@ pub enum OutputKind {
     FloatArray,
 }
 
-/// Every output, with its name in the configuration.
-pub const OUTPUTS: &[(&str, OutputKind)] = &[
-    ("planar_pose", OutputKind::PlanarPose),
-    ("odometry", OutputKind::Odometry),
-    ("local_position", OutputKind::LocalPosition),
-    ("attitude", OutputKind::Attitude),
-    ("estimator_status", OutputKind::EstimatorStatus),
-    ("fusion_health", OutputKind::FusionHealth),
-    ("distance_sensor", OutputKind::DistanceSensor),
-    ("named_value_float", OutputKind::NamedValue),
-    ("debug_float_array", OutputKind::FloatArray),
+/// One row of [`OUTPUTS`].
+#[derive(Clone, Copy, Debug)]
+pub struct OutputInfo {
+    /// In the configuration.
+    pub name: &'static str,
+    pub kind: OutputKind,
+    /// A peer may set the interval of this message with SET_MESSAGE_INTERVAL, for its own link.
+    pub message_id: u32,
+}
+
+/// Every output.
+pub const OUTPUTS: &[OutputInfo] = &[
+    OutputInfo { name: "planar_pose", kind: OutputKind::PlanarPose, message_id: ids::PB_PLANAR_POSE },
+    OutputInfo { name: "odometry", kind: OutputKind::Odometry, message_id: ids::ODOMETRY },
+    OutputInfo { name: "local_position", kind: OutputKind::LocalPosition, message_id: ids::LOCAL_POSITION_NED },
+    OutputInfo { name: "attitude", kind: OutputKind::Attitude, message_id: ids::ATTITUDE },
+    OutputInfo { name: "estimator_status", kind: OutputKind::EstimatorStatus, message_id: ids::ESTIMATOR_STATUS },
+    OutputInfo { name: "fusion_health", kind: OutputKind::FusionHealth, message_id: ids::PB_FUSION_HEALTH },
+    OutputInfo { name: "distance_sensor", kind: OutputKind::DistanceSensor, message_id: ids::DISTANCE_SENSOR },
+    OutputInfo { name: "named_value_float", kind: OutputKind::NamedValue, message_id: ids::NAMED_VALUE_FLOAT },
+    OutputInfo { name: "debug_float_array", kind: OutputKind::FloatArray, message_id: ids::DEBUG_FLOAT_ARRAY },
 ];
+
+impl OutputKind {
+    /// `None` if no output has this message.
+    pub(crate) fn of_message(message_id: u32) -> Option<Self> {
+        OUTPUTS.iter().find(|output| output.message_id == message_id).map(|output| output.kind)
+    }
+
+    pub(crate) fn message_id(self) -> u32 {
+        OUTPUTS.iter().find(|output| output.kind == self).map_or(0, |output| output.message_id)
+    }
+}
 
 /// The instant for which an estimate is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -275,12 +293,19 @@ pub enum OutputInstant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_config::station_config;
+    use crate::test_config::config;
     use posebridge_telemetry::ComponentId;
 
     #[test]
+    fn every_output_has_a_message_of_its_own() {
+        for output in OUTPUTS {
+            assert_eq!(OutputKind::of_message(output.kind.message_id()), Some(output.kind), "{}", output.name);
+        }
+    }
+
+    #[test]
     fn the_block_is_the_first_of_all_that_match() {
-        let mut config = station_config();
+        let mut config = config();
         let links = [None, Some(LinkId(1)), Some(LinkId(2))];
         let systems = [Some(SystemId(3)), None, Some(SystemId(1))];
         let components = [Some(ComponentId(1)), Some(ComponentId(2)), None];

@@ -9,8 +9,8 @@ use posebridge_protocol::routing::LinkRateLimiter;
 use posebridge_telemetry::{Address, HostClock, LinkId, LinkState, Priority, Timestamp};
 
 use crate::config::LinkConfig;
-use crate::forwarding::ForwardedFrame;
 use crate::link_context::LinkContext;
+use crate::receive_pass::ForwardedFrame;
 
 /// Message ids have 24 bits; the sensor's number may be above them.
 const MAX_MESSAGE_ID: u32 = 0x00FF_FFFF;
@@ -137,33 +137,20 @@ impl Egress {
             egress.encoder.note_forwarded(source, sequence);
         }
     }
-
-    pub(crate) fn send_version(&self, id: LinkId) -> Option<WireVersion> {
-        self.links.get(&id).map(|egress| egress.send_version)
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_config::link_config;
+    use crate::test_config::{LINK, link};
     use posebridge_protocol::message::Heartbeat;
     use posebridge_protocol::routing::{LinkRules, RateLimits};
 
-    const LINK: LinkId = LinkId(2);
     const BEAT: Message =
         Message::Heartbeat(Heartbeat { vehicle_type: 18, autopilot: 8, base_mode: 0, system_status: 4 });
 
-    #[test]
-    fn a_link_of_version_1_is_known_as_such() {
-        let version_1 = LinkConfig { send_version: WireVersion::V1, ..link_config(LINK) };
-        let egress = Egress::new(&[version_1], Timestamp::ZERO);
-        assert_eq!(egress.send_version(LINK), Some(WireVersion::V1));
-        assert_eq!(egress.send_version(LinkId(3)), None);
-    }
-
     fn link_with_limits(limits: RateLimits) -> LinkConfig {
-        LinkConfig { rules: LinkRules { limits, ..LinkRules::default() }, ..link_config(LINK) }
+        LinkConfig { rules: LinkRules { limits, ..LinkRules::default() }, ..link(LINK, vec![]) }
     }
 
     fn outgoing(priority: Priority) -> OutgoingMessage<'static> {

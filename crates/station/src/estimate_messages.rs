@@ -18,17 +18,11 @@ use posebridge_telemetry::{
 
 use crate::config::{AnnouncedAs, OutputKind};
 
-/// Whether an estimate was predicted ahead of the last observation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum PredictionStatus {
-    None,
-    Ahead,
-}
-
 /// The context of a message besides the estimate itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PublishContext {
-    pub(crate) prediction: PredictionStatus,
+    /// The estimate was predicted ahead of the last observation.
+    pub(crate) is_predicted: bool,
     /// Its instant on the host's clock, for messages stamped by the sender's own clock.
     pub(crate) host: Timestamp<HostClock>,
     /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
@@ -37,15 +31,18 @@ pub(crate) struct PublishContext {
     pub(crate) announced_as: AnnouncedAs,
 }
 
-pub(crate) fn estimate_message(
-    kind: OutputKind,
-    estimate: &Estimate,
-    circumstances: &PublishContext,
-) -> Option<Message> {
-    let PublishContext { prediction, host, fix_ratio, announced_as: voices } = *circumstances;
+pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &PublishContext) -> Option<Message> {
+    let PublishContext { is_predicted, host, fix_ratio, announced_as } = *context;
+    let flags = PoseFlags {
+        position_valid: estimate.validity.position,
+        heading_valid: estimate.validity.heading,
+        speeds_valid: estimate.validity.speeds,
+        dead_reckoning: estimate.is_dead_reckoning,
+        predicted: is_predicted,
+    };
     match kind {
-        OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, prediction))),
-        OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, voices))),
+        OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, flags))),
+        OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, announced_as))),
         OutputKind::LocalPosition => {
             let (sin, cos) = estimate.pose.heading.rad().sin_cos();
             Some(Message::LocalPosition {
@@ -63,7 +60,7 @@ pub(crate) fn estimate_message(
         }),
         OutputKind::EstimatorStatus => Some(Message::EstimatorStatus(EstimatorStatus {
             stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
-            flags: flags(estimate, prediction),
+            flags,
             position_ratio: fix_ratio,
             position_sigma: Meters(estimate.x_sigma_m().hypot(estimate.y_sigma_m())),
         })),
@@ -71,7 +68,7 @@ pub(crate) fn estimate_message(
     }
 }
 
-fn planar_pose(estimate: &Estimate, prediction: PredictionStatus) -> PlanarPose {
+fn planar_pose(estimate: &Estimate, flags: PoseFlags) -> PlanarPose {
     PlanarPose {
         stamp: brick_stamp(estimate.stamp),
         pose: estimate.pose,
@@ -80,18 +77,18 @@ fn planar_pose(estimate: &Estimate, prediction: PredictionStatus) -> PlanarPose 
         covariance: upper_triangle(estimate),
         fix_age: estimate.fix_age,
         reset_counter: estimate.reset_counter,
-        flags: flags(estimate, prediction),
+        flags,
     }
 }
 
 /// For a brick the pose is in the arena frame, which it must distinguish from a drifting one. For a ground station,
 /// which does not know the arena's position on the globe, it is in a local frame with an arbitrary heading:
 /// MAV_FRAME_LOCAL_FRD.
-fn odometry(estimate: &Estimate, host: Timestamp<HostClock>, voices: AnnouncedAs) -> Odometry {
+fn odometry(estimate: &Estimate, host: Timestamp<HostClock>, announced_as: AnnouncedAs) -> Odometry {
     let Pose { x, y, heading, .. } = estimate.pose;
     Odometry {
         stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
-        pose: match voices {
+        pose: match announced_as {
             AnnouncedAs::Station => OdometryPose::Arena(estimate.pose),
             AnnouncedAs::StationAndVehicle => OdometryPose::Odom(Pose::new(x, y, heading)),
         },
@@ -116,16 +113,6 @@ fn upper_triangle(estimate: &Estimate) -> [f64; 6] {
     ]
 }
 
-fn flags(estimate: &Estimate, prediction: PredictionStatus) -> PoseFlags {
-    PoseFlags {
-        position_valid: estimate.validity.position,
-        heading_valid: estimate.validity.heading,
-        speeds_valid: estimate.validity.speeds,
-        dead_reckoning: estimate.is_dead_reckoning,
-        predicted: prediction == PredictionStatus::Ahead,
-    }
-}
-
 /// An instant of the host as milliseconds since the start of the session.
 pub(crate) fn host_stamp(host: Timestamp<HostClock>) -> WireStamp {
     WireStamp::Millis32(host.as_micros().div_euclid(1_000) as u32)
@@ -146,6 +133,20 @@ pub(crate) fn travel_time(round_trip: Option<TimeDelta>) -> TimeDelta {
 pub(crate) struct FusionCounts {
     pub(crate) accepted: u16,
     pub(crate) rejected: u16,
+}
+
+impl FusionCounts {
+    pub(crate) const fn add(&mut self, outcome: FusionOutcome) {
+        match outcome {
+            FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset | FusionOutcome::Rebased => {
+                self.accepted = self.accepted.wrapping_add(1);
+            }
+            FusionOutcome::Gated | FusionOutcome::TooOld | FusionOutcome::Malformed => {
+                self.rejected = self.rejected.wrapping_add(1);
+            }
+            FusionOutcome::Unused => {}
+        }
+    }
 }
 
 /// The message of an output about a record; `None` if it does not depend on records. `host` is when the observation was

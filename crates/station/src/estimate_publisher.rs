@@ -9,7 +9,7 @@ use posebridge_telemetry::{
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputStream};
-use crate::estimate_messages::{self, PredictionStatus, PublishContext, host_stamp};
+use crate::estimate_messages::{self, PublishContext, host_stamp};
 use crate::estimator::Estimator;
 use crate::output_schedule::{OutputSchedule, priority, priority_of_record};
 
@@ -31,29 +31,19 @@ pub(crate) struct EstimateSource<'a> {
 /// The outputs of one robot.
 #[derive(Debug)]
 pub(crate) struct EstimatePublisher {
-    links: BTreeMap<LinkId, LinkOutputs>,
+    links: BTreeMap<LinkId, OutputSchedule>,
     /// The last observed range, with its instant on the host's clock.
     last_range: Option<(Meters, Timestamp<HostClock>)>,
     /// The last fusion record of each sensor that was compared with a prediction.
     last_records: BTreeMap<SensorId, FusionRecord>,
     /// An estimate that was sent to the robot and not yet to the other links.
-    pending: Option<Estimate>,
-}
-
-#[derive(Debug)]
-struct LinkOutputs {
-    schedule: OutputSchedule,
-    announced_as: AnnouncedAs,
+    pub(crate) pending: Option<Estimate>,
 }
 
 impl EstimatePublisher {
     pub(crate) fn new(links: &[LinkConfig]) -> Self {
-        let outputs = links.iter().map(|link| {
-            // A link without MAVLink shows no vehicle.
-            let announced_as = if link.brick.is_none() { link.announced_as } else { AnnouncedAs::Station };
-            (link.id, LinkOutputs { schedule: OutputSchedule::new(&link.outputs), announced_as })
-        });
-        Self { links: outputs.collect(), last_range: None, last_records: BTreeMap::new(), pending: None }
+        let schedules = links.iter().map(|link| (link.id, OutputSchedule::new(link)));
+        Self { links: schedules.collect(), last_range: None, last_records: BTreeMap::new(), pending: None }
     }
 
     /// The messages of an estimate that are due on a link, which is up.
@@ -63,25 +53,16 @@ impl EstimatePublisher {
         estimate: &Estimate,
         source: EstimateSource<'_>,
     ) -> Vec<PublishedMessage> {
-        let Some(outputs) = self.links.get_mut(&link) else {
+        let Some(schedule) = self.links.get_mut(&link) else {
             return Vec::new();
         };
-        let announced_as = outputs.announced_as;
-        let due = outputs.schedule.due(source.now);
+        let announced_as = schedule.announced_as;
+        let due = schedule.due(source.now);
         let messages = due.filter_map(|stream| {
             let message = estimate_message(&stream, estimate, announced_as, source)?;
             Some(PublishedMessage { link, kind: stream.kind, message, priority: priority(stream.kind) })
         });
         messages.collect()
-    }
-
-    pub(crate) fn set_pending(&mut self, estimate: &Estimate) {
-        self.pending = Some(*estimate);
-    }
-
-    /// The estimate that was not yet sent to the other links.
-    pub(crate) fn take_pending(&mut self) -> Option<Estimate> {
-        self.pending.take()
     }
 
     /// The messages of a record, on every link with such an output.
@@ -96,8 +77,8 @@ impl EstimatePublisher {
         }
         let host = || clocks.to_host(record.stamp).unwrap_or(now);
         let mut published = Vec::new();
-        for (link, outputs) in &mut self.links {
-            for (kind, message) in outputs.schedule.messages_for_record(record, &host, now) {
+        for (link, schedule) in &mut self.links {
+            for (kind, message) in schedule.messages_for_record(record, &host, now) {
                 let priority = priority_of_record(kind, record.sensor);
                 published.push(PublishedMessage { link: *link, kind, message, priority });
             }
@@ -115,10 +96,8 @@ impl EstimatePublisher {
     ) -> Vec<PublishedMessage> {
         self.last_range = Some((range, host));
         let kind = OutputKind::DistanceSensor;
-        let due = self
-            .links
-            .iter_mut()
-            .filter_map(|(link, outputs)| (is_up(*link) && outputs.schedule.range_due(now)).then_some(*link));
+        let links = self.links.iter_mut();
+        let due = links.filter_map(|(link, schedule)| (is_up(*link) && schedule.range_due(now)).then_some(*link));
         let message =
             |link| PublishedMessage { link, kind, message: range_message(range, host), priority: priority(kind) };
         due.map(message).collect()
@@ -126,26 +105,26 @@ impl EstimatePublisher {
 
     /// Sets the interval that a peer requests; `None` stops the message, zero restores the configured one.
     pub(crate) fn set_interval(&mut self, link: LinkId, message_id: u32, interval: Option<TimeDelta>) {
-        if let Some(outputs) = self.links.get_mut(&link) {
-            outputs.schedule.set_interval(message_id, interval);
+        if let Some(schedule) = self.links.get_mut(&link) {
+            schedule.set_interval(message_id, interval);
         }
     }
 
     /// The interval of an output on a link, in the form of MESSAGE_INTERVAL; `None` if there is no such link.
     pub(crate) fn interval_micros(&self, link: LinkId, kind: OutputKind) -> Option<i32> {
-        Some(self.links.get(&link)?.schedule.interval_micros(kind))
+        Some(self.links.get(&link)?.interval_micros(kind))
     }
 
     /// The present messages of an output; none before there is any data.
     pub(crate) fn current(&self, link: LinkId, kind: OutputKind, source: EstimateSource<'_>) -> Vec<Message> {
-        let outputs = self.links.get(&link);
+        let schedule = self.links.get(&link);
         match kind {
             OutputKind::DistanceSensor => {
                 self.last_range.map(|(range, host)| range_message(range, host)).into_iter().collect()
             }
             OutputKind::FusionHealth | OutputKind::NamedValue | OutputKind::FloatArray => {
                 let messages = self.last_records.values().filter_map(|record| {
-                    let counts = outputs?.schedule.counts_of(record.sensor);
+                    let counts = schedule?.counts_of(record.sensor);
                     let host = source.clocks.to_host(record.stamp).unwrap_or(source.now);
                     estimate_messages::record_message(kind, record, host, counts)
                 });
@@ -157,7 +136,7 @@ impl EstimatePublisher {
             | OutputKind::Attitude
             | OutputKind::EstimatorStatus => {
                 let stream = OutputStream { kind, interval: TimeDelta::ZERO, instant: OutputInstant::Observed };
-                let announced_as = outputs.map_or(AnnouncedAs::Station, |outputs| outputs.announced_as);
+                let announced_as = schedule.map_or(AnnouncedAs::Station, |schedule| schedule.announced_as);
                 let estimate = source.estimator.latest_estimate();
                 let message = estimate.and_then(|last| estimate_message(&stream, &last, announced_as, source));
                 message.into_iter().collect()
@@ -174,20 +153,16 @@ fn estimate_message(
     source: EstimateSource<'_>,
 ) -> Option<Message> {
     let EstimateSource { now, clocks, estimator } = source;
-    let fix_ratio = estimator.fix_ratio();
-    let arrival = now + estimate_messages::travel_time(clocks.round_trip());
+    let arrival = now + estimate_messages::travel_time(clocks.aligner.round_trip());
     let ahead: Option<Timestamp<BrickClock>> = match stream.instant {
         OutputInstant::Observed => None,
         OutputInstant::Arrival => clocks.at_host_time(arrival, TimeDelta::ZERO).map(|(time, _)| time),
     };
-    let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
-    if let Some(predicted) = predicted {
-        let context = PublishContext { prediction: PredictionStatus::Ahead, host: arrival, fix_ratio, announced_as };
-        return estimate_messages::estimate_message(stream.kind, &predicted, &context);
-    }
-    let host = clocks.to_host(observed.stamp).unwrap_or(now);
-    let context = PublishContext { prediction: PredictionStatus::None, host, fix_ratio, announced_as };
-    estimate_messages::estimate_message(stream.kind, observed, &context)
+    let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.filter.estimate_at(time));
+    let is_predicted = predicted.is_some();
+    let host = if is_predicted { arrival } else { clocks.to_host(observed.stamp).unwrap_or(now) };
+    let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, announced_as };
+    estimate_messages::estimate_message(stream.kind, predicted.as_ref().unwrap_or(observed), &context)
 }
 
 fn range_message(range: Meters, host: Timestamp<HostClock>) -> Message {
@@ -197,20 +172,25 @@ fn range_message(range: Meters, host: Timestamp<HostClock>) -> Message {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_config::station_config;
+    use crate::test_config::{at, config, link};
     use posebridge_estimator::find_filter;
     use posebridge_protocol::dialect::ids;
 
+    /// The outputs of two links that send nothing by themselves.
+    fn two_links() -> EstimatePublisher {
+        EstimatePublisher::new(&[LinkId(0), LinkId(1)].map(|id| link(id, vec![])))
+    }
+
     #[test]
     fn a_range_leaves_on_links_that_are_up_and_is_kept_for_later_requests() {
-        let config = station_config();
-        let mut publisher = EstimatePublisher::new(&config.links);
+        let config = config();
+        let mut publisher = two_links();
         for link in [LinkId(0), LinkId(1)] {
             publisher.set_interval(link, ids::DISTANCE_SENSOR, Some(TimeDelta::from_millis(100)));
         }
         let estimator = Estimator::new(find_filter(&config.robot.filter).unwrap(), &config.robot.filter_config);
         let clocks = ClockAlignment::default();
-        let now = Timestamp::from_millis(500);
+        let now = at(500);
         let source = EstimateSource { now, clocks: &clocks, estimator: &estimator };
         assert_eq!(publisher.current(LinkId(0), OutputKind::DistanceSensor, source), []);
         let sent = publisher.publish_range(now, Meters(0.7), now, |link| link == LinkId(1));
@@ -218,13 +198,13 @@ mod tests {
         let current = publisher.current(LinkId(0), OutputKind::DistanceSensor, source);
         assert_eq!(current, [sent[0].message.clone()]);
         // The link that was down has not used its interval up.
-        let sent = publisher.publish_range(Timestamp::from_millis(550), Meters(0.6), now, |_| true);
+        let sent = publisher.publish_range(at(550), Meters(0.6), now, |_| true);
         assert_eq!(sent.iter().map(|message| message.link).collect::<Vec<_>>(), [LinkId(0)]);
     }
 
     #[test]
     fn a_requested_interval_holds_on_its_own_link() {
-        let mut publisher = EstimatePublisher::new(&station_config().links);
+        let mut publisher = two_links();
         publisher.set_interval(LinkId(1), ids::ODOMETRY, Some(TimeDelta::from_millis(250)));
         let intervals = [0, 1, 9].map(|link| publisher.interval_micros(LinkId(link), OutputKind::Odometry));
         assert_eq!(intervals, [Some(-1), Some(250_000), None]);

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    OnlineCalibration, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
+    BrickClock, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, OnlineCalibration,
+    SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
 };
 
 /// Most components of a fix: x, y and heading.
@@ -14,19 +14,19 @@ const MAX_FIX_COMPONENTS: usize = 3;
 
 /// The filter of one robot.
 pub(crate) struct Estimator {
-    entry: &'static FilterEntry,
-    config: FilterConfig,
-    filter: Box<dyn Filter>,
-    switched_off: BTreeSet<SensorId>,
+    pub(crate) entry: &'static FilterEntry,
+    /// With the geometry that the robot has described, if it has.
+    pub(crate) config: FilterConfig,
+    pub(crate) filter: Box<dyn Filter>,
+    pub(crate) switched_off: BTreeSet<SensorId>,
     online_calibration: OnlineCalibration,
     slip_watch: SlipWatch,
-    /// Normalised innovation squared of the last fix over its gate; 0 before the first.
-    fix_ratio: f64,
+    /// Normalised innovation squared of the last fix over its gate, above 1 if it was rejected; 0 before the first.
+    pub(crate) fix_ratio: f64,
     /// The gate of a fix with one, two and three components.
     fix_gates: [f64; MAX_FIX_COMPONENTS],
 }
 
-/// The result of an observation.
 pub(crate) struct FusionReport {
     pub(crate) record: FusionRecord,
     /// The observation's sensor is enabled.
@@ -68,66 +68,20 @@ impl Estimator {
         self.filter.estimate_at(self.filter.latest_time()?)
     }
 
-    pub(crate) fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.filter.estimate_at(time)
-    }
-
-    pub(crate) fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
-        self.filter.latest_time()
-    }
-
-    pub(crate) fn calibration(&self) -> Option<Calibration> {
-        self.filter.calibration()
-    }
-
-    /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
-    pub(crate) const fn fix_ratio(&self) -> f64 {
-        self.fix_ratio
-    }
-
-    /// The configured geometry, or the one that the robot has described.
-    pub(crate) const fn geometry(&self) -> DriveGeometry {
-        self.config.geometry
-    }
-
-    pub(crate) const fn filter_name(&self) -> &'static str {
-        self.entry.name
-    }
-
-    pub(crate) const fn start(&self) -> Option<StartPose> {
-        self.config.start
-    }
-
-    pub(crate) fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
-        self.filter.set_pose(start)
-    }
-
-    /// Makes the pose unknown; false if the filter does not support it.
-    pub(crate) fn forget_pose(&mut self) -> bool {
-        self.filter.apply_command(&FilterCommand::ResetPose) == FusionOutcome::Accepted
-    }
-
-    /// Replaces the tunables; false if the filter does not support it.
-    pub(crate) fn set_params(&mut self, params: Params) -> bool {
-        if self.filter.apply_command(&FilterCommand::SetParams(params)) != FusionOutcome::Accepted {
+    /// False if the filter does not support the command.
+    pub(crate) fn apply(&mut self, command: &FilterCommand) -> bool {
+        if self.filter.apply_command(command) != FusionOutcome::Accepted {
             return false;
         }
-        self.config.params = params;
-        self.fix_gates = fix_gates(&params);
-        true
-    }
-
-    pub(crate) fn set_online_calibration(&mut self, to: OnlineCalibration) -> bool {
-        if self.filter.apply_command(&FilterCommand::SetOnlineCalibration(to)) != FusionOutcome::Accepted {
-            return false;
+        match command {
+            FilterCommand::SetParams(params) => {
+                self.config.params = *params;
+                self.fix_gates = fix_gates(params);
+            }
+            FilterCommand::SetOnlineCalibration(to) => self.online_calibration = *to,
+            FilterCommand::ResetPose | FilterCommand::ResetCalibration => {}
         }
-        self.online_calibration = to;
         true
-    }
-
-    /// Restarts from the configured constants; false if the filter does not calibrate online.
-    pub(crate) fn reset_calibration(&mut self) -> bool {
-        self.filter.apply_command(&FilterCommand::ResetCalibration) == FusionOutcome::Accepted
     }
 
     pub(crate) fn switch_sensor(&mut self, sensor: SensorId, to: SensorSwitch) {
@@ -135,15 +89,6 @@ impl Estimator {
             SensorSwitch::On => self.switched_off.remove(&sensor),
             SensorSwitch::Off => self.switched_off.insert(sensor),
         };
-    }
-
-    pub(crate) fn switched_off(&self) -> impl Iterator<Item = SensorId> {
-        self.switched_off.iter().copied()
-    }
-
-    /// After a restart of the robot its clock and its counters start again.
-    pub(crate) fn restart_clock(&mut self) {
-        self.filter.restart_clock();
     }
 
     /// A filter of another geometry continues at the old one's pose, if that was known.
@@ -161,7 +106,7 @@ impl Estimator {
         }
         self.filter = (self.entry.build)(&config);
         // A frozen calibration stays frozen; a filter that does not calibrate refuses, and nothing is lost.
-        let _ = self.filter.apply_command(&FilterCommand::SetOnlineCalibration(self.online_calibration));
+        self.apply(&FilterCommand::SetOnlineCalibration(self.online_calibration));
     }
 }
 
@@ -211,29 +156,19 @@ impl SlipWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_config::config;
     use posebridge_estimator::find_filter;
-    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Pose, Radians, SensorNoise};
+    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Radians, SensorNoise};
 
     fn estimator() -> Estimator {
-        let config = FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.028),
-                right_wheel_radius: Meters(0.028),
-                track_width: Meters(0.112),
-                tick: Radians(0.017),
-            },
-            noise: SensorNoise {
-                travel_m_per_sqrt_m: 0.005,
-                turn_rad_per_sqrt_rad: 0.01,
-                fix_position_m: 0.01,
-                fix_heading_rad: 0.01,
-                ..SensorNoise::EXACT
-            },
-            start: Some(StartPose { pose: Pose::default(), position_sigma_m: 0.01, heading_sigma_rad: 0.02 }),
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
+        let noise = SensorNoise {
+            travel_m_per_sqrt_m: 0.005,
+            turn_rad_per_sqrt_rad: 0.01,
+            fix_position_m: 0.01,
+            fix_heading_rad: 0.01,
+            ..SensorNoise::EXACT
         };
+        let config = FilterConfig { noise, ..config().robot.filter_config };
         Estimator::new(find_filter("pose").expect("the main filter"), &config)
     }
 
@@ -278,11 +213,11 @@ mod tests {
         let mut estimator = estimator();
         estimator.observe(&wheels(0, 0.0));
         estimator.observe(&wheels(100, 0.0));
-        assert_eq!(estimator.fix_ratio(), 0.0);
+        assert_eq!(estimator.fix_ratio, 0.0);
         assert_eq!(estimator.observe(&fix(100, 0.005)).record.outcome, FusionOutcome::Accepted);
-        assert!(estimator.fix_ratio() < 1.0, "{}", estimator.fix_ratio());
+        assert!(estimator.fix_ratio < 1.0, "{}", estimator.fix_ratio);
         assert_eq!(estimator.observe(&fix(100, 0.5)).record.outcome, FusionOutcome::Gated);
-        assert!(estimator.fix_ratio() > 1.0, "{}", estimator.fix_ratio());
+        assert!(estimator.fix_ratio > 1.0, "{}", estimator.fix_ratio);
     }
 
     #[test]
@@ -290,13 +225,13 @@ mod tests {
         let mut estimator = estimator();
         estimator.observe(&wheels(0, 0.0));
         estimator.observe(&wheels(100, 2.0));
-        assert!(estimator.set_online_calibration(OnlineCalibration::Frozen));
+        assert!(estimator.apply(&FilterCommand::SetOnlineCalibration(OnlineCalibration::Frozen)));
         let before = estimator.latest_estimate().expect("it has a start");
-        estimator.set_geometry(DriveGeometry { track_width: Meters(0.2), ..estimator.geometry() });
+        estimator.set_geometry(DriveGeometry { track_width: Meters(0.2), ..estimator.config.geometry });
         estimator.observe(&wheels(200, 2.0));
         let after = estimator.latest_estimate().expect("it goes on");
         assert!((after.pose.x.0 - before.pose.x.0).abs() < 1e-9, "{} {}", after.pose.x.0, before.pose.x.0);
-        assert_eq!(estimator.geometry().track_width, Meters(0.2));
+        assert_eq!(estimator.config.geometry.track_width, Meters(0.2));
     }
 
     #[test]

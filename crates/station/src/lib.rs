@@ -11,15 +11,12 @@ pub mod clock;
 mod clock_alignment;
 mod commands;
 pub mod config;
-mod contested_messages;
 mod decoder;
 mod egress;
 mod estimate_messages;
 mod estimate_publisher;
 mod estimator;
-mod fix_assignment;
 mod fix_requests;
-mod forwarding;
 mod link_context;
 mod message_requests;
 mod observation_extractor;
@@ -37,15 +34,20 @@ mod sender_identity;
 mod sessions;
 mod station;
 mod status_text;
-#[cfg(test)]
-mod test_config;
 mod thermometer_bank;
 mod transmitter;
 mod vehicle_proxy;
 
+#[cfg(test)]
+extern crate self as posebridge_station;
+#[cfg(test)]
+#[path = "../tests/station/support/config.rs"]
+mod test_config;
+
 pub use config::{
     AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS,
-    OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig, ThermometerConfig,
+    OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig,
+    ThermometerConfig,
 };
 pub use robot::Robot;
 pub use station::Station;

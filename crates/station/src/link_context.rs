@@ -20,7 +20,7 @@ pub(crate) struct LinkContext {
     pub(crate) verifier: FrameVerifier,
     pub(crate) decoder: Decoder,
     /// Peers whose heartbeat has the type ground station.
-    ground_stations: BTreeSet<PeerId>,
+    pub(crate) ground_stations: BTreeSet<PeerId>,
     /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
 }
@@ -31,7 +31,11 @@ impl LinkContext {
             state: LinkState::Down,
             has_been_up: false,
             health: LinkHealth::default(),
-            framers: PeerFramers::new(framer_config(config)),
+            framers: PeerFramers::new(FramerConfig {
+                accept_v1: config.accepted_versions == AcceptedVersions::V1AndV2,
+                transport: config.framing,
+                ..FramerConfig::default()
+            }),
             verifier: FrameVerifier::new(config.signing.clone()),
             decoder: Decoder::default(),
             ground_stations: BTreeSet::new(),
@@ -65,34 +69,29 @@ impl LinkContext {
         if is_shared { LinkSharing::Shared } else { LinkSharing::Exclusive }
     }
 
+    /// Makes room for the framer of a new peer.
     pub(crate) fn admit_peer(&mut self, peer: PeerId) {
-        for evicted in self.framers.admit(peer) {
-            self.verifier.forget(evicted);
-            self.ground_stations.remove(&evicted);
-        }
+        let evicted = self.framers.admit(peer);
+        self.forget(&evicted);
     }
 
-    /// Forgets peers that have been silent for long.
     pub(crate) fn evict_idle_peers(&mut self, now: Timestamp<HostClock>) {
-        for evicted in self.framers.evict_idle(now) {
-            self.verifier.forget(evicted);
-            self.ground_stations.remove(&evicted);
+        let evicted = self.framers.evict_idle(now);
+        self.forget(&evicted);
+    }
+
+    fn forget(&mut self, peers: &[PeerId]) {
+        for peer in peers {
+            self.verifier.forget(*peer);
+            self.ground_stations.remove(peer);
         }
     }
 
-    pub(crate) fn add_ground_station(&mut self, peer: PeerId) {
-        self.ground_stations.insert(peer);
+    pub(crate) fn count_sent(&mut self, frame: &[u8]) {
+        self.health.bytes_out += frame.len() as u64;
+        self.health.frames_out += 1;
     }
 
-    pub(crate) fn is_ground_station(&self, peer: PeerId) -> bool {
-        self.ground_stations.contains(&peer)
-    }
-
-    pub(crate) fn ground_stations(&self) -> impl Iterator<Item = PeerId> {
-        self.ground_stations.iter().copied()
-    }
-
-    /// When to call the framers or the codec.
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
         [self.framers.deadline(), self.codec_deadline()].into_iter().flatten().min()
     }
@@ -116,13 +115,5 @@ impl LinkContext {
         self.health.unknown_ids = counters.unknown_ids;
         self.health.timeouts = counters.stalls;
         sources
-    }
-}
-
-fn framer_config(config: &LinkConfig) -> FramerConfig {
-    FramerConfig {
-        accept_v1: config.accepted_versions == AcceptedVersions::V1AndV2,
-        transport: config.framing,
-        ..FramerConfig::default()
     }
 }

@@ -14,10 +14,8 @@ use posebridge_protocol::message::{
 };
 use posebridge_telemetry::{ComponentId, HostClock, LinkId, Timestamp};
 
-use crate::config::{AcceptedVersions, StationConfig};
-use crate::egress::Egress;
+use crate::config::{AcceptedVersions, LinkConfig, OutputKind, StationConfig};
 use crate::estimate_messages::host_stamp;
-use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
@@ -60,32 +58,27 @@ pub(crate) struct RequestContext<'a> {
     pub(crate) config: &'a StationConfig,
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) robots: &'a RobotTable,
-    pub(crate) egress: &'a Egress,
     pub(crate) link: LinkId,
     pub(crate) role: SenderRole,
     pub(crate) requester: Option<RobotIndex>,
 }
 
-/// The reply to a command about messages; `None` for other commands. `heartbeat` is the present one of the role. A role
-/// that sends no heartbeats does not send one on request either.
-pub(crate) fn answer(
-    context: &RequestContext<'_>,
-    command: &CommandLong,
-    heartbeat: Option<Heartbeat>,
-) -> Option<RequestReply> {
-    match command.command {
-        COMMAND_REQUEST_MESSAGE => Some(context.requested_message(command, heartbeat)),
-        COMMAND_GET_MESSAGE_INTERVAL => Some(match command.named_message() {
-            Some(message_id) => context.interval(message_id),
-            None => RequestReply::of(CommandResult::Denied),
-        }),
-        // It names no message, or an interval that is none.
-        COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(CommandResult::Denied)),
-        _ => None,
-    }
-}
-
 impl RequestContext<'_> {
+    /// The reply to a command about messages; `None` for other commands. `heartbeat` is the present one of the role. A role
+    /// that sends no heartbeats does not send one on request either.
+    pub(crate) fn answer(&self, command: &CommandLong, heartbeat: Option<Heartbeat>) -> Option<RequestReply> {
+        match command.command {
+            COMMAND_REQUEST_MESSAGE => Some(self.requested_message(command, heartbeat)),
+            COMMAND_GET_MESSAGE_INTERVAL => Some(match command.named_message() {
+                Some(message_id) => self.interval(message_id),
+                None => RequestReply::of(CommandResult::Denied),
+            }),
+            // It names no message, or an interval that is none.
+            COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(CommandResult::Denied)),
+            _ => None,
+        }
+    }
+
     fn requested_message(&self, command: &CommandLong, heartbeat: Option<Heartbeat>) -> RequestReply {
         let Some(message_id) = command.named_message() else {
             return RequestReply::of(CommandResult::Denied);
@@ -106,7 +99,7 @@ impl RequestContext<'_> {
                 }
                 return self.interval(about as u32);
             }
-            other => match output_for_message(other) {
+            other => match OutputKind::of_message(other) {
                 Some(kind) => match self.robot() {
                     Some(robot) => robot.publisher.current(self.link, kind, robot.estimate_source(self.now)),
                     None => Vec::new(),
@@ -136,7 +129,7 @@ impl RequestContext<'_> {
         let Ok(on_wire) = u16::try_from(message_id) else {
             return RequestReply::of(CommandResult::Denied);
         };
-        let kind = output_for_message(message_id);
+        let kind = OutputKind::of_message(message_id);
         // For a requester that is no robot the first one represents all: it has the intervals that were requested for all of them.
         let robot = self.robot().unwrap_or_else(|| self.robots.first());
         let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
@@ -146,15 +139,16 @@ impl RequestContext<'_> {
     }
 
     fn capabilities(&self) -> u64 {
-        let version = match self.egress.send_version(self.link) {
-            Some(WireVersion::V2) => CAPABILITY_MAVLINK2,
-            Some(WireVersion::V1) | None => 0,
-        };
-        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | version
+        let sends_v2 = self.link_config().is_some_and(|link| link.send_version == WireVersion::V2);
+        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | if sends_v2 { CAPABILITY_MAVLINK2 } else { 0 }
+    }
+
+    fn link_config(&self) -> Option<&LinkConfig> {
+        self.config.links.iter().find(|link| link.id == self.link)
     }
 
     fn protocol_version(&self) -> Message {
-        let link = self.config.links.iter().find(|link| link.id == self.link);
+        let link = self.link_config();
         let sends_v1 = link.is_some_and(|link| link.send_version == WireVersion::V1);
         let accepts_v1 = link.is_some_and(|link| link.accepted_versions == AcceptedVersions::V1AndV2);
         Message::ProtocolVersion(ProtocolVersion {

@@ -53,6 +53,7 @@ impl ObservationExtractor {
 
     /// The observations in a message: none, one or two.
     pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
+        #[expect(clippy::wildcard_enum_match_arm, reason = "most messages observe nothing")]
         match message {
             Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
             Message::WheelDistance { stamp, left, right } => {
@@ -64,53 +65,16 @@ impl ObservationExtractor {
             }
             Message::Inertial(inertial) => inertial_readings(inertial),
             Message::ScaledImu(imu) | Message::HighresImu(imu) => [imu_reading(imu), None],
-            Message::DistanceSensor { stamp, range, .. } => [
-                Some(robot_observation(
-                    SensorId::RANGE,
-                    *stamp,
-                    ObservationKind::WallRange(*range),
-                )),
-                None,
-            ],
-            Message::Compass { stamp, heading } => [
-                Some(robot_observation(
-                    SensorId::COMPASS,
-                    *stamp,
-                    ObservationKind::CompassHeading(*heading),
-                )),
-                None,
-            ],
-            Message::VisionPosition(fix) | Message::MocapPosition(fix) => {
-                [Some(self.fix(fix)), None]
+            Message::DistanceSensor { stamp, range, .. } => {
+                [Some(robot_observation(SensorId::RANGE, *stamp, ObservationKind::WallRange(*range))), None]
             }
+            Message::Compass { stamp, heading } => {
+                [Some(robot_observation(SensorId::COMPASS, *stamp, ObservationKind::CompassHeading(*heading))), None]
+            }
+            Message::VisionPosition(fix) | Message::MocapPosition(fix) => [Some(self.fix(fix)), None],
             Message::Odometry(odometry) => [Some(odometry_reading(odometry)), None],
-            Message::Heartbeat(_)
-            | Message::SystemTime { .. }
-            | Message::TimeSync(_)
-            | Message::SetMessageInterval(_)
-            | Message::Command(_)
-            | Message::CommandInt(_)
-            | Message::CommandAck(_)
-            | Message::StatusText { .. }
-            | Message::AutopilotVersion(_)
-            | Message::ProtocolVersion(_)
-            | Message::ComponentInformation(_)
-            | Message::MessageInterval(_)
-            | Message::NamedValue(_)
-            | Message::FloatArray(_)
             // Thermometers have filters of their own.
-            | Message::Thermometer { .. }
-            | Message::PlanarPose(_)
-            | Message::FusionHealth(_)
-            | Message::RobotDescription(_)
-            | Message::LocalPosition { .. }
-            | Message::Attitude { .. }
-            | Message::EstimatorStatus(_)
-            | Message::ParamRequestList { .. }
-            | Message::ParamRequestRead { .. }
-            | Message::ParamSet { .. }
-            | Message::ParamSetUnsupported { .. }
-            | Message::ParamValue { .. } => [None, None],
+            _ => [None, None],
         }
     }
 

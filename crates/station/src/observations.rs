@@ -1,5 +1,6 @@
 //! Observations in messages: from a message to the robot's clock, estimator and publisher.
 
+use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
@@ -9,14 +10,12 @@ use posebridge_telemetry::{
 
 use crate::clock::align::Alignment;
 use crate::config::DescriptionPolicy;
-use crate::contested_messages::ContestedMessage;
-use crate::fix_assignment::robot_of_fix;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
 use crate::observers::ObserverAddress;
-use crate::receive::{CodecEvents, OwnedCodecEvent, ReceiveInfo, ReceivedMessage, TimeExchange};
+use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};
 use crate::robot::described_geometry;
-use crate::sender_identity::{MessageOrigin, RobotIndex, SenderIdentity};
+use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
 use crate::station::Station;
 use crate::thermometer_bank::TemperatureReading;
 
@@ -66,7 +65,7 @@ impl Station {
             && heartbeat.vehicle_type == MAV_TYPE_GCS
             && let Some(link) = self.links.get_mut(&received.endpoint.link)
         {
-            link.add_ground_station(received.endpoint.peer);
+            link.ground_stations.insert(received.endpoint.peer);
         }
         let origin = MessageOrigin {
             endpoint: received.endpoint,
@@ -163,22 +162,24 @@ impl Station {
         }
     }
 
-    /// Handles the output of a codec, then sends its requests.
-    pub(crate) fn handle_codec_events(&mut self, received: ReceiveInfo, events: CodecEvents) {
+    /// Handles the output of a codec, then sends its requests. No router handles its messages: only the station
+    /// understands the protocol.
+    pub(crate) fn handle_codec_events(&mut self, received: ReceiveInfo, events: Vec<CodecEvent<'static>>) {
         let link = received.endpoint.link;
-        for event in events.into_events() {
+        for event in events {
             match event {
-                OwnedCodecEvent::Message(source, message) => {
+                CodecEvent::Message { from: source, message } => {
                     let message = ReceivedMessage { source, duplicate_status: DuplicateStatus::New, message };
                     self.handle_message(received, &message);
                 }
-                OwnedCodecEvent::ClockReply { from, sent, peer_nanos } => {
+                CodecEvent::ClockReply { from, sent, peer_nanos } => {
                     self.handle_time_exchange(from, &TimeExchange { sent, answer: received, peer_nanos });
                 }
-                OwnedCodecEvent::StatusText { from: source, severity, text } => {
+                CodecEvent::StatusText { from: source, severity, text } => {
                     self.emit(Event::Text { source, severity, text });
                 }
-                OwnedCodecEvent::Error(error) => self.emit(Event::ReceiveError { link, defect: error }),
+                CodecEvent::Error(error) => self.emit(Event::ReceiveError { link, defect: error }),
+                CodecEvent::ForwardFrame(_) => {}
             }
         }
         self.transmitter().send_codec_output(link);
@@ -190,14 +191,12 @@ impl Station {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        if link.codec_deadline().is_none_or(|due| due > now) {
-            return;
-        }
-        let Some(codec) = &mut link.codec else {
+        let is_due = link.codec_deadline().is_some_and(|due| due <= now);
+        let Some(codec) = link.codec.as_mut().filter(|_| is_due) else {
             return;
         };
-        let mut events = CodecEvents::default();
-        codec.tick(now, &mut |event| events.push(event));
+        let mut events = Vec::new();
+        codec.tick(now, &mut |event| events.extend(owned(event)));
         self.handle_codec_events(ReceiveInfo::local(id, now), events);
     }
 
@@ -210,7 +209,9 @@ impl Station {
         tag: Option<u32>,
     ) -> ObservationExtractor {
         let unknown = ObservationExtractor::new(self.robots.config_for(&self.config, sender.home, sender.address));
-        let robot = robot_of_fix(&self.robots, &self.config, endpoint, sender.address, tag)
+        let robot = self
+            .robots
+            .of_fix(&self.config, endpoint, sender.address, tag)
             .map(|index| self.robots.get(index).extractor);
         ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
     }
@@ -330,7 +331,7 @@ impl Station {
     fn handle_relayed_fix(&mut self, received: ReceiveInfo, index: RobotIndex, observation: &UnalignedObservation) {
         let robot = self.robots.get(index);
         let source = robot.id.address;
-        let Some(time) = robot.clocks.align_relayed(observation.stamp) else {
+        let Some(time) = robot.clocks.aligner.nearest_instant(observation.stamp) else {
             return;
         };
         let aligned = Observation {
@@ -361,7 +362,7 @@ impl Station {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));
         }
-        let robot = robot_of_fix(&self.robots, &self.config, sender.received.endpoint, source, observation.tag);
+        let robot = self.robots.of_fix(&self.config, sender.received.endpoint, source, observation.tag);
         let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
             Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
         });
@@ -406,7 +407,7 @@ impl Station {
         self.emit(Event::ObservationAligned { robot, source, arrival, observation });
         let report = self.robots.get_mut(index).estimator.observe(&observation);
         if report.is_used {
-            self.robots.mark_changed(index);
+            self.robots.changed.insert(index);
         }
         if let ObservationKind::WallRange(range) = observation.measurement {
             let links = &self.links;
@@ -525,18 +526,14 @@ impl Station {
 
     /// Uses the queued temperatures, which are not urgent: they steer nothing.
     pub(crate) fn process_temperatures(&mut self) {
-        let Self { config, robots, outputs, .. } = self;
+        let Self { config, robots, outputs, thermometers, .. } = self;
         let config_of = |brick: RobotId| match robots.find(brick) {
             Some(index) => config.robot_config(robots.get(index).block),
             None => robots.config_for(config, brick.link, brick.address),
         };
-        self.thermometers.process(config_of, |event| outputs.emit(event));
-        if self.thermometers.take_limit_report() {
-            self.emit(Event::Text {
-                source: self.config.own_address,
-                severity: severity::WARNING,
-                text: "there are more thermometers than are followed; those heard last are left out".to_owned(),
-            });
+        if thermometers.process(config_of, |event| outputs.emit(event)) {
+            let text = "there are more thermometers than are followed; those heard last are left out".to_owned();
+            self.report_own_text(severity::WARNING, text);
         }
     }
 
@@ -551,7 +548,7 @@ impl Station {
         let now = self.time.now;
         let robot = self.robots.get_mut(index);
         let (id, wire_address) = (robot.id, robot.wire_address);
-        robot.estimator.restart_clock();
+        robot.estimator.filter.restart_clock();
         self.restart_thermometers(id);
         self.robots.get_mut(index).clocks.forget_gyro_turn();
         for link in self.links.keys() {

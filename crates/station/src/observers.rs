@@ -12,12 +12,11 @@ use posebridge_protocol::message::WireStamp;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, BrickClock, CameraClock, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
 
-use crate::clock::align::ClockAligner;
+use crate::clock::align::{ClockAligner, ExchangeOutcome};
 use crate::clock::unwrap::UnwrapOutcome;
-use crate::clock_alignment::{self, ExchangeOutcome};
 use crate::fix_requests::FixRequests;
 use crate::receive::{ReceiveInfo, TimeExchange};
-use crate::sender_identity::{HANDOVER, MAX_CONTENDERS};
+use crate::sender_identity::{HANDOVER, addresses_at, contender_entry};
 
 /// Most remembered observers; beyond it those that have been silent longest are forgotten, a quarter at a time.
 const MAX_OBSERVERS: usize = 1_024;
@@ -62,7 +61,6 @@ struct Contact {
     former: Option<PeerId>,
 }
 
-/// The sender of a message.
 enum ObserverIdentity<'a> {
     Known(&'a mut Observer),
     /// This one, or another one with the same ids.
@@ -120,8 +118,11 @@ impl Observers {
         sender: ObserverAddress,
         exchange: &TimeExchange,
     ) -> Option<ExchangeOutcome<CameraClock>> {
+        let ReceiveInfo { endpoint, host_time } = exchange.answer;
         match self.identify(sender, exchange.answer) {
-            ObserverIdentity::Known(observer) => Some(clock_alignment::observe_exchange(&mut observer.clock, exchange)),
+            ObserverIdentity::Known(observer) => {
+                Some(observer.clock.observe_exchange(endpoint, exchange.sent, host_time, exchange.peer_nanos))
+            }
             ObserverIdentity::Contested(_) => None,
         }
     }
@@ -138,25 +139,13 @@ impl Observers {
         received: ReceiveInfo,
         stamp: WireStamp,
     ) -> ObserverTime<(Timestamp<HostClock>, TimeDelta)> {
-        let identity = self.identify(sender, received);
         if let WireStamp::HostInterval { sent, answered } = stamp {
             let half = TimeDelta::from_nanos((answered - sent).as_nanos() / 2);
+            let observer = self.identify(sender, received).id();
             // The host's own instants need no clock of a sender.
-            return ObserverTime { time: Some((sent + half, half)), has_restarted: false, observer: identity.id() };
+            return ObserverTime { time: Some((sent + half, half)), has_restarted: false, observer };
         }
-        let observer = match identity {
-            ObserverIdentity::Known(observer) => observer,
-            ObserverIdentity::Contested(id) => return ObserverTime::none(id),
-        };
-        let outcome = observer.clock.observe_arrival(received.endpoint, stamp, received.host_time);
-        let (UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time)) = outcome else {
-            return ObserverTime::none(observer.id);
-        };
-        let time = observer.clock.host_at(time);
-        // A contradicted clock has no conversion, so that the caller reports it anyway.
-        observer.clock.take_contradiction();
-        let has_restarted = matches!(outcome, UnwrapOutcome::Restarted(_));
-        ObserverTime { time, has_restarted, observer: observer.id }
+        self.observe_arrival(sender, received, stamp, ClockAligner::host_at)
     }
 
     /// The instant of a timestamp on the clock of a brick that is no robot, or not yet. Nothing is converted with this
@@ -167,33 +156,43 @@ impl Observers {
         received: ReceiveInfo,
         stamp: WireStamp,
     ) -> ObserverTime<Timestamp<BrickClock>> {
-        let observer = match self.identify(sender, received) {
-            ObserverIdentity::Known(observer) => observer,
-            ObserverIdentity::Contested(id) => return ObserverTime::none(id),
-        };
         if matches!(stamp, WireStamp::HostInterval { .. }) {
+            let observer = self.identify(sender, received).id();
             // Without a clock of its own its replies have no instants; with one it is a robot.
-            return ObserverTime::none(observer.id);
+            return ObserverTime { time: None, has_restarted: false, observer };
         }
-        let outcome = observer.clock.observe_arrival(received.endpoint, stamp, received.host_time);
-        observer.clock.take_contradiction();
-        let (UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time)) = outcome else {
-            return ObserverTime::none(observer.id);
+        self.observe_arrival(sender, received, stamp, |_, time| Some(Timestamp::from_nanos(time.as_nanos())))
+    }
+
+    /// The result of `convert` for an observer's timestamp that arrived.
+    fn observe_arrival<T>(
+        &mut self,
+        sender: ObserverAddress,
+        received: ReceiveInfo,
+        stamp: WireStamp,
+        convert: impl Fn(&ClockAligner<CameraClock>, Timestamp<CameraClock>) -> Option<T>,
+    ) -> ObserverTime<T> {
+        let Observer { id, clock, .. } = match self.identify(sender, received) {
+            ObserverIdentity::Known(observer) => observer,
+            ObserverIdentity::Contested(observer) => {
+                return ObserverTime { time: None, has_restarted: false, observer };
+            }
         };
-        ObserverTime {
-            time: Some(Timestamp::from_nanos(time.as_nanos())),
-            has_restarted: matches!(outcome, UnwrapOutcome::Restarted(_)),
-            observer: observer.id,
-        }
+        let outcome = clock.observe_arrival(received.endpoint, stamp, received.host_time);
+        // A contradicted clock has no conversion, so that the caller reports it anyway.
+        clock.take_contradiction();
+        let time = match outcome {
+            UnwrapOutcome::Continued(time) | UnwrapOutcome::Restarted(time) => convert(clock, time),
+            UnwrapOutcome::Stale => None,
+        };
+        ObserverTime { time, has_restarted: matches!(outcome, UnwrapOutcome::Restarted(_)), observer: *id }
     }
 
     /// Records that a peer is another one than `others` of its link: so are the observers at it that have the ids of
     /// those at `others`. Returns the addresses that are distinguished by it.
     pub(crate) fn distinguish(&mut self, received: ReceiveInfo, home: LinkId, others: &[PeerId]) -> Vec<Address> {
         let endpoint = received.endpoint;
-        let first = (endpoint, Address::new(0, 0));
-        let last = (endpoint, Address::new(u8::MAX, u8::MAX));
-        let contenders = self.contenders.range(first..=last).map(|((_, address), _)| *address);
+        let contenders = self.contenders.range(addresses_at(endpoint)).map(|((_, address), _)| *address);
         let is_other = |observer: &Observer| {
             observer.contacts.get(&endpoint.link).is_some_and(|contact| others.contains(&contact.peer))
         };
@@ -234,10 +233,7 @@ impl Observers {
                     self.add(sender, host_time)
                 }
                 PeerClass::Contested(id) => {
-                    if self.contenders.len() >= MAX_CONTENDERS && !self.contenders.contains_key(&contender) {
-                        self.contenders.clear();
-                    }
-                    self.contenders.entry(contender).or_insert(host_time);
+                    contender_entry(&mut self.contenders, contender).or_insert(host_time);
                     return ObserverIdentity::Contested(id);
                 }
             },
@@ -299,12 +295,6 @@ impl ObserverIdentity<'_> {
             Self::Known(observer) => observer.id,
             Self::Contested(id) => *id,
         }
-    }
-}
-
-impl<T> ObserverTime<T> {
-    const fn none(observer: ObserverId) -> Self {
-        Self { time: None, has_restarted: false, observer }
     }
 }
 

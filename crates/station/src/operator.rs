@@ -5,7 +5,6 @@ use posebridge_telemetry::{Command, LinkId, SimulatorCommand};
 
 use crate::sender_identity::RobotIndex;
 
-/// Operator settings that stay in effect until they are changed.
 pub(crate) struct OperatorState {
     /// The tunables that were saved last, or those of the start.
     pub(crate) saved_params: Params,

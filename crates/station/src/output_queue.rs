@@ -6,17 +6,17 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{Event, LinkId, Output};
 
-use crate::forwarding::ForwardingReport;
+use crate::receive_pass::ForwardingReport;
 
 /// Outputs, oldest first.
 #[derive(Debug, Default)]
 pub(crate) struct OutputQueue {
     own: VecDeque<Output>,
-    forwarded: VecDeque<Output>,
+    pub(crate) forwarded: VecDeque<Output>,
     /// Frames of this input to count and to forward after the station's own output.
-    reports: Vec<(LinkId, ForwardingReport)>,
+    pub(crate) reports: Vec<(LinkId, ForwardingReport)>,
     /// Deferred work is left for the last input.
-    is_unfinished: bool,
+    pub(crate) is_unfinished: bool,
 }
 
 impl OutputQueue {
@@ -29,29 +29,6 @@ impl OutputQueue {
     #[inline]
     pub(crate) fn emit(&mut self, event: Event) {
         self.push(Output::Event(event));
-    }
-
-    pub(crate) fn push_forwarded(&mut self, output: Output) {
-        self.forwarded.push_back(output);
-    }
-
-    pub(crate) fn push_report(&mut self, link: LinkId, report: ForwardingReport) {
-        if report.has_content() {
-            self.reports.push((link, report));
-        }
-    }
-
-    pub(crate) fn take_reports(&mut self) -> Vec<(LinkId, ForwardingReport)> {
-        std::mem::take(&mut self.reports)
-    }
-
-    pub(crate) const fn set_unfinished(&mut self) {
-        self.is_unfinished = true;
-    }
-
-    /// Whether deferred work was left; clears the mark.
-    pub(crate) const fn take_unfinished(&mut self) -> bool {
-        std::mem::replace(&mut self.is_unfinished, false)
     }
 
     pub(crate) fn has_no_own(&self) -> bool {
@@ -77,7 +54,7 @@ mod tests {
         let mut queue = OutputQueue::default();
         assert!(queue.pop().is_none());
         for number in 0..3 {
-            queue.push_forwarded(Output::Event(event(10 + number)));
+            queue.forwarded.push_back(Output::Event(event(10 + number)));
             queue.emit(event(number));
         }
         assert!(!queue.has_no_own());

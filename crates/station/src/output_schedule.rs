@@ -5,44 +5,19 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{FusionOutcome, FusionRecord, HostClock, Priority, SensorId, TimeDelta, Timestamp};
+use posebridge_telemetry::{FusionRecord, HostClock, Priority, SensorId, TimeDelta, Timestamp};
 
-use crate::config::{OutputInstant, OutputKind, OutputStream};
+use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputStream};
 use crate::estimate_messages;
 
-/// The messages whose interval a peer may set with SET_MESSAGE_INTERVAL, for its own link.
-pub(crate) const SETTABLE_OUTPUTS: [(u32, OutputKind); 9] = [
-    (ids::PB_PLANAR_POSE, OutputKind::PlanarPose),
-    (ids::ODOMETRY, OutputKind::Odometry),
-    (ids::LOCAL_POSITION_NED, OutputKind::LocalPosition),
-    (ids::ATTITUDE, OutputKind::Attitude),
-    (ids::ESTIMATOR_STATUS, OutputKind::EstimatorStatus),
-    (ids::PB_FUSION_HEALTH, OutputKind::FusionHealth),
-    (ids::DISTANCE_SENSOR, OutputKind::DistanceSensor),
-    (ids::NAMED_VALUE_FLOAT, OutputKind::NamedValue),
-    (ids::DEBUG_FLOAT_ARRAY, OutputKind::FloatArray),
-];
-
-/// `None` if no output has this message.
-pub(crate) fn output_for_message(message_id: u32) -> Option<OutputKind> {
-    let row = SETTABLE_OUTPUTS.iter().find(|(id, _)| *id == message_id);
-    row.map(|(_, kind)| *kind)
-}
-
-pub(crate) fn message_for_output(kind: OutputKind) -> u32 {
-    let row = SETTABLE_OUTPUTS.iter().find(|(_, known)| *known == kind);
-    row.map_or(0, |(id, _)| *id)
-}
-
 pub(crate) fn priority(kind: OutputKind) -> Priority {
-    Priority::Estimate { stream: message_for_output(kind) }
+    Priority::Estimate { stream: kind.message_id() }
 }
 
 /// The priority of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
 pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
-    Priority::Estimate { stream: message_for_output(kind) | u32::from(sensor.0) << 24 }
+    Priority::Estimate { stream: kind.message_id() | u32::from(sensor.0) << 24 }
 }
 
 /// When a stream was last sent, and when it is due.
@@ -69,6 +44,7 @@ impl StreamSchedule {
 /// Keeps the intervals of one link's outputs.
 #[derive(Clone, Debug)]
 pub(crate) struct OutputSchedule {
+    pub(crate) announced_as: AnnouncedAs,
     /// The intervals unless a peer requests others.
     configured: Vec<OutputStream>,
     streams: Vec<OutputStream>,
@@ -79,10 +55,12 @@ pub(crate) struct OutputSchedule {
 }
 
 impl OutputSchedule {
-    pub(crate) fn new(streams: &[OutputStream]) -> Self {
+    pub(crate) fn new(link: &LinkConfig) -> Self {
         Self {
-            configured: streams.to_vec(),
-            streams: streams.to_vec(),
+            // A link without MAVLink shows no vehicle.
+            announced_as: if link.brick.is_none() { link.announced_as } else { AnnouncedAs::Station },
+            configured: link.outputs.clone(),
+            streams: link.outputs.clone(),
             schedules: BTreeMap::new(),
             counts: BTreeMap::new(),
         }
@@ -90,7 +68,7 @@ impl OutputSchedule {
 
     /// Sets the interval that a peer requests: another one, none, or (zero) the configured one.
     pub(crate) fn set_interval(&mut self, message_id: u32, interval: Option<TimeDelta>) {
-        let Some(kind) = output_for_message(message_id) else {
+        let Some(kind) = OutputKind::of_message(message_id) else {
             return;
         };
         let configured = self.configured.iter().find(|stream| stream.kind == kind);
@@ -195,40 +173,19 @@ impl OutputKind {
     }
 }
 
-impl estimate_messages::FusionCounts {
-    const fn add(&mut self, verdict: FusionOutcome) {
-        match verdict {
-            FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset | FusionOutcome::Rebased => {
-                self.accepted = self.accepted.wrapping_add(1);
-            }
-            FusionOutcome::Gated | FusionOutcome::TooOld | FusionOutcome::Malformed => {
-                self.rejected = self.rejected.wrapping_add(1);
-            }
-            FusionOutcome::Unused => {}
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::OUTPUTS;
-
-    #[test]
-    fn every_output_has_one_message_whose_interval_may_be_set() {
-        for (name, kind) in OUTPUTS {
-            assert_eq!(output_for_message(message_for_output(*kind)), Some(*kind), "{name}");
-        }
-        assert_eq!(OUTPUTS.len(), SETTABLE_OUTPUTS.len());
-    }
+    use crate::test_config::{LINK, at, link};
+    use posebridge_protocol::dialect::ids;
 
     fn odometry(interval_ms: i64) -> OutputStream {
         let interval = TimeDelta::from_millis(interval_ms);
         OutputStream { kind: OutputKind::Odometry, interval, instant: OutputInstant::Observed }
     }
 
-    fn at(millis: i64) -> Timestamp<HostClock> {
-        Timestamp::from_millis(millis)
+    fn schedule_of(outputs: &[OutputStream]) -> OutputSchedule {
+        OutputSchedule::new(&link(LINK, outputs.to_vec()))
     }
 
     /// Estimates come at the instants of telemetry, which are no multiples of a requested interval, and with the delays of a link.
@@ -238,7 +195,7 @@ mod tests {
         const LATE: [i64; 10] = [0, 9, 3, 18, 1, 7, 0, 12, 5, 2];
         for period in [20, 50] {
             for interval_ms in [50, 100, 250, 333, 1_000] {
-                let mut schedule = OutputSchedule::new(&[odometry(interval_ms)]);
+                let mut schedule = schedule_of(&[odometry(interval_ms)]);
                 let estimates = (0..60_000 / period).map(|n| n * period + LATE[n as usize % 10]);
                 let sent = estimates.filter(|now| schedule.due(at(*now)).count() == 1);
                 let (sent, expected) = (sent.count() as i64, 60_000 / interval_ms);
@@ -253,7 +210,7 @@ mod tests {
     #[test]
     fn one_missed_message_is_made_up_for_and_two_are_not() {
         for (late, then_due) in [(299, 300), (300, 400)] {
-            let mut schedule = OutputSchedule::new(&[odometry(100)]);
+            let mut schedule = schedule_of(&[odometry(100)]);
             assert_eq!(schedule.due(at(0)).count(), 1);
             assert_eq!(schedule.due(at(late)).count(), 1);
             let next = (late + 1..1_000).find(|now| schedule.due(at(*now)).count() == 1);
@@ -264,7 +221,7 @@ mod tests {
     #[test]
     fn a_requested_interval_of_zero_restores_the_configured_one() {
         let pose = OutputStream { kind: OutputKind::PlanarPose, ..odometry(40) };
-        let mut schedule = OutputSchedule::new(&[pose, odometry(100)]);
+        let mut schedule = schedule_of(&[pose, odometry(100)]);
         schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::from_millis(500)));
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 500_000);
         schedule.set_interval(ids::ODOMETRY, Some(TimeDelta::ZERO));
@@ -275,18 +232,9 @@ mod tests {
     }
 
     #[test]
-    fn a_silence_is_not_made_up_for() {
-        let mut schedule = OutputSchedule::new(&[odometry(100)]);
-        let silent_until = (0..500).step_by(50).chain((10_000..11_000).step_by(50));
-        let sent: Vec<i64> = silent_until.filter(|now| schedule.due(at(*now)).count() == 1).collect();
-        let expected = (0..500).step_by(100).chain((10_000..11_000).step_by(100));
-        assert_eq!(sent, expected.collect::<Vec<_>>());
-    }
-
-    #[test]
     fn the_reported_interval_is_the_actual_one() {
         let stream = odometry(0);
-        let mut schedule = OutputSchedule::new(&[stream]);
+        let mut schedule = schedule_of(&[stream]);
         assert_eq!(schedule.interval_micros(OutputKind::Attitude), -1);
         assert_eq!(schedule.interval_micros(OutputKind::Odometry), 1);
         assert!(schedule.due(at(0)).eq([stream]));

@@ -116,7 +116,6 @@ impl PeerFramers {
         self.present.keys().copied().collect()
     }
 
-    /// Forgets peers that have been silent for long and returns them.
     pub(crate) fn evict_idle(&mut self, now: Timestamp<HostClock>) -> Vec<PeerId> {
         let silent = self.present.iter().filter(|(_, peer)| now - peer.last_seen > IDLE_TIMEOUT);
         let silent: Vec<PeerId> = silent.map(|(id, _)| *id).collect();
@@ -171,6 +170,7 @@ impl PeerFramers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_config::at;
     use posebridge_protocol::dialect::Encoder;
     use posebridge_protocol::framing::WireVersion;
     use posebridge_protocol::message::{Heartbeat, Message};
@@ -178,10 +178,6 @@ mod tests {
 
     const BEAT: Message =
         Message::Heartbeat(Heartbeat { vehicle_type: 10, autopilot: 8, base_mode: 0, system_status: 4 });
-
-    fn at(millis: i64) -> Timestamp<HostClock> {
-        Timestamp::from_millis(millis)
-    }
 
     fn frame() -> Vec<u8> {
         let mut bytes = Vec::new();

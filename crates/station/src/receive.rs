@@ -3,7 +3,7 @@
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
-use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, ReceiveError, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Timestamp};
 
 /// The endpoint and arrival of received data.
 #[derive(Clone, Copy, Debug)]
@@ -35,32 +35,14 @@ pub(crate) struct TimeExchange {
     pub(crate) peer_nanos: i64,
 }
 
-/// The output of a codec for one input, in order. No router handles its messages: only the station understands the
-/// protocol.
-#[derive(Debug, Default)]
-pub(crate) struct CodecEvents(Vec<OwnedCodecEvent>);
-
-#[derive(Debug)]
-pub(crate) enum OwnedCodecEvent {
-    Message(Address, Message),
-    ClockReply { from: Address, sent: Timestamp<HostClock>, peer_nanos: i64 },
-    StatusText { from: Address, severity: u8, text: String },
-    Error(ReceiveError),
-}
-
-impl CodecEvents {
-    pub(crate) fn push(&mut self, event: CodecEvent<'_>) {
-        self.0.push(match event {
-            CodecEvent::Message { from, message } => OwnedCodecEvent::Message(from, message),
-            CodecEvent::ClockReply { from, sent, peer_nanos } => OwnedCodecEvent::ClockReply { from, sent, peer_nanos },
-            CodecEvent::StatusText { from, severity, text } => OwnedCodecEvent::StatusText { from, severity, text },
-            // MAVLink frames inside another protocol that mean nothing here; there is no peer to forward them to.
-            CodecEvent::ForwardFrame(_) => return,
-            CodecEvent::Error(error) => OwnedCodecEvent::Error(error),
-        });
-    }
-
-    pub(crate) fn into_events(self) -> impl Iterator<Item = OwnedCodecEvent> {
-        self.0.into_iter()
-    }
+/// An event that outlives the codec's input; `None` for a MAVLink frame inside another protocol that means nothing here:
+/// there is no peer to forward it to.
+pub(crate) fn owned(event: CodecEvent<'_>) -> Option<CodecEvent<'static>> {
+    Some(match event {
+        CodecEvent::Message { from, message } => CodecEvent::Message { from, message },
+        CodecEvent::ClockReply { from, sent, peer_nanos } => CodecEvent::ClockReply { from, sent, peer_nanos },
+        CodecEvent::StatusText { from, severity, text } => CodecEvent::StatusText { from, severity, text },
+        CodecEvent::ForwardFrame(_) => return None,
+        CodecEvent::Error(error) => CodecEvent::Error(error),
+    })
 }

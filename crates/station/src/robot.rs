@@ -84,26 +84,26 @@ impl Robot {
     }
 
     pub fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.estimator.estimate_at(time)
+        self.estimator.filter.estimate_at(time)
     }
 
     /// The latest instant of any observation.
     pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
-        self.estimator.latest_time()
+        self.estimator.filter.latest_time()
     }
 
     /// The learned constants, relative to [`Self::geometry`].
     pub fn calibration(&self) -> Option<Calibration> {
-        self.estimator.calibration()
+        self.estimator.filter.calibration()
     }
 
     /// The filter's nominal geometry: the configured one, or the one that the robot has described.
     pub const fn geometry(&self) -> DriveGeometry {
-        self.estimator.geometry()
+        self.estimator.config.geometry
     }
 
     pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
-        self.estimator.switched_off()
+        self.estimator.switched_off.iter().copied()
     }
 
     /// Whether ground stations see it under another system than that of its own frames.
@@ -142,7 +142,7 @@ impl Robot {
 
     pub(crate) fn set_described_geometry(&mut self, geometry: DriveGeometry) {
         self.is_described = true;
-        if geometry != self.estimator.geometry() {
+        if geometry != self.estimator.config.geometry {
             self.extractor.geometry = geometry;
             self.estimator.set_geometry(geometry);
         }

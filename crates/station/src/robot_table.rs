@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_estimator::{FilterEntry, find_filter};
+use posebridge_estimator::{FilterCommand, FilterEntry, find_filter};
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{
     Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
@@ -10,19 +10,18 @@ use posebridge_telemetry::{
 };
 
 use crate::clock_alignment::ClockAlignment;
-use crate::config::{RobotBlockIndex, RobotConfig, StationConfig};
-use crate::contested_messages::ContestedMessages;
+use crate::config::{OutputKind, RobotBlockIndex, RobotConfig, StationConfig};
 use crate::estimator::Estimator;
 use crate::observers::{ObserverAddress, Observers};
-use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
-use crate::sender_identity::{MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities};
+use crate::sender_identity::{ContestedMessages, MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities, only_one};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
 /// Systems up to this one are given to robots whose own is taken; those above are for ground stations.
 const LAST_VEHICLE_SYSTEM: u8 = 250;
 
 /// All robots. There is always a first one: before any is detected it takes the input of a replay or a person.
+#[derive(Default)]
 pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
@@ -30,8 +29,6 @@ pub(crate) struct RobotTable {
     /// Messages of senders that may be robots or cameras with the ids of others.
     pub(crate) contested: ContestedMessages,
     blocks: RobotBlockIndex,
-    by_system: BTreeMap<SystemId, Vec<RobotIndex>>,
-    by_tag: BTreeMap<u32, Vec<RobotIndex>>,
     /// Systems that ground stations have seen, as vehicles or in ids.
     used_systems: BTreeSet<SystemId>,
     /// Robots that ground stations see under another system than that of their own frames, by the announced system.
@@ -41,25 +38,24 @@ pub(crate) struct RobotTable {
     /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know
     /// only addresses and do not detect the loss of one.
     robots_with_shared_address: BTreeMap<RobotIndex, bool>,
-    /// Whether a robot beyond the limit was reported.
     has_refused: bool,
     has_reported_refusal: bool,
-    /// Settings for all robots, also for those that appear later.
-    settings: CommonSettings,
-    /// Robots with new data since their last estimate, in the order of the table.
-    changed: OrderedQueue,
+    pub(crate) settings: CommonSettings,
+    /// Robots with new data since their last estimate.
+    pub(crate) changed: OrderedQueue,
     /// Robots whose estimate was not yet sent to the other links.
-    pending: OrderedQueue,
+    pub(crate) pending: OrderedQueue,
     /// Intervals that peers requested, also for robots that appear later.
     intervals: Vec<(LinkId, u32, Option<TimeDelta>)>,
     /// Before this instant no robot can time out.
     presence_until: Option<Timestamp<HostClock>>,
 }
 
+/// Settings for all robots, also for those that appear later.
 #[derive(Debug, Default)]
-struct CommonSettings {
-    online_calibration: Option<OnlineCalibration>,
-    sensors: BTreeMap<SensorId, SensorSwitch>,
+pub(crate) struct CommonSettings {
+    pub(crate) online_calibration: Option<OnlineCalibration>,
+    pub(crate) sensors: BTreeMap<SensorId, SensorSwitch>,
     /// The start pose of the first robot before it is detected.
     first_pose: Option<StartPose>,
 }
@@ -67,13 +63,13 @@ struct CommonSettings {
 impl CommonSettings {
     fn apply(&mut self, estimator: &mut Estimator) {
         if let Some(online_calibration) = self.online_calibration {
-            estimator.set_online_calibration(online_calibration);
+            estimator.apply(&FilterCommand::SetOnlineCalibration(online_calibration));
         }
         for (sensor, switch) in &self.sensors {
             estimator.switch_sensor(*sensor, *switch);
         }
         if let Some(pose) = self.first_pose.take() {
-            estimator.set_pose(&pose);
+            estimator.filter.set_pose(&pose);
         }
     }
 }
@@ -82,23 +78,8 @@ impl RobotTable {
     pub(crate) fn new(entry: &'static FilterEntry, config: &StationConfig) -> Self {
         Self {
             robots: vec![Robot::new(entry, &config.robot, &config.links)],
-            by_id: BTreeMap::new(),
-            identities: SenderIdentities::default(),
-            contested: ContestedMessages::default(),
             blocks: RobotBlockIndex::new(&config.robots),
-            by_system: BTreeMap::new(),
-            by_tag: BTreeMap::new(),
-            used_systems: BTreeSet::new(),
-            renamed: BTreeMap::new(),
-            by_link: BTreeMap::new(),
-            robots_with_shared_address: BTreeMap::new(),
-            has_refused: false,
-            has_reported_refusal: false,
-            settings: CommonSettings::default(),
-            changed: OrderedQueue::default(),
-            pending: OrderedQueue::default(),
-            intervals: Vec::new(),
-            presence_until: None,
+            ..Self::default()
         }
     }
 
@@ -135,18 +116,34 @@ impl RobotTable {
         self.by_id.len()
     }
 
-    pub(crate) fn only(&self) -> Option<RobotIndex> {
-        (self.len() == 1).then_some(0)
+    /// The robot for which a condition holds; `None` if there is none or more than one.
+    fn only(&self, is_it: impl Fn(&Robot) -> bool) -> Option<RobotIndex> {
+        only_one((0..self.len()).filter(|index| is_it(self.get(*index))))
     }
 
-    /// The robot of a system; `None` if there is none or more than one.
-    pub(crate) fn of_system(&self, system: SystemId) -> Option<RobotIndex> {
-        only_one(self.by_system.get(&system)?)
-    }
-
-    /// The robot of a tag; `None` if there is none or more than one.
-    pub(crate) fn of_tag(&self, tag: u32) -> Option<RobotIndex> {
-        only_one(self.by_tag.get(&tag)?)
+    /// The robot of a camera's fix; `None` if that is ambiguous, or if the robot is not known yet.
+    ///
+    /// A fix of a tag that the configuration assigns to a robot is for that robot. Any other is for the only robot on
+    /// its sender's endpoint, else for the only robot at all, else for the only one in its sender's system, unless that
+    /// one has another tag.
+    pub(crate) fn of_fix(
+        &self,
+        config: &StationConfig,
+        endpoint: Endpoint,
+        sender: Address,
+        tag: Option<u32>,
+    ) -> Option<RobotIndex> {
+        let in_system = |robot: &Robot| robot.wire_address.system == sender.system;
+        let nearest =
+            || self.identities.only_at(endpoint).or_else(|| self.only(|_| true)).or_else(|| self.only(in_system));
+        let Some(tag) = tag else {
+            return nearest();
+        };
+        let mut configured = config.robots.iter().map(|block| &block.robot).chain([&config.robot]);
+        if configured.any(|robot| robot.tag == Some(tag)) {
+            return self.only(|robot| robot.tag == Some(tag));
+        }
+        nearest().filter(|index| self.get(*index).tag.is_none())
     }
 
     /// The address under which ground stations see the sender at an endpoint; `None` if that is its own.
@@ -212,7 +209,7 @@ impl RobotTable {
         if index == self.robots.len() || *robot_config != config.robot {
             let entry = find_filter(&robot_config.filter)?;
             let mut robot = Robot::new(entry, robot_config, &config.links);
-            robot.estimator.set_params(config.robot.filter_config.params);
+            robot.estimator.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
             self.settings.apply(&mut robot.estimator);
             for (link, message_id, interval) in &self.intervals {
                 robot.publisher.set_interval(*link, *message_id, *interval);
@@ -229,14 +226,10 @@ impl RobotTable {
         self.identities.add(now, origin);
         self.by_id.insert(id, index);
         self.by_link.entry(id.link).or_default().push(index);
-        self.by_system.entry(address.system).or_default().push(index);
         self.used_systems.extend([id.address.system, vehicle_address.system]);
         let robot = &mut self.robots[index];
         robot.id = id;
         robot.block = block;
-        if let Some(tag) = robot.tag {
-            self.by_tag.entry(tag).or_default().push(index);
-        }
         robot.wire_address = address;
         robot.vehicle_address = vehicle_address;
         if robot.is_renamed() {
@@ -354,7 +347,7 @@ impl RobotTable {
             self.robots[index].publisher.set_interval(link, message_id, interval);
             return;
         }
-        if output_for_message(message_id).is_none() {
+        if OutputKind::of_message(message_id).is_none() {
             return;
         }
         self.intervals.retain(|(of_link, of_message, _)| (*of_link, *of_message) != (link, message_id));
@@ -364,62 +357,27 @@ impl RobotTable {
         }
     }
 
-    /// Enables or disables online calibration for all robots, also for those that appear later.
-    pub(crate) const fn keep_online_calibration(&mut self, online_calibration: OnlineCalibration) {
-        self.settings.online_calibration = Some(online_calibration);
-    }
-
-    /// Switches a sensor on or off for all robots, also for those that appear later.
-    pub(crate) fn keep_sensor_switch(&mut self, sensor: SensorId, switch: SensorSwitch) {
-        self.settings.sensors.insert(sensor, switch);
-    }
-
     /// Sets or forgets the pose of the first robot; before one is detected that applies to the first one that will be.
     pub(crate) fn keep_first_pose(&mut self, pose: Option<StartPose>) {
         if self.len() == 0 {
             self.settings.first_pose = pose;
         }
     }
-
-    pub(crate) fn mark_changed(&mut self, index: RobotIndex) {
-        self.changed.insert(index);
-    }
-
-    pub(crate) fn pop_changed(&mut self) -> Option<RobotIndex> {
-        self.changed.pop_first()
-    }
-
-    /// A robot was sent its estimate, and the other links were not.
-    pub(crate) fn mark_pending(&mut self, index: RobotIndex) {
-        self.pending.insert(index);
-    }
-
-    /// The next robot whose estimate was not yet sent to the other links.
-    pub(crate) fn pop_pending(&mut self) -> Option<RobotIndex> {
-        self.pending.pop_first()
-    }
 }
 
 /// Robots in the order of their table, each once. Usually holds one, for the duration of an input; it keeps its memory.
 #[derive(Debug, Default)]
-struct OrderedQueue(VecDeque<RobotIndex>);
+pub(crate) struct OrderedQueue(VecDeque<RobotIndex>);
 
 impl OrderedQueue {
-    fn insert(&mut self, index: RobotIndex) {
+    pub(crate) fn insert(&mut self, index: RobotIndex) {
         if let Err(position) = self.0.binary_search(&index) {
             self.0.insert(position, index);
         }
     }
 
-    fn pop_first(&mut self) -> Option<RobotIndex> {
+    pub(crate) fn pop_first(&mut self) -> Option<RobotIndex> {
         self.0.pop_front()
-    }
-}
-
-fn only_one(robots: &[RobotIndex]) -> Option<RobotIndex> {
-    match robots {
-        [index] => Some(*index),
-        _ => None,
     }
 }
 
@@ -427,7 +385,7 @@ fn only_one(robots: &[RobotIndex]) -> Option<RobotIndex> {
 mod tests {
     use super::*;
     use crate::config::{RobotBlock, RobotMatch};
-    use crate::test_config::station_config;
+    use crate::test_config::config;
     use posebridge_telemetry::PeerId;
 
     const HOME: LinkId = LinkId(0);
@@ -446,7 +404,7 @@ mod tests {
 
     #[test]
     fn each_robot_is_announced_under_a_system_of_its_own() {
-        let config = StationConfig { own_address: Address::new(3, 190), ..station_config() };
+        let config = StationConfig { own_address: Address::new(3, 190), ..config() };
         let addresses =
             [(1, 1), (1, 2), (2, 1), (1, 1), (4, 7)].map(|(system, component)| Address::new(system, component));
         let table = table_of(&config, &addresses);
@@ -455,21 +413,31 @@ mod tests {
         assert_eq!(announced, [1, 2, 4, 5, 6]);
         let ids: Vec<Address> = table.detected().iter().map(|robot| robot.id.address).collect();
         assert_eq!(ids, [(1, 1), (1, 2), (2, 1), (5, 1), (4, 7)].map(|(system, id)| Address::new(system, id)));
-        assert_eq!(table.of_system(SystemId(1)), None, "there are two");
-        assert_eq!(table.of_system(SystemId(2)), Some(2));
+        let elsewhere = Endpoint { link: LinkId(9), peer: PeerId(0) };
+        let in_system = |system| table.of_fix(&config, elsewhere, Address::new(system, 100), None);
+        assert_eq!([1, 2].map(in_system), [None, Some(2)], "there are two in the first");
     }
 
     #[test]
-    fn a_tag_names_the_robot_that_has_it_alone() {
-        let mut config = station_config();
+    fn a_fix_of_a_tag_is_for_the_robot_that_has_it_alone() {
+        let mut config = config();
         for (system, tag) in [(1, 7), (2, 8), (3, 7)] {
             let matches = RobotMatch { system: Some(SystemId(system)), ..RobotMatch::default() };
             let robot = RobotConfig { tag: Some(tag), ..config.robot.clone() };
             config.robots.push(RobotBlock { matches, robot });
         }
         let robots = [1, 2, 3].map(|system| Address::new(system, 1));
-        assert_eq!(table_of(&config, &robots[..2]).of_tag(7), Some(0));
-        let table = table_of(&config, &robots);
-        assert_eq!((table.of_tag(7), table.of_tag(8), table.of_tag(9)), (None, Some(1), None));
+        // No robot has tag 9. Beside one robot a fix without a tag is for that robot.
+        for (received, of_none, expected) in [
+            (1, Some(0), [Some(0), None, None]),
+            (2, Some(0), [Some(0), Some(1), None]),
+            (3, Some(0), [None, Some(1), None]),
+        ] {
+            let table = table_of(&config, &robots[..received]);
+            let of_fix =
+                |tag| table.of_fix(&config, Endpoint { link: HOME, peer: PeerId(0) }, Address::new(9, 100), tag);
+            assert_eq!(of_fix(None), of_none, "{received}");
+            assert_eq!([7, 8, 9].map(|tag| of_fix(Some(tag))), expected, "{received}");
+        }
     }
 }

@@ -8,12 +8,19 @@
 //! - its frames came round a loop: the same telemetry was received from both endpoints, which the router notices;
 //! - it is another robot with the same ids: both go on, with telemetry of their own; or, on another link, the robot there is off.
 //!
-//! Until that is decided, the telemetry of the new peer is not used.
+//! Until that is decided, the messages of the new peer are kept and not used. Otherwise a robot with the ids of another would lose its
+//! first messages, and one that reconnected those until the old peer counts as silent.
 
-use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::RangeInclusive;
 
+use posebridge_protocol::message::Message;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, TimeDelta, Timestamp};
+
+use crate::observation_extractor::UnalignedObservation;
+use crate::receive::{ReceiveInfo, TimeExchange};
 
 /// Index in the [`RobotTable`](crate::robot_table::RobotTable).
 pub(crate) type RobotIndex = usize;
@@ -29,7 +36,60 @@ const LATEST_HANDOVER: TimeDelta = TimeDelta::from_millis(2_500);
 /// How long telemetry from a loop shows that an address is received from several endpoints.
 const LOOP_MEMORY: TimeDelta = TimeDelta::from_millis(15_000);
 /// Most undecided senders.
-pub(crate) const MAX_CONTENDERS: usize = 256;
+const MAX_CONTENDERS: usize = 256;
+/// Most messages kept of one of them: half a second of one that sends 100 messages a second and replies to time requests. The
+/// oldest are dropped first.
+const MAX_PER_SENDER: usize = 64;
+
+/// A message of an undecided sender, kept until it is known: see also [`crate::observers`].
+#[derive(Debug)]
+pub(crate) enum ContestedMessage {
+    /// May be from a robot.
+    Message(ReceiveInfo, Message),
+    Fix(ReceiveInfo, UnalignedObservation),
+    TimeExchange(TimeExchange),
+}
+
+/// Messages of all such senders, in order of arrival for each.
+#[derive(Debug, Default)]
+pub(crate) struct ContestedMessages(BTreeMap<(Endpoint, Address), VecDeque<ContestedMessage>>);
+
+impl ContestedMessages {
+    pub(crate) fn push(&mut self, endpoint: Endpoint, address: Address, message: ContestedMessage) {
+        let messages = contender_entry(&mut self.0, (endpoint, address)).or_default();
+        if messages.len() >= MAX_PER_SENDER {
+            messages.pop_front();
+        }
+        messages.push_back(message);
+    }
+
+    /// The messages of a sender that is now known, oldest first.
+    pub(crate) fn take(&mut self, endpoint: Endpoint, address: Address) -> VecDeque<ContestedMessage> {
+        if self.0.is_empty() {
+            return VecDeque::new();
+        }
+        self.0.remove(&(endpoint, address)).unwrap_or_default()
+    }
+}
+
+/// The entry of an undecided sender. A new one beyond the limit clears all others, which may be invented.
+pub(crate) fn contender_entry<K: Ord, V>(contenders: &mut BTreeMap<K, V>, sender: K) -> Entry<'_, K, V> {
+    if contenders.len() >= MAX_CONTENDERS && !contenders.contains_key(&sender) {
+        contenders.clear();
+    }
+    contenders.entry(sender)
+}
+
+/// `None` if there are several.
+pub(crate) fn only_one(mut robots: impl Iterator<Item = RobotIndex>) -> Option<RobotIndex> {
+    let only = robots.next();
+    only.filter(|_| robots.next().is_none())
+}
+
+/// All addresses at an endpoint.
+pub(crate) fn addresses_at(endpoint: Endpoint) -> RangeInclusive<(Endpoint, Address)> {
+    (endpoint, Address::new(0, 0))..=(endpoint, Address::new(u8::MAX, u8::MAX))
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SenderIdentity {
@@ -60,7 +120,7 @@ pub(crate) struct SenderIdentities {
     by_address: BTreeMap<Address, Vec<RobotIndex>>,
     by_endpoint: BTreeMap<(Endpoint, Address), RobotIndex>,
     /// When an undecided sender was first received.
-    contenders: BTreeMap<(LinkId, PeerId, Address), Timestamp<HostClock>>,
+    contenders: BTreeMap<(Endpoint, Address), Timestamp<HostClock>>,
     /// Until when an address counts as received from several endpoints.
     looped_until: BTreeMap<Address, Timestamp<HostClock>>,
 }
@@ -99,7 +159,7 @@ impl SenderIdentities {
     pub(crate) fn add(&mut self, now: Timestamp<HostClock>, origin: MessageOrigin) {
         let MessageOrigin { endpoint, home, address, .. } = origin;
         let robot = self.senders.len();
-        self.contenders.remove(&(endpoint.link, endpoint.peer, address));
+        self.contenders.remove(&(endpoint, address));
         self.senders.push(KnownSender::new(endpoint, home, now));
         self.by_address.entry(address).or_default().push(robot);
         self.by_endpoint.insert((endpoint, address), robot);
@@ -107,11 +167,7 @@ impl SenderIdentities {
 
     /// The only robot at an endpoint, with any address.
     pub(crate) fn only_at(&self, endpoint: Endpoint) -> Option<RobotIndex> {
-        let first = (endpoint, Address::new(0, 0));
-        let last = (endpoint, Address::new(u8::MAX, u8::MAX));
-        let mut robots = self.by_endpoint.range(first..=last).map(|(_, robot)| *robot);
-        let only = robots.next();
-        only.filter(|_| robots.next().is_none())
+        only_one(self.by_endpoint.range(addresses_at(endpoint)).map(|(_, robot)| *robot))
     }
 
     pub(crate) fn at_endpoint(&self, endpoint: Endpoint, address: Address) -> Option<RobotIndex> {
@@ -171,7 +227,7 @@ impl SenderIdentities {
             if is_telemetry && now - last >= self.senders[robot].handover() {
                 self.move_to(robot, now, origin);
                 self.senders[robot].record_telemetry(now);
-                self.contenders.remove(&(endpoint.link, endpoint.peer, address));
+                self.contenders.remove(&(endpoint, address));
                 return SenderIdentity::Robot(robot);
             }
         }
@@ -182,11 +238,7 @@ impl SenderIdentities {
             return SenderIdentity::Contested;
         }
         let is_looped = self.looped_until.get(&address).is_some_and(|until| now < *until);
-        let key = (endpoint.link, endpoint.peer, address);
-        if self.contenders.len() >= MAX_CONTENDERS && !self.contenders.contains_key(&key) {
-            self.contenders.clear();
-        }
-        let first = *self.contenders.entry(key).or_insert(now);
+        let first = *contender_entry(&mut self.contenders, (endpoint, address)).or_insert(now);
         let mut known = self.by_address.get(&address).into_iter().flatten();
         // Every robot with the address has gone on since, with telemetry of its own, or is off.
         let is_distinct = known.all(|robot| {
@@ -213,12 +265,9 @@ impl SenderIdentities {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_config::at;
 
     const ADDRESS: Address = Address::new(1, 1);
-
-    fn at(millis: i64) -> Timestamp<HostClock> {
-        Timestamp::from_millis(millis)
-    }
 
     fn telemetry(link: u16, peer: u32) -> MessageOrigin {
         let endpoint = Endpoint { link: LinkId(link), peer: PeerId(peer) };
@@ -235,6 +284,30 @@ mod tests {
         assert_eq!(identify(&mut identities, at(0), telemetry(0, 0)), SenderIdentity::Unknown);
         identities.add(at(0), telemetry(0, 0));
         identities
+    }
+
+    #[test]
+    fn a_new_sender_beyond_the_limit_clears_all_and_a_known_one_drops_its_oldest() {
+        let endpoint = Endpoint::default();
+        let message = |nanos| {
+            let answer = ReceiveInfo { endpoint, host_time: Timestamp::ZERO };
+            ContestedMessage::TimeExchange(TimeExchange { sent: Timestamp::ZERO, answer, peer_nanos: nanos })
+        };
+        let address = |index: usize| Address::new((index >> 8) as u8, index as u8);
+        let mut messages = ContestedMessages::default();
+        for index in 0..MAX_CONTENDERS {
+            messages.push(endpoint, address(index), message(0));
+        }
+        for nanos in 1..=MAX_PER_SENDER as i64 {
+            messages.push(endpoint, address(0), message(nanos));
+        }
+        assert_eq!(messages.0.len(), MAX_CONTENDERS);
+        let kept = messages.take(endpoint, address(0));
+        assert!(matches!(kept.front(), Some(ContestedMessage::TimeExchange(TimeExchange { peer_nanos: 1, .. }))));
+        assert_eq!(kept.len(), MAX_PER_SENDER);
+        messages.push(endpoint, address(0), message(0));
+        messages.push(endpoint, address(MAX_CONTENDERS), message(0));
+        assert_eq!(messages.0.len(), 1);
     }
 
     #[test]
@@ -268,8 +341,10 @@ mod tests {
     #[test]
     fn only_telemetry_replaces_a_silent_robot() {
         let mut identities = with_one_robot();
-        let camera = MessageOrigin { is_telemetry: false, ..telemetry(0, 1) };
-        assert_eq!(identify(&mut identities, at(400), camera), SenderIdentity::Unknown);
+        for (millis, link, peer) in [(10, 2, 0), (400, 0, 1)] {
+            let camera = MessageOrigin { is_telemetry: false, ..telemetry(link, peer) };
+            assert_eq!(identify(&mut identities, at(millis), camera), SenderIdentity::Unknown, "link {link}");
+        }
         assert_eq!(identify(&mut identities, at(500), telemetry(0, 0)), SenderIdentity::Robot(0));
     }
 
@@ -279,13 +354,6 @@ mod tests {
         assert_eq!(identify(&mut identities, at(1_000), telemetry(1, 0)), SenderIdentity::Contested);
         assert_eq!(identify(&mut identities, at(4_999), telemetry(1, 0)), SenderIdentity::Contested);
         assert_eq!(identify(&mut identities, at(5_000), telemetry(1, 0)), SenderIdentity::Unknown);
-    }
-
-    #[test]
-    fn a_thermometer_with_the_ids_of_a_robot_on_another_link_is_used() {
-        let mut identities = with_one_robot();
-        let thermometer = MessageOrigin { is_telemetry: false, ..telemetry(2, 0) };
-        assert_eq!(identify(&mut identities, at(10), thermometer), SenderIdentity::Unknown);
     }
 
     #[test]

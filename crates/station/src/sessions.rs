@@ -12,8 +12,7 @@ use posebridge_protocol::routing::{DuplicateStatus, Endpoint, FrameRouter};
 use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
 
-use crate::config::{AnnouncedAs, LinkConfig, StationConfig};
-use crate::output_schedule::SETTABLE_OUTPUTS;
+use crate::config::{AnnouncedAs, LinkConfig, OUTPUTS, StationConfig};
 use crate::receive::ReceivedMessage;
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
@@ -26,7 +25,6 @@ const ONBOARD_CONTROLLER: u8 = 18;
 const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
-/// The common interval of heartbeats.
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 /// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
 const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
@@ -35,17 +33,8 @@ const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 
 /// which any component that supports them may reply.
 const SERVED_COMMANDS: [u16; SUPPORTED_COMMANDS.len() + 2] = {
     let [storage, start, stop, pose, reset, calibration, source] = SUPPORTED_COMMANDS;
-    [
-        ids::COMMAND_GET_MESSAGE_INTERVAL,
-        ids::COMMAND_REQUEST_MESSAGE,
-        storage,
-        start,
-        stop,
-        pose,
-        reset,
-        calibration,
-        source,
-    ]
+    let (interval, message) = (ids::COMMAND_GET_MESSAGE_INTERVAL, ids::COMMAND_REQUEST_MESSAGE);
+    [interval, message, storage, start, stop, pose, reset, calibration, source]
 };
 
 /// The participant as which the station sends.
@@ -67,32 +56,29 @@ pub(crate) struct Sessions {
 #[derive(Debug)]
 struct LinkSessions {
     station: Session<HostClock>,
-    /// The robots as vehicles, on a link for ground stations.
-    vehicles: Option<VehicleProxies>,
+    is_for_ground_stations: bool,
+    /// The robots as vehicles; none unless the link is for ground stations.
+    vehicles: VehicleProxies,
 }
 
 impl Sessions {
     pub(crate) fn new(config: &StationConfig, now: Timestamp<HostClock>) -> Self {
-        let links: BTreeMap<LinkId, LinkSessions> = config
-            .links
-            .iter()
-            .map(|link| {
-                let is_for_ground_stations =
-                    link.announced_as == AnnouncedAs::StationAndVehicle && link.brick.is_none();
-                let sessions = LinkSessions {
-                    station: open_session(link, config, now),
-                    vehicles: is_for_ground_stations.then(VehicleProxies::default),
-                };
-                (link.id, sessions)
-            })
-            .collect();
+        let links = config.links.iter().map(|link| {
+            let sessions = LinkSessions {
+                station: open_session(link, config, now),
+                is_for_ground_stations: link.announced_as == AnnouncedAs::StationAndVehicle && link.brick.is_none(),
+                vehicles: VehicleProxies::default(),
+            };
+            (link.id, sessions)
+        });
+        let links: BTreeMap<LinkId, LinkSessions> = links.collect();
         let vehicle = SessionConfig {
             heartbeat: ROVER,
             timesync_period: None,
             requested_messages: Vec::new(),
             ..station_session_config(config)
         };
-        Self { has_ground_stations: links.values().any(|link| link.vehicles.is_some()), links, vehicle }
+        Self { has_ground_stations: links.values().any(|link| link.is_for_ground_stations), links, vehicle }
     }
 
     pub(crate) const fn has_ground_stations(&self) -> bool {
@@ -101,16 +87,16 @@ impl Sessions {
 
     /// The links for ground stations, with the robots as vehicles.
     pub(crate) fn ground_station_links(&self) -> impl Iterator<Item = LinkId> {
-        self.links.iter().filter(|(_, link)| link.vehicles.is_some()).map(|(id, _)| *id)
+        self.links.iter().filter(|(_, link)| link.is_for_ground_stations).map(|(id, _)| *id)
     }
 
     /// `None` if the link is not for ground stations.
     pub(crate) fn vehicles(&self, id: LinkId) -> Option<&VehicleProxies> {
-        self.links.get(&id)?.vehicles.as_ref()
+        self.links.get(&id).filter(|link| link.is_for_ground_stations).map(|link| &link.vehicles)
     }
 
     pub(crate) fn vehicles_mut(&mut self, id: LinkId) -> Option<&mut VehicleProxies> {
-        self.links.get_mut(&id)?.vehicles.as_mut()
+        self.links.get_mut(&id).filter(|link| link.is_for_ground_stations).map(|link| &mut link.vehicles)
     }
 
     /// Updates which robots appear as vehicles, and which side sends heartbeats. `responder` returns the side that replies for a robot;
@@ -127,10 +113,8 @@ impl Sessions {
         }
         let mode = |is_alive| if is_alive { HeartbeatMode::Active } else { HeartbeatMode::Suppressed };
         let station_mode = mode(robots.is_any_alive(now));
-        for (id, link) in &mut self.links {
-            let Some(vehicles) = &mut link.vehicles else {
-                continue;
-            };
+        for (id, link) in self.links.iter_mut().filter(|(_, link)| link.is_for_ground_stations) {
+            let vehicles = &mut link.vehicles;
             link.station.set_heartbeat_mode(station_mode);
             for robot in robots.detected() {
                 // A robot that is received on a link itself needs no session of the station there.
@@ -175,9 +159,7 @@ impl Sessions {
         // A copy may have come by another peer than its sender's own.
         let peer = (received.duplicate_status == DuplicateStatus::New).then_some(endpoint.peer);
         link.station.handle_from_peer(now, SessionSender { address: received.source, peer }, message);
-        if let Some(vehicles) = &mut link.vehicles {
-            vehicles.handle(now, received.source, message);
-        }
+        link.vehicles.handle(now, received.source, message);
     }
 
     /// The next output of a link's sessions, with its role.
@@ -186,36 +168,26 @@ impl Sessions {
         if let Some(output) = link.station.poll() {
             return Some((SenderRole::Station, output));
         }
-        let (robot, output) = link.vehicles.as_mut()?.poll()?;
+        let (robot, output) = link.vehicles.poll()?;
         Some((SenderRole::Vehicle(robot), output))
     }
 
     pub(crate) fn are_idle(&self) -> bool {
-        self.links
-            .values()
-            .all(|link| link.station.is_idle() && link.vehicles.as_ref().is_none_or(VehicleProxies::is_idle))
+        self.links.values().all(|link| link.station.is_idle() && link.vehicles.is_idle())
     }
 
     pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
-        self.links
-            .values_mut()
-            .any(|link| link.station.is_due(now) || link.vehicles.as_ref().is_some_and(|vehicles| vehicles.is_due(now)))
+        self.links.values_mut().any(|link| link.station.is_due(now) || link.vehicles.is_due(now))
     }
 
-    /// When to call `tick`.
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        let deadlines = self.links.values().flat_map(|link| {
-            [link.station.deadline(), link.vehicles.as_ref().and_then(VehicleProxies::deadline)].into_iter().flatten()
-        });
-        deadlines.min()
+        self.links.values().flat_map(|link| [link.station.deadline(), link.vehicles.deadline()]).flatten().min()
     }
 
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>, id: LinkId) {
         if let Some(link) = self.links.get_mut(&id) {
             link.station.tick(now);
-            if let Some(vehicles) = &mut link.vehicles {
-                vehicles.tick(now);
-            }
+            link.vehicles.tick(now);
         }
     }
 
@@ -228,7 +200,7 @@ impl Sessions {
         let link = self.links.get_mut(&id)?;
         match role {
             SenderRole::Station => Some(act(&mut link.station)),
-            SenderRole::Vehicle(robot) => link.vehicles.as_mut()?.with_session(robot, act),
+            SenderRole::Vehicle(robot) => link.vehicles.with_session(robot, act),
         }
     }
 
@@ -255,12 +227,8 @@ fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostCl
     }
     let mut session = Session::new(session_config, now);
     let params = &config.robot.filter_config.params;
-    session.offer_parameters(
-        PARAMS
-            .iter()
-            // In capitals, as MAVLink's parameters are: MAVProxy requests no others.
-            .map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)),
-    );
+    // In capitals, as MAVLink's parameters are: MAVProxy requests no others.
+    session.offer_parameters(PARAMS.iter().map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)));
     session.serve_commands(&SERVED_COMMANDS);
     session
 }
@@ -278,7 +246,7 @@ fn station_session_config(config: &StationConfig) -> SessionConfig {
         timesync_period: Some(config.timesync_period),
         peer_timeout: PEER_TIMEOUT,
         requested_messages: config.brick_message_intervals.clone(),
-        offered_messages: SETTABLE_OUTPUTS.iter().map(|(id, _)| *id).collect(),
+        offered_messages: OUTPUTS.iter().map(|output| output.message_id).collect(),
     }
 }
 
@@ -313,57 +281,42 @@ const fn is_answer(message: &Message) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_config::station_config;
+    use crate::test_config::{LINK, STATION, config};
     use posebridge_protocol::message::{CommandLong, TimeSync};
     use posebridge_telemetry::PeerId;
 
-    const LINK: LinkId = LinkId(0);
     const SENDER: Address = Address::new(7, 1);
 
-    struct SessionsSetup {
-        sessions: Sessions,
-        now: Timestamp<HostClock>,
-    }
-
-    impl SessionsSetup {
-        /// The sessions of a station that has sent its first heartbeat and its first time request, at instant zero.
-        fn new() -> Self {
-            let now = Timestamp::ZERO;
-            let mut setup = Self { sessions: Sessions::new(&station_config(), now), now };
-            setup.sessions.tick(now, LINK);
-            setup.take_outputs();
-            setup
-        }
-
-        fn take_outputs(&mut self) -> Vec<SessionOutput<HostClock>> {
-            std::iter::from_fn(|| self.sessions.poll(LINK)).map(|(_, output)| output).collect()
-        }
-
-        fn receive(&mut self, peer: u32, duplicate_status: DuplicateStatus, message: &Message) -> usize {
-            self.now = self.now + TimeDelta::from_millis(1);
-            let endpoint = Endpoint { link: LINK, peer: PeerId(peer) };
-            let received = ReceivedMessage { source: SENDER, duplicate_status, message: message.clone() };
-            self.sessions.handle(self.now, endpoint, &received, None);
-            self.take_outputs().len()
-        }
+    /// The numbers of outputs for a message that comes from some peers, each time a millisecond later, after the first heartbeat
+    /// and the first time request.
+    fn receive(message: &Message, by: &[(u32, DuplicateStatus)]) -> Vec<usize> {
+        let mut sessions = Sessions::new(&config(), Timestamp::ZERO);
+        let take_outputs = |sessions: &mut Sessions| std::iter::from_fn(|| sessions.poll(LINK)).count();
+        sessions.tick(Timestamp::ZERO, LINK);
+        take_outputs(&mut sessions);
+        let outputs = (1..).zip(by).map(|(millis, (peer, duplicate_status))| {
+            let endpoint = Endpoint { link: LINK, peer: PeerId(*peer) };
+            let received =
+                ReceivedMessage { source: SENDER, duplicate_status: *duplicate_status, message: message.clone() };
+            sessions.handle(Timestamp::from_millis(millis), endpoint, &received, None);
+            take_outputs(&mut sessions)
+        });
+        outputs.collect()
     }
 
     #[test]
     fn a_copy_of_a_command_is_not_carried_out_again() {
-        let mut setup = SessionsSetup::new();
         let [_, _, _, _, reset, ..] = SUPPORTED_COMMANDS;
-        let target = station_config().own_address;
-        let command = Message::Command(CommandLong { target, command: reset, params: [0.0; 7] });
+        let command = Message::Command(CommandLong { target: STATION, command: reset, params: [0.0; 7] });
         let statuses = [DuplicateStatus::New, DuplicateStatus::Duplicate, DuplicateStatus::Loop, DuplicateStatus::Echo];
-        assert_eq!(statuses.map(|status| setup.receive(0, status, &command)), [1, 0, 0, 0]);
+        assert_eq!(receive(&command, &statuses.map(|status| (0, status))), [1, 0, 0, 0]);
     }
 
     #[test]
     fn each_peer_with_an_address_answers_a_time_request_once_and_a_copy_does_not() {
-        let mut setup = SessionsSetup::new();
         let answer = Message::TimeSync(TimeSync { answer_nanos: 5, request_nanos: 0, target: None });
-        let new = DuplicateStatus::New;
-        assert_eq!([0, 0, 1, 1].map(|peer| setup.receive(peer, new, &answer)), [1, 0, 1, 0]);
-        assert_eq!(setup.receive(2, DuplicateStatus::Duplicate, &answer), 0);
+        let new = [0, 0, 1, 1].map(|peer| (peer, DuplicateStatus::New));
+        let all = [&new[..], &[(2, DuplicateStatus::Duplicate)]].concat();
+        assert_eq!(receive(&answer, &all), [1, 0, 1, 0, 0]);
     }
 }

@@ -11,19 +11,17 @@ use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority,
-    RobotId, SensorId, TimeDelta, Timestamp, severity,
+    Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority, RobotId, TimeDelta, Timestamp, severity,
 };
 
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
-use crate::forwarding::{ForwardingPass, ForwardingReport};
 use crate::link_context::LinkContext;
 use crate::observers::Observers;
 use crate::operator::OperatorState;
 use crate::output_queue::OutputQueue;
 use crate::peer_framers::FramerInput;
-use crate::receive::{CodecEvents, ReceiveInfo, TimeExchange};
+use crate::receive::{ReceiveInfo, TimeExchange, owned};
 use crate::receive_pass::{ReceivePass, ReceivedBatch};
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
@@ -136,12 +134,12 @@ impl Station {
             self.advance_time();
         }
         self.publish_to_robots();
-        self.outputs.set_unfinished();
+        self.outputs.is_unfinished = true;
     }
 
     /// Deferred work for the last input. The order of the lines is the order of the outputs, which a replay compares.
     fn finish_input(&mut self) {
-        if !self.outputs.take_unfinished() {
+        if !std::mem::take(&mut self.outputs.is_unfinished) {
             return;
         }
         self.publish_to_others();
@@ -175,33 +173,13 @@ impl Station {
         self.robots.all()
     }
 
-    /// Of the first robot; see [`Robot::estimate_at`].
-    pub fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.robots.first().estimate_at(stamp)
-    }
-
-    /// Of the first robot; see [`Robot::calibration`].
-    pub fn calibration(&self) -> Option<Calibration> {
-        self.robots.first().calibration()
+    /// Before any robot is detected, the configured one.
+    pub fn first_robot(&self) -> &Robot {
+        self.robots.first()
     }
 
     pub const fn params(&self) -> &Params {
         &self.config.robot.filter_config.params
-    }
-
-    /// Of the first robot; see [`Robot::geometry`].
-    pub fn geometry(&self) -> DriveGeometry {
-        self.robots.first().geometry()
-    }
-
-    /// Of the first robot; see [`Robot::latest_time`].
-    pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
-        self.robots.first().latest_time()
-    }
-
-    /// The disabled sensors of the first robot, by their numbers.
-    pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
-        self.robots.first().switched_off()
     }
 
     /// The signing state of a link to keep for a restart, as of `now`; `None` if the link is not signed.
@@ -227,31 +205,32 @@ impl Station {
         }
         if let Some(codec) = &mut link.codec {
             if let FramerInput::Bytes(bytes) = input {
-                let mut events = CodecEvents::default();
-                codec.push_from_peer(now, peer, bytes, &mut |event| events.push(event));
+                let mut events = Vec::new();
+                codec.push_from_peer(now, peer, bytes, &mut |event| events.extend(owned(event)));
                 self.handle_codec_events(received, events);
             }
             return;
         }
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
-        let vehicles = self.sessions.vehicles(id);
-        let forwarding = ForwardingPass {
-            router: &mut self.router,
+        let LinkContext { framers, verifier, decoder, .. } = link;
+        let mut pass = ReceivePass {
             now,
             from: received.endpoint,
             sharing,
-            vehicles,
+            verifier,
+            router: &mut self.router,
+            decoder,
+            vehicles: self.sessions.vehicles(id),
             robots: &self.robots,
             observers: &self.observers,
-            report: ForwardingReport::default(),
+            batch: ReceivedBatch::default(),
         };
-        let LinkContext { framers, verifier, decoder, .. } = link;
-        let batch = ReceivedBatch::default();
-        let mut pass = ReceivePass { now, peer, verifier, forwarding, decoder, batch };
         framers.push(now, peer, input, &mut |found| pass.push(found));
-        let ReceivePass { forwarding, batch, .. } = pass;
-        self.outputs.push_report(id, forwarding.report);
+        let batch = pass.batch;
+        if batch.report.has_content() {
+            self.outputs.reports.push((id, batch.report));
+        }
         link.health.rejected_frames += batch.rejected_frames;
         for error in batch.errors {
             self.outputs.emit(Event::ReceiveError { link: id, defect: error });
@@ -404,7 +383,7 @@ impl Station {
 
     /// Publishes one estimate per robot with new data, for the latest observed instant: to the robot at once.
     fn publish_to_robots(&mut self) {
-        while let Some(index) = self.robots.pop_changed() {
+        while let Some(index) = self.robots.changed.pop_first() {
             let estimate = self.robots.get(index).estimator.latest_estimate();
             self.request_fixes(estimate.as_ref());
             let Some(estimate) = &estimate else {
@@ -414,18 +393,18 @@ impl Station {
             self.emit(Event::EstimateUpdated { robot, estimate: *estimate });
             self.publish_estimate(index, robot.link, estimate);
             if self.links.len() > 1 || !self.links.contains_key(&robot.link) {
-                self.robots.get_mut(index).publisher.set_pending(estimate);
-                self.robots.mark_pending(index);
+                self.robots.get_mut(index).publisher.pending = Some(*estimate);
+                self.robots.pending.insert(index);
             }
         }
     }
 
     /// Publishes the estimates on all other links, as deferred work.
     fn publish_to_others(&mut self) {
-        while let Some(index) = self.robots.pop_pending() {
+        while let Some(index) = self.robots.pending.pop_first() {
             let robot = self.robots.get_mut(index);
             let home = robot.id.link;
-            let Some(estimate) = robot.publisher.take_pending() else {
+            let Some(estimate) = robot.publisher.pending.take() else {
                 continue;
             };
             for id in self.link_ids() {
@@ -454,9 +433,9 @@ impl Station {
         let sources = link.refresh_health();
         // With several robots on a link the first represents it.
         if let Some(index) = self.robots.at_home(home, &self.router).first() {
-            let clocks = &self.robots.get(*index).clocks;
-            link.health.round_trip = clocks.round_trip();
-            link.health.clock_uncertainty = clocks.uncertainty();
+            let clock = &self.robots.get(*index).clocks.aligner;
+            link.health.round_trip = clock.round_trip();
+            link.health.clock_uncertainty = clock.uncertainty();
         }
         let health = link.health;
         self.emit(Event::Health { link: id, health, sources });

@@ -80,7 +80,6 @@ pub(crate) struct PendingText {
     pub(crate) text: String,
 }
 
-/// The texts to send, and the rate limits.
 #[derive(Debug, Default)]
 pub(crate) struct StatusTextQueue {
     rate_limits: BTreeMap<Topic, TopicRateLimit>,
@@ -147,7 +146,6 @@ fn printable(text: &str) -> String {
     text.chars().map(shown).take(MAX_TEXT_BYTES).collect()
 }
 
-/// The station's data for texts about events.
 pub(crate) struct TextContext<'a> {
     pub(crate) own_address: Address,
     pub(crate) now: Timestamp<HostClock>,

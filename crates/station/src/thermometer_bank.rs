@@ -38,15 +38,7 @@ pub(crate) struct ThermometerBank {
     bricks: BTreeMap<RobotId, Vec<ThermometerChannel>>,
     channel_count: usize,
     pending: Vec<TemperatureReading>,
-    limit_report: LimitReport,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum LimitReport {
-    #[default]
-    None,
-    Due,
-    Reported,
+    has_rejected: bool,
 }
 
 struct ThermometerChannel {
@@ -67,8 +59,14 @@ impl ThermometerBank {
         }
     }
 
-    /// Uses the queued readings, oldest first; `config_of` returns the configuration of a brick.
-    pub(crate) fn process<'a>(&mut self, config_of: impl Fn(RobotId) -> &'a RobotConfig, mut emit: impl FnMut(Event)) {
+    /// Uses the queued readings, oldest first; `config_of` returns the configuration of a brick. True if a thermometer was
+    /// rejected for the first time.
+    pub(crate) fn process<'a>(
+        &mut self,
+        config_of: impl Fn(RobotId) -> &'a RobotConfig,
+        mut emit: impl FnMut(Event),
+    ) -> bool {
+        let had_rejected = self.has_rejected;
         let mut waiting = std::mem::take(&mut self.pending);
         for reading in waiting.drain(..) {
             if let Some(channel) = self.channel_of(&reading, &config_of) {
@@ -77,15 +75,7 @@ impl ThermometerBank {
         }
         // Its room is used again.
         self.pending = waiting;
-    }
-
-    /// Whether thermometers have been rejected since the last call; true once.
-    pub(crate) fn take_limit_report(&mut self) -> bool {
-        let is_due = self.limit_report == LimitReport::Due;
-        if is_due {
-            self.limit_report = LimitReport::Reported;
-        }
-        is_due
+        self.has_rejected && !had_rejected
     }
 
     fn channel_of<'a>(
@@ -97,9 +87,7 @@ impl ThermometerBank {
         let index = known.iter().position(|channel| channel.name == reading.channel).unwrap_or(known.len());
         if index == known.len() {
             if index >= MAX_CHANNELS_PER_BRICK || self.channel_count >= MAX_CHANNELS {
-                if self.limit_report == LimitReport::None {
-                    self.limit_report = LimitReport::Due;
-                }
+                self.has_rejected = true;
                 return None;
             }
             let config = config_of(reading.brick);

@@ -14,10 +14,9 @@ use posebridge_telemetry::{
 use crate::config::OutputKind;
 use crate::egress::{Egress, OutgoingMessage};
 use crate::estimate_publisher::PublishedMessage;
-use crate::forwarding::{ForwardedFrame, ForwardingReport};
 use crate::link_context::LinkContext;
 use crate::output_queue::OutputQueue;
-use crate::output_schedule::message_for_output;
+use crate::receive_pass::{ForwardedFrame, ForwardingReport};
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
@@ -111,8 +110,7 @@ impl Transmitter<'_> {
             if link.state == LinkState::Down {
                 continue;
             }
-            link.health.bytes_out += bytes.len() as u64;
-            link.health.frames_out += 1;
+            link.count_sent(&bytes);
             // Nothing takes the place of a lost request: the robot would wait for ever.
             self.outputs.push(Output::Transmit { link: id, to, priority: Priority::Command, bytes });
         }
@@ -128,7 +126,7 @@ impl Transmitter<'_> {
             && kind.is_vehicle_output()
             && vehicles.address(robot).is_some()
         {
-            if vehicles.is_sent_by_robot(now, robot, message_for_output(kind)) {
+            if vehicles.is_sent_by_robot(now, robot, kind.message_id()) {
                 return;
             }
             if !vehicles.is_suppressed(now, robot)
@@ -142,10 +140,12 @@ impl Transmitter<'_> {
         if index > 0 && matches!(sender, Sender::Station) && !is_at_home {
             sender = self.estimator_sender(index);
         }
-        if at_home.is_empty() || at_home == [index] {
-            self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
+        let is_shared = !at_home.is_empty() && at_home != [index];
+        let transmission = Transmission { link, sender, message, priority, to: Recipients::All };
+        if is_shared {
+            self.send_on_shared_link(index, transmission);
         } else {
-            self.send_on_shared_link(index, Transmission { link, sender, message, priority, to: Recipients::All });
+            self.transmit(transmission);
         }
     }
 
@@ -158,7 +158,7 @@ impl Transmitter<'_> {
         let Some(link) = self.links.get(&id) else {
             return;
         };
-        let ground_stations: Vec<PeerId> = link.ground_stations().collect();
+        let ground_stations: Vec<PeerId> = link.ground_stations.iter().copied().collect();
         let sender = match transmission.sender {
             Sender::Station if index > 0 => self.estimator_sender(index),
             Sender::Station | Sender::Estimator(_) | Sender::Vehicle(..) => transmission.sender,
@@ -194,14 +194,13 @@ impl Transmitter<'_> {
             Sender::Station | Sender::Estimator(_) if link.codec.is_none() => self.router.record_sent(&bytes),
             Sender::Station | Sender::Estimator(_) => {}
         }
-        link.health.bytes_out += bytes.len() as u64;
-        link.health.frames_out += 1;
+        link.count_sent(&bytes);
         self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
     }
 
     /// Counts and forwards the routed frames of this input.
     pub(crate) fn forward_frames(&mut self) {
-        for (id, report) in self.outputs.take_reports() {
+        for (id, report) in std::mem::take(&mut self.outputs.reports) {
             let ForwardingReport { filtered, duplicates, address_conflicts, unchangeable, forwarded } = report;
             if let Some(link) = self.links.get_mut(&id) {
                 link.health.drops_out += unchangeable;
@@ -230,11 +229,10 @@ impl Transmitter<'_> {
             return;
         };
         let mut push = |to: Recipients| {
-            link.health.bytes_out += frame.bytes.len() as u64;
-            link.health.frames_out += 1;
+            link.count_sent(&frame.bytes);
             link.health.forwarded += 1;
-            let bytes = frame.bytes.clone();
-            self.outputs.push_forwarded(Output::Transmit { link: id, to, priority: frame.priority, bytes });
+            let output = Output::Transmit { link: id, to, priority: frame.priority, bytes: frame.bytes.clone() };
+            self.outputs.forwarded.push_back(output);
         };
         for (_, to) in to {
             match (to, &listeners) {
@@ -254,8 +252,8 @@ impl Transmitter<'_> {
     /// has no time for them. So where several robots share the link only its ground stations get them, and nobody on
     /// the link of one other robot without a known ground station. The broadcasts of a ground station are sent to all.
     fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
-        let is_ground_station =
-            self.sessions.vehicles(from.link).is_some() || self.links.get(&from.link)?.is_ground_station(from.peer);
+        let is_ground_station = self.sessions.vehicles(from.link).is_some()
+            || self.links.get(&from.link)?.ground_stations.contains(&from.peer);
         let robots = self.robots.at_home(id, self.router);
         let is_of_other_robot = robots.first().is_some_and(|robot| {
             let sender = self.robots.identities.only_at(from);
@@ -264,7 +262,7 @@ impl Transmitter<'_> {
         if is_ground_station || (robots.len() < 2 && !is_of_other_robot) {
             return None;
         }
-        let peers = self.links.get(&id)?.ground_stations();
+        let peers = self.links.get(&id)?.ground_stations.iter().copied();
         Some(peers.filter(|peer| (id, *peer) != (from.link, from.peer)).collect())
     }
 
@@ -331,8 +329,7 @@ impl Transmitter<'_> {
     fn send_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame, bytes: Vec<u8>) {
         let Some(link) = self.links.get_mut(&id) else { return };
         self.router.record_sent_for(self.now, frame.from, &bytes);
-        link.health.bytes_out += bytes.len() as u64;
-        link.health.frames_out += 1;
+        link.count_sent(&bytes);
         link.health.forwarded += 1;
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
     }

@@ -21,8 +21,8 @@ use posebridge_protocol::message::Message;
 use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
 
+use crate::config::OutputKind;
 use crate::link_context::LinkContext;
-use crate::output_schedule::output_for_message;
 use crate::robot::Robot;
 
 /// MAV_COMP_ID_AUTOPILOT1: the component that a ground station takes for the vehicle.
@@ -170,7 +170,7 @@ impl VehicleProxies {
     /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
         // The others are never requested; so the map stays small whatever comes.
-        if message_id == ids::HEARTBEAT || output_for_message(message_id).is_some() {
+        if message_id == ids::HEARTBEAT || OutputKind::of_message(message_id).is_some() {
             self.last_forwarded.insert((from, message_id), now);
         }
     }
@@ -213,7 +213,7 @@ impl VehicleProxies {
         if self.is_suppressed(now, *robot) {
             return None;
         }
-        let is_ours = |id| output_for_message(id).is_some() && !self.is_sent_by_robot(now, *robot, id);
+        let is_ours = |id| OutputKind::of_message(id).is_some() && !self.is_sent_by_robot(now, *robot, id);
         let is_answered = vehicle.responder == CommandResponder::Station || concerns.is_some_and(is_ours);
         is_answered.then_some(*robot)
     }

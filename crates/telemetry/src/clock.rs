@@ -11,14 +11,13 @@
 //! let nonsense = brick - host; // different clocks: this must not build
 //! ```
 
-use std::cmp::Ordering;
 use std::fmt;
-use std::hash::{Hash, Hasher};
+use std::hash::Hash;
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Neg, Sub};
 
 /// A clock; implemented only by the three clocks of this module.
-pub trait Clock: Copy + fmt::Debug {
+pub trait Clock: Copy + Ord + Hash + fmt::Debug {
     /// The clock's name in messages to people.
     const NAME: &'static str;
 }
@@ -45,6 +44,7 @@ impl Clock for CameraClock {
 
 /// An instant on the clock `C`, in nanoseconds since that clock's zero. The field that holds it says which instant is meant
 /// (middle of an exposure, arrival of the last byte).
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Timestamp<C> {
     nanos: i64,
     clock: PhantomData<C>,
@@ -57,12 +57,11 @@ impl<C: Clock> Timestamp<C> {
         Self { nanos, clock: PhantomData }
     }
 
-    /// Saturates at the ends of the range.
+    /// Saturates at the ends of the range, as all conversions and operators do.
     pub const fn from_micros(micros: i64) -> Self {
         Self::from_nanos(micros.saturating_mul(1_000))
     }
 
-    /// Saturates at the ends of the range.
     pub const fn from_millis(millis: i64) -> Self {
         Self::from_nanos(millis.saturating_mul(1_000_000))
     }
@@ -86,33 +85,6 @@ impl<C: Clock> Timestamp<C> {
     }
 }
 
-impl<C> Clone for Timestamp<C> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-impl<C> Copy for Timestamp<C> {}
-impl<C> PartialEq for Timestamp<C> {
-    fn eq(&self, other: &Self) -> bool {
-        self.nanos == other.nanos
-    }
-}
-impl<C> Eq for Timestamp<C> {}
-impl<C> PartialOrd for Timestamp<C> {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl<C> Ord for Timestamp<C> {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.nanos.cmp(&other.nanos)
-    }
-}
-impl<C> Hash for Timestamp<C> {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        self.nanos.hash(state);
-    }
-}
 impl<C: Clock> fmt::Debug for Timestamp<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}@{:.9}s", C::NAME, self.as_secs_f64())
@@ -147,11 +119,9 @@ impl TimeDelta {
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
-    /// Saturates at the ends of the range.
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
-    /// Saturates at the ends of the range.
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }

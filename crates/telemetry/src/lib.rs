@@ -34,7 +34,7 @@ pub use io::{Input, Output, Priority, Recipients};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
 pub use quantities::{
-    Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond, Volts,
+    Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
 };
 pub use repeat_filter::{RepeatDecision, RepeatFilter};
 pub use robot::{ArenaMap, Calibration, DriveGeometry, SensorNoise, StartPose, UncertainValue, Wall};

@@ -73,8 +73,6 @@ quantity!(/// An unbounded angle (a wheel's total rotation, a change of heading)
     Radians, "rad");
 quantity!(/// An angular speed, in radians per second, counter-clockwise positive.
     RadiansPerSecond, "rad/s");
-quantity!(/// An electric potential, in volts.
-    Volts, "V");
 quantity!(/// A temperature, in degrees Celsius.
     Celsius, "°C");
 

@@ -112,7 +112,6 @@ fn a_queue_without_capacity_keeps_only_begun_frames_and_commands() {
     assert_eq!(queue.bytes(), 0);
 }
 
-/// One thing that happens to a queue.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     Push(Priority, u8, usize),

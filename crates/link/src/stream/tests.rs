@@ -2,17 +2,15 @@
 
 use std::sync::{Arc, Mutex};
 
-use posebridge_telemetry::Priority;
 use tokio::io::ReadBuf;
 
 use super::*;
+use crate::traffic::{FRAME_BYTES, ReceivedFrames, TrafficSource};
 
 /// 57600 baud, the usual speed of a telemetry radio.
 const BYTES_PER_S: f64 = 5_760.0;
 /// What the driver of a UART holds: one page (Linux, SERIAL_XMIT_SIZE).
 const DRIVER_BYTES: usize = 4_096;
-const FRAME_BYTES: usize = 48;
-const COMMAND: u8 = 9;
 
 /// What was given to the line: sends `BYTES_PER_S`, in the order in which it was written.
 #[derive(Default)]
@@ -76,66 +74,19 @@ impl AsyncRead for LineHandle {
     }
 }
 
-/// What came off the line: the oldest estimate and the oldest command when their last bytes left, in seconds, and the
-/// commands' numbers.
-struct DepartureSummary {
-    oldest_estimate: f64,
-    oldest_command: f64,
-    commands: Vec<u32>,
-    frames: usize,
-}
-
-fn departures(line: &SimulatedLine) -> DepartureSummary {
-    let mut departures =
-        DepartureSummary { oldest_estimate: 0.0, oldest_command: 0.0, commands: Vec::new(), frames: 0 };
-    let ends = line.left_at.chunks_exact(FRAME_BYTES);
-    for (frame, ends) in line.written.chunks_exact(FRAME_BYTES).zip(ends) {
-        assert!(frame[12..].iter().all(|byte| *byte == frame[12]), "torn: {frame:?}");
-        let number = u32::from_be_bytes(frame[..4].try_into().expect("four bytes"));
-        let sent = f64::from_be_bytes(frame[4..12].try_into().expect("eight bytes"));
-        let age = ends[FRAME_BYTES - 1] - sent;
-        departures.frames += 1;
-        if frame[12] == COMMAND {
-            departures.commands.push(number);
-            departures.oldest_command = departures.oldest_command.max(age);
-        } else {
-            departures.oldest_estimate = departures.oldest_estimate.max(age);
-        }
-    }
-    departures
-}
-
-fn frame(kind: u8, number: u32, timer: HostTimer) -> [u8; FRAME_BYTES] {
-    let mut frame = [kind; FRAME_BYTES];
-    frame[..4].copy_from_slice(&number.to_be_bytes());
-    frame[4..12].copy_from_slice(&timer.now().as_secs_f64().to_be_bytes());
-    frame
-}
-
-/// Offers two streams of 600 estimates per second, ten times what the line takes, and five commands per second, for 20
-/// virtual seconds. Returns what arrived, how many commands were offered, and the connection's queue status.
-async fn overload() -> (DepartureSummary, u32, QueueStatus) {
+/// Twenty virtual seconds of an overloaded line: the load, what came off the line, and the connection's queue status.
+async fn overload() -> (TrafficSource, ReceivedFrames, QueueStatus) {
     let timer = HostTimer::start();
     let line = Arc::new(Mutex::new(SimulatedLine::default()));
     let fake = LineHandle { line: Arc::clone(&line), timer };
     let label = StreamLabel::new(String::new());
     let mut connection = StreamConnection::new(fake, label, timer, 65_536).with_line_rate(BYTES_PER_S);
     let mut counters = LinkCounters::default();
-    let mut commands = 0;
-    for tick in 0..2_000_u32 {
-        let mut send_frame = |priority, frame: [u8; FRAME_BYTES]| {
-            let out = OutgoingFrame { to: Recipients::All, priority, frame: &frame };
-            connection.send(&out, &mut counters);
-        };
-        for number in 0..6 {
-            let stream = number % 2;
-            let estimate = frame(stream as u8, tick, timer);
-            send_frame(Priority::Estimate { stream }, estimate);
-        }
-        if tick.is_multiple_of(20) {
-            send_frame(Priority::Command, frame(COMMAND, commands, timer));
-            commands += 1;
-        }
+    let mut source = TrafficSource::new(BYTES_PER_S as u32);
+    for _ in 0..2_000 {
+        source.tick(timer.now(), |priority, frame| {
+            connection.send(&OutgoingFrame { to: Recipients::All, priority, frame }, &mut counters);
+        });
         for _ in 0..10 {
             tokio::time::advance(std::time::Duration::from_millis(1)).await;
             let mut cx = Context::from_waker(Waker::noop());
@@ -144,22 +95,27 @@ async fn overload() -> (DepartureSummary, u32, QueueStatus) {
     }
     let status = connection.queue_status(timer.now());
     let line = line.lock().expect("one thread");
-    (departures(&line), commands, status)
+    let mut received = ReceivedFrames::default();
+    for (byte, left_at) in line.written.iter().zip(&line.left_at) {
+        received.push(&[*byte], Timestamp::from_secs_f64(*left_at));
+    }
+    (source, received, status)
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_an_overloaded_line_estimates_are_young_and_commands_overtake() {
-    let (departures, offered, status) = overload().await;
+    let (source, received, status) = overload().await;
     // In front of an estimate may lie 20 ms of the line, the frame that was begun there, the other stream's estimate and a
     // command; and a timer is a millisecond or two late.
-    let bound = 0.020 + 4.0 * FRAME_BYTES as f64 / BYTES_PER_S + 0.002;
-    assert!(departures.oldest_estimate <= bound, "{} of {bound}", departures.oldest_estimate);
-    assert!(departures.oldest_command <= bound, "{} of {bound}", departures.oldest_command);
-    let received = departures.commands.len() as u32;
-    assert!(departures.commands.iter().copied().eq(0..received));
-    assert!(offered - received <= 1, "{received} of {offered}");
+    let bound = TimeDelta::from_secs_f64(0.020 + 4.0 * FRAME_BYTES as f64 / BYTES_PER_S + 0.002);
+    assert!(received.oldest_estimate <= bound, "{:?} of {bound:?}", received.oldest_estimate);
+    assert!(received.oldest_command <= bound, "{:?} of {bound:?}", received.oldest_command);
+    let commands = received.commands.len() as u32;
+    assert!(received.commands.iter().copied().eq(0..commands));
+    assert!(source.commands - commands <= 1, "{commands} of {}", source.commands);
     // The line never ran dry: 20 s of it are 2400 frames.
-    assert!(departures.frames >= 2_380, "{} frames", departures.frames);
+    let frames = received.commands.len() + received.estimates.iter().map(Vec::len).sum::<usize>();
+    assert!(frames >= 2_380, "{frames} frames");
     let capacity = status.capacity_bytes_per_s.expect("frames wait");
     assert!((capacity / BYTES_PER_S - 1.0).abs() < 0.05, "{capacity}");
 }

@@ -23,7 +23,9 @@ use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::stream::{StreamConnection, StreamLabel};
 use crate::transport::SERIAL_NUMBER;
-use crate::transports::open_request::{ConnectRole, OpenRequest, QUEUE_BYTES, resolve, with_deadline};
+use crate::transports::open_request::{
+    ConnectRole, OpenRequest, QUEUE_BYTES, dialled_host, no_address, resolve, with_deadline,
+};
 use crate::transports::tcp::configure;
 use crate::transports::udp_socket::bind_first_available;
 
@@ -56,17 +58,11 @@ pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, Op
 
 async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let serial_number = request.url.option_text(&SERIAL_NUMBER);
-    let (host, port) = request.url.host_and_port();
-    if host.is_empty() {
-        return Err(OpenError::NoHost { url: request.url.to_string() });
-    }
+    let (host, port) = dialled_host(&request.url)?;
     if serial_number.is_empty() {
         return Err(OpenError::NoSerialNumber { url: request.url.to_string() });
     }
-    let address = *resolve(host, port)
-        .await?
-        .first()
-        .ok_or_else(|| OpenError::UnknownHost { host: host.to_owned(), source: io::ErrorKind::NotFound.into() })?;
+    let address = *resolve(host, port).await?.first().ok_or_else(|| no_address(host))?;
     let brick = Ev3Endpoint { address, name: format!("the EV3 {serial_number}"), serial_number };
     open_session(request, brick).await
 }

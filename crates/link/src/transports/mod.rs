@@ -1,14 +1,12 @@
 //! Opening links: one file for each transport. [`crate::Link`] keeps the opened connection alive.
 
 mod bluetooth;
-mod device_symlink;
 mod ev3;
 mod file;
 mod open_request;
 mod pty;
 mod serial;
 mod serial_device;
-mod serial_line;
 mod tcp;
 mod udp;
 mod udp_peers;
@@ -19,8 +17,8 @@ use std::pin::Pin;
 use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::transport::Transport;
-pub use open_request::{ConnectRole, DeviceDirectories, LineSettingsPolicy, OPEN_DEADLINE_SECS, OpenRequest};
-pub(crate) use open_request::{QUEUE_BYTES, timeout_error};
+pub use open_request::{ConnectRole, DeviceDirectories, LineSettingsPolicy, LinkTuning};
+pub(crate) use open_request::{OPEN_DEADLINE_SECS, OpenRequest, QUEUE_BYTES, timeout_error};
 pub use udp_socket::RECEIVE_BUFFER_BYTES as UDP_RECEIVE_BUFFER_BYTES;
 
 /// An attempt to open a link. Dropping it cancels the attempt.

@@ -11,7 +11,7 @@ use crate::url::LinkUrl;
 
 /// How long one attempt to open may take before the link is reported down, in seconds: about the default page time-out of the
 /// Bluetooth Core Specification, 5.12 s.
-pub const OPEN_DEADLINE_SECS: u64 = 5;
+pub(crate) const OPEN_DEADLINE_SECS: u64 = 5;
 
 /// Most bytes in the queue of a slow link, without commands: more than five seconds of a 115200 baud line. Forwarded frames
 /// may wait for that long; estimates do not, because a new one replaces the one that waits.
@@ -51,6 +51,13 @@ pub enum LineSettingsPolicy {
     Restore,
 }
 
+/// Settings that tests and unusual systems change.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LinkTuning {
+    pub device_directories: DeviceDirectories,
+    pub line_settings: LineSettingsPolicy,
+}
+
 /// Which end opens the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConnectRole {
@@ -70,15 +77,14 @@ impl fmt::Display for ConnectRole {
 
 /// One attempt to open a link.
 #[derive(Clone, Debug)]
-pub struct OpenRequest {
-    pub url: LinkUrl,
-    pub role: ConnectRole,
+pub(crate) struct OpenRequest {
+    pub(crate) url: LinkUrl,
+    pub(crate) role: ConnectRole,
     /// The clock of the arrival times.
-    pub timer: HostTimer,
-    pub device_directories: DeviceDirectories,
-    pub line_settings: LineSettingsPolicy,
+    pub(crate) timer: HostTimer,
+    pub(crate) tuning: LinkTuning,
     /// The [`Connection::stable_path`](crate::Connection::stable_path) of the last connection.
-    pub stable_path: Option<PathBuf>,
+    pub(crate) stable_path: Option<PathBuf>,
 }
 
 /// Classifies the error of a socket that could not be bound to `address`.
@@ -105,10 +111,19 @@ pub(super) async fn resolve(host: &str, port: u16) -> Result<Vec<SocketAddr>, Op
     }
     let unknown = |source| OpenError::UnknownHost { host: host.to_owned(), source };
     let addresses: Vec<_> = tokio::net::lookup_host((host, port)).await.map_err(unknown)?.collect();
-    if addresses.is_empty() {
-        return Err(unknown(io::ErrorKind::NotFound.into()));
+    if addresses.is_empty() { Err(no_address(host)) } else { Ok(addresses) }
+}
+
+pub(super) fn no_address(host: &str) -> OpenError {
+    OpenError::UnknownHost { host: host.to_owned(), source: io::ErrorKind::NotFound.into() }
+}
+
+/// The host and port of a link that dials.
+pub(super) fn dialled_host(url: &LinkUrl) -> Result<(&str, u16), OpenError> {
+    match url.host_and_port() {
+        ("", _) => Err(OpenError::NoHost { url: url.to_string() }),
+        host_and_port => Ok(host_and_port),
     }
-    Ok(addresses)
 }
 
 pub(super) fn listening_detail(url: &LinkUrl, address: SocketAddr) -> String {

@@ -2,20 +2,35 @@
 //!
 //! Ports are opened raw and exclusively. Opening may block for as long as a Bluetooth radio takes, so it runs on its
 //! own thread. Bytes that were in the input before are discarded, because their age is unknown. Neither the baud rate
-//! nor the protocol is guessed. `serial_device` finds the device, `serial_line` sets what the line needs beyond its
-//! speed.
+//! nor the protocol is guessed. `serial_device` finds the device.
 //!
 //! A thread that hangs in the system cannot be stopped, and dropping the runtime waits for it: a program that must end
 //! in time ends its runtime with `shutdown_background`.
+//!
+//! # Settings of the line
+//! Arduino-class boards wire DTR to their reset: its rising edge restarts the sketch, which takes two seconds. Linux
+//! raises DTR whenever a port is opened, which is no edge if it is still up, and lowers it when the port is closed,
+//! unless HUPCL is cleared (termios(3)). So HUPCL is always cleared: the first open after plugging in resets the board
+//! once, and later ones, by any program, do not.
+//!
+//! A program that only listens for a moment restores the settings that it found: [`LineSettingsGuard`].
+//!
+//! FTDI adapters collect received bytes for up to 16 ms; their driver offers that time as a file. The other way to set
+//! it, ASYNC_LOW_LATENCY by TIOCSSERIAL, has no safe interface and the same effect on these adapters.
 
-use std::fs::Metadata;
+use std::fs::{self, Metadata};
 use std::io::{self, Read};
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use nix::errno::Errno;
+use nix::fcntl::OFlag;
+use nix::sys::stat::Mode;
+use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
 use nix::unistd::{Gid, Group};
+use rustix::termios::{OptionalActions, Termios};
 use serialport::{ClearBuffer, ErrorKind, SerialPort, TTYPort};
 use tokio_serial::SerialStream;
 
@@ -23,11 +38,9 @@ use crate::connection::Connection;
 use crate::error::{FileKind, OpenError};
 use crate::stream::{ByteStream, StreamConnection, StreamLabel};
 use crate::transport::{BAUD, DTR};
-use crate::transports::open_request::{DeviceDirectories, LineSettingsPolicy, OpenRequest, QUEUE_BYTES};
+use crate::transports::open_request::{LineSettingsPolicy, LinkTuning, OpenRequest, QUEUE_BYTES};
+use crate::transports::pty::PTS_DIRECTORY;
 use crate::transports::serial_device::{expand_pattern, is_pattern, stable_name};
-use crate::transports::serial_line::{
-    LatencyTimer, LineSettingsGuard, keep_dtr_on_close, open_settings, shorten_latency_timer,
-};
 
 /// Bits on the line per byte: a start bit, eight data bits and a stop bit.
 const BITS_PER_BYTE: f64 = 10.0;
@@ -35,27 +48,12 @@ const BITS_PER_BYTE: f64 = 10.0;
 /// Upper bound of the bytes in the buffers of a tty before it is opened: Linux allows 64 KiB per direction.
 const STALE_BYTES: usize = 64 * 1024;
 
-/// Where Linux keeps the devices of pseudo-terminals.
-const PTS_DIRECTORY: &str = "/dev/pts";
-
 impl ByteStream for SerialStream {
     fn kernel_queued_bytes(&self) -> Option<usize> {
         // Pseudo-terminals answer 0 whatever they hold (Linux has no chars_in_buffer for them).
         let waiting = self.bytes_to_write().ok()?;
         usize::try_from(waiting).ok()
     }
-}
-
-/// One attempt to open, on its own thread.
-struct SerialOpenAttempt {
-    /// A path or a pattern.
-    path: PathBuf,
-    baud: u32,
-    /// `None` leaves it unchanged.
-    dtr: Option<bool>,
-    directories: DeviceDirectories,
-    settings: LineSettingsPolicy,
-    stable_path: Option<PathBuf>,
 }
 
 struct OpenedSerial {
@@ -71,30 +69,17 @@ struct OpenedSerial {
 pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
     let path = request.url.path().to_owned();
     let baud = request.url.integer(&BAUD);
-    let attempt = SerialOpenAttempt {
-        path: path.clone(),
-        baud,
-        dtr: match request.url.option_text(&DTR).as_str() {
-            "on" => Some(true),
-            "off" => Some(false),
-            _ => None,
-        },
-        directories: request.device_directories,
-        settings: request.line_settings,
-        stable_path: request.stable_path,
-    };
-    let opened = tokio::task::spawn_blocking(move || attempt.run())
+    let timer = request.timer;
+    let opened = tokio::task::spawn_blocking(move || open_serial(&request))
         .await
         .map_err(|error| error_from_io(&path, error.into()))??;
     let mut label = StreamLabel::new(opened.detail(baud));
     let stream = SerialStream::try_from(opened.port).map_err(|error| classify_error(&opened.path, error))?;
     label.stable_path = opened.stable_path;
-    let connection = StreamConnection::new(stream, label, request.timer, QUEUE_BYTES)
-        .with_line_rate(f64::from(baud) / BITS_PER_BYTE);
-    Ok(match opened.restore_settings {
-        Some(put_back) => Box::new(connection.with_on_close(Box::new(put_back))),
-        None => Box::new(connection),
-    })
+    let mut connection =
+        StreamConnection::new(stream, label, timer, QUEUE_BYTES).with_line_rate(f64::from(baud) / BITS_PER_BYTE);
+    connection.on_close = opened.restore_settings.map(|guard| -> Box<dyn Send> { Box::new(guard) });
+    Ok(Box::new(connection))
 }
 
 impl OpenedSerial {
@@ -108,66 +93,63 @@ impl OpenedSerial {
     }
 }
 
-impl SerialOpenAttempt {
-    fn run(&self) -> Result<OpenedSerial, OpenError> {
-        if let Some(stable) = &self.stable_path {
-            // Its number may belong to another device by now.
-            return self.open_device(stable);
-        }
-        if !is_pattern(&self.path) {
-            return self.open_device(&self.path);
-        }
-        let mut failure = None;
-        for path in expand_pattern(&self.path) {
-            match self.open_device(&path) {
-                Ok(opened) => return Ok(opened),
-                Err(error) => {
-                    tracing::debug!(path = %path.display(), %error, "not this one");
-                    failure.get_or_insert(error);
-                }
+/// Opens the link's path, or the first match of its pattern that can be opened. Blocks.
+fn open_serial(request: &OpenRequest) -> Result<OpenedSerial, OpenError> {
+    let path = request.url.path();
+    if let Some(stable) = &request.stable_path {
+        // Its number may belong to another device by now.
+        return open_device(request, stable);
+    }
+    if !is_pattern(path) {
+        return open_device(request, path);
+    }
+    let mut failure = None;
+    for path in expand_pattern(path) {
+        match open_device(request, &path) {
+            Ok(opened) => return Ok(opened),
+            Err(error) => {
+                tracing::debug!(path = %path.display(), %error, "not this one");
+                failure.get_or_insert(error);
             }
         }
-        Err(failure.unwrap_or_else(|| OpenError::DeviceMissing { path: self.path.clone() }))
     }
+    Err(failure.unwrap_or_else(|| OpenError::DeviceMissing { path: path.to_owned() }))
+}
 
-    fn open_device(&self, path: &Path) -> Result<OpenedSerial, OpenError> {
-        let device = check_device(path)?;
-        let line = open_settings(&device).map_err(|error| error_from_errno(path, error))?;
-        let put_back = match self.settings {
-            LineSettingsPolicy::Keep => None,
-            LineSettingsPolicy::Restore => {
-                let line = line.try_clone().map_err(|error| error_from_io(path, error))?;
-                Some(LineSettingsGuard::new(line).map_err(|error| error_from_io(path, error))?)
-            }
-        };
-        let mut builder = serialport::new(device.to_string_lossy(), self.baud).timeout(Duration::ZERO);
-        if let Some(level) = self.dtr {
-            // Fails on lines that have no DTR, which serialport passes over.
-            builder = builder.dtr_on_open(level);
+fn open_device(request: &OpenRequest, path: &Path) -> Result<OpenedSerial, OpenError> {
+    let OpenRequest { url, tuning: LinkTuning { device_directories, line_settings }, .. } = request;
+    let device = check_device(path)?;
+    let line = open_settings(&device).map_err(|error| error_from_errno(path, error))?;
+    let restore_settings = match line_settings {
+        LineSettingsPolicy::Keep => None,
+        LineSettingsPolicy::Restore => {
+            let line = line.try_clone().map_err(|error| error_from_io(path, error))?;
+            Some(LineSettingsGuard::new(line).map_err(|error| error_from_io(path, error))?)
         }
-        let mut port = builder.open_native().map_err(|error| classify_error(path, error))?;
-        if device.starts_with(PTS_DIRECTORY) {
-            // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would
-            // lock out our successor for ever, so only the file lock is kept, which dies with us.
-            port.set_exclusive(false).map_err(|error| classify_error(path, error))?;
-        }
-        let latency = match self.settings {
-            LineSettingsPolicy::Keep => {
-                keep_dtr_on_close(&line).map_err(|error| error_from_errno(path, error))?;
-                shorten_latency_timer(&device, &self.directories.usb_serial)
-            }
-            // Not examined, and nothing to report.
-            LineSettingsPolicy::Restore => LatencyTimer::Absent,
-        };
-        discard_stale_input(&mut port).map_err(|error| classify_error(path, error))?;
-        Ok(OpenedSerial {
-            port,
-            restore_settings: put_back,
-            path: path.to_owned(),
-            stable_path: self.stable_path.clone().or_else(|| stable_name(&self.path, &self.directories)),
-            latency,
-        })
+    };
+    let mut builder = serialport::new(device.to_string_lossy(), url.integer(&BAUD)).timeout(Duration::ZERO);
+    let dtr = url.option_text(&DTR);
+    if dtr != "keep" {
+        // Fails on lines that have no DTR, which serialport passes over.
+        builder = builder.dtr_on_open(dtr == "on");
     }
+    let mut port = builder.open_native().map_err(|error| classify_error(path, error))?;
+    if device.starts_with(PTS_DIRECTORY) {
+        // TIOCEXCL stays on a pseudo-terminal for as long as its maker holds it open. If we were killed it would
+        // lock out our successor for ever, so only the file lock is kept, which dies with us.
+        port.set_exclusive(false).map_err(|error| classify_error(path, error))?;
+    }
+    let latency = match line_settings {
+        LineSettingsPolicy::Keep => {
+            keep_dtr_on_close(&line).map_err(|error| error_from_errno(path, error))?;
+            shorten_latency_timer(&device, &device_directories.usb_serial)
+        }
+        // Not examined, and nothing to report.
+        LineSettingsPolicy::Restore => LatencyTimer::Absent,
+    };
+    discard_stale_input(&mut port).map_err(|error| classify_error(path, error))?;
+    let stable_path = request.stable_path.clone().or_else(|| stable_name(url.path(), device_directories));
+    Ok(OpenedSerial { port, restore_settings, path: path.to_owned(), stable_path, latency })
 }
 
 /// The device behind the path, with symbolic links resolved.
@@ -254,6 +236,91 @@ fn group_advice(metadata: &Metadata, group: &str) -> String {
     }
 }
 
+/// The adapter's latency timer, in milliseconds: its smallest value (FTDI application note AN232B-04, section 3.3).
+const LATENCY_MS: &str = "1";
+
+/// A second descriptor of the line, through which its settings are reached. It has to be opened before the line is
+/// locked, and is of no use for reading.
+///
+/// # Errors
+/// As open(2); EBUSY if another program holds the line.
+fn open_settings(device: &Path) -> nix::Result<OwnedFd> {
+    let flags = OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+    nix::fcntl::open(device, flags, Mode::empty())
+}
+
+/// Keeps DTR unchanged when any program closes the line.
+fn keep_dtr_on_close(line: &OwnedFd) -> nix::Result<()> {
+    let mut settings = tcgetattr(line)?;
+    settings.control_flags.remove(ControlFlags::HUPCL);
+    tcsetattr(line, SetArg::TCSANOW, &settings)
+}
+
+/// The original settings of a line, restored on drop.
+///
+/// Read and written with their speed as a number (Linux, TCGETS2): termios(3) of the C library has names for the usual
+/// speeds only, and serialport sets every speed as a number.
+struct LineSettingsGuard {
+    line: OwnedFd,
+    original: Termios,
+}
+
+impl LineSettingsGuard {
+    /// Stores the settings of a line; `line` is a separate descriptor of it.
+    fn new(line: OwnedFd) -> io::Result<Self> {
+        let found = rustix::termios::tcgetattr(&line)?;
+        Ok(Self { line, original: found })
+    }
+}
+
+impl Drop for LineSettingsGuard {
+    fn drop(&mut self) {
+        let put_back = rustix::termios::tcsetattr(&self.line, OptionalActions::Now, &self.original);
+        if let Err(error) = put_back {
+            // A device that was pulled has nothing to put back.
+            tracing::debug!(%error, "the settings of a line were not put back");
+        }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum LatencyTimer {
+    /// The driver has no such setting.
+    Absent,
+    Shortened,
+    /// It is not writable: the file's path and its current value.
+    Unchanged {
+        file: String,
+        ms: String,
+    },
+}
+
+fn shorten_latency_timer(device: &Path, directory: &Path) -> LatencyTimer {
+    let Some(name) = device.file_name() else {
+        return LatencyTimer::Absent;
+    };
+    let file = directory.join(name).join("latency_timer");
+    let Ok(before) = fs::read_to_string(&file) else {
+        return LatencyTimer::Absent;
+    };
+    if before.trim() == LATENCY_MS || fs::write(&file, LATENCY_MS).is_ok() {
+        return LatencyTimer::Shortened;
+    }
+    LatencyTimer::Unchanged { file: file.display().to_string(), ms: before.trim().to_owned() }
+}
+
+impl LatencyTimer {
+    fn describe(&self) -> String {
+        match self {
+            Self::Absent => String::new(),
+            Self::Shortened => ", latency timer 1 ms".to_owned(),
+            Self::Unchanged { file, ms } => {
+                format!(", latency timer {ms} ms: run `echo {LATENCY_MS} | sudo tee {file}` to shorten it")
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -262,7 +329,7 @@ mod tests {
 
     fn advice_for_mode(mode: u32) -> String {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        std::fs::set_permissions(file.path(), Permissions::from_mode(mode)).expect("own file");
+        fs::set_permissions(file.path(), Permissions::from_mode(mode)).expect("own file");
         group_advice(&file.path().metadata().expect("it exists"), "dialout")
     }
 
@@ -300,6 +367,15 @@ mod tests {
         assert_eq!(
             busy.to_string(),
             "port /dev/ttyUSB0 is in use by another program: close it there (`fuser -v /dev/ttyUSB0` names it)"
+        );
+    }
+
+    #[test]
+    fn a_timer_that_may_not_be_written_is_reported_with_the_remedy() {
+        let latency = LatencyTimer::Unchanged { file: "/sys/x/latency_timer".to_owned(), ms: "16".to_owned() };
+        assert_eq!(
+            latency.describe(),
+            ", latency timer 16 ms: run `echo 1 | sudo tee /sys/x/latency_timer` to shorten it"
         );
     }
 }

@@ -168,6 +168,7 @@ fn name_matches(pattern: &[u8], name: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::udev;
     use std::os::unix::fs::symlink;
 
     #[test]
@@ -236,12 +237,7 @@ mod tests {
     impl Computer {
         fn new() -> Self {
             let root = tempfile::tempdir().expect("a temporary directory");
-            let directories = DeviceDirectories {
-                serial_by_id: root.path().join("by-id"),
-                serial_by_path: root.path().join("by-path"),
-                tty_class: root.path().join("tty"),
-                ..DeviceDirectories::default()
-            };
+            let directories = udev::directories(root.path());
             Self { root, directories }
         }
 
@@ -249,27 +245,10 @@ mod tests {
             self.root.path().join(name)
         }
 
-        /// Plugs an adapter into a socket; both of udev's links then lead to it.
         fn plug(&self, name: &str, socket: &str, serial: Option<&str>) {
             fs::write(self.port(name), "").expect("own directory");
-            let usb = self.root.path().join("usb").join(socket);
-            let interface = usb.join("1.0");
-            fs::create_dir_all(&interface).expect("own directory");
-            let ids = [("idVendor", "10c4\n"), ("idProduct", "ea60\n")];
-            for (file, value) in ids.into_iter().chain(serial.map(|serial| ("serial", serial))) {
-                fs::write(usb.join(file), value).expect("own directory");
-            }
-            let class = self.directories.tty_class.join(name);
-            fs::create_dir_all(&class).expect("own directory");
-            symlink(&interface, class.join("device")).expect("a free name");
             let id = format!("usb-CP2102_{}", serial.unwrap_or("bridge").trim());
-            for (directory, link) in
-                [(&self.directories.serial_by_id, id.as_str()), (&self.directories.serial_by_path, socket)]
-            {
-                fs::create_dir_all(directory).expect("own directory");
-                drop(fs::remove_file(directory.join(link)));
-                symlink(self.port(name), directory.join(link)).expect("a free name");
-            }
+            udev::plug_in(self.root.path(), name, udev::PluggedAdapter { socket, id: &id, serial });
         }
 
         fn stable(&self, name: &str) -> Option<PathBuf> {
@@ -297,7 +276,6 @@ mod tests {
             computer.plug("ttyUSB3", "socket-4", serial);
             let by_socket = PathBuf::from("by-path/socket-4");
             assert_eq!(computer.stable("ttyUSB3"), Some(by_socket));
-            fs::remove_dir_all(computer.directories.tty_class.join("ttyUSB3")).expect("own directory");
         }
         assert_eq!(computer.stable("ttyUSB0"), Some(by_serial));
     }

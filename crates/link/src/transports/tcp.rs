@@ -24,12 +24,13 @@ use socket2::{SockRef, TcpKeepalive};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::Sleep;
 
-use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedData};
+use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
 use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::stream::{StreamConnection, StreamLabel};
 use crate::transports::open_request::{
-    ConnectRole, OpenRequest, QUEUE_BYTES, bind_error, listening_detail, resolve, with_deadline,
+    ConnectRole, OpenRequest, QUEUE_BYTES, bind_error, dialled_host, listening_detail, no_address, resolve,
+    with_deadline,
 };
 
 pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
@@ -40,10 +41,7 @@ pub(super) async fn open(request: OpenRequest) -> Result<Box<dyn Connection>, Op
 }
 
 async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
-    let (host, port) = request.url.host_and_port();
-    if host.is_empty() {
-        return Err(OpenError::NoHost { url: request.url.to_string() });
-    }
+    let (host, port) = dialled_host(&request.url)?;
     let unreachable = |source| OpenError::Unreachable { peer: format!("{host}:{port}"), source };
     let addresses = resolve(host, port).await?;
     let stream = TcpStream::connect(&addresses[..]).await.map_err(unreachable)?;
@@ -99,10 +97,7 @@ impl TcpServer {
                 Err(error) => failure = Some(bind_error(address, error)),
             }
         }
-        Err(failure.unwrap_or_else(|| OpenError::UnknownHost {
-            host: host.to_owned(),
-            source: io::ErrorKind::NotFound.into(),
-        }))
+        Err(failure.unwrap_or_else(|| no_address(host)))
     }
 
     fn accept(&mut self, cx: &mut Context<'_>) -> Result<(), LinkError> {
@@ -162,7 +157,7 @@ impl TcpServer {
         &mut self,
         cx: &mut Context<'_>,
         counters: &mut LinkCounters,
-    ) -> Poll<Result<ReceivedData, LinkError>> {
+    ) -> Poll<Result<LinkEvent, LinkError>> {
         let mut polled = 0;
         while polled < self.clients.len() {
             let index = self.next_index % self.clients.len();
@@ -210,7 +205,7 @@ impl Connection for TcpServer {
         }
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<ReceivedData, LinkError>> {
+    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
         if let Err(loss) = self.accept(cx) {
             return Poll::Ready(Err(loss));
         }

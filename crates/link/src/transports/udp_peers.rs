@@ -206,15 +206,4 @@ mod tests {
         }
         assert!(!peers.is_busy(address(4)));
     }
-
-    #[test]
-    fn the_idle_time_is_the_links_own() {
-        let mut peers = UdpPeerTable::new(None, TimeDelta::from_millis(2_000));
-        peers.record_activity(address(1), Timestamp::ZERO);
-        assert_eq!(peers.count_recipients(Recipients::All, Timestamp::from_millis(2_000)), 1);
-        assert_eq!(peers.count_recipients(Recipients::All, Timestamp::from_millis(2_001)), 0);
-        assert!(peers.contains(address(1)));
-        peers.evict_idle(Timestamp::from_millis(2_001));
-        assert!(!peers.contains(address(1)));
-    }
 }

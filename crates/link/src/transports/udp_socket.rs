@@ -16,7 +16,7 @@ use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use tokio::net::UdpSocket;
 
 use crate::error::OpenError;
-use crate::transports::open_request::bind_error;
+use crate::transports::open_request::{bind_error, no_address};
 
 /// Requested receive buffer. Linux doubles it and charges 832 bytes for a small datagram (measured: its default of 212 992
 /// bytes holds 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
@@ -34,7 +34,7 @@ pub(super) fn bind_first_available(targets: &[SocketAddr]) -> Result<(UdpSocket,
             Err(error) => failure = failure.or(Some(bind_error(*target, error))),
         }
     }
-    Err(failure.unwrap_or_else(no_address_error))
+    Err(failure.unwrap_or_else(|| no_address("")))
 }
 
 /// A socket that sends to the first address with a route, and that address. Without any route it is the first address: the
@@ -44,14 +44,10 @@ pub(super) fn bind_first_available(targets: &[SocketAddr]) -> Result<(UdpSocket,
 /// No socket can be opened.
 pub(super) fn connect_first_reachable(targets: &[SocketAddr]) -> Result<(UdpSocket, SocketAddr), OpenError> {
     let reachable = targets.iter().find(|target| has_route_to(**target));
-    let target = reachable.or(targets.first()).ok_or_else(no_address_error)?;
+    let target = reachable.or(targets.first()).ok_or_else(|| no_address(""))?;
     let local = wildcard_address_for(*target);
     let socket = bind(local).map_err(|error| bind_error(local, error))?;
     Ok((socket, *target))
-}
-
-fn no_address_error() -> OpenError {
-    OpenError::UnknownHost { host: String::new(), source: io::ErrorKind::NotFound.into() }
 }
 
 fn bind(address: SocketAddr) -> io::Result<UdpSocket> {

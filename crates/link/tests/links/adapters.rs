@@ -1,30 +1,18 @@
 //! Serial adapters on a simulated computer: which one is opened, and what happens to its line settings.
 
-use std::os::unix::fs::symlink;
-use std::path::PathBuf;
-use std::time::Duration;
-
 use crate::serial::Bench;
 use crate::support::{bytes, down, poll_once, port, up};
+use crate::udev::{PluggedAdapter, directories, plug_in};
 use nix::fcntl::OFlag;
 use nix::sys::stat::Mode;
 use nix::sys::termios::{ControlFlags, SetArg, tcgetattr, tcsetattr};
-use posebridge_link::{ConnectRole, DeviceDirectories, LineSettingsPolicy, Link, LinkOpenConfig, LinkTuning, LinkUrl};
+use posebridge_link::{ConnectRole, LineSettingsPolicy, Link, LinkOpenConfig, LinkTuning, LinkUrl};
 use posebridge_telemetry::LinkId;
 use rustix::termios::{self, ControlModes, OptionalActions};
 
 /// A computer whose devices are described in the bench's directory.
 fn tuning(bench: &Bench) -> LinkTuning {
-    let root = bench.directory.path();
-    LinkTuning {
-        device_directories: DeviceDirectories {
-            serial_by_id: root.join("by-id"),
-            serial_by_path: root.join("by-path"),
-            tty_class: root.join("tty"),
-            usb_serial: root.join("usb-serial"),
-        },
-        ..LinkTuning::default()
-    }
+    LinkTuning { device_directories: directories(bench.directory.path()), ..LinkTuning::default() }
 }
 
 /// A station on such a computer.
@@ -78,45 +66,12 @@ async fn a_guest_puts_every_setting_back_and_leaves_the_adapter_alone() {
     assert_eq!(timer_text(), "1");
 }
 
-/// Where an adapter is plugged in, and its identification.
-struct PluggedAdapter {
-    socket: &'static str,
-    /// udev's name for its kind, with its serial number if it has one.
-    id: &'static str,
-    serial: Option<&'static str>,
-}
-
-/// The entries of udev and the kernel for an adapter that is called `name`.
-fn write_udev_entries(bench: &Bench, name: &str, plug: &PluggedAdapter) {
-    let root = bench.directory.path();
-    let usb = root.join("usb").join(plug.socket);
-    let class = root.join("tty").join(name);
-    drop(std::fs::remove_dir_all(&class));
-    drop(std::fs::remove_dir_all(&usb));
-    let write = |path: PathBuf, text: &str| std::fs::write(path, text).expect("own directory");
-    for directory in [&usb.join("1.0"), &class] {
-        std::fs::create_dir_all(directory).expect("own directory");
-    }
-    write(usb.join("idVendor"), "1a86\n");
-    write(usb.join("idProduct"), "7523\n");
-    if let Some(serial) = plug.serial {
-        write(usb.join("serial"), serial);
-    }
-    symlink(usb.join("1.0"), class.join("device")).expect("a free name");
-    for (directory, link) in [("by-id", plug.id), ("by-path", plug.socket)] {
-        let directory = root.join(directory);
-        std::fs::create_dir_all(&directory).expect("own directory");
-        drop(std::fs::remove_file(directory.join(link)));
-        symlink(root.join(name), directory.join(link)).expect("a free name");
-    }
-}
-
 /// An adapter that the system calls `name`: a pseudo-terminal, and its entries.
-async fn adapter(bench: &Bench, name: &str, plug: &PluggedAdapter) -> Link {
+async fn adapter(bench: &Bench, name: &str, plug: PluggedAdapter<'_>) -> Link {
     let device = bench.directory.path().join(name);
     let mut pty = port(&format!("pty:{}", device.display()), ConnectRole::Listen, bench.timer);
     up(&mut pty).await;
-    write_udev_entries(bench, name, plug);
+    plug_in(bench.directory.path(), name, plug);
     pty
 }
 
@@ -125,52 +80,23 @@ async fn an_adapter_that_comes_back_under_another_number_is_found() {
     let bench = Bench::new();
     let shown = bench.directory.path().display().to_string();
     let plug = PluggedAdapter { socket: "socket-1", id: "usb-mine-if00", serial: Some("mine") };
-    let mine = adapter(&bench, "ttyUSB0", &plug).await;
+    let mine = adapter(&bench, "ttyUSB0", plug).await;
     let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
     assert_eq!(up(&mut station).await, format!("{shown}/ttyUSB0 ({shown}/by-id/usb-mine-if00) at 115200 baud"));
     drop(mine);
     down(&mut station).await;
     // Somebody else's adapter takes the number; ours comes back as the next one.
     let theirs = PluggedAdapter { socket: "socket-2", id: "usb-other-if00", serial: Some("other") };
-    let mut other = adapter(&bench, "ttyUSB0", &theirs).await;
+    let mut other = adapter(&bench, "ttyUSB0", theirs).await;
     std::fs::remove_file(bench.directory.path().join("by-id/usb-mine-if00")).expect("our link");
     let (reason, _) = down(&mut station).await;
     assert_eq!(reason, format!("{shown}/by-id/usb-mine-if00 is not there: plug the device in or check the name"));
     let elsewhere = PluggedAdapter { socket: "socket-3", ..plug };
-    let mut mine = adapter(&bench, "ttyUSB1", &elsewhere).await;
+    let mut mine = adapter(&bench, "ttyUSB1", elsewhere).await;
     let detail = up(&mut station).await;
     assert_eq!(detail, format!("{shown}/by-id/usb-mine-if00 at 115200 baud"));
     mine.send(b"mine");
     other.send(b"other");
-    assert_eq!(poll_once(&mut mine).await, None);
-    assert_eq!(bytes(&mut station, 4).await, b"mine");
-}
-
-#[tokio::test(start_paused = true)]
-async fn of_two_adapters_of_one_name_the_other_one_is_left_alone() {
-    let bench = Bench::new();
-    let shown = bench.directory.path().display().to_string();
-    let kind = "usb-1a86_USB_Serial-if00-port0";
-    let plug = |socket| PluggedAdapter { socket, id: kind, serial: None };
-    let mut other = adapter(&bench, "ttyUSB1", &plug("socket-2")).await;
-    // The name of the kind leads to the one that came last.
-    let mine = adapter(&bench, "ttyUSB0", &plug("socket-1")).await;
-    let mut station = station_at(&bench, &format!("serial:{shown}/ttyUSB0"));
-    up(&mut station).await;
-    drop(mine);
-    down(&mut station).await;
-    let by_id = bench.directory.path().join("by-id").join(kind);
-    std::fs::remove_file(&by_id).expect("our link");
-    symlink(bench.directory.path().join("ttyUSB1"), &by_id).expect("a free name");
-    std::fs::remove_file(bench.directory.path().join("by-path/socket-1")).expect("our link");
-    let again = tokio::time::timeout(Duration::from_secs(60), down(&mut station)).await;
-    let (reason, _) = again.expect("it opens the other one");
-    assert_eq!(reason, format!("{shown}/by-path/socket-1 is not there: plug the device in or check the name"));
-    let mut mine = adapter(&bench, "ttyUSB2", &plug("socket-1")).await;
-    assert_eq!(up(&mut station).await, format!("{shown}/by-path/socket-1 at 115200 baud"));
-    other.send(b"other");
-    assert_eq!(poll_once(&mut other).await, None);
-    mine.send(b"mine");
     assert_eq!(poll_once(&mut mine).await, None);
     assert_eq!(bytes(&mut station, 4).await, b"mine");
 }
@@ -185,8 +111,8 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     let (reason, _) = down(&mut first).await;
     assert_eq!(reason, format!("{shown}/ttyACM* is not there: plug the device in or check the name"));
     let board = |id| PluggedAdapter { socket: id, id, serial: Some(id) };
-    let _b = adapter(&bench, "ttyACM1", &board("usb-b")).await;
-    let a = adapter(&bench, "ttyACM0", &board("usb-a")).await;
+    let _b = adapter(&bench, "ttyACM1", board("usb-b")).await;
+    let a = adapter(&bench, "ttyACM0", board("usb-a")).await;
     assert_eq!(up(&mut first).await, format!("{shown}/ttyACM0 at 115200 baud"));
     // One question mark is part of the name, the other begins the options.
     let mut second = station_at(&bench, &format!("serial:{shown}/ttyACM??baud=9600"));
@@ -200,7 +126,7 @@ async fn a_pattern_opens_the_first_device_that_is_free_and_heals() {
     drop(a);
     down(&mut first).await;
     assert!(down(&mut first).await.0.contains("ttyACM1 is in use"));
-    let _c = adapter(&bench, "ttyACM7", &board("usb-c")).await;
+    let _c = adapter(&bench, "ttyACM7", board("usb-c")).await;
     assert_eq!(up(&mut first).await, format!("{shown}/ttyACM7 at 115200 baud"));
 }
 

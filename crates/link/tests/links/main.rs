@@ -14,4 +14,6 @@ mod serial;
 mod slow;
 mod support;
 mod terminal_names;
+mod traffic;
+mod udev;
 mod url;

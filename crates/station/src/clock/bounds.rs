@@ -105,15 +105,11 @@ impl Default for ClockBounds {
 
 impl ClockBounds {
     pub fn add_arrival(&mut self, remote_s: f64, host_s: f64) {
-        let slope = self.slope;
-        let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
-        keep_tightest(&mut self.upper, bound, |new, old| new.offset_s - old.offset_s < slope * (new.t_s - old.t_s));
+        keep_tightest(&mut self.upper, self.slope, OffsetBound { t_s: remote_s, offset_s: host_s - remote_s });
     }
 
     pub fn add_departure(&mut self, host_s: f64, remote_s: f64) {
-        let slope = self.slope;
-        let bound = OffsetBound { t_s: remote_s, offset_s: host_s - remote_s };
-        keep_tightest(&mut self.lower, bound, |new, old| new.offset_s - old.offset_s > slope * (new.t_s - old.t_s));
+        keep_tightest(&mut self.lower, self.slope, OffsetBound { t_s: remote_s, offset_s: host_s - remote_s });
     }
 
     /// Discards bounds that are a window older than `t_s`.
@@ -123,9 +119,8 @@ impl ClockBounds {
         }
     }
 
-    /// Whether both sides are bounded.
     pub fn is_two_way(&self) -> bool {
-        !self.upper.is_empty() && !self.lower.is_empty()
+        self.upper.open.is_some() && self.lower.open.is_some()
     }
 
     /// The line with the largest margin at the remote instant `t_s`; `None` when a side is missing, or when no line
@@ -155,12 +150,12 @@ impl ClockBounds {
     /// offset is late by the link's smallest delay, which one-way messages cannot show; `assumed_delay_s` replaces it,
     /// and is its uncertainty.
     pub fn one_way_offset(&mut self, t_s: f64, assumed_delay_s: f64) -> Option<LinearOffset> {
-        let (first, last) = (self.upper.oldest()?, self.upper.youngest()?);
+        let (first, last) = (self.upper.oldest()?, self.upper.open?);
         let (middle_s, half_s) = (0.5 * (first.t_s + last.t_s), 0.5 * (last.t_s - first.t_s));
         self.upper_hull.rebuild(self.upper.candidates(), t_s, 0.0);
         let slope = argmax(-MAX_SLOPE, MAX_SLOPE, MAX_PIECES, |slope| {
             let (value_s, touched_s) = self.upper_hull.at(slope, middle_s);
-            linear_piece(slope, value_s, middle_s - touched_s)
+            LinearPiece { slope, value_s, rise_s: middle_s - touched_s }
         });
         self.slope = slope;
         let offset_s = self.upper_hull.at(slope, middle_s).0 + slope * (t_s - middle_s) - assumed_delay_s;
@@ -183,7 +178,7 @@ impl ClockBounds {
     fn margin(&self, slope: f64, t_s: f64) -> LinearPiece {
         let (upper_s, upper_at_s) = self.upper_hull.at(slope, t_s);
         let (lower_s, lower_at_s) = self.lower_hull.at(slope, t_s);
-        linear_piece(slope, upper_s - lower_s, lower_at_s - upper_at_s)
+        LinearPiece { slope, value_s: upper_s - lower_s, rise_s: lower_at_s - upper_at_s }
     }
 
     /// The line with the largest margin.
@@ -208,11 +203,11 @@ impl ClockBounds {
         // U is concave and L convex in the slope.
         let at_highest = argmax(lowest, highest, MAX_PIECES, |slope| {
             let (value_s, touched_s) = upper.at(slope, t_s);
-            linear_piece(slope, value_s, t_s - touched_s)
+            LinearPiece { slope, value_s, rise_s: t_s - touched_s }
         });
         let at_lowest = argmax(lowest, highest, MAX_PIECES, |slope| {
             let (value_s, touched_s) = lower.at(slope, t_s);
-            linear_piece(slope, -value_s, touched_s - t_s)
+            LinearPiece { slope, value_s: -value_s, rise_s: touched_s - t_s }
         });
         let uncertainty_s = (upper.at(at_highest, t_s).0 - offset_s).max(offset_s - lower.at(at_lowest, t_s).0);
         LinearOffset {
@@ -225,18 +220,19 @@ impl ClockBounds {
     }
 }
 
-const fn linear_piece(slope: f64, value_s: f64, rise_s: f64) -> LinearPiece {
-    LinearPiece { slope, value_s, rise_s }
-}
-
-fn keep_tightest(bounds: &mut BoundWindow, new: OffsetBound, is_tighter: impl Fn(&OffsetBound, &OffsetBound) -> bool) {
+fn keep_tightest(bounds: &mut BoundWindow, slope: f64, new: OffsetBound) {
     let bucket = |bound: &OffsetBound| (bound.t_s / BUCKET_S).floor();
-    match bounds.youngest() {
+    match bounds.open {
         // Overtaken by half a second: the bounds stay in the order of time.
         Some(last) if bucket(&last) > bucket(&new) => {}
         Some(last) if bucket(&last) == bucket(&new) => {
-            if is_tighter(&new, &last) {
-                bounds.tighten(new);
+            let (rise_s, expected_s) = (new.offset_s - last.offset_s, slope * (new.t_s - last.t_s));
+            let is_tighter = match bounds.side {
+                BoundSide::Upper => rise_s < expected_s,
+                BoundSide::Lower => rise_s > expected_s,
+            };
+            if is_tighter {
+                bounds.open = Some(new);
             }
         }
         _ => bounds.append(new),

@@ -63,7 +63,7 @@ pub(super) struct OffsetBound {
 impl OffsetBound {
     /// As a point of the hull at `t_s`: mirrored on the lower side, and relaxed by the possible change of the rate
     /// since, `drift_per_s` (t - t_i)^2 / 2.
-    pub(super) fn loosened(self, side: BoundSide, t_s: f64, drift_per_s: f64) -> Self {
+    fn loosened(self, side: BoundSide, t_s: f64, drift_per_s: f64) -> Self {
         let age_s = t_s - self.t_s;
         Self { t_s: self.t_s, offset_s: side.sign() * self.offset_s + 0.5 * drift_per_s * age_s * age_s }
     }
@@ -117,7 +117,7 @@ impl BoundHull {
     }
 }
 
-pub(super) fn is_below(left: &OffsetBound, middle: &OffsetBound, right: &OffsetBound) -> bool {
+fn is_below(left: &OffsetBound, middle: &OffsetBound, right: &OffsetBound) -> bool {
     let rise_to_middle = (middle.offset_s - left.offset_s) * (right.t_s - left.t_s);
     let rise_to_right = (right.offset_s - left.offset_s) * (middle.t_s - left.t_s);
     rise_to_middle < rise_to_right
@@ -126,7 +126,7 @@ pub(super) fn is_below(left: &OffsetBound, middle: &OffsetBound, right: &OffsetB
 /// Bounds of one side, oldest first, one per bucket of time.
 #[derive(Clone, Debug)]
 pub(super) struct BoundWindow {
-    side: BoundSide,
+    pub(super) side: BoundSide,
     /// The largest allowance of any hull query, per second.
     drift_per_s: f64,
     /// The older part, and for each its next corner towards the middle.
@@ -135,8 +135,8 @@ pub(super) struct BoundWindow {
     younger: Vec<OffsetBound>,
     /// The corners of the younger part.
     chain: Vec<OffsetBound>,
-    /// The latest bound, which a tighter one of its bucket replaces.
-    open: Option<OffsetBound>,
+    /// The latest bound, which a tighter one of its bucket replaces; `None` while there are no bounds.
+    pub(super) open: Option<OffsetBound>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -158,23 +158,9 @@ impl BoundWindow {
         }
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.open.is_none()
-    }
-
     pub(super) fn oldest(&self) -> Option<OffsetBound> {
         let older = self.older.front().map(|one| one.bound);
         older.or(self.younger.first().copied()).or(self.open)
-    }
-
-    /// The bound that a tighter one may still replace.
-    pub(super) fn youngest(&self) -> Option<OffsetBound> {
-        self.open
-    }
-
-    /// Replaces the latest bound by a tighter one of the same bucket.
-    pub(super) fn tighten(&mut self, bound: OffsetBound) {
-        self.open = Some(bound);
     }
 
     /// Appends a bound of a later bucket.
@@ -302,7 +288,7 @@ mod tests {
                     all.push_back(bound);
                     if *tighter_s < 0.01 {
                         let bound = OffsetBound { t_s: t_s + 0.1, offset_s: *tighter_s };
-                        window.tighten(bound);
+                        window.open = Some(bound);
                         all.pop_back();
                         all.push_back(bound);
                     }
@@ -310,7 +296,7 @@ mod tests {
                     window.drop_outdated(is_outdated);
                     all.retain(|bound| !is_outdated(bound));
                     prop_assert_eq!(window.oldest(), all.front().copied());
-                    prop_assert_eq!(window.youngest(), all.back().copied());
+                    prop_assert_eq!(window.open, all.back().copied());
                     for drift_per_s in [0.0, DRIFT_PER_S] {
                         let (mut quick, mut complete) = (BoundHull::new(side), BoundHull::new(side));
                         quick.rebuild(window.candidates(), t_s, drift_per_s);
@@ -331,7 +317,7 @@ mod tests {
             window.append(OffsetBound { t_s, offset_s: 0.0 });
         }
         window.drop_outdated(|_| true);
-        assert!(window.is_empty());
+        assert_eq!(window.open, None);
         assert_eq!(window.candidates().count(), 0);
     }
 }

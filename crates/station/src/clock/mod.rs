@@ -10,7 +10,6 @@ pub mod conversion;
 mod hull;
 mod last_stamp;
 mod maximize;
-mod stamp_tracks;
 pub mod unwrap;
 
 pub use posebridge_protocol::routing::Endpoint;

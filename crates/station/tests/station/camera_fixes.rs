@@ -182,8 +182,8 @@ fn every_message_that_carries_a_fix_moves_the_pose_at_its_own_time() {
         let expected = Timestamp::from_millis(clock_reading_ms(exposed, BRICK_AHEAD_MS));
         let off_ms = (observation.stamp - expected).as_millis_f64();
         assert!(off_ms.abs() < 2.0, "{name}: {off_ms} ms");
-        let latest = station.engine.latest_time().expect("it has observed");
-        let estimate = station.engine.estimate_at(latest).expect("it knows");
+        let latest = station.engine.first_robot().latest_time().expect("it has observed");
+        let estimate = station.engine.first_robot().estimate_at(latest).expect("it knows");
         let moved_m = estimate.pose.origin().x.0;
         assert!((0.005..0.0125).contains(&moved_m), "{name}: {moved_m}");
     }
@@ -232,8 +232,8 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
         let bytes = frame(TRACKER, &Message::VisionPosition(fix));
         station.bytes_from(at(at_ms), TRACKER_LINK, PeerId::default(), &bytes);
         let (_, verdict, _) = *fixes(&station).last().expect("it was observed");
-        let latest = station.engine.latest_time().expect("it has observed");
-        let estimate = station.engine.estimate_at(latest).expect("it knows");
+        let latest = station.engine.first_robot().latest_time().expect("it has observed");
+        let estimate = station.engine.first_robot().estimate_at(latest).expect("it knows");
         (verdict, estimate.reset_counter, estimate.pose.origin().x.0)
     };
     // The first fix of a tracker is no jump, whatever its counter.
@@ -247,32 +247,22 @@ fn when_the_space_of_a_tracker_jumps_the_estimate_goes_there_as_a_counted_reset(
 }
 
 #[test]
-fn a_camera_whose_clock_restarts_is_used_again_when_aligned() {
-    let mut station = station_of(&three_links());
-    station.bytes_from(at(1_290), JSON_LINK, PeerId::default(), &json_fix("camera", at(1_250)));
-    assert_eq!(fixes(&station).len(), 1);
-    // Switched off and on: its clock began at zero 5 s later than before, so to speak.
-    let line = b"{\"exposed_s\": 0.5, \"x_m\": 0.01, \"y_m\": 0}\n";
-    station.bytes_from(at(1_295), JSON_LINK, PeerId::default(), line);
-    assert_eq!(fixes(&station).len(), 1);
-    assert_eq!(station.unaligned(TRACKER).len(), 1);
-}
-
-#[test]
 fn a_payload_that_is_refused_is_counted_each_time_and_explained_once() {
     let mut station = station_of(&three_links());
     let failed = Message::Odometry(match odometry(at(1_200)) {
         Message::Odometry(odometry) => Odometry { quality: -1, ..odometry },
         other => panic!("{other:?}"),
     });
-    for k in 0..3 {
-        station.bytes_from(at(1_300 + k), TRACKER_LINK, PeerId::default(), &frame(TRACKER, &failed));
+    // Twice by each of more senders than are described.
+    for k in 0..200 {
+        let source = Address::new(7, (k % 100) as u8);
+        station.bytes_from(at(1_300 + k), TRACKER_LINK, PeerId::default(), &frame(source, &failed));
     }
     let is_refused =
         |event: &Event| matches!(event, Event::ReceiveError { defect: ReceiveError::Payload { message_id: 331 }, .. });
-    assert_eq!(station.count(is_refused), 3);
+    assert_eq!(station.count(is_refused), 200);
     let is_explained = |event: &Event| matches!(event, Event::Text { text, .. } if text.contains("it has failed"));
-    assert_eq!(station.count(is_explained), 1);
+    assert_eq!(station.count(is_explained), 64);
     assert_eq!(fixes(&station).len(), 0);
 }
 

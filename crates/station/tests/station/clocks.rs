@@ -1,16 +1,15 @@
 //! Clocks that run wrong, wrap and begin again: observations keep their place in time.
 
-use std::ops::RangeInclusive;
-
 use crate::support::simulation::StationSimulation;
 use crate::support::{
-    AlignedObservation, BRICK, HEARTBEAT, TestStation, at, config, frame, messages, ticks, time_answer, vision_fix,
+    AlignedObservation, BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, messages, ticks, time_answer,
+    vision_fix,
 };
 use posebridge_protocol::message::{Inertial, Message, VisionFix, WireStamp};
 use posebridge_sim::Scenario;
 use posebridge_telemetry::{
-    Address, BrickClock, Event, FusionOutcome, HostClock, ObservationKind, Output, Radians, RadiansPerSecond, SensorId,
-    TimeDelta, Timestamp,
+    Address, BrickClock, Event, FusionOutcome, HostClock, LinkId, ObservationKind, PeerId, Radians, RadiansPerSecond,
+    SensorId, TimeDelta, Timestamp,
 };
 
 /// A robot whose clock runs wrong by so much and whose 32-bit register wraps eight seconds after the beginning.
@@ -68,14 +67,7 @@ fn fixes_stay_aligned_and_the_estimate_follows_with_a_clock_that_is_2000_ppm_off
         }
         assert_eq!(setup.station.restarts(), []);
         check_estimate(&setup, 40);
-        let verdicts: Vec<FusionOutcome> = setup
-            .station
-            .events()
-            .filter_map(|event| match event {
-                Event::ObservationFused { record, .. } if record.kind == "fix" => Some(record.outcome),
-                _ => None,
-            })
-            .collect();
+        let verdicts = setup.station.verdicts("fix");
         let accepted = verdicts.iter().filter(|verdict| **verdict == FusionOutcome::Accepted);
         assert!(accepted.count() as f64 > 0.95 * verdicts.len() as f64);
     }
@@ -84,7 +76,7 @@ fn fixes_stay_aligned_and_the_estimate_follows_with_a_clock_that_is_2000_ppm_off
 /// The estimate has followed the robot to its last `count` poses, without a jump.
 fn check_estimate(setup: &StationSimulation, count: usize) {
     for truth in setup.simulation.truth().iter().rev().take(count) {
-        let estimate = setup.station.engine.estimate_at(truth.brick_time);
+        let estimate = setup.station.engine.first_robot().estimate_at(truth.brick_time);
         let estimate = estimate.expect("within the history");
         let error_m = (estimate.pose.x.0 - truth.pose.x.0).hypot(estimate.pose.y.0 - truth.pose.y.0);
         assert!(error_m < 0.03, "{error_m} at {:?}", truth.sim_time);
@@ -111,12 +103,12 @@ fn fixes_are_aligned_at_once_when_a_link_comes_back_after_the_wrap() {
 fn a_brick_that_restarts_keeps_its_pose_and_gets_its_requests_again() {
     let mut setup = StationSimulation::new(scenario(100.0), &config());
     setup.run_for(10);
-    let before = setup.station.engine.latest_time();
+    let before = setup.station.engine.first_robot().latest_time();
     setup.simulation.restart_brick();
     let restarted_at = setup.now();
     setup.run_for(8);
     assert_eq!(setup.station.restarts().len(), 1);
-    assert!(setup.station.engine.latest_time() < before, "a new clock");
+    assert!(setup.station.engine.first_robot().latest_time() < before, "a new clock");
 
     check_estimate(&setup, 1);
     assert!(!setup.station.last_estimate().is_dead_reckoning, "fixes are used again");
@@ -128,68 +120,9 @@ fn a_brick_that_restarts_keeps_its_pose_and_gets_its_requests_again() {
     assert_eq!(requests.count(), 2, "once for each message that is wanted");
 }
 
-/// From an instant to the first estimate whose stamp can be converted to host time, because an alignment went before.
-fn first_usable(station: &TestStation, since: Timestamp<HostClock>) -> TimeDelta {
-    let first = |after: Timestamp<HostClock>, is_it: fn(&Event) -> bool| {
-        station.when(is_it).into_iter().find(|now| *now > after).expect("it comes")
-    };
-    let aligned = first(since, |event| matches!(event, Event::BrickClockAligned { .. }));
-    first(aligned, |event| matches!(event, Event::EstimateUpdated { .. })) - since
-}
-
-/// By how much the alignments within some time left their bounds, when the brick's clock showed `zero_ms` at host zero.
-fn worst_outside_ms(
-    station: &TestStation,
-    during: &RangeInclusive<Timestamp<HostClock>>,
-    zero_ms: f64,
-    ppm: f64,
-) -> f64 {
-    let mut outside_ms = f64::NEG_INFINITY;
-    for (now, output) in &station.outputs {
-        let Output::Event(Event::BrickClockAligned { offset, uncertainty, host, .. }) = output else {
-            continue;
-        };
-        if during.contains(now) {
-            let true_ms = zero_ms + host.as_secs_f64() * ppm * 1e-3;
-            let error_ms = (offset.as_millis_f64() - true_ms).abs();
-            outside_ms = outside_ms.max(error_ms - uncertainty.as_millis_f64());
-        }
-    }
-    outside_ms
-}
-
-#[test]
-fn estimates_have_a_host_time_within_three_seconds_of_the_first_request_and_of_a_restart() {
-    for seed in 1..=5 {
-        let scenario = Scenario { seed, ..scenario(1_000.0) };
-        let start_ms = scenario.brick.clock_start_micros as f64 * 1e-3;
-        let mut setup = StationSimulation::new(scenario, &config());
-        setup.run_for(12);
-        let requested_at = setup.station.time_requests(0)[0].sent;
-        let first = first_usable(&setup.station, requested_at);
-        setup.simulation.restart_brick();
-        let restarted = setup.now();
-        setup.run_for(6);
-        let again = first_usable(&setup.station, restarted);
-        println!("seed {seed}: first {first:?}, after a restart {again:?}");
-        assert!(first <= TimeDelta::from_millis(3_000) && again <= TimeDelta::from_millis(3_000));
-
-        let zero_ms = -restarted.as_secs_f64() * 1e3 * 1.001;
-        let during = Timestamp::ZERO..=restarted;
-        let at_first = worst_outside_ms(&setup.station, &during, start_ms, 1_000.0);
-        let during = restarted + TimeDelta::from_millis(1)..=setup.now();
-        let anew = worst_outside_ms(&setup.station, &during, zero_ms, 1_000.0);
-        assert!(at_first <= 0.0 && anew <= 0.0, "{at_first} {anew}");
-    }
-}
-
-/// Answers every time request that the station has sent since `first`, with a clock that is 100 s ahead of the host's.
-fn answer(station: &mut TestStation, first: usize, now: Timestamp<HostClock>) {
-    answer_as(station, first, now, (BRICK, 100_000));
-}
-
-/// Answers as `source`, by a clock that is so many milliseconds ahead of the host's.
-fn answer_as(station: &mut TestStation, first: usize, now: Timestamp<HostClock>, (source, ahead_ms): (Address, i64)) {
+/// Answers every time request that the station has sent since `first`, as `source` with a clock that is so many milliseconds
+/// ahead of the host's.
+fn answer(station: &mut TestStation, first: usize, now: Timestamp<HostClock>, (source, ahead_ms): (Address, i64)) {
     for request in station.time_requests(first) {
         let answer = time_answer(now.as_nanos() + ahead_ms * 1_000_000 - 5_000_000, request.nanos);
         station.bytes(now, &frame(source, &answer));
@@ -213,7 +146,7 @@ fn station_without_telemetry() -> TestStation {
         let sent = station.outputs.len();
         station.pass_until(now);
         for (source, ahead_ms) in [(BRICK, 100_000), (CAMERA, 500_000)] {
-            answer_as(&mut station, sent, now + TimeDelta::from_millis(10), (source, ahead_ms));
+            answer(&mut station, sent, now + TimeDelta::from_millis(10), (source, ahead_ms));
         }
     }
     station
@@ -259,13 +192,9 @@ fn answered_requests_align_the_clocks_and_an_impossibly_early_answer_does_not_re
         station.pass_until(now);
         let millis = 100_000 + now.as_micros() as u32 / 1_000;
         station.bytes(now, &frame(BRICK, &ticks(millis, 0, 0)));
-        answer(&mut station, sent, now + TimeDelta::from_millis(10));
+        answer(&mut station, sent, now + TimeDelta::from_millis(10), (BRICK, 100_000));
     }
-    let aligned = station.events().filter_map(|event| match event {
-        Event::BrickClockAligned { offset, uncertainty, .. } => Some((*offset, *uncertainty)),
-        _ => None,
-    });
-    let (offset, uncertainty) = aligned.last().expect("the clocks are aligned");
+    let (offset, uncertainty) = *station.clock_offsets().last().expect("the clocks are aligned");
     let error = offset - TimeDelta::from_millis(100_000);
     assert!(error.as_nanos().abs() <= uncertainty.as_nanos(), "{error:?} {uncertainty:?}");
 
@@ -297,6 +226,9 @@ fn a_lost_frame_of_the_gyro_costs_nothing_and_an_overtaken_one_spoils_nothing() 
         (1_160, inertial(1_150, 1.0, 5.4)),
         (1_170, inertial(1_100, 6.0, 5.35)),
         (1_200, inertial(1_200, 1.0, 5.5)),
+        // A gap says nothing; then across the wrap of 32 bits of microradians.
+        (3_000, inertial(3_000, 9.0, 2_147.473_648)),
+        (3_100, inertial(3_100, 9.0, -2_147.473_648)),
     ] {
         station.bytes(at(arrival_ms), &bytes);
     }
@@ -304,5 +236,87 @@ fn a_lost_frame_of_the_gyro_costs_nothing_and_an_overtaken_one_spoils_nothing() 
         ObservationKind::TurnRate(rate) => Some((rate.0 * 1e3).round() / 1e3),
         _ => None,
     });
-    assert_eq!(rates.collect::<Vec<_>>(), [1.0, 1.0, 3.5, 6.0, 2.0]);
+    assert_eq!(rates.collect::<Vec<_>>(), [1.0, 1.0, 3.5, 6.0, 2.0, 9.0, 0.2]);
+}
+
+/// A link beside the robot's, whose inputs may be handled out of their order in time.
+const BESIDE: LinkId = LinkId(4);
+
+/// A minute of a brick whose clock is so many per cent faster than the host's and that answers each request at once: how
+/// often its clock could not be aligned.
+fn clock_warnings_at_rate_error(percent: i64) -> usize {
+    let mut station = TestStation::new(&config());
+    station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
+    let mut first_output = 0;
+    for k in 0..1_200_i64 {
+        let now = at(20 + k * 50);
+        station.pass_until(now);
+        let brick_ms = (k * 50) * (100 + percent) / 100 + 5_000;
+        let requests = station.time_requests(first_output);
+        first_output = station.outputs.len();
+        station.bytes(now, &frame(BRICK, &ticks(brick_ms as u32, 0, 0)));
+        for request in requests {
+            station.bytes(now, &frame(BRICK, &time_answer(brick_ms * 1_000_000, request.nanos)));
+        }
+    }
+    station.unaligned(BRICK).len()
+}
+
+#[test]
+fn a_clock_that_cannot_be_aligned_is_reported() {
+    assert_eq!(clock_warnings_at_rate_error(0), 0);
+    assert_eq!(clock_warnings_at_rate_error(1), 0);
+    assert!(clock_warnings_at_rate_error(3) > 3);
+}
+
+/// Twenty seconds of a brick that answers on one link while the inputs of another one are stamped later and handled first.
+/// How many exchanges of time came of it, and how many robots were lost.
+fn exchanges_beside_a_link_ahead(ahead_ms: i64) -> (usize, usize) {
+    let mut config = config();
+    config.links.push(link(BESIDE, vec![]));
+    let mut station = TestStation::new(&config);
+    station.bytes(at(1), &frame(BRICK, &HEARTBEAT));
+    let (mut first_output, mut pending) = (0, Vec::new());
+    for k in 0..2_000_i64 {
+        let now = at(20 + k * 10);
+        if k % 5 == 0 {
+            station.bytes(now, &frame(BRICK, &ticks(5_000 + k as u32 * 10, 0, 0)));
+        }
+        if k % 100 == 0 {
+            station.bytes(now, &frame(BRICK, &HEARTBEAT));
+        }
+        pending.extend(station.time_requests(first_output).into_iter().filter(|request| request.link == LINK));
+        // No reply comes before its request, and each direction takes a while.
+        for request in pending.extract_if(.., |request| Timestamp::from_nanos(request.nanos + 5_000_000) <= now) {
+            station.bytes(now, &frame(BRICK, &time_answer(request.nanos + 4_982_000_000, request.nanos)));
+        }
+        first_output = station.outputs.len();
+        let ahead = now + TimeDelta::from_millis(ahead_ms);
+        station.bytes_from(ahead, BESIDE, PeerId::default(), &frame(Address::new(7, 7), &HEARTBEAT));
+    }
+    let exchanges = station.count(|event| matches!(event, Event::BrickClockAligned { .. }));
+    (exchanges, station.count(|event| matches!(event, Event::RobotLost { .. })))
+}
+
+#[test]
+fn arrivals_of_several_links_that_are_handled_out_of_order_lose_no_exchange_and_no_peer() {
+    let (in_order, _) = exchanges_beside_a_link_ahead(0);
+    assert!(in_order > 40, "{in_order}");
+    // Ten milliseconds from one input of the first link to the next: from 10 on its inputs are behind.
+    for ahead_ms in [9, 12, 25, 80] {
+        let (exchanges, lost) = exchanges_beside_a_link_ahead(ahead_ms);
+        assert!(in_order.abs_diff(exchanges) <= 2, "{ahead_ms} ms: {exchanges} of {in_order}");
+        assert_eq!(lost, 0, "{ahead_ms} ms");
+    }
+}
+
+#[test]
+fn an_observation_keeps_the_instant_at_which_its_bytes_came() {
+    let mut config = config();
+    config.links.push(link(BESIDE, vec![]));
+    let mut station = TestStation::new(&config);
+    station.bytes_from(at(140), BESIDE, PeerId::default(), &frame(Address::new(7, 7), &HEARTBEAT));
+    station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
+    let [observed] = station.aligned()[..] else { panic!("one observation") };
+    assert_eq!(observed.arrival, at(100));
 }

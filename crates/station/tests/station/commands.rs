@@ -2,15 +2,16 @@
 
 mod one_robot;
 mod repeated;
+mod requests;
 
-use crate::support::ground::{GCS, GCS_LINK, Ground, OTHER_GCS_LINK, fix};
+use crate::support::ground::{GCS_LINK, Ground, OTHER_GCS_LINK, fix};
 use crate::support::{BRICK, LINK, STATION, TestStation, at, config, frame, messages};
 use posebridge_estimator::PARAMS;
 use posebridge_protocol::message::{Message, TextPart};
 use posebridge_station::{AnnouncedAs, StationConfig};
 use posebridge_telemetry::{
-    Address, Calibration, Command, FusionOutcome, Input, LinkState, ParameterName, ParameterStorage, PeerId, Pose,
-    Request, SensorId, SensorSwitch, UncertainValue,
+    Address, Calibration, Command, FusionOutcome, Input, LinkState, ParameterName, ParameterStorage, Pose, Request,
+    SensorId, SensorSwitch, UncertainValue,
 };
 
 const EVERYBODY_OF_OURS: Address = Address::new(255, 0);
@@ -279,7 +280,7 @@ fn a_pose_is_set_and_forgotten_over_a_link() {
 fn what_is_learned_is_frozen_thawed_and_reset() {
     let mut ground = Ground::new(with_calibration);
     let scale = |ground: &Ground| {
-        let learned = ground.station.engine.calibration();
+        let learned = ground.station.engine.first_robot().calibration();
         learned.expect("it learns").radius_scale
     };
     let configured = scale(&ground);
@@ -311,7 +312,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
     assert_eq!(ground.result(1_010, SOURCE, &[camera, 0.0]), ACCEPTED);
     ground.drive(1_050, 5_000);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), FusionOutcome::Unused);
-    let off: Vec<SensorId> = ground.station.engine.switched_off().collect();
+    let off: Vec<SensorId> = ground.station.engine.first_robot().switched_off().collect();
     assert_eq!(off, [SensorId::CAMERA]);
     let blurred = ground.station.last_estimate().x_sigma_m();
     assert!(blurred > 1.5 * sharp, "{blurred} {sharp}");
@@ -320,7 +321,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
         .station
         .handle(at(5_010), Input::Command(Command::SwitchSource { sensor: SensorId::CAMERA, to: SensorSwitch::On }));
     ground.drive(5_050, 6_000);
-    assert_eq!(ground.station.engine.switched_off().count(), 0);
+    assert_eq!(ground.station.engine.first_robot().switched_off().count(), 0);
     assert_eq!(ground.last_verdict(SensorId::CAMERA), FusionOutcome::Accepted);
     assert!(ground.station.last_estimate().x_sigma_m() < blurred / 1.5);
     let texts = ground.station.texts();
@@ -355,22 +356,6 @@ fn recordings_are_requested_and_unknown_commands_are_unsupported() {
     ));
     assert_eq!(ground.result(130, 400, &[1.0]), UNSUPPORTED);
     assert_eq!(ground.result(140, 65_000, &[]), UNSUPPORTED);
-}
-
-#[test]
-fn a_request_that_comes_by_two_endpoints_is_executed_once() {
-    let mut ground = Ground::new(|config| {
-        for link in &mut config.links[1..] {
-            link.rules.group = Some(0);
-        }
-    });
-    let set = Message::ParamSet { target: STATION, name: "slip_nis".to_owned(), value: 30.0 };
-    let mut bytes = Vec::new();
-    ground.encoder.encode(GCS, &set, &mut bytes);
-    for link in [GCS_LINK, OTHER_GCS_LINK] {
-        ground.station.bytes_from(at(100), link, PeerId::default(), &bytes);
-    }
-    assert_eq!(ground.station.texts().len(), 1);
 }
 
 #[test]

@@ -1,18 +1,17 @@
 //! Links for ground stations: two senders, two sequences without a gap, and silence without a robot.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
+use crate::signing::{SigningBrick, signing};
+use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, link, stream, ticks};
-use posebridge_protocol::dialect::{Encoder, PayloadError, decode, ids};
-use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind, WireVersion};
+use posebridge_protocol::dialect::{PayloadError, decode, ids};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, TransportKind};
 use posebridge_protocol::message::{CommandLong, Message, OdometryPose, SetMessageInterval, WireStamp};
-use posebridge_protocol::signing::{Key, LinkSigner, SigningConfig, SigningState, SigningTime, UnsignedPolicy};
 use posebridge_station::{AnnouncedAs, OutputKind, StationConfig};
 use posebridge_telemetry::{Address, HostClock, LinkId, Meters, Priority, Recipients, TimeDelta, Timestamp};
 
-const GCS_LINK: LinkId = LinkId(5);
-const GCS: Address = Address::new(254, 190);
 const CAMERA: Address = Address::new(1, 100);
 
 /// A robot's link, and one for ground stations.
@@ -264,21 +263,11 @@ fn a_ring_brings_nothing_round_twice() {
     assert_eq!(again.count(), 0);
 }
 
-fn a_key() -> SigningConfig {
-    let date = SigningTime::from_units(34_000_000_000_000);
-    SigningConfig {
-        key: Key::from_bytes([7; 32]),
-        link_id: 1,
-        unsigned: UnsignedPolicy::RejectExcept(BTreeSet::new()),
-        state: SigningState { written_at: date, clock: date, ..SigningState::default() },
-    }
-}
-
 /// Not all messages of a robot and the camera beside it are for ground stations; what is missing there must not look like a loss, with a key
 /// on the link or without.
 #[test]
 fn frames_for_the_station_alone_are_no_loss_to_others() {
-    for key in [None, Some(a_key())] {
+    for key in [None, Some(signing(7, 1))] {
         let mut config = two_links();
         let has_key = key.is_some();
         config.links[1].signing = key;
@@ -310,25 +299,17 @@ fn frames_for_the_station_alone_are_no_loss_to_others() {
     }
 }
 
-fn sign(brick: &mut LinkSigner, encoder: &mut Encoder, now: Timestamp<HostClock>, message: &Message) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let seal = brick.next_signer(now).expect("it has stamps left");
-    encoder.encode_signed(BRICK, message, &seal, &mut bytes);
-    bytes
-}
-
 #[test]
 fn signed_frames_are_never_touched_and_silence_us() {
     let mut station = TestStation::new(&two_links());
-    let mut signing = LinkSigner::new(a_key());
-    let mut encoder = Encoder::new(WireVersion::V2);
+    let mut brick = SigningBrick::with_key(7);
     let voice = RemotePeer::new(BRICK, LINK, 0);
     let mut sent = Vec::new();
     for step in 0..60_u32 {
         let now = at(i64::from(step * 50));
         station.pass_until(now);
         let message = if step % 20 == 0 { HEARTBEAT } else { ticks(step * 50, 0, 0) };
-        let bytes = sign(&mut signing, &mut encoder, now, &message);
+        let bytes = brick.frame(now, &message);
         voice.send_bytes(&mut station, now, &bytes);
         sent.push(bytes);
     }

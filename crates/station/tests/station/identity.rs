@@ -1,8 +1,8 @@
 //! Which robots there are: every sender of odometry is one, the station's own echo is not.
 
-use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, messages, stream, ticks};
+use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, ticks};
 use posebridge_protocol::message::{Message, RobotDescription};
-use posebridge_station::{AnnouncedAs, DescriptionPolicy, LinkConfig, OutputKind, RobotBlock, RobotConfig, RobotMatch};
+use posebridge_station::{AnnouncedAs, DescriptionPolicy, LinkConfig, RobotBlock, RobotConfig, RobotMatch};
 use posebridge_telemetry::{Address, Event, LinkId, Meters, RadiansPerSecond, RobotId, SystemId};
 
 const NEIGHBOUR: Address = Address::new(2, 1);
@@ -61,25 +61,6 @@ fn a_configured_robot_is_waited_for() {
     assert_eq!(observers(&station), [robot(NEIGHBOUR)]);
 }
 
-#[test]
-fn the_stations_own_frames_are_no_observation_when_a_link_echoes() {
-    let mut config = config();
-    config.links[0].outputs = vec![stream(OutputKind::Odometry, 0)];
-    let mut station = TestStation::new(&config);
-    for k in 0..20_u32 {
-        let now = at(100 + i64::from(k) * 50);
-        let first_output = station.outputs.len();
-        station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, 0)));
-        let echo: Vec<u8> = station.sent_since(first_output).flat_map(|sent| sent.bytes.to_vec()).collect();
-        let is_pose = |message: &Message| matches!(message, Message::Odometry(_));
-        assert!(messages(&echo).iter().any(is_pose));
-        let observer_count = observers(&station).len();
-        station.bytes(now, &echo);
-        assert_eq!(observers(&station).len(), observer_count);
-    }
-    assert!(!station.events().any(|event| matches!(event, Event::ReceiveError { .. })));
-}
-
 /// A robot's own words, with a track of this width and encoders of 360 counts per turn.
 fn description(track_width_m: f64, ticks_per_turn: f64) -> Message {
     Message::RobotDescription(RobotDescription {
@@ -100,8 +81,8 @@ fn heading_after_a_quarter(station: &mut TestStation) -> f64 {
         let now = at(1_000 + i64::from(k) * 50);
         station.bytes(now, &frame(BRICK, &ticks(5_000 + k * 50, 0, counts)));
     }
-    let engine = &station.engine;
-    let estimate = engine.latest_time().and_then(|latest| engine.estimate_at(latest));
+    let robot = station.engine.first_robot();
+    let estimate = robot.latest_time().and_then(|latest| robot.estimate_at(latest));
     estimate.expect("it was observed").pose.heading.rad()
 }
 
@@ -130,7 +111,7 @@ fn a_robots_own_description_replaces_the_geometry_where_it_is_adopted() {
             (heading_rad - expected_rad).abs() < 1e-6,
             "{policy:?} {source}: {heading_rad} instead of {expected_rad}"
         );
-        let used_m = station.engine.geometry().track_width.0;
+        let used_m = station.engine.first_robot().geometry().track_width.0;
         assert!((used_m - expected_width_m).abs() < 1e-6, "{used_m}");
     }
 }

@@ -2,16 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, ticks};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{
-    Address, HostClock, Input, LinkCounts, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp,
-};
-
-const GCS_LINK: LinkId = LinkId(5);
-const GCS: Address = Address::new(254, 190);
+use posebridge_telemetry::{HostClock, Input, LinkCounts, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
 /// Estimates that were sent to the robot's link.
 fn estimates(station: &TestStation) -> usize {

@@ -126,7 +126,7 @@ fn an_echo_is_ignored_and_a_foreign_sender_under_our_address_is_reported() {
     assert!(echoes.len() > 9, "{}", echoes.len());
     let far = RemotePeer::new(STATION, FAR, 0);
     for frame in &echoes {
-        far.send_bytes(&mut station, at(3_000), frame);
+        assert_eq!(far.send_bytes(&mut station, at(3_000), frame), []);
     }
     let namesakes = |station: &TestStation| {
         let defect = ReceiveError::AddressConflict { message_id: ids::HEARTBEAT };

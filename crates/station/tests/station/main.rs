@@ -6,7 +6,6 @@
     reason = "helpers stop at the first surprise and pick the events that they are about; the figures are to be read"
 )]
 
-mod arrivals;
 mod brick_clocks;
 mod brick_links;
 mod camera_fixes;
@@ -20,9 +19,6 @@ mod links;
 mod loops;
 mod many_peers;
 mod redundant_links;
-mod requests;
-mod resync;
-mod ring;
 mod routing;
 mod several_robots;
 mod signing;

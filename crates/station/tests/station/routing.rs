@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, link, ticks, vision_fix};
 use posebridge_protocol::dialect::ids;
@@ -11,9 +12,7 @@ use posebridge_station::StationConfig;
 use posebridge_telemetry::{Address, Event, LinkId, LinkState, PeerId, Priority, Recipients, SystemId, TimeDelta};
 
 const CAMERA_LINK: LinkId = LinkId(4);
-const GCS_LINK: LinkId = LinkId(5);
 const CAMERA: Address = Address::new(2, 100);
-const GCS: Address = Address::new(254, 190);
 const OTHER_GCS: Address = Address::new(253, 190);
 
 fn three_links() -> StationConfig {

@@ -1,6 +1,7 @@
 //! Robots of one station beside each other: each keeps its own ids, estimate and settings, and none of its messages is lost to
 //! another. Ground stations see the second of two robots with the same ids under another system.
 
+use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, link, messages, stream, ticks};
 use posebridge_protocol::dialect;
@@ -212,112 +213,80 @@ fn a_robot_of_redundant_links_takes_the_block_of_either_and_gets_its_estimate_on
     }
 }
 
-const GCS_LINK: LinkId = LinkId(5);
-const GCS: Address = Address::new(254, 190);
 /// How ground stations see the second robot.
 const SECOND: Address = Address::new(2, 1);
 const SIGNED: u8 = 1;
 
-struct TwoRobotSetup {
-    station: TestStation,
-    robots: [RemotePeer; 2],
-    gcs: RemotePeer,
-    now_ms: u32,
+/// Two robots with the same ids, both known, and a ground station that has been heard.
+fn two_robots() -> (TestStation, Vec<RemotePeer>, RemotePeer) {
+    let mut config = config();
+    config.links.push(LinkConfig {
+        announced_as: AnnouncedAs::StationAndVehicle,
+        ..link(GCS_LINK, vec![stream(OutputKind::Attitude, 0)])
+    });
+    let (mut station, robots) = station_with(&config, &[BRICK, BRICK]);
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
+    gcs.send(&mut station, at(300), &HEARTBEAT);
+    assert_eq!(station.engine.robots().len(), 2);
+    (station, robots, gcs)
 }
 
-impl TwoRobotSetup {
-    /// Both robots are known.
-    fn new() -> Self {
-        let mut config = config();
-        config.links.push(LinkConfig {
-            announced_as: AnnouncedAs::StationAndVehicle,
-            ..link(GCS_LINK, vec![stream(OutputKind::Attitude, 0)])
+/// The frames that were sent on a link since `first_output` outputs: recipients, sender and message.
+fn frames_since(station: &TestStation, first_output: usize, on: LinkId) -> Vec<(Recipients, Address, Message)> {
+    let mut frames = Vec::new();
+    for sent in station.sent_since(first_output).filter(|sent| sent.link == on) {
+        Framer::new(FramerConfig::default()).push(sent.now, sent.bytes, &mut |found| match found {
+            FramerOutput::Frame(frame) => {
+                let message = dialect::decode(&frame).expect("it makes sense");
+                frames.extend(message.map(|message| (sent.to, frame.source, message)));
+            }
+            _ => panic!("a frame is damaged"),
         });
-        let robots = [0, 1].map(|peer| RemotePeer::new(BRICK, LINK, peer));
-        let gcs = RemotePeer::new(GCS, GCS_LINK, 0);
-        let mut setup = Self { station: TestStation::new(&config), robots, gcs, now_ms: 100 };
-        setup.gcs.send(&mut setup.station, at(50), &HEARTBEAT);
-        for _ in 0..5 {
-            setup.drive();
-        }
-        assert_eq!(setup.station.engine.robots().len(), 2);
-        setup
     }
-
-    /// Both robots send their wheels, one after the other.
-    fn drive(&mut self) {
-        for robot in 0..2 {
-            let counts = i64::from(1_000 * robot as u32 + self.now_ms);
-            self.send(robot, &ticks(self.now_ms, counts, counts));
-        }
-        self.now_ms += 50;
-    }
-
-    fn send(&mut self, robot: usize, message: &Message) {
-        let now = at(i64::from(self.now_ms) + 10 * robot as i64);
-        self.robots[robot].send(&mut self.station, now, message);
-    }
-
-    /// The frames that were sent on a link since `first_output` outputs: recipients, sender, message and target.
-    fn frames_since(&self, first_output: usize, on: LinkId) -> Vec<(Recipients, Address, Message)> {
-        let mut frames = Vec::new();
-        for sent in self.station.sent_since(first_output).filter(|sent| sent.link == on) {
-            Framer::new(FramerConfig::default()).push(sent.now, sent.bytes, &mut |found| match found {
-                FramerOutput::Frame(frame) => {
-                    let message = dialect::decode(&frame).expect("it makes sense");
-                    frames.extend(message.map(|message| (sent.to, frame.source, message)));
-                }
-                _ => panic!("a frame is damaged"),
-            });
-        }
-        frames
-    }
+    frames
 }
 
 #[test]
 fn every_frame_of_the_second_robot_bears_the_system_that_is_announced() {
-    let mut setup = TwoRobotSetup::new();
-    let first_output = setup.station.outputs.len();
+    let (mut station, mut robots, _) = two_robots();
+    let first_output = station.outputs.len();
     let text = |content: &str| Message::StatusText { severity: 4, text: content.to_owned(), part: TextPart::default() };
-    setup.send(0, &text("first"));
-    setup.send(1, &text("second"));
-    setup.drive();
-    let frames = setup.frames_since(first_output, GCS_LINK);
-    let sent = |expected: Message| {
-        frames.iter().filter(|(_, _, message)| *message == expected).map(|(_, from, _)| *from).collect::<Vec<_>>()
+    robots[0].send(&mut station, at(310), &text("first"));
+    robots[1].send(&mut station, at(320), &text("second"));
+    drive(&mut station, &mut robots, 7);
+    let frames = frames_since(&station, first_output, GCS_LINK);
+    let senders = |is_it: &dyn Fn(&Message) -> bool| {
+        frames.iter().filter(|(_, _, message)| is_it(message)).map(|(_, from, _)| *from).collect::<Vec<_>>()
     };
-    assert_eq!(sent(text("first")), [BRICK]);
-    assert_eq!(sent(text("second")), [SECOND]);
-    let wheels = frames.iter().filter(|(_, _, message)| matches!(message, Message::WheelTicks(_)));
-    assert_eq!(wheels.map(|(_, from, _)| *from).collect::<Vec<_>>(), [BRICK, SECOND]);
+    assert_eq!(senders(&|message| *message == text("first")), [BRICK]);
+    assert_eq!(senders(&|message| *message == text("second")), [SECOND]);
+    assert_eq!(senders(&|message| matches!(message, Message::WheelTicks(_))), [BRICK, SECOND]);
 }
 
 #[test]
 fn a_message_to_one_of_two_robots_with_the_same_ids_reaches_that_one_under_its_own_ids() {
-    let mut setup = TwoRobotSetup::new();
+    let (mut station, _, mut gcs) = two_robots();
     for (target, peer) in [(BRICK, 0), (SECOND, 1)] {
-        let first_output = setup.station.outputs.len();
-        setup.gcs.send(&mut setup.station, at(400), &Message::ParamRequestList { target });
+        let first_output = station.outputs.len();
+        gcs.send(&mut station, at(400), &Message::ParamRequestList { target });
         let expected = (Recipients::Peer(PeerId(peer)), GCS, Message::ParamRequestList { target: BRICK });
-        let frames = setup.frames_since(first_output, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
+        let frames = frames_since(&station, first_output, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
         assert_eq!(frames.collect::<Vec<_>>(), [expected], "{target}");
     }
 }
 
 #[test]
 fn a_signed_frame_that_would_have_to_be_changed_is_dropped_and_counted() {
-    let mut setup = TwoRobotSetup::new();
-    let before = setup.station.later_health(GCS_LINK).drops_out;
-    let mut bytes = setup.robots[1].frame(&HEARTBEAT);
+    let (mut station, mut robots, _) = two_robots();
+    let before = station.later_health(GCS_LINK).drops_out;
+    let mut bytes = robots[1].frame(&HEARTBEAT);
     let end = bytes.len() - 2;
     bytes[2] |= SIGNED;
     // 50 is HEARTBEAT's CRC_EXTRA in minimal.xml.
     let sum = checksum(&bytes[1..end], 50);
     bytes[end..].copy_from_slice(&sum.to_le_bytes());
     bytes.extend([7; 13]);
-    setup.now_ms += 2_000;
-    let now = at(i64::from(setup.now_ms));
     // Ground stations would take it for another robot's, and other robots have no use for it.
-    assert_eq!(setup.robots[1].send_bytes(&mut setup.station, now, &bytes), []);
-    assert_eq!(setup.station.later_health(GCS_LINK).drops_out, before + 1);
+    assert_eq!(robots[1].send_bytes(&mut station, at(2_500), &bytes), []);
+    assert_eq!(station.later_health(GCS_LINK).drops_out, before + 1);
 }

@@ -2,23 +2,24 @@
 
 use std::collections::BTreeSet;
 
+use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, frame, link, messages, ticks};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_protocol::signing::{
-    Key, LinkSigner, RADIO_STATUS, ShutdownKind, SigningConfig, SigningState, SigningTime, UnsignedPolicy,
+    Key, LinkSigner, RADIO_STATUS, SigningConfig, SigningState, SigningTime, UnsignedPolicy,
 };
 use posebridge_station::StationConfig;
 use posebridge_telemetry::{
-    Address, Event, HostClock, LinkId, PeerId, Priority, ReceiveError, SignatureError, SourceHealth, Timestamp,
+    Address, Event, HostClock, PeerId, Priority, ReceiveError, SignatureError, SourceHealth, Timestamp,
 };
 
-const GCS_LINK: LinkId = LinkId(5);
 /// Some instant in 2025.
 const DATE: SigningTime = SigningTime::from_units(34_000_000_000_000);
 
-fn signing(key: u8, link_id: u8) -> SigningConfig {
+/// The configuration of a link with a key.
+pub(crate) fn signing(key: u8, link_id: u8) -> SigningConfig {
     SigningConfig {
         key: Key::from_bytes([key; 32]),
         link_id,
@@ -34,17 +35,17 @@ fn config() -> StationConfig {
 }
 
 /// A brick that signs.
-struct Brick {
+pub(crate) struct SigningBrick {
     signing: LinkSigner,
     encoder: Encoder,
 }
 
-impl Brick {
-    fn with_key(key: u8) -> Self {
+impl SigningBrick {
+    pub(crate) fn with_key(key: u8) -> Self {
         Self { signing: LinkSigner::new(signing(key, 0)), encoder: Encoder::new(WireVersion::V2) }
     }
 
-    fn send(&mut self, now: Timestamp<HostClock>, message: &Message) -> Vec<u8> {
+    pub(crate) fn frame(&mut self, now: Timestamp<HostClock>, message: &Message) -> Vec<u8> {
         let seal = self.signing.next_signer(now).expect("it has a time");
         let mut bytes = Vec::new();
         self.encoder.encode_signed(BRICK, message, &seal, &mut bytes);
@@ -53,33 +54,32 @@ impl Brick {
 }
 
 fn refusals(station: &TestStation) -> Vec<(Address, SignatureError)> {
-    let refused = station.events().filter_map(|event| match event {
+    station.select(|event| match event {
         Event::ReceiveError { link: LINK, defect: ReceiveError::SignatureRejected { source, reason } } => {
             Some((*source, *reason))
         }
         _ => None,
-    });
-    refused.collect()
+    })
 }
 
 #[test]
 fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     let mut station = TestStation::new(&config());
-    let mut brick = Brick::with_key(7);
-    let mut stranger = Brick::with_key(8);
-    let first = brick.send(at(100), &ticks(5_000, 0, 0));
+    let mut brick = SigningBrick::with_key(7);
+    let mut stranger = SigningBrick::with_key(8);
+    let first = brick.frame(at(100), &ticks(5_000, 0, 0));
     station.bytes(at(100), &first);
-    station.bytes(at(150), &brick.send(at(150), &ticks(5_050, 4, 4)));
+    station.bytes(at(150), &brick.frame(at(150), &ticks(5_050, 4, 4)));
     assert_eq!(station.aligned().len(), 2);
     assert_eq!(refusals(&station), []);
 
     station.bytes(at(160), &frame(BRICK, &ticks(5_060, 900, 0)));
-    station.bytes(at(170), &stranger.send(at(170), &ticks(5_070, 900, 0)));
+    station.bytes(at(170), &stranger.frame(at(170), &ticks(5_070, 900, 0)));
     station.bytes(at(180), &first);
     let past = Timestamp::from_millis(-61_000);
-    let mut late = Brick::with_key(7);
+    let mut late = SigningBrick::with_key(7);
     late.signing = LinkSigner::new(SigningConfig { link_id: 9, state: SigningState::default(), ..signing(7, 9) });
-    station.bytes(at(190), &late.send(past, &ticks(5_080, 900, 0)));
+    station.bytes(at(190), &late.frame(past, &ticks(5_080, 900, 0)));
     assert_eq!(
         refusals(&station).iter().map(|(_, why)| *why).collect::<Vec<_>>(),
         [SignatureError::Unsigned, SignatureError::Invalid, SignatureError::Replayed, SignatureError::Stale]
@@ -87,7 +87,7 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
     assert!(refusals(&station).iter().all(|(source, _)| *source == BRICK));
     assert_eq!(station.aligned().len(), 2);
 
-    station.bytes(at(200), &brick.send(at(200), &ticks(5_100, 8, 8)));
+    station.bytes(at(200), &brick.frame(at(200), &ticks(5_100, 8, 8)));
     assert_eq!(station.aligned().len(), 3);
     station.pass_until(at(1_000));
     let (health, sources) = station.health(LINK);
@@ -101,10 +101,10 @@ fn signed_telemetry_is_used_and_the_rest_is_counted_and_nothing_else() {
 #[test]
 fn the_stations_frames_are_signed_with_rising_stamps() {
     let mut station = TestStation::new(&config());
-    let mut brick = Brick::with_key(7);
+    let mut brick = SigningBrick::with_key(7);
     for k in 0..20_u32 {
         let now = at(100 + i64::from(k) * 50);
-        station.bytes(now, &brick.send(now, &ticks(5_000 + k * 50, 0, 0)));
+        station.bytes(now, &brick.frame(now, &ticks(5_000 + k * 50, 0, 0)));
     }
     assert!(station.sent().count() > 20);
     let mut receiver =
@@ -128,37 +128,14 @@ fn the_stations_frames_are_signed_with_rising_stamps() {
 }
 
 #[test]
-fn frames_received_before_a_restart_are_refused_after_it() {
-    let mut station = TestStation::new(&config());
-    let mut brick = Brick::with_key(7);
-    let before = brick.send(at(100), &HEARTBEAT);
-    station.bytes(at(100), &before);
-    assert_eq!(station.engine.signing_stream_count(), 1);
-    let memory = station.engine.signing_state(LINK, at(900)).unwrap();
-    assert_eq!(memory.written_at, DATE.saturating_add(at(900) - Timestamp::ZERO));
-
-    let date = DATE.saturating_add(at(2_000) - Timestamp::ZERO);
-    let mut config = config();
-    let resumed = memory.clone().resume(date, ShutdownKind::Interrupted);
-    config.links[0].signing.as_mut().unwrap().state = resumed;
-    let mut station = TestStation::new(&config);
-    station.bytes(at(10), &before);
-    assert_eq!(refusals(&station), [(BRICK, SignatureError::Replayed)]);
-    station.bytes(at(1_000), &brick.send(at(3_000), &HEARTBEAT));
-    assert_eq!(refusals(&station).len(), 1);
-    let own = station.engine.signing_state(LINK, at(10)).unwrap().last_sent;
-    assert!(own > memory.last_sent.saturating_add(SigningState::MAX_WRITE_GAP));
-}
-
-#[test]
 fn an_allowed_unsigned_frame_teaches_nothing_about_its_claimed_sender() {
     let mut config = config();
     config.links.push(link(GCS_LINK, vec![]));
     let heartbeats = UnsignedPolicy::RejectExcept(BTreeSet::from([0]));
     config.links[0].signing.as_mut().unwrap().unsigned = heartbeats;
     let mut station = TestStation::new(&config);
-    let mut brick = Brick::with_key(7);
-    station.bytes(at(10), &brick.send(at(10), &HEARTBEAT));
+    let mut brick = SigningBrick::with_key(7);
+    station.bytes(at(10), &brick.frame(at(10), &HEARTBEAT));
     for number in 0..5_000_u16 {
         let [system, component] = (number + 0x0200).to_be_bytes();
         let unsigned = frame(Address::new(system, component), &HEARTBEAT);
@@ -172,12 +149,12 @@ fn an_allowed_unsigned_frame_teaches_nothing_about_its_claimed_sender() {
         forger.encode(BRICK, &HEARTBEAT, &mut unsigned);
     }
     station.bytes(at(30), &unsigned);
-    station.bytes(at(40), &brick.send(at(40), &ticks(5_000, 0, 0)));
+    station.bytes(at(40), &brick.frame(at(40), &ticks(5_000, 0, 0)));
     assert_eq!(refusals(&station), []);
     let mut links_reached = |target: Address| {
         let command = Message::Command(CommandLong { target, command: 400, params: [1.0; 7] });
         let first_output = station.outputs.len();
-        station.bytes_from(at(50), GCS_LINK, PeerId::default(), &frame(Address::new(254, 190), &command));
+        station.bytes_from(at(50), GCS_LINK, PeerId::default(), &frame(GCS, &command));
         let commands = station.sent_since(first_output).filter(|sent| sent.priority == Priority::Command);
         commands.map(|sent| sent.link).collect::<Vec<_>>()
     };

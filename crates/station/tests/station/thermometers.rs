@@ -33,13 +33,12 @@ struct TemperatureReport {
 }
 
 fn temperature_reports(station: &TestStation) -> Vec<TemperatureReport> {
-    let temperatures = station.events().filter_map(|event| match event {
+    station.select(|event| match event {
         Event::Temperature { brick, channel, verdict, settled, .. } => {
             Some(TemperatureReport { address: brick.address, channel: *channel, verdict: *verdict, settled: *settled })
         }
         _ => None,
-    });
-    temperatures.collect()
+    })
 }
 
 /// A robot that drives, and what else comes in the same reads.

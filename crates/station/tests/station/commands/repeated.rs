@@ -1,12 +1,10 @@
 //! A run with requests gives the same when it is replayed, and when its bytes come in other pieces.
 
 use super::{CALIBRATION, PREFLIGHT_STORAGE, SET_POSE, SOURCE, name, with_calibration};
-use crate::support::ground::{GCS, GCS_LINK, Ground, OTHER_GCS_LINK};
+use crate::support::ground::{GCS_LINK, Ground, OTHER_GCS_LINK};
 use crate::support::{STATION, at, config, link};
-use posebridge_protocol::dialect::Encoder;
-use posebridge_protocol::framing::WireVersion;
-use posebridge_protocol::message::{CommandLong, Message};
-use posebridge_telemetry::{Command, Input, OnlineCalibration, ParameterStorage, PeerId, SensorId, SensorSwitch};
+use posebridge_protocol::message::Message;
+use posebridge_telemetry::{Command, Input, OnlineCalibration, ParameterStorage, SensorId, SensorSwitch};
 
 /// All requests, over a link and as a command, while the robot drives.
 fn busy() -> Ground {
@@ -52,31 +50,4 @@ fn a_run_with_requests_is_replayed_bit_for_bit() {
     let replayed = live.station.replayed(&config);
     assert_eq!(format!("{:?}", replayed.outputs), format!("{:?}", live.station.outputs));
     assert!(live.station.texts().len() >= 15, "{:?}", live.station.texts());
-}
-
-#[test]
-fn bytes_with_requests_may_come_in_any_pieces() {
-    let mut encoder = Encoder::new(WireVersion::V2);
-    let mut bytes = Vec::new();
-    for message in [
-        Message::ParamRequestRead { target: STATION, name: String::new(), index: 3 },
-        Message::ParamSet { target: STATION, name: "slip_nis".to_owned(), value: 30.0 },
-        Message::ParamSet { target: STATION, name: "slip_nis".to_owned(), value: 300.0 },
-        Message::Command(CommandLong { target: STATION, command: CALIBRATION, params: [0.0; 7] }),
-    ] {
-        encoder.encode(GCS, &message, &mut bytes);
-    }
-    let answers = |chunk: usize| {
-        let mut ground = Ground::new(|_| {});
-        let first_output = ground.station.outputs.len();
-        for bytes in bytes.chunks(chunk) {
-            ground.station.bytes_from(at(100), GCS_LINK, PeerId::default(), bytes);
-        }
-        ground.received_since(first_output, GCS_LINK)
-    };
-    let expected = answers(bytes.len());
-    assert_eq!(expected.len(), 5);
-    for chunk in 1..bytes.len() {
-        assert_eq!(answers(chunk), expected, "chunks of {chunk}");
-    }
 }

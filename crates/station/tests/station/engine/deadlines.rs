@@ -67,6 +67,18 @@ fn a_complete_frame_after_a_truncated_one_survives_the_loss_of_its_link() {
 }
 
 #[test]
+fn a_flipped_bit_is_damage_and_in_the_id_an_unknown_message() {
+    let mut station = TestStation::new(&config());
+    for (index, bit) in [(12, 1), (9, 0x40)] {
+        let mut flipped = frame(BRICK, &HEARTBEAT);
+        flipped[index] ^= bit;
+        station.bytes(at(100), &[flipped, frame(BRICK, &HEARTBEAT)].concat());
+    }
+    let health = station.later_health(LINK);
+    assert_eq!((health.checksum_errors, health.unknown_ids, health.frames_in), (1, 1, 2));
+}
+
+#[test]
 fn a_link_that_is_down_gets_nothing_and_begins_anew_when_it_is_up() {
     let mut station = TestStation::new(&config());
     station.bytes(at(100), &frame(BRICK, &ticks(5_000, 0, 0)));
@@ -83,12 +95,6 @@ fn a_link_that_is_down_gets_nothing_and_begins_anew_when_it_is_up() {
     assert!(station.sent().count() > before);
     let (health, _) = station.health(LINK);
     assert_eq!((health.reconnects, health.frames_in), (1, 2));
-    let states: Vec<_> = station
-        .events()
-        .filter_map(|event| match event {
-            Event::Link { state, .. } => Some(*state),
-            _ => None,
-        })
-        .collect();
+    let states = station.select(|event| if let Event::Link { state, .. } = event { Some(*state) } else { None });
     assert_eq!(states, [LinkState::Up, LinkState::Down, LinkState::Up]);
 }

@@ -1,4 +1,4 @@
-//! The configuration of a station with one stream link, for tests and benchmarks.
+//! The configuration of a station with one stream link, for unit tests, tests and benchmarks.
 
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};

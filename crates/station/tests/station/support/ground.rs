@@ -93,12 +93,11 @@ impl Ground {
     }
 
     pub(crate) fn last_verdict(&self, sensor: SensorId) -> FusionOutcome {
-        let events = self.station.events();
-        let verdicts = events.filter_map(|event| match event {
+        let mut verdicts = self.station.select(|event| match event {
             Event::ObservationFused { record, .. } if record.sensor == sensor => Some(record.outcome),
             _ => None,
         });
-        verdicts.last().expect("there is one")
+        verdicts.pop().expect("there is one")
     }
 
     pub(crate) fn value_of(&mut self, millis: i64, name: &str) -> f32 {

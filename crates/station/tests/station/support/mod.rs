@@ -11,8 +11,9 @@ use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersi
 use posebridge_protocol::message::{Heartbeat, Message, TimeSync, VisionFix, WheelTicks, WireStamp};
 use posebridge_station::{Station, StationConfig};
 use posebridge_telemetry::{
-    Address, EncoderTicks, Estimate, Event, Heading, HostClock, Input, LinkHealth, LinkId, LinkState, Meters,
-    Observation, Output, PeerId, Priority, ReceiveError, Recipients, RobotId, SourceHealth, TimeDelta, Timestamp,
+    Address, EncoderTicks, Estimate, Event, FusionOutcome, Heading, HostClock, Input, LinkHealth, LinkId, LinkState,
+    Meters, Observation, Output, PeerId, Priority, ReceiveError, Recipients, RobotId, SourceHealth, TimeDelta,
+    Timestamp,
 };
 
 pub(crate) use config::{LINK, STATION, at, config, link, stream};
@@ -147,6 +148,11 @@ impl TestStation {
         }
     }
 
+    /// What `pick` takes of all events so far.
+    pub(crate) fn select<'a, T>(&'a self, pick: impl Fn(&'a Event) -> Option<T>) -> Vec<T> {
+        self.events().filter_map(pick).collect()
+    }
+
     /// All events so far.
     pub(crate) fn events(&self) -> impl Iterator<Item = &Event> {
         self.events_since(0)
@@ -201,11 +207,7 @@ impl TestStation {
     }
 
     pub(crate) fn estimates(&self) -> Vec<Estimate> {
-        let estimates = self.events().filter_map(|event| match event {
-            Event::EstimateUpdated { estimate, .. } => Some(*estimate),
-            _ => None,
-        });
-        estimates.collect()
+        self.select(|event| if let Event::EstimateUpdated { estimate, .. } = event { Some(*estimate) } else { None })
     }
 
     pub(crate) fn last_estimate(&self) -> Estimate {
@@ -214,20 +216,35 @@ impl TestStation {
 
     /// The station's own status texts.
     pub(crate) fn texts(&self) -> Vec<&str> {
-        let texts = self.events().filter_map(|event| match event {
+        self.select(|event| match event {
             Event::Text { source, text, .. } if *source == STATION => Some(text.as_str()),
             _ => None,
-        });
-        texts.collect()
+        })
     }
 
     /// The last health of a link and of its sources.
     pub(crate) fn health(&self, id: LinkId) -> (LinkHealth, Vec<SourceHealth>) {
-        let health = self.events().filter_map(|event| match event {
+        let mut health = self.select(|event| match event {
             Event::Health { link, health, sources, .. } if *link == id => Some((*health, sources.clone())),
             _ => None,
         });
-        health.last().expect("a second has passed")
+        health.pop().expect("a second has passed")
+    }
+
+    /// The alignments of robots' clocks: offset and uncertainty.
+    pub(crate) fn clock_offsets(&self) -> Vec<(TimeDelta, TimeDelta)> {
+        self.select(|event| match event {
+            Event::BrickClockAligned { offset, uncertainty, .. } => Some((*offset, *uncertainty)),
+            _ => None,
+        })
+    }
+
+    /// What became of the observations of a kind.
+    pub(crate) fn verdicts(&self, kind: &str) -> Vec<FusionOutcome> {
+        self.select(|event| match event {
+            Event::ObservationFused { record, .. } if record.kind == kind => Some(record.outcome),
+            _ => None,
+        })
     }
 
     /// The health of a link a second after the last output.

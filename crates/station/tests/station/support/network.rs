@@ -76,6 +76,10 @@ impl<P> BytesInTransit<P> {
         self.queue.insert((arrival, self.sent), (destination, bytes));
     }
 
+    pub(crate) fn last_arrival(&self) -> Option<Timestamp<HostClock>> {
+        self.queue.last_key_value().map(|((arrival, _), _)| *arrival)
+    }
+
     /// The next that arrives until `now`.
     pub(crate) fn take_due(&mut self, now: Timestamp<HostClock>) -> Option<(P, Vec<u8>)> {
         let entry = self.queue.first_entry()?;

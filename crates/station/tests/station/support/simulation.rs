@@ -1,33 +1,24 @@
 //! A simulated robot behind a link with delays, and a station at the other end.
 
-use std::collections::VecDeque;
-
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_station::StationConfig;
 use posebridge_telemetry::{HostClock, Input, LinkState, TimeDelta, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::network::BytesInTransit;
 use super::{LINK, TestStation};
 
 /// Each way takes so long, and up to as long again by chance; order is kept.
 const DELAY_MS: i64 = 10;
-
-/// Bytes with their instants of arrival, in order.
-type BytesInTransit = VecDeque<(Timestamp<HostClock>, Vec<u8>)>;
-
-fn take_due(queue: &mut BytesInTransit, now: Timestamp<HostClock>) -> Option<Vec<u8>> {
-    let is_due = queue.front().is_some_and(|next| next.0 <= now);
-    is_due.then(|| queue.pop_front()).flatten().map(|(_, bytes)| bytes)
-}
 
 /// Simulation and station, driven in steps of a millisecond of world time; the host's clock is the world's.
 pub(crate) struct StationSimulation {
     pub(crate) simulation: Simulation,
     pub(crate) station: TestStation,
     rng: Pcg64,
-    to_station: BytesInTransit,
-    to_robot: BytesInTransit,
+    to_station: BytesInTransit<()>,
+    to_robot: BytesInTransit<()>,
     handled_outputs: usize,
 }
 
@@ -37,8 +28,8 @@ impl StationSimulation {
             rng: Pcg64::seed_from_u64(scenario.seed),
             simulation: Simulation::new(scenario),
             station: TestStation::new(config),
-            to_station: VecDeque::new(),
-            to_robot: VecDeque::new(),
+            to_station: BytesInTransit::default(),
+            to_robot: BytesInTransit::default(),
             handled_outputs: 0,
         }
     }
@@ -58,17 +49,17 @@ impl StationSimulation {
         self.simulation.step();
         let now = self.now();
         while let Some(bytes) = self.simulation.poll() {
-            let arrival = self.arrival(self.to_station.back().map(|last| last.0));
-            self.to_station.push_back((arrival, bytes));
+            let arrival = self.arrival(self.to_station.last_arrival());
+            self.to_station.send(arrival, (), bytes);
         }
-        while let Some(bytes) = take_due(&mut self.to_station, now) {
+        while let Some(((), bytes)) = self.to_station.take_due(now) {
             self.station.bytes(now, &bytes);
         }
         if self.station.engine.deadline().is_some_and(|due| due <= now) {
             self.station.handle(now, Input::Tick);
         }
         self.send_back();
-        while let Some(bytes) = take_due(&mut self.to_robot, now) {
+        while let Some(((), bytes)) = self.to_robot.take_due(now) {
             self.simulation.receive(&bytes);
         }
     }
@@ -77,8 +68,8 @@ impl StationSimulation {
         let fresh: Vec<_> = self.station.sent_since(self.handled_outputs).map(|sent| sent.bytes.to_vec()).collect();
         self.handled_outputs = self.station.outputs.len();
         for bytes in fresh {
-            let arrival = self.arrival(self.to_robot.back().map(|last| last.0));
-            self.to_robot.push_back((arrival, bytes));
+            let arrival = self.arrival(self.to_robot.last_arrival());
+            self.to_robot.send(arrival, (), bytes);
         }
     }
 
@@ -93,8 +84,8 @@ impl StationSimulation {
         self.station.link(self.now(), LINK, LinkState::Down);
         for _ in 0..seconds * 1_000 {
             self.step();
-            self.to_station.clear();
-            self.to_robot.clear();
+            self.to_station.lose(|()| true);
+            self.to_robot.lose(|()| true);
         }
         self.station.link(self.now(), LINK, LinkState::Up);
     }

@@ -1,5 +1,6 @@
 //! Questions about messages: to the station alone they are always answered, to all components of its system only with what it has.
 
+use super::{ACCEPTED, DENIED, EVERYBODY_OF_OURS, UNSUPPORTED};
 use crate::support::STATION;
 use crate::support::ground::{GCS_LINK, Ground};
 use posebridge_protocol::dialect::ids::{
@@ -8,12 +9,7 @@ use posebridge_protocol::dialect::ids::{
 use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_telemetry::Address;
 
-const ALL_OF_OURS: Address = Address::new(255, 0);
 const EVERYBODY: Address = Address::new(0, 0);
-
-const ACCEPTED: u8 = 0;
-const DENIED: u8 = 2;
-const UNSUPPORTED: u8 = 3;
 
 /// Requests a message; returns the results of the replies, and the number of other messages.
 fn request(ground: &mut Ground, target: Address, command: u16, params: [f32; 2]) -> (Vec<u8>, usize) {
@@ -36,7 +32,7 @@ fn a_request_to_all_components_is_answered_with_what_the_station_has() {
     for (command, about) in
         [(COMMAND_REQUEST_MESSAGE, ids::AUTOPILOT_VERSION), (COMMAND_GET_MESSAGE_INTERVAL, ids::ODOMETRY)]
     {
-        for target in [STATION, ALL_OF_OURS] {
+        for target in [STATION, EVERYBODY_OF_OURS] {
             let answer = request(&mut ground, target, command, [about as f32, 0.0]);
             assert_eq!(answer, (vec![ACCEPTED], 1), "{command} to {target}");
         }
@@ -52,7 +48,7 @@ fn a_request_to_all_components_is_answered_with_what_the_station_has() {
     ] {
         let answer = request(&mut ground, STATION, command, [about, 0.0]);
         assert_eq!(answer, (vec![alone], 0), "{command} {about}");
-        let answer = request(&mut ground, ALL_OF_OURS, command, [about, 0.0]);
+        let answer = request(&mut ground, EVERYBODY_OF_OURS, command, [about, 0.0]);
         assert_eq!(answer, (vec![], 0), "{command} {about}");
     }
 }
