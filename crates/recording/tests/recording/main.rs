@@ -9,7 +9,6 @@ mod datasets;
 mod dead_reckoning;
 mod events;
 mod foxglove;
-mod foxglove_robots;
 mod golden_outputs;
 mod protobuf;
 mod published_figures;
