@@ -51,7 +51,6 @@ pub(crate) struct HubInputs {
     pub(crate) taps: FrameTaps,
 }
 
-/// Runs until the station loop ends.
 pub(crate) async fn run_hub(mut hub: Hub, mut inputs: HubInputs) {
     let (frames, _) = broadcast::channel(MAX_WAITING_FRAMES);
     let mut ticks = interval(TICK);
