@@ -14,7 +14,7 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
 use super::guard::RequestGuard;
-use super::hub_task::{HubQuery, TextTopic};
+use super::hub_task::{HubQuery, Topic};
 use crate::api::{HostClockSource, ReplayLoader};
 use crate::assets::Assets;
 use crate::command::{self, CommandContext};
@@ -78,9 +78,9 @@ impl AppState {
         looked.await.ok().flatten()
     }
 
-    pub(super) async fn text(&self, subject: TextTopic, kind: &'static str) -> Response {
+    pub(super) async fn text(&self, topic: Topic, kind: &'static str) -> Response {
         let (reply, answer) = oneshot::channel();
-        drop(self.queries.send(HubQuery::Text(subject, reply)).await);
+        drop(self.queries.send(HubQuery::Text(topic, reply)).await);
         answer.await.map_or_else(
             |_closed| refusal_response(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
             |text| with_content_type(kind, text.into()),

@@ -22,11 +22,11 @@ use tokio_util::io::ReaderStream;
 
 use super::app_state::{AppState, refusal_response, with_content_type};
 use super::guard::RequestAdmission;
-use super::hub_task::TextTopic;
+use super::hub_task::{Topic, to_json};
 use super::stream;
 use crate::counters::ServerCounter;
 use crate::limits::{MAX_MESSAGE_BYTES, REPLAY_TIMEOUT, REQUEST_TIMEOUT};
-use crate::metrics::CONTENT_TYPE as METRICS_TYPE;
+use crate::metrics;
 use crate::model::Accepted;
 
 type SharedApp = State<Arc<AppState>>;
@@ -44,16 +44,16 @@ const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
 pub(crate) fn router(app: Arc<AppState>) -> Router {
     Router::new()
         .route("/v1/stream", get(stream::open))
-        .route("/v1/state", text(TextTopic::State, JSON))
-        .route("/v1/robots", text(TextTopic::Robots, JSON))
-        .route("/v1/sources", text(TextTopic::Sources, JSON))
-        .route("/v1/parameters", text(TextTopic::Parameters, JSON))
+        .route("/v1/state", text(|hub, counts| to_json(&hub.state(counts)), JSON))
+        .route("/v1/robots", text(|hub, _| to_json(&hub.robots()), JSON))
+        .route("/v1/sources", text(|hub, _| to_json(&hub.sources()), JSON))
+        .route("/v1/parameters", text(|hub, _| to_json(&hub.parameters()), JSON))
         .route("/v1/recordings", get(recordings))
         .route("/v1/recordings/{name}", get(download))
         .route("/v1/recordings/{name}/replay", get(replay))
         .route("/v1/commands", post(command))
         .route("/v1/schema.json", get(schema))
-        .route("/metrics", text(TextTopic::Metrics, METRICS_TYPE))
+        .route("/metrics", text(metrics::page, metrics::CONTENT_TYPE))
         .fallback(asset)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(MAX_MESSAGE_BYTES))
@@ -61,7 +61,7 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
         .with_state(app)
 }
 
-fn text(topic: TextTopic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
+fn text(topic: Topic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
     get(move |State(app): SharedApp| async move { app.text(topic, kind).await })
 }
 
