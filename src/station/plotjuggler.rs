@@ -82,81 +82,125 @@ fn send(socket: &UdpSocket, address: SocketAddr, frame: &Frame, sent: &mut SendC
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PlotField {
-    /// Path of the field: names of the enclosing objects and its own, with slashes between. ID, SENSOR and N are placeholders for a
-    /// robot, a sensor, a link.
-    pub name: &'static str,
-    pub help: &'static str,
+/// A field of an object in a datagram.
+struct PlotField<T> {
+    name: &'static str,
+    help: &'static str,
+    read: fn(&T) -> Value,
 }
 
-const fn field(name: &'static str, help: &'static str) -> PlotField {
-    PlotField { name, help }
+const fn field<T>(name: &'static str, help: &'static str, read: fn(&T) -> Value) -> PlotField<T> {
+    PlotField { name, help, read }
 }
 
-/// Every field of the datagrams. docs/dashboard.md has the same table, and tests compare both with the sent datagrams. Adding one: a
-/// row here, one in the page, and a field in an object below.
-pub const FIELDS: &[PlotField] = &[
-    field("timestamp", "seconds of the session, by the station's clock"),
-    field("robot_ID/estimate/x_m", "estimate, east"),
-    field("robot_ID/estimate/y_m", "estimate, north"),
-    field("robot_ID/estimate/heading_rad", "counter-clockwise from east, in (-pi, pi]"),
-    field("robot_ID/estimate/heading_sigma_rad", "one standard deviation of it"),
-    field("robot_ID/estimate/ellipse_major_m", "half the longer axis of the ellipse that holds the position with 95 %"),
-    field("robot_ID/estimate/ellipse_minor_m", "half its shorter axis"),
-    field("robot_ID/estimate/forward_m_per_s", "forward speed"),
-    field("robot_ID/estimate/turn_rad_per_s", "turn rate, bias removed"),
-    field("robot_ID/estimate/fix_age_s", "time since the last fix that was used; absent before the first"),
-    field("robot_ID/estimate/is_dead_reckoning", "1 when nothing absolute was used for too long"),
-    field("robot_ID/estimate/reset_counter", "counts jumps that are not motion"),
-    field("robot_ID/SENSOR/nis", "normalised innovation squared; absent where nothing was predicted"),
-    field("robot_ID/SENSOR/degrees_of_freedom", "of the NIS: its mean, if the filter is honest"),
-    field("robot_ID/SENSOR/is_used", "1 when the observation was used, 0 when it was gated, too old or not wanted"),
-    field("robot_ID/SENSOR/lag_s", "how far behind the filter's time it was"),
-    field("robot_ID/SENSOR/innovation/forward_m", "fixes: observed minus predicted, along the robot"),
-    field("robot_ID/SENSOR/innovation/left_m", "fixes: to its left"),
-    field("robot_ID/SENSOR/innovation/heading_rad", "fixes with a heading, and compasses"),
-    field("robot_ID/SENSOR/innovation/turn_rad", "wheels: the gyro's turn minus theirs over a window"),
-    field("robot_ID/SENSOR/innovation/range_m", "ranges to walls, beacons and landmarks"),
-    field("robot_ID/SENSOR/innovation/bearing_rad", "bearings of landmarks"),
-    field("robot_ID/SENSOR/sigma/forward_m", "one standard deviation of each innovation"),
-    field("robot_ID/SENSOR/sigma/left_m", "the same"),
-    field("robot_ID/SENSOR/sigma/heading_rad", "the same"),
-    field("robot_ID/SENSOR/sigma/turn_rad", "the same"),
-    field("robot_ID/SENSOR/sigma/range_m", "the same"),
-    field("robot_ID/SENSOR/sigma/bearing_rad", "the same"),
-    field("truth/x_m", "where the simulated robot really is, east"),
-    field("truth/y_m", "north"),
-    field("truth/heading_rad", "its heading"),
-    field("odometry/x_m", "where the brick's own dead reckoning believes the simulated robot to be, east"),
-    field("odometry/y_m", "north"),
-    field("odometry/heading_rad", "its heading"),
-    field("errors/odometry_m", "distance of odometry from the truth"),
-    field("errors/estimate_m", "distance of the estimate from the truth at the same instant"),
-    field("link_N/is_up", "1 when it is"),
-    field("link_N/bytes_in_per_s", "received"),
-    field("link_N/frames_in_per_s", "received whole"),
-    field("link_N/lost", "frames missing in the sequence numbers, since the beginning"),
-    field("link_N/checksum_errors", "candidates whose checksum did not match"),
-    field("link_N/garbage_bytes", "bytes outside every frame"),
-    field("link_N/stalls", "candidates given up because their bytes stopped coming"),
-    field("link_N/queued_frames", "frames that wait to be sent"),
-    field("link_N/drops_out", "outgoing messages dropped because the link was slow or down"),
-    field("link_N/round_trip_s", "of the last answered question for the time; absent where none is answered"),
-    field("link_N/clock_uncertainty_s", "how far a converted stamp may be off"),
-    field("clock/offset_s", "brick time minus host time"),
-    field("clock/skew_ppm", "rate of the brick's clock against the host's, minus one"),
-    field("clock/uncertainty_s", "half the distance between the bounds of the offset"),
+#[rustfmt::skip]
+const ESTIMATE: &[PlotField<EstimatePoint>] = &[
+    field("x_m", "estimate, east", |of| of.x_m.into()),
+    field("y_m", "estimate, north", |of| of.y_m.into()),
+    field("heading_rad", "counter-clockwise from east, in (-pi, pi]", |of| of.heading_rad.into()),
+    field("heading_sigma_rad", "one standard deviation of it", |of| of.heading_sigma_rad.into()),
+    field("ellipse_major_m", "half the longer axis of the ellipse that holds the position with 95 %", |of| of.major_m.into()),
+    field("ellipse_minor_m", "half its shorter axis", |of| of.minor_m.into()),
+    field("forward_m_per_s", "forward speed", |of| of.forward_m_per_s.into()),
+    field("turn_rad_per_s", "turn rate, bias removed", |of| of.turn_rad_per_s.into()),
+    field("fix_age_s", "time since the last fix that was used; absent before the first", |of| of.fix_age_s.into()),
+    field("is_dead_reckoning", "1 when nothing absolute was used for too long", |of| Value::Count(of.is_dead_reckoning.into())),
+    field("reset_counter", "counts jumps that are not motion", |of| Value::Count(of.reset_counter.into())),
 ];
 
-/// The pattern in [`FIELDS`] that matches a sent field.
-pub fn pattern_of(name: &str) -> Option<&'static str> {
+#[rustfmt::skip]
+const FUSION: &[PlotField<FusionPoint>] = &[
+    field("nis", "normalised innovation squared; absent where nothing was predicted", |of| of.nis.into()),
+    field("degrees_of_freedom", "of the NIS: its mean, if the filter is honest", |of| Value::Count(of.dof.into())),
+    field("is_used", "1 when the observation was used, 0 when it was gated, too old or not wanted", |of| {
+        Value::Count(matches!(of.verdict.as_str(), "accepted" | "slip" | "reset to").into())
+    }),
+    field("lag_s", "how far behind the filter's time it was", |of| of.lag_s.into()),
+];
+
+/// Innovations and their standard deviations by component.
+#[rustfmt::skip]
+const COMPONENTS: &[(&str, &str, &str)] = &[
+    ("forward_m", "fixes: observed minus predicted, along the robot", "one standard deviation of each innovation"),
+    ("left_m", "fixes: to its left", "the same"),
+    ("heading_rad", "fixes with a heading, and compasses", "the same"),
+    ("turn_rad", "wheels: the gyro's turn minus theirs over a window", "the same"),
+    ("range_m", "ranges to walls, beacons and landmarks", "the same"),
+    ("bearing_rad", "bearings of landmarks", "the same"),
+];
+
+#[rustfmt::skip]
+const TRUTH: &[PlotField<[Number; 3]>] = &[
+    field("x_m", "where the simulated robot really is, east", |[x_m, ..]| (*x_m).into()),
+    field("y_m", "north", |[_, y_m, _]| (*y_m).into()),
+    field("heading_rad", "its heading", |[.., heading_rad]| (*heading_rad).into()),
+];
+
+#[rustfmt::skip]
+const ODOMETRY: &[PlotField<[Number; 3]>] = &[
+    field("x_m", "where the brick's own dead reckoning believes the simulated robot to be, east", |[x_m, ..]| (*x_m).into()),
+    field("y_m", "north", |[_, y_m, _]| (*y_m).into()),
+    field("heading_rad", "its heading", |[.., heading_rad]| (*heading_rad).into()),
+];
+
+#[rustfmt::skip]
+const ERRORS: &[PlotField<ErrorsRow>] = &[
+    field("odometry_m", "distance of odometry from the truth", |of| of.odometry_m.into()),
+    field("estimate_m", "distance of the estimate from the truth at the same instant", |of| of.estimate_m.into()),
+];
+
+#[rustfmt::skip]
+const LINK: &[PlotField<LinkRow>] = &[
+    field("is_up", "1 when it is", |of| Value::Count((of.state == "up").into())),
+    field("bytes_in_per_s", "received", |of| of.bytes_in_per_s.into()),
+    field("frames_in_per_s", "received whole", |of| of.frames_in_per_s.into()),
+    field("lost", "frames missing in the sequence numbers, since the beginning", |of| Value::Count(of.lost)),
+    field("checksum_errors", "candidates whose checksum did not match", |of| Value::Count(of.checksum_errors)),
+    field("garbage_bytes", "bytes outside every frame", |of| Value::Count(of.garbage_bytes)),
+    field("stalls", "candidates given up because their bytes stopped coming", |of| Value::Count(of.stalls)),
+    field("queued_frames", "frames that wait to be sent", |of| Value::Count(of.queued_frames.into())),
+    field("drops_out", "outgoing messages dropped because the link was slow or down", |of| Value::Count(of.drops_out)),
+    field("round_trip_s", "of the last answered question for the time; absent where none is answered", |of| seconds(of.round_trip_ms)),
+    field("clock_uncertainty_s", "how far a converted stamp may be off", |of| seconds(of.clock_uncertainty_ms)),
+];
+
+#[rustfmt::skip]
+const CLOCK: &[PlotField<ClockRow>] = &[
+    field("offset_s", "brick time minus host time", |of| Value::Exact(of.offset_s)),
+    field("skew_ppm", "rate of the brick's clock against the host's, minus one", |of| of.skew_ppm.into()),
+    field("uncertainty_s", "half the distance between the bounds of the offset", |of| seconds(of.uncertainty_ms)),
+];
+
+/// Every field of the datagrams and its description. docs/dashboard.md has the same table, and tests compare both with the sent
+/// datagrams. Adding one: a row above, and one in the page.
+///
+/// A field is known by its path: the names of the enclosing objects and its own, with slashes between. ID, SENSOR and N are placeholders
+/// for a robot, a sensor, a link.
+pub fn fields() -> Vec<(String, &'static str)> {
+    fn add<T>(all: &mut Vec<(String, &'static str)>, path: &str, fields: &'static [PlotField<T>]) {
+        all.extend(fields.iter().map(|field| (format!("{path}/{}", field.name), field.help)));
+    }
+    let mut all = vec![("timestamp".to_owned(), "seconds of the session, by the station's clock")];
+    add(&mut all, "robot_ID/estimate", ESTIMATE);
+    add(&mut all, "robot_ID/SENSOR", FUSION);
+    all.extend(COMPONENTS.iter().map(|(name, help, _)| (format!("robot_ID/SENSOR/innovation/{name}"), *help)));
+    all.extend(COMPONENTS.iter().map(|(name, _, help)| (format!("robot_ID/SENSOR/sigma/{name}"), *help)));
+    add(&mut all, "truth", TRUTH);
+    add(&mut all, "odometry", ODOMETRY);
+    add(&mut all, "errors", ERRORS);
+    add(&mut all, "link_N", LINK);
+    add(&mut all, "clock", CLOCK);
+    all
+}
+
+/// The path in [`fields`] that matches a sent field.
+pub fn pattern_of(name: &str) -> Option<String> {
     let sent: Vec<&str> = name.split('/').collect();
-    let fits = |field: &&PlotField| {
-        let known: Vec<&str> = field.name.split('/').collect();
+    let fits = |(path, _): &(String, _)| {
+        let known: Vec<&str> = path.split('/').collect();
         known.len() == sent.len() && known.iter().zip(&sent).all(|(known, sent)| fits_part(known, sent))
     };
-    FIELDS.iter().find(fits).map(|field| field.name)
+    fields().into_iter().find(fits).map(|(path, _)| path)
 }
 
 fn fits_part(known: &str, sent: &str) -> bool {
@@ -170,7 +214,7 @@ fn fits_part(known: &str, sent: &str) -> bool {
 }
 
 /// Components of an innovation by the observation's kind, in the order of docs/maths/pose.md; those of fixes are in the body's axes.
-const COMPONENTS: &[(&str, &[&str])] = &[
+const COMPONENTS_OF_KIND: &[(&str, &[&str])] = &[
     ("fix", &["forward_m", "left_m", "heading_rad"]),
     ("wheel_angles", &["turn_rad"]),
     ("odometer_pose", &["turn_rad"]),
@@ -188,6 +232,12 @@ struct Message<'a, T: Serialize> {
 }
 
 struct Object(Vec<(&'static str, Value)>);
+
+impl Object {
+    fn new<T>(fields: &'static [PlotField<T>], of: &T) -> Self {
+        Self(fields.iter().map(|field| (field.name, (field.read)(of))).collect())
+    }
+}
 
 #[derive(Serialize)]
 #[serde(untagged)]
@@ -227,7 +277,7 @@ fn messages(frame: &Frame) -> Vec<String> {
     for robot in &frame.robots {
         let name = format!("robot_{}", robot.id.replace('/', "_"));
         for estimate in &robot.estimates {
-            let part = BTreeMap::from([("estimate", estimate_object(estimate))]);
+            let part = BTreeMap::from([("estimate", Object::new(ESTIMATE, estimate))]);
             all.push(message(estimate.t_s, &name, part));
         }
         for record in &robot.fusion {
@@ -239,13 +289,13 @@ fn messages(frame: &Frame) -> Vec<String> {
         all.extend(truth_messages(point));
     }
     if let Some(errors) = &frame.errors {
-        all.push(message(frame.now_s, "errors", errors_object(errors)));
+        all.push(message(frame.now_s, "errors", Object::new(ERRORS, errors)));
     }
     for link in frame.links.iter().flatten() {
-        all.push(message(frame.now_s, &format!("link_{}", link.id), link_object(link)));
+        all.push(message(frame.now_s, &format!("link_{}", link.id), Object::new(LINK, link)));
     }
     if let Some(clock) = &frame.clock {
-        all.push(message(frame.now_s, "clock", clock_object(clock)));
+        all.push(message(frame.now_s, "clock", Object::new(CLOCK, clock)));
     }
     all
 }
@@ -257,77 +307,24 @@ fn message(timestamp: f64, name: &str, object: impl Serialize) -> String {
 }
 
 fn truth_messages(point: &TruthPoint) -> Vec<String> {
-    let pose = |[x_m, y_m, heading_rad]: [Number; 3]| {
-        Object(vec![("x_m", x_m.into()), ("y_m", y_m.into()), ("heading_rad", heading_rad.into())])
-    };
     // One of several robots has series of its own.
     let suffix = point.robot.as_ref().map_or_else(String::new, |id| format!("_{}", id.replace('/', "_")));
-    let truth = pose([point.x_m, point.y_m, point.heading_rad]);
-    let mut all = vec![message(point.t_s, &format!("truth{suffix}"), truth)];
-    all.extend(point.odometry.map(|odometry| message(point.t_s, &format!("odometry{suffix}"), pose(odometry))));
-    all
-}
-
-fn estimate_object(estimate: &EstimatePoint) -> Object {
-    Object(vec![
-        ("x_m", estimate.x_m.into()),
-        ("y_m", estimate.y_m.into()),
-        ("heading_rad", estimate.heading_rad.into()),
-        ("heading_sigma_rad", estimate.heading_sigma_rad.into()),
-        ("ellipse_major_m", estimate.major_m.into()),
-        ("ellipse_minor_m", estimate.minor_m.into()),
-        ("forward_m_per_s", estimate.forward_m_per_s.into()),
-        ("turn_rad_per_s", estimate.turn_rad_per_s.into()),
-        ("fix_age_s", estimate.fix_age_s.into()),
-        ("is_dead_reckoning", Value::Count(estimate.is_dead_reckoning.into())),
-        ("reset_counter", Value::Count(estimate.reset_counter.into())),
-    ])
+    let truth = Object::new(TRUTH, &[point.x_m, point.y_m, point.heading_rad]);
+    let odometry = point.odometry.map(|odometry| Object::new(ODOMETRY, &odometry));
+    let named = [("truth", Some(truth)), ("odometry", odometry)].into_iter();
+    named.filter_map(|(name, pose)| Some(message(point.t_s, &format!("{name}{suffix}"), pose?))).collect()
 }
 
 fn sensor_object(record: &FusionPoint) -> Object {
-    let known = COMPONENTS.iter().find(|(kind, _)| *kind == record.kind);
+    let known = COMPONENTS_OF_KIND.iter().find(|(kind, _)| *kind == record.kind);
     let names = known.map_or(&[][..], |(_, names)| names);
     let named = |numbers: &[Number]| {
         let pairs = names.iter().copied().zip(numbers.iter().copied());
         Value::Components(pairs.filter(|(_, number)| number.get().is_some()).collect())
     };
-    let is_used = matches!(record.verdict.as_str(), "accepted" | "slip" | "reset to");
-    Object(vec![
-        ("nis", record.nis.into()),
-        ("degrees_of_freedom", Value::Count(record.dof.into())),
-        ("is_used", Value::Count(is_used.into())),
-        ("lag_s", record.lag_s.into()),
-        ("innovation", named(&record.innovation)),
-        ("sigma", named(&record.sigma)),
-    ])
-}
-
-fn errors_object(errors: &ErrorsRow) -> Object {
-    Object(vec![("odometry_m", errors.odometry_m.into()), ("estimate_m", errors.estimate_m.into())])
-}
-
-fn link_object(link: &LinkRow) -> Object {
-    Object(vec![
-        ("is_up", Value::Count((link.state == "up").into())),
-        ("bytes_in_per_s", link.bytes_in_per_s.into()),
-        ("frames_in_per_s", link.frames_in_per_s.into()),
-        ("lost", Value::Count(link.lost)),
-        ("checksum_errors", Value::Count(link.checksum_errors)),
-        ("garbage_bytes", Value::Count(link.garbage_bytes)),
-        ("stalls", Value::Count(link.stalls)),
-        ("queued_frames", Value::Count(link.queued_frames.into())),
-        ("drops_out", Value::Count(link.drops_out)),
-        ("round_trip_s", seconds(link.round_trip_ms)),
-        ("clock_uncertainty_s", seconds(link.clock_uncertainty_ms)),
-    ])
-}
-
-fn clock_object(clock: &ClockRow) -> Object {
-    Object(vec![
-        ("offset_s", Value::Exact(clock.offset_s)),
-        ("skew_ppm", clock.skew_ppm.into()),
-        ("uncertainty_s", seconds(clock.uncertainty_ms)),
-    ])
+    let mut object = Object::new(FUSION, record);
+    object.0.extend([("innovation", named(&record.innovation)), ("sigma", named(&record.sigma))]);
+    object
 }
 
 fn seconds(millis: Number) -> Value {
@@ -378,7 +375,7 @@ mod tests {
             ("robot_0_1_1/estimate/nis", None),
         ];
         for (name, pattern) in cases {
-            assert_eq!(pattern_of(name), pattern, "{name}");
+            assert_eq!(pattern_of(name).as_deref(), pattern, "{name}");
         }
     }
 
@@ -387,8 +384,7 @@ mod tests {
         let page = include_str!("../../docs/dashboard.md");
         let (_, page) = page.split_once("\n## PlotJuggler\n").unwrap();
         let rows: Vec<&str> = page.lines().filter(|line| line.starts_with("| `")).collect();
-        let expected: Vec<String> =
-            FIELDS.iter().map(|field| format!("| `{}` | {} |", field.name, field.help)).collect();
+        let expected: Vec<String> = fields().into_iter().map(|(path, help)| format!("| `{path}` | {help} |")).collect();
         assert_eq!(rows, expected);
     }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::net::UdpSocket;
 
 use crate::support::{RunningProgram, exit_code_and_stderr, write_text};
-use posebridge::station::plotjuggler::{FIELDS, pattern_of};
+use posebridge::station::plotjuggler::{fields, pattern_of};
 use serde_json::Value;
 
 /// The fields of a message as docs/dashboard.md names them, with their values: all of them must be numbers.
@@ -46,23 +46,23 @@ fn what_is_sent_is_what_the_page_says() {
     let args = ["run", "--no-dashboard", "--out", "run", &address];
     let mut run = RunningProgram::posebridge(folder.path(), &args);
     run.wait_for("plotjuggler: sending to udp://127.0.0.1:");
-    let wanted: BTreeSet<&str> =
-        FIELDS.iter().map(|field| field.name).filter(|name| !is_of_other_sensors(name)).collect();
+    let wanted: BTreeSet<String> =
+        fields().into_iter().map(|(path, _)| path).filter(|path| !is_of_other_sensors(path)).collect();
     let mut seen = BTreeSet::new();
     let (mut truth_x_m, mut nearest_m) = (None, f64::MAX);
     let mut last_s = 0.0;
     while seen != wanted || nearest_m > 0.05 {
-        let fields = receive(&socket);
-        let at_s = value(&fields, "timestamp").unwrap();
+        let received = receive(&socket);
+        let at_s = value(&received, "timestamp").unwrap();
         last_s = f64::max(last_s, at_s);
-        let missing: Vec<&&str> = wanted.difference(&seen).collect();
+        let missing: Vec<&String> = wanted.difference(&seen).collect();
         assert!(last_s < 60.0, "a minute without {missing:?}; nearest {nearest_m} m");
-        for (name, _) in &fields {
+        for (name, _) in &received {
             let pattern = pattern_of(name);
             seen.insert(pattern.unwrap_or_else(|| panic!("`{name}` stands nowhere")));
         }
-        truth_x_m = value(&fields, "truth/x_m").or(truth_x_m);
-        if let (Some(x_m), Some(truth_x_m)) = (value(&fields, "robot_0_1_1/estimate/x_m"), truth_x_m)
+        truth_x_m = value(&received, "truth/x_m").or(truth_x_m);
+        if let (Some(x_m), Some(truth_x_m)) = (value(&received, "robot_0_1_1/estimate/x_m"), truth_x_m)
             && last_s > 5.0
         {
             nearest_m = nearest_m.min((x_m - truth_x_m).abs());

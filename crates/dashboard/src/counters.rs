@@ -41,36 +41,17 @@ pub(crate) enum ServerCounter {
 }
 
 /// All counters: the name in `/metrics`, the reason of a rejection, the description.
+#[rustfmt::skip]
 pub(crate) const COUNTER_TABLE: &[CounterRow] = &[
-    total_counter(
-        ServerCounter::EventsDropped,
-        "events_dropped_total",
-        "Events that found no room on their way to the dashboard.",
-    ),
-    total_counter(
-        ServerCounter::PointsDropped,
-        "points_dropped_total",
-        "Points that found no room in a message, or of robots beyond those that are shown.",
-    ),
+    total_counter(ServerCounter::EventsDropped, "events_dropped_total", "Events that found no room on their way to the dashboard."),
+    total_counter(ServerCounter::PointsDropped, "points_dropped_total", "Points that found no room in a message, or of robots beyond those that are shown."),
     CounterRow { kind: "gauge", ..total_counter(ServerCounter::Connections, "connections", "Open connections.") },
     CounterRow { kind: "gauge", ..total_counter(ServerCounter::Clients, "clients", "Readers of the stream.") },
     total_counter(ServerCounter::FramesSent, "frames_sent_total", "Messages handed to readers of the stream."),
-    total_counter(
-        ServerCounter::FramesMissed,
-        "frames_missed_total",
-        "Messages that readers have missed because they were slow.",
-    ),
-    total_counter(
-        ServerCounter::TapFramesMissed,
-        "tap_frames_missed_total",
-        "Messages that the terminal view or PlotJuggler's sender has missed because it was slow.",
-    ),
+    total_counter(ServerCounter::FramesMissed, "frames_missed_total", "Messages that readers have missed because they were slow."),
+    total_counter(ServerCounter::TapFramesMissed, "tap_frames_missed_total", "Messages that the terminal view or PlotJuggler's sender has missed because it was slow."),
     total_counter(ServerCounter::Commands, "commands_total", "Commands handed to the engine."),
-    total_counter(
-        ServerCounter::ClientsDropped,
-        "clients_dropped_total",
-        "Readers let go because they took nothing for too long or sent what is no WebSocket.",
-    ),
+    total_counter(ServerCounter::ClientsDropped, "clients_dropped_total", "Readers let go because they took nothing for too long or sent what is no WebSocket."),
     refusal_counter(ServerCounter::TooManyConnections, "connections"),
     refusal_counter(ServerCounter::TooManyClients, "clients"),
     refusal_counter(ServerCounter::WrongHost, "host"),
@@ -84,7 +65,6 @@ pub(crate) const COUNTER_TABLE: &[CounterRow] = &[
     refusal_counter(ServerCounter::ReplayBusy, "replay"),
 ];
 
-/// A row of [`COUNTER_TABLE`].
 pub(crate) struct CounterRow {
     pub(crate) count: ServerCounter,
     pub(crate) name: &'static str,

@@ -2,31 +2,39 @@
 //!
 //! A value without clock and socket; the hub task owns it and polls it for updates fifty times a second.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_telemetry::{Event, FusionOutcome, HostClock, LinkHealth, LinkId, RobotId, SensorId, Timestamp};
+use posebridge_telemetry::{
+    Event, FusionOutcome, HostClock, LinkHealth, LinkId, RobotId, SensorId, TimeDelta, Timestamp,
+};
 
 use crate::api::StationInfo;
 use crate::counters::{ServerCounter, ServerCounters};
-use crate::feed::{EventBatch, SimulatedTruth};
-use crate::latency::LatencyHistogram;
-use crate::limits::{HISTORY_DURATION, MAX_HISTORY_POINTS, SECOND};
+use crate::feed::{EventBatch, SimulatedTruth, StationStatus};
+use crate::limits::{HISTORY_DURATION, MAX_HISTORY_POINTS, MAX_REPLAY_POINTS, SECOND};
 use crate::model::{
     Counters, Frame, Hello, LatencyRow, ParameterRow, ParameterValue, RecordingNow, RecordingRow, RobotRow, RobotState,
     SourceRow, State, TruthPoint, seconds_of,
 };
 use crate::token::AccessToken;
-use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, VIEWS, View, ViewConfig, ViewInput};
+use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, ViewInput, ViewSet};
 
 /// Most kinds of records that are counted; a robot has about a dozen.
 const MAX_OUTCOME_COUNTS: usize = 512;
+
+/// Number of estimates for percentiles: twenty seconds of a usual brick.
+const MAX_LATENCY_SAMPLES: usize = 2_048;
+/// Upper bounds of the buckets in `/metrics`, in microseconds, in steps of about three; a quiet station needs some
+/// ten.
+pub(crate) const BUCKETS_MICROS: [i64; 11] =
+    [10, 30, 100, 300, 1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000];
 
 pub(crate) type OutcomeCounts = BTreeMap<(SensorId, &'static str, &'static str), u64>;
 
 pub(crate) struct Hub {
     info: StationInfo,
     needs_token: bool,
-    views: Vec<Box<dyn View>>,
+    views: ViewSet,
     latest: LatestState,
     sources: BTreeSet<SourceRow>,
     pub(crate) recording: Option<String>,
@@ -40,12 +48,9 @@ pub(crate) struct Hub {
 impl Hub {
     /// Readers need the token, if there is one.
     pub(crate) fn new(info: StationInfo, token: Option<&AccessToken>) -> Self {
-        let setting = ViewConfig {
-            links: info.links.clone(),
-            retention: RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS },
-        };
+        let retention = RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS };
         Self {
-            views: VIEWS.iter().map(|entry| (entry.build)(&setting)).collect(),
+            views: ViewSet::new(info.links.clone(), retention),
             info,
             needs_token: token.is_some(),
             latest: LatestState::default(),
@@ -62,7 +67,7 @@ impl Hub {
     pub(crate) fn push_batch(&mut self, batch: &EventBatch) {
         for event in batch.events.iter().filter(|event| event.is_for_viewers()) {
             self.count_event(event, batch);
-            self.dispatch(batch.now, ViewInput::Event(event));
+            self.views.observe(batch.now, ViewInput::Event(event));
         }
         if let Some(status) = &batch.status {
             self.recording.clone_from(&status.recording);
@@ -70,12 +75,12 @@ impl Hub {
                 facts.steering.clone_from(&now.steering);
                 facts.link_profile.clone_from(&now.link_profile);
             }
-            self.dispatch(batch.now, ViewInput::Status(status));
+            self.views.observe(batch.now, ViewInput::Status(status));
         }
     }
 
     pub(crate) fn push_truth(&mut self, sample: &SimulatedTruth) {
-        self.dispatch(sample.now, ViewInput::Truth(sample));
+        self.views.observe(sample.now, ViewInput::Truth(sample));
     }
 
     /// The message with the updates; `None` if there are none. `recording` gets the size of the current recording.
@@ -85,10 +90,7 @@ impl Hub {
         recording: impl FnOnce(&str) -> RecordingNow,
     ) -> Option<Frame> {
         let content = if now >= self.next_second { FrameContent::DeltaAndSummary } else { FrameContent::Delta };
-        let mut frame = Frame { now_s: seconds_of(now), ..Frame::default() };
-        for view in &mut self.views {
-            view.add_updates(&mut frame, content);
-        }
+        let mut frame = self.views.updates(seconds_of(now), content);
         if content == FrameContent::DeltaAndSummary {
             self.next_second = now + SECOND;
             frame.recording = Some(self.recording.as_deref().map(recording));
@@ -98,39 +100,48 @@ impl Hub {
     }
 
     pub(crate) fn hello(&self, recordings: Vec<RecordingRow>) -> Hello {
-        let mut history = Frame { now_s: self.latest.now_s(), ..Frame::default() };
-        for view in &self.views {
-            view.add_history(&mut history);
-        }
+        let now_s = self.latest.state.now_s;
         Hello {
             version: self.info.version.clone(),
-            now_s: self.latest.now_s(),
+            now_s,
             needs_token: self.needs_token,
             simulator: self.info.simulator.clone(),
             sources: self.sources(),
             parameters: self.parameters(),
             robots: self.robots(),
             recordings,
-            history,
+            history: self.views.history(now_s),
         }
     }
 
     pub(crate) fn state(&self, counts: &ServerCounters) -> State {
-        self.latest.state(self.latency.row(), counts, self.latency.count)
+        State {
+            latency: self.latency.row(),
+            counters: Counters {
+                estimates: self.latency.count,
+                events_dropped: counts.value(ServerCounter::EventsDropped),
+                clients: counts.value(ServerCounter::Clients),
+                frames_missed: counts.value(ServerCounter::FramesMissed),
+                refused: counts.refused(),
+                commands: counts.value(ServerCounter::Commands),
+            },
+            ..self.latest.state.clone()
+        }
     }
 
     pub(crate) fn sources(&self) -> Vec<SourceRow> {
-        let off = self.latest.switched_off();
+        let off = &self.latest.switched_off;
         let rows = self.sources.iter().map(|row| SourceRow { is_used: !off.contains(&row.id), ..row.clone() });
         rows.collect()
     }
 
     pub(crate) fn robots(&self) -> Vec<RobotRow> {
-        self.latest.robots()
+        let robots = self.latest.state.robots.iter();
+        robots.map(|robot| RobotRow { id: robot.id.clone(), name: robot.name.clone() }).collect()
     }
 
     pub(crate) fn parameters(&self) -> Vec<ParameterRow> {
-        let values = self.latest.parameters();
+        let values = &self.latest.parameters;
         let rows = self.info.parameters.iter().map(|row| {
             let now = values.iter().find(|value| value.name == row.name);
             ParameterRow { value: now.map_or(row.value, |now| now.value), ..row.clone() }
@@ -139,13 +150,7 @@ impl Hub {
     }
 
     pub(crate) fn dropped(&self) -> u64 {
-        self.views.iter().map(|view| view.dropped()).sum()
-    }
-
-    fn dispatch(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
-        for view in &mut self.views {
-            view.observe(now, input);
-        }
+        self.views.dropped()
     }
 
     fn count_event(&mut self, event: &Event, batch: &EventBatch) {
@@ -207,31 +212,21 @@ impl LatestState {
         state.now_s = frame.now_s;
         for robot in &frame.robots {
             let known = robot_state(state, &robot.id);
-            if let Some(name) = &robot.name {
-                known.name = Some(name.clone());
-            }
-            if let Some(estimate) = robot.estimates.last() {
-                known.estimate = Some(estimate.clone());
+            if !robot.estimates.is_empty() {
                 known.lost_t_s = None;
             }
-            if robot.lost_t_s.is_some() {
-                known.lost_t_s = robot.lost_t_s;
-            }
-            if let Some(errors) = &robot.errors {
-                known.errors = Some(errors.clone());
-            }
+            update(&mut known.name, robot.name.as_ref());
+            update(&mut known.estimate, robot.estimates.last());
+            update(&mut known.lost_t_s, robot.lost_t_s.as_ref());
+            update(&mut known.errors, robot.errors.as_ref());
         }
         for truth in &frame.truth {
             apply_truth(state, truth);
         }
-        if let Some(errors) = &frame.errors {
-            state.errors = Some(errors.clone());
-        }
+        update(&mut state.errors, frame.errors.as_ref());
+        update(&mut state.clock, frame.clock.as_ref());
         if let Some(links) = &frame.links {
             state.links.clone_from(links);
-        }
-        if let Some(clock) = &frame.clock {
-            state.clock = Some(clock.clone());
         }
         if let Some(recording) = &frame.recording {
             state.recording.clone_from(recording);
@@ -243,37 +238,11 @@ impl LatestState {
             self.switched_off.clone_from(off);
         }
     }
+}
 
-    const fn now_s(&self) -> f64 {
-        self.state.now_s
-    }
-
-    fn parameters(&self) -> &[ParameterValue] {
-        &self.parameters
-    }
-
-    fn switched_off(&self) -> &[u8] {
-        &self.switched_off
-    }
-
-    fn robots(&self) -> Vec<RobotRow> {
-        let robots = self.state.robots.iter();
-        robots.map(|robot| RobotRow { id: robot.id.clone(), name: robot.name.clone() }).collect()
-    }
-
-    fn state(&self, latency: LatencyRow, counts: &ServerCounters, estimates: u64) -> State {
-        State {
-            latency,
-            counters: Counters {
-                estimates,
-                events_dropped: counts.value(ServerCounter::EventsDropped),
-                clients: counts.value(ServerCounter::Clients),
-                frames_missed: counts.value(ServerCounter::FramesMissed),
-                refused: counts.refused(),
-                commands: counts.value(ServerCounter::Commands),
-            },
-            ..self.state.clone()
-        }
+fn update<T: Clone>(known: &mut Option<T>, news: Option<&T>) {
+    if news.is_some() {
+        *known = news.cloned();
     }
 }
 
@@ -298,6 +267,74 @@ fn apply_truth(state: &mut State, truth: &TruthPoint) {
     }
     if state.truth.as_ref().is_none_or(|known| known.robot == truth.robot) {
         state.truth = Some(truth.clone());
+    }
+}
+
+/// The latency of estimates inside the station.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LatencyHistogram {
+    last: VecDeque<TimeDelta>,
+    buckets: [u64; BUCKETS_MICROS.len()],
+    pub(crate) count: u64,
+    pub(crate) sum: TimeDelta,
+}
+
+impl LatencyHistogram {
+    pub(crate) fn record(&mut self, took: TimeDelta) {
+        if self.last.len() >= MAX_LATENCY_SAMPLES {
+            self.last.pop_front();
+        }
+        self.last.push_back(took);
+        self.count += 1;
+        self.sum += took;
+        for (bucket, end) in self.buckets.iter_mut().zip(BUCKETS_MICROS) {
+            *bucket += u64::from(took <= TimeDelta::from_micros(end));
+        }
+    }
+
+    /// Upper bound in microseconds and cumulative count.
+    pub(crate) fn buckets(&self) -> impl Iterator<Item = (i64, u64)> {
+        BUCKETS_MICROS.into_iter().zip(self.buckets)
+    }
+
+    pub(crate) fn row(&self) -> LatencyRow {
+        let mut sorted: Vec<TimeDelta> = self.last.iter().copied().collect();
+        sorted.sort_unstable();
+        let at = |percent: usize| {
+            let rank = sorted.len().saturating_sub(1) * percent / 100;
+            sorted.get(rank).map_or(f64::NAN, |delay| delay.as_millis_f64())
+        };
+        LatencyRow { estimates: sorted.len() as u64, p50_ms: at(50).into(), p99_ms: at(99).into() }
+    }
+}
+
+/// The views of a whole session.
+pub struct SessionViews {
+    views: ViewSet,
+    last: Timestamp<HostClock>,
+}
+
+impl SessionViews {
+    pub fn new(links: Vec<String>) -> Self {
+        let retention = RetentionPolicy::WholeSession { max_points: MAX_REPLAY_POINTS };
+        Self { views: ViewSet::new(links, retention), last: Timestamp::ZERO }
+    }
+
+    pub fn push_event(&mut self, now: Timestamp<HostClock>, event: &Event) {
+        self.last = self.last.max(now);
+        self.views.observe(now, ViewInput::Event(event));
+    }
+
+    pub fn push_status(&mut self, status: &StationStatus) {
+        self.views.observe(self.last, ViewInput::Status(status));
+    }
+
+    pub fn push_truth(&mut self, sample: &SimulatedTruth) {
+        self.views.observe(sample.now, ViewInput::Truth(sample));
+    }
+
+    pub fn history(&self) -> Frame {
+        self.views.history(seconds_of(self.last))
     }
 }
 

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use posebridge_telemetry::{LinkHealth, TimeDelta};
 
-use crate::counters::{COUNTER_TABLE, ServerCounters};
+use crate::counters::{COUNTER_TABLE, ServerCounter, ServerCounters};
 use crate::hub::Hub;
 use crate::model::{EstimatePoint, RobotState};
 use crate::views::robot_name;
@@ -60,6 +60,7 @@ fn age_s(estimate: &EstimatePoint, now_s: f64) -> f64 {
 }
 
 pub(crate) fn page(hub: &Hub, counts: &ServerCounters) -> String {
+    counts.set(ServerCounter::PointsDropped, hub.dropped());
     let mut page = String::with_capacity(8_192);
     robots(&mut page, hub, counts);
     latency(&mut page, hub);

@@ -76,7 +76,6 @@ impl FrameTap {
         self.frames.recv().ok()
     }
 
-    /// Does not block.
     pub fn try_recv(&self) -> TapPoll {
         match self.frames.try_recv() {
             Ok(frame) => TapPoll::Frame(frame),
@@ -101,16 +100,24 @@ impl CommandSubmitter {
     /// `robot` is `None` for a command that names no robot. Never blocks; false if the queue is full or the station is stopping.
     pub fn send(&self, robot: Option<RobotId>, command: Command) -> bool {
         let input = robot.map_or(Input::Command(command), |robot| Input::RobotCommand { robot, command });
+        self.submit(input).is_ok()
+    }
+
+    /// Never blocks.
+    ///
+    /// # Errors
+    /// Why not, for people.
+    pub(crate) fn submit(&self, input: Input) -> Result<(), &'static str> {
         match self.commands.try_send(input) {
             Ok(()) => {
                 self.counts.increment(ServerCounter::Commands);
-                true
+                Ok(())
             }
             Err(mpsc::error::TrySendError::Full(_)) => {
                 self.counts.increment(ServerCounter::CommandsFull);
-                false
+                Err("too many commands wait; try again")
             }
-            Err(mpsc::error::TrySendError::Closed(_)) => false,
+            Err(mpsc::error::TrySendError::Closed(_)) => Err("the station is ending"),
         }
     }
 }

@@ -1,21 +1,24 @@
 //! The dashboard's thread and runtime.
 
-use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
+use nix::ifaddrs::getifaddrs;
+use nix::net::if_::InterfaceFlags;
 use posebridge_telemetry::Input;
+use socket2::SockRef;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
-use crate::api::{DashboardInputs, DashboardStartError, HostClockSource, StationInfo, TokenPolicy};
+use crate::api::{DashboardInputs, DashboardStartError, HostClockSource, MAX_PORT_ATTEMPTS, StationInfo, TokenPolicy};
 use crate::assets::Assets;
 use crate::command::CommandContext;
 use crate::counters::ServerCounters;
 use crate::feed::EventFeed;
 use crate::hub::Hub;
 use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_CLIENTS, MAX_WAITING_COMMANDS, MAX_WAITING_QUERIES};
-use crate::listener::BoundListener;
 use crate::recordings::RecordingFolder;
 use crate::server::{AppState, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
 use crate::taps::CommandSubmitter;
@@ -48,6 +51,7 @@ impl Dashboard {
         let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
         let (query_sender, query_receiver) = mpsc::channel(MAX_WAITING_QUERIES);
         let (commands, command_receiver) = mpsc::channel(MAX_WAITING_COMMANDS);
+        let commander = CommandSubmitter { commands, counts: Arc::clone(&counts) };
         let stop = CancellationToken::new();
         let recordings = RecordingFolder::new(sources.recordings);
         let known = CommandContext::from_info(&facts);
@@ -58,7 +62,7 @@ impl Dashboard {
                 guard: RequestGuard::new(bound.address, token.clone()),
                 counts: Arc::clone(&counts),
                 queries: query_sender.clone(),
-                commands: commands.clone(),
+                commands: commander.clone(),
                 command_rate: RateLimiter::new(COMMANDS_PER_S, COMMAND_BURST),
                 command_context: known,
                 clock: Arc::clone(&clock),
@@ -77,18 +81,15 @@ impl Dashboard {
             clock,
             queries: query_receiver,
             recordings,
-            counts: Arc::clone(&counts),
+            counts,
             taps: sources.taps,
         };
-        let work = DashboardThread { server: served, hub, inputs: inlets, stop: stop.clone() };
-        let dashboard = Self {
-            address,
-            reachable,
-            token,
-            commander: CommandSubmitter { commands, counts },
-            stop,
-            thread: Some(work.start()?),
-        };
+        let thread_stop = stop.clone();
+        let thread = std::thread::Builder::new()
+            .name("dashboard".to_owned())
+            .spawn(move || run(served, hub, inlets, &thread_stop))
+            .map_err(|source| DashboardStartError::Thread { source })?;
+        let dashboard = Self { address, reachable, token, commander, stop, thread: Some(thread) };
         Ok((dashboard, feed, command_receiver))
     }
 
@@ -117,7 +118,6 @@ impl Dashboard {
         self.commander.clone()
     }
 
-    /// Stops the server and joins its thread.
     pub fn finish(mut self) {
         self.shut_down();
     }
@@ -136,7 +136,6 @@ impl Drop for Dashboard {
     }
 }
 
-/// `None` if no token is needed.
 fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<AccessToken>, DashboardStartError> {
     let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::RemoteOnly;
     if address.is_none_or(is_open) {
@@ -146,46 +145,28 @@ fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<
     Ok(Some(token))
 }
 
-struct DashboardThread {
-    /// The listening socket and the state of its handlers; `None` with readers in this process only.
-    server: Option<(TcpListener, AppState)>,
-    hub: Hub,
-    inputs: HubInputs,
-    stop: CancellationToken,
-}
-
-impl DashboardThread {
-    fn start(self) -> Result<JoinHandle<()>, DashboardStartError> {
-        std::thread::Builder::new()
-            .name("dashboard".to_owned())
-            .spawn(move || self.run())
-            .map_err(|source| DashboardStartError::Thread { source })
-    }
-
-    fn run(self) {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .max_blocking_threads(2)
-            .thread_name("dashboard-file")
-            .build();
-        let runtime = match runtime {
-            Ok(runtime) => runtime,
-            Err(error) => {
-                tracing::error!(%error, "the dashboard has no runtime");
-                return;
-            }
-        };
-        let stop = self.stop;
-        runtime.block_on(async {
-            let serving = serve_if_bound(self.server, stop.clone());
-            tokio::select! {
-                () = run_hub(self.hub, self.inputs) => {}
-                () = serving => {}
-            }
-        });
-        // A replay that still runs must not keep the program alive.
-        runtime.shutdown_background();
-    }
+/// `server` is the listening socket and the state of its handlers; `None` with readers in this process only.
+fn run(server: Option<(TcpListener, AppState)>, hub: Hub, inputs: HubInputs, stop: &CancellationToken) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .max_blocking_threads(2)
+        .thread_name("dashboard-file")
+        .build();
+    let runtime = match runtime {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            tracing::error!(%error, "the dashboard has no runtime");
+            return;
+        }
+    };
+    runtime.block_on(async {
+        tokio::select! {
+            () = run_hub(hub, inputs) => {}
+            () = serve_if_bound(server, stop.clone()) => {}
+        }
+    });
+    // A replay that still runs must not keep the program alive.
+    runtime.shutdown_background();
 }
 
 async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: CancellationToken) {
@@ -201,4 +182,125 @@ async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: Cancellat
     };
     let counts = Arc::clone(&app.counts);
     serve(listener, router(Arc::new(app)), counts, stop).await;
+}
+
+/// The address to listen on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ListenAddress {
+    /// Port 0 lets the system choose.
+    Exact(SocketAddr),
+    /// This address, or the next free port.
+    FirstFree(SocketAddr),
+}
+
+/// A bound listening socket; connections are accepted later.
+#[derive(Debug)]
+pub struct BoundListener {
+    listener: TcpListener,
+    address: SocketAddr,
+}
+
+impl BoundListener {
+    pub fn new(listen: ListenAddress) -> Result<Self, DashboardStartError> {
+        let (first, tries) = match listen {
+            ListenAddress::Exact(address) => (address, 0),
+            ListenAddress::FirstFree(address) => (address, MAX_PORT_ATTEMPTS),
+        };
+        for step in 0..=tries {
+            let mut address = first;
+            address.set_port(first.port().saturating_add(step));
+            match Self::bind_address(address) {
+                Ok(bound) => return Ok(bound),
+                Err(source) if source.kind() == io::ErrorKind::AddrInUse => {}
+                Err(source) => return Err(DashboardStartError::Bind { address, source }),
+            }
+        }
+        Err(match listen {
+            ListenAddress::Exact(address) => DashboardStartError::AddressInUse { address },
+            ListenAddress::FirstFree(address) => DashboardStartError::AllPortsInUse { address },
+        })
+    }
+
+    fn bind_address(address: SocketAddr) -> io::Result<Self> {
+        let listener = TcpListener::bind(address)?;
+        listener.set_nonblocking(true)?;
+        let address = listener.local_addr()?;
+        Ok(Self { listener, address })
+    }
+
+    /// Addresses of this computer for other clients; loopback last.
+    fn reachable_addresses(&self) -> Vec<IpAddr> {
+        let own = self.address.ip();
+        if !own.is_unspecified() {
+            return vec![own];
+        }
+        let families = match own {
+            IpAddr::V4(_) => IpFamilies::V4,
+            IpAddr::V6(_) if SockRef::from(&self.listener).only_v6().unwrap_or(true) => IpFamilies::V6,
+            IpAddr::V6(_) => IpFamilies::Both,
+        };
+        find_local_addresses(families)
+    }
+}
+
+/// The address families from which a socket accepts connections.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum IpFamilies {
+    V4,
+    V6,
+    Both,
+}
+
+/// The addresses of all networks, and then the loopback.
+fn find_local_addresses(families: IpFamilies) -> Vec<IpAddr> {
+    // If the system does not list them, only the loopback remains.
+    let interfaces = getifaddrs().into_iter().flatten();
+    let up = interfaces.filter(|one| one.flags.contains(InterfaceFlags::IFF_UP));
+    let found = up.filter_map(|one| {
+        let address = one.address?;
+        let v4 = address.as_sockaddr_in().map(|v4| IpAddr::V4(v4.ip()));
+        v4.or_else(|| address.as_sockaddr_in6().map(|v6| IpAddr::V6(v6.ip())))
+    });
+    select_addresses(found, families)
+}
+
+/// The addresses that work in another computer's browser, IPv4 first, then one for this computer.
+fn select_addresses(found: impl Iterator<Item = IpAddr>, families: IpFamilies) -> Vec<IpAddr> {
+    let is_selected = |address: &IpAddr| match address {
+        IpAddr::V4(v4) => families != IpFamilies::V6 && !v4.is_link_local(),
+        // A browser accepts no address with a zone, and a link-local one needs it.
+        IpAddr::V6(v6) => families != IpFamilies::V4 && !v6.is_unicast_link_local(),
+    };
+    let mut chosen: Vec<IpAddr> = found.filter(|address| is_selected(address) && !address.is_loopback()).collect();
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen.push(match families {
+        IpFamilies::V4 | IpFamilies::Both => Ipv4Addr::LOCALHOST.into(),
+        IpFamilies::V6 => Ipv6Addr::LOCALHOST.into(),
+    });
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_those_that_others_can_open_and_then_that_of_this_computer() {
+        let found = ["fe80::1", "2001:db8::7", "::1", "127.0.0.1", "192.0.2.7", "169.254.3.4", "10.0.0.3", "192.0.2.7"];
+        let chosen = |families| {
+            let found = found.iter().map(|text| text.parse().unwrap());
+            let chosen = select_addresses(found, families).into_iter();
+            chosen.map(|ip| ip.to_string()).collect::<Vec<_>>()
+        };
+        assert_eq!(chosen(IpFamilies::V4), ["10.0.0.3", "192.0.2.7", "127.0.0.1"]);
+        assert_eq!(chosen(IpFamilies::V6), ["2001:db8::7", "::1"]);
+        assert_eq!(chosen(IpFamilies::Both), ["10.0.0.3", "192.0.2.7", "2001:db8::7", "127.0.0.1"]);
+    }
+
+    #[test]
+    fn this_computer_is_always_among_them() {
+        let found = find_local_addresses(IpFamilies::V4);
+        assert_eq!(found.last(), Some(&Ipv4Addr::LOCALHOST.into()));
+    }
 }

@@ -19,7 +19,6 @@
 //! ```
 
 pub mod chart;
-mod markup;
 pub mod metrics;
 pub mod page;
 pub mod quantity;

@@ -129,7 +129,6 @@ impl Quantity {
         Self { sigma: Some(sigma), ..self }
     }
 
-    /// Without the label.
     pub(crate) fn text(&self) -> Option<String> {
         self.value?;
         Some(self.format.append_unit(&self.format.uncertain_number(self.value, self.sigma)))

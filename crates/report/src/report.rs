@@ -160,25 +160,13 @@ impl<'a, R> Table<'a, R> {
     }
 }
 
+/// A part of a page, and of the text unless it is only for the page.
 #[derive(Clone, Debug)]
-enum Section {
-    Heading(String),
-    Paragraph(String),
-    List(Vec<String>),
-    Values(Vec<[String; 2]>),
-    Table {
-        header: Vec<String>,
-        rows: Vec<Vec<String>>,
-        labels: usize,
-    },
-    Verdict {
-        tone: VerdictTone,
-        word: String,
-        text: String,
-    },
-    Code(String),
-    /// Only in the page.
-    Page(ReportBlock),
+struct Section {
+    block: ReportBlock,
+    /// Number of leading columns of a table that identify a row.
+    labels: usize,
+    is_page_only: bool,
 }
 
 /// The result of a command, for terminal, page and JSON.
@@ -202,18 +190,18 @@ impl Report {
     }
 
     pub fn heading(&mut self, text: impl Into<String>) {
-        self.sections.push(Section::Heading(text.into()));
+        self.add(ReportBlock::Heading(text.into()));
     }
 
     pub fn paragraph(&mut self, text: impl Into<String>) {
-        self.sections.push(Section::Paragraph(text.into()));
+        self.add(ReportBlock::Text(text.into()));
     }
 
     /// One line each.
     pub fn list(&mut self, lines: impl IntoIterator<Item = String>) {
         let lines: Vec<String> = lines.into_iter().collect();
         if !lines.is_empty() {
-            self.sections.push(Section::List(lines));
+            self.add(ReportBlock::List(lines));
         }
     }
 
@@ -224,16 +212,17 @@ impl Report {
             if !value.key.is_empty() {
                 self.json.insert(value.key.to_owned(), value.json());
             }
-            rows.extend(value.text().map(|text| [value.label, text]));
+            rows.extend(value.text().map(|text| vec![value.label, text]));
         }
         if !rows.is_empty() {
-            self.sections.push(Section::Values(rows));
+            self.add(ReportBlock::Table { header: Vec::new(), rows });
         }
     }
 
     /// With a non-empty key JSON gets an array of the rows.
     pub fn table<R>(&mut self, key: &'static str, table: &Table<'_, R>) {
-        self.sections.push(Section::Table { header: table.header(), rows: table.cells(), labels: table.labels });
+        let block = ReportBlock::Table { header: table.header(), rows: table.cells() };
+        self.sections.push(Section { block, labels: table.labels, is_page_only: false });
         if !key.is_empty() {
             self.json.insert(key.to_owned(), table.json());
         }
@@ -246,12 +235,12 @@ impl Report {
 
     /// A rating in a word, with its reason.
     pub fn verdict(&mut self, tone: VerdictTone, word: impl Into<String>, text: impl Into<String>) {
-        self.sections.push(Section::Verdict { tone, word: word.into(), text: text.into() });
+        self.add(ReportBlock::Verdict { tone, word: word.into(), text: text.into() });
     }
 
     /// Keeps line breaks and spaces.
     pub fn code(&mut self, text: impl Into<String>) {
-        self.sections.push(Section::Code(text.into()));
+        self.add(ReportBlock::PreformattedText(text.into()));
     }
 
     /// Only in the page.
@@ -276,7 +265,11 @@ impl Report {
 
     /// A block that is too long for a terminal.
     pub fn page_only(&mut self, block: ReportBlock) {
-        self.sections.push(Section::Page(block));
+        self.sections.push(Section { block, labels: 0, is_page_only: true });
+    }
+
+    fn add(&mut self, block: ReportBlock) {
+        self.sections.push(Section { block, labels: 0, is_page_only: false });
     }
 
     /// Only in JSON.
@@ -287,27 +280,30 @@ impl Report {
     /// Plain text for a terminal: the title, then the sections, with a line feed at the end.
     pub fn text(&self) -> String {
         let mut text = self.title.clone() + "\n";
-        let mut above: Option<&Section> = None;
+        let mut above: Option<&ReportBlock> = None;
         for section in &self.sections {
-            let block = section.text();
-            if block.is_empty() {
+            let part = section.text();
+            if part.is_empty() {
                 continue;
             }
             let belongs_above = matches!(
-                (above, section),
-                (Some(Section::Heading(_)), _) | (Some(Section::Verdict { .. }), Section::Verdict { .. })
+                (above, &section.block),
+                (Some(ReportBlock::Heading(_)), _) | (Some(ReportBlock::Verdict { .. }), ReportBlock::Verdict { .. })
             );
             if !belongs_above {
                 text.push('\n');
             }
-            text += &block;
-            above = Some(section);
+            text += &part;
+            above = Some(&section.block);
         }
         text
     }
 
     pub fn page(&self) -> ReportPage {
-        ReportPage { title: self.title.clone(), blocks: self.sections.iter().map(Section::block).collect() }
+        ReportPage {
+            title: self.title.clone(),
+            blocks: self.sections.iter().map(|section| section.block.clone()).collect(),
+        }
     }
 
     pub fn json(&self) -> Value {
@@ -317,40 +313,28 @@ impl Report {
 
 impl Section {
     fn text(&self) -> String {
-        match self {
-            Self::Heading(text) => format!("{text}\n"),
-            Self::Paragraph(text) => wrapped(text),
-            Self::List(lines) => lines.iter().map(|line| wrapped(line)).collect(),
-            Self::Values(rows) => values_text(rows),
-            Self::Table { header, rows, labels } => table_text(header, rows, *labels),
-            Self::Verdict { word, text, .. } => wrapped(&format!("{word} {text}")),
-            Self::Code(text) => text.trim_end_matches('\n').to_owned() + "\n",
-            Self::Page(_) => String::new(),
+        if self.is_page_only {
+            return String::new();
         }
-    }
-
-    fn block(&self) -> ReportBlock {
-        match self {
-            Self::Heading(text) => ReportBlock::Heading(text.clone()),
-            Self::Paragraph(text) => ReportBlock::Text(text.clone()),
-            Self::List(lines) => ReportBlock::List(lines.clone()),
-            Self::Values(rows) => {
-                ReportBlock::Table { header: Vec::new(), rows: rows.iter().map(|row| row.to_vec()).collect() }
+        match &self.block {
+            ReportBlock::Heading(text) | ReportBlock::Subheading(text) => format!("{text}\n"),
+            ReportBlock::Text(text) => wrapped(text),
+            ReportBlock::PreformattedText(text) => text.trim_end_matches('\n').to_owned() + "\n",
+            ReportBlock::List(lines) => lines.iter().map(|line| wrapped(line)).collect(),
+            ReportBlock::Verdict { word, text, .. } => wrapped(&format!("{word} {text}")),
+            ReportBlock::Table { header, rows } if header.is_empty() => values_text(rows),
+            ReportBlock::Table { header, rows } | ReportBlock::CodeTable { header, rows } => {
+                table_text(header, rows, self.labels)
             }
-            Self::Table { header, rows, .. } => ReportBlock::Table { header: header.clone(), rows: rows.clone() },
-            Self::Verdict { tone, word, text } => {
-                ReportBlock::Verdict { tone: *tone, word: word.clone(), text: text.clone() }
-            }
-            Self::Code(text) => ReportBlock::PreformattedText(text.clone()),
-            Self::Page(block) => block.clone(),
+            ReportBlock::Figure { .. } | ReportBlock::FigureGrid(_) => String::new(),
         }
     }
 }
 
-/// Labels and values in two left-aligned columns.
-fn values_text(rows: &[[String; 2]]) -> String {
-    let width = rows.iter().map(|[label, _]| label.chars().count()).max().unwrap_or(0);
-    let lines = rows.iter().map(|[label, value]| format!("{label:<width$}  {value}\n"));
+fn values_text(rows: &[Vec<String>]) -> String {
+    let pairs = || rows.iter().filter_map(|row| row.split_first());
+    let width = pairs().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
+    let lines = pairs().map(|(label, value)| format!("{label:<width$}  {}\n", value.concat()));
     lines.collect::<Vec<_>>().concat()
 }
 

@@ -185,7 +185,6 @@ pub struct EstimatorRow<'a> {
     pub runs: u64,
 }
 
-/// Accuracy in millimetres and degrees, and the consistency of each estimator.
 pub fn estimator_table(rows: &[EstimatorRow<'_>]) -> String {
     accuracy_table("estimator", rows)
 }
@@ -247,7 +246,6 @@ pub struct SmoothRow<'a> {
     /// `None` without a path, as in the next two.
     pub fixes_used: Option<usize>,
     pub fixes_left_out: Option<usize>,
-    /// Iterations of the optimiser.
     pub iterations: Option<u32>,
     pub duration: TimeDelta,
     /// Observations that the smoother does not use, by sensor.

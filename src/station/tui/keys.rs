@@ -41,84 +41,19 @@ pub struct KeyBinding {
 }
 
 /// Adding one: a row here.
+#[rustfmt::skip]
 pub const KEYS: &[KeyBinding] = &[
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('q'), KeyPress::Interrupt],
-        name: "q",
-        label: "quit",
-        help: "end the run, as Ctrl-C does",
-        action: UiAction::Quit,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('?'), KeyPress::Letter('h')],
-        name: "?",
-        label: "help",
-        help: "these lines; again, or Esc, takes them away",
-        action: UiAction::Help,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Tab, KeyPress::Down],
-        name: "tab",
-        label: "panel",
-        help: "or ↓: the next panel on the whole screen; behind the last, all together",
-        action: UiAction::NextPanel,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::BackTab, KeyPress::Up],
-        name: "shift-tab",
-        label: "",
-        help: "or ↑: the panel before",
-        action: UiAction::PreviousPanel,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Right],
-        name: "→",
-        label: "",
-        help: "the next robot, where several are heard",
-        action: UiAction::NextRobot,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Left],
-        name: "←",
-        label: "",
-        help: "the robot before",
-        action: UiAction::PreviousRobot,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Escape],
-        name: "Esc",
-        label: "",
-        help: "all panels together",
-        action: UiAction::Back,
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('k')],
-        name: "k",
-        label: "kidnap",
-        help: "lift the simulated robot and put it down 0.3 m ahead, 0.2 m to the left, turned by 60°",
-        action: UiAction::Do(OperatorAction::Kidnap),
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('c')],
-        name: "c",
-        label: "camera",
-        help: "cover the simulated camera, or uncover it",
-        action: UiAction::Do(OperatorAction::Camera),
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('s')],
-        name: "s",
-        label: "slip",
-        help: "let its left wheel lose 80 % of its travel for a second",
-        action: UiAction::Do(OperatorAction::Slip),
-    },
-    KeyBinding {
-        key_presses: &[KeyPress::Letter('p')],
-        name: "p",
-        label: "cable",
-        help: "pull its cable for 3 s",
-        action: UiAction::Do(OperatorAction::PullCable),
-    },
+    KeyBinding { name: "q", key_presses: &[KeyPress::Letter('q'), KeyPress::Interrupt], label: "quit", action: UiAction::Quit, help: "end the run, as Ctrl-C does" },
+    KeyBinding { name: "?", key_presses: &[KeyPress::Letter('?'), KeyPress::Letter('h')], label: "help", action: UiAction::Help, help: "these lines; again, or Esc, takes them away" },
+    KeyBinding { name: "tab", key_presses: &[KeyPress::Tab, KeyPress::Down], label: "panel", action: UiAction::NextPanel, help: "or ↓: the next panel on the whole screen; behind the last, all together" },
+    KeyBinding { name: "shift-tab", key_presses: &[KeyPress::BackTab, KeyPress::Up], label: "", action: UiAction::PreviousPanel, help: "or ↑: the panel before" },
+    KeyBinding { name: "→", key_presses: &[KeyPress::Right], label: "", action: UiAction::NextRobot, help: "the next robot, where several are heard" },
+    KeyBinding { name: "←", key_presses: &[KeyPress::Left], label: "", action: UiAction::PreviousRobot, help: "the robot before" },
+    KeyBinding { name: "Esc", key_presses: &[KeyPress::Escape], label: "", action: UiAction::Back, help: "all panels together" },
+    KeyBinding { name: "k", key_presses: &[KeyPress::Letter('k')], label: "kidnap", action: UiAction::Do(OperatorAction::Kidnap), help: "lift the simulated robot and put it down 0.3 m ahead, 0.2 m to the left, turned by 60°" },
+    KeyBinding { name: "c", key_presses: &[KeyPress::Letter('c')], label: "camera", action: UiAction::Do(OperatorAction::Camera), help: "cover the simulated camera, or uncover it" },
+    KeyBinding { name: "s", key_presses: &[KeyPress::Letter('s')], label: "slip", action: UiAction::Do(OperatorAction::Slip), help: "let its left wheel lose 80 % of its travel for a second" },
+    KeyBinding { name: "p", key_presses: &[KeyPress::Letter('p')], label: "cable", action: UiAction::Do(OperatorAction::PullCable), help: "pull its cable for 3 s" },
 ];
 
 pub fn action_of(key_press: KeyPress) -> Option<UiAction> {

@@ -61,17 +61,7 @@ const fn colour(role: StyleRole) -> Color {
 }
 
 const fn weight(role: StyleRole) -> Modifier {
-    match role {
-        StyleRole::Strong => Modifier::BOLD,
-        StyleRole::Quiet
-        | StyleRole::Path
-        | StyleRole::Truth
-        | StyleRole::Odometry
-        | StyleRole::Estimate
-        | StyleRole::Good
-        | StyleRole::Late
-        | StyleRole::Bad => Modifier::empty(),
-    }
+    if matches!(role, StyleRole::Strong) { Modifier::BOLD } else { Modifier::empty() }
 }
 
 /// A dash for a missing number.

@@ -19,48 +19,38 @@ pub struct CommandField {
 #[derive(Clone, Copy, Debug)]
 pub enum FieldKind {
     /// In the unit of the key.
-    Number { least: f64, most: f64 },
-    /// A number.
+    Number {
+        least: f64,
+        most: f64,
+    },
     Finite,
     /// A number in the range that [`NUMBER_FIELDS`] gives for this field of this command.
     Simulated,
-    /// A whole number in this range.
-    Integer { least: u64, most: u64 },
+    Integer {
+        least: u64,
+        most: u64,
+    },
     /// One of these words.
     Choice(&'static [&'static str]),
-    /// True or false.
     Switch,
     /// A name of at most sixteen printable ASCII characters.
     Name,
-    /// Such a name, or null.
     NameOrNull,
 }
 
 impl CommandField {
     pub fn kind_in(&self, command: &str) -> FieldKind {
+        let FieldKind::Simulated = self.kind else {
+            return self.kind;
+        };
         let is_it = |known: &&&NumberField| (known.command, known.field) == (command, self.name);
-        match self.kind {
-            FieldKind::Simulated => {
-                let known = NUMBER_FIELDS.iter().find(is_it);
-                // Only if the tables disagree; a test checks all of them.
-                known.map_or(FieldKind::Simulated, |known| FieldKind::Number {
-                    least: known.minimum,
-                    most: known.maximum,
-                })
-            }
-            FieldKind::Number { .. }
-            | FieldKind::Finite
-            | FieldKind::Integer { .. }
-            | FieldKind::Choice(_)
-            | FieldKind::Switch
-            | FieldKind::Name
-            | FieldKind::NameOrNull => self.kind,
-        }
+        let known = NUMBER_FIELDS.iter().find(is_it);
+        // Unknown only if the tables disagree; a test checks all of them.
+        known.map_or(self.kind, |known| FieldKind::Number { least: known.minimum, most: known.maximum })
     }
 }
 
 impl FieldKind {
-    /// The permitted values in words.
     pub fn expectation(self) -> String {
         match self {
             Self::Number { least, most } => format!("a number from {least} to {most}"),
@@ -88,7 +78,6 @@ impl FieldKind {
     }
 }
 
-/// A list of permitted words for an error.
 pub(super) fn one_of<T: AsRef<str>>(words: &[T]) -> String {
     let quoted = words.iter().map(|word| format!("\"{}\"", word.as_ref()));
     format!("one of {}", quoted.collect::<Vec<_>>().join(", "))

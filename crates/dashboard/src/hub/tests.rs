@@ -1,8 +1,7 @@
 use super::*;
 
-use posebridge_telemetry::{Address, RobotId, TimeDelta};
+use posebridge_telemetry::Address;
 
-use crate::feed::StationStatus;
 use crate::model::{Message, ParameterValue, SimulatorFacts, SimulatorNow};
 use crate::views::tests::{estimate, fused_event, truth};
 
@@ -173,4 +172,32 @@ fn the_metrics_page_is_in_the_format_of_prometheus() {
         }
     }
     assert!(families.len() > 20, "{}", families.len());
+}
+
+#[test]
+fn percentiles_and_buckets_of_known_latencies() {
+    let mut latency = LatencyHistogram::default();
+    for micros in (1..=101).rev() {
+        latency.record(TimeDelta::from_micros(micros));
+    }
+    let row = latency.row();
+    assert_eq!((row.p50_ms, row.p99_ms), (0.051.into(), 0.1.into()));
+    let counts: Vec<u64> = latency.buckets().map(|(_, count)| count).collect();
+    assert_eq!(counts[..4], [10, 30, 100, 101]);
+    assert_eq!(latency.sum, TimeDelta::from_micros(101 * 51));
+    assert_eq!(LatencyHistogram::default().row().p50_ms, f64::NAN.into());
+}
+
+#[test]
+fn only_the_last_ones_are_kept() {
+    let mut latency = LatencyHistogram::default();
+    for _ in 0..3 * MAX_LATENCY_SAMPLES {
+        latency.record(TimeDelta::from_millis(9));
+    }
+    for _ in 0..MAX_LATENCY_SAMPLES {
+        latency.record(TimeDelta::from_millis(1));
+    }
+    assert_eq!(latency.last.len(), MAX_LATENCY_SAMPLES);
+    assert_eq!(latency.row().p99_ms, 1.0.into());
+    assert_eq!(latency.count, 4 * MAX_LATENCY_SAMPLES as u64);
 }

@@ -9,13 +9,12 @@ use axum::body::Body;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
-use posebridge_telemetry::{HostClock, Input, TimeDelta, Timestamp};
-use tokio::sync::mpsc::error::TrySendError;
+use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
 use super::guard::RequestGuard;
-use super::hub_task::{HubQuery, TextTopic};
+use super::hub_task::{HubQuery, Topic};
 use crate::api::{HostClockSource, ReplayLoader};
 use crate::assets::Assets;
 use crate::command::{self, CommandContext};
@@ -23,12 +22,13 @@ use crate::counters::{ServerCounter, ServerCounters};
 use crate::limits::COMMANDS_PER_S;
 use crate::model::{RecordingRow, Refusal};
 use crate::recordings::RecordingFolder;
+use crate::taps::CommandSubmitter;
 
 pub(crate) struct AppState {
     pub(crate) guard: RequestGuard,
     pub(crate) counts: Arc<ServerCounters>,
     pub(crate) queries: mpsc::Sender<HubQuery>,
-    pub(crate) commands: mpsc::Sender<Input>,
+    pub(crate) commands: CommandSubmitter,
     /// For all clients together.
     pub(crate) command_rate: RateLimiter,
     pub(crate) command_context: CommandContext,
@@ -58,21 +58,8 @@ impl AppState {
             let why = format!("more than {COMMANDS_PER_S} commands a second come to this station; try again");
             return Err((StatusCode::SERVICE_UNAVAILABLE, why));
         }
-        match self.commands.try_send(parsed.input()) {
-            Ok(()) => {
-                self.counts.increment(ServerCounter::Commands);
-                Ok(parsed.name)
-            }
-            Err(TrySendError::Full(_)) => {
-                self.counts.increment(ServerCounter::CommandsFull);
-                let why = "too many commands wait; try again".to_owned();
-                Err((StatusCode::SERVICE_UNAVAILABLE, why))
-            }
-            Err(TrySendError::Closed(_)) => {
-                let why = "the station is ending".to_owned();
-                Err((StatusCode::SERVICE_UNAVAILABLE, why))
-            }
-        }
+        let sent = self.commands.submit(parsed.input());
+        sent.map(|()| parsed.name).map_err(|why| (StatusCode::SERVICE_UNAVAILABLE, why.to_owned()))
     }
 
     pub(super) async fn recording_rows(&self) -> Vec<RecordingRow> {
@@ -91,9 +78,9 @@ impl AppState {
         looked.await.ok().flatten()
     }
 
-    pub(super) async fn text(&self, subject: TextTopic, kind: &'static str) -> Response {
+    pub(super) async fn text(&self, topic: Topic, kind: &'static str) -> Response {
         let (reply, answer) = oneshot::channel();
-        drop(self.queries.send(HubQuery::Text(subject, reply)).await);
+        drop(self.queries.send(HubQuery::Text(topic, reply)).await);
         answer.await.map_or_else(
             |_closed| refusal_response(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
             |text| with_content_type(kind, text.into()),
@@ -110,16 +97,9 @@ impl AppState {
         self.bad_request(StatusCode::METHOD_NOT_ALLOWED, why)
     }
 
-    pub(super) fn no_recording(&self) -> Response {
+    pub(super) fn not_found(&self, why: &str) -> Response {
         self.counts.increment(ServerCounter::NotFound);
-        let why = "there is no such recording; /v1/recordings lists them".to_owned();
-        refusal_response(StatusCode::NOT_FOUND, why)
-    }
-
-    pub(super) fn not_found(&self) -> Response {
-        self.counts.increment(ServerCounter::NotFound);
-        let why = "there is nothing here; docs/dashboard.md lists what there is".to_owned();
-        refusal_response(StatusCode::NOT_FOUND, why)
+        refusal_response(StatusCode::NOT_FOUND, why.to_owned())
     }
 }
 

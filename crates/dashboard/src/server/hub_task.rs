@@ -11,7 +11,6 @@ use crate::counters::{ServerCounter, ServerCounters};
 use crate::feed::{EventBatches, SimulatedTruth};
 use crate::hub::Hub;
 use crate::limits::{MAX_WAITING_FRAMES, TICK};
-use crate::metrics;
 use crate::model::{Message, RecordingRow};
 use crate::recordings::RecordingFolder;
 use crate::taps::FrameTaps;
@@ -23,18 +22,12 @@ const MAX_TRUTH_PER_TICK: usize = 1_024;
 pub(crate) enum HubQuery {
     /// The first message and a receiver of the following ones.
     Hello(Vec<RecordingRow>, oneshot::Sender<StreamStart>),
-    Text(TextTopic, oneshot::Sender<String>),
+    Text(Topic, oneshot::Sender<String>),
     Recording(oneshot::Sender<Option<String>>),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum TextTopic {
-    State,
-    Robots,
-    Sources,
-    Parameters,
-    Metrics,
-}
+/// Text about what the hub knows.
+pub(crate) type Topic = fn(&Hub, &ServerCounters) -> String;
 
 pub(crate) struct StreamStart {
     pub(crate) hello: Utf8Bytes,
@@ -51,7 +44,6 @@ pub(crate) struct HubInputs {
     pub(crate) taps: FrameTaps,
 }
 
-/// Runs until the station loop ends.
 pub(crate) async fn run_hub(mut hub: Hub, mut inputs: HubInputs) {
     let (frames, _) = broadcast::channel(MAX_WAITING_FRAMES);
     let mut ticks = interval(TICK);
@@ -112,25 +104,12 @@ fn answer_query(hub: &Hub, counts: &ServerCounters, query: HubQuery, frames: &br
             // The client may have left.
             drop(reply.send(StreamStart { hello: hello.into(), frames: frames.subscribe() }));
         }
-        HubQuery::Text(subject, reply) => drop(reply.send(render_topic(hub, counts, subject))),
+        HubQuery::Text(topic, reply) => drop(reply.send(topic(hub, counts))),
         HubQuery::Recording(reply) => drop(reply.send(hub.recording.clone())),
     }
 }
 
-fn render_topic(hub: &Hub, counts: &ServerCounters, subject: TextTopic) -> String {
-    match subject {
-        TextTopic::State => to_json(&hub.state(counts)),
-        TextTopic::Robots => to_json(&hub.robots()),
-        TextTopic::Sources => to_json(&hub.sources()),
-        TextTopic::Parameters => to_json(&hub.parameters()),
-        TextTopic::Metrics => {
-            counts.set(ServerCounter::PointsDropped, hub.dropped());
-            metrics::page(hub, counts)
-        }
-    }
-}
-
 /// Plain structs of numbers and texts always serialize.
-fn to_json<T: serde::Serialize>(value: &T) -> String {
+pub(crate) fn to_json<T: serde::Serialize>(value: &T) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }

@@ -1,6 +1,7 @@
 //! The routes of the server: access control, the REST endpoints and the files of the page.
 
 use std::future::{Ready, ready};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::Router;
@@ -21,11 +22,11 @@ use tokio_util::io::ReaderStream;
 
 use super::app_state::{AppState, refusal_response, with_content_type};
 use super::guard::RequestAdmission;
-use super::hub_task::TextTopic;
+use super::hub_task::{Topic, to_json};
 use super::stream;
 use crate::counters::ServerCounter;
 use crate::limits::{MAX_MESSAGE_BYTES, REPLAY_TIMEOUT, REQUEST_TIMEOUT};
-use crate::metrics::CONTENT_TYPE as METRICS_TYPE;
+use crate::metrics;
 use crate::model::Accepted;
 
 type SharedApp = State<Arc<AppState>>;
@@ -33,6 +34,7 @@ type SharedApp = State<Arc<AppState>>;
 type RecordingName = Result<Path<String>, PathRejection>;
 
 const JSON: &str = "application/json";
+const NO_RECORDING: &str = "there is no such recording; /v1/recordings lists them";
 
 /// Scripts, styles, images and connections of this station only, and no embedding in a frame.
 const CONTENT_POLICY: &str = "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -42,16 +44,16 @@ const NO_TOKEN_PAGE: &str = include_str!("no_token.html");
 pub(crate) fn router(app: Arc<AppState>) -> Router {
     Router::new()
         .route("/v1/stream", get(stream::open))
-        .route("/v1/state", text(TextTopic::State, JSON))
-        .route("/v1/robots", text(TextTopic::Robots, JSON))
-        .route("/v1/sources", text(TextTopic::Sources, JSON))
-        .route("/v1/parameters", text(TextTopic::Parameters, JSON))
+        .route("/v1/state", text(|hub, counts| to_json(&hub.state(counts)), JSON))
+        .route("/v1/robots", text(|hub, _| to_json(&hub.robots()), JSON))
+        .route("/v1/sources", text(|hub, _| to_json(&hub.sources()), JSON))
+        .route("/v1/parameters", text(|hub, _| to_json(&hub.parameters()), JSON))
         .route("/v1/recordings", get(recordings))
         .route("/v1/recordings/{name}", get(download))
         .route("/v1/recordings/{name}/replay", get(replay))
         .route("/v1/commands", post(command))
         .route("/v1/schema.json", get(schema))
-        .route("/metrics", text(TextTopic::Metrics, METRICS_TYPE))
+        .route("/metrics", text(metrics::page, metrics::CONTENT_TYPE))
         .fallback(asset)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(MAX_MESSAGE_BYTES))
@@ -59,8 +61,7 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
         .with_state(app)
 }
 
-/// A route that returns a text of the hub.
-fn text(topic: TextTopic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
+fn text(topic: Topic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
     get(move |State(app): SharedApp| async move { app.text(topic, kind).await })
 }
 
@@ -102,7 +103,6 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
     response
 }
 
-/// Whether the client is a browser that shows a page.
 fn accepts_page(headers: &HeaderMap) -> bool {
     let mut accepted = headers.get_all(ACCEPT).iter();
     accepted.any(|value| {
@@ -120,14 +120,24 @@ async fn recordings(State(app): SharedApp) -> Response {
     with_content_type(JSON, serde_json::to_string(&rows).unwrap_or_default().into())
 }
 
+/// The name and the path of a recording, or the status and reason of a refusal.
+async fn recording(app: &AppState, name: RecordingName) -> Result<(String, PathBuf), (StatusCode, String)> {
+    let Path(name) = name.map_err(|error| {
+        app.counts.increment(ServerCounter::BadRequest);
+        (error.status(), error.body_text())
+    })?;
+    let path = app.recording_path(&name).await.ok_or_else(|| {
+        app.counts.increment(ServerCounter::NotFound);
+        (StatusCode::NOT_FOUND, NO_RECORDING.to_owned())
+    })?;
+    Ok((name, path))
+}
+
 /// Of the current recording, the part written so far.
 async fn download(State(app): SharedApp, name: RecordingName) -> Response {
-    let name = match name {
-        Ok(Path(name)) => name,
-        Err(error) => return app.bad_request(error.status(), error.body_text()),
-    };
-    let Some(path) = app.recording_path(&name).await else {
-        return app.no_recording();
+    let (name, path) = match recording(&app, name).await {
+        Ok(found) => found,
+        Err((status, why)) => return refusal_response(status, why),
     };
     let opened = async {
         let file = tokio::fs::File::open(&path).await?;
@@ -135,7 +145,7 @@ async fn download(State(app): SharedApp, name: RecordingName) -> Response {
         Ok::<_, std::io::Error>((file, bytes))
     };
     let Ok((file, bytes)) = opened.await else {
-        return app.no_recording();
+        return app.not_found(NO_RECORDING);
     };
     let mut response =
         with_content_type("application/octet-stream", Body::from_stream(ReaderStream::new(file.take(bytes))));
@@ -149,12 +159,9 @@ async fn download(State(app): SharedApp, name: RecordingName) -> Response {
 }
 
 async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
-    let name = match name {
-        Ok(Path(name)) => name,
-        Err(error) => return app.bad_request(error.status(), error.body_text()),
-    };
-    let Some(path) = app.recording_path(&name).await else {
-        return app.no_recording();
+    let (name, path) = match recording(&app, name).await {
+        Ok(found) => found,
+        Err((status, why)) => return refusal_response(status, why),
     };
     let Ok(permit) = Arc::clone(&app.replay_slot).try_acquire_owned() else {
         app.counts.increment(ServerCounter::ReplayBusy);
@@ -217,7 +224,7 @@ fn asset(State(app): SharedApp, request: Request) -> Ready<Response> {
             headers.insert(ALLOW, HeaderValue::from_static("GET,HEAD"));
             refused
         }
-        None => app.not_found(),
+        None => app.not_found("there is nothing here; docs/dashboard.md lists what there is"),
     })
 }
 

@@ -1,10 +1,9 @@
 //! Link health, and the alignment of the robot's clock.
 
-use std::collections::BTreeMap;
-
 use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, LinkState, TimeDelta, Timestamp};
 
-use super::view::{FrameContent, View, ViewConfig, ViewInput};
+use super::retained_series::BoundedMap;
+use super::{View, ViewConfig, ViewInput};
 use crate::model::{ClockRow, Frame, LinkRow, Number};
 
 /// A configuration has a handful.
@@ -16,7 +15,7 @@ const ONE_WAY: &str = "one-way";
 
 pub(super) struct Links {
     config: ViewConfig,
-    by_id: BTreeMap<LinkId, LinkActivity>,
+    by_id: BoundedMap<LinkId, LinkActivity>,
     has_changed: bool,
 }
 
@@ -67,20 +66,17 @@ impl LinkActivity {
 
 impl Links {
     pub(super) fn new(setting: &ViewConfig) -> Self {
-        Self { config: setting.clone(), by_id: BTreeMap::new(), has_changed: false }
+        Self { config: setting.clone(), by_id: BoundedMap::new(MAX_LINKS), has_changed: false }
     }
 
     fn link(&mut self, id: LinkId) -> Option<&mut LinkActivity> {
-        if !self.by_id.contains_key(&id) && self.by_id.len() >= MAX_LINKS {
-            return None;
-        }
-        Some(self.by_id.entry(id).or_insert(LinkActivity {
+        self.by_id.get_or_insert(id, || LinkActivity {
             state: LinkState::Down,
             health: LinkHealth::default(),
             last_seen: None,
             bytes_in_per_s: 0.0,
             frames_in_per_s: 0.0,
-        }))
+        })
     }
 }
 
@@ -102,14 +98,12 @@ impl View for Links {
         }
     }
 
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
+    fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.has_changed)
     }
 
     fn add_history(&self, history: &mut Frame) {
-        let rows = self.by_id.iter().map(|(id, link)| link.row(*id, self.config.link_name(*id)));
+        let rows = self.by_id.entries.iter().map(|(id, link)| link.row(*id, self.config.link_name(*id)));
         history.links = Some(rows.collect());
     }
 }
@@ -133,12 +127,6 @@ impl View for Clock {
             uncertainty_ms: uncertainty.as_millis_f64().into(),
             method: method.to_owned(),
         });
-    }
-
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        if content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
     }
 
     fn add_history(&self, history: &mut Frame) {

@@ -4,7 +4,7 @@ use posebridge_telemetry::severity::NOTICE;
 use posebridge_telemetry::{Event, HostClock, RepeatFilter, TimeDelta, Timestamp};
 
 use super::retained_series::{PointPriority, RetainedSeries, RetentionPolicy};
-use super::view::{FrameContent, View, ViewConfig, ViewInput};
+use super::{FrameContent, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LogLine, seconds_of};
 
 /// More than a page shows.
@@ -64,7 +64,6 @@ impl Log {
     }
 }
 
-/// Truncates to [`MAX_LINE_BYTES`].
 fn cut(mut text: String) -> String {
     let mut end = text.len().min(MAX_LINE_BYTES);
     while !text.is_char_boundary(end) {

@@ -1,85 +1,57 @@
 //! The outcome of observations: camera fixes for the map, innovations and NIS of each source, and counts.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use posebridge_telemetry::{
     Event, Fix, FusionOutcome, FusionRecord, Heading, HostClock, ObservationKind, RobotId, SensorId, TimeDelta,
     Timestamp,
 };
 
-use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
-use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeriesMap, SeriesView};
+use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::limits::SECOND;
 use crate::model::{FixPoint, Frame, FusionPoint, Number, TallyPoint, seconds_of};
 
 /// Fixes that wait for their fusion record; it follows at once, but a late fix may revise others first.
 const MAX_PENDING_FIXES: usize = 16;
 
+/// Fixes without a record, oldest first.
+pub(super) type PendingFixes = VecDeque<(RobotId, SensorId, Fix)>;
+
 /// Camera fixes with their outcome, for the map. The position of a fix is in the observation, its outcome in the record that follows.
-pub(super) struct Fixes {
-    series: RetainedSeriesMap<(), FixPoint>,
-    pending: VecDeque<(RobotId, SensorId, Fix)>,
-}
-
-impl Fixes {
-    pub(super) fn new(setting: &ViewConfig) -> Self {
-        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS), pending: VecDeque::new() }
-    }
-
-    /// Removes the oldest fix of this sensor without a record.
-    fn take_pending(&mut self, robot: RobotId, sensor: SensorId) -> Option<Fix> {
-        let is_it = |open: &(RobotId, SensorId, Fix)| (open.0, open.1) == (robot, sensor);
-        let index = self.pending.iter().position(is_it)?;
-        self.pending.remove(index).map(|(_, _, fix)| fix)
-    }
-}
-
-impl View for Fixes {
-    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
-        match input {
-            ViewInput::Event(Event::ObservationAligned { robot, observation, .. }) => {
-                if let ObservationKind::Fix(fix) = observation.measurement {
-                    if self.pending.len() >= MAX_PENDING_FIXES {
-                        self.pending.pop_front();
-                    }
-                    self.pending.push_back((*robot, observation.sensor, fix));
+pub(super) fn fixes(config: &ViewConfig) -> SeriesView<PendingFixes, (), FixPoint> {
+    SeriesView {
+        state: VecDeque::new(),
+        points: RetainedSeriesMap::new(config.retention, MAX_ROBOTS),
+        observe: |pending, now, event| {
+            if let Event::ObservationAligned { robot, observation, .. } = event
+                && let ObservationKind::Fix(fix) = observation.measurement
+            {
+                if pending.len() >= MAX_PENDING_FIXES {
+                    pending.pop_front();
                 }
+                pending.push_back((*robot, observation.sensor, fix));
             }
-            ViewInput::Event(Event::ObservationFused { robot, record }) if record.kind == "fix" => {
-                let Some(fix) = self.take_pending(*robot, record.sensor) else {
-                    return;
-                };
-                let heading_rad = fix.heading.map_or(f64::NAN, Heading::rad);
-                let point = FixPoint {
-                    t_s: seconds_of(now),
-                    x_m: fix.position.x.0.into(),
-                    y_m: fix.position.y.0.into(),
-                    heading_rad: heading_rad.into(),
-                    sensor: record.sensor.name().to_owned(),
-                    verdict: record.outcome.reason().to_owned(),
-                    lag_s: record.lag.as_secs_f64().into(),
-                };
-                let priority = priority_of(record.outcome);
-                self.series.push(now, (*robot, ()), point, priority);
+            let Event::ObservationFused { robot, record } = event else {
+                return None;
+            };
+            let index = pending.iter().position(|open| (open.0, open.1) == (*robot, record.sensor))?;
+            if record.kind != "fix" {
+                return None;
             }
-            ViewInput::Event(_) | ViewInput::Truth(_) | ViewInput::Status(_) => {}
-        }
-    }
-
-    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
-        for (robot, points) in self.series.take_pending() {
-            frame.robot(&robot_name(robot)).fixes = points;
-        }
-    }
-
-    fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.series.retained() {
-            history.robot(&robot_name(robot)).fixes = points;
-        }
-    }
-
-    fn dropped(&self) -> u64 {
-        self.series.dropped()
+            let (_, _, fix) = pending.remove(index)?;
+            let point = FixPoint {
+                t_s: seconds_of(now),
+                x_m: fix.position.x.0.into(),
+                y_m: fix.position.y.0.into(),
+                heading_rad: fix.heading.map_or(f64::NAN, Heading::rad).into(),
+                sensor: record.sensor.name().to_owned(),
+                verdict: record.outcome.reason().to_owned(),
+                lag_s: record.lag.as_secs_f64().into(),
+            };
+            Some(((*robot, ()), point, priority_of(record.outcome)))
+        },
+        write: |frame, points| frame.fixes = points,
     }
 }
 
@@ -97,54 +69,29 @@ const FUSION_SHARE: usize = 3;
 /// Sources have separate series, so that a fast one does not displace a slow one; each with a NIS and without.
 const MAX_SERIES: usize = 2 * 4 * MAX_ROBOTS;
 
+/// Sensor, kind, and whether it has a NIS.
+type FusionKey = (SensorId, &'static str, bool);
+
 /// The outcome of each observation: innovations and NIS of each source.
 ///
 /// Records with a NIS and those without are thinned separately: of the wheels one in four has one, and thinning both
 /// together by halves would leave none of those.
-pub(super) struct Fusion {
-    series: RetainedSeriesMap<(SensorId, &'static str, bool), FusionPoint>,
-}
-
-impl Fusion {
-    pub(super) fn new(setting: &ViewConfig) -> Self {
-        let policy = setting.retention.map_points(|points| points / FUSION_SHARE);
-        Self { series: RetainedSeriesMap::new(policy, MAX_SERIES) }
-    }
-}
-
-impl View for Fusion {
-    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
-        let ViewInput::Event(Event::ObservationFused { robot, record }) = input else {
-            return;
-        };
-        let has_nis = record.degrees_of_freedom > 0;
-        let source = (record.sensor, record.kind, has_nis);
-        let priority = priority_of(record.outcome);
-        self.series.push(now, (*robot, source), fusion_point(now, record), priority);
-    }
-
-    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
-        for (robot, points) in self.series.take_pending() {
-            frame.robot(&robot_name(robot)).fusion.extend(points);
-        }
-        sort_points(frame);
-    }
-
-    fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.series.retained() {
-            history.robot(&robot_name(robot)).fusion.extend(points);
-        }
-        sort_points(history);
-    }
-
-    fn dropped(&self) -> u64 {
-        self.series.dropped()
-    }
-}
-
-fn sort_points(frame: &mut Frame) {
-    for robot in &mut frame.robots {
-        robot.fusion.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
+pub(super) fn fusion(config: &ViewConfig) -> SeriesView<(), FusionKey, FusionPoint> {
+    let policy = config.retention.map_points(|points| points / FUSION_SHARE);
+    SeriesView {
+        state: (),
+        points: RetainedSeriesMap::new(policy, MAX_SERIES),
+        observe: |(), now, event| {
+            let Event::ObservationFused { robot, record } = event else {
+                return None;
+            };
+            let source = (record.sensor, record.kind, record.degrees_of_freedom > 0);
+            Some(((*robot, source), fusion_point(now, record), priority_of(record.outcome)))
+        },
+        write: |frame, points| {
+            frame.fusion.extend(points);
+            frame.fusion.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
+        },
     }
 }
 
@@ -186,38 +133,33 @@ struct SourceCounts {
 
 /// Counts of observations by source: all, gated and late. They are exact, however much the lines are thinned.
 pub(super) struct Tallies {
-    counts: BTreeMap<SourceKey, SourceCounts>,
+    counts: BoundedMap<SourceKey, SourceCounts>,
     /// Once a second for a recording; a live session needs only the counts.
     seconds: RetainedSeriesMap<(SensorId, &'static str), TallyPoint>,
     next_second: Timestamp<HostClock>,
     last: Timestamp<HostClock>,
-    ignored: u64,
 }
 
 impl Tallies {
     pub(super) fn new(setting: &ViewConfig) -> Self {
         Self {
-            counts: BTreeMap::new(),
+            counts: BoundedMap::new(MAX_SOURCES),
             seconds: RetainedSeriesMap::new(setting.retention.for_seconds(0, TALLY_SHARE), MAX_SOURCES),
             next_second: Timestamp::ZERO,
             last: Timestamp::ZERO,
-            ignored: 0,
         }
     }
 
     fn count(&mut self, source: SourceKey, record: &FusionRecord) {
-        if !self.counts.contains_key(&source) && self.counts.len() >= MAX_SOURCES {
-            self.ignored += 1;
-            return;
+        if let Some(tally) = self.counts.get_or_insert(source, SourceCounts::default) {
+            tally.seen += 1;
+            tally.gated += u64::from(record.outcome == FusionOutcome::Gated);
+            tally.late += u64::from(record.lag >= MIN_LATE_LAG);
         }
-        let tally = self.counts.entry(source).or_default();
-        tally.seen += 1;
-        tally.gated += u64::from(record.outcome == FusionOutcome::Gated);
-        tally.late += u64::from(record.lag >= MIN_LATE_LAG);
     }
 
     fn record_second(&mut self) {
-        for (source, tally) in &self.counts {
+        for (source, tally) in &self.counts.entries {
             let (_, (sensor, kind)) = *source;
             let point = tally_point(self.last, sensor, kind, *tally);
             self.seconds.push(self.last, *source, point, PointPriority::Normal);
@@ -227,7 +169,7 @@ impl Tallies {
     }
 
     fn add_counts(&self, frame: &mut Frame) {
-        for ((robot, (sensor, kind)), tally) in &self.counts {
+        for ((robot, (sensor, kind)), tally) in &self.counts.entries {
             let point = tally_point(self.last, *sensor, kind, *tally);
             frame.robot(&robot_name(*robot)).tallies.push(point);
         }
@@ -261,7 +203,7 @@ impl View for Tallies {
     }
 
     fn dropped(&self) -> u64 {
-        self.ignored
+        self.counts.ignored
     }
 }
 

@@ -1,8 +1,12 @@
 //! Time series: points for the next message, and points retained for the history.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::btree_map::{BTreeMap, Entry};
+use std::collections::{BTreeSet, VecDeque};
 
-use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Event, HostClock, RobotId, TimeDelta, Timestamp};
+
+use super::{FrameContent, View, ViewInput, robot_name};
+use crate::model::{Frame, RobotFrame};
 
 /// Points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second has four.
 const MAX_PENDING: usize = 256;
@@ -191,49 +195,107 @@ impl<T: Clone> RetainedSeries<T> {
     }
 }
 
+/// A map with at most `max` keys, of robots unless it is told; entries of other keys are counted and dropped.
+#[derive(Clone, Debug)]
+pub(super) struct BoundedMap<K, V> {
+    pub(super) entries: BTreeMap<K, V>,
+    max: usize,
+    pub(super) ignored: u64,
+}
+
+impl<K: Ord, V> BoundedMap<K, V> {
+    pub(super) const fn new(max: usize) -> Self {
+        Self { entries: BTreeMap::new(), max, ignored: 0 }
+    }
+
+    pub(super) fn get_or_insert(&mut self, key: K, new: impl FnOnce() -> V) -> Option<&mut V> {
+        let is_full = self.entries.len() >= self.max;
+        let entry = self.entries.entry(key);
+        if is_full && matches!(entry, Entry::Vacant(_)) {
+            self.ignored += 1;
+            return None;
+        }
+        Some(entry.or_insert_with(new))
+    }
+}
+
+impl<K: Ord, V> Default for BoundedMap<K, V> {
+    fn default() -> Self {
+        Self::new(MAX_ROBOTS)
+    }
+}
+
 /// A series for each robot, or for each sensor of each robot.
 #[derive(Clone, Debug)]
 pub(super) struct RetainedSeriesMap<K, T> {
     policy: RetentionPolicy,
-    series: BTreeMap<(RobotId, K), RetainedSeries<T>>,
-    max_series: usize,
+    series: BoundedMap<(RobotId, K), RetainedSeries<T>>,
     robots: BTreeSet<RobotId>,
-    ignored: u64,
 }
 
 impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
     pub(super) const fn new(policy: RetentionPolicy, max_series: usize) -> Self {
-        Self { policy, series: BTreeMap::new(), max_series, robots: BTreeSet::new(), ignored: 0 }
+        Self { policy, series: BoundedMap::new(max_series), robots: BTreeSet::new() }
     }
 
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, key: (RobotId, K), point: T, priority: PointPriority) {
-        if !self.series.contains_key(&key) && self.series.len() >= self.max_series {
-            self.ignored += 1;
+        let Some(series) = self.series.get_or_insert(key, || RetainedSeries::new(self.policy)) else {
             return;
-        }
-        if self.robots.insert(key.0) {
-            let policy = self.policy.shared_by(self.robots.len());
-            for series in self.series.values_mut() {
-                series.set_policy(policy);
-            }
-        }
-        let policy = self.policy.shared_by(self.robots.len());
-        let series = self.series.entry(key).or_insert_with(|| RetainedSeries::new(policy));
+        };
+        self.robots.insert(key.0);
+        series.set_policy(self.policy.shared_by(self.robots.len()));
         series.push(now, point, priority);
     }
 
     pub(super) fn take_pending(&mut self) -> Vec<(RobotId, Vec<T>)> {
-        let points = self.series.iter_mut().map(|((robot, _), series)| (*robot, series.take_pending()));
+        let points = self.series.entries.iter_mut().map(|((robot, _), series)| (*robot, series.take_pending()));
         points.filter(|(_, points)| !points.is_empty()).collect()
     }
 
     pub(super) fn retained(&self) -> Vec<(RobotId, Vec<T>)> {
-        self.series.iter().map(|((robot, _), series)| (*robot, series.retained())).collect()
+        self.series.entries.iter().map(|((robot, _), series)| (*robot, series.retained())).collect()
     }
 
     pub(super) fn dropped(&self) -> u64 {
-        let dropped: u64 = self.series.values().map(RetainedSeries::dropped).sum();
-        dropped + self.ignored
+        let dropped: u64 = self.series.entries.values().map(RetainedSeries::dropped).sum();
+        dropped + self.series.ignored
+    }
+}
+
+/// The point of an event, with its series and priority.
+type PointOf<S, K, T> = fn(&mut S, Timestamp<HostClock>, &Event) -> Option<((RobotId, K), T, PointPriority)>;
+
+/// A view of points of robots; `S` is what it knows beside the points.
+pub(super) struct SeriesView<S, K, T> {
+    pub(super) state: S,
+    pub(super) points: RetainedSeriesMap<K, T>,
+    pub(super) observe: PointOf<S, K, T>,
+    pub(super) write: fn(&mut RobotFrame, Vec<T>),
+}
+
+impl<S: Send, K: Ord + Copy + Send, T: Clone + Send> View for SeriesView<S, K, T> {
+    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
+        if let ViewInput::Event(event) = input
+            && let Some((key, point, priority)) = (self.observe)(&mut self.state, now, event)
+        {
+            self.points.push(now, key, point, priority);
+        }
+    }
+
+    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
+        for (robot, points) in self.points.take_pending() {
+            (self.write)(frame.robot(&robot_name(robot)), points);
+        }
+    }
+
+    fn add_history(&self, history: &mut Frame) {
+        for (robot, points) in self.points.retained() {
+            (self.write)(history.robot(&robot_name(robot)), points);
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        self.points.dropped()
     }
 }
 

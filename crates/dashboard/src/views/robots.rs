@@ -1,11 +1,9 @@
 //! The list of robots with names and loss of contact, and their estimates. Every message with data of a robot has its id.
 
-use std::collections::BTreeMap;
-
 use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, RobotId, TimeDelta, Timestamp};
 
-use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeriesMap};
-use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeriesMap, SeriesView};
+use super::{View, ViewConfig, ViewInput, robot_name};
 use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
 /// In characters; shown beside the robot on a map.
@@ -16,7 +14,7 @@ const MAX_NAME_CHARS: usize = 60;
 pub(super) struct Robots {
     known: Vec<KnownRobot>,
     /// Names can arrive before the first estimate.
-    names: BTreeMap<RobotId, String>,
+    names: BoundedMap<RobotId, String>,
     ignored: u64,
     has_changed: bool,
 }
@@ -42,12 +40,10 @@ impl Robots {
     }
 
     fn on_name(&mut self, robot: RobotId, name: &str) {
-        if !self.names.contains_key(&robot) && self.names.len() >= MAX_ROBOTS {
-            self.ignored += 1;
-            return;
+        if let Some(known) = self.names.get_or_insert(robot, String::new) {
+            *known = name.chars().take(MAX_NAME_CHARS).collect();
+            self.has_changed = true;
         }
-        self.names.insert(robot, name.chars().take(MAX_NAME_CHARS).collect());
-        self.has_changed = true;
     }
 
     fn on_loss(&mut self, now: Timestamp<HostClock>, robot: RobotId) {
@@ -69,62 +65,36 @@ impl View for Robots {
         }
     }
 
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        // Once a second as well: a reader that was slow may have missed the change.
-        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
+    fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.has_changed)
     }
 
     fn add_history(&self, history: &mut Frame) {
         for known in &self.known {
             let part = history.robot(&robot_name(known.robot));
-            part.name = self.names.get(&known.robot).cloned();
+            part.name = self.names.entries.get(&known.robot).cloned();
             part.lost_t_s = known.lost.map(seconds_of);
         }
     }
 
     fn dropped(&self) -> u64 {
-        self.ignored
+        self.ignored + self.names.ignored
     }
 }
 
 /// Estimates with their ellipses, for the map.
-pub(super) struct Estimates {
-    series: RetainedSeriesMap<(), EstimatePoint>,
-}
-
-impl Estimates {
-    pub(super) fn new(setting: &ViewConfig) -> Self {
-        Self { series: RetainedSeriesMap::new(setting.retention, MAX_ROBOTS) }
-    }
-}
-
-impl View for Estimates {
-    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
-        let ViewInput::Event(Event::EstimateUpdated { robot, estimate }) = input else {
-            return;
-        };
-        if estimate.validity.position && estimate.validity.heading {
-            let point = estimate_point(now, estimate);
-            self.series.push(now, (*robot, ()), point, PointPriority::Normal);
-        }
-    }
-
-    fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
-        for (robot, points) in self.series.take_pending() {
-            frame.robot(&robot_name(robot)).estimates = points;
-        }
-    }
-
-    fn add_history(&self, history: &mut Frame) {
-        for (robot, points) in self.series.retained() {
-            history.robot(&robot_name(robot)).estimates = points;
-        }
-    }
-
-    fn dropped(&self) -> u64 {
-        self.series.dropped()
+pub(super) fn estimates(config: &ViewConfig) -> SeriesView<(), (), EstimatePoint> {
+    SeriesView {
+        state: (),
+        points: RetainedSeriesMap::new(config.retention, MAX_ROBOTS),
+        observe: |(), now, event| {
+            let Event::EstimateUpdated { robot, estimate } = event else {
+                return None;
+            };
+            let is_valid = estimate.validity.position && estimate.validity.heading;
+            is_valid.then(|| ((*robot, ()), estimate_point(now, estimate), PointPriority::Normal))
+        },
+        write: |frame, points| frame.estimates = points,
     }
 }
 

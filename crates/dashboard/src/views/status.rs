@@ -1,11 +1,9 @@
 //! The station's status: tunables, simulated brick, disabled sensors, and the calibration of each robot.
 
-use std::collections::BTreeMap;
-
 use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
 
-use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
-use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::retained_series::{BoundedMap, PointPriority, RetainedSeries, RetentionPolicy};
+use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::StationStatus;
 use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow, seconds_of};
 
@@ -44,11 +42,8 @@ impl<T: Clone + PartialEq + Send> View for StatusPart<T> {
         }
     }
 
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        // Once a second as well: a reader that was slow may have missed the change.
-        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
+    fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.has_changed)
     }
 
     fn add_history(&self, history: &mut Frame) {
@@ -60,7 +55,7 @@ impl<T: Clone + PartialEq + Send> View for StatusPart<T> {
 pub(super) struct Switches {
     /// Of the first robot; `None` before the first status.
     switched_off: Option<Vec<u8>>,
-    robots: BTreeMap<RobotId, RobotSwitches>,
+    robots: BoundedMap<RobotId, RobotSwitches>,
     has_changed: bool,
 }
 
@@ -71,46 +66,34 @@ struct RobotSwitches {
     is_estimated: bool,
 }
 
-impl Switches {
-    fn robot(&mut self, robot: RobotId) -> Option<&mut RobotSwitches> {
-        let has_capacity = self.robots.contains_key(&robot) || self.robots.len() < MAX_ROBOTS;
-        has_capacity.then(|| self.robots.entry(robot).or_default())
-    }
-}
-
 impl View for Switches {
     fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
         match input {
             ViewInput::Event(Event::EstimateUpdated { robot, .. }) => {
-                let is_new = self.robot(*robot).is_some_and(|known| !std::mem::replace(&mut known.is_estimated, true));
-                self.has_changed |= is_new;
+                let known = self.robots.get_or_insert(*robot, RobotSwitches::default);
+                self.has_changed |= known.is_some_and(|known| !std::mem::replace(&mut known.is_estimated, true));
             }
             ViewInput::Status(status) => {
                 self.has_changed |= self.switched_off.as_ref() != Some(&status.switched_off);
                 self.switched_off = Some(status.switched_off.clone());
                 for one in &status.robots {
-                    let Some(known) = self.robot(one.robot) else {
-                        continue;
-                    };
-                    let has_changed = known.switched_off.as_ref() != Some(&one.switched_off);
-                    known.switched_off = Some(one.switched_off.clone());
-                    self.has_changed |= has_changed;
+                    if let Some(known) = self.robots.get_or_insert(one.robot, RobotSwitches::default) {
+                        self.has_changed |= known.switched_off.as_ref() != Some(&one.switched_off);
+                        known.switched_off = Some(one.switched_off.clone());
+                    }
                 }
             }
             ViewInput::Event(_) | ViewInput::Truth(_) => {}
         }
     }
 
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        // Once a second as well: a reader that was slow may have missed the change.
-        if std::mem::take(&mut self.has_changed) || content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
+    fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.has_changed)
     }
 
     fn add_history(&self, history: &mut Frame) {
         history.switched_off.clone_from(&self.switched_off);
-        for (robot, known) in self.robots.iter().filter(|(_, known)| known.is_estimated) {
+        for (robot, known) in self.robots.entries.iter().filter(|(_, known)| known.is_estimated) {
             if known.switched_off.is_some() {
                 history.robot(&robot_name(*robot)).switched_off.clone_from(&known.switched_off);
             }
@@ -123,9 +106,7 @@ const CALIBRATION_SHARE: usize = 8;
 
 pub(super) struct Calibrations {
     policy: RetentionPolicy,
-    robots: BTreeMap<RobotId, RobotCalibration>,
-    /// Statuses of robots beyond [`MAX_ROBOTS`].
-    ignored: u64,
+    robots: BoundedMap<RobotId, RobotCalibration>,
 }
 
 struct RobotCalibration {
@@ -141,22 +122,15 @@ impl Calibrations {
     pub(super) fn new(setting: &ViewConfig) -> Self {
         // Live the current values are all that is needed.
         let policy = setting.retention.for_seconds(1, CALIBRATION_SHARE);
-        Self { policy, robots: BTreeMap::new(), ignored: 0 }
+        Self { policy, robots: BoundedMap::default() }
     }
 
     fn robot(&mut self, robot: RobotId) -> Option<&mut RobotCalibration> {
-        if !self.robots.contains_key(&robot) {
-            if self.robots.len() >= MAX_ROBOTS {
-                self.ignored += 1;
-                return None;
-            }
-            let policy = self.policy.shared_by(self.robots.len() + 1);
-            self.robots.insert(robot, RobotCalibration::new(policy));
-            for known in self.robots.values_mut() {
-                known.history.set_policy(policy);
-            }
-        }
-        self.robots.get_mut(&robot)
+        self.robots.get_or_insert(robot, || RobotCalibration::new(self.policy));
+        let policy = self.policy.shared_by(self.robots.entries.len());
+        let known = self.robots.entries.get_mut(&robot)?;
+        known.history.set_policy(policy);
+        Some(known)
     }
 }
 
@@ -199,7 +173,7 @@ impl View for Calibrations {
     }
 
     fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        for (robot, known) in self.robots.iter_mut().filter(|(_, known)| known.is_estimated) {
+        for (robot, known) in self.robots.entries.iter_mut().filter(|(_, known)| known.is_estimated) {
             let is_due = std::mem::take(&mut known.has_changed) || content == FrameContent::DeltaAndSummary;
             if is_due && !known.rows.is_empty() {
                 frame.robot(&robot_name(*robot)).calibration = Some(known.rows.clone());
@@ -208,7 +182,7 @@ impl View for Calibrations {
     }
 
     fn add_history(&self, history: &mut Frame) {
-        for (robot, known) in self.robots.iter().filter(|(_, known)| known.is_estimated) {
+        for (robot, known) in self.robots.entries.iter().filter(|(_, known)| known.is_estimated) {
             let rows = known.history.retained().concat();
             if !rows.is_empty() {
                 history.robot(&robot_name(*robot)).calibration = Some(rows);
@@ -217,6 +191,6 @@ impl View for Calibrations {
     }
 
     fn dropped(&self) -> u64 {
-        self.ignored
+        self.robots.ignored
     }
 }

@@ -2,13 +2,13 @@
 //!
 //! A sample names its robot, except where the station has one simulated brick: then it is of the first robot.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
-use super::retained_series::{MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
 use super::robots::estimate_point;
-use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
 
@@ -24,46 +24,41 @@ const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 pub(super) struct Truth {
     policy: RetentionPolicy,
     /// Keyed by the robot in the samples.
-    robots: BTreeMap<Option<RobotId>, RobotTruth>,
+    robots: BoundedMap<Option<RobotId>, RobotTruth>,
     /// The first robot with an estimate: samples without a robot belong to it.
     first: Option<RobotId>,
-    /// Samples of robots beyond [`MAX_ROBOTS`].
-    ignored: u64,
 }
 
 impl Truth {
     pub(super) const fn new(setting: &ViewConfig) -> Self {
-        Self { policy: setting.retention, robots: BTreeMap::new(), first: None, ignored: 0 }
+        Self { policy: setting.retention, robots: BoundedMap::new(MAX_ROBOTS), first: None }
     }
 
     fn push_sample(&mut self, sample: &SimulatedTruth) {
-        if !self.robots.contains_key(&sample.robot) {
-            if self.robots.len() >= MAX_ROBOTS {
-                self.ignored += 1;
-                return;
-            }
-            let policy = self.policy.shared_by(self.robots.len() + 1);
-            self.robots.insert(sample.robot, RobotTruth::new(policy));
-            for truth in self.robots.values_mut() {
-                truth.points.set_policy(policy);
-                truth.scores.set_policy(policy);
-            }
-        }
-        if let Some(truth) = self.robots.get_mut(&sample.robot) {
+        self.robots.get_or_insert(sample.robot, || RobotTruth::new(self.policy));
+        if let Some(truth) = self.robot(sample.robot) {
             truth.push_sample(sample);
         }
     }
 
+    fn robot(&mut self, key: Option<RobotId>) -> Option<&mut RobotTruth> {
+        let policy = self.policy.shared_by(self.robots.entries.len());
+        let truth = self.robots.entries.get_mut(&key)?;
+        truth.points.set_policy(policy);
+        truth.scores.set_policy(policy);
+        Some(truth)
+    }
+
     fn push_estimate(&mut self, now: Timestamp<HostClock>, robot: RobotId, estimated: PendingEstimate) {
         let is_first = *self.first.get_or_insert(robot) == robot;
-        let key = if self.robots.contains_key(&Some(robot)) || !is_first { Some(robot) } else { None };
-        if let Some(truth) = self.robots.get_mut(&key) {
+        let is_named = self.robots.entries.contains_key(&Some(robot)) || !is_first;
+        if let Some(truth) = self.robot(is_named.then_some(robot)) {
             truth.push_estimate(now, estimated);
         }
     }
 
     fn add_errors(&self, frame: &mut Frame, is_selected: impl Fn(&RobotTruth) -> bool) {
-        for (robot, truth) in &self.robots {
+        for (robot, truth) in &self.robots.entries {
             let errors = truth.errors();
             if !is_selected(truth) || errors.is_none() {
                 continue;
@@ -71,7 +66,7 @@ impl Truth {
             if let Some(robot) = robot.or(self.first) {
                 frame.robot(&robot_name(robot)).errors.clone_from(&errors);
             }
-            if Some(robot) == self.robots.keys().next() {
+            if Some(robot) == self.robots.entries.keys().next() {
                 frame.errors = errors;
             }
         }
@@ -240,7 +235,7 @@ impl View for Truth {
 
     fn add_updates(&mut self, frame: &mut Frame, _content: FrameContent) {
         self.add_errors(frame, RobotTruth::has_pending);
-        for (robot, truth) in &mut self.robots {
+        for (robot, truth) in &mut self.robots.entries {
             frame.truth.extend(truth.points.take_pending());
             let scores = truth.scores.take_pending();
             if let (Some(robot), false) = (robot.or(self.first), scores.is_empty()) {
@@ -251,7 +246,7 @@ impl View for Truth {
 
     fn add_history(&self, history: &mut Frame) {
         self.add_errors(history, |_| true);
-        for (robot, truth) in &self.robots {
+        for (robot, truth) in &self.robots.entries {
             history.truth.extend(truth.points.retained());
             let scores = truth.scores.retained();
             if let (Some(robot), false) = (robot.or(self.first), scores.is_empty()) {
@@ -261,8 +256,9 @@ impl View for Truth {
     }
 
     fn dropped(&self) -> u64 {
-        let each = self.robots.values().map(|truth| truth.points.dropped() + truth.scores.dropped() + truth.unscored);
-        each.sum::<u64>() + self.ignored
+        let robots = self.robots.entries.values();
+        let each = robots.map(|truth| truth.points.dropped() + truth.scores.dropped() + truth.unscored);
+        each.sum::<u64>() + self.robots.ignored
     }
 }
 

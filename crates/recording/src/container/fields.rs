@@ -9,6 +9,8 @@
 
 use std::collections::BTreeMap;
 
+use super::encoding::DecodeError;
+
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Metadata<'a> {
     pub(super) name: &'a str,
@@ -24,15 +26,15 @@ pub(super) struct Channel<'a> {
 
 /// `None` if the record is damaged. Extra bytes after its fields belong to newer versions and are ignored.
 pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
-    let mut fields = FieldReader { remaining: body };
+    let mut fields = ByteReader { remaining: body };
     Some(Metadata { name: fields.text()?, entries: fields.map()? })
 }
 
 /// `None` if the record is damaged.
 pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
-    let mut fields = FieldReader { remaining: body };
-    let id = fields.u16()?;
-    let _schema_id = fields.u16()?;
+    let mut fields = ByteReader { remaining: body };
+    let id = fields.u16().ok()?;
+    let _schema_id = fields.u16().ok()?;
     let channel = Channel { id, topic: fields.text()?, message_encoding: fields.text()? };
     fields.map()?;
     Some(channel)
@@ -52,13 +54,13 @@ pub(super) struct Chunk<'a> {
 
 /// `None` if the record is damaged. A truncated chunk has fewer records than its length claims.
 pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
-    let mut fields = FieldReader { remaining: body };
-    let _first_time = fields.u64()?;
-    let _last_time = fields.u64()?;
-    let _uncompressed_bytes = fields.u64()?;
-    let crc = fields.u32()?;
+    let mut fields = ByteReader { remaining: body };
+    let _first_time = fields.u64().ok()?;
+    let _last_time = fields.u64().ok()?;
+    let _uncompressed_bytes = fields.u64().ok()?;
+    let crc = fields.u32().ok()?;
     let compression = fields.text()?;
-    let bytes = usize::try_from(fields.u64()?).ok()?;
+    let bytes = usize::try_from(fields.u64().ok()?).ok()?;
     Some(Chunk {
         crc,
         compression,
@@ -80,40 +82,54 @@ pub(super) const MESSAGE_HEADER_BYTES: usize = 22;
 
 /// `None` if the record is shorter than its header.
 pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
-    let mut fields = FieldReader { remaining: body };
-    let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
-    let log_time = fields.u64()?;
-    let _publish_time = fields.u64()?;
+    let mut fields = ByteReader { remaining: body };
+    let (channel_id, sequence) = (fields.u16().ok()?, fields.u32().ok()?);
+    let log_time = fields.u64().ok()?;
+    let _publish_time = fields.u64().ok()?;
     Some(Message { channel_id, sequence, log_time, data: fields.remaining })
 }
 
-struct FieldReader<'a> {
-    remaining: &'a [u8],
+/// Reads from the front of the remaining bytes.
+pub(super) struct ByteReader<'a> {
+    pub(super) remaining: &'a [u8],
 }
 
-impl<'a> FieldReader<'a> {
-    fn u16(&mut self) -> Option<u16> {
-        let (number, rest) = self.remaining.split_first_chunk()?;
+impl<'a> ByteReader<'a> {
+    fn bytes<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
+        let left = self.remaining.len();
+        let (head, rest) = self.remaining.split_first_chunk().ok_or(DecodeError::TooShort { wanted: N, left })?;
         self.remaining = rest;
-        Some(u16::from_le_bytes(*number))
+        Ok(*head)
     }
 
-    fn u32(&mut self) -> Option<u32> {
-        let (number, rest) = self.remaining.split_first_chunk()?;
-        self.remaining = rest;
-        Some(u32::from_le_bytes(*number))
+    pub(super) fn u8(&mut self) -> Result<u8, DecodeError> {
+        self.bytes().map(u8::from_le_bytes)
     }
 
-    fn u64(&mut self) -> Option<u64> {
-        let (number, rest) = self.remaining.split_first_chunk()?;
-        self.remaining = rest;
-        Some(u64::from_le_bytes(*number))
+    pub(super) fn u16(&mut self) -> Result<u16, DecodeError> {
+        self.bytes().map(u16::from_le_bytes)
     }
 
-    /// Reads bytes after their length.
+    pub(super) fn u32(&mut self) -> Result<u32, DecodeError> {
+        self.bytes().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn u64(&mut self) -> Result<u64, DecodeError> {
+        self.bytes().map(u64::from_le_bytes)
+    }
+
+    pub(super) fn i64(&mut self) -> Result<i64, DecodeError> {
+        self.bytes().map(i64::from_le_bytes)
+    }
+
+    pub(super) fn f64(&mut self) -> Result<f64, DecodeError> {
+        self.bytes().map(f64::from_le_bytes)
+    }
+
+    /// Bytes after their length.
     fn length_prefixed(&mut self) -> Option<&'a [u8]> {
-        let (count, rest) = self.remaining.split_first_chunk()?;
-        let (bytes, rest) = rest.split_at_checked(u32::from_le_bytes(*count) as usize)?;
+        let length = self.u32().ok()? as usize;
+        let (bytes, rest) = self.remaining.split_at_checked(length)?;
         self.remaining = rest;
         Some(bytes)
     }
@@ -123,7 +139,7 @@ impl<'a> FieldReader<'a> {
     }
 
     fn map(&mut self) -> Option<BTreeMap<&'a str, &'a str>> {
-        let mut pairs = FieldReader { remaining: self.length_prefixed()? };
+        let mut pairs = ByteReader { remaining: self.length_prefixed()? };
         let mut entries = BTreeMap::new();
         while !pairs.remaining.is_empty() {
             let (key, value) = (pairs.text()?, pairs.text()?);

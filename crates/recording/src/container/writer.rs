@@ -8,7 +8,10 @@ use mcap::write::NoSeek;
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::encoding::{self, RecordPosition};
-use super::{INPUT_ENCODING, INPUT_TOPIC, PartHeader, RecordingGap, RecordingHeader, TruthSample, header};
+use super::{
+    INPUT_ENCODING, INPUT_TOPIC, LATEST_START_MICROS, PartHeader, RecordingGap, RecordingHeader, TruthSample,
+    metadata_record, zero_nanos,
+};
 use crate::foxglove::{self, ChannelKey, EncodedMessage, OutputEncoder};
 
 /// Limit of the bytes of one input. A read from a link returns at most some kilobytes.
@@ -81,7 +84,7 @@ impl<W: Write> RecordingWriter<W> {
 
     /// Starts a recording within a session, or one of its parts; flushes its header.
     pub fn create_part(w: W, header: &RecordingHeader, part_header: &PartHeader) -> Result<Self, WriteError> {
-        if header.utc_start_micros > header::LATEST_START_MICROS {
+        if header.utc_start_micros > LATEST_START_MICROS {
             return Err(WriteError::StartTime(header.utc_start_micros));
         }
         let mut mcap = mcap::WriteOptions::new()
@@ -92,11 +95,11 @@ impl<W: Write> RecordingWriter<W> {
             .profile("")
             .library(format!("posebridge {}", header.program_version))
             .create(NoSeek::new(BufWriter::new(w)))?;
-        mcap.write_metadata(&header::metadata_record(header, part_header))?;
+        mcap.write_metadata(&metadata_record(header, part_header))?;
         let schema_id = mcap.add_schema(INPUT_ENCODING, INPUT_ENCODING, SCHEMA_TEXT.as_bytes())?;
         let input_channel = mcap.add_channel(schema_id, INPUT_TOPIC, INPUT_ENCODING, &BTreeMap::new())?;
         mcap.flush()?;
-        let zero_nanos = header::zero_nanos(header);
+        let zero_nanos = zero_nanos(header);
         Ok(Self {
             mcap,
             zero_nanos,

@@ -8,7 +8,9 @@ use std::ops::Range;
 use toml::Spanned;
 
 use super::column::ColumnRef;
-use super::schema::{FileEntry, PointMap, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPosition};
+use super::schema::{
+    BeaconRanges, FileEntry, LandmarkSightings, RawDescriptor, RawRun, RawStart, StartSource, Stream, TagPosition,
+};
 use posebridge_telemetry::{Heading, Meters, Pose, StartPose};
 
 /// Why a descriptor is invalid.
@@ -128,7 +130,6 @@ fn key_error(text: &str, error: &toml::de::Error) -> DescriptorError {
     }
 }
 
-/// Checks rules across several keys.
 struct DescriptorValidator<'a> {
     text: &'a str,
     raw: &'a RawDescriptor,
@@ -140,10 +141,7 @@ impl DescriptorValidator<'_> {
     }
 
     fn resolve_runs(&self) -> Result<Vec<ResolvedRun>, DescriptorError> {
-        let default = match &self.raw.start {
-            None => None,
-            Some(start) => Some(self.resolve_start(start)?),
-        };
+        let default = self.raw.start.as_ref().map(|start| self.resolve_start(start)).transpose()?;
         let mut resolved: Vec<ResolvedRun> = Vec::new();
         for entry in &self.raw.runs {
             for run in self.expand(entry, default)? {
@@ -159,10 +157,7 @@ impl DescriptorValidator<'_> {
 
     fn expand(&self, entry: &Spanned<RawRun>, default: Option<RunStart>) -> Result<Vec<ResolvedRun>, DescriptorError> {
         let run = entry.get_ref();
-        let start = match &run.start {
-            None => default,
-            Some(start) => Some(self.resolve_start(start)?),
-        };
+        let start = run.start.as_ref().map(|start| self.resolve_start(start)).transpose()?.or(default);
         let one = |each: Option<&String>| {
             let mut values = run.values.clone();
             if let Some(each) = each {
@@ -299,31 +294,29 @@ impl DescriptorValidator<'_> {
     }
 
     fn validate_maps(&self) -> Result<(), DescriptorError> {
-        let map = |map: &Option<PointMap>, key: &str| match map {
-            None => Ok(()),
-            Some(map) => {
-                let file = self.file(&map.file, key)?;
-                let columns = map.column_refs().into_iter();
-                self.named_columns_need_a_header(file, columns, map.file.span(), key)
+        let raw = self.raw;
+        let maps = [(raw.landmarks.as_ref(), "landmarks"), (raw.beacons.as_ref(), "beacons")].into_iter();
+        let points = maps.filter_map(|(map, key)| map.map(|map| (&map.file, map.column_refs(), key)));
+        let mapped = raw.landmark_sightings.iter().filter_map(|sightings| sightings.ids.as_ref());
+        let ids = mapped.map(|ids| (&ids.file, ids.column_refs(), "landmark_sightings.ids"));
+        for (name, columns, key) in points.chain(ids) {
+            let file = self.file(name, key)?;
+            self.named_columns_need_a_header(file, columns.into_iter(), name.span(), key)?;
+        }
+        let needs = [
+            (
+                raw.landmark_sightings.first().map(Stream::common),
+                &raw.landmarks,
+                LandmarkSightings::KEY,
+                "sightings need [landmarks]",
+            ),
+            (raw.beacon_ranges.first().map(Stream::common), &raw.beacons, BeaconRanges::KEY, "ranges need [beacons]"),
+        ];
+        for (stream, map, key, need) in needs {
+            if let (Some(common), None) = (stream, map) {
+                let message = format!("{need}, the map of their places");
+                return Err(self.rule_error(common.file.span(), key, message));
             }
-        };
-        map(&self.raw.landmarks, "landmarks")?;
-        map(&self.raw.beacons, "beacons")?;
-        for ids in self.raw.landmark_sightings.iter().filter_map(|s| s.ids.as_ref()) {
-            let key = "landmark_sightings.ids";
-            let file = self.file(&ids.file, key)?;
-            let columns = ids.column_refs().into_iter();
-            self.named_columns_need_a_header(file, columns, ids.file.span(), key)?;
-        }
-        let needs_landmarks = self.raw.landmark_sightings.first().map(Stream::common);
-        if let (Some(common), None) = (needs_landmarks, &self.raw.landmarks) {
-            let message = "sightings need [landmarks], the map of their places";
-            return Err(self.rule_error(common.file.span(), "landmark_sightings", message));
-        }
-        let needs_beacons = self.raw.beacon_ranges.first().map(Stream::common);
-        if let (Some(common), None) = (needs_beacons, &self.raw.beacons) {
-            let message = "ranges need [beacons], the map of their places";
-            return Err(self.rule_error(common.file.span(), "beacon_ranges", message));
         }
         Ok(())
     }

@@ -15,7 +15,7 @@ use posebridge_telemetry::{
 use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
 use super::run::{DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
-use super::streams::{RowClock, RowReader, positions, sensors, wheels};
+use super::streams::{RowClock, RowReader, positions, sensors};
 use super::table::{DatasetTable, decode_text, seconds_to_nanos};
 
 /// The run to load, the robot's geometry, and the fixes to use.
@@ -153,7 +153,7 @@ impl RunLoader<'_> {
         let raw = &self.files.descriptor.raw;
         let geometry = self.options.geometry;
         for stream in &raw.wheels {
-            self.observe(stream, SensorId::WHEELS, |table| wheels::bind(stream, geometry, table))?;
+            self.observe(stream, SensorId::WHEELS, |table| sensors::wheels(stream, geometry, table))?;
         }
         for stream in &raw.odometer {
             self.observe(stream, SensorId::ODOMETER, |table| positions::odometer(stream, table))?;

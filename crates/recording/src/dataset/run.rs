@@ -136,7 +136,6 @@ impl BadRows {
     }
 }
 
-/// Why the present row is rejected.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RowError {
     pub(super) reason: BadRowReason,

@@ -243,47 +243,37 @@ impl StreamOptions<'_> {
 }
 
 pub(super) trait Stream {
-    /// Key in the descriptor.
     const KEY: &'static str;
     fn common(&self) -> StreamOptions<'_>;
     fn column_refs(&self) -> Vec<&ColumnRef>;
     /// Contradictions between its keys.
-    fn check(&self) -> Result<(), String>;
-}
-
-/// Collects the positions of columns; absent ones are skipped.
-macro_rules! column_refs {
-    ($($column:expr),* $(,)?) => {{
-        let mut columns: Vec<&ColumnRef> = Vec::new();
-        $($column.each_column(&mut |column| columns.push(column));)*
-        columns
-    }};
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
 }
 
 trait HasColumnRefs {
-    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef));
+    fn column_refs(&self) -> Vec<&ColumnRef>;
 }
+
 impl<D> HasColumnRefs for Column<D> {
-    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
-        visit(&self.source);
+    fn column_refs(&self) -> Vec<&ColumnRef> {
+        vec![&self.source]
     }
 }
+
 impl HasColumnRefs for HeadingColumns {
-    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
+    fn column_refs(&self) -> Vec<&ColumnRef> {
         match self {
-            Self::Angle(column) => visit(&column.source),
-            Self::Quaternion { qz, qw } => {
-                visit(qz);
-                visit(qw);
-            }
+            Self::Angle(column) => vec![&column.source],
+            Self::Quaternion { qz, qw } => vec![qz, qw],
         }
     }
 }
+
 impl<T: HasColumnRefs> HasColumnRefs for Option<T> {
-    fn each_column<'a>(&'a self, visit: &mut dyn FnMut(&'a ColumnRef)) {
-        if let Some(column) = self {
-            column.each_column(visit);
-        }
+    fn column_refs(&self) -> Vec<&ColumnRef> {
+        self.iter().flat_map(T::column_refs).collect()
     }
 }
 
@@ -293,7 +283,7 @@ macro_rules! stream {
         $(#[$doc:meta])* $name:ident, $key:literal,
         columns { $($column:ident: $column_type:ty,)+ }
         keys { $($(#[$attr:meta])* $field:ident: $type:ty,)* }
-        check($this:ident) $check:block
+        $(check($this:ident) $check:block)?
     ) => {
         $(#[$doc])*
         #[derive(Clone, Debug, Deserialize)]
@@ -320,19 +310,21 @@ macro_rules! stream {
                 }
             }
             fn column_refs(&self) -> Vec<&ColumnRef> {
-                column_refs![$(self.$column),+]
+                [$(self.$column.column_refs()),+].concat()
             }
-            fn check(&self) -> Result<(), String> {
+            $(fn check(&self) -> Result<(), String> {
                 let $this = self;
                 $check
-            }
+            })?
         }
     };
 }
 
-/// Fails with `otherwise` as the reason.
-fn require(holds: Option<()>, otherwise: &str) -> Result<(), String> {
-    holds.ok_or_else(|| otherwise.to_owned())
+/// All of `one` and none of `other` must be given, or the reverse.
+fn require_either(one: &[bool], other: &[bool], otherwise: &str) -> Result<(), String> {
+    let are_all = |given: &[bool], wanted: bool| given.iter().all(|given| *given == wanted);
+    let fits = are_all(one, true) && are_all(other, false) || are_all(one, false) && are_all(other, true);
+    fits.then_some(()).ok_or_else(|| otherwise.to_owned())
 }
 
 stream! {
@@ -346,7 +338,7 @@ stream! {
             && this.counting == Counting::Absolute
             && this.left.unit.name == "ticks"
             && this.right.unit.name == "ticks";
-        require(fits.then_some(()), "wrap_bits is 8 to 32 and goes with absolute ticks only")
+        fits.then_some(()).ok_or_else(|| "wrap_bits is 8 to 32 and goes with absolute ticks only".to_owned())
     }
 }
 
@@ -361,12 +353,7 @@ stream! {
     check(this) {
         let pose = [this.x.is_some(), this.y.is_some(), this.heading.is_some()];
         let steps = [this.distance.is_some(), this.turn.is_some()];
-        let is_pose = pose == [true; 3] && steps == [false; 2];
-        let is_steps = pose == [false; 3] && steps == [true; 2];
-        require(
-            (is_pose || is_steps).then_some(()),
-            "an odometer is either x, y and heading, or distance and turn",
-        )
+        require_either(&pose, &steps, "an odometer is either x, y and heading, or distance and turn")
     }
 }
 
@@ -381,12 +368,7 @@ stream! {
     check(this) {
         let body = [this.forward.is_some(), this.turn.is_some()];
         let wheels = [this.left.is_some(), this.right.is_some()];
-        let is_body = body == [true; 2] && wheels == [false; 2];
-        let is_wheels = body == [false; 2] && wheels == [true; 2];
-        require(
-            (is_body || is_wheels).then_some(()),
-            "a body velocity is either forward and turn, or left and right",
-        )
+        require_either(&body, &wheels, "a body velocity is either forward and turn, or left and right")
     }
 }
 
@@ -395,7 +377,6 @@ stream! {
     Gyro, "gyro",
     columns { turn_rate: Column<TurnRate>, }
     keys { #[serde(default)] only_changes: bool, }
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -403,7 +384,6 @@ stream! {
     Accelerometers, "accelerometers",
     columns { left: Column<Acceleration>, right: Column<Acceleration>, }
     keys {}
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -414,7 +394,6 @@ stream! {
         ids: Option<IdMap>, #[serde(default)] ignore: Vec<u32>,
         min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>,
     }
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -422,7 +401,6 @@ stream! {
     BeaconRanges, "beacon_ranges",
     columns { id: Column<Id>, range: Column<Length>, }
     keys { min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>, }
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -432,7 +410,6 @@ stream! {
     keys {
         #[serde(default)] only_changes: bool, min_m: Option<FiniteNumber>, max_m: Option<FiniteNumber>,
     }
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -440,14 +417,12 @@ stream! {
     Compass, "compass",
     columns { heading: HeadingColumns, }
     keys { #[serde(default)] only_changes: bool, }
-    check(_this) { Ok(()) }
 }
 
 stream! {
     Thermometer, "temperature",
     columns { temperature: Column<Temperature>, }
     keys { #[serde(default)] only_changes: bool, }
-    check(_this) { Ok(()) }
 }
 
 stream! {
@@ -471,12 +446,7 @@ stream! {
     check(this) {
         let plane = [this.x.is_some(), this.y.is_some()];
         let earth = [this.latitude.is_some(), this.longitude.is_some(), this.origin.is_some()];
-        let is_plane = plane == [true; 2] && earth == [false; 3];
-        let is_earth = plane == [false; 2] && earth == [true; 3];
-        require(
-            (is_plane || is_earth).then_some(()),
-            "a fix is either x and y, or latitude and longitude with an `origin`",
-        )?;
+        require_either(&plane, &earth, "a fix is either x and y, or latitude and longitude with an `origin`")?;
         let variances = [this.variance_x.is_some(), this.variance_y.is_some()];
         let has_position = match (this.position_sigma_m, variances) {
             (Some(_), [false, false]) | (None, [true, true]) => Some(true),
@@ -489,10 +459,9 @@ stream! {
             (Some(true), false) => this.heading.is_none(),
             (Some(false), false) => true,
         };
-        require(
-            fits.then_some(()),
-            "fixes of a position take position_sigma_m or variance_x and variance_y, fixes of a pose also heading_sigma_rad, or neither",
-        )
+        let otherwise = "fixes of a position take position_sigma_m or variance_x and variance_y, fixes of a pose also \
+            heading_sigma_rad, or neither";
+        fits.then_some(()).ok_or_else(|| otherwise.to_owned())
     }
 }
 
@@ -508,17 +477,16 @@ stream! {
     Truth, "truth",
     columns { x: Column<Length>, y: Column<Length>, heading: Option<HeadingColumns>, }
     keys { max_speed_m_per_s: Option<FiniteNumber>, }
-    check(_this) { Ok(()) }
 }
 
 impl PointMap {
     pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
-        column_refs![self.id, self.x, self.y]
+        [self.id.column_refs(), self.x.column_refs(), self.y.column_refs()].concat()
     }
 }
 
 impl IdMap {
     pub(super) fn column_refs(&self) -> Vec<&ColumnRef> {
-        column_refs![self.from, self.to]
+        vec![&self.from.source, &self.to.source]
     }
 }

@@ -96,7 +96,6 @@ fn not_numeric(text: &str) -> RowError {
     RowError::new(BadRowReason::NotNumeric, format!("`{shown}`"))
 }
 
-/// A column with its index in the row.
 #[derive(Clone, Debug)]
 pub(super) struct BoundColumn<D> {
     index: usize,
@@ -116,7 +115,6 @@ impl<D> BoundColumn<D> {
     }
 }
 
-/// Columns of a heading with their indices in the row.
 #[derive(Clone, Debug)]
 pub(super) enum BoundHeadingColumns {
     Angle(BoundColumn<Angle>),

@@ -3,9 +3,6 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use schemars::JsonSchema;
-use schemars::generate::SchemaSettings;
-
 use super::records;
 use crate::container::TRUTH_TOPIC;
 
@@ -49,7 +46,6 @@ impl EncodedMessage {
     }
 }
 
-/// Message encoding, with the schema.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Encoding {
     /// Protocol buffers: a serialised `FileDescriptorSet`.
@@ -79,17 +75,13 @@ macro_rules! foxglove {
     };
 }
 
-const fn json(topic: &'static str, schema: &'static str, text: fn() -> String) -> Channel {
-    Channel { topic, robot_topic: None, schema, encoding: Encoding::Json(text) }
-}
-
-const fn json_of_robot(
+const fn json(
     topic: &'static str,
-    robot_topic: &'static str,
+    robot_topic: Option<&'static str>,
     schema: &'static str,
     text: fn() -> String,
 ) -> Channel {
-    Channel { robot_topic: Some(robot_topic), ..json(topic, schema, text) }
+    Channel { topic, robot_topic, schema, encoding: Encoding::Json(text) }
 }
 
 pub(super) const ODOMETRY: Channel = foxglove!("/posebridge/odometry", "Odometry", Some("odometry"));
@@ -102,31 +94,23 @@ pub(super) const LOG: Channel = foxglove!("/log", "Log", None);
 pub(super) const TRUE_POSE: Channel = foxglove!("/truth/pose", "PoseInFrame", Some("truth/pose"));
 
 pub(super) const ESTIMATE: Channel =
-    json_of_robot("posebridge/estimate", "estimate", "posebridge.Estimate", schema_of::<records::EstimateRecord>);
+    json("posebridge/estimate", Some("estimate"), "posebridge.Estimate", || records::ESTIMATE.schema());
 pub(super) const FUSION: Channel =
-    json_of_robot("posebridge/fusion", "fusion", "posebridge.Fusion", schema_of::<records::FusedRecord>);
+    json("posebridge/fusion", Some("fusion"), "posebridge.Fusion", || records::FUSION.schema());
 pub(super) const LINK_HEALTH: Channel =
-    json("posebridge/link_health", "posebridge.LinkHealth", schema_of::<records::HealthRecord>);
+    json("posebridge/link_health", None, "posebridge.LinkHealth", || records::LINK_HEALTH.schema());
 pub(super) const CLOCK: Channel =
-    json_of_robot("posebridge/clock", "clock", "posebridge.Clock", schema_of::<records::ClockRecord>);
-pub(super) const CALIBRATION: Channel = json_of_robot(
-    "posebridge/calibration",
-    "calibration",
-    "posebridge.Calibration",
-    schema_of::<records::CalibrationRecord>,
-);
-pub(super) const TEMPERATURE: Channel = json_of_robot(
-    "posebridge/temperature",
-    "temperature",
-    "posebridge.Temperature",
-    schema_of::<records::TemperatureRecord>,
-);
+    json("posebridge/clock", Some("clock"), "posebridge.Clock", || records::CLOCK.schema());
+pub(super) const CALIBRATION: Channel =
+    json("posebridge/calibration", Some("calibration"), "posebridge.Calibration", || records::CALIBRATION.schema());
+pub(super) const TEMPERATURE: Channel =
+    json("posebridge/temperature", Some("temperature"), "posebridge.Temperature", || records::TEMPERATURE.schema());
 pub(super) const COMMAND: Channel =
-    json("posebridge/command", "posebridge.Command", schema_of::<records::CommandRecord>);
-pub(super) const GAP: Channel = json("posebridge/gap", "posebridge.Gap", schema_of::<records::GapRecord>);
-pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::TruthRecord>);
+    json("posebridge/command", None, "posebridge.Command", || records::COMMAND.schema());
+pub(super) const GAP: Channel = json("posebridge/gap", None, "posebridge.Gap", || records::GAP.schema());
+pub(super) const TRUTH: Channel = json(TRUTH_TOPIC, None, "posebridge.Truth", || records::TRUTH.schema());
 /// [`TRUTH`] with the robot's id, for samples that have one. Samples without keep the older format.
-pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, "posebridge.Truth", schema_of::<records::RobotTruthRecord>);
+pub(super) const ROBOT_TRUTH: Channel = json(TRUTH_TOPIC, None, "posebridge.Truth", || records::ROBOT_TRUTH.schema());
 
 pub const CHANNELS: &[Channel] = &[
     ODOMETRY,
@@ -147,10 +131,3 @@ pub const CHANNELS: &[Channel] = &[
     GAP,
     TRUTH,
 ];
-
-/// Without references, because not every viewer resolves them.
-fn schema_of<T: JsonSchema>() -> String {
-    let settings = SchemaSettings::draft07().for_serialize().with(|settings| settings.inline_subschemas = true);
-    let schema = settings.into_generator().into_root_schema_for::<T>();
-    schema.to_value().to_string()
-}

@@ -2,18 +2,14 @@
 
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
-    Arena, Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Observation, ObservationKind,
-    Pose, RobotId, TimeDelta, Timestamp,
+    Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Observation, ObservationKind, Pose,
+    RobotId, TimeDelta, Timestamp,
 };
-use serde::Serialize;
 
 use super::channels::{self, Channel, EncodedMessage};
-use super::records::{
-    CalibrationRecord, ClockRecord, CommandRecord, EstimateRecord, FusedRecord, GapRecord, HealthRecord,
-    RobotTruthRecord, TemperatureRecord, TruthRecord, finite,
-};
+use super::records::{self, ClockAlignment, CommandRequest, LinkReport, Record, TemperatureReading};
 use super::robot_outputs::{ClockAlignmentPoint, RobotOutputsTable};
-use super::wire::{self, ARENA, ellipse_of, log_level, odometry_of, pose_of};
+use super::wire;
 use crate::container::{RecordingGap, TruthSample};
 
 /// Low, because each message contains the whole path.
@@ -22,26 +18,20 @@ const PATH_PERIOD: TimeDelta = TimeDelta::from_millis(2_000);
 /// Converts events to messages, in order.
 #[derive(Debug)]
 pub struct OutputEncoder {
-    utc: UtcClock,
+    /// UTC of the host clock's zero.
+    zero_nanos: u64,
     /// Minimum interval between estimates of a robot, and between fusions of one sensor and kind.
     spacing: TimeDelta,
     robots: RobotOutputsTable,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct UtcClock {
-    /// UTC of the host clock's zero.
-    zero_nanos: u64,
 }
 
 impl OutputEncoder {
     /// `zero_nanos` is UTC at the host clock's zero. `spacing` is the minimum interval between estimates of a robot, and between
     /// accepted fusions of one sensor and kind; records of rejected observations are all kept.
     pub fn new(zero_nanos: u64, spacing: TimeDelta) -> Self {
-        Self { utc: UtcClock { zero_nanos }, spacing, robots: RobotOutputsTable::default() }
+        Self { zero_nanos, spacing, robots: RobotOutputsTable::default() }
     }
 
-    /// Sets the minimum interval between estimates.
     pub(crate) const fn set_spacing(&mut self, spacing: TimeDelta) {
         self.spacing = spacing;
     }
@@ -67,31 +57,28 @@ impl OutputEncoder {
             Event::ObservationAligned { robot, observation, .. } => self.fix_messages(*robot, now, observation),
             Event::BrickClockAligned { .. } => self.brick_clock_messages(event),
             Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } => {
-                let record = ClockRecord {
+                let alignment = ClockAlignment {
                     clock: "camera",
-                    system: camera.system.0,
-                    component: camera.component.0,
+                    owner: *camera,
                     host_nanos: host.as_nanos(),
                     other_nanos: stamp.as_nanos(),
-                    offset_s: offset.as_secs_f64(),
+                    offset: *offset,
                     skew_ppm: None,
-                    uncertainty_s: uncertainty.as_secs_f64(),
-                    round_trip_s: None,
+                    uncertainty: *uncertainty,
+                    round_trip: None,
                 };
-                vec![json_message(channels::CLOCK, &record)]
+                vec![json_message(channels::CLOCK, &records::CLOCK, &alignment)]
             }
             Event::Temperature { brick, channel, stamp, shown, verdict, settled, .. } => {
-                let record = TemperatureRecord {
-                    system: brick.address.system.0,
-                    component: brick.address.component.0,
-                    channel: channel.to_string(),
-                    brick_nanos: stamp.as_nanos(),
-                    shown_c: finite(shown.0),
-                    verdict: verdict.reason(),
-                    settled_c: settled.and_then(|settled| finite(settled.value)),
-                    settled_sigma_c: settled.and_then(|settled| finite(settled.sigma)),
+                let reading = TemperatureReading {
+                    brick: brick.address,
+                    channel: *channel,
+                    stamp: *stamp,
+                    shown: *shown,
+                    verdict: *verdict,
+                    settled: *settled,
                 };
-                let mut messages = vec![json_message(channels::TEMPERATURE, &record)];
+                let mut messages = vec![json_message(channels::TEMPERATURE, &records::TEMPERATURE, &reading)];
                 // A thermometer may be that of a brick that is no robot.
                 if let Some(outputs) = self.robots.find_other(*brick) {
                     outputs.assign(&mut messages);
@@ -99,7 +86,8 @@ impl OutputEncoder {
                 messages
             }
             Event::Health { link, health, sources } => {
-                vec![json_message(channels::LINK_HEALTH, &HealthRecord::new(*link, health, sources))]
+                let report = LinkReport { link: *link, health: *health, sources: sources.clone() };
+                vec![json_message(channels::LINK_HEALTH, &records::LINK_HEALTH, &report)]
             }
             Event::RobotDetected { .. }
             | Event::RobotNamed { .. }
@@ -119,13 +107,7 @@ impl OutputEncoder {
         name: &str,
         text: &str,
     ) -> EncodedMessage {
-        let log = wire::Log {
-            timestamp: Some(self.utc.timestamp(now)),
-            level: log_level(severity),
-            message: text.to_owned(),
-            name: name.to_owned(),
-        };
-        protobuf_message(channels::LOG, &log)
+        protobuf_message(channels::LOG, wire::log(severity, name, text, &utc_timestamp(self.zero_nanos, now)))
     }
 
     /// Estimated constants of a robot; `None` is the first robot.
@@ -137,7 +119,7 @@ impl OutputEncoder {
         let Some(outputs) = self.robots.get_or_add(robot) else {
             return Vec::new();
         };
-        let mut messages = vec![json_message(channels::CALIBRATION, &CalibrationRecord(*calibration))];
+        let mut messages = vec![json_message(channels::CALIBRATION, &records::CALIBRATION, calibration)];
         outputs.assign(&mut messages);
         messages
     }
@@ -152,18 +134,14 @@ impl OutputEncoder {
         let mut at = end;
         if let Some(outputs) = self.robots.get_or_add(sample.robot) {
             at = outputs.host_time(sample.time).unwrap_or(end).max(Timestamp::ZERO);
-            let pose = wire::PoseInFrame {
-                timestamp: Some(self.utc.timestamp(at)),
-                frame_id: ARENA.to_owned(),
-                pose: Some(pose_of(&sample.pose)),
-            };
-            messages.push(protobuf_message(channels::TRUE_POSE, &pose));
+            let pose = wire::pose_in_frame(sample.pose, &utc_timestamp(self.zero_nanos, at));
+            messages.push(protobuf_message(channels::TRUE_POSE, pose));
             outputs.assign(&mut messages);
         }
         // It is read back: that of a robot without topics is kept as well.
         messages.push(match sample.robot {
-            None => json_message(channels::TRUTH, &TruthRecord::from(sample)),
-            Some(robot) => json_message(channels::ROBOT_TRUTH, &RobotTruthRecord::new(robot, sample)),
+            None => json_message(channels::TRUTH, &records::TRUTH, sample),
+            Some(_) => json_message(channels::ROBOT_TRUTH, &records::ROBOT_TRUTH, sample),
         });
         (at, messages)
     }
@@ -180,31 +158,22 @@ impl OutputEncoder {
         if !is_due(&mut outputs.last_estimate, now, self.spacing) {
             return Vec::new();
         }
-        let mut messages = vec![json_message(channels::ESTIMATE, &EstimateRecord::from(estimate))];
+        let mut messages = vec![json_message(channels::ESTIMATE, &records::ESTIMATE, estimate)];
         if !(estimate.validity.position && estimate.validity.heading) {
             outputs.assign(&mut messages);
             return messages;
         }
-        let timestamp = Some(self.utc.timestamp(outputs.host_time(estimate.stamp).unwrap_or(now)));
-        let pose = pose_of(&estimate.pose);
-        let odometry = odometry_of(estimate, &outputs.body_frame, timestamp);
-        messages.push(protobuf_message(channels::ODOMETRY, &odometry));
-        let in_arena = wire::PoseInFrame { timestamp, frame_id: ARENA.to_owned(), pose: Some(pose) };
-        messages.push(protobuf_message(channels::POSE, &in_arena));
-        let transform = wire::FrameTransform {
-            timestamp,
-            parent_frame_id: ARENA.to_owned(),
-            child_frame_id: outputs.body_frame.clone(),
-            translation: pose.position,
-            rotation: pose.orientation,
-        };
-        messages.push(protobuf_message(channels::TRANSFORM, &transform));
-        let ellipse = ellipse_of(estimate, timestamp);
-        messages.extend(ellipse.map(|scene| protobuf_message(channels::ELLIPSE, &scene)));
-        outputs.path.push(pose);
+        let timestamp = utc_timestamp(self.zero_nanos, outputs.host_time(estimate.stamp).unwrap_or(now));
+        let odometry = wire::odometry(estimate, &outputs.body_frame, &timestamp);
+        let transform = wire::transform(estimate.pose, &outputs.body_frame, &timestamp);
+        let ellipse = wire::ellipse(estimate, &timestamp);
+        messages.push(protobuf_message(channels::ODOMETRY, odometry));
+        messages.push(protobuf_message(channels::POSE, wire::pose_in_frame(estimate.pose, &timestamp)));
+        messages.push(protobuf_message(channels::TRANSFORM, transform));
+        messages.extend(ellipse.map(|scene| protobuf_message(channels::ELLIPSE, scene)));
+        outputs.path.push(estimate.pose);
         if is_due(&mut outputs.path.last_written, now, PATH_PERIOD) {
-            let path = wire::PosesInFrame { timestamp, frame_id: ARENA.to_owned(), poses: outputs.path.poses.clone() };
-            messages.push(protobuf_message(channels::PATH, &path));
+            messages.push(protobuf_message(channels::PATH, wire::poses_in_frame(&outputs.path.poses, &timestamp)));
         }
         outputs.assign(&mut messages);
         messages
@@ -223,7 +192,7 @@ impl OutputEncoder {
         let is_due = is_due(last.or_default(), now, self.spacing);
         let mut messages = Vec::new();
         if is_due || !matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::Unused) {
-            messages.push(json_message(channels::FUSION, &FusedRecord::from(record)));
+            messages.push(json_message(channels::FUSION, &records::FUSION, record));
             outputs.assign(&mut messages);
         }
         if record.outcome == FusionOutcome::PoseReset {
@@ -245,15 +214,10 @@ impl OutputEncoder {
         let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
             return Vec::new();
         };
-        let heading = fix.heading.unwrap_or_default();
-        let pose = Pose::<Arena>::new(fix.position.x, fix.position.y, heading);
+        let pose = Pose::new(fix.position.x, fix.position.y, fix.heading.unwrap_or_default());
         let at = outputs.host_time(observation.stamp).unwrap_or(now);
-        let pose = wire::PoseInFrame {
-            timestamp: Some(self.utc.timestamp(at)),
-            frame_id: ARENA.to_owned(),
-            pose: Some(pose_of(&pose)),
-        };
-        let mut messages = vec![protobuf_message(channels::FIX, &pose)];
+        let fix = wire::pose_in_frame(pose, &utc_timestamp(self.zero_nanos, at));
+        let mut messages = vec![protobuf_message(channels::FIX, fix)];
         outputs.assign(&mut messages);
         messages
     }
@@ -266,18 +230,17 @@ impl OutputEncoder {
             return Vec::new();
         };
         outputs.alignment = Some(ClockAlignmentPoint { host, brick, skew_ppm });
-        let record = ClockRecord {
+        let alignment = ClockAlignment {
             clock: "brick",
-            system: robot.address.system.0,
-            component: robot.address.component.0,
+            owner: robot.address,
             host_nanos: host.as_nanos(),
             other_nanos: brick.as_nanos(),
-            offset_s: offset.as_secs_f64(),
-            skew_ppm: finite(skew_ppm),
-            uncertainty_s: uncertainty.as_secs_f64(),
-            round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
+            offset,
+            skew_ppm: Some(skew_ppm),
+            uncertainty,
+            round_trip,
         };
-        let mut messages = vec![json_message(channels::CLOCK, &record)];
+        let mut messages = vec![json_message(channels::CLOCK, &records::CLOCK, &alignment)];
         outputs.assign(&mut messages);
         messages
     }
@@ -293,23 +256,18 @@ impl OutputEncoder {
     }
 }
 
-impl UtcClock {
-    fn timestamp(self, at: Timestamp<HostClock>) -> wire::Timestamp {
-        let nanos = i128::from(self.zero_nanos) + i128::from(at.as_nanos());
-        wire::Timestamp {
-            seconds: nanos.div_euclid(1_000_000_000) as i64,
-            nanos: nanos.rem_euclid(1_000_000_000) as i32,
-        }
-    }
+/// `zero_nanos` is UTC of the host clock's zero.
+fn utc_timestamp(zero_nanos: u64, at: Timestamp<HostClock>) -> wire::Message {
+    wire::timestamp(i128::from(zero_nanos) + i128::from(at.as_nanos()))
 }
 
 /// A command from a user or program; `robot` is its target, if it names one.
 pub(crate) fn command_message(command: &Command, robot: Option<RobotId>) -> EncodedMessage {
-    json_message(channels::COMMAND, &CommandRecord::new(command, robot))
+    json_message(channels::COMMAND, &records::COMMAND, &CommandRequest { robot, command: *command })
 }
 
 pub(crate) fn gap_message(gap: &RecordingGap) -> EncodedMessage {
-    json_message(channels::GAP, &GapRecord::from(gap))
+    json_message(channels::GAP, &records::GAP, gap)
 }
 
 /// True at the first call and then once per `spacing`.
@@ -321,11 +279,10 @@ fn is_due(last: &mut Option<Timestamp<HostClock>>, now: Timestamp<HostClock>, sp
     is_due
 }
 
-fn protobuf_message(channel: Channel, message: &impl prost::Message) -> EncodedMessage {
-    EncodedMessage { channel, robot: None, data: message.encode_to_vec() }
+fn protobuf_message(channel: Channel, message: wire::Message) -> EncodedMessage {
+    EncodedMessage { channel, robot: None, data: message.into_bytes() }
 }
 
-/// Records of numbers, texts and lists always serialise.
-fn json_message(channel: Channel, record: &impl Serialize) -> EncodedMessage {
-    EncodedMessage { channel, robot: None, data: serde_json::to_vec(record).unwrap_or_default() }
+fn json_message<T>(channel: Channel, record: &Record<T>, of: &T) -> EncodedMessage {
+    EncodedMessage { channel, robot: None, data: record.message(of) }
 }

@@ -1,427 +1,391 @@
-//! JSON records for data without a Foxglove message. Their schemas are derived from the structs.
+//! JSON records for data without a Foxglove message: one table of fields gives a message and its schema.
 //!
 //! Non-finite numbers are omitted: JSON has none, and viewers treat `null` as a separate type.
 
-use std::borrow::Cow;
-
 use posebridge_telemetry::{
-    Calibration, Command, Estimate, FusionRecord, LinkCounter, LinkHealth, LinkId, RobotId, SourceHealth, TimeDelta,
-    UncertainValue,
+    Address, BrickClock, Calibration, Celsius, ChannelName, Command, Estimate, FusionOutcome, FusionRecord,
+    LinkCounter, LinkHealth, LinkId, RobotId, ScalarEstimate, SourceHealth, TimeDelta, Timestamp, UncertainValue,
 };
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Serialize, Serializer};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use crate::container::{RecordingGap, TruthSample};
 
-/// The filter's estimate after an observation.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct EstimateRecord {
-    /// The instant for which it holds, ns of the brick's clock.
-    pub(super) brick_nanos: i64,
-    /// East, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) x_m: Option<f64>,
-    /// North, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) y_m: Option<f64>,
-    /// Counter-clockwise from east, in (-pi, pi], rad.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) heading_rad: Option<f64>,
-    /// Forward speed, m/s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) forward_m_per_s: Option<f64>,
-    /// Turn rate, rad/s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) turn_rad_per_s: Option<f64>,
-    /// One standard deviation of x, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) x_sigma_m: Option<f64>,
-    /// One standard deviation of y, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) y_sigma_m: Option<f64>,
-    /// One standard deviation of the heading, rad.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) heading_sigma_rad: Option<f64>,
-    /// Whether the position was ever observed or given.
-    pub(super) is_position_valid: bool,
-    /// Whether the heading was ever observed or given.
-    pub(super) is_heading_valid: bool,
-    /// Whether nothing absolute was used for long.
-    pub(super) is_dead_reckoning: bool,
-    /// Time since the last fix that was used, s; left out before the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) fix_age_s: Option<f64>,
-    /// Counts jumps that are no motion.
-    pub(super) reset_counter: u8,
+/// A kind of record: fields of a `T`, in groups, which kinds may share.
+pub(super) struct Record<T: 'static> {
+    title: &'static str,
+    help: &'static str,
+    fields: &'static [&'static [Field<T>]],
 }
 
-/// What became of one observation.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct FusedRecord {
-    /// Number of the sensor.
-    pub(super) sensor: u8,
-    /// Kind of the observation.
-    pub(super) kind: &'static str,
-    /// The instant that it spoke of, ns of the brick's clock.
-    pub(super) brick_nanos: i64,
-    /// How far behind the filter's time it was, s.
-    pub(super) lag_s: f64,
-    /// Whether it was used, and why not.
-    pub(super) verdict: &'static str,
-    /// Observed minus predicted, SI units, as many components as were used.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Vec<f64>")]
-    pub(super) innovation: Option<Vec<f64>>,
-    /// Covariance S of the innovation, row by row.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "Vec<f64>")]
-    pub(super) innovation_covariance: Option<Vec<f64>>,
-    /// Normalised innovation squared.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) nis: Option<f64>,
-    /// Components used.
-    pub(super) degrees_of_freedom: u8,
-    /// Log-likelihood of the innovation.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) log_likelihood: Option<f64>,
+struct Field<T> {
+    key: &'static str,
+    help: &'static str,
+    read: Read<T>,
 }
 
-/// What one sender has sent on a link.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct SourceRecord {
-    /// MAVLink system id.
-    pub(super) system: u8,
-    /// MAVLink component id.
-    pub(super) component: u8,
-    /// Frames received whole.
-    pub(super) frames: u64,
-    /// Frames missing in its sequence numbers.
-    pub(super) lost: u64,
+/// The type of a field, and how it is read.
+enum Read<T> {
+    Flag(fn(&T) -> bool),
+    U8(fn(&T) -> u8),
+    U16(fn(&T) -> u16),
+    U64(fn(&T) -> u64),
+    I64(fn(&T) -> i64),
+    Text(fn(&T) -> String),
+    /// Always finite.
+    Finite(fn(&T) -> f64),
+    /// Omitted if missing or not finite.
+    Number(fn(&T) -> Option<f64>),
+    /// Omitted if one is not finite.
+    Numbers(fn(&T) -> Vec<f64>),
+    /// Two fields; the key of the standard deviation ends in `_sigma`.
+    Uncertain(fn(&T) -> UncertainValue),
+    /// A field for each of [`LinkCounter::ALL`], by its own key.
+    Counters(fn(&T) -> &LinkHealth),
+    Sources(fn(&T) -> &[SourceHealth]),
 }
 
-/// The health of a link, in counts since the session began.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct HealthRecord {
-    /// Number of the link.
-    pub(super) link: u16,
-    #[serde(flatten)]
-    counters: LinkCounters,
-    /// Round-trip time of the last answered time request, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) round_trip_s: Option<f64>,
-    /// Half the width of the clock bounds, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) clock_uncertainty_s: Option<f64>,
-    /// What each sender sent.
-    pub(super) sources: Vec<SourceRecord>,
+/// A field in the schema.
+struct Property {
+    key: String,
+    schema: Value,
+    is_required: bool,
 }
 
-/// By their keys.
-#[derive(Debug)]
-struct LinkCounters(LinkHealth);
+impl<T> Record<T> {
+    /// Compact JSON, in the order of the table.
+    pub(super) fn message(&self, of: &T) -> Vec<u8> {
+        // Numbers, texts and lists always serialise.
+        serde_json::to_vec(&self.entries(of)).unwrap_or_default()
+    }
 
-impl Serialize for LinkCounters {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(LinkCounter::ALL.iter().map(|counter| (counter.key, (counter.read)(&self.0))))
+    /// Without references, because not every viewer resolves them.
+    pub(super) fn schema(&self) -> String {
+        let mut schema = self.object_schema();
+        schema["$schema"] = json!("http://json-schema.org/draft-07/schema#");
+        schema["title"] = json!(self.title);
+        schema.to_string()
+    }
+
+    fn entries(&self, of: &T) -> Entries {
+        Entries(self.fields.iter().copied().flatten().flat_map(|field| field.entries(of)).collect())
+    }
+
+    fn object_schema(&self) -> Value {
+        let properties: Vec<Property> = self.fields.iter().copied().flatten().flat_map(Field::properties).collect();
+        let required: Vec<&String> = properties.iter().filter(|one| one.is_required).map(|one| &one.key).collect();
+        let mut schema = json!({ "description": self.help, "type": "object" });
+        if !required.is_empty() {
+            schema["required"] = json!(required);
+        }
+        schema["properties"] = properties.into_iter().map(|one| (one.key, one.schema)).collect();
+        schema
     }
 }
 
-impl JsonSchema for LinkCounters {
-    fn schema_name() -> Cow<'static, str> {
-        "LinkCounters".into()
-    }
-
-    fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
-        let entry = |counter: &LinkCounter| {
-            let schema = json!({ "description": counter.help, "format": "uint64", "minimum": 0, "type": "integer" });
-            (counter.key.to_owned(), schema)
+impl<T> Field<T> {
+    fn entries(&self, of: &T) -> Vec<(String, Written)> {
+        let value = match &self.read {
+            Read::Flag(read) => json!(read(of)),
+            Read::U8(read) => json!(read(of)),
+            Read::U16(read) => json!(read(of)),
+            Read::U64(read) => json!(read(of)),
+            Read::I64(read) => json!(read(of)),
+            Read::Text(read) => json!(read(of)),
+            Read::Finite(read) => json!(read(of)),
+            Read::Number(read) => return finite_entry(self.key.to_owned(), read(of)).into_iter().collect(),
+            Read::Numbers(read) => match read(of) {
+                numbers if numbers.iter().all(|number| number.is_finite()) => json!(numbers),
+                _ => return Vec::new(),
+            },
+            Read::Uncertain(read) => {
+                let UncertainValue { value, sigma } = read(of);
+                let pair = [(self.key.to_owned(), value), (self.sigma_key(), sigma)];
+                return pair.into_iter().filter_map(|(key, number)| finite_entry(key, Some(number))).collect();
+            }
+            Read::Counters(read) => {
+                let count = |counter: &LinkCounter| Written::Value(json!((counter.read)(read(of))));
+                return LinkCounter::ALL.iter().map(|counter| (counter.key.to_owned(), count(counter))).collect();
+            }
+            Read::Sources(read) => {
+                let sources = read(of).iter().map(|source| SOURCE.entries(source)).collect();
+                return vec![(self.key.to_owned(), Written::Objects(sources))];
+            }
         };
-        let properties: Map<String, Value> = LinkCounter::ALL.iter().map(entry).collect();
-        let required: Vec<&str> = LinkCounter::ALL.iter().map(|counter| counter.key).collect();
-        json_schema!({ "type": "object", "properties": properties, "required": required })
+        vec![(self.key.to_owned(), Written::Value(value))]
+    }
+
+    fn properties(&self) -> Vec<Property> {
+        let number = || json!({ "format": "double", "type": "number" });
+        let unsigned = |bits: u32, maximum: u64| json!({ "format": format!("uint{bits}"), "maximum": maximum, "minimum": 0, "type": "integer" });
+        let count = || json!({ "format": "uint64", "minimum": 0, "type": "integer" });
+        let schema = match &self.read {
+            Read::Flag(_) => json!({ "type": "boolean" }),
+            Read::U8(_) => unsigned(8, u8::MAX.into()),
+            Read::U16(_) => unsigned(16, u16::MAX.into()),
+            Read::U64(_) => count(),
+            Read::I64(_) => json!({ "format": "int64", "type": "integer" }),
+            Read::Text(_) => json!({ "type": "string" }),
+            Read::Finite(_) | Read::Number(_) => number(),
+            Read::Numbers(_) => json!({ "items": number(), "type": "array" }),
+            Read::Uncertain(_) => {
+                let sigma = Property::new(self.sigma_key(), "One standard deviation of it, in its unit.", number());
+                let value = Property::new(self.key.to_owned(), self.help, number());
+                return [value, sigma].map(|property| Property { is_required: false, ..property }).into();
+            }
+            Read::Counters(_) => {
+                let counter = |one: &LinkCounter| Property::new(one.key.to_owned(), one.help, count());
+                return LinkCounter::ALL.iter().map(counter).collect();
+            }
+            Read::Sources(_) => json!({ "items": SOURCE.object_schema(), "type": "array" }),
+        };
+        let is_required = !matches!(self.read, Read::Number(_) | Read::Numbers(_));
+        vec![Property { is_required, ..Property::new(self.key.to_owned(), self.help, schema) }]
+    }
+
+    fn sigma_key(&self) -> String {
+        format!("{}_sigma", self.key)
     }
 }
 
-/// Two clocks were aligned anew.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct ClockRecord {
-    /// Whose clock: brick or camera.
-    pub(super) clock: &'static str,
-    /// MAVLink system id of its owner.
-    pub(super) system: u8,
-    /// MAVLink component id of its owner.
-    pub(super) component: u8,
-    /// When, ns of the host's clock.
-    pub(super) host_nanos: i64,
-    /// The same instant, ns of the other clock.
-    pub(super) other_nanos: i64,
-    /// The other clock minus the host's, s.
-    pub(super) offset_s: f64,
-    /// Rate of the other clock against the host's, minus one, in parts per million; left out where it is not known.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) skew_ppm: Option<f64>,
-    /// Half the distance between the bounds, s.
-    pub(super) uncertainty_s: f64,
-    /// Round-trip time of the exchange that led to it, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) round_trip_s: Option<f64>,
+impl Property {
+    fn new(key: String, help: &str, mut schema: Value) -> Self {
+        schema["description"] = json!(help);
+        Self { key, schema, is_required: true }
+    }
 }
 
-/// What the filter has learned about the robot; a sigma of 0: taken as given.
-#[derive(Debug)]
-pub(super) struct CalibrationRecord(pub(super) Calibration);
+fn finite_entry(key: String, number: Option<f64>) -> Option<(String, Written)> {
+    let number = number.filter(|number| number.is_finite())?;
+    Some((key, Written::Value(json!(number))))
+}
 
-/// A constant of a robot: key, description, accessor. The key of its standard deviation ends in `_sigma`.
-type CalibrationTerm = (&'static str, &'static str, fn(&Calibration) -> UncertainValue);
+/// An object in the order of its table; that of a [`Value`] is in the order of its keys.
+struct Entries(Vec<(String, Written)>);
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Written {
+    Value(Value),
+    Objects(Vec<Entries>),
+}
+
+impl Serialize for Entries {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(key, value)| (key, value)))
+    }
+}
+
+const fn field<T>(key: &'static str, help: &'static str, read: Read<T>) -> Field<T> {
+    Field { key, help, read }
+}
 
 #[rustfmt::skip]
-const CALIBRATION_TERMS: [CalibrationTerm; 11] = [
-    ("radius_scale", "Relative error of the mean wheel radius.", |of| of.radius_scale),
-    ("radius_difference", "Relative difference of the wheels' radii, right minus left.", |of| of.radius_difference),
-    ("track_scale", "Relative error of the track width.", |of| of.track_scale),
-    ("gyro_bias_rad_per_s", "Gyro bias, rad/s.", |of| of.gyro_bias_rad_per_s),
-    ("fix_delay_s", "How much earlier than its stamp a fix was true, s.", |of| of.fix_delay_s),
-    ("tag_forward_m", "Where the tag is, forward of where the fix says, m.", |of| of.tag_forward_m),
-    ("tag_left_m", "Where the tag is, to the left of where the fix says, m.", |of| of.tag_left_m),
-    ("beacon_offset_m", "Offset of a beacon's ranges, m.", |of| of.beacon_offset_m),
-    ("beacon_scale", "Relative error of a beacon's ranges.", |of| of.beacon_scale),
-    ("landmark_offset_m", "Offset of the ranges to landmarks, m.", |of| of.landmark_offset_m),
-    ("landmark_scale", "Relative error of the ranges to landmarks.", |of| of.landmark_scale),
+pub(super) const ESTIMATE: Record<Estimate> = Record {
+    title: "EstimateRecord",
+    help: "The filter's estimate after an observation.",
+    fields: &[&[
+        field("brick_nanos", "The instant for which it holds, ns of the brick's clock.", Read::I64(|of| of.stamp.as_nanos())),
+        field("x_m", "East, m.", Read::Number(|of| Some(of.pose.x.0))),
+        field("y_m", "North, m.", Read::Number(|of| Some(of.pose.y.0))),
+        field("heading_rad", "Counter-clockwise from east, in (-pi, pi], rad.", Read::Number(|of| Some(of.pose.heading.rad()))),
+        field("forward_m_per_s", "Forward speed, m/s.", Read::Number(|of| Some(of.forward_speed.0))),
+        field("turn_rad_per_s", "Turn rate, rad/s.", Read::Number(|of| Some(of.turn_rate.0))),
+        field("x_sigma_m", "One standard deviation of x, m.", Read::Number(|of| Some(of.x_sigma_m()))),
+        field("y_sigma_m", "One standard deviation of y, m.", Read::Number(|of| Some(of.y_sigma_m()))),
+        field("heading_sigma_rad", "One standard deviation of the heading, rad.", Read::Number(|of| Some(of.heading_sigma_rad()))),
+        field("is_position_valid", "Whether the position was ever observed or given.", Read::Flag(|of| of.validity.position)),
+        field("is_heading_valid", "Whether the heading was ever observed or given.", Read::Flag(|of| of.validity.heading)),
+        field("is_dead_reckoning", "Whether nothing absolute was used for long.", Read::Flag(|of| of.is_dead_reckoning)),
+        field("fix_age_s", "Time since the last fix that was used, s; left out before the first.", Read::Number(|of| of.fix_age.map(TimeDelta::as_secs_f64))),
+        field("reset_counter", "Counts jumps that are no motion.", Read::U8(|of| of.reset_counter)),
+    ]],
+};
+
+#[rustfmt::skip]
+pub(super) const FUSION: Record<FusionRecord> = Record {
+    title: "FusedRecord",
+    help: "What became of one observation.",
+    fields: &[&[
+        field("sensor", "Number of the sensor.", Read::U8(|of| of.sensor.0)),
+        field("kind", "Kind of the observation.", Read::Text(|of| of.kind.to_owned())),
+        field("brick_nanos", "The instant that it spoke of, ns of the brick's clock.", Read::I64(|of| of.stamp.as_nanos())),
+        field("lag_s", "How far behind the filter's time it was, s.", Read::Finite(|of| of.lag.as_secs_f64())),
+        field("verdict", "Whether it was used, and why not.", Read::Text(|of| of.outcome.reason().to_owned())),
+        field("innovation", "Observed minus predicted, SI units, as many components as were used.", Read::Numbers(|of| used(of, &of.innovation).to_vec())),
+        field("innovation_covariance", "Covariance S of the innovation, row by row.", Read::Numbers(|of| {
+            used(of, &of.innovation_covariance).iter().flat_map(|row| used(of, row)).copied().collect()
+        })),
+        field("nis", "Normalised innovation squared.", Read::Number(|of| Some(of.nis))),
+        field("degrees_of_freedom", "Components used.", Read::U8(|of| of.degrees_of_freedom)),
+        field("log_likelihood", "Log-likelihood of the innovation.", Read::Number(|of| Some(of.log_likelihood))),
+    ]],
+};
+
+/// The components in use.
+fn used<'a, C>(record: &FusionRecord, components: &'a [C; 3]) -> &'a [C] {
+    components.get(..record.degrees_of_freedom.into()).unwrap_or(components)
+}
+
+#[rustfmt::skip]
+const SOURCE: Record<SourceHealth> = Record {
+    title: "SourceRecord",
+    help: "What one sender has sent on a link.",
+    fields: &[&[
+        field("system", "MAVLink system id.", Read::U8(|of| of.source.system.0)),
+        field("component", "MAVLink component id.", Read::U8(|of| of.source.component.0)),
+        field("frames", "Frames received whole.", Read::U64(|of| of.frames)),
+        field("lost", "Frames missing in its sequence numbers.", Read::U64(|of| of.lost)),
+    ]],
+};
+
+pub(super) struct LinkReport {
+    pub(super) link: LinkId,
+    pub(super) health: LinkHealth,
+    pub(super) sources: Vec<SourceHealth>,
+}
+
+#[rustfmt::skip]
+pub(super) const LINK_HEALTH: Record<LinkReport> = Record {
+    title: "HealthRecord",
+    help: "The health of a link, in counts since the session began.",
+    fields: &[&[
+        field("link", "Number of the link.", Read::U16(|of| of.link.0)),
+        field("", "", Read::Counters(|of| &of.health)),
+        field("round_trip_s", "Round-trip time of the last answered time request, s.", Read::Number(|of| of.health.round_trip.map(TimeDelta::as_secs_f64))),
+        field("clock_uncertainty_s", "Half the width of the clock bounds, s.", Read::Number(|of| of.health.clock_uncertainty.map(TimeDelta::as_secs_f64))),
+        field("sources", "What each sender sent.", Read::Sources(|of| &of.sources)),
+    ]],
+};
+
+/// One instant by the host's clock and by another.
+pub(super) struct ClockAlignment {
+    pub(super) clock: &'static str,
+    pub(super) owner: Address,
+    pub(super) host_nanos: i64,
+    pub(super) other_nanos: i64,
+    pub(super) offset: TimeDelta,
+    pub(super) skew_ppm: Option<f64>,
+    pub(super) uncertainty: TimeDelta,
+    pub(super) round_trip: Option<TimeDelta>,
+}
+
+#[rustfmt::skip]
+pub(super) const CLOCK: Record<ClockAlignment> = Record {
+    title: "ClockRecord",
+    help: "Two clocks were aligned anew.",
+    fields: &[&[
+        field("clock", "Whose clock: brick or camera.", Read::Text(|of| of.clock.to_owned())),
+        field("system", "MAVLink system id of its owner.", Read::U8(|of| of.owner.system.0)),
+        field("component", "MAVLink component id of its owner.", Read::U8(|of| of.owner.component.0)),
+        field("host_nanos", "When, ns of the host's clock.", Read::I64(|of| of.host_nanos)),
+        field("other_nanos", "The same instant, ns of the other clock.", Read::I64(|of| of.other_nanos)),
+        field("offset_s", "The other clock minus the host's, s.", Read::Finite(|of| of.offset.as_secs_f64())),
+        field("skew_ppm", "Rate of the other clock against the host's, minus one, in parts per million; left out where it is not known.", Read::Number(|of| of.skew_ppm)),
+        field("uncertainty_s", "Half the distance between the bounds, s.", Read::Finite(|of| of.uncertainty.as_secs_f64())),
+        field("round_trip_s", "Round-trip time of the exchange that led to it, s.", Read::Number(|of| of.round_trip.map(TimeDelta::as_secs_f64))),
+    ]],
+};
+
+#[rustfmt::skip]
+pub(super) const CALIBRATION: Record<Calibration> = Record {
+    title: "CalibrationRecord",
+    help: "What the filter has learned about the robot; a sigma of 0: taken as given.",
+    fields: &[&[
+        field("radius_scale", "Relative error of the mean wheel radius.", Read::Uncertain(|of| of.radius_scale)),
+        field("radius_difference", "Relative difference of the wheels' radii, right minus left.", Read::Uncertain(|of| of.radius_difference)),
+        field("track_scale", "Relative error of the track width.", Read::Uncertain(|of| of.track_scale)),
+        field("gyro_bias_rad_per_s", "Gyro bias, rad/s.", Read::Uncertain(|of| of.gyro_bias_rad_per_s)),
+        field("fix_delay_s", "How much earlier than its stamp a fix was true, s.", Read::Uncertain(|of| of.fix_delay_s)),
+        field("tag_forward_m", "Where the tag is, forward of where the fix says, m.", Read::Uncertain(|of| of.tag_forward_m)),
+        field("tag_left_m", "Where the tag is, to the left of where the fix says, m.", Read::Uncertain(|of| of.tag_left_m)),
+        field("beacon_offset_m", "Offset of a beacon's ranges, m.", Read::Uncertain(|of| of.beacon_offset_m)),
+        field("beacon_scale", "Relative error of a beacon's ranges.", Read::Uncertain(|of| of.beacon_scale)),
+        field("landmark_offset_m", "Offset of the ranges to landmarks, m.", Read::Uncertain(|of| of.landmark_offset_m)),
+        field("landmark_scale", "Relative error of the ranges to landmarks.", Read::Uncertain(|of| of.landmark_scale)),
+    ]],
+};
+
+pub(super) struct TemperatureReading {
+    pub(super) brick: Address,
+    pub(super) channel: ChannelName,
+    pub(super) stamp: Timestamp<BrickClock>,
+    pub(super) shown: Celsius,
+    pub(super) verdict: FusionOutcome,
+    pub(super) settled: Option<ScalarEstimate>,
+}
+
+#[rustfmt::skip]
+pub(super) const TEMPERATURE: Record<TemperatureReading> = Record {
+    title: "TemperatureRecord",
+    help: "A thermometer was read.",
+    fields: &[&[
+        field("system", "MAVLink system id of the brick.", Read::U8(|of| of.brick.system.0)),
+        field("component", "MAVLink component id of the brick.", Read::U8(|of| of.brick.component.0)),
+        field("channel", "Which of its thermometers.", Read::Text(|of| of.channel.to_string())),
+        field("brick_nanos", "When it was read, ns of that brick's clock.", Read::I64(|of| of.stamp.as_nanos())),
+        field("shown_c", "What it shows, °C.", Read::Number(|of| Some(of.shown.0))),
+        field("verdict", "What became of it.", Read::Text(|of| of.verdict.reason().to_owned())),
+        field("settled_c", "What it will show once it has settled, °C.", Read::Number(|of| Some(of.settled?.value))),
+        field("settled_sigma_c", "One standard deviation of that, K.", Read::Number(|of| Some(of.settled?.sigma))),
+    ]],
+};
+
+/// A command, and the robot that it names.
+pub(super) struct CommandRequest {
+    pub(super) robot: Option<RobotId>,
+    pub(super) command: Command,
+}
+
+#[rustfmt::skip]
+pub(super) const COMMAND: Record<CommandRequest> = Record {
+    title: "CommandRecord",
+    help: "A request of a person or a program.",
+    fields: &[&[
+        field("command", "Which.", Read::Text(|of| of.command.name().to_owned())),
+        field("text", "The whole of it, for people.", Read::Text(|CommandRequest { robot, command }| {
+            robot.map_or_else(|| command.to_string(), |robot| format!("robot {robot}: {command}"))
+        })),
+    ]],
+};
+
+#[rustfmt::skip]
+pub(super) const GAP: Record<RecordingGap> = Record {
+    title: "GapRecord",
+    help: "Inputs that are missing in this recording because the disk was too slow: its replay is not that of the session.",
+    fields: &[&[
+        field("inputs", "How many.", Read::U64(|of| of.inputs)),
+        field("from_host_nanos", "When the last input before them was given, ns of the host's clock.", Read::I64(|of| of.from.as_nanos())),
+        field("to_host_nanos", "When the next input behind them was given, ns of the host's clock.", Read::I64(|of| of.to.as_nanos())),
+    ]],
+};
+
+#[rustfmt::skip]
+const TRUTH_FIELDS: &[Field<TruthSample>] = &[
+    field("brick_nanos", "When, ns of the brick's clock.", Read::I64(|of| of.time.as_nanos())),
+    field("x_m", "East, m.", Read::Finite(|of| of.pose.x.0)),
+    field("y_m", "North, m.", Read::Finite(|of| of.pose.y.0)),
+    field("heading_rad", "Counter-clockwise from east, in (-pi, pi], rad.", Read::Finite(|of| of.pose.heading.rad())),
+    field("odometry_x_m", "East by the brick's own dead reckoning, m.", Read::Number(|of| Some(of.odometry?.x.0))),
+    field("odometry_y_m", "North by the brick's own dead reckoning, m.", Read::Number(|of| Some(of.odometry?.y.0))),
+    field("odometry_heading_rad", "Heading by the brick's own dead reckoning, rad.", Read::Number(|of| Some(of.odometry?.heading.rad()))),
 ];
 
-impl Serialize for CalibrationRecord {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let numbers = CALIBRATION_TERMS.iter().flat_map(|(key, _, read)| {
-            let UncertainValue { value, sigma } = read(&self.0);
-            [((*key).to_owned(), value), (format!("{key}_sigma"), sigma)]
-        });
-        serializer.collect_map(numbers.filter(|(_, number)| number.is_finite()))
-    }
-}
+#[rustfmt::skip]
+const ROBOT_FIELDS: &[Field<TruthSample>] = &[
+    field("link", "Number of the robot's link.", Read::U16(|of| of.robot.unwrap_or_default().link.0)),
+    field("system", "MAVLink system id of the robot.", Read::U8(|of| of.robot.unwrap_or_default().address.system.0)),
+    field("component", "MAVLink component id of the robot.", Read::U8(|of| of.robot.unwrap_or_default().address.component.0)),
+];
 
-impl JsonSchema for CalibrationRecord {
-    fn schema_name() -> Cow<'static, str> {
-        "CalibrationRecord".into()
-    }
+pub(super) const TRUTH: Record<TruthSample> = Record {
+    title: "TruthRecord",
+    help: "Where the robot really was, as its simulation says.",
+    fields: &[TRUTH_FIELDS],
+};
 
-    fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
-        let number = |help: &str| json!({ "description": help, "format": "double", "type": "number" });
-        let entries = CALIBRATION_TERMS.iter().flat_map(|(key, help, _)| {
-            let sigma = number("One standard deviation of it, in its unit.");
-            [((*key).to_owned(), number(help)), (format!("{key}_sigma"), sigma)]
-        });
-        json_schema!({
-            "description": "What the filter has learned about the robot; a sigma of 0: taken as given.",
-            "type": "object",
-            "properties": Value::from(entries.collect::<Map<_, _>>()),
-        })
-    }
-}
-
-/// A thermometer was read.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct TemperatureRecord {
-    /// MAVLink system id of the brick.
-    pub(super) system: u8,
-    /// MAVLink component id of the brick.
-    pub(super) component: u8,
-    /// Which of its thermometers.
-    pub(super) channel: String,
-    /// When it was read, ns of that brick's clock.
-    pub(super) brick_nanos: i64,
-    /// What it shows, °C.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) shown_c: Option<f64>,
-    /// What became of it.
-    pub(super) verdict: &'static str,
-    /// What it will show once it has settled, °C.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) settled_c: Option<f64>,
-    /// One standard deviation of that, K.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) settled_sigma_c: Option<f64>,
-}
-
-/// A request of a person or a program.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct CommandRecord {
-    /// Which.
-    pub(super) command: &'static str,
-    /// The whole of it, for people.
-    pub(super) text: String,
-}
-
-/// Inputs that are missing in this recording because the disk was too slow: its replay is not that of the session.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct GapRecord {
-    /// How many.
-    pub(super) inputs: u64,
-    /// When the last input before them was given, ns of the host's clock.
-    pub(super) from_host_nanos: i64,
-    /// When the next input behind them was given, ns of the host's clock.
-    pub(super) to_host_nanos: i64,
-}
-
-/// Where the robot really was, as its simulation says.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct TruthRecord {
-    /// When, ns of the brick's clock.
-    pub(super) brick_nanos: i64,
-    /// East, m.
-    pub(super) x_m: f64,
-    /// North, m.
-    pub(super) y_m: f64,
-    /// Counter-clockwise from east, in (-pi, pi], rad.
-    pub(super) heading_rad: f64,
-    /// East by the brick's own dead reckoning, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) odometry_x_m: Option<f64>,
-    /// North by the brick's own dead reckoning, m.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) odometry_y_m: Option<f64>,
-    /// Heading by the brick's own dead reckoning, rad.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(with = "f64")]
-    pub(super) odometry_heading_rad: Option<f64>,
-}
-
-/// Where one of several simulated robots really was.
-#[derive(Debug, Serialize, JsonSchema)]
-pub(super) struct RobotTruthRecord {
-    /// Number of the robot's link.
-    pub(super) link: u16,
-    /// MAVLink system id of the robot.
-    pub(super) system: u8,
-    /// MAVLink component id of the robot.
-    pub(super) component: u8,
-    #[serde(flatten)]
-    pub(super) truth: TruthRecord,
-}
-
-impl RobotTruthRecord {
-    pub(super) fn new(robot: RobotId, sample: &TruthSample) -> Self {
-        Self {
-            link: robot.link.0,
-            system: robot.address.system.0,
-            component: robot.address.component.0,
-            truth: TruthRecord::from(sample),
-        }
-    }
-}
-
-impl From<&Estimate> for EstimateRecord {
-    fn from(estimate: &Estimate) -> Self {
-        Self {
-            brick_nanos: estimate.stamp.as_nanos(),
-            x_m: finite(estimate.pose.x.0),
-            y_m: finite(estimate.pose.y.0),
-            heading_rad: finite(estimate.pose.heading.rad()),
-            forward_m_per_s: finite(estimate.forward_speed.0),
-            turn_rad_per_s: finite(estimate.turn_rate.0),
-            x_sigma_m: finite(estimate.x_sigma_m()),
-            y_sigma_m: finite(estimate.y_sigma_m()),
-            heading_sigma_rad: finite(estimate.heading_sigma_rad()),
-            is_position_valid: estimate.validity.position,
-            is_heading_valid: estimate.validity.heading,
-            is_dead_reckoning: estimate.is_dead_reckoning,
-            fix_age_s: estimate.fix_age.map(TimeDelta::as_secs_f64),
-            reset_counter: estimate.reset_counter,
-        }
-    }
-}
-
-impl From<&FusionRecord> for FusedRecord {
-    fn from(record: &FusionRecord) -> Self {
-        let used = usize::from(record.degrees_of_freedom).min(record.innovation.len());
-        let rows = record.innovation_covariance.iter().take(used);
-        Self {
-            sensor: record.sensor.0,
-            kind: record.kind,
-            brick_nanos: record.stamp.as_nanos(),
-            lag_s: record.lag.as_secs_f64(),
-            verdict: record.outcome.reason(),
-            innovation: all_finite(record.innovation.iter().take(used)),
-            innovation_covariance: all_finite(rows.flat_map(|row| row.iter().take(used))),
-            nis: finite(record.nis),
-            degrees_of_freedom: record.degrees_of_freedom,
-            log_likelihood: finite(record.log_likelihood),
-        }
-    }
-}
-
-impl HealthRecord {
-    pub(super) fn new(link: LinkId, health: &LinkHealth, sources: &[SourceHealth]) -> Self {
-        let source = |one: &SourceHealth| SourceRecord {
-            system: one.source.system.0,
-            component: one.source.component.0,
-            frames: one.frames,
-            lost: one.lost,
-        };
-        Self {
-            link: link.0,
-            counters: LinkCounters(*health),
-            round_trip_s: health.round_trip.map(TimeDelta::as_secs_f64),
-            clock_uncertainty_s: health.clock_uncertainty.map(TimeDelta::as_secs_f64),
-            sources: sources.iter().map(source).collect(),
-        }
-    }
-}
-
-impl CommandRecord {
-    pub(super) fn new(command: &Command, robot: Option<RobotId>) -> Self {
-        let text = robot.map_or_else(|| command.to_string(), |robot| format!("robot {robot}: {command}"));
-        Self { command: command.name(), text }
-    }
-}
-
-impl From<&RecordingGap> for GapRecord {
-    fn from(gap: &RecordingGap) -> Self {
-        Self { inputs: gap.inputs, from_host_nanos: gap.from.as_nanos(), to_host_nanos: gap.to.as_nanos() }
-    }
-}
-
-impl From<&TruthSample> for TruthRecord {
-    fn from(sample: &TruthSample) -> Self {
-        let odometry = sample.odometry;
-        Self {
-            brick_nanos: sample.time.as_nanos(),
-            x_m: sample.pose.x.0,
-            y_m: sample.pose.y.0,
-            heading_rad: sample.pose.heading.rad(),
-            odometry_x_m: odometry.map(|pose| pose.x.0),
-            odometry_y_m: odometry.map(|pose| pose.y.0),
-            odometry_heading_rad: odometry.map(|pose| pose.heading.rad()),
-        }
-    }
-}
-
-/// `None` if it is not finite.
-pub(super) fn finite(number: f64) -> Option<f64> {
-    number.is_finite().then_some(number)
-}
-
-/// `None` if one is not finite.
-fn all_finite<'a>(numbers: impl Iterator<Item = &'a f64>) -> Option<Vec<f64>> {
-    numbers.map(|number| finite(*number)).collect()
-}
+pub(super) const ROBOT_TRUTH: Record<TruthSample> = Record {
+    title: "RobotTruthRecord",
+    help: "Where one of several simulated robots really was.",
+    fields: &[ROBOT_FIELDS, TRUTH_FIELDS],
+};

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use posebridge_telemetry::{BrickClock, Event, HostClock, RobotId, SensorId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, RobotId, SensorId, TimeDelta, Timestamp};
 
 use super::channels::EncodedMessage;
-use super::wire::{self, BODY};
+use super::wire::BODY;
 use crate::robot_names::RobotNames;
 
 /// Robots with topics: the station's default limit.
@@ -49,7 +49,7 @@ pub(super) struct ClockAlignmentPoint {
 
 #[derive(Debug, Default)]
 pub(super) struct PathHistory {
-    pub(super) poses: Vec<wire::Pose>,
+    pub(super) poses: Vec<Pose<Arena>>,
     stride: usize,
     pose_count: usize,
     pub(super) last_written: Option<Timestamp<HostClock>>,
@@ -152,7 +152,7 @@ impl Default for RobotOutputs {
 }
 
 impl PathHistory {
-    pub(super) fn push(&mut self, pose: wire::Pose) {
+    pub(super) fn push(&mut self, pose: Pose<Arena>) {
         self.stride = self.stride.max(1);
         if self.pose_count.is_multiple_of(self.stride) {
             self.poses.push(pose);

@@ -5,162 +5,61 @@
 //! Source: the `foxglove.*` schemas of the Foxglove SDK, version 0.30.3 (`descriptors/README.md`).
 
 use posebridge_telemetry::estimate::row;
-use posebridge_telemetry::{Arena, Estimate, Pose as PlanarPose};
-use prost::Message;
+use posebridge_telemetry::{Arena, Estimate, Pose};
 
-/// `google.protobuf.Timestamp`: Unix time.
-#[derive(Clone, Copy, PartialEq, Eq, Message)]
-pub(super) struct Timestamp {
-    #[prost(int64, tag = "1")]
-    pub(super) seconds: i64,
-    #[prost(int32, tag = "2")]
-    pub(super) nanos: i32,
-}
+/// A message under construction, field by field. Zeros and empty texts are the format's defaults and not written.
+///
+/// Source: Protocol Buffers, "Encoding": a key is `number << 3 | wire type`; 0 varint, 1 eight bytes, 2 counted bytes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Message(Vec<u8>);
 
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Vector3 {
-    #[prost(double, tag = "1")]
-    pub(super) x: f64,
-    #[prost(double, tag = "2")]
-    pub(super) y: f64,
-    #[prost(double, tag = "3")]
-    pub(super) z: f64,
-}
+impl Message {
+    fn double(mut self, number: u8, value: f64) -> Self {
+        if value != 0.0 {
+            self.0.push(number << 3 | 1);
+            self.0.extend(value.to_le_bytes());
+        }
+        self
+    }
 
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Quaternion {
-    #[prost(double, tag = "1")]
-    pub(super) x: f64,
-    #[prost(double, tag = "2")]
-    pub(super) y: f64,
-    #[prost(double, tag = "3")]
-    pub(super) z: f64,
-    #[prost(double, tag = "4")]
-    pub(super) w: f64,
-}
+    fn doubles(self, number: u8, values: &[f64]) -> Self {
+        self.bytes(number, values.iter().copied().map(f64::to_le_bytes).collect::<Vec<_>>().as_flattened())
+    }
 
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Pose {
-    #[prost(message, optional, tag = "1")]
-    pub(super) position: Option<Vector3>,
-    #[prost(message, optional, tag = "2")]
-    pub(super) orientation: Option<Quaternion>,
-}
+    fn integer(mut self, number: u8, value: u64) -> Self {
+        if value != 0 {
+            self.0.push(number << 3);
+            self.push_varint(value);
+        }
+        self
+    }
 
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Color {
-    #[prost(double, tag = "1")]
-    pub(super) r: f64,
-    #[prost(double, tag = "2")]
-    pub(super) g: f64,
-    #[prost(double, tag = "3")]
-    pub(super) b: f64,
-    #[prost(double, tag = "4")]
-    pub(super) a: f64,
-}
+    fn text(self, number: u8, text: &str) -> Self {
+        if text.is_empty() { self } else { self.bytes(number, text.as_bytes()) }
+    }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct Odometry {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    #[prost(string, tag = "3")]
-    pub(super) body_frame_id: String,
-    #[prost(message, optional, tag = "4")]
-    pub(super) pose: Option<Pose>,
-    #[prost(message, optional, tag = "5")]
-    pub(super) linear_velocity: Option<Vector3>,
-    #[prost(message, optional, tag = "6")]
-    pub(super) angular_velocity: Option<Vector3>,
-    /// 6 x 6, row by row: x, y, z, roll, pitch, yaw.
-    #[prost(double, repeated, tag = "7")]
-    pub(super) pose_covariance: Vec<f64>,
-    /// 6 x 6, row by row: forward, left, up, roll rate, pitch rate, yaw rate.
-    #[prost(double, repeated, tag = "8")]
-    pub(super) velocity_covariance: Vec<f64>,
-}
+    fn message(self, number: u8, message: &Self) -> Self {
+        self.bytes(number, &message.0)
+    }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct PoseInFrame {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    #[prost(message, optional, tag = "3")]
-    pub(super) pose: Option<Pose>,
-}
+    fn bytes(mut self, number: u8, bytes: &[u8]) -> Self {
+        self.0.push(number << 3 | 2);
+        self.push_varint(bytes.len() as u64);
+        self.0.extend_from_slice(bytes);
+        self
+    }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct PosesInFrame {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    #[prost(message, repeated, tag = "3")]
-    pub(super) poses: Vec<Pose>,
-}
+    fn push_varint(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.0.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.0.push(value as u8);
+    }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct FrameTransform {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) parent_frame_id: String,
-    #[prost(string, tag = "3")]
-    pub(super) child_frame_id: String,
-    #[prost(message, optional, tag = "4")]
-    pub(super) translation: Option<Vector3>,
-    #[prost(message, optional, tag = "5")]
-    pub(super) rotation: Option<Quaternion>,
-}
-
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct SceneUpdate {
-    #[prost(message, repeated, tag = "2")]
-    pub(super) entities: Vec<SceneEntity>,
-}
-
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct SceneEntity {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    #[prost(string, tag = "2")]
-    pub(super) frame_id: String,
-    /// Replaces an earlier entity with the same id.
-    #[prost(string, tag = "3")]
-    pub(super) id: String,
-    #[prost(message, repeated, tag = "10")]
-    pub(super) cylinders: Vec<Cylinder>,
-}
-
-/// `foxglove.CylinderPrimitive`.
-#[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct Cylinder {
-    #[prost(message, optional, tag = "1")]
-    pub(super) pose: Option<Pose>,
-    /// Full extents: both axes of the ellipse, and the height.
-    #[prost(message, optional, tag = "2")]
-    pub(super) size: Option<Vector3>,
-    #[prost(double, tag = "3")]
-    pub(super) bottom_scale: f64,
-    #[prost(double, tag = "4")]
-    pub(super) top_scale: f64,
-    #[prost(message, optional, tag = "5")]
-    pub(super) color: Option<Color>,
-}
-
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct Log {
-    #[prost(message, optional, tag = "1")]
-    pub(super) timestamp: Option<Timestamp>,
-    /// `foxglove.LogLevel`.
-    #[prost(int32, tag = "2")]
-    pub(super) level: i32,
-    #[prost(string, tag = "3")]
-    pub(super) message: String,
-    #[prost(string, tag = "4")]
-    pub(super) name: String,
+    pub(super) fn into_bytes(self) -> Vec<u8> {
+        self.0
+    }
 }
 
 /// Name of [`Arena`] in messages.
@@ -170,71 +69,97 @@ pub(super) const BODY: &str = "body";
 /// Flat, but thick enough that viewers draw it without flicker.
 const DISC_HEIGHT_M: f64 = 0.002;
 
-/// Pose and speeds with covariances, of the robot whose body frame is `body`.
-pub(super) fn odometry_of(estimate: &Estimate, body: &str, timestamp: Option<Timestamp>) -> Odometry {
+/// `google.protobuf.Timestamp`: seconds, nanoseconds.
+pub(super) fn timestamp(unix_nanos: i128) -> Message {
+    let seconds = unix_nanos.div_euclid(1_000_000_000) as u64;
+    Message::default().integer(1, seconds).integer(2, unix_nanos.rem_euclid(1_000_000_000) as u64)
+}
+
+/// `foxglove.Odometry`: timestamp, frame, body frame, pose, linear and angular velocity; covariances, 6 x 6 row by row, of x, y, z,
+/// roll, pitch, yaw and of their rates. `body` is the robot's body frame.
+pub(super) fn odometry(estimate: &Estimate, body: &str, timestamp: &Message) -> Message {
     // Rows of a pose in space, and of a velocity, that a robot on a plane has.
     const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
     const VELOCITY_ROWS: [(usize, usize); 2] = [(0, row::FORWARD), (5, row::TURN)];
     let spread = |rows: &[(usize, usize)]| {
-        let mut matrix = vec![0.0; 36];
+        let mut matrix = [0.0; 36];
         for (i, from_i) in rows {
             for (j, from_j) in rows {
-                if let Some(entry) = matrix.get_mut(6 * i + j) {
-                    *entry = estimate.covariance[*from_i][*from_j];
-                }
+                matrix[6 * i + j] = estimate.covariance[*from_i][*from_j];
             }
         }
         matrix
     };
-    let vector = |x, z| Some(Vector3 { x, y: 0.0, z });
-    Odometry {
-        timestamp,
-        frame_id: ARENA.to_owned(),
-        body_frame_id: body.to_owned(),
-        pose: Some(pose_of(&estimate.pose)),
-        linear_velocity: vector(estimate.forward_speed.0, 0.0),
-        angular_velocity: vector(0.0, estimate.turn_rate.0),
-        pose_covariance: spread(&POSE_ROWS),
-        velocity_covariance: spread(&VELOCITY_ROWS),
-    }
+    in_arena(timestamp)
+        .text(3, body)
+        .message(4, &pose_in_space(estimate.pose))
+        .message(5, &vector(estimate.forward_speed.0, 0.0, 0.0))
+        .message(6, &vector(0.0, 0.0, estimate.turn_rate.0))
+        .doubles(7, &spread(&POSE_ROWS))
+        .doubles(8, &spread(&VELOCITY_ROWS))
 }
 
-/// The 95 % confidence ellipse as a disc.
-pub(super) fn ellipse_of(estimate: &Estimate, timestamp: Option<Timestamp>) -> Option<SceneUpdate> {
+/// `foxglove.PoseInFrame`: timestamp, frame, pose.
+pub(super) fn pose_in_frame(pose: Pose<Arena>, timestamp: &Message) -> Message {
+    in_arena(timestamp).message(3, &pose_in_space(pose))
+}
+
+/// `foxglove.PosesInFrame`: timestamp, frame, poses.
+pub(super) fn poses_in_frame(poses: &[Pose<Arena>], timestamp: &Message) -> Message {
+    poses.iter().fold(in_arena(timestamp), |message, pose| message.message(3, &pose_in_space(*pose)))
+}
+
+/// `foxglove.FrameTransform`: timestamp, parent frame, child frame, translation, rotation.
+pub(super) fn transform(pose: Pose<Arena>, body: &str, timestamp: &Message) -> Message {
+    let (position, rotation) = (vector(pose.x.0, pose.y.0, 0.0), rotation_about_z(pose.heading.rad()));
+    in_arena(timestamp).text(3, body).message(4, &position).message(5, &rotation)
+}
+
+/// The 95 % confidence ellipse as a disc. `foxglove.SceneUpdate`: entities of timestamp, frame, id (replaces an earlier entity with it)
+/// and cylinders of pose, full extents, bottom and top scale, colour.
+pub(super) fn ellipse(estimate: &Estimate, timestamp: &Message) -> Option<Message> {
     let ellipse = estimate.ellipse_95()?;
-    let disc = Cylinder {
-        pose: Some(Pose {
-            position: pose_of(&estimate.pose).position,
-            orientation: Some(rotation_about_z(ellipse.direction_rad)),
-        }),
-        size: Some(Vector3 { x: 2.0 * ellipse.semi_major_m, y: 2.0 * ellipse.semi_minor_m, z: DISC_HEIGHT_M }),
-        bottom_scale: 1.0,
-        top_scale: 1.0,
-        color: Some(Color { r: 0.1, g: 0.4, b: 0.8, a: 0.35 }),
-    };
-    let entity = SceneEntity { timestamp, frame_id: ARENA.to_owned(), id: "ellipse".to_owned(), cylinders: vec![disc] };
-    Some(SceneUpdate { entities: vec![entity] })
+    let pose = pose_message(estimate.pose, ellipse.direction_rad);
+    let size = vector(2.0 * ellipse.semi_major_m, 2.0 * ellipse.semi_minor_m, DISC_HEIGHT_M);
+    let color = vector(0.1, 0.4, 0.8).double(4, 0.35);
+    let disc = Message::default().message(1, &pose).message(2, &size).double(3, 1.0).double(4, 1.0).message(5, &color);
+    let entity = in_arena(timestamp).text(3, "ellipse").message(10, &disc);
+    Some(Message::default().message(2, &entity))
 }
 
-pub(super) fn pose_of(pose: &PlanarPose<Arena>) -> Pose {
-    Pose {
-        position: Some(Vector3 { x: pose.x.0, y: pose.y.0, z: 0.0 }),
-        orientation: Some(rotation_about_z(pose.heading.rad())),
-    }
-}
-
-fn rotation_about_z(angle_rad: f64) -> Quaternion {
-    let (z, w) = (angle_rad / 2.0).sin_cos();
-    Quaternion { x: 0.0, y: 0.0, z, w }
-}
-
-/// Converts a MAVLink severity to `foxglove.LogLevel`.
-pub(super) const fn log_level(severity: u8) -> i32 {
-    match severity {
+/// `foxglove.Log`: timestamp, level, message, name. `severity` is MAVLink's: 0 emergency to 7 debug.
+pub(super) fn log(severity: u8, name: &str, text: &str, timestamp: &Message) -> Message {
+    let level = match severity {
         0..=2 => 5,
         3 => 4,
         4 => 3,
         5 | 6 => 2,
         _ => 1,
-    }
+    };
+    Message::default().message(1, timestamp).integer(2, level).text(3, text).text(4, name)
+}
+
+/// The first two fields of most messages.
+fn in_arena(timestamp: &Message) -> Message {
+    Message::default().message(1, timestamp).text(2, ARENA)
+}
+
+fn pose_in_space(pose: Pose<Arena>) -> Message {
+    pose_message(pose, pose.heading.rad())
+}
+
+/// `foxglove.Pose` at the position of `pose`: position, orientation.
+fn pose_message(pose: Pose<Arena>, angle_rad: f64) -> Message {
+    Message::default().message(1, &vector(pose.x.0, pose.y.0, 0.0)).message(2, &rotation_about_z(angle_rad))
+}
+
+/// `foxglove.Quaternion`: x, y, z, w.
+fn rotation_about_z(angle_rad: f64) -> Message {
+    let (z, w) = (angle_rad / 2.0).sin_cos();
+    vector(0.0, 0.0, z).double(4, w)
+}
+
+/// `foxglove.Vector3`: x, y, z.
+fn vector(x: f64, y: f64, z: f64) -> Message {
+    Message::default().double(1, x).double(2, y).double(3, z)
 }

@@ -92,7 +92,6 @@ impl<W: Write> TlogWriter<W> {
         self.out.flush()
     }
 
-    /// Returns `W`.
     pub fn finish(mut self) -> std::io::Result<W> {
         self.out.flush()?;
         Ok(self.out)

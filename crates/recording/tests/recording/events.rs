@@ -50,16 +50,16 @@ pub(crate) fn fused_event(verdict: FusionOutcome, nis: f64) -> Event {
     Event::ObservationFused { robot, record }
 }
 
-/// The brick's clock is 4 s ahead of the host's and a thousandth fast.
-pub(crate) fn aligned_event() -> Event {
+/// The brick's clock shows 5 s at this instant of the host's, and is a thousandth fast.
+pub(crate) fn aligned_event(robot: RobotId, host_millis: i64) -> Event {
     Event::BrickClockAligned {
-        robot: robot(),
+        robot,
         offset: TimeDelta::from_millis(4_000),
         skew_ppm: 1_000.0,
         uncertainty: TimeDelta::from_micros(700),
         round_trip: Some(TimeDelta::from_millis(3)),
         brick: Timestamp::from_millis(5_000),
-        host: Timestamp::from_millis(1_000),
+        host: Timestamp::from_millis(host_millis),
     }
 }
 
@@ -119,7 +119,7 @@ pub(crate) fn events() -> Vec<Event> {
     let source = SourceHealth { source: Address::new(1, 1), frames: 40, lost: 3 };
     let (link, robot) = (LinkId(0), robot());
     let mut events = vec![
-        aligned_event(),
+        aligned_event(robot, 1_000),
         Event::RobotDetected { robot },
         Event::RobotNamed { robot, name: "ada".to_owned() },
         Event::RobotLost { robot, silence: TimeDelta::from_millis(3_000) },

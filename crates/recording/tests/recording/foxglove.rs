@@ -1,4 +1,5 @@
-//! The outputs of a recording: every message matches its channel's schema and its event.
+//! The outputs of a recording: their channels, of several robots as well, and how they are thinned. What is in them is in
+//! `golden_outputs`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
@@ -8,7 +9,8 @@ use posebridge_recording::container::{
 };
 use posebridge_recording::foxglove::CHANNELS;
 use posebridge_telemetry::{
-    Calibration, Command, Event, FusionOutcome, Heading, Input, Meters, Pose, TimeDelta, Timestamp,
+    Address, Calibration, Command, Event, FusionOutcome, Heading, Input, LinkId, Meters, Pose, RobotId, TimeDelta,
+    Timestamp,
 };
 use serde_json::Value;
 
@@ -27,7 +29,7 @@ pub(crate) struct RecordedMessage {
     pub(crate) data: Vec<u8>,
 }
 
-pub(crate) fn writer(spacing: TimeDelta) -> RecordingWriter<Cursor<Vec<u8>>> {
+fn writer_with(spacing: TimeDelta) -> RecordingWriter<Cursor<Vec<u8>>> {
     let header = RecordingHeader { format: FORMAT, utc_start_micros: UTC_START_MICROS, ..RecordingHeader::default() };
     let mut writer = RecordingWriter::create(Cursor::new(Vec::new()), &header).unwrap();
     writer.set_output_spacing(spacing);
@@ -38,7 +40,7 @@ pub(crate) fn write_messages(
     spacing: TimeDelta,
     write: impl FnOnce(&mut RecordingWriter<Cursor<Vec<u8>>>),
 ) -> Vec<RecordedMessage> {
-    let mut writer = writer(spacing);
+    let mut writer = writer_with(spacing);
     write(&mut writer);
     let bytes = writer.finish().unwrap().into_inner();
     let found = mcap::MessageStream::new(&bytes).unwrap().map(|message| {
@@ -83,7 +85,7 @@ pub(crate) fn one_message_of_each() -> Vec<RecordedMessage> {
     })
 }
 
-pub(crate) fn only<'a>(found: &'a [RecordedMessage], topic: &str) -> &'a RecordedMessage {
+fn only<'a>(found: &'a [RecordedMessage], topic: &str) -> &'a RecordedMessage {
     let mut of_topic = found.iter().filter(|found| found.topic == topic);
     let one = of_topic.next().unwrap();
     assert!(of_topic.next().is_none(), "{topic} has more than one");
@@ -105,18 +107,6 @@ fn every_channel_is_written_with_the_schema_of_the_table() {
         assert_eq!(found.schema, schemas[found.topic.as_str()]);
         assert!(!found.schema_data.is_empty(), "{} has no schema", found.topic);
     }
-}
-
-#[test]
-fn every_protobuf_message_has_the_fields_of_its_descriptor() {
-    let found = one_message_of_each();
-    let mut checked = 0;
-    for found in found.iter().filter(|found| found.encoding == "protobuf") {
-        let fields = protobuf::read(&found.schema_data, &found.schema, &found.data);
-        assert!(!fields.is_empty(), "{} says nothing", found.topic);
-        checked += 1;
-    }
-    assert!(checked > 8, "{checked}");
 }
 
 /// What of a JSON schema our records need: objects of numbers, texts and lists, without references or alternatives.
@@ -150,64 +140,8 @@ pub(crate) fn assert_valid(value: &Value, schema: &Value, path: &str) {
     }
 }
 
-pub(crate) fn near(found: f64, expected: f64) {
-    assert!((found - expected).abs() < 1e-9, "{found} {expected}");
-}
-
 pub(crate) fn read(found: &RecordedMessage) -> DecodedFields {
     protobuf::read(&found.schema_data, &found.schema, &found.data)
-}
-
-#[test]
-fn an_estimate_is_an_odometry_at_its_own_instant() {
-    let found = one_message_of_each();
-    let message = only(&found, "/posebridge/odometry");
-    let odometry = read(message);
-    // When it came: 1.1 s after the start. For when it holds: 50 ms behind the alignment at 1 s, by a clock that is a thousandth fast.
-    assert_eq!(message.log_time, UTC_START_MICROS * 1_000 + 1_100_000_000);
-    assert_eq!(odometry.number("timestamp.seconds"), 1_700_000_001.0);
-    near(odometry.number("timestamp.nanos") * 1e-9, (0.05_f64 / 1.001 * 1e9).round() * 1e-9);
-    assert_eq!(odometry.text("frame_id"), "arena");
-    assert_eq!(odometry.text("body_frame_id"), "body");
-    near(odometry.number("pose.position.x"), 1.5);
-    near(odometry.number("pose.position.y"), -0.25);
-    near(odometry.number("pose.orientation.z"), 0.3_f64.sin());
-    near(odometry.number("pose.orientation.w"), 0.3_f64.cos());
-    near(odometry.number("linear_velocity.x"), 0.2);
-    near(odometry.number("angular_velocity.z"), -0.5);
-    let pose = odometry.numbers("pose_covariance");
-    let velocity = odometry.numbers("velocity_covariance");
-    assert_eq!((pose.len(), velocity.len()), (36, 36));
-    let of = estimate(0).covariance;
-    // Rows and columns x, y, z, roll, pitch, yaw.
-    for (at, expected) in [(0, of[0][0]), (1, of[0][1]), (5, of[0][2]), (7, of[1][1])] {
-        near(pose[at], expected);
-    }
-    for (at, expected) in [(30, of[2][0]), (31, of[2][1]), (35, of[2][2]), (14, 0.0)] {
-        near(pose[at], expected);
-    }
-    for (at, expected) in [(0, of[3][3]), (5, of[3][4]), (30, of[4][3]), (35, of[4][4])] {
-        near(velocity[at], expected);
-    }
-}
-
-#[test]
-fn the_ellipse_holds_95_percent() {
-    let found = write_messages(TimeDelta::ZERO, |writer| {
-        let mut round = estimate(5_000);
-        round.covariance[0][1] = 0.0;
-        round.covariance[1][0] = 0.0;
-        round.covariance[0][0] = 4e-4;
-        round.covariance[1][1] = 1e-4;
-        let estimated = Event::EstimateUpdated { robot: robot(), estimate: round };
-        writer.record_event(Timestamp::ZERO, &estimated).unwrap();
-    });
-    let scene = read(only(&found, "/posebridge/ellipse"));
-    let sigmas = (-2.0 * 0.05_f64.ln()).sqrt();
-    near(scene.number("entities.cylinders.size.x"), 2.0 * sigmas * 0.02);
-    near(scene.number("entities.cylinders.size.y"), 2.0 * sigmas * 0.01);
-    near(scene.number("entities.cylinders.bottom_scale"), 1.0);
-    assert_eq!(scene.text("entities.id"), "ellipse");
 }
 
 #[test]
@@ -251,35 +185,115 @@ fn the_path_stays_small_and_reaches_from_the_start_to_here() {
     assert!(east.last().is_some_and(|x| *x > 2_950.0));
 }
 
-#[test]
-fn a_line_keeps_its_words_and_its_severity() {
-    let found = one_message_of_each();
-    let lines: Vec<(String, f64)> = found
-        .iter()
-        .filter(|found| found.topic == "/log")
-        .map(|found| {
-            let line = read(found);
-            (line.text("message"), line.number("level"))
-        })
-        .collect();
-    let level_of = |words: &str| {
-        let line = lines.iter().find(|(text, _)| text.contains(words));
-        line.unwrap_or_else(|| panic!("{words}: {lines:?}")).1
+const SPACING: TimeDelta = TimeDelta::from_millis(50);
+
+fn left() -> RobotId {
+    RobotId { link: LinkId(2), address: Address::new(2, 1) }
+}
+
+fn named() -> Event {
+    Event::RobotNamed { robot: left(), name: "left".to_owned() }
+}
+
+fn estimated(robot: RobotId, millis: i64) -> Event {
+    Event::EstimateUpdated { robot, estimate: estimate(millis) }
+}
+
+fn fused(robot: RobotId) -> Event {
+    let Event::ObservationFused { record, .. } = fused_event(FusionOutcome::Accepted, 1.0) else {
+        panic!("another event");
     };
-    assert_eq!(level_of("motor hot"), 4.0);
-    assert_eq!(level_of("robot 0/1/1 detected"), 2.0);
-    assert_eq!(level_of("link 0 is down"), 3.0);
-    assert_eq!(level_of("7 inputs are missing"), 4.0);
-    assert_eq!(level_of("moved to a fix"), 3.0);
+    Event::ObservationFused { robot, record }
+}
+
+fn on<'a>(found: &'a [RecordedMessage], topic: &str) -> Vec<&'a RecordedMessage> {
+    found.iter().filter(|found| found.topic == topic).collect()
 }
 
 #[test]
-fn the_truth_stands_where_the_brick_s_clock_was() {
-    let found = one_message_of_each();
-    let at = only(&found, "posebridge/truth").log_time;
-    // 100 ms behind the alignment, by a clock that is a thousandth fast.
-    let since_s = (at - UTC_START_MICROS * 1_000) as f64 * 1e-9;
-    near(since_s, (1e9 + (0.1_f64 / 1.001 * 1e9).round()) * 1e-9);
-    let pose = read(only(&found, "/truth/pose"));
-    near(pose.number("pose.position.y"), 2.0);
+fn the_poses_of_two_robots_are_on_two_topics_and_each_is_thinned_by_itself() {
+    let found = write_messages(SPACING, |writer| {
+        writer.record_event(Timestamp::ZERO, &named()).unwrap();
+        // The second robot comes 10 ms behind the first, and half as often.
+        for n in 0..100 {
+            let now = 10 * n;
+            writer.record_event(Timestamp::from_millis(now), &estimated(robot(), now)).unwrap();
+            if n % 2 == 1 {
+                writer.record_event(Timestamp::from_millis(now), &estimated(left(), now)).unwrap();
+                writer.record_event(Timestamp::from_millis(now), &fused(left())).unwrap();
+            }
+        }
+    });
+    for (topic, expected) in [
+        ("/posebridge/pose", 20),
+        ("/posebridge/odometry", 20),
+        ("posebridge/estimate", 20),
+        ("posebridge/fusion", 0),
+        // It comes every 20 ms, so that every third is due.
+        ("/robots/left/pose", 17),
+        ("/robots/left/odometry", 17),
+        ("/robots/left/ellipse", 17),
+        ("/robots/left/estimate", 17),
+        ("/robots/left/fusion", 17),
+        ("/robots/left/path", 1),
+    ] {
+        assert_eq!(on(&found, topic).len(), expected, "{topic}");
+    }
+}
+
+#[test]
+fn the_path_of_a_robot_has_no_pose_of_another() {
+    let found = write_messages(TimeDelta::ZERO, |writer| {
+        for n in 0..30_i64 {
+            let now = Timestamp::from_millis(100 * n);
+            for (robot, east_m) in [(robot(), 1.0), (left(), 2.0)] {
+                let mut estimate = estimate(100 * n);
+                estimate.pose = Pose::new(Meters(east_m), Meters(0.0), Heading::from_rad(0.0));
+                writer.record_event(now, &Event::EstimateUpdated { robot, estimate }).unwrap();
+            }
+        }
+    });
+    for (topic, east_m) in [("/posebridge/path", 1.0), ("/robots/2_2_1/path", 2.0)] {
+        let paths = on(&found, topic);
+        assert_eq!(paths.len(), 2, "{topic}");
+        assert_eq!(read(paths[1]).numbers("poses.position.x"), [east_m; 21], "{topic}");
+    }
+}
+
+#[test]
+fn the_next_part_goes_on_with_the_topics_of_the_part_before() {
+    let mut state = None;
+    write_messages(TimeDelta::ZERO, |writer| {
+        for event in [named(), estimated(robot(), 0), estimated(left(), 0)] {
+            writer.record_event(Timestamp::ZERO, &event).unwrap();
+        }
+        let fresh = writer_with(TimeDelta::ZERO);
+        state = Some(std::mem::replace(writer, fresh).finish_part().unwrap());
+    });
+    let found = write_messages(TimeDelta::ZERO, |writer| {
+        writer.restore_outputs(state.take().unwrap());
+        writer.record_event(Timestamp::from_millis(10), &estimated(left(), 10)).unwrap();
+    });
+    let topics: BTreeSet<&str> = found.iter().map(|found| found.topic.as_str()).collect();
+    assert!(topics.contains("/robots/left/pose") && !topics.contains("/posebridge/pose"), "{topics:?}");
+}
+
+#[test]
+fn robots_beyond_the_64th_are_counted_and_told_and_their_truth_is_kept() {
+    let robot_of = |system| RobotId { link: LinkId(0), address: Address::new(system, 1) };
+    let found = write_messages(TimeDelta::ZERO, |writer| {
+        for system in 1..=66 {
+            writer.record_event(Timestamp::ZERO, &estimated(robot_of(system), 0)).unwrap();
+        }
+        assert_eq!(writer.skipped_outputs(), 2);
+        let pose = Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(3.0));
+        let robot = Some(robot_of(66));
+        let sample = TruthSample { robot, time: Timestamp::ZERO, pose, odometry: None };
+        writer.record_truth(Timestamp::ZERO, &[sample]).unwrap();
+        assert_eq!(writer.skipped_outputs(), 3);
+    });
+    let poses = found.iter().filter(|found| found.topic.ends_with("/pose"));
+    assert_eq!(poses.map(|found| &found.topic).collect::<BTreeSet<_>>().len(), 64);
+    assert!(read(only(&found, "/log")).text("message").contains("more than 64 robots"));
+    assert_eq!(json(only(&found, "posebridge/truth"))["system"], 66);
 }

@@ -1,4 +1,4 @@
-//! The text that other programs read: event lines, CSV files, and the JSON messages of a recording with their schemas.
+//! What other programs read: event lines, CSV files, and the messages of a recording, JSON with their schemas.
 //!
 //! `tests/data/outputs.txt` has all of it for one set of events. These are contracts: look at a difference before you accept it.
 
@@ -17,8 +17,10 @@ use posebridge_telemetry::{
 use serde_json::Value;
 
 use crate::MemoryFile;
-use crate::events::{estimate, events, fused_event, robot};
-use crate::foxglove::{assert_valid, json, one_message_of_each, write_messages};
+use crate::events::{aligned_event, estimate, events, fused_event, robot};
+use crate::foxglove::{
+    RecordedMessage, UTC_START_MICROS, assert_valid, json, one_message_of_each, read, write_messages,
+};
 
 fn other_robot(system: u8) -> RobotId {
     RobotId { link: LinkId(2), address: Address::new(system, 1) }
@@ -191,18 +193,32 @@ fn what_other_programs_read_is_as_it_was() {
         for event in &all {
             writer.record_event(Timestamp::from_millis(1_100), event).unwrap();
         }
-        writer.record_calibration(Timestamp::ZERO, None, &calibration()).unwrap();
+        for robot in [None, Some(other_robot(3))] {
+            writer.record_calibration(Timestamp::ZERO, robot, &calibration()).unwrap();
+        }
         let pose = Pose::new(Meters(1.0), Meters(2.0), Heading::from_rad(3.0));
         let sample = TruthSample { robot: Some(other_robot(3)), time: Timestamp::ZERO, pose, odometry: Some(pose) };
         writer.record_truth(Timestamp::ZERO, &[sample]).unwrap();
+        // By the robot's own clock, where that is aligned.
+        writer.record_event(Timestamp::ZERO, &aligned_event(other_robot(3), 3_000)).unwrap();
+        let sample = |robot| TruthSample { robot, time: Timestamp::from_millis(5_000), pose, odometry: None };
+        let robots = [Some(robot()), Some(other_robot(3))];
+        writer.record_truth(Timestamp::ZERO, &robots.map(sample)).unwrap();
         writer.record(Timestamp::ZERO, &Input::RobotCommand { robot: robot(), command: Command::ResetPose }).unwrap();
     }));
     let mut by_schema: BTreeMap<(&str, &[u8]), Vec<String>> = BTreeMap::new();
-    for message in messages.iter().filter(|message| message.encoding == "jsonschema") {
-        let schema: Value = serde_json::from_slice(&message.schema_data).unwrap();
-        assert_valid(&json(message), &schema, &message.topic);
-        let text = format!("{}: {}", message.topic, String::from_utf8(message.data.clone()).unwrap());
-        by_schema.entry((&message.schema, &message.schema_data)).or_default().push(text);
+    for message in &messages {
+        let RecordedMessage { topic, schema, .. } = message;
+        if message.encoding == "protobuf" {
+            let since_start = message.log_time - UTC_START_MICROS * 1_000;
+            let line = format!("[{since_start}] {topic}: {}", read(message));
+            by_schema.entry((schema, b"protocol buffers")).or_default().push(line);
+            continue;
+        }
+        let json_schema: Value = serde_json::from_slice(&message.schema_data).unwrap();
+        assert_valid(&json(message), &json_schema, topic);
+        let line = format!("{topic}: {}", String::from_utf8(message.data.clone()).unwrap());
+        by_schema.entry((schema, &message.schema_data)).or_default().push(line);
     }
     for ((name, schema), texts) in by_schema {
         write!(outputs, "\n## {name}\n{}\n{}\n", String::from_utf8_lossy(schema), texts.join("\n")).unwrap();

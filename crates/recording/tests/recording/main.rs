@@ -5,15 +5,11 @@
 mod container;
 mod container_damage;
 mod container_properties;
-mod dataset_bad_rows;
-mod dataset_kinds;
+mod datasets;
 mod dead_reckoning;
-mod descriptor;
 mod events;
 mod foxglove;
-mod foxglove_robots;
 mod golden_outputs;
-mod inline;
 mod protobuf;
 mod published_figures;
 

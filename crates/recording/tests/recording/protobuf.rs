@@ -3,6 +3,8 @@
 //! Source: the protocol buffers' "Encoding" page: a key is `number << 3 | wire type`; 0 varint, 1 eight bytes, 2
 //! counted bytes, 5 four bytes.
 
+use std::fmt;
+
 use prost_types::field_descriptor_proto::Type;
 use prost_types::{DescriptorProto, FileDescriptorSet};
 
@@ -15,10 +17,6 @@ enum FieldValue {
 }
 
 impl DecodedFields {
-    pub(crate) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
     pub(crate) fn numbers(&self, path: &str) -> Vec<f64> {
         let of_path = self.0.iter().filter(|(found, _)| found == path);
         of_path
@@ -29,18 +27,27 @@ impl DecodedFields {
             .collect()
     }
 
-    pub(crate) fn number(&self, path: &str) -> f64 {
-        let numbers = self.numbers(path);
-        assert_eq!(numbers.len(), 1, "{path}: {numbers:?}");
-        numbers[0]
-    }
-
     pub(crate) fn text(&self, path: &str) -> String {
         let leaf = self.0.iter().find(|(found, _)| found == path);
         match leaf {
             Some((_, FieldValue::Text(text))) => text.clone(),
             _ => panic!("{path} is no text"),
         }
+    }
+}
+
+/// Numbers have twelve decimals.
+impl fmt::Display for DecodedFields {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let field = |fields: &[(String, FieldValue)]| {
+            let values = fields.iter().map(|(_, value)| match value {
+                FieldValue::Number(number) => format!("{number:.12}"),
+                FieldValue::Text(text) => format!("{text:?}"),
+            });
+            format!("{}={}", fields[0].0, values.collect::<Vec<_>>().join(","))
+        };
+        let fields = self.0.chunk_by(|(one, _), (next, _)| one == next).map(field);
+        f.write_str(&fields.collect::<Vec<_>>().join(" "))
     }
 }
 

@@ -60,7 +60,6 @@ const TOO_SMALL: Stroke = Stroke::solid(VERMILLION, 2.4);
 const TOO_LARGE: Stroke = Stroke::solid(SKY_BLUE, 2.4);
 const CLAIM_OUTLINE: Stroke = Stroke::solid(INK, 1.2);
 
-/// Returns a whole SVG document.
 pub fn render_accuracy_chart(chart: &AccuracyChart) -> String {
     let axis = decade_range(chart);
     let heights: Vec<f64> = chart
@@ -82,7 +81,7 @@ pub fn render_accuracy_chart(chart: &AccuracyChart) -> String {
         }
         top += height_px;
     }
-    svg.finish()
+    svg.finish(0)
 }
 
 /// The decades that contain every error and claim, at least two.

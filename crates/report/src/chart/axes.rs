@@ -2,6 +2,7 @@
 //!
 //! A logarithmic axis is a linear one whose data are logarithms.
 
+pub(super) use super::svg::FAINT_INK;
 use super::svg::{Anchor, BACKGROUND, PixelPoint, Rect, Stroke, Svg, TextStyle};
 
 const TICK_TEXT_PX: f64 = 12.0;
@@ -100,7 +101,6 @@ impl PlotPanel {
         (self.area.left + along_x * self.area.width, self.area.bottom() - along_y * self.area.height)
     }
 
-    /// Call before drawing the data.
     pub(super) fn draw_grid(&self, svg: &mut Svg, x_ticks: &[Tick], y_ticks: &[Tick]) {
         let style = |anchor| TextStyle { size_px: TICK_TEXT_PX, color: FAINT_INK, anchor, weight: 400 };
         for tick in x_ticks {
@@ -142,29 +142,11 @@ pub(super) fn open_sheet(title: &str, figures: &str, height_px: f64) -> Svg {
     let mut svg = Svg::new(WIDTH_PX, height_px, title);
     let heading = TextStyle { size_px: 19.0, color: INK, anchor: Anchor::Start, weight: 700 };
     let line = TextStyle { size_px: 13.5, color: FAINT_INK, weight: 400, ..heading };
-    svg.text((LEFT_PX, 32.0), &heading, &shorten_title(title));
+    svg.text((LEFT_PX, 32.0), &heading, &truncate(title, TITLE_CHARACTERS));
     svg.text((LEFT_PX, 54.0), &line, figures);
     svg
 }
 
-pub(super) fn close_figure(svg: Svg, height_px: f64, dropped: usize) -> String {
-    close_at(svg, WIDTH_PX, height_px, dropped)
-}
-
-pub(super) fn close_at(mut svg: Svg, width_px: f64, height_px: f64, dropped: usize) -> String {
-    if dropped > 0 {
-        let style = TextStyle { size_px: 12.0, color: FAINT_INK, anchor: Anchor::End, weight: 400 };
-        let note = format!("left out: {dropped} values that are not finite or out of reach");
-        svg.text((width_px - 20.0, height_px - 8.0), &style, &note);
-    }
-    svg.finish()
-}
-
-fn shorten_title(title: &str) -> String {
-    truncate(title, TITLE_CHARACTERS)
-}
-
-/// Longer texts end in an ellipsis.
 pub(super) fn truncate(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();
@@ -204,13 +186,17 @@ impl LegendEntry {
 }
 
 pub(super) fn draw_legend(svg: &mut Svg, top_left: PixelPoint, entries: &[LegendEntry]) {
-    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
-    let (left, mut y) = (top_left.0, top_left.1 + ROW_PX / 2.0);
+    let mut y = top_left.1 + ROW_PX / 2.0;
     for entry in entries {
-        draw_sample(svg, (left, y), entry.mark);
-        svg.text((left + SAMPLE_PX + 10.0, y + 4.5), &style, &entry.label);
+        draw_entry(svg, (top_left.0, y), 10.0, entry);
         y += ROW_PX;
     }
+}
+
+fn draw_entry(svg: &mut Svg, at: PixelPoint, gap_px: f64, entry: &LegendEntry) {
+    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
+    draw_sample(svg, at, entry.mark);
+    svg.text((at.0 + SAMPLE_PX + gap_px, at.1 + 4.5), &style, &entry.label);
 }
 
 fn draw_sample(svg: &mut Svg, at: PixelPoint, mark: LegendMark) {
@@ -236,12 +222,8 @@ fn draw_sample(svg: &mut Svg, at: PixelPoint, mark: LegendMark) {
 
 /// Draws the entries from left to right, with a line break where the next does not fit; returns the height of all rows.
 pub(super) fn draw_legend_rows(svg: &mut Svg, top_left: PixelPoint, width_px: f64, entries: &[LegendEntry]) -> f64 {
-    let style = TextStyle { size_px: 13.0, color: INK, anchor: Anchor::Start, weight: 400 };
     for (entry, (right, down)) in entries.iter().zip(entry_positions(width_px, entries)) {
-        let (left, y) = (top_left.0 + right, top_left.1 + down);
-        draw_sample(svg, (left, y), entry.mark);
-        let text = (left + SAMPLE_PX + TEXT_GAP_PX, y + 4.5);
-        svg.text(text, &style, &entry.label);
+        draw_entry(svg, (top_left.0 + right, top_left.1 + down), TEXT_GAP_PX, entry);
     }
     legend_height_px(width_px, entries)
 }
@@ -288,7 +270,6 @@ pub(super) const VERMILLION: &str = "#D55E00";
 pub(super) const REDDISH_PURPLE: &str = "#CC79A7";
 
 pub(super) const INK: &str = "#222222";
-pub(super) const FAINT_INK: &str = "#666666";
 
 pub(super) const GRID: Stroke = Stroke::solid("#E6E6E6", 1.0);
 pub(super) const BORDER: Stroke = Stroke::solid("#888888", 1.0);
@@ -355,8 +336,7 @@ mod tests {
 
     #[test]
     fn a_long_title_is_cut_between_characters() {
-        let title = "ä".repeat(200);
-        assert_eq!(shorten_title(&title).chars().count(), TITLE_CHARACTERS);
-        assert_eq!(shorten_title("short"), "short");
+        assert_eq!(truncate(&"ä".repeat(200), 72).chars().count(), 72);
+        assert_eq!(truncate("short", 72), "short");
     }
 }

@@ -36,7 +36,7 @@ type Series = Vec<Vec<(f64, f64)>>;
 pub(super) fn render(layers: &RunLayers<'_>) -> String {
     let mut svg = open_figure(layers, HEIGHT_PX);
     let dropped = draw(&mut svg, AREA, AREA.right() + 22.0, layers);
-    axes::close_figure(svg, HEIGHT_PX, dropped)
+    svg.finish(dropped)
 }
 
 /// Draws the panel with its legend; returns the number of omitted values.

@@ -34,7 +34,6 @@ pub struct RunLayers<'a> {
     pub fixes: &'a [FixMark],
 }
 
-/// An empty sheet with the title of a run and its key figures.
 pub(super) fn open_figure(layers: &RunLayers<'_>, height_px: f64) -> Svg {
     open_sheet(layers.title, &key_figures(layers), height_px)
 }
@@ -190,12 +189,10 @@ fn was_used(verdict: FusionOutcome) -> bool {
     matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset)
 }
 
-/// Finite and within the coordinate limit.
 pub(super) fn is_drawable(point: Point2<Arena>) -> bool {
     point.x.0.abs() <= MAX_COORDINATE_M && point.y.0.abs() <= MAX_COORDINATE_M
 }
 
-/// Points closer than this to the last drawn one are skipped.
 const NEAR_PX: f64 = 0.3;
 
 /// Drops points closer than 0.3 pixels to the last kept one; the first and the last always stay.
@@ -249,7 +246,6 @@ pub(super) fn downsample_by_deviation(points: &[PixelPoint], tolerance_px: f64) 
 
 const CHUNK_POINTS: usize = 512;
 
-/// The first, the last, and the points between them that are needed.
 fn simplify(points: &[PixelPoint], tolerance_px: f64) -> Vec<PixelPoint> {
     let last = points.len().saturating_sub(1);
     let mut needed = vec![false; points.len()];

@@ -25,7 +25,6 @@ pub use posebridge_telemetry::Ellipse;
 pub struct Figure {
     pub name: &'static str,
     pub doc: &'static str,
-    /// Returns a whole SVG document.
     pub render: fn(&RunLayers<'_>) -> String,
 }
 

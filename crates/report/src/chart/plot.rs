@@ -10,7 +10,6 @@ use super::axes::{
 use super::layers::{MAX_COORDINATE_M, downsample_by_deviation, downsample_path, downsample_series};
 use super::svg::{PixelPoint, Rect, Stroke, Svg};
 
-/// Space above the first panel, for the title.
 const TOP_PX: f64 = 70.0;
 /// Space below each panel, for its ticks and the name of its axis.
 const FOOT_PX: f64 = 62.0;
@@ -70,7 +69,6 @@ impl Axes {
         Self { x_name: x_name.into(), y_name: y_name.into(), height_px, curves, ..Self::default() }
     }
 
-    /// Equal scales in x and y, as on a map.
     pub fn with_equal_scales(self) -> Self {
         Self { scaling: AxisScaling::Equal, ..self }
     }
@@ -156,7 +154,6 @@ pub(super) const fn curve_stroke(index: usize) -> &'static Stroke {
     &STROKES[index % STROKES.len()]
 }
 
-/// Returns a whole SVG document.
 pub fn render_plot(plot: &Plot) -> String {
     let heights = plot.axes.iter().map(|axes| axes.height_px + FOOT_PX);
     let height_px = TOP_PX + heights.sum::<f64>();
@@ -168,7 +165,7 @@ pub fn render_plot(plot: &Plot) -> String {
         dropped += draw_axes(&mut svg, area, axes);
         top += axes.height_px + FOOT_PX;
     }
-    axes::close_figure(svg, height_px, dropped)
+    svg.finish(dropped)
 }
 
 /// Draws one panel with its legend; returns the number of omitted values.

@@ -47,7 +47,7 @@ pub(super) fn render_strip(title: &str, panels: &[Axes]) -> String {
     let middle = LEFT_PX + inner_px() / 2.0;
     let x_name = panels.last().map_or("time [s]", |panel| &panel.x_name);
     svg.text((middle, top + 6.0), &style, x_name);
-    axes::close_at(svg, WIDTH_PX, height_px, dropped)
+    svg.finish(dropped)
 }
 
 const fn inner_px() -> f64 {

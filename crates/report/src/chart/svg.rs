@@ -9,12 +9,12 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::fmt::Write as _;
 
-use crate::markup::Escaped;
+use crate::page::Escaped;
 
-/// Pixels from the top left.
 pub(super) type PixelPoint = (f64, f64);
 
 pub(super) const BACKGROUND: &str = "#FFFFFF";
+pub(super) const FAINT_INK: &str = "#666666";
 
 /// Size of the cell that a small dot fills.
 const SPECK_RADIUS_PX: f64 = 1.6;
@@ -83,32 +83,29 @@ pub(super) struct TextStyle {
 #[derive(Debug)]
 pub(super) struct Svg {
     text: String,
+    /// Width and height.
+    size_px: (f64, f64),
     clips: usize,
 }
 
 impl Svg {
     /// An empty picture on white paper; screen readers read `title`.
     pub(super) fn new(width_px: f64, height_px: f64, title: &str) -> Self {
-        let mut svg = Self { text: String::new(), clips: 0 };
+        let mut svg = Self { text: String::new(), size_px: (width_px, height_px), clips: 0 };
+        let title = Escaped(title);
         svg.write(format_args!(
-            concat!(
-                r#"<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}" viewBox="0 0 {w} {h}" "#,
-                r#"role="img" font-family="Helvetica, Arial, 'DejaVu Sans', sans-serif">"#,
-                "\n<title>{title}</title>\n",
-                "<rect width=\"{w}\" height=\"{h}\" fill=\"{paper}\"/>\n",
-            ),
-            w = width_px,
-            h = height_px,
-            title = Escaped(title),
-            paper = BACKGROUND,
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\" \
+             viewBox=\"0 0 {width_px} {height_px}\" role=\"img\" \
+             font-family=\"Helvetica, Arial, 'DejaVu Sans', sans-serif\">\n<title>{title}</title>\n\
+             <rect width=\"{width_px}\" height=\"{height_px}\" fill=\"{BACKGROUND}\"/>\n"
         ));
         svg
     }
 
     pub(super) fn rect(&mut self, rect: &Rect, stroke: &Stroke) {
+        let Rect { left, top, width, height } = rect;
         self.write(format_args!(
-            "<rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"none\" {stroke}/>\n",
-            rect.left, rect.top, rect.width, rect.height
+            "<rect x=\"{left:.2}\" y=\"{top:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" fill=\"none\" {stroke}/>\n"
         ));
     }
 
@@ -137,7 +134,6 @@ impl Svg {
         }
     }
 
-    /// A filled disc with an optional outline.
     pub(super) fn disc(&mut self, center: PixelPoint, radius_px: f64, fill: &str, stroke: Option<&Stroke>) {
         if is_finite(&center) {
             let outline = stroke.map(Stroke::to_string).unwrap_or_default();
@@ -194,20 +190,22 @@ impl Svg {
     pub(super) fn clip(&mut self, rect: &Rect, id: &str, draw: impl FnOnce(&mut Self)) {
         self.clips += 1;
         let clip = self.clips;
+        let Rect { left, top, width, height } = rect;
         self.write(format_args!(
-            concat!(
-                "<clipPath id=\"clip{clip}\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\"/></clipPath>\n",
-                "<g id=\"{id}\" clip-path=\"url(#clip{clip})\">\n",
-            ),
-            rect.left, rect.top, rect.width, rect.height,
-            clip = clip,
-            id = id,
+            "<clipPath id=\"clip{clip}\"><rect x=\"{left:.2}\" y=\"{top:.2}\" width=\"{width:.2}\" height=\"{height:.2}\"/>\
+             </clipPath>\n<g id=\"{id}\" clip-path=\"url(#clip{clip})\">\n"
         ));
         draw(self);
         self.write(format_args!("</g>\n"));
     }
 
-    pub(super) fn finish(mut self) -> String {
+    /// Ends the document, with a note about omitted values.
+    pub(super) fn finish(mut self, dropped: usize) -> String {
+        if dropped > 0 {
+            let style = TextStyle { size_px: 12.0, color: FAINT_INK, anchor: Anchor::End, weight: 400 };
+            let note = format!("left out: {dropped} values that are not finite or out of reach");
+            self.text((self.size_px.0 - 20.0, self.size_px.1 - 8.0), &style, &note);
+        }
         self.write(format_args!("</svg>\n"));
         self.text
     }
@@ -218,19 +216,11 @@ impl Svg {
             Anchor::Middle => "middle",
             Anchor::End => "end",
         };
+        let TextStyle { size_px, color, weight, .. } = style;
+        let ((x, y), text) = (at, Escaped(text));
         self.write(format_args!(
-            concat!(
-                "<text x=\"{:.2}\" y=\"{:.2}\" font-size=\"{}\" font-weight=\"{}\" fill=\"{}\" ",
-                "text-anchor=\"{}\"{}>{}</text>\n",
-            ),
-            at.0,
-            at.1,
-            style.size_px,
-            style.weight,
-            style.color,
-            anchor,
-            turn,
-            Escaped(text)
+            "<text x=\"{x:.2}\" y=\"{y:.2}\" font-size=\"{size_px}\" font-weight=\"{weight}\" fill=\"{color}\" \
+             text-anchor=\"{anchor}\"{turn}>{text}</text>\n"
         ));
     }
 
@@ -284,7 +274,7 @@ mod tests {
         let stroke = Stroke::solid("#000000", 1.0);
         svg.polyline(&[(0.0, 0.0), (f64::NAN, 1.0)], &stroke);
         svg.disc((f64::INFINITY, 0.0), 2.0, "#000000", None);
-        let text = svg.finish();
+        let text = svg.finish(0);
         assert!(!text.contains("polyline") && !text.contains("circle"), "{text}");
     }
 
@@ -293,7 +283,7 @@ mod tests {
         let draw = |points: &[PixelPoint]| {
             let mut svg = Svg::new(10.0, 10.0, "t");
             svg.specks(points, "#000000");
-            svg.finish()
+            svg.finish(0)
         };
         let one = draw(&[(2.0, 2.0), (2.1, 2.2), (f64::NAN, 1.0)]);
         assert!(one.contains("d=\"M2.4 2.4V2.4\""), "{one}");

@@ -35,7 +35,7 @@ pub(super) fn render(layers: &RunLayers<'_>) -> String {
     }
     axes::draw_legend(&mut svg, (LEGEND_LEFT_PX, MAP.top), &entries(&drawable));
     let error_dropped = error::draw(&mut svg, ERRORS, LEGEND_LEFT_PX, layers);
-    axes::close_figure(svg, HEIGHT_PX, drawable.dropped + error_dropped)
+    svg.finish(drawable.dropped + error_dropped)
 }
 
 fn draw_map(svg: &mut Svg, map: &PlotPanel, drawable: &DrawableLayers) {
@@ -114,7 +114,6 @@ fn to_pixels(panel: &PlotPanel, points: &[Point2<Arena>]) -> Vec<PixelPoint> {
     points.iter().map(|point| panel.to_pixels(point.x.0, point.y.0)).collect()
 }
 
-/// One entry for each layer present.
 fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
     let used = drawable.used_fixes.len();
     let refused = drawable.rejected_fixes.len();

@@ -6,7 +6,7 @@
 //!
 //! Source: Bar-Shalom, Li, Kirubarajan (2001), section 5.4.2.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt;
 
 use nalgebra::{Matrix3, Vector3};
@@ -73,10 +73,8 @@ impl Consistency {
         if anees.refused > 0 {
             return Self::OverConfident;
         }
-        match (anees.value, ConsistencyBand::of_runs(runs)) {
-            (Some(value), Some(band)) => band.classify(value),
-            (None, _) | (_, None) => Self::Undetermined,
-        }
+        let value = anees.value.zip(ConsistencyBand::of_runs(runs));
+        value.map_or(Self::Undetermined, |(value, band)| band.classify(value))
     }
 
     pub const fn as_text(self) -> &'static str {
@@ -170,8 +168,7 @@ pub struct SourceTally {
     pub reset_to: u64,
     /// Of a kind that the filter does not use.
     pub unused: u64,
-    nis_sum: f64,
-    degrees_of_freedom: u64,
+    nis: NisMean,
 }
 
 impl SourceTally {
@@ -196,8 +193,7 @@ impl SourceTally {
             rebased: 0,
             reset_to: 0,
             unused: 0,
-            nis_sum: 0.0,
-            degrees_of_freedom: 0,
+            nis: NisMean { sum: 0.0, degrees_of_freedom: 0 },
         }
     }
 
@@ -208,8 +204,7 @@ impl SourceTally {
                 self.used += 1;
                 self.slip += u64::from(record.outcome == FusionOutcome::Slip);
                 if record.nis.is_finite() {
-                    self.nis_sum += record.nis;
-                    self.degrees_of_freedom += u64::from(record.degrees_of_freedom);
+                    self.nis.add(record.nis, record.degrees_of_freedom.into());
                 }
             }
             FusionOutcome::Gated => self.gated += 1,
@@ -230,18 +225,17 @@ impl SourceTally {
         self.rebased += other.rebased;
         self.reset_to += other.reset_to;
         self.unused += other.unused;
-        self.nis_sum += other.nis_sum;
-        self.degrees_of_freedom += other.degrees_of_freedom;
+        self.nis.add(other.nis.sum, other.nis.degrees_of_freedom);
     }
 
     /// Mean normalised innovation squared per degree of freedom of the used observations; `None` before the first prediction. Gated
     /// ones are excluded, so with a gate at 99.9 % a consistent sensor has 0.99 rather than 1.
     pub fn mean_nis_per_dof(&self) -> Option<f64> {
-        mean_per_degree(self.nis_sum, self.degrees_of_freedom)
+        self.nis.mean_per_degree()
     }
 
     pub const fn degrees_of_freedom(&self) -> u64 {
-        self.degrees_of_freedom
+        self.nis.degrees_of_freedom
     }
 
     /// Share of rejected observations among those that reached the gate; `None` if none did.
@@ -252,45 +246,63 @@ impl SourceTally {
 
     /// Whether the sensor's noise matches the filter's configuration.
     pub fn consistency(&self) -> Consistency {
-        let band = ConsistencyBand::of_mean(self.degrees_of_freedom);
-        match (self.mean_nis_per_dof(), band) {
-            (Some(mean), Some(band)) => band.classify(mean),
-            (None, _) | (_, None) => Consistency::Undetermined,
-        }
+        self.nis.consistency()
     }
 }
 
-fn mean_per_degree(nis_sum: f64, degrees_of_freedom: u64) -> Option<f64> {
-    (degrees_of_freedom > 0).then(|| nis_sum / degrees_of_freedom as f64)
+/// Mean of normalised innovations squared over their degrees of freedom.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct NisMean {
+    pub(super) sum: f64,
+    pub(super) degrees_of_freedom: u64,
+}
+
+impl NisMean {
+    pub(super) const fn add(&mut self, nis: f64, degrees_of_freedom: u64) {
+        self.sum += nis;
+        self.degrees_of_freedom += degrees_of_freedom;
+    }
+
+    /// 1 if the claims are consistent; `None` without samples.
+    pub(super) fn mean_per_degree(self) -> Option<f64> {
+        (self.degrees_of_freedom > 0).then(|| self.sum / self.degrees_of_freedom as f64)
+    }
+
+    fn consistency(self) -> Consistency {
+        let band = ConsistencyBand::of_mean(self.degrees_of_freedom);
+        let mean = self.mean_per_degree().zip(band);
+        mean.map_or(Consistency::Undetermined, |(mean, band)| band.classify(mean))
+    }
+}
+
+/// The tally of a sensor; a new sensor is appended.
+fn tally_of(tallies: &mut Vec<SourceTally>, sensor: SensorId) -> &mut SourceTally {
+    let known = tallies.iter().position(|tally| tally.sensor == sensor);
+    let index = known.unwrap_or_else(|| {
+        tallies.push(SourceTally::new(sensor));
+        tallies.len() - 1
+    });
+    &mut tallies[index]
 }
 
 /// Counts one record with its sensor; tallies are in the order of the sensors' first records.
 pub fn add_to_tallies(tallies: &mut Vec<SourceTally>, record: &FusionRecord) {
-    let known = tallies.iter_mut().find(|tally| tally.sensor == record.sensor);
-    if let Some(tally) = known {
-        tally.add(record);
-    } else {
-        let mut tally = SourceTally::new(record.sensor);
-        tally.add(record);
-        tallies.push(tally);
-    }
+    tally_of(tallies, record.sensor).add(record);
 }
 
-/// Adds a tally to that of its sensor; a new sensor is appended.
+/// Adds a tally to that of its sensor.
 pub fn merge_tally(tallies: &mut Vec<SourceTally>, tally: &SourceTally) {
-    match tallies.iter_mut().find(|known| known.sensor == tally.sensor) {
-        Some(known) => known.merge(tally),
-        None => tallies.push(*tally),
-    }
+    tally_of(tallies, tally.sensor).merge(tally);
 }
 
 /// One tally per sensor in the records, in the order of the sensor ids.
 pub fn tally_sources<'a>(records: impl IntoIterator<Item = &'a FusionRecord>) -> Vec<SourceTally> {
-    let mut tallies = BTreeMap::new();
+    let mut tallies = Vec::new();
     for record in records {
-        tallies.entry(record.sensor).or_insert(SourceTally::new(record.sensor)).add(record);
+        add_to_tallies(&mut tallies, record);
     }
-    tallies.into_values().collect()
+    tallies.sort_unstable_by_key(|tally| tally.sensor);
+    tallies
 }
 
 // Whether the latest innovations of one source fit the claims: for live views.
@@ -322,22 +334,17 @@ impl RecentNis {
 
     /// 1 if the claims are consistent; `None` without samples.
     pub fn mean_per_degree(&self) -> Option<f64> {
-        let degrees = self.degrees_of_freedom();
-        let sum: f64 = self.latest.iter().map(|(nis, _)| nis).sum();
-        (degrees > 0).then(|| sum / degrees as f64)
+        self.mean().mean_per_degree()
     }
 
-    /// Whether the mean lies in the 95 % band.
     pub fn consistency(&self) -> Consistency {
-        let band = ConsistencyBand::of_mean(self.degrees_of_freedom());
-        match (self.mean_per_degree(), band) {
-            (Some(mean), Some(band)) => band.classify(mean),
-            (None, _) | (_, None) => Consistency::Undetermined,
-        }
+        self.mean().consistency()
     }
 
-    fn degrees_of_freedom(&self) -> u64 {
-        self.latest.iter().map(|(_, degrees)| degrees).sum()
+    fn mean(&self) -> NisMean {
+        let mut mean = NisMean::default();
+        self.latest.iter().for_each(|(nis, degrees)| mean.add(*nis, *degrees));
+        mean
     }
 }
 

@@ -25,7 +25,7 @@ use std::fmt;
 
 use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
-use super::consistency::{Consistency, ConsistencyBand};
+use super::consistency::{Consistency, ConsistencyBand, NisMean};
 
 /// Fewer independent degrees of freedom do not suffice for a verdict: their band reaches from half to 1.7.
 const MIN_DEGREES: f64 = 20.0;
@@ -45,8 +45,7 @@ const MAX_CORRELATION: f64 = 0.999;
 pub struct InnovationTest {
     used: u64,
     gated: u64,
-    nis_sum: f64,
-    degrees_of_freedom: u64,
+    nis: NisMean,
     /// e of the previous record.
     last: Option<[Option<f64>; 3]>,
     pairs: u64,
@@ -62,8 +61,7 @@ impl InnovationTest {
             FusionOutcome::Accepted | FusionOutcome::Slip => {
                 self.used += 1;
                 if record.nis.is_finite() && record.degrees_of_freedom > 0 {
-                    self.nis_sum += record.nis;
-                    self.degrees_of_freedom += u64::from(record.degrees_of_freedom);
+                    self.nis.add(record.nis, record.degrees_of_freedom.into());
                     self.add_innovation(record);
                 }
             }
@@ -91,11 +89,11 @@ impl InnovationTest {
 
     /// `None` before the first prediction.
     pub fn mean_nis_per_dof(&self) -> Option<f64> {
-        (self.degrees_of_freedom > 0).then(|| self.nis_sum / self.degrees_of_freedom as f64)
+        self.nis.mean_per_degree()
     }
 
     pub const fn degrees_of_freedom(&self) -> u64 {
-        self.degrees_of_freedom
+        self.nis.degrees_of_freedom
     }
 
     /// Correlation of successive innovations; `None` for fewer than two.
@@ -108,7 +106,7 @@ impl InnovationTest {
         let correlation = self.correlation();
         let rho = correlation.unwrap_or(0.0).abs().min(MAX_CORRELATION);
         let spread = (1.0 + rho * rho) / (1.0 - rho * rho);
-        let independent = self.degrees_of_freedom as f64 / spread;
+        let independent = self.nis.degrees_of_freedom as f64 / spread;
         let mean = self.mean_nis_per_dof();
         let band = ConsistencyBand::of_mean(independent as u64);
         let finding = match (mean, band) {
@@ -119,7 +117,7 @@ impl InnovationTest {
         InnovationVerdict {
             finding,
             mean_nis_per_dof: mean,
-            degrees_of_freedom: self.degrees_of_freedom,
+            degrees_of_freedom: self.nis.degrees_of_freedom,
             band: band.filter(|_| finding != InnovationFinding::TooFew),
             correlation,
             correlation_bound: (self.pairs > 0).then(|| NORMAL_95 / (self.pairs as f64).sqrt()),
@@ -161,13 +159,10 @@ fn classify_mean(mean: f64, band: ConsistencyBand) -> InnovationFinding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InnovationFinding {
     TooFew,
-    /// As large as claimed.
     Consistent,
     /// Deviates significantly, but too little to matter.
     NearlyConsistent,
-    /// Larger than claimed.
     OverConfident,
-    /// Smaller than claimed.
     UnderConfident,
 }
 

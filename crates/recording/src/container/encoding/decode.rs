@@ -7,6 +7,7 @@ use posebridge_telemetry::{
     SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
 };
 
+use super::super::fields::ByteReader;
 use super::{
     CHECKSUM_BYTES, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command, fix_flag, kind, simulator,
     tag,
@@ -23,62 +24,19 @@ pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Re
     if i64::try_from(position.log_time).is_err() {
         return Err(DecodeError::Time(position.log_time));
     }
-    let mut cursor = InputDecoder::new(body);
-    let version = cursor.u8()?;
+    let mut reader = ByteReader { remaining: body };
+    let version = reader.u8()?;
     if !(OLDEST_VERSION..=NEWEST_VERSION).contains(&version) {
         return Err(DecodeError::Version(version));
     }
-    let input = cursor.input()?;
-    match cursor.remaining() {
+    let input = reader.input()?;
+    match reader.remaining.len() {
         0 => Ok(input),
         left => Err(DecodeError::TooLong(left)),
     }
 }
 
-struct InputDecoder<'a> {
-    bytes: &'a [u8],
-}
-
-impl<'a> InputDecoder<'a> {
-    const fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes }
-    }
-
-    const fn remaining(&self) -> usize {
-        self.bytes.len()
-    }
-
-    fn read_bytes<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
-        let (head, rest) =
-            self.bytes.split_first_chunk::<N>().ok_or(DecodeError::TooShort { wanted: N, left: self.bytes.len() })?;
-        self.bytes = rest;
-        Ok(*head)
-    }
-
-    fn u8(&mut self) -> Result<u8, DecodeError> {
-        self.read_bytes::<1>().map(|[byte]| byte)
-    }
-
-    fn u16(&mut self) -> Result<u16, DecodeError> {
-        self.read_bytes().map(u16::from_le_bytes)
-    }
-
-    fn u32(&mut self) -> Result<u32, DecodeError> {
-        self.read_bytes().map(u32::from_le_bytes)
-    }
-
-    fn i64(&mut self) -> Result<i64, DecodeError> {
-        self.read_bytes().map(i64::from_le_bytes)
-    }
-
-    fn f64(&mut self) -> Result<f64, DecodeError> {
-        self.read_bytes().map(f64::from_le_bytes)
-    }
-
-    fn u64(&mut self) -> Result<u64, DecodeError> {
-        self.read_bytes().map(u64::from_le_bytes)
-    }
-
+impl<'a> ByteReader<'a> {
     fn counts(&mut self) -> Result<LinkCounts, DecodeError> {
         Ok(LinkCounts {
             bytes_out: self.u64()?,
@@ -110,12 +68,12 @@ impl<'a> InputDecoder<'a> {
             tag::BYTES => Input::Bytes {
                 link: LinkId(self.u16()?),
                 peer: PeerId::default(),
-                bytes: std::mem::take(&mut self.bytes).to_vec(),
+                bytes: std::mem::take(&mut self.remaining).to_vec(),
             },
             tag::PEER_BYTES => Input::Bytes {
                 link: LinkId(self.u16()?),
                 peer: PeerId(self.u32()?),
-                bytes: std::mem::take(&mut self.bytes).to_vec(),
+                bytes: std::mem::take(&mut self.remaining).to_vec(),
             },
             tag::PORT => Input::Port { link: LinkId(self.u16()?), counts: self.counts()? },
             tag::LINK => Input::Link {
@@ -180,7 +138,7 @@ impl<'a> InputDecoder<'a> {
     }
 
     fn remaining_text(&mut self, what: &'static str) -> Result<&'a str, DecodeError> {
-        let rest = std::mem::take(&mut self.bytes);
+        let rest = std::mem::take(&mut self.remaining);
         std::str::from_utf8(rest).map_err(|_invalid| DecodeError::Text(what))
     }
 

@@ -94,7 +94,6 @@ mod fix_flag {
     pub(super) const ALL: u8 = HEADING | COVARIANCE;
 }
 
-/// Why a message is not a valid input.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {

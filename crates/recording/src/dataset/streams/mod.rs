@@ -5,7 +5,6 @@
 
 pub(super) mod positions;
 pub(super) mod sensors;
-pub(super) mod wheels;
 
 use super::run::{BadRowReason, RowError};
 use super::table::TableRow;

@@ -13,7 +13,6 @@ use super::super::schema::{Fixes, Odometer, TagPosition, Truth};
 use super::super::table::{BoundColumn, DatasetTable, TableRow};
 use super::{RowReader, TimeStep};
 
-/// Two columns of a point.
 enum PositionColumns {
     /// In the arena.
     Plane { x: BoundColumn<Length>, y: BoundColumn<Length> },

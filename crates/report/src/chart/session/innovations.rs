@@ -23,7 +23,6 @@ const ABOVE_AXIS_FACTOR: f64 = 1.12;
 const HEIGHT_PX: f64 = 105.0;
 const NIS_HEIGHT_PX: f64 = 130.0;
 
-/// Returns a whole SVG document.
 pub fn render_innovations(series: &InnovationSeries<'_>) -> String {
     let degrees = most_common_degrees(series.samples);
     let names = components(series.kind);
