@@ -9,6 +9,7 @@ use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Calibration;
 use serde_json::{Map, Value, json};
 
+use super::path::PathDataset;
 use crate::config::RobotFile;
 
 const MAX_PLOTTED_RUNS: usize = 3;
@@ -18,9 +19,7 @@ const UNEXPLAINED: f64 = 100.0;
 const ROUGH: f64 = 4.0;
 
 pub(super) struct PathCalibrationResult {
-    pub(super) recording: String,
-    pub(super) reference: &'static str,
-    pub(super) robot: RobotFile,
+    pub(super) dataset: PathDataset,
     pub(super) calibrated: RobotFile,
     pub(super) residual: Calibration,
     pub(super) fit: PathCalibration,
@@ -30,20 +29,21 @@ pub(super) struct PathCalibrationResult {
 
 pub(super) struct RunComparison {
     pub(super) path: FreePath,
-    pub(super) before: DeadReckonedPath,
-    pub(super) after: DeadReckonedPath,
+    /// Before and after the calibration.
+    pub(super) reckoned: [DeadReckonedPath; 2],
 }
 
 impl RunComparison {
-    pub(super) const fn errors(&self) -> [DeadReckoningError; 2] {
-        [self.before.error, self.after.error]
+    fn errors(&self) -> [DeadReckoningError; 2] {
+        self.reckoned.each_ref().map(|path| path.error)
     }
 }
 
 impl PathCalibrationResult {
     pub(super) fn report(&self) -> Report {
-        let mut report = Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.recording));
-        report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.reference));
+        let mut report =
+            Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.dataset.recording));
+        report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.dataset.reference));
         report.background("docs/lab/calibration.md says what the numbers mean.");
         let findings = self.findings();
         for finding in &findings {
@@ -58,8 +58,8 @@ impl PathCalibrationResult {
             let caption = format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name);
             report.chart(&plot(run), caption);
         }
-        report.data("recording", json!(self.recording));
-        report.data("against", json!(self.reference));
+        report.data("recording", json!(self.dataset.recording));
+        report.data("against", json!(self.dataset.reference));
         report.data("sanity", self.sanity());
         report.data("findings", json!(findings));
         report.data("runs", self.runs.iter().map(run_json).collect());
@@ -75,7 +75,7 @@ impl PathCalibrationResult {
             .number("", "before", signed, |entry| Some(entry.before.value))
             .number("", "found", signed, |entry| Some(entry.after.value))
             .number("", "sigma", plain, |entry| Some(entry.after.sigma))
-            .text("", "standing", |entry| status_text(entry.status).to_owned());
+            .text("", "standing", |entry| status_names(entry.status)[0].to_owned());
         report.heading("Numbers");
         report.table("", &table);
         let has = |status| entries.iter().any(|entry| entry.status == status);
@@ -90,7 +90,7 @@ impl PathCalibrationResult {
                 "before": entry.before.value,
                 "value": entry.after.value,
                 "sigma": entry.after.sigma,
-                "standing": status_key(entry.status),
+                "standing": status_names(entry.status)[1],
             });
             (entry.unknown.key().to_owned(), object)
         });
@@ -107,7 +107,7 @@ impl PathCalibrationResult {
     }
 
     fn add_geometry(&self, report: &mut Report) {
-        let (before, after) = (&self.robot, &self.calibrated);
+        let (before, after) = (&self.dataset.robot, &self.calibrated);
         let rows = [
             ("left wheel radius", before.left_wheel_radius_m, after.left_wheel_radius_m),
             ("right wheel radius", before.right_wheel_radius_m, after.right_wheel_radius_m),
@@ -142,7 +142,7 @@ impl PathCalibrationResult {
         let sanity = self.fit.hypothesis_test.as_ref().map(|sanity| {
             json!({
                 "is_sound": sanity.is_sound(),
-                "wiring": sanity.found.wiring.name(),
+                "wiring": format!("{:?}", sanity.found.wiring),
                 "track_factor": sanity.found.track_factor,
                 "travel_factor": sanity.found.travel_factor,
                 "described_rms_m": sanity.described_rms_m,
@@ -162,23 +162,18 @@ impl PathCalibrationResult {
                 self.fit.consistency
             ));
         }
-        findings.extend(self.sanity_warnings());
-        findings
-    }
-
-    fn sanity_warnings(&self) -> Vec<String> {
-        let mut findings = Vec::new();
         let Some(sanity) = &self.fit.hypothesis_test else {
             return findings;
         };
+        let before = findings.len();
         let found = sanity.found;
         if let Some(wiring) = wiring_text(found.wiring) {
-            findings.push(wiring.to_owned());
+            findings.push(wiring);
         }
         if found.track_factor != 1.0 {
             findings.push(format!(
                 "`robot.track_width_m` is {} and fits {} times that: {}; write about {:.4}",
-                self.robot.track_width_m,
+                self.dataset.robot.track_width_m,
                 found.track_factor,
                 if found.track_factor > 1.0 {
                     "it is half the distance between the wheels"
@@ -192,11 +187,11 @@ impl PathCalibrationResult {
             findings.push(format!(
                 "a count moves the wheels by {} times what `robot.ticks_per_turn` = {} and the radii say: write ticks_per_turn = {} (a quadrature decoder counts 1, 2 or 4 times) or mend the radii (radius or diameter?)",
                 found.travel_factor,
-                self.robot.ticks_per_turn,
-                self.robot.ticks_per_turn / found.travel_factor
+                self.dataset.robot.ticks_per_turn,
+                self.dataset.robot.ticks_per_turn / found.travel_factor
             ));
         }
-        if !findings.is_empty() {
+        if findings.len() > before {
             findings.push(format!(
                 "the way fits to {:.0} mm then and to {:.0} mm as described (ln L {:+.0}, {} descriptions compared)",
                 1e3 * sanity.found_rms_m,
@@ -209,45 +204,41 @@ impl PathCalibrationResult {
     }
 }
 
-const fn wiring_text(wiring: Wiring) -> Option<&'static str> {
-    match wiring {
-        Wiring::AsGiven => None,
-        Wiring::Swapped => Some(
-            "the wheels are swapped: what is called left is the right one (or the track has the wrong sign); exchange `left` and `right` of the stream in the descriptor, or the two plugs on the brick",
-        ),
-        Wiring::BothReversed => Some(
-            "both wheels count backwards: give both columns `scale = -1` in the descriptor, or turn the motors' direction round on the brick",
-        ),
-        Wiring::LeftReversed => Some(
-            "the left wheel counts backwards: give its column `scale = -1` in the descriptor, or turn its direction round on the brick",
-        ),
-        Wiring::RightReversed => Some(
-            "the right wheel counts backwards: give its column `scale = -1` in the descriptor, or turn its direction round on the brick",
-        ),
-        Wiring::SwappedLeftReversed => Some(
-            "the wheels are swapped, and what is called left counts backwards: exchange `left` and `right` and give the former left column `scale = -1`",
-        ),
-        Wiring::SwappedRightReversed => Some(
-            "the wheels are swapped, and what is called right counts backwards: exchange `left` and `right` and give the former right column `scale = -1`",
-        ),
-    }
+fn wiring_text(wiring: Wiring) -> Option<String> {
+    let direction = "in the descriptor, or turn its direction round on the brick";
+    let reversed = |wheel| format!("the {wheel} wheel counts backwards: give its column `scale = -1` {direction}");
+    let swapped_reversed = |wheel| {
+        format!(
+            "the wheels are swapped, and what is called {wheel} counts backwards: exchange `left` and `right` and give the former \
+             {wheel} column `scale = -1`"
+        )
+    };
+    Some(match wiring {
+        Wiring::AsGiven => return None,
+        Wiring::Swapped => {
+            "the wheels are swapped: what is called left is the right one (or the track has the wrong sign); exchange \
+                            `left` and `right` of the stream in the descriptor, or the two plugs on the brick"
+                .to_owned()
+        }
+        Wiring::BothReversed => {
+            "both wheels count backwards: give both columns `scale = -1` in the descriptor, or turn the motors' \
+                                 direction round on the brick"
+                .to_owned()
+        }
+        Wiring::LeftReversed => reversed("left"),
+        Wiring::RightReversed => reversed("right"),
+        Wiring::SwappedLeftReversed => swapped_reversed("left"),
+        Wiring::SwappedRightReversed => swapped_reversed("right"),
+    })
 }
 
-const fn status_text(status: UnknownStatus) -> &'static str {
+/// In the text, and in JSON.
+const fn status_names(status: UnknownStatus) -> [&'static str; 2] {
     match status {
-        UnknownStatus::Estimated => "found",
-        UnknownStatus::Fixed => "held",
-        UnknownStatus::Unobservable => "not seen",
-        UnknownStatus::NotSeparable => "not separable",
-    }
-}
-
-const fn status_key(status: UnknownStatus) -> &'static str {
-    match status {
-        UnknownStatus::Estimated => "found",
-        UnknownStatus::Fixed => "held",
-        UnknownStatus::Unobservable => "unseen",
-        UnknownStatus::NotSeparable => "not_separable",
+        UnknownStatus::Estimated => ["found"; 2],
+        UnknownStatus::Fixed => ["held"; 2],
+        UnknownStatus::Unobservable => ["not seen", "unseen"],
+        UnknownStatus::NotSeparable => ["not separable", "not_separable"],
     }
 }
 
@@ -290,7 +281,7 @@ fn plot(run: &RunComparison) -> Plot {
         });
         Curve::line(name, off.collect::<Vec<_>>())
     };
-    let (positions_before, positions_after) = (&run.before.positions_m, &run.after.positions_m);
+    let [positions_before, positions_after] = run.reckoned.each_ref().map(|path| &path.positions_m);
     let map = [line("seen", &measured), line("before", positions_before), line("after", positions_after)];
     let distances = [
         Curve::new("seen", CurveShape::Level(0.0)),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use posebridge_lab::calibration::at_rest::{RestChannel, RestObservations};
+use posebridge_lab::calibration::at_rest::{RestIntervals, readings_at_rest, rest_noise};
 use posebridge_lab::noise_identification::RestNoise;
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
@@ -12,7 +12,7 @@ use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
-use super::profile::CalibratedProfile;
+use super::profile::save_profile;
 use super::source::{self, ReferenceSettings};
 use crate::config::{CalibrationEntry, RobotFile};
 use crate::console::print_line;
@@ -60,50 +60,34 @@ pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     let Some(first) = drives.drives.first() else {
         return Err(anyhow!("`{}` holds no run", drives.recording)).before_start();
     };
-    let mut all = RestObservations::default();
+    let mut all = <[RestIntervals; 3]>::default();
     for drive in &drives.drives {
         let mut observations = drive.observations.clone();
         observations.sort_by_key(|observation| observation.stamp);
-        let found = RestObservations::from_observations(&observations);
-        all.gyro.stretches.extend(found.gyro.stretches);
-        let (left, right) = (found.left_accelerometer, found.right_accelerometer);
-        all.left_accelerometer.stretches.extend(left.stretches);
-        all.right_accelerometer.stretches.extend(right.stretches);
+        for (channel, found) in all.iter_mut().zip(readings_at_rest(&observations)) {
+            channel.extend(found);
+        }
     }
     let channels = channels(&all, &drives.recording).while_running()?;
     let report = report(&drives.recording, &channels);
     if let Some(path) = &args.save {
         let robot = with_noise(&first.robot, &channels);
-        let calibrated = CalibratedProfile {
-            calibration: robot.calibration().while_running()?,
-            robot,
-            source: drives.recording.clone(),
-            method: "calibrate rest",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let calibration = robot.calibration().while_running()?;
+        let source = drives.recording.clone();
+        save_profile(path, &timer, &report, "calibrate rest", source, (robot, calibration)).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
 
-fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>> {
-    let named: [(&'static str, &'static str, &RestChannel); 3] = [
-        ("gyro", "rad/s", &all.gyro),
-        ("left accelerometer", "m/s²", &all.left_accelerometer),
-        ("right accelerometer", "m/s²", &all.right_accelerometer),
-    ];
+fn channels(all: &[RestIntervals; 3], recording: &str) -> Result<Vec<ChannelNoise>> {
+    let named = [("gyro", "rad/s"), ("left accelerometer", "m/s²"), ("right accelerometer", "m/s²")];
     let mut found = Vec::new();
     let mut reasons = Vec::new();
-    for (name, unit, channel) in named {
-        match channel.noise() {
-            Ok(rest) => found.push(ChannelNoise {
-                name,
-                unit,
-                noise: rest,
-                readings: channel.stretches.iter().flatten().copied().collect(),
-            }),
+    for ((name, unit), intervals) in named.into_iter().zip(all) {
+        match rest_noise(intervals) {
+            Ok(rest) => found.push(ChannelNoise { name, unit, noise: rest, readings: intervals.concat() }),
             // No such sensor, or no rest.
-            Err(_) if channel.stretches.is_empty() => {}
+            Err(_) if intervals.is_empty() => {}
             Err(reason) => reasons.push(format!("{name}: {reason}")),
         }
     }

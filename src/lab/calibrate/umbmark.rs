@@ -19,7 +19,7 @@ use posebridge_sim::montecarlo::{Course, Drive, Scenario};
 use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, StartPose, UncertainValue};
 use serde_json::json;
 
-use super::profile::{CalibratedProfile, fold_into_geometry};
+use super::profile::{fold_into_geometry, save_profile};
 use super::source::{self, CalibrationDrive, ReferenceSettings};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
@@ -96,16 +96,8 @@ pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let result = compute(args)?;
     let report = result.report();
     if let Some(path) = &args.save {
-        let found = result.calibration();
-        let (robot, calibration) = fold_into_geometry(&result.robot, found).while_running()?;
-        let calibrated = CalibratedProfile {
-            robot,
-            calibration,
-            source: result.source,
-            method: "calibrate umbmark",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let robot = fold_into_geometry(&result.robot, result.calibration()).while_running()?;
+        save_profile(path, &timer, &report, "calibrate umbmark", result.source, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
@@ -235,16 +227,14 @@ impl UmbmarkResult {
         }
     }
 
-    fn warnings(&self) -> Vec<String> {
+    fn warning(&self) -> Option<String> {
         let largest = self.result.corner_rad.abs().max(self.result.bend_rad.abs());
-        let mut caveats = Vec::new();
-        if self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4) {
-            caveats.push(format!(
+        (self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4)).then(|| {
+            format!(
                 "the ends along x and along y tell corners apart by {:.2} degrees: was one of them a square that ended elsewhere, or measured along another axis?",
                 self.result.disagreement_rad.to_degrees()
-            ));
-        }
-        caveats
+            )
+        })
     }
 
     fn report(&self) -> Report {
@@ -285,8 +275,8 @@ impl UmbmarkResult {
                 Quantity::new("", "true wheel radius difference", difference, scale),
             ]);
         }
-        let warnings = self.warnings();
-        for warning in &warnings {
+        let warning = self.warning();
+        if let Some(warning) = &warning {
             report.warning(warning);
         }
         report.paragraph("Where the squares ended, seen from where odometry expected them to end:");
@@ -295,7 +285,7 @@ impl UmbmarkResult {
         report.data("source", json!(self.source));
         report.data("others", json!(self.validation_errors.map(|errors| errors.map(|error| error.systematic_m))));
         report.data("truth", json!(self.truth));
-        report.data("doubts", json!(warnings));
+        report.data("doubts", json!(Vec::from_iter(warning)));
         report
     }
 

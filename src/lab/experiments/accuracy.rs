@@ -5,7 +5,8 @@
 use anyhow::Result;
 use clap::Args;
 use posebridge_estimator::smoother::OfflineError;
-use posebridge_lab::accuracy::{BoundSum, FilterScore, ScoreRow, bound_text};
+use posebridge_lab::accuracy::{DriveScore, FilterScore, ScoreRow, bound_text};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
 use posebridge_report::quantity::{Format, Unit};
@@ -15,8 +16,8 @@ use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
 use posebridge_telemetry::TimeDelta;
 use serde_json::{Value, json};
 
+use super::Estimator;
 use super::estimators::BoundKind;
-use super::{Estimator, EstimatorResult};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::drives::{known_drive, load_scenario};
@@ -153,19 +154,19 @@ fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'
         .number("position_rms_m", "rms", mm, |row| row.row.score.position_rms_m())
         .number("", "rms/bound", three, |row| row.row.ratio_to_bound())
         .number("position_mean_m", "mean", mm, |row| row.row.score.position_mean_m())
-        .number("position_max_m", "max", mm, |row| row.row.score.position_max_m())
+        .number("position_max_m", "max", mm, |row| row.row.score.position_max_m)
         .number("heading_rms_rad", "heading rms", Format::new(Unit::Degrees, 2), |row| row.row.score.heading_rms_rad())
         .number("claimed_rms_m", "claimed", mm, |row| row.row.score.claimed_rms_m())
         .number("anees", "ANEES", three, |row| row.row.score.anees())
         .data("anees_band", |row| json!(row.row.score.band().map(|ConsistencyBand { low, high }| [low, high])))
         .text("consistency", "its claims are", |row| row.row.score.consistency().as_text().to_owned())
         .text("", "NIS/dof of what it used", |row| row.row.sources())
-        .data("sources", |row| row.row.score.sources().iter().map(source_json).collect())
+        .data("sources", |row| row.row.score.sources.iter().map(source_json).collect())
         .data("steps", |row| json!(row.row.score.steps()))
-        .data("steps_without_estimate", |row| json!(row.row.score.steps_without_estimate()))
-        .data("steps_not_finite", |row| json!(row.row.score.steps_not_finite()))
-        .data("refused_covariances", |row| json!(row.row.score.refused_covariances()))
-        .data("run_rms_m", |row| json!(row.row.score.run_rms_m()))
+        .data("steps_without_estimate", |row| json!(row.row.score.steps_without_estimate))
+        .data("steps_not_finite", |row| json!(row.row.score.steps_not_finite))
+        .data("refused_covariances", |row| json!(row.row.score.refused_covariances))
+        .data("run_rms_m", |row| json!(row.row.score.run_rms_m))
         .data("refused_runs", |row| {
             let refusals = row.scores.refusals.iter();
             refusals.map(|(run, refusal)| json!({ "run": run, "reason": refusal.to_string() })).collect()
@@ -234,7 +235,7 @@ struct ScenarioScores {
     planned: PlannedScenario,
     results: Vec<EstimatorScores>,
     /// Lower bound of any filter's error, where it applies.
-    bound: Option<BoundSum>,
+    bound: Option<RunningMean>,
     bound_kind: BoundKind,
     bound_duration: TimeDelta,
 }
@@ -247,8 +248,8 @@ struct EstimatorScores {
 }
 
 struct DriveScores {
-    results: Vec<EstimatorResult>,
-    bound: Option<BoundSum>,
+    results: Vec<DriveScore>,
+    bound: Option<RunningMean>,
     bound_duration: TimeDelta,
 }
 
@@ -295,13 +296,13 @@ impl ScenarioScores {
             sum.refusals.extend(verdict.refusal.map(|refusal| (run, refusal)));
         }
         if let Some(bound) = driven.bound {
-            self.bound.get_or_insert_with(BoundSum::default).merge(&bound);
+            self.bound.get_or_insert_with(RunningMean::default).merge(&bound);
         }
         self.bound_duration += driven.bound_duration;
     }
 
     /// Root mean square of the bound over steps and runs.
     fn bound_rms_m(&self) -> Option<f64> {
-        self.bound.as_ref().and_then(BoundSum::rms_m)
+        self.bound.as_ref().and_then(RunningMean::root)
     }
 }

@@ -93,9 +93,6 @@ pub enum ChannelName {
 }
 
 impl ChannelName {
-    pub(super) const ALL: [Self; 5] =
-        [Self::Temperature, Self::LeftWheel, Self::RightWheel, Self::TurnRate, Self::Range];
-
     pub(super) const fn channel(self) -> SensorChannel {
         match self {
             Self::Temperature => SensorChannel::Temperature,
@@ -103,16 +100,6 @@ impl ChannelName {
             Self::RightWheel => SensorChannel::RightWheel,
             Self::TurnRate => SensorChannel::TurnRate,
             Self::Range => SensorChannel::WallRange,
-        }
-    }
-
-    pub(super) const fn flag(self) -> &'static str {
-        match self {
-            Self::Temperature => "temperature",
-            Self::LeftWheel => "left-wheel",
-            Self::RightWheel => "right-wheel",
-            Self::TurnRate => "turn-rate",
-            Self::Range => "range",
         }
     }
 }
@@ -166,7 +153,6 @@ pub(super) struct StepDataset {
     pub(super) runs: Vec<StepRun>,
 }
 
-#[derive(Clone)]
 pub(super) struct StepRun {
     pub(super) name: String,
     /// Times are relative to the first sample.

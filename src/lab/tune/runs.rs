@@ -1,20 +1,21 @@
 //! Training runs and withheld runs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use posebridge_estimator::{Filter, FilterConfig, FilterEntry};
-use posebridge_lab::accuracy::{ReferenceDrive, score};
+use posebridge_lab::accuracy::{ReferenceDrive, run_drive, score};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_lab::tuning::{
-    RunFit, SquaredErrors, SyntheticFixes, TimeBlocks, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
+    RunFit, SyntheticFixes, TimeBlocks, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
 };
 use posebridge_recording::dataset::{DatasetRun, WithheldFix};
 use posebridge_report::metrics::{add_to_tallies, summarise};
-use posebridge_report::{PoseError, SourceTally, TimedPose};
+use posebridge_report::{PoseError, SourceTally};
 use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
-use super::args::TuneArgs;
+use super::TuneArgs;
 use crate::config::{Overlay, RobotFile};
 use crate::flags::DataFlags;
 use crate::lab::calibrate::source::check_same_robot;
@@ -48,38 +49,44 @@ impl TuneDataset {
 }
 
 fn recorded(args: &TuneArgs) -> Result<TuneDataset> {
-    let mut runs = Vec::new();
+    let mut runs: Vec<TuneRun> = Vec::new();
     let mut robot = None;
-    let mut known = Vec::new();
-    for path in &args.recordings {
-        known.extend(all_runs(args, path)?);
+    let sources = args.recordings.iter().map(|path| Ok((path, run_names(args, path)?)));
+    let sources: Vec<(&PathBuf, RunNames)> = sources.collect::<Result<_>>()?;
+    let known: Vec<&str> = sources.iter().flat_map(|(_, names)| &names.all).map(String::as_str).collect();
+    for prefix in args.run.iter().chain(&args.hold_out) {
+        // Probably a typing error.
+        ensure!(
+            known.iter().any(|name| name.starts_with(prefix.as_str())),
+            "no run begins with `{prefix}`; there are: {}",
+            known.join(", ")
+        );
     }
-    check_prefixes(args, &known)?;
-    for path in &args.recordings {
-        let trained = named(args, path, &args.run)?;
-        let held_out = if args.hold_out.is_empty() { Vec::new() } else { named(args, path, &args.hold_out)? };
-        let trained = trained.into_iter().filter(|name| !held_out.contains(name));
-        let sets = trained.map(|name| (name, RunSet::Training)).collect::<Vec<_>>();
-        let held_out = held_out.iter().map(|name| (name.clone(), RunSet::HeldOut));
-        for (name, set) in sets.into_iter().chain(held_out) {
-            if own_recording::is_own(path) {
-                let (run, its_robot) = load_own(args, path, set)?;
-                if set == RunSet::Training {
-                    robot.get_or_insert(its_robot);
-                }
-                runs.push(run);
-                continue;
-            }
-            let flags = flags(args, Some(name.clone()));
-            let loaded = DataSet::open(path, &flags)?.load(&name, &flags)?;
-            report_bad_rows(&loaded);
+    for (path, RunNames { all, usual }) in &sources {
+        let named = |prefixes: &[String]| -> Vec<&String> {
+            all.iter().filter(|name| prefixes.iter().any(|prefix| name.starts_with(prefix.as_str()))).collect()
+        };
+        let held_out = named(&args.hold_out);
+        let mut trained = if args.run.is_empty() { usual.iter().collect() } else { named(&args.run) };
+        trained.retain(|name| !held_out.contains(name));
+        let trained = trained.into_iter().map(|name| (name, RunSet::Training));
+        for (name, set) in trained.chain(held_out.into_iter().map(|name| (name, RunSet::HeldOut))) {
+            let (run, its_robot) = if own_recording::is_own(path) {
+                load_own(args, path, set)?
+            } else {
+                let flags = flags(args, Some(name.clone()));
+                let loaded = DataSet::open(path, &flags)?.load(name, &flags)?;
+                report_bad_rows(&loaded);
+                let its_robot = loaded.robot.clone();
+                (run_from_recording(args, loaded, set)?, its_robot)
+            };
             if set == RunSet::Training {
-                robot.get_or_insert_with(|| loaded.robot.clone());
+                robot.get_or_insert(its_robot);
             }
-            runs.push(run_from_recording(args, loaded, set)?);
+            runs.push(run);
         }
     }
-    check_same_robot(runs.iter().map(|run: &TuneRun| (run.name.as_str(), &run.config.geometry)))?;
+    check_same_robot(runs.iter().map(|run| (run.name.as_str(), &run.config.geometry)))?;
     let paths: Vec<String> = args.recordings.iter().map(|path| path.display().to_string()).collect();
     Ok(TuneDataset { runs, robot: robot.unwrap_or_default(), source: paths.join(", ") })
 }
@@ -88,34 +95,19 @@ fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
     DataFlags { data: args.data.clone(), run, use_every: args.use_every, settings: args.settings.clone() }
 }
 
-/// Every run of a descriptor; a posebridge recording is one run.
-fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
+struct RunNames {
+    all: Vec<String>,
+    /// The default runs of a descriptor.
+    usual: Vec<String>,
+}
+
+fn run_names(args: &TuneArgs, path: &Path) -> Result<RunNames> {
     if own_recording::is_own(path) {
-        return Ok(vec![name_of(path)]);
+        let only = vec![name_of(path)];
+        return Ok(RunNames { all: only.clone(), usual: only });
     }
-    Ok(DataSet::open(path, &flags(args, None))?.descriptor.runs)
-}
-
-/// Runs that begin with one of the prefixes; the default runs without a prefix.
-fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
-    if prefixes.is_empty() && !own_recording::is_own(path) {
-        return Ok(DataSet::open(path, &flags(args, None))?.runs);
-    }
-    let mut runs = all_runs(args, path)?;
-    runs.retain(|name| prefixes.is_empty() || prefixes.iter().any(|prefix| name.starts_with(prefix.as_str())));
-    Ok(runs)
-}
-
-/// Rejects a prefix that matches no run: probably a typing error.
-fn check_prefixes(args: &TuneArgs, known: &[String]) -> Result<()> {
-    for prefix in args.run.iter().chain(&args.hold_out) {
-        ensure!(
-            known.iter().any(|name| name.starts_with(prefix.as_str())),
-            "no run begins with `{prefix}`; there are: {}",
-            known.join(", ")
-        );
-    }
-    Ok(())
+    let data = DataSet::open(path, &flags(args, None))?;
+    Ok(RunNames { all: data.descriptor.runs, usual: data.runs })
 }
 
 fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<TuneRun> {
@@ -219,23 +211,32 @@ impl TuneRun {
         fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
     }
 
-    /// Squared position errors of the online filter for each time block; empty sums without known positions.
+    /// Squared position errors of the online filter, m², for each time block; empty without known positions.
     pub(super) fn squares_in_blocks(
         &self,
         entry: &FilterEntry,
         config: &FilterConfig,
         blocks: &TimeBlocks,
-    ) -> Vec<SquaredErrors> {
+    ) -> Vec<RunningMean> {
         let mut live = (entry.build)(config);
-        let mut squares = vec![SquaredErrors::default(); blocks.count()];
+        let mut squares = vec![RunningMean::default(); blocks.count()];
         let mut add = |stamp, error: &PoseError| {
             if let Some(squares) = squares.get_mut(blocks.index(stamp)) {
-                squares.add(error.position_m());
+                squares.add(error.position_m().powi(2));
             }
         };
         match &self.reference {
             RunReference::Simulated(known) => {
-                score_steps(known, live.as_mut(), |truth, error| add(truth.time, error));
+                run_drive(
+                    known,
+                    live.as_mut(),
+                    |_| (),
+                    |truth, estimate| {
+                        if let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) {
+                            add(truth.time, &PoseError::of_estimate(estimate, truth.pose));
+                        }
+                    },
+                );
             }
             RunReference::Recorded(run) => {
                 let mut scorer = Scorer::new(run, &config.calibration);
@@ -258,7 +259,7 @@ impl TuneRun {
         let (position_rms_m, sources) = match &self.reference {
             RunReference::Simulated(known) => {
                 let score = score(known, live.as_mut());
-                (score.position_rms_m(), score.sources().to_vec())
+                (score.position_rms_m(), score.sources)
             }
             RunReference::Recorded(run) => self.score_against(run, &config.calibration, live.as_mut()),
         };
@@ -279,20 +280,6 @@ impl TuneRun {
         }
         scorer.finish(&FilterEstimates(&*live));
         (summarise(&scorer.errors).position_rms_m, sources)
-    }
-}
-
-/// Passes a drive to a filter in the order of arrival, and its error at each scored step to `error`.
-fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
-    let mut arrivals = drive.arrivals.iter().peekable();
-    for (step, truth) in drive.truth.iter().enumerate() {
-        while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
-            filter.observe(&arrival.observation);
-        }
-        let estimate = filter.estimate_at(truth.time);
-        if let Some(estimate) = estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position) {
-            error(truth, &PoseError::of_estimate(&estimate, truth.pose));
-        }
     }
 }
 

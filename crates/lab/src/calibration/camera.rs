@@ -18,7 +18,6 @@ use posebridge_estimator::numerics::statistics::root_mean_square;
 use super::CalibrationError;
 use super::least_squares::{ScaledCholesky, fit};
 
-/// A point found in the image and measured on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationPoint {
     /// Image position in the camera's unit (pixels or metres).
@@ -26,7 +25,6 @@ pub struct CalibrationPoint {
     pub floor_m: [f64; 2],
 }
 
-/// Maps the image to the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography {
     /// Row by row; the last number is one.
@@ -41,7 +39,6 @@ impl Homography {
     }
 }
 
-/// A homography with its quality of fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFit {
     pub homography: Homography,
@@ -172,7 +169,6 @@ pub struct Similarity {
     pub heading_rad: f64,
     /// Metres of the floor per unit of the camera.
     pub scale: f64,
-    /// Root mean square residual of the points.
     pub rms_m: f64,
 }
 

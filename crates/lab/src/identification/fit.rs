@@ -31,7 +31,6 @@ use super::TimedSample;
 use super::prior::{MAX_ORDER, ResponsePrior, response_of, row};
 use super::step_response::StepResponse;
 
-/// A fitted response with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResponseFit {
     pub response: StepResponse,
@@ -110,7 +109,6 @@ pub fn fit_response(
     Some(ResponseFit { response: response_from(&at, order), covariance: normal.cholesky()?.inverse(), cost })
 }
 
-/// How often S is recomputed.
 const REWEIGHTINGS: usize = 2;
 /// Iterations of one descent; far more than a normal one takes.
 const MAX_ITERATIONS: usize = 60;
@@ -244,7 +242,6 @@ impl NormalSums {
     }
 }
 
-/// Values that do not change from sample to sample.
 struct ResponseParameters {
     order: usize,
     start: f64,

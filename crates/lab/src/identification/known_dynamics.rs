@@ -29,7 +29,6 @@ pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalizedEstimate {
     pub value: f64,
-    /// Standard deviation as a multiple of a sample's.
     pub noise_gain: f64,
 }
 

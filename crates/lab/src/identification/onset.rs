@@ -1,8 +1,5 @@
 //! Detection of a step in a recording: rest, onset, transient, plateau.
 //!
-//! A recording holds more than a step: the sensor lies in its box, is dipped, and is warmed up again. Samples before the rest and after
-//! the plateau do not belong to the step response.
-//!
 //! # Method
 //! ```text
 //! steepest    the shortest window w whose means before and after some sample differ by more than 8 sigma sqrt(2 / w)
@@ -27,7 +24,6 @@ const TAIL_SHARE: usize = 10;
 /// Limit of the samples averaged for the level before the step.
 const REST_SAMPLES: usize = 64;
 
-/// A step within a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepSegment {
     /// Some rest, the transient and the plateau.
@@ -94,7 +90,6 @@ impl PrefixSums {
 #[derive(Clone, Copy)]
 struct SteepestChange {
     index: usize,
-    /// Window size in samples.
     width: usize,
 }
 
@@ -142,13 +137,11 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
-/// Detects the beginning of a step from past samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnsetDetector {
     sigma: f64,
 }
 
-/// A detected step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectedOnset {
     /// Approximate onset, by the sensor's clock.

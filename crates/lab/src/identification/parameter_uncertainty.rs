@@ -30,8 +30,8 @@ use super::fit::{ResponseNoise, WhiteningFilter, value_and_slopes, whitening_ste
 use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
+use crate::statistics::lagged_sum;
 
-/// The kind of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
     #[default]
@@ -140,7 +140,6 @@ fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
     variance.max(0.0).sqrt()
 }
 
-/// Residuals of the response and their derivatives by the parameters.
 struct WeightedResiduals {
     weighted: Vec<f64>,
     slopes: Vec<DVector<f64>>,
@@ -247,7 +246,6 @@ impl WeightedResiduals {
     }
 }
 
-/// L where there is a correlation.
 fn correlation_window(count: usize) -> usize {
     (count / SAMPLES_PER_LAG).clamp(1, MAX_LAGS)
 }
@@ -272,12 +270,6 @@ fn lagged_products(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<
         sum.ger(1.0, here, there, 1.0);
     }
     sum
-}
-
-/// Sum of products of values `lag` samples apart.
-fn lagged_sum(values: &[f64], lag: usize) -> f64 {
-    let pairs = values.iter().zip(values.iter().skip(lag));
-    pairs.map(|(a, b)| a * b).sum()
 }
 
 #[cfg(test)]

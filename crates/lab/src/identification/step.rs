@@ -18,6 +18,7 @@ use super::onset::{StepSegment, find_step};
 use super::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
 use super::step_response::{Lag, StepResponse};
 use super::{TimedSample, sorted_finite};
+use crate::statistics::lagged_sum;
 
 /// The number of exponentials, fixed or selected by the data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,7 +30,6 @@ pub enum ModelOrder {
     Fixed(usize),
 }
 
-/// Known data of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOptions {
     /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its resolution over the root of
@@ -40,18 +40,15 @@ pub struct StepOptions {
     pub onset_s: Option<f64>,
     /// Step of the quantity, in its own unit; without it the gain is not observable.
     pub input_step: Option<f64>,
-    /// Final value of the sensor, if known.
     pub end: Option<f64>,
 }
 
 impl StepOptions {
-    /// Only the noise is known.
     pub const fn with_sigma(sigma: f64) -> Self {
         Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
     }
 }
 
-/// A lag with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IdentifiedLag {
     /// tau.
@@ -61,7 +58,6 @@ pub struct IdentifiedLag {
     pub share_sigma: f64,
 }
 
-/// A fitted response of one order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CandidateModel {
     pub fit: ResponseFit,
@@ -75,7 +71,6 @@ pub struct CandidateModel {
     pub criterion: f64,
 }
 
-/// The identified step response of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdentifiedStep {
     pub samples: Vec<TimedSample>,
@@ -106,7 +101,6 @@ impl IdentifiedStep {
         self.response().lags.len()
     }
 
-    /// The selected response; its `model` configures the dynamic measurement filter.
     pub fn response(&self) -> &StepResponse {
         &self.chosen().fit.response
     }
@@ -118,7 +112,6 @@ impl IdentifiedStep {
         lags.all(|(j, lag)| lag.share.abs() > ONE_SIDED_SIGMAS * fit.share_sigma(j))
     }
 
-    /// The lags with their sigmas, the fastest first.
     pub fn lags(&self) -> Vec<IdentifiedLag> {
         let fit = &self.chosen().fit;
         let of = |(j, lag): (usize, &Lag)| IdentifiedLag {
@@ -134,7 +127,6 @@ impl IdentifiedStep {
 /// 95 % quantile of the normal distribution.
 const ONE_SIDED_SIGMAS: f64 = 1.644_854;
 
-/// Why the identification failed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
@@ -300,7 +292,6 @@ impl<'a> StepFitter<'a> {
         })
     }
 
-    /// Residuals of the samples after the onset.
     fn residuals(&self, response: &StepResponse) -> Vec<f64> {
         let moving = self.segment.samples.iter();
         let moving = moving.filter(|sample| sample.at_s > self.segment.onset_s);
@@ -352,13 +343,11 @@ struct ResidualCorrelation {
 impl ResidualCorrelation {
     fn from_residuals(residuals: &[f64]) -> Self {
         let count = residuals.len().max(1);
-        let all = covariance(residuals, 0);
+        let covariance = |lag| lagged_sum(residuals, lag) / count as f64;
+        let all = covariance(0);
         // Two standard deviations of the covariance of white noise.
         let chance = 2.0 * all / (count as f64).sqrt();
-        let common: Vec<f64> = (1..count / 4)
-            .map(|lag| covariance(residuals, lag))
-            .take_while(|covariance| *covariance > chance)
-            .collect();
+        let common: Vec<f64> = (1..count / 4).map(covariance).take_while(|covariance| *covariance > chance).collect();
         let sum: f64 = common.iter().sum();
         let Some(&next) = common.first() else {
             return Self { model_variance: 0.0, model_samples: 1.0, samples_per_residual: 1.0 };
@@ -369,10 +358,4 @@ impl ResidualCorrelation {
             samples_per_residual: 1.0 + 2.0 * sum / all,
         }
     }
-}
-
-/// Mean product of residuals `lag` samples apart.
-fn covariance(residuals: &[f64], lag: usize) -> f64 {
-    let pairs = residuals.iter().zip(residuals.iter().skip(lag));
-    pairs.map(|(a, b)| a * b).sum::<f64>() / residuals.len().max(1) as f64
 }

@@ -2,7 +2,8 @@
 
 use posebridge_telemetry::DriveGeometry;
 
-/// Noise of a wheel's speed.
+use crate::statistics::{FittedLine, lagged_sum};
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightNoise {
     /// Speeds in the stretch at a steady speed.
@@ -16,7 +17,6 @@ pub struct StraightNoise {
     pub rho_1: f64,
 }
 
-/// Why a drive has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StraightError {
     #[error(
@@ -44,16 +44,17 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
     if steady.len() < MIN_INTERVALS {
         return Err(StraightError::TooShort(steady.len()));
     }
-    let deviations = residuals_about_line(steady);
+    let points: Vec<(f64, f64)> = steady.iter().enumerate().map(|(index, speed)| (index as f64, *speed)).collect();
+    let line = FittedLine::through(&points).ok_or(StraightError::TooShort(steady.len()))?;
+    let deviations: Vec<f64> = points.iter().map(|point| line.residual(*point)).collect();
     let n = deviations.len() as f64;
-    let squares: f64 = deviations.iter().map(|d| d * d).sum();
-    let products: f64 = deviations.iter().zip(deviations.iter().skip(1)).map(|(a, b)| a * b).sum();
-    let rho_1 = if squares > 0.0 { products / squares } else { 0.0 };
+    let squares = lagged_sum(&deviations, 0);
+    let rho_1 = if squares > 0.0 { lagged_sum(&deviations, 1) / squares } else { 0.0 };
     let sigma = (squares / (n - 2.0)).sqrt();
     Ok(StraightNoise {
         samples: steady.len(),
         from,
-        speed_m_per_s: steady.iter().sum::<f64>() / n,
+        speed_m_per_s: line.centre.1,
         sigma_m_per_s: sigma,
         // Correlated squares are fewer samples: M. S. Bartlett, J. R. Stat. Soc. Suppl. 8(1), 1946.
         sigma_sigma_m_per_s: sigma * ((1.0 + 2.0 * rho_1 * rho_1) / (2.0 * n)).sqrt(),
@@ -69,7 +70,6 @@ pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> 
     radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
 }
 
-/// The longest stretch at a steady speed, and its first index.
 fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
     let means: Vec<f64> =
         speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
@@ -95,17 +95,6 @@ fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
         return (0, &[]);
     }
     (first, speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[]))
-}
-
-/// Deviations from the least-squares line over the index.
-fn residuals_about_line(values: &[f64]) -> Vec<f64> {
-    let n = values.len() as f64;
-    let middle = (n - 1.0) / 2.0;
-    let mean = values.iter().sum::<f64>() / n;
-    let indexed = || values.iter().enumerate().map(|(i, value)| (i as f64 - middle, value - mean));
-    let (xy, xx) = indexed().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
-    let slope = if xx > 0.0 { xy / xx } else { 0.0 };
-    indexed().map(|(x, y)| y - slope * x).collect()
 }
 
 #[cfg(test)]

@@ -7,9 +7,8 @@
 //! The sums go over the m samples that have a predecessor: each stretch begins with an unknown level. dt_k is the interval before
 //! sample k, dt the median interval: where a sample was lost, the walk is longer.
 
-use super::record::RestRecord;
+use super::rest::RestRecord;
 
-/// White noise and random walk of a sensor, separated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseDecomposition {
     pub white: f64,
@@ -128,7 +127,6 @@ fn profile(stretches: &[RestStretch], ln_l: f64) -> Option<(f64, f64)> {
     (white2 > 0.0).then(|| (-0.5 * (n * (white2.ln() + 1.0) + ln_f), white2))
 }
 
-/// The Allan deviation at one averaging time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AllanPoint {
     pub tau_s: f64,
@@ -137,7 +135,6 @@ pub struct AllanPoint {
     pub sigma: f64,
 }
 
-/// Per factor of ten of the averaging time.
 const POINTS_PER_DECADE: f64 = 8.0;
 const MIN_AVERAGES: usize = 9;
 

@@ -127,7 +127,6 @@ impl WheelState {
     }
 }
 
-/// Filters both wheels, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedWheels {
     matrices: WheelMatrices,
@@ -137,7 +136,6 @@ pub struct MatchedWheels {
     base: Option<[f64; 2]>,
 }
 
-/// Filters both speeds, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedSpeeds {
     matrices: SpeedMatrices,
@@ -149,13 +147,8 @@ pub struct MatchedSpeeds {
 }
 
 impl MatchedWheels {
-    /// At rest at a pose (x, y, heading).
     pub fn new(matrices: WheelMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         Self { matrices, geometry, wheels: [WheelState::at_rest(matrices.start); 2], pose, base: None }
-    }
-
-    pub const fn wheels(&self) -> &[WheelState; 2] {
-        &self.wheels
     }
 
     /// Total rotation of both wheels, rad, `dt_s` after the previous step.

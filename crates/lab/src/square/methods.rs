@@ -6,7 +6,6 @@ use posebridge_estimator::{Filter, FilterConfig, FilterEntry, find_filter};
 use super::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices};
 use super::table::{SensorRow, SensorTable, TableSensor};
 
-/// Computes a path from a table of sensor readings.
 #[derive(Clone, Copy)]
 pub struct Method {
     pub name: &'static str,
@@ -27,7 +26,6 @@ enum MethodKind {
     Speeds,
 }
 
-/// The paper's own sensors.
 const OWN: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 const GYRO: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro];
 const COMPASS: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro, TableSensor::Compass];

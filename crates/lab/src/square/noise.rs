@@ -18,8 +18,8 @@
 use posebridge_telemetry::DriveGeometry;
 
 use super::table::{SensorRow, SensorTable};
-use crate::mean_and_variance;
 use crate::recorded_drive::rolled_step;
+use crate::statistics::{FittedLine, mean_and_variance};
 
 /// Rows omitted at both ends of a straight run: the robot starts and stops there.
 const END_ROWS: usize = 8;
@@ -28,7 +28,6 @@ const WINDOW_ROWS: usize = 5;
 const MAX_TURN_RAD_PER_M: f64 = 0.26;
 const MIN_ROWS: usize = 10;
 
-/// Statistics of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanAndVariance {
     /// Mean, or slope per second for values that drift.
@@ -59,12 +58,10 @@ pub struct NoiseRecord {
     pub camera: Option<[MeanAndVariance; 2]>,
 }
 
-/// Evaluates the initial rest of a drive.
 pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     record(table, 0, table.at_rest().len(), geometry)
 }
 
-/// Evaluates the longest straight run.
 pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     let count = table.rows.len();
     let mut longest = (0, 0);
@@ -170,14 +167,9 @@ fn spread_about_line(times: &[f64], values: &[Option<f64>]) -> Option<MeanAndVar
     if points.len() < MIN_ROWS {
         return None;
     }
-    let n = points.len() as f64;
-    let middle_s = points.iter().map(|(time, _)| time).sum::<f64>() / n;
-    let mean = points.iter().map(|(_, value)| value).sum::<f64>() / n;
-    let spread: f64 = points.iter().map(|(time, _)| (time - middle_s).powi(2)).sum();
-    let shared: f64 = points.iter().map(|(time, value)| (time - middle_s) * (value - mean)).sum();
-    let slope = shared / spread;
-    let squares: f64 = points.iter().map(|(time, value)| (value - mean - slope * (time - middle_s)).powi(2)).sum();
-    Some(MeanAndVariance { mean: slope, variance: squares / (n - 2.0) })
+    let line = FittedLine::through(&points)?;
+    let squares: f64 = points.iter().map(|point| line.residual(*point).powi(2)).sum();
+    Some(MeanAndVariance { mean: line.slope, variance: squares / (points.len() as f64 - 2.0) })
 }
 
 #[cfg(test)]

@@ -134,7 +134,6 @@ fn add_images(
     }
 }
 
-/// Direction from the previous fix to the next.
 fn course_over_ground(fixes: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
     let position = |index: usize| fixes.get(index).map(|(_, fix)| fix.position);
     let here: Point2<Arena> = position(index)?;
@@ -144,7 +143,6 @@ fn course_over_ground(fixes: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> 
     (x != 0.0 || y != 0.0).then(|| Heading::from_rad(y.atan2(x)))
 }
 
-/// The fix after a body motion.
 fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) -> MeasuredPose {
     let position = mid_axle_position(fix);
     let theta_deg = fix.heading.map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());
@@ -160,22 +158,22 @@ fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_support::{self, observation, wheel_angles};
+    use crate::test_support::{self, observation};
     use posebridge_estimator::FilterConfig;
     use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond, SensorId, SensorNoise};
 
     fn config() -> FilterConfig {
-        test_support::config(SensorNoise::EXACT)
+        test_support::config([0.05; 2], 0.2, 0.01, SensorNoise::EXACT)
     }
 
     /// 0.2 m/s to the north, read every 100 ms, after 200 ms of rest.
     fn northwards() -> Vec<Observation> {
         let angle = |step: i64| 0.4 * (step - 2).max(0) as f64;
-        (0..12).map(|step| wheel_angles(100 * step, angle(step), angle(step))).collect()
+        (0..12).map(|step| test_support::wheels(100 * step, angle(step), angle(step))).collect()
     }
 
     fn fix(millis: i64, y: f64, heading: Option<f64>) -> Observation {
-        test_support::fix(millis, Point2::new(Meters(1.0), Meters(y)), heading, Point2::ORIGIN)
+        test_support::fix(millis, 1.0, y, heading)
     }
 
     fn table(observations: &[Observation]) -> SensorTable {

@@ -9,6 +9,7 @@
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 
 use super::log::{ResponseSample, WallLog, responses};
+use crate::statistics::{FittedLine, golden_section};
 
 /// Search range of the rate: time constants from 20 ms to 20 s.
 const MIN_RATE_PER_S: f64 = 0.05;
@@ -104,20 +105,10 @@ fn best_rate(logs: &[WallLog]) -> f64 {
     let grid = |index: u32| MIN_RATE_PER_S * ratio.powf(f64::from(index) / f64::from(GRID));
     let best = (0..=GRID).min_by(|a, b| cost(grid(*a)).total_cmp(&cost(grid(*b))));
     let best = best.unwrap_or(0);
-    let (mut low, mut high) = (grid(best.saturating_sub(1)), grid((best + 1).min(GRID)));
-    let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-    for _ in 0..GOLDEN_STEPS {
-        let (left, right) = (high - golden * (high - low), low + golden * (high - low));
-        if cost(left) < cost(right) {
-            high = right;
-        } else {
-            low = left;
-        }
-    }
-    f64::midpoint(low, high)
+    let (low, high) = (grid(best.saturating_sub(1)), grid((best + 1).min(GRID)));
+    golden_section(low, high, GOLDEN_STEPS, |rate| -cost(rate))
 }
 
-/// The best linear parameters for a given rate.
 struct LinearFit {
     steady_m_per_s: f64,
     cost_m2: f64,
@@ -170,7 +161,6 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
     (determinant > 0.0).then(|| [n_aa, -n_va, n_vv].map(|entry| variance_m2 * entry / determinant))
 }
 
-/// Speed towards the wall at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedSample {
     pub at_s: f64,
@@ -178,7 +168,6 @@ pub struct SpeedSample {
     pub towards_m_per_s: f64,
 }
 
-/// Why a step test has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WallStepError {
@@ -190,7 +179,6 @@ pub enum WallStepError {
     NoMotion,
 }
 
-/// The result of the evaluation by hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ManualStepFit {
     /// Steady speed, from the steepest line.
@@ -233,15 +221,8 @@ fn segments(readings: &[(f64, f64)], length: usize) -> impl Iterator<Item = &[(f
 }
 
 fn slope(samples: &[(f64, f64)]) -> Option<SpeedSample> {
-    let count = samples.len() as f64;
-    let at_s = samples.iter().map(|(at_s, _)| at_s).sum::<f64>() / count;
-    let mean_m = samples.iter().map(|(_, range_m)| range_m).sum::<f64>() / count;
-    let (mut across, mut along) = (0.0, 0.0);
-    for (time_s, range_m) in samples {
-        across += (time_s - at_s) * (range_m - mean_m);
-        along += (time_s - at_s).powi(2);
-    }
-    (along > 0.0).then_some(SpeedSample { at_s, towards_m_per_s: -across / along })
+    let line = FittedLine::through(samples)?;
+    Some(SpeedSample { at_s: line.centre.0, towards_m_per_s: -line.slope })
 }
 
 /// Evaluates a step as by hand: lines through pieces of `piece` readings.
@@ -278,7 +259,6 @@ pub fn fit_by_hand(log: &WallLog, length: usize) -> Result<ManualStepFit, WallSt
     })
 }
 
-/// `None` for no steps.
 pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
     let count = steps.len() as f64;
     let mean = |of: fn(&ManualStepFit) -> f64| steps.iter().map(of).sum::<f64>() / count;

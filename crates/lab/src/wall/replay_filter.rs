@@ -78,7 +78,6 @@ impl ApproachEstimator for LinearExtrapolation {
     }
 }
 
-/// The configured noise of the wall filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanNoise {
     /// sigma_u: of distance (m) and speed (m/s) per step of 7.6 ms.
@@ -92,7 +91,6 @@ impl KalmanNoise {
     pub const PAPER: Self = Self { process_m: 0.05, range_m: 0.02 };
 }
 
-/// The wall filter of the estimator, for offline replay.
 pub struct WallKalman {
     filter: RangeFilter,
     drag_s_per_m: f64,
@@ -164,7 +162,6 @@ const UNUSED_GEOMETRY: DriveGeometry = DriveGeometry {
 /// The paper's gate, in standard deviations of the innovation.
 pub(super) const GATE_SIGMAS: f64 = 3.0;
 
-/// Statistics of the filter over a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Validation {
     /// Control cycles: each is a prediction.
@@ -237,7 +234,6 @@ pub(super) fn innovation_sigma(record: &FusionRecord) -> Option<f64> {
     (record.degrees_of_freedom == 1 && s_m2 > 0.0).then_some(s_m2)
 }
 
-/// Outcome of a reading with an added error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GateTrial {
     pub index: usize,
@@ -284,7 +280,6 @@ pub fn gate_trial(
 /// Tolerance of a stop at the target.
 pub const NEAR_WALL_M: f64 = 0.02;
 
-/// Error, time and speed of an approach that stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopResult {
     /// Distance from the wall minus the target; negative is too near.
@@ -295,7 +290,6 @@ pub struct StopResult {
     pub approach_m_per_s: f64,
 }
 
-/// Statistics over approaches of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StopSummary {
     pub runs: usize,

@@ -1,7 +1,7 @@
 //! Simulated drives as tables of sensor readings, and every method over them, on all cores.
 
 use anyhow::Result;
-use posebridge_estimator::{FilterConfig, Params};
+use posebridge_estimator::FilterConfig;
 use posebridge_lab::square::{
     ErrorMetric, MeasuredPose, Method, PathErrors, SensorRow, SensorTable, WheelMatrices, add_compass, add_jitter,
     align_accelerations, delay_reference, path_errors, prepare_config, printed_methods, swapped_methods,
@@ -9,6 +9,7 @@ use posebridge_lab::square::{
 use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError};
 use posebridge_telemetry::Calibration;
 
+use crate::lab::drives;
 use crate::lab::parallel::run_cases;
 
 const SCENARIO: &str = "paper-square";
@@ -35,20 +36,12 @@ pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
 }
 
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
-    let prior = scenario.drive(0).prior;
-    let mut noise = prior.noise;
+    let told = drives::filter_config(&scenario.drive(0).prior);
+    let mut noise = told.noise;
     noise.compass_rad = COMPASS_SIGMA_DEG.to_radians();
-    FilterConfig {
-        geometry: prior.geometry,
-        noise,
-        start: None,
-        params: Params::default(),
-        calibration: Calibration {
-            gyro_bias_rad_per_s: Calibration::default().gyro_bias_rad_per_s,
-            ..prior.calibration
-        },
-        arena_map: std::sync::Arc::default(),
-    }
+    let calibration =
+        Calibration { gyro_bias_rad_per_s: Calibration::default().gyro_bias_rad_per_s, ..told.calibration };
+    FilterConfig { noise, start: None, calibration, ..told }
 }
 
 pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {

@@ -164,22 +164,18 @@ fn groups() -> [(&'static str, Vec<Method>); 4] {
     ]
 }
 
-/// Splits the errors of all methods, in the order of [`groups`], into chains.
-fn chains(runs: &[Vec<PathErrors>]) -> (Vec<MethodRanking>, MethodRanking) {
+/// The errors of all methods, in the order of [`groups`], by group.
+fn rankings(runs: &[Vec<PathErrors>]) -> [MethodRanking; 4] {
     let mut from = 0;
-    let mut all: Vec<MethodRanking> = Vec::new();
-    for (setting, methods) in groups() {
-        let to = from + methods.len();
-        let runs = runs.iter().filter_map(|run| Some(run.get(from..to)?.to_vec()));
-        all.push(MethodRanking {
-            matrices: setting,
+    groups().map(|(matrices, methods)| {
+        let own = from..from + methods.len();
+        from = own.end;
+        MethodRanking {
+            matrices,
             names: methods.iter().map(|method| method.name).collect(),
-            runs: runs.collect(),
-        });
-        from = to;
-    }
-    let outlook = all.pop().unwrap_or(MethodRanking { matrices: "outlook", names: Vec::new(), runs: Vec::new() });
-    (all, outlook)
+            runs: runs.iter().filter_map(|run| Some(run.get(own.clone())?.to_vec())).collect(),
+        }
+    })
 }
 
 fn every_method() -> Vec<Method> {
@@ -202,12 +198,12 @@ fn report(
     readings: Vec<PaperInterpretation>,
     example: SquareExample,
 ) -> SquareReport {
-    let (chains, outlook) = chains(runs);
+    let [printed, corrected, swapped, extended] = rankings(runs);
     SquareReport {
         source,
         command,
-        rankings: chains,
-        extended: outlook,
+        rankings: vec![printed, corrected, swapped],
+        extended,
         interpretations: readings,
         stop: noise_at_stop(&example.table, example.geometry()),
         straight: noise_on_straight(&example.table, example.geometry()),

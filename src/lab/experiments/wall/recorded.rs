@@ -1,10 +1,10 @@
 //! The experiment on a recording: each run's step, and the predictions of its readings.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_lab::wall::{
-    ForecastScore, GateStatistics, ManualStepFit, PlantSearch, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
+    ForecastScore, GateStatistics, ManualStepFit, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
     WallStepError, fit_by_hand, fit_steps, forecast, gate_statistics, score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
@@ -14,7 +14,7 @@ use posebridge_telemetry::{Observation, ObservationKind, SensorId};
 use serde_json::{Value, json};
 
 use super::pictures;
-use super::steps::PIECE;
+use super::simulated::PIECE;
 use crate::config::{Overlay, Setting};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
@@ -43,48 +43,54 @@ pub(in crate::lab) struct RunLog {
 pub(super) const TASK: &str =
     "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
-#[derive(Clone, Copy, Debug)]
-pub(in crate::lab) struct RunSelection<'a> {
-    pub(in crate::lab) data: Option<&'a Path>,
-    /// Prefix of a descriptor's runs; `None` for all.
-    pub(in crate::lab) run: Option<&'a str>,
-    /// Keys of the robot's table, or of the configuration of a posebridge recording.
-    pub(in crate::lab) settings: &'a [Setting],
-    /// Column of the motor's PWM; `None` for a common name.
-    pub(in crate::lab) command_column: Option<&'a str>,
-    /// Column of another program's filter; `None` for a common name.
-    pub(in crate::lab) kalman_column: Option<&'a str>,
+/// Flags that choose from a recording.
+#[derive(clap::Args, Clone, Debug)]
+pub struct RunSelection {
+    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
+    pub run: Option<String>,
+    /// Set one key of the robot, e.g. noise.wall_range_m=0.02. For a posebridge recording or a live robot: a key of the
+    /// configuration, e.g. robot.noise.wall_range_m=0.02. Can be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
+    pub settings: Vec<Setting>,
+    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub command_column: Option<String>,
 }
 
-/// Reads the selected runs of a descriptor, or a posebridge recording, which is one run.
-pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
+/// Reads the selected runs of a descriptor, or a posebridge recording, which is one run. `kalman_column` is that of another program's
+/// filter; `None` for a common name.
+pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column: Option<&str>) -> Result<RecordedRuns> {
     if own_recording::is_own(path) {
-        return prepare_own(path, choice);
+        ensure!(
+            choice.run.is_none() && choice.command_column.is_none() && kalman_column.is_none(),
+            "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
+            path.display()
+        );
+        return prepare_own(path, &choice.settings);
     }
     let flags = DataFlags {
-        data: choice.data.map(Path::to_owned),
-        run: Some(choice.run.unwrap_or_default().to_owned()),
+        data: choice.data.clone(),
+        run: Some(choice.run.clone().unwrap_or_default()),
         use_every: None,
-        settings: choice.settings.to_vec(),
+        settings: choice.settings.clone(),
     };
     let mut set = DataSet::open(path, &flags)?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
     let mut runs = Vec::new();
     for name in set.runs.clone() {
         let mut reader = RunReader { set: &mut set, flags: &flags, text: &text, run: &name };
-        runs.push(reader.read(choice)?);
+        runs.push(reader.read(choice.command_column.as_deref(), kalman_column)?);
     }
     Ok(RecordedRuns { descriptor: path.display().to_string(), runs })
 }
 
 /// A posebridge recording has ranges but no motor commands: full drive is assumed.
-fn prepare_own(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
-    ensure!(
-        choice.run.is_none() && choice.command_column.is_none() && choice.kalman_column.is_none(),
-        "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
-        path.display()
-    );
-    let overlay = Overlay { robot: None, settings: choice.settings };
+fn prepare_own(path: &Path, settings: &[Setting]) -> Result<RecordedRuns> {
+    let overlay = Overlay { robot: None, settings };
     let run = own_recording::read(path, overlay)?;
     let ranges = readings_of(run.observations.iter(), |_, observed| range_m(observed).map(WallReading::Range));
     ensure!(
@@ -112,11 +118,11 @@ struct RunReader<'a> {
 }
 
 impl RunReader<'_> {
-    fn read(&mut self, choice: &RunSelection<'_>) -> Result<RunLog> {
+    fn read(&mut self, command_column: Option<&str>, kalman_column: Option<&str>) -> Result<RunLog> {
         let plain = self.set.load(self.run, self.flags)?;
         report_bad_rows(&plain);
-        let commanded = self.column(choice.command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
-        let filtered = self.column(choice.kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
+        let commanded = self.column(command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
+        let filtered = self.column(kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
         let ranges = readings_of(of_run(&plain.run), |sensor, observed| {
             range_m(observed).filter(|_| sensor != FOREIGN_FILTER).map(WallReading::Range)
         });
@@ -207,8 +213,7 @@ pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Report> {
 }
 
 fn evaluate(run: &RunLog) -> RunResult {
-    let search = PlantSearch { range_sigma_m: run.range_sigma_m };
-    let foreseen = forecast(&run.log, search);
+    let foreseen = forecast(&run.log, run.range_sigma_m);
     // The last output of their filter before the reading came.
     let before = |foreseen: &RangeForecast| {
         let earlier = run.foreign_filter.partition_point(|(at_s, _)| *at_s < foreseen.at_s);

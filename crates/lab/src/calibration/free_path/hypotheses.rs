@@ -20,6 +20,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
+use crate::statistics::lagged_sum;
 
 /// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,20 +49,8 @@ impl Wiring {
         Self::SwappedRightReversed,
     ];
 
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::AsGiven => "AsGiven",
-            Self::Swapped => "Swapped",
-            Self::BothReversed => "BothReversed",
-            Self::LeftReversed => "LeftReversed",
-            Self::RightReversed => "RightReversed",
-            Self::SwappedLeftReversed => "SwappedLeftReversed",
-            Self::SwappedRightReversed => "SwappedRightReversed",
-        }
-    }
-
     /// The true travel of both wheels if this is the error.
-    pub const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
+    const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
         let (left_m, right_m) = match self {
             Self::AsGiven => (left_m, right_m),
             Self::Swapped => (right_m, left_m),
@@ -75,7 +64,6 @@ impl Wiring {
     }
 }
 
-/// One possible error of a description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     pub wiring: Wiring,
@@ -95,7 +83,6 @@ const SEGMENT_FIXES: usize = 24;
 const MIN_FIXES: usize = 8;
 /// An error is only reported if its correction improves the fit by this factor: small corrections gain less.
 const MIN_IMPROVEMENT: f64 = 1.6;
-/// Two fits within this ratio are equal.
 const EQUAL_FIT_FACTOR: f64 = 1.02;
 
 /// Comparison of the description with other hypotheses.
@@ -141,7 +128,6 @@ struct ScoredHypothesis {
     start_off_rad: Option<f64>,
 }
 
-/// `None` with too few fixes.
 pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<HypothesisTest> {
     let fix_count: usize = paths.iter().map(|path| path.fixes.len()).sum();
     if fix_count < MIN_FIXES {
@@ -267,11 +253,8 @@ fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
 
 /// Least length of a window, in sigmas of its fixes.
 const MIN_CHORD_SIGMAS: f64 = 20.0;
-/// Largest turn within a window.
 const MAX_TURN_RAD: f64 = 0.5;
-/// Number of following windows that count as neighbours.
 const NEIGHBOURS: usize = 3;
-/// Fewest windows for an estimate of the scatter.
 const MIN_WINDOWS: usize = 3;
 
 /// The mean wheel size relative to the predicted path: a factor, and the number of windows behind it.
@@ -306,15 +289,11 @@ pub(super) fn length_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) 
 /// of neighbours measure that, weighted as by Newey and West (1987), which keeps the sum positive.
 fn residual_variance_m4(run: &[PathChord], factor: f64) -> f64 {
     let scores: Vec<f64> = run.iter().map(|chord| chord.predicted_m * chord.residual_m(factor)).collect();
-    let at_lag = |lag: usize| -> f64 {
-        let pairs = scores.iter().zip(scores.iter().skip(lag));
-        pairs.map(|(one, other)| one * other).sum()
-    };
     let neighbours = (1..=NEIGHBOURS).map(|lag| {
         let weight = 1.0 - lag as f64 / (NEIGHBOURS as f64 + 1.0);
-        2.0 * weight * at_lag(lag)
+        2.0 * weight * lagged_sum(&scores, lag)
     });
-    at_lag(0) + neighbours.sum::<f64>()
+    lagged_sum(&scores, 0) + neighbours.sum::<f64>()
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -331,7 +310,6 @@ impl PathChord {
     }
 }
 
-/// Predicted and observed length of each window.
 fn chords(prediction: &PathPredictor<'_>, path: &FreePath) -> Vec<PathChord> {
     let reckoned = prediction.predict_tags(path, path.start.pose[2]);
     let mut chords = Vec::new();

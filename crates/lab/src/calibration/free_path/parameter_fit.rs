@@ -8,7 +8,7 @@ use posebridge_telemetry::{SensorNoise, UncertainValue};
 use super::drive::FreePath;
 use super::hypotheses::{coarse_track_factor, length_factor};
 use super::predict::{PathPredictor, RobotParameters, estimate_start_heading, nominal};
-use super::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
+use super::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 use crate::calibration::CalibrationError;
 use crate::calibration::least_squares::{LeastSquaresFit, Residuals, fit, solution_shift};
 
@@ -18,7 +18,6 @@ const INSEPARABLE_FACTOR: f64 = 3.0;
 const INFORMATIVE_SHARE: f64 = 0.5;
 /// A heading known better than this is not estimated: about the accuracy of a person or a tracker.
 const KNOWN_HEADING_RAD: f64 = 0.02;
-/// Half width of the central difference of a heading.
 const HEADING_STEP_RAD: f64 = 1e-4;
 
 /// Second and third step: selects the free unknowns and estimates them.
@@ -32,10 +31,8 @@ pub(super) struct ParameterSolver<'a> {
     /// Result of the last round, used by the second step.
     latest: RobotParameters,
     radius_scale: Option<UncertainValue>,
-    /// Start of the descent of the track.
     first_track_scale: f64,
     headings_rad: Vec<f64>,
-    /// The runs whose start heading is estimated.
     free_headings: Vec<usize>,
 }
 
@@ -95,12 +92,12 @@ impl<'a> ParameterSolver<'a> {
     }
 
     fn is_fixed(&self, unknown: CalibrationUnknown) -> bool {
-        unknown.prior(&self.config.calibration).sigma <= 0.0
+        unknown.prior(self.config.calibration).sigma <= 0.0
     }
 
     /// The second step; returns the number of windows behind it.
     pub(super) fn estimate_length(&mut self) -> Option<usize> {
-        let prior = CalibrationUnknown::RadiusScale.prior(&self.config.calibration);
+        let prior = CalibrationUnknown::RadiusScale.prior(self.config.calibration);
         if self.is_fixed(CalibrationUnknown::RadiusScale) {
             return None;
         }
@@ -152,7 +149,7 @@ impl<'a> ParameterSolver<'a> {
         let Ok(with) = self.fit(free) else {
             return if is_basic { UnknownStatus::Unobservable } else { UnknownStatus::NotSeparable };
         };
-        let prior = unknown.prior(&self.config.calibration);
+        let prior = unknown.prior(self.config.calibration);
         if with.value_of(unknown).is_none_or(|found| found.sigma >= INFORMATIVE_SHARE * prior.sigma) {
             return UnknownStatus::Unobservable;
         }
@@ -173,7 +170,7 @@ impl<'a> ParameterSolver<'a> {
             CalibrationUnknown::RadiusDifference
             | CalibrationUnknown::FixDelay
             | CalibrationUnknown::TagForward
-            | CalibrationUnknown::TagLeft => unknown.prior(&self.config.calibration).value,
+            | CalibrationUnknown::TagLeft => unknown.prior(self.config.calibration).value,
         });
         let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
         let start: Vec<f64> = start.chain(headings).collect();
@@ -230,7 +227,7 @@ impl<'a> ParameterSolver<'a> {
         let looked_at = UNKNOWNS.iter().zip(statuses);
         let looked_at = looked_at.zip(by_others.into_iter().zip(by_wandering));
         let entries = looked_at.map(|((unknown, status), (by_others, by_wandering))| {
-            let before = unknown.prior(&self.config.calibration);
+            let before = unknown.prior(self.config.calibration);
             let after = match unknown {
                 CalibrationUnknown::RadiusScale => self.radius_scale.or(chosen.value_of(*unknown)),
                 CalibrationUnknown::TrackScale
@@ -303,7 +300,7 @@ impl<'a> ParameterSolver<'a> {
         }
         for (unknown, status) in UNKNOWNS.iter().zip(statuses) {
             if matches!(status, UnknownStatus::Unobservable | UnknownStatus::NotSeparable) {
-                let prior = unknown.prior(&self.config.calibration);
+                let prior = unknown.prior(self.config.calibration);
                 let mut other = self.clone();
                 let wrong = prior.value + prior.sigma;
                 unknown.apply(wrong, self.base_track_m, &mut other.parameters);
@@ -346,7 +343,6 @@ pub(super) struct HeadingJump {
     pub(super) var_rad2: f64,
 }
 
-/// Jumps that represent the heading random walk of a drive.
 pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorNoise) -> Vec<HeadingJump> {
     let geometry = nominal(track_width_m);
     let length = path.steps.len().div_ceil(JUMPS_PER_PATH).max(1);
@@ -358,7 +354,6 @@ pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorN
     jumps.filter(|jump| jump.var_rad2 > 0.0).collect()
 }
 
-/// The drive with a heading jump of `by_rad`.
 pub(super) fn apply_jump(path: &FreePath, jump: HeadingJump, by_rad: f64, track_width_m: f64) -> FreePath {
     let mut path = path.clone();
     if let Some(step) = path.steps.get_mut(jump.step) {

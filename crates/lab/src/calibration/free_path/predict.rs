@@ -75,14 +75,12 @@ struct PathFilter<'a> {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PredictedTag {
-    /// x, y.
     pub(super) tag_m: [f64; 2],
     /// Not wrapped.
     pub(super) heading_rad: f64,
 }
 
 impl PathPredictor<'_> {
-    /// Whitened innovations of a drive with this start heading.
     pub(super) fn innovations(&self, path: &FreePath, heading_rad: f64) -> Vec<[f64; 2]> {
         let mut white = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::Correct, |_, innovation| {
@@ -91,7 +89,6 @@ impl PathPredictor<'_> {
         white
     }
 
-    /// Predicted fixes by dead reckoning from the start.
     pub(super) fn predict_tags(&self, path: &FreePath, heading_rad: f64) -> Vec<PredictedTag> {
         let mut predicted = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::CompareOnly, |reckoned, _| {
@@ -203,7 +200,6 @@ impl PathFilter<'_> {
     }
 }
 
-/// Distances between dead reckoning and fixes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeadReckoningError {
     pub rms_m: f64,
@@ -211,7 +207,6 @@ pub struct DeadReckoningError {
     pub end_m: f64,
 }
 
-/// A drive by dead reckoning alone, compared with its fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeadReckonedPath {
     /// x, y of the predicted tag at each fix.
@@ -241,7 +236,6 @@ pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &Free
     cross.atan2(dot)
 }
 
-/// Dead reckoning with these parameters from a start with this heading.
 pub fn dead_reckon(
     config: &FilterConfig,
     numbers: &RobotParameters,

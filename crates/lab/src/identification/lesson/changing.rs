@@ -10,7 +10,7 @@ use posebridge_telemetry::{
 };
 
 use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
-use super::section::{LessonSection, band, filter_values, sample_points, seconds, temperatures};
+use super::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
 use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
@@ -211,9 +211,7 @@ pub(super) fn first_order(tau_s: f64) -> DynamicModel {
     DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
 }
 
-/// Factors on all lags of the next sensor.
 const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
-/// Runs for each factor; the median is reported.
 const RUNS: u64 = 3;
 const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };
 const SHARE: f64 = 0.05;
@@ -256,17 +254,7 @@ fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes,
     let settled = |series: &[(f64, f64)]| settling_time_s(series, DIPPED_S, DIP.after, limit);
     let values = |all: &[EndPrediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };
     let all = [settled(&sample_points(&samples)), settled(&values(&certain)), settled(&values(&estimated))];
-    (all, [share_inside(&certain), share_inside(&estimated)])
-}
-
-/// Share of bounds that contain the end, after a step was detected.
-fn share_inside(predictions: &[EndPrediction]) -> f64 {
-    let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
-    let held = moving.iter().filter(|p| {
-        let (low, high) = p.bound();
-        low <= DIP.after && DIP.after <= high
-    });
-    held.count() as f64 / moving.len().max(1) as f64
+    (all, [&certain, &estimated].map(|all| share_inside(all, DIP.after).unwrap_or(0.0)))
 }
 
 fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f64; 2])]) {

@@ -6,7 +6,7 @@ use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_telemetry::SensorId;
 
 use super::changing::{DynamicFilterConfig, first_order};
-use super::section::{LessonSection, band, filter_values, sample_points, temperatures};
+use super::{LessonSection, band, filter_values, sample_points, temperatures};
 use crate::identification::TimedSample;
 use crate::identification::known_dynamics::{block_least_squares, final_value_from_three, recursive_least_squares};
 use crate::identification::prediction::{BOUND_RATE, predict_once};
@@ -18,7 +18,6 @@ use crate::identification::step_response::{SimulatedSensor, step_input};
 /// The worked example of the paper: three readings a minute apart, of a thermometer that goes from 21 to 3 degrees.
 const EXAMPLE: [f64; 3] = [21.0, 15.0, 11.0];
 const MINUTE_S: f64 = 60.0;
-/// Of a good thermometer.
 const SIGMA_K: f64 = 0.1;
 const FIRST_SENSOR: SensorId = SensorId::THERMOMETER;
 const SECOND_SENSOR: SensorId = SensorId(20);

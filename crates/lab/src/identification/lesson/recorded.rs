@@ -2,15 +2,12 @@
 
 use posebridge_report::chart::{Curve, CurveShape};
 
-use super::identified::SHARES;
-use super::section::{LessonSection, band, sample_points, seconds, temperatures};
+use super::{LessonSection, band, sample_points, seconds, settling_times_s, share_inside, temperatures};
 use crate::identification::prediction::EndPrediction;
 use crate::identification::prior::StepDirection;
 use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
-use crate::identification::settling_time_s;
 use crate::identification::step::IdentifiedStep;
 
-/// A recorded run with a step.
 #[derive(Clone, Debug)]
 pub struct RecordedRun {
     pub name: String,
@@ -18,7 +15,6 @@ pub struct RecordedRun {
     pub identified: IdentifiedStep,
 }
 
-/// A predicted run, with the runs it was predicted from.
 #[derive(Clone, Debug)]
 pub struct RecordedPrediction {
     pub name: String,
@@ -41,31 +37,21 @@ impl RecordedPrediction {
         let step = &run.identified;
         let predictions = predict(&step.samples, step.sigma, &kind);
         let series: Vec<(f64, f64)> = predictions.iter().map(|p| (p.at_s, p.value)).collect();
-        let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
-        let inside = moving.iter().filter(|prediction| {
-            let (low, high) = prediction.bound();
-            low <= step.end && step.end <= high
-        });
-        let inside = inside.count() as f64 / moving.len() as f64;
+        let response = step.response();
+        let size = (step.end - response.start).abs();
+        let settled = |series: &[(f64, f64)]| settling_times_s(series, response.onset_s, step.end, size);
         Some(Self {
             name: run.name.clone(),
             identified_from: others.iter().map(|other| other.name.clone()).collect(),
             order: kind.order(),
-            shown_s: settling_times_s(step, &sample_points(&step.samples)),
-            predicted_s: settling_times_s(step, &series),
-            inside: inside.is_finite().then_some(inside),
+            shown_s: settled(&sample_points(&step.samples)),
+            predicted_s: settled(&series),
+            inside: share_inside(&predictions, step.end),
             predictions,
         })
     }
 }
 
-fn settling_times_s(step: &IdentifiedStep, series: &[(f64, f64)]) -> [Option<f64>; 3] {
-    let response = step.response();
-    let size = (step.end - response.start).abs();
-    SHARES.map(|share| settling_time_s(series, response.onset_s, step.end, share * size))
-}
-
-/// The identified models, and a section for each predicted run.
 pub fn recorded_sections(
     identified: &[RecordedRun],
     predicted: &[(RecordedRun, RecordedPrediction)],
@@ -85,13 +71,9 @@ fn identification_section(runs: &[RecordedRun]) -> LessonSection {
         let found = &run.identified;
         let lags = found.lags();
         let of = |text: Vec<String>| text.join(", ");
-        let direction = match StepDirection::from_step(found.response().step) {
-            StepDirection::Up => "up",
-            StepDirection::Down => "down",
-        };
         section.rows.push(vec![
             run.name.clone(),
-            direction.to_owned(),
+            StepDirection::from_step(found.response().step).name().to_owned(),
             format!("{:.2}", found.response().start),
             format!("{:.2}", found.end),
             found.order().to_string(),

@@ -1,0 +1,100 @@
+//! Sums, lines and searches that several experiments need; means and quantiles are in [`posebridge_estimator::numerics::statistics`].
+
+use posebridge_telemetry::UncertainValue;
+
+/// A mean of values that come one by one; the last digits depend on their order.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunningMean {
+    sum: f64,
+    pub count: u64,
+}
+
+impl RunningMean {
+    pub const fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1;
+    }
+
+    pub const fn merge(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
+    pub fn mean(&self) -> Option<f64> {
+        (self.count > 0).then(|| self.sum / self.count as f64)
+    }
+
+    /// Root of the mean: of squares their root mean square.
+    pub fn root(&self) -> Option<f64> {
+        self.mean().map(f64::sqrt)
+    }
+}
+
+/// Mean, and variance of a single value; `None` with fewer than two.
+pub(crate) fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (values.len() > 1).then(|| (mean, squares / (count - 1.0)))
+}
+
+/// Mean of independent values with its standard deviation; `None` with fewer than two.
+pub(crate) fn uncertain_mean(values: &[f64]) -> Option<UncertainValue> {
+    let (value, variance) = mean_and_variance(values)?;
+    Some(UncertainValue { value, sigma: (variance / values.len() as f64).sqrt() })
+}
+
+/// Sum of products of values `lag` apart.
+pub(crate) fn lagged_sum(values: &[f64], lag: usize) -> f64 {
+    values.iter().zip(values.iter().skip(lag)).map(|(a, b)| a * b).sum()
+}
+
+/// The least-squares line through points (x, y).
+pub(crate) struct FittedLine {
+    /// Means of x and y: the line passes through them.
+    pub(crate) centre: (f64, f64),
+    pub(crate) slope: f64,
+}
+
+impl FittedLine {
+    /// `None` unless x varies.
+    pub(crate) fn through(points: &[(f64, f64)]) -> Option<Self> {
+        let count = points.len() as f64;
+        let centre =
+            (points.iter().map(|(x, _)| x).sum::<f64>() / count, points.iter().map(|(_, y)| y).sum::<f64>() / count);
+        let (mut across, mut along) = (0.0, 0.0);
+        for (x, y) in points {
+            across += (x - centre.0) * (y - centre.1);
+            along += (x - centre.0).powi(2);
+        }
+        (along > 0.0).then_some(Self { centre, slope: across / along })
+    }
+
+    /// y minus the line.
+    pub(crate) fn residual(&self, (x, y): (f64, f64)) -> f64 {
+        y - self.centre.1 - self.slope * (x - self.centre.0)
+    }
+}
+
+/// The largest of `value` between `low` and `high`, if there is one peak; each step keeps 62 % of the bracket.
+pub(crate) fn golden_section(mut low: f64, mut high: f64, steps: u32, value: impl Fn(f64) -> f64) -> f64 {
+    let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
+    for _ in 0..steps {
+        let (left, right) = (high - golden * (high - low), low + golden * (high - low));
+        if value(left) > value(right) {
+            high = right;
+        } else {
+            low = left;
+        }
+    }
+    f64::midpoint(low, high)
+}
+
+/// Two independent standard normal numbers from two uniform ones in [0, 1).
+///
+/// Source: G. E. P. Box, M. E. Muller, A note on the generation of random normal deviates, Ann. Math. Statist. 29(2), 1958.
+pub(crate) fn normal_pair(u: f64, v: f64) -> [f64; 2] {
+    let radius = (-2.0 * (1.0 - u).ln()).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
+    [radius * cos, radius * sin]
+}
