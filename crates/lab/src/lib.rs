@@ -3,6 +3,9 @@
 //! The program reads recordings and simulates drives; these modules evaluate them and return values, tables and pages of
 //! [`posebridge_report`]. No IO, no clock, and random numbers only from a given seed: two calls with the same data give the same bytes.
 
+use posebridge_estimator::{FilterConfig, Params};
+use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Radians, SensorNoise};
+
 pub mod accuracy;
 pub mod calibration;
 pub mod clocks;
@@ -17,3 +20,15 @@ pub mod statistics;
 mod test_support;
 pub mod tuning;
 pub mod wall;
+
+/// For a filter that uses no wheels.
+fn config_without_wheels(noise: SensorNoise, params: Params) -> FilterConfig {
+    let geometry = DriveGeometry {
+        left_wheel_radius: Meters(1.0),
+        right_wheel_radius: Meters(1.0),
+        track_width: Meters(1.0),
+        tick: Radians(1.0),
+    };
+    let (calibration, arena_map) = (Calibration::default(), std::sync::Arc::default());
+    FilterConfig { geometry, noise, start: None, params, calibration, arena_map }
+}

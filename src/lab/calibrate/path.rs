@@ -18,11 +18,11 @@ use serde_json::{Value, json};
 
 use super::path_report::{PathCalibrationResult, RunComparison};
 use super::profile::{fold_into_geometry, save_profile};
-use super::source::{self, CalibrationDrive, CalibrationDrives, CalibrationReference, ReferenceSettings};
 use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source::{self, CalibrationReference, SourceRun, SourceRuns};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::tools::csv_table::{CsvRow, CsvTable};
 use crate::tools::experiment_output::OutputArgs;
@@ -77,21 +77,23 @@ impl PathDataset {
         Self::from_drives(args, drives, &others).before_start()
     }
 
-    fn from_drives(args: &PathArgs, mut drives: CalibrationDrives, others: &[CalibrationDrive]) -> Result<Self> {
-        ensure!(!drives.drives.is_empty(), "`{}` holds no run", drives.recording);
-        let is_other = |drive: &CalibrationDrive| others.iter().any(|other| other.name == drive.name);
-        drives.drives.retain(|drive| !is_other(drive));
-        let Some(first) = drives.drives.first() else {
+    fn from_drives(args: &PathArgs, mut drives: SourceRuns, others: &[SourceRun]) -> Result<Self> {
+        ensure!(!drives.runs.is_empty(), "`{}` holds no run", drives.recording);
+        let is_other = |drive: &SourceRun| others.iter().any(|other| other.name == drive.name);
+        drives.runs.retain(|drive| !is_other(drive));
+        let Some(first) = drives.runs.first() else {
             bail!(
                 "no run of `{}` is left to calibrate by: --try-on takes them all; choose others with --run",
                 drives.recording
             )
         };
-        let robots = drives.drives.iter().chain(others);
+        let robots = drives.runs.iter().chain(others);
         source::check_same_robot(robots.map(|drive| (drive.name.as_str(), &drive.config.geometry)))?;
-        let is_by_truth = |drive: &CalibrationDrive| drive.reference == CalibrationReference::Truth;
+        let reference = positions(args, first)?.0;
+        let by_truth = |drive: &SourceRun| Ok(positions(args, drive)?.0 == CalibrationReference::Truth);
+        let by_truth: Vec<bool> = drives.runs.iter().map(by_truth).collect::<Result<_>>()?;
         ensure!(
-            args.truth_sigma_m.is_none() || drives.drives.iter().any(is_by_truth),
+            args.truth_sigma_m.is_none() || by_truth.contains(&true),
             "--truth-sigma-m is the sigma of a truth, but `{}` is compared with fixes, whose sigma is noise.fix_position_m",
             drives.recording
         );
@@ -99,11 +101,11 @@ impl PathDataset {
         let mut config = first.config.clone();
         config.calibration = robot.calibration()?;
         Ok(Self {
-            reference: match first.reference {
+            reference: match reference {
                 CalibrationReference::Fixes => "fixes",
                 CalibrationReference::Truth => "truth",
             },
-            paths: free_paths(args, &drives.drives)?,
+            paths: free_paths(args, &drives.runs)?,
             validation_paths: free_paths(args, others)?,
             recording: drives.recording,
             robot,
@@ -118,17 +120,29 @@ fn truth_sigma_m(args: &PathArgs, usual_m: f64) -> Result<f64> {
     Ok(sigma_m)
 }
 
-fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<CalibrationDrives, Failure> {
+fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<SourceRuns, Failure> {
     let Some(recording) = &args.recording else {
         return Err(anyhow!("name a recording, or give --segments")).before_start();
     };
-    let truth_sigma_m = truth_sigma_m(args, TRUTH_SIGMA_M).before_start()?;
-    source::load(recording, data, ReferenceSettings { reference: args.against, truth_sigma_m })
+    if own_recording::is_own(recording) && args.against == Some(CalibrationReference::Truth) {
+        let name = recording.display();
+        return Err(anyhow!(
+            "a recording of ours has no truth: leave --against away, and `{name}` is compared with its fixes"
+        ))
+        .before_start();
+    }
+    source::load(recording, data).before_start()
+}
+
+fn positions(args: &PathArgs, drive: &SourceRun) -> Result<(CalibrationReference, Vec<PositionFix>)> {
+    let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
+    let reference = args.against.or(is_ours.then_some(CalibrationReference::Fixes));
+    Ok(drive.positions(reference, truth_sigma_m(args, TRUTH_SIGMA_M)?))
 }
 
 /// The runs of `--try-on`, without duplicates.
-fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Failure> {
-    let mut others: Vec<CalibrationDrive> = Vec::new();
+fn load_validation_drives(args: &PathArgs) -> Result<Vec<SourceRun>, Failure> {
+    let mut others: Vec<SourceRun> = Vec::new();
     if let (Some(path), false) = (&args.recording, args.try_on.is_empty())
         && own_recording::is_own(path)
     {
@@ -137,7 +151,7 @@ fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Fail
     }
     for prefix in &args.try_on {
         let flags = DataFlags { run: Some(prefix.clone()), ..args.data.clone() };
-        for drive in load_drives(args, &flags)?.drives {
+        for drive in load_drives(args, &flags)?.runs {
             if others.iter().all(|known| known.name != drive.name) {
                 others.push(drive);
             }
@@ -146,14 +160,15 @@ fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Fail
     Ok(others)
 }
 
-fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePath>> {
+fn free_paths(args: &PathArgs, drives: &[SourceRun]) -> Result<Vec<FreePath>> {
     let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
     let paths = drives.iter().map(|drive| {
+        let (reference, positions) = positions(args, drive)?;
         ensure!(
-            !drive.references.is_empty(),
+            !positions.is_empty(),
             "run `{}` has no {}: nothing says where the robot was",
             drive.name,
-            match drive.reference {
+            match reference {
                 CalibrationReference::Fixes if is_ours =>
                     "fixes (record it again where its camera sees it; docs/lab/calibration.md)",
                 CalibrationReference::Fixes => "fixes (try --against truth)",
@@ -164,8 +179,7 @@ fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePa
         if args.unknown_start {
             config.start = None;
         }
-        let fixes = drive.references.iter().copied();
-        Ok(FreePath::new(&drive.name, &config, &drive.observations, fixes))
+        Ok(FreePath::new(&drive.name, &config, &drive.observations, positions))
     });
     paths.collect()
 }
@@ -347,9 +361,8 @@ fn execute_online(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure> {
     let Some(recording) = &args.recording else {
         return Err(anyhow::anyhow!("--online needs a recording")).before_start();
     };
-    let watch = ReferenceSettings { reference: Some(CalibrationReference::Fixes), truth_sigma_m: 1.0 };
-    let drives = source::load(recording, &args.data, watch)?;
-    let drive = single_drive(&drives.drives).before_start()?;
+    let drives = source::load(recording, &args.data).before_start()?;
+    let drive = single_drive(&drives.runs).before_start()?;
     let learned = learn(drive).while_running()?;
     let report = report(&drives.recording, &learned);
     if let Some(path) = &args.save {
@@ -360,14 +373,14 @@ fn execute_online(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report)
 }
 
-fn single_drive(drives: &[CalibrationDrive]) -> Result<&CalibrationDrive> {
+fn single_drive(drives: &[SourceRun]) -> Result<&SourceRun> {
     match drives {
         [drive] => Ok(drive),
         _ => bail!("--online takes what one run has taught, but {} are selected: choose one with --run", drives.len()),
     }
 }
 
-fn learn(drive: &CalibrationDrive) -> Result<LearnedCalibration> {
+fn learn(drive: &SourceRun) -> Result<LearnedCalibration> {
     ensure!(
         drive.observations.iter().any(|one| matches!(one.measurement, ObservationKind::Fix(_))),
         "run `{}` has no fixes: on line the filter learns from them alone",

@@ -13,12 +13,12 @@ use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
 use super::profile::save_profile;
-use super::source::{self, ReferenceSettings};
 use crate::config::{CalibrationEntry, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source;
 use crate::tools::experiment_output::OutputArgs;
 
 const TASK: &str = "leave the robot standing for a minute, its motors off";
@@ -53,15 +53,14 @@ struct ChannelNoise {
 pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
-    let watch = ReferenceSettings { reference: None, truth_sigma_m: 1.0 };
     let named = args.recording.as_deref();
     let recording = args.live.or_named(named, &args.output, &args.data, TASK)?;
-    let drives = source::load(&recording, &args.data, watch)?;
-    let Some(first) = drives.drives.first() else {
+    let drives = source::load(&recording, &args.data).before_start()?;
+    let Some(first) = drives.runs.first() else {
         return Err(anyhow!("`{}` holds no run", drives.recording)).before_start();
     };
     let mut all = <[RestIntervals; 3]>::default();
-    for drive in &drives.drives {
+    for drive in &drives.runs {
         let mut observations = drive.observations.clone();
         observations.sort_by_key(|observation| observation.stamp);
         for (channel, found) in all.iter_mut().zip(readings_at_rest(&observations)) {

@@ -2,7 +2,7 @@
 
 use posebridge_estimator::smoother::{batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
-use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, WheelRotation, error_bound, score, score_smoother};
+use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, error_bound, score, score_smoother};
 use posebridge_lab::statistics::RunningMean;
 use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};
 use posebridge_telemetry::Calibration;
@@ -148,8 +148,7 @@ impl BoundKind {
         match self {
             Self::Unavailable(_) => None,
             Self::Excluding(_) => {
-                let turns: Vec<WheelRotation> =
-                    drive.wheel_turns.iter().map(|turn| WheelRotation { left: turn.left, right: turn.right }).collect();
+                let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, turn.right]).collect();
                 error_bound(&filter_config(&drive.prior), known, &turns)
             }
         }
@@ -208,11 +207,7 @@ mod tests {
             turn.right = Radians(0.0);
         }
         let known = known_drive(&drive);
-        let turns: Vec<WheelRotation> = drive
-            .wheel_turns
-            .iter()
-            .map(|turn| WheelRotation { left: turn.left, ..WheelRotation::default() })
-            .collect();
+        let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, Radians(0.0)]).collect();
         let expected = error_bound(&filter_config(&drive.prior), &known, &turns);
         assert!(expected.is_some());
         assert_eq!(BoundKind::for_scenario(&scenario).compute(&drive, &known), expected);

@@ -16,7 +16,7 @@ use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Observation;
 use serde_json::{Map, Value, json};
 
-use super::live::{LiveArgs, LiveRobot};
+use super::live::LiveArgs;
 use crate::config::{Overlay, Setting};
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
@@ -142,8 +142,7 @@ const DEFAULT_SIGMA_K: f64 = 0.03;
 const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
 
 fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
-    let robot = LiveRobot { file: None, settings: &args.settings };
-    let live = args.live.record(&args.output, robot, TASK)?;
+    let live = args.live.record(&args.output, None, &args.settings, TASK)?;
     let (chosen, loaded) = match args.recordings.as_slice() {
         [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => of_descriptor(args, descriptor),
         recordings => of_recordings(args, recordings, live.as_deref()),

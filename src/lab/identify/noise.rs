@@ -14,12 +14,12 @@ use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
 use super::{Quantity, end_of_interval, report};
-use crate::config::{Overlay, Setting};
+use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::drives;
-use crate::lab::experiments::live::{LiveArgs, LiveRobot};
-use crate::tools::dataset::{DataSet, report_bad_rows};
+use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source;
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
@@ -311,17 +311,23 @@ pub(super) struct ExperimentData {
 
 impl SourceArgs {
     pub(super) fn read(&self, experiment: &ExperimentSource, output: &OutputArgs) -> Result<ExperimentData, Failure> {
-        let robot = LiveRobot { file: None, settings: &self.settings };
-        if let Some(live) = self.live.record(output, robot, experiment.instruction)? {
+        if let Some(live) = self.live.record(output, None, &self.settings, experiment.instruction)? {
             // The keys that are set stand in the recording.
-            return read_own(&live, &[]).and_then(|data| self.crop(data)).while_running();
+            return read_run(&live, &self.flags(None, Vec::new())).and_then(|data| self.crop(data)).while_running();
         }
         let data = match &self.recording {
-            Some(path) if own_recording::is_own(path) => self.load_own(path),
-            Some(path) => self.load_descriptor(path),
+            Some(path) => {
+                // Every fix is looked at: none needs to be withheld.
+                let every = (!own_recording::is_own(path)).then_some(1);
+                read_run(path, &self.flags(every, self.settings.clone()))
+            }
             None => self.simulate(experiment.scenario),
         };
         data.and_then(|data| self.crop(data)).before_start()
+    }
+
+    fn flags(&self, use_every: Option<usize>, settings: Vec<Setting>) -> DataFlags {
+        DataFlags { data: self.data.clone(), run: self.run.clone(), use_every, settings }
     }
 
     fn crop(&self, mut data: ExperimentData) -> Result<ExperimentData> {
@@ -334,41 +340,6 @@ impl SourceArgs {
         });
         ensure!(!data.observations.is_empty(), "no observation of `{}` lies between --from and --to", data.name);
         Ok(data)
-    }
-
-    fn load_own(&self, path: &Path) -> Result<ExperimentData> {
-        ensure!(
-            self.run.is_none(),
-            "--run chooses from a descriptor's data; `{}` is a recording of ours",
-            path.display()
-        );
-        read_own(path, &self.settings)
-    }
-
-    fn load_descriptor(&self, path: &Path) -> Result<ExperimentData> {
-        let flags = DataFlags {
-            data: self.data.clone(),
-            run: self.run.clone(),
-            // Every fix is looked at: none needs to be withheld.
-            use_every: Some(1),
-            settings: self.settings.clone(),
-        };
-        let data = DataSet::open(path, &flags)?;
-        let name = data.runs.first().context("the descriptor has no run")?;
-        let loaded = data.load(name, &flags)?;
-        report_bad_rows(&loaded);
-        let timed = loaded.run.observations.iter();
-        Ok(ExperimentData {
-            name: loaded.run.name.clone(),
-            observations: timed
-                .map(|timed| ArrivedObservation {
-                    arrival_s: Some(timed.arrival.as_secs_f64()),
-                    observation: timed.observation,
-                })
-                .collect(),
-            geometry: loaded.filter_config.geometry,
-            scenario: None,
-        })
     }
 
     fn simulate(&self, bundled: &str) -> Result<ExperimentData> {
@@ -393,15 +364,11 @@ impl SourceArgs {
     }
 }
 
-fn read_own(path: &Path, settings: &[Setting]) -> Result<ExperimentData> {
-    let overlay = Overlay { robot: None, settings };
-    let run = own_recording::read(path, overlay)?;
-    let arrived = run.observations.iter().enumerate().map(|(index, observation)| {
-        let arrivals = run.arrivals.as_ref();
-        ArrivedObservation {
-            arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
-            observation: *observation,
-        }
+fn read_run(path: &Path, flags: &DataFlags) -> Result<ExperimentData> {
+    let run = source::load_run(path, None, flags)?;
+    let arrived = run.observations.iter().enumerate().map(|(index, observation)| ArrivedObservation {
+        arrival_s: run.arrivals_s.as_ref().and_then(|all| all.get(index).copied()),
+        observation: *observation,
     });
     Ok(ExperimentData {
         observations: arrived.collect(),

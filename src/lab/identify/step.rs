@@ -20,8 +20,8 @@ use super::{Quantity, end_of_interval, report, step_simulated};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
-use crate::lab::calibrate::source::{self, CalibrationDrive, ReferenceSettings};
 use crate::lab::parallel::run_with_bar;
+use crate::lab::source::{self, SourceRun};
 use crate::tools::csv_table::CsvTable;
 use crate::tools::dataset::report_skipped;
 
@@ -101,20 +101,16 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     );
     let flags = DataFlags {
         data: args.data.clone(),
-        // Every name begins with nothing: all runs. A recording of ours has one.
-        run: is_descriptor.then(|| args.run.clone().unwrap_or_default()),
+        // Every name begins with nothing: all runs.
+        run: args.run.clone().or(is_descriptor.then(String::new)),
         use_every: None,
         settings: args.settings.clone(),
     };
-    ensure!(is_descriptor || args.run.is_none(), "--run chooses from a descriptor's runs; a recording of ours has one");
-    let watch = ReferenceSettings { reference: None, truth_sigma_m: 1.0 };
-    let drives = source::load(path, &flags, watch).map_err(|failure| match failure {
-        Failure::CouldNotStart(error) | Failure::Failed(error) => error,
-    })?;
+    let drives = source::load(path, &flags)?;
     let channel_name = args.channel.unwrap_or(ChannelName::Temperature);
     let channel = channel_name.channel();
     let mut runs = Vec::new();
-    for drive in &drives.drives {
+    for drive in &drives.runs {
         for part in parts(channel_name, drive)? {
             runs.push(run_from_part(args, channel_name, &part)?);
         }
@@ -130,12 +126,12 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
 
 struct StepPart<'a> {
     name: String,
-    drive: &'a CalibrationDrive,
+    drive: &'a SourceRun,
     observations: &'a [Observation],
 }
 
 /// Each thermometer of a posebridge recording separately; else the whole drive, which has each sensor once.
-fn parts(channel_name: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_>>> {
+fn parts(channel_name: ChannelName, drive: &SourceRun) -> Result<Vec<StepPart<'_>>> {
     if channel_name != ChannelName::Temperature || drive.thermometers.is_empty() {
         return Ok(vec![StepPart { name: drive.name.clone(), drive, observations: &drive.observations }]);
     }

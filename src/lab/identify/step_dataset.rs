@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use posebridge_lab::identification::{ModelOrder, Sampling, SensorChannel, StepOptions, TimedSample};
+use posebridge_lab::identification::{Sampling, SensorChannel, StepOptions, TimedSample};
 
 use crate::config::Setting;
 use crate::tools::experiment_output::OutputArgs;
@@ -130,15 +130,11 @@ impl StepArgs {
     pub(super) fn options(&self, sigma: f64) -> StepOptions {
         StepOptions {
             sigma: self.noise.unwrap_or(sigma),
-            order: self.order(),
+            order: self.order.map(usize::from),
             onset_s: self.onset,
             input_step: self.input_step,
             end: self.end,
         }
-    }
-
-    pub(super) fn order(&self) -> ModelOrder {
-        self.order.map_or(ModelOrder::Automatic, |order| ModelOrder::Fixed(usize::from(order)))
     }
 }
 

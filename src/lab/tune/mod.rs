@@ -224,11 +224,10 @@ fn profile_text(material: &TuneDataset, tuned: &TuneResult) -> Result<String> {
         };
     }
     robot.insert("noise".to_owned(), noise.into());
-    let mut origin = toml::Table::new();
-    origin.insert("source".to_owned(), material.source.clone().into());
     let keys: Vec<toml::Value> = tuned.keys.iter().map(|key| key.name().into()).collect();
-    origin.insert("keys".to_owned(), keys.into());
-    origin.insert("kept".to_owned(), report::kept(tuned).into());
+    let origin: [(&str, toml::Value); 3] =
+        [("source", material.source.clone().into()), ("keys", keys.into()), ("kept", report::kept(tuned).into())];
+    let origin: toml::Table = origin.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
     let mut page = toml::Table::new();
     page.insert("tuned".to_owned(), origin.into());
     page.insert("robot".to_owned(), robot.into());

@@ -16,11 +16,11 @@ use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
 use super::TuneArgs;
-use crate::config::{Overlay, RobotFile};
+use crate::config::RobotFile;
 use crate::flags::DataFlags;
-use crate::lab::calibrate::source::check_same_robot;
 use crate::lab::drives::{self, filter_config, known_drive};
-use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
+use crate::lab::source::{self, SourceRun, check_same_robot};
+use crate::tools::dataset::DataSet;
 use crate::tools::own_recording;
 use crate::tools::score::{EstimateSource, Scorer};
 
@@ -71,19 +71,11 @@ fn recorded(args: &TuneArgs) -> Result<TuneDataset> {
         trained.retain(|name| !held_out.contains(name));
         let trained = trained.into_iter().map(|name| (name, RunSet::Training));
         for (name, set) in trained.chain(held_out.into_iter().map(|name| (name, RunSet::HeldOut))) {
-            let (run, its_robot) = if own_recording::is_own(path) {
-                load_own(args, path, set)?
-            } else {
-                let flags = flags(args, Some(name.clone()));
-                let loaded = DataSet::open(path, &flags)?.load(name, &flags)?;
-                report_bad_rows(&loaded);
-                let its_robot = loaded.robot.clone();
-                (run_from_recording(args, loaded, set)?, its_robot)
-            };
+            let loaded = source::load_run(path, Some(name), &run_flags(args, path, name))?;
             if set == RunSet::Training {
-                robot.get_or_insert(its_robot);
+                robot.get_or_insert(loaded.robot.clone());
             }
-            runs.push(run);
+            runs.push(run_from_source(args, path, loaded, set)?);
         }
     }
     check_same_robot(runs.iter().map(|run| (run.name.as_str(), &run.config.geometry)))?;
@@ -91,8 +83,16 @@ fn recorded(args: &TuneArgs) -> Result<TuneDataset> {
     Ok(TuneDataset { runs, robot: robot.unwrap_or_default(), source: paths.join(", ") })
 }
 
-fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
-    DataFlags { data: args.data.clone(), run, use_every: args.use_every, settings: args.settings.clone() }
+fn flags(args: &TuneArgs) -> DataFlags {
+    DataFlags { data: args.data.clone(), run: None, use_every: args.use_every, settings: args.settings.clone() }
+}
+
+/// Of a recording, `--use-every` chooses later.
+fn run_flags(args: &TuneArgs, path: &Path, name: &str) -> DataFlags {
+    if own_recording::is_own(path) {
+        return DataFlags { use_every: None, ..flags(args) };
+    }
+    DataFlags { run: Some(name.to_owned()), ..flags(args) }
 }
 
 struct RunNames {
@@ -103,23 +103,29 @@ struct RunNames {
 
 fn run_names(args: &TuneArgs, path: &Path) -> Result<RunNames> {
     if own_recording::is_own(path) {
-        let only = vec![name_of(path)];
+        let only = vec![path.display().to_string()];
         return Ok(RunNames { all: only.clone(), usual: only });
     }
-    let data = DataSet::open(path, &flags(args, None))?;
+    let data = DataSet::open(path, &flags(args))?;
     Ok(RunNames { all: data.descriptor.runs, usual: data.runs })
 }
 
-fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<TuneRun> {
-    let mut run = loaded.run;
-    let config = loaded.filter_config;
-    let mut observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
+/// Of a recording, the fixes between every `--use-every`th are withheld for the score.
+fn run_from_source(args: &TuneArgs, path: &Path, loaded: SourceRun, set: RunSet) -> Result<TuneRun> {
+    let SourceRun { name, config, mut observations, dataset: mut run, .. } = loaded;
+    if own_recording::is_own(path) {
+        ensure!(
+            args.fixes_from_truth.is_none(),
+            "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
+        );
+        (observations, run.withheld) = split(&observations, args.use_every.unwrap_or(1));
+    }
     if let Some(every_s) = args.fixes_from_truth {
         ensure!(
             every_s.is_finite() && every_s > 0.0,
             "--fixes-from-truth is {every_s}, must be a number of seconds of more than zero"
         );
-        ensure!(!run.truth.is_empty(), "run `{}` has no truth for --fixes-from-truth", run.name);
+        ensure!(!run.truth.is_empty(), "run `{name}` has no truth for --fixes-from-truth");
         let truth: Vec<_> = run.truth.iter().map(|truth| (truth.time, truth.position)).collect();
         let glimpses = SyntheticFixes {
             every: TimeDelta::from_secs_f64(every_s),
@@ -130,8 +136,7 @@ fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<
         // Stable: at one instant the wheels come before the camera.
         observations.sort_by_key(|observation| observation.stamp);
     }
-    run.observations.clear();
-    Ok(TuneRun { name: run.name.clone(), set, observations, config, reference: RunReference::Recorded(Box::new(run)) })
+    Ok(TuneRun { name, set, observations, config, reference: RunReference::Recorded(Box::new(run)) })
 }
 
 fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
@@ -298,26 +303,6 @@ impl EstimateSource for FilterEstimates<'_> {
     }
 }
 
-/// Name of a recording among the runs: its path as given.
-pub(super) fn name_of(path: &Path) -> String {
-    path.display().to_string()
-}
-
-/// A posebridge recording as one run. With --use-every the fixes in between are withheld for the score.
-pub(super) fn load_own(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(TuneRun, RobotFile)> {
-    let name = name_of(path);
-    ensure!(
-        args.fixes_from_truth.is_none(),
-        "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
-    );
-    let overlay = Overlay { robot: None, settings: &args.settings };
-    let own = own_recording::read(path, overlay)?;
-    let (observations, withheld) = split(&own.observations, args.use_every.unwrap_or(1));
-    let run = DatasetRun { name: name.clone(), withheld, ..DatasetRun::default() };
-    let run = TuneRun { name, set, observations, config: own.config, reference: RunReference::Recorded(Box::new(run)) };
-    Ok((run, own.robot))
-}
-
 /// Splits off withheld fixes: all but the first of `every` fixes; all for zero.
 fn split(observations: &[Observation], every: usize) -> (Vec<Observation>, Vec<WithheldFix>) {
     let mut shown = Vec::new();
@@ -346,27 +331,11 @@ mod tests {
     use super::*;
     use crate::cli::{Cli, Command};
 
-    const WHEELS: &str = r#"
-source = "written by this test"
-licence = "-"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[files.wheels]
-path = "wheels.csv"
-header_lines = 1
-time = { column = "t_s" }
-
-[[wheels]]
-file = "wheels"
-counting = "absolute"
-left = { column = "left", unit = "ticks" }
-right = { column = "right", unit = "ticks" }
-"#;
+    const WHEELS: &str = concat!(
+        "source = \"written by this test\"\nlicence = \"-\"\n\n[robot]\nleft_wheel_radius_m = 0.1\nright_wheel_radius_m = 0.1\n",
+        "track_width_m = 0.2\nticks_per_turn = 360.0\n",
+        include_str!("../../../tests/data/wheels-csv.toml")
+    );
 
     #[test]
     fn the_robot_is_that_of_the_runs_that_were_tuned_on() {

@@ -26,7 +26,7 @@ use posebridge_report::tables::NO_VALUE;
 use posebridge_report::track::SmoothedPath;
 use posebridge_report::track::TimedPose;
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Arena, DriveGeometry, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
+use posebridge_telemetry::{Arena, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
 use crate::statistics::RunningMean;
 
@@ -74,38 +74,6 @@ pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     score.sources = sources;
     score.end_run();
     score
-}
-
-#[derive(Clone, Copy, Debug)]
-pub struct ScoreRow<'a> {
-    pub name: &'a str,
-    pub score: &'a FilterScore,
-    /// Lower bound of the root mean square position error of any filter; `None` where it does not apply.
-    pub bound_m: Option<f64>,
-}
-
-impl ScoreRow<'_> {
-    pub fn ratio_to_bound(&self) -> Option<f64> {
-        let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
-        Some(self.score.position_rms_m()? / bound_m)
-    }
-
-    /// The sensors with predicted observations, each with its mean NIS and verdict.
-    pub fn sources(&self) -> String {
-        let scored: Vec<String> = self.score.sources.iter().filter_map(source_text).collect();
-        if scored.is_empty() { NO_VALUE.to_owned() } else { scored.join("; ") }
-    }
-
-    pub fn footnotes(&self) -> Vec<String> {
-        let score = self.score;
-        let left_out = [
-            (score.steps_without_estimate, ", no estimate"),
-            (score.steps_not_finite, ", not finite"),
-            (score.refused_covariances, " of its claim and its ANEES, covariance not positive definite"),
-        ];
-        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
-        some.map(|(count, what)| format!("{}: steps left out{what}: {count}", self.name)).collect()
-    }
 }
 
 fn source_text(tally: &SourceTally) -> Option<String> {
@@ -224,6 +192,29 @@ impl FilterScore {
         }
     }
 
+    /// `None` without a bound of the root mean square position error.
+    pub fn ratio_to_bound(&self, bound_m: Option<f64>) -> Option<f64> {
+        let bound_m = bound_m.filter(|bound_m| *bound_m > 0.0)?;
+        Some(self.position_rms_m()? / bound_m)
+    }
+
+    /// The sensors with predicted observations, each with its mean NIS and verdict.
+    pub fn sources_text(&self) -> String {
+        let scored: Vec<String> = self.sources.iter().filter_map(source_text).collect();
+        if scored.is_empty() { NO_VALUE.to_owned() } else { scored.join("; ") }
+    }
+
+    /// What is left out of the score of an estimator of this name.
+    pub fn footnotes(&self, name: &str) -> Vec<String> {
+        let left_out = [
+            (self.steps_without_estimate, ", no estimate"),
+            (self.steps_not_finite, ", not finite"),
+            (self.refused_covariances, " of its claim and its ANEES, covariance not positive definite"),
+        ];
+        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, what)| format!("{name}: steps left out{what}: {count}")).collect()
+    }
+
     pub const fn steps(&self) -> u64 {
         self.all.position_m2.count
     }
@@ -319,23 +310,12 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
 // # Source
 // [`posebridge_estimator::smoother::cramer_rao`], which says what it assumes.
 
-/// True wheel rotation over one step, before encoder rounding; slip is not included.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WheelRotation {
-    pub left: Radians,
-    pub right: Radians,
-}
-
 /// The least squared position errors of a filter of this configuration over the scored steps of a drive, m²; its root is the lower
 /// bound of the root mean square error.
 ///
-/// `wheel_turns` has one entry for each step. `None` where the bound does not apply: another number of entries, a fix timestamp
+/// `wheel_turns` are the true rotations of the left and the right wheel over each step, before rounding and without slip. `None` where the bound does not apply: another number of entries, a fix timestamp
 /// between steps, or a non-finite bound.
-pub fn error_bound(
-    config: &FilterConfig,
-    drive: &ReferenceDrive,
-    wheel_turns: &[WheelRotation],
-) -> Option<RunningMean> {
+pub fn error_bound(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[[Radians; 2]]) -> Option<RunningMean> {
     let [first, second, ..] = drive.truth.as_slice() else {
         return None;
     };
@@ -343,7 +323,9 @@ pub fn error_bound(
         return None;
     }
     let poses: Vec<_> = drive.truth.iter().map(|truth| truth.pose).collect();
-    let travel: Vec<WheelTravel> = wheel_turns.iter().map(|turn| nominal_travel(*turn, &config.geometry)).collect();
+    let (left_m, right_m) = (config.geometry.left_wheel_radius.0, config.geometry.right_wheel_radius.0);
+    let travel = |[left, right]: &[Radians; 2]| WheelTravel { left_m: left.0 * left_m, right_m: right.0 * right_m };
+    let travel: Vec<WheelTravel> = wheel_turns.iter().map(travel).collect();
     let run = GroundTruthRun {
         poses: &poses,
         travel: &travel,
@@ -355,13 +337,6 @@ pub fn error_bound(
         bound.add(variance_m2);
     }
     bound.mean().is_none_or(f64::is_finite).then_some(bound)
-}
-
-fn nominal_travel(turn: WheelRotation, geometry: &DriveGeometry) -> WheelTravel {
-    WheelTravel {
-        left_m: turn.left.0 * geometry.left_wheel_radius.0,
-        right_m: turn.right.0 * geometry.right_wheel_radius.0,
-    }
 }
 
 fn fixes(drive: &ReferenceDrive) -> Option<Vec<FixArrival>> {

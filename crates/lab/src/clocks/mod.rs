@@ -52,7 +52,6 @@ pub struct ClockRow {
     pub mean_ms: Option<f64>,
     /// Share of the scored exchanges with an estimate, 0 to 1.
     pub answered: f64,
-    pub started: bool,
 }
 
 /// Runs every method of [`METHODS`] over every case of [`CLOCK_CASES`] with these seeds: one row for each, case by case.
@@ -102,7 +101,6 @@ fn row_of(case: &ClockCase, method: &MethodEntry, seeds: &[u64]) -> ClockRow {
         worst_ms: started.then_some(errors.worst_ms),
         mean_ms: started.then(|| errors.sum_ms / f64::from(errors.answered)),
         answered: f64::from(errors.answered) / f64::from(errors.scored.max(1)),
-        started,
     }
 }
 

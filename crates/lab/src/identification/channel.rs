@@ -100,10 +100,7 @@ impl SensorChannel {
 
 /// Equation (18).
 fn differences(angles: &[TimedSample]) -> Vec<TimedSample> {
-    let pairs = angles.windows(2).filter_map(|pair| match pair {
-        [a, b] => Some((a, b)),
-        _ => None,
-    });
+    let pairs = angles.iter().zip(angles.iter().skip(1));
     pairs
         .map(|(a, b)| TimedSample {
             at_s: f64::midpoint(a.at_s, b.at_s),
@@ -154,24 +151,13 @@ pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
     if samples.len() < MIN_SAMPLES {
         return None;
     }
-    let quantum = samples
-        .windows(2)
-        .filter_map(|pair| match pair {
-            [a, b] => Some((b.value - a.value).abs()),
-            _ => None,
-        })
-        .filter(|difference| *difference > 0.0)
-        .fold(f64::INFINITY, f64::min);
+    let differences = samples.windows(2).map(|pair| (pair[1].value - pair[0].value).abs());
+    let quantum = differences.filter(|difference| *difference > 0.0).fold(f64::INFINITY, f64::min);
     if quantum.is_infinite() {
         return None;
     }
-    let mut bends: Vec<f64> = samples
-        .windows(3)
-        .filter_map(|three| match three {
-            [a, b, c] => Some((c.value - 2.0 * b.value + a.value).abs()),
-            _ => None,
-        })
-        .collect();
+    let bends = samples.windows(3).map(|three| (three[2].value - 2.0 * three[1].value + three[0].value).abs());
+    let mut bends: Vec<f64> = bends.collect();
     bends.sort_by(f64::total_cmp);
     let median = bends.get(bends.len() / 2)?;
     let scatter = median / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());

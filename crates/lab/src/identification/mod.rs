@@ -23,7 +23,7 @@ pub use self::parameter_uncertainty::{Sampling, StepParameters};
 pub use self::prediction::EndPrediction;
 pub use self::prior::{ExpectedDynamics, StepDirection};
 pub use self::sensor_kind::{DirectionComparison, KindError, SensorKind, compare_directions, predict};
-pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, ModelOrder, StepOptions, identify_step};
+pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, StepOptions, identify_step};
 pub use self::step_response::{Lag, StepResponse, settling_time_s};
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -274,7 +274,7 @@ fn lagged_products(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<
 
 #[cfg(test)]
 mod tests {
-    use super::super::step::{ModelOrder, StepOptions, identify_step};
+    use super::super::step::{StepOptions, identify_step};
     use super::super::{TimedSample, estimate_noise};
     use super::*;
     use crate::identification::step_response::{SimulatedSensor, step_input};
@@ -295,7 +295,7 @@ mod tests {
         let mut sums = [0.0; 3];
         for seed in 0..RUNS {
             let options = StepOptions {
-                order: ModelOrder::Fixed(1),
+                order: Some(1),
                 onset_s: Some(ONSET_S),
                 input_step: Some(input),
                 ..StepOptions::with_sigma(sigma)

@@ -20,22 +20,13 @@ use super::step_response::{Lag, StepResponse};
 use super::{TimedSample, sorted_finite};
 use crate::statistics::lagged_sum;
 
-/// The number of exponentials, fixed or selected by the data.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ModelOrder {
-    /// Selected by equation (7).
-    #[default]
-    Automatic,
-    /// 1 to [`MAX_ORDER`].
-    Fixed(usize),
-}
-
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOptions {
     /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its resolution over the root of
     /// 12.
     pub sigma: f64,
-    pub order: ModelOrder,
+    /// Number of exponentials, 1 to [`MAX_ORDER`]; selected by equation (7) if `None`.
+    pub order: Option<usize>,
     /// Time of the quantity's step, by the sensor's clock; without it the delay is not observable.
     pub onset_s: Option<f64>,
     /// Step of the quantity, in its own unit; without it the gain is not observable.
@@ -45,7 +36,7 @@ pub struct StepOptions {
 
 impl StepOptions {
     pub const fn with_sigma(sigma: f64) -> Self {
-        Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
+        Self { sigma, order: None, onset_s: None, input_step: None, end: None }
     }
 }
 
@@ -74,8 +65,6 @@ pub struct CandidateModel {
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdentifiedStep {
     pub samples: Vec<TimedSample>,
-    /// Sensor units per unit of the quantity, if the step of the quantity was given.
-    pub gain: Option<f64>,
     /// From the step of the quantity to the onset of the sensor, if the former was given.
     pub delay_s: Option<f64>,
     /// Final value: as given, else the mean of the last tenth of the samples.
@@ -150,8 +139,8 @@ pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<I
     let no_step = || IdentificationError::NoStep { samples: sorted_finite(samples).len(), sigma: options.sigma };
     let found = find_step(samples, options.sigma).ok_or_else(no_step)?;
     let orders = match options.order {
-        ModelOrder::Automatic => 1..=MAX_ORDER,
-        ModelOrder::Fixed(order) => order..=order,
+        None => 1..=MAX_ORDER,
+        Some(order) => order..=order,
     };
     let work = StepFitter::new(&found, options);
     let mut candidates: Vec<CandidateModel> = orders.clone().filter_map(|order| work.candidate(order)).collect();
@@ -165,9 +154,7 @@ pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<I
         return Err(IdentificationError::TooFew { samples: work.samples_after_onset, order: *orders.start() });
     };
     let response = &best.fit.response;
-    let step = response.step;
     Ok(IdentifiedStep {
-        gain: options.input_step.map(|input| step / input),
         delay_s: options.onset_s.map(|onset_s| response.onset_s - onset_s),
         end: options.end.unwrap_or(found.end),
         sigma: work.sigma,
@@ -182,7 +169,7 @@ fn validate_options(options: &StepOptions) -> Result<(), IdentificationError> {
     if !(sigma > 0.0 && sigma.is_finite()) {
         return Err(IdentificationError::Sigma { sigma });
     }
-    if let ModelOrder::Fixed(order) = options.order
+    if let Some(order) = options.order
         && !(1..=MAX_ORDER).contains(&order)
     {
         return Err(IdentificationError::Order { order });

@@ -8,7 +8,6 @@ use crate::statistics::{FittedLine, lagged_sum};
 pub struct StraightNoise {
     /// Speeds in the stretch at a steady speed.
     pub samples: usize,
-    pub from: usize,
     pub speed_m_per_s: f64,
     /// About a straight line through the speeds: the root of R.
     pub sigma_m_per_s: f64,
@@ -40,7 +39,7 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
         return Err(StraightError::NotFinite);
     }
     let speeds: Vec<f64> = travel.iter().map(|(dt_s, by_m)| by_m / dt_s).collect();
-    let (from, steady) = steady_part(&speeds);
+    let steady = steady_part(&speeds);
     if steady.len() < MIN_INTERVALS {
         return Err(StraightError::TooShort(steady.len()));
     }
@@ -53,7 +52,6 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
     let sigma = (squares / (n - 2.0)).sqrt();
     Ok(StraightNoise {
         samples: steady.len(),
-        from,
         speed_m_per_s: line.centre.1,
         sigma_m_per_s: sigma,
         // Correlated squares are fewer samples: M. S. Bartlett, J. R. Stat. Soc. Suppl. 8(1), 1946.
@@ -70,7 +68,7 @@ pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> 
     radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
 }
 
-fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
+fn steady_part(speeds: &[f64]) -> &[f64] {
     let means: Vec<f64> =
         speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
     // Rest does not count: a robot may stand for longer than it drives.
@@ -78,7 +76,7 @@ fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
     let mut moving: Vec<f64> = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest).collect();
     moving.sort_by(f64::total_cmp);
     let Some(median) = moving.get(moving.len() / 2).copied().filter(|_| fastest > 0.0) else {
-        return (0, &[]);
+        return &[];
     };
     let (mut best, mut start) = ((0, 0), None);
     for (i, mean) in means.iter().chain([&f64::NAN]).enumerate() {
@@ -92,9 +90,9 @@ fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
     }
     let (first, count) = best;
     if count == 0 {
-        return (0, &[]);
+        return &[];
     }
-    (first, speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[]))
+    speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[])
 }
 
 #[cfg(test)]
@@ -120,7 +118,7 @@ mod tests {
             let found = straight_noise(&run(850, seed)).unwrap();
             let off = (found.sigma_m_per_s - 0.01) / found.sigma_sigma_m_per_s;
             assert!(off.abs() < 3.0, "{seed}: {found:?}");
-            assert!(found.from > 40 && found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
+            assert!(found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
         }
     }
 

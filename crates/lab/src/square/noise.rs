@@ -175,14 +175,12 @@ fn spread_about_line(times: &[f64], values: &[Option<f64>]) -> Option<MeanAndVar
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Meters, Radians, Timestamp};
+    use crate::test_support;
+    use posebridge_telemetry::{SensorNoise, Timestamp};
 
-    const GEOMETRY: DriveGeometry = DriveGeometry {
-        left_wheel_radius: Meters(0.028),
-        right_wheel_radius: Meters(0.028),
-        track_width: Meters(0.112),
-        tick: Radians(0.017_453_292_519_943_295),
-    };
+    fn geometry() -> DriveGeometry {
+        test_support::config([0.028; 2], 0.112, 0.017_453_292_519_943_295, SensorNoise::EXACT).geometry
+    }
 
     /// Two seconds at rest, four at a speed that is no whole number of counts per row, one of turning in place.
     fn drive() -> SensorTable {
@@ -201,12 +199,12 @@ mod tests {
 
     #[test]
     fn a_stop_says_nothing_of_rounding_and_a_straight_run_a_twelfth() {
-        let rest = noise_at_stop(&drive(), &GEOMETRY).unwrap();
+        let rest = noise_at_stop(&drive(), &geometry()).unwrap();
         assert_eq!((rest.from, rest.rows), (0, 41));
         assert_eq!(rest.counters.unwrap()[0].variance, 0.0);
         let gyro = rest.gyro.unwrap();
         assert!((gyro.mean - 1.0).abs() < 0.05 && (gyro.variance - 1.0).abs() < 0.05);
-        let straight = noise_on_straight(&drive(), &GEOMETRY).unwrap();
+        let straight = noise_on_straight(&drive(), &geometry()).unwrap();
         assert!(straight.from > 40 && straight.from + straight.rows < 121, "{straight:?}");
         let [left, right] = straight.counters.unwrap();
         assert!((left.variance - 1.0 / 12.0).abs() < 0.02, "{left:?}");
@@ -220,8 +218,8 @@ mod tests {
     fn without_a_straight_run_there_is_no_record() {
         let mut table = drive();
         table.rows.truncate(40);
-        assert_eq!(noise_on_straight(&table, &GEOMETRY), None);
+        assert_eq!(noise_on_straight(&table, &geometry()), None);
         table.rows.truncate(5);
-        assert_eq!(noise_at_stop(&table, &GEOMETRY), None);
+        assert_eq!(noise_at_stop(&table, &geometry()), None);
     }
 }

@@ -35,7 +35,15 @@ pub enum ErrorMetric {
 }
 
 impl ErrorMetric {
-    /// With the unit of the figures.
+    /// All, with their keys in JSON.
+    pub const KEYS: [(&str, Self); 5] = [
+        ("position_rms_m", Self::Position),
+        ("position_end_m", Self::End),
+        ("heading_rms_rad", Self::Heading),
+        ("forward_rms_m_per_s", Self::Forward),
+        ("turn_rms_rad_per_s", Self::Turn),
+    ];
+
     pub const fn name(self) -> &'static str {
         match self {
             Self::Position => "position rms",

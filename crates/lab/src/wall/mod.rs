@@ -24,7 +24,6 @@ pub use self::forecast::{
 };
 pub use self::log::{WallEntry, WallLog, WallReading, loop_period, reading_period};
 pub use self::replay_filter::{
-    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LastReading, LinearExtrapolation, NEAR_WALL_M,
-    StopComparison, StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops,
-    validate_model,
+    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LinearExtrapolation, NEAR_WALL_M, StopComparison,
+    StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops, validate_model,
 };

@@ -153,11 +153,6 @@ fn uncalibrated(scenario: &mut Scenario) {
     scenario.errors.track_scale_sigma = 0.03;
 }
 
-fn uncalibrated_and_long_rest(scenario: &mut Scenario) {
-    uncalibrated(scenario);
-    laps(scenario, |laps| laps.rest_s = 30.0);
-}
-
 /// A MEMS gyro: 0.1 deg/s, no rounding, little walk.
 fn good_gyro(scenario: &mut Scenario) {
     scenario.gyro.resolution_deg_per_s = 0.0;
@@ -169,11 +164,6 @@ fn good_accelerometers(scenario: &mut Scenario) {
     if let Some(accelerometer) = &mut scenario.accelerometer {
         accelerometer.sigma_m_per_s2 = 0.01;
     }
-}
-
-fn good_inertial(scenario: &mut Scenario) {
-    good_gyro(scenario);
-    good_accelerometers(scenario);
 }
 
 fn exact_and_coarse(scenario: &mut Scenario) {
@@ -193,11 +183,6 @@ fn slippery(scenario: &mut Scenario) {
 /// Speed ramps of two seconds.
 fn gentle(scenario: &mut Scenario) {
     laps(scenario, |laps| laps.ramp_steps = 40);
-}
-
-fn gentle_and_good_accelerometers(scenario: &mut Scenario) {
-    gentle(scenario);
-    good_accelerometers(scenario);
 }
 
 /// White noise of the counter variance in the paper's equation 19.
@@ -240,7 +225,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Position,
         "the same, and the gyro zeroed over 30 s at rest",
     )
-    .with_scenario(uncalibrated_and_long_rest),
+    .with_scenario(|scenario| {
+        uncalibrated(scenario);
+        laps(scenario, |laps| laps.rest_s = 30.0);
+    }),
     Variation::new(
         "not calibrated, good gyro",
         ErrorMetric::Position,
@@ -268,7 +256,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Position,
         "the same with a gyro of 0.1 deg/s and accelerometers of 0.01 m/s^2",
     )
-    .with_scenario(good_inertial)
+    .with_scenario(|scenario| {
+        good_gyro(scenario);
+        good_accelerometers(scenario);
+    })
     .with_table(late_camera),
     Variation::new(
         "noisy counters",
@@ -296,7 +287,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Forward,
         "the same, with speeds that rise and fall over 2 s, Q swapped and accelerometers of 0.01 m/s^2",
     )
-    .with_scenario(gentle_and_good_accelerometers)
+    .with_scenario(|scenario| {
+        gentle(scenario);
+        good_accelerometers(scenario);
+    })
     .with_table(noisy_counters)
     .with_methods(swapped_methods),
 ];

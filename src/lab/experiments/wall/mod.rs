@@ -15,7 +15,7 @@ use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 
 use self::recorded::RunSelection;
-use super::live::{LiveArgs, LiveRobot};
+use super::live::LiveArgs;
 use super::recorded::rerun_command;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
@@ -78,8 +78,7 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
 
 fn real(args: &LabWallArgs) -> Result<Option<recorded::RecordedRuns>, Failure> {
     let prepare = |path: &Path| recorded::prepare(path, &args.selection, args.kalman_column.as_deref());
-    let robot = LiveRobot { file: None, settings: &args.selection.settings };
-    if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
+    if let Some(recording) = args.live.record(&args.output, None, &args.selection.settings, recorded::TASK)? {
         return prepare(&recording).map(Some).while_running();
     }
     args.recording.as_deref().map(prepare).transpose().before_start()

@@ -208,12 +208,13 @@ fn readings_of<'a>(
 }
 
 pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Report> {
-    let found = run_with_bar(&prepared.runs, "runs", evaluate)?;
+    let runs: Vec<&RunLog> = prepared.runs.iter().collect();
+    let found = run_with_bar(&runs, "runs", |run| evaluate(run))?;
     Ok(report(&prepared.descriptor, command, &found))
 }
 
-fn evaluate(run: &RunLog) -> RunResult {
-    let foreseen = forecast(&run.log, run.range_sigma_m);
+fn evaluate(run: &RunLog) -> RunResult<'_> {
+    let forecasts = forecast(&run.log, run.range_sigma_m);
     // The last output of their filter before the reading came.
     let before = |foreseen: &RangeForecast| {
         let earlier = run.foreign_filter.partition_point(|(at_s, _)| *at_s < foreseen.at_s);
@@ -221,34 +222,30 @@ fn evaluate(run: &RunLog) -> RunResult {
         last.map(|(_, distance_m)| *distance_m)
     };
     RunResult {
-        name: run.name.clone(),
+        run,
         readings: run.log.readings().count(),
-        knows_input: run.knows_input,
         by_hand: fit_by_hand(&run.log, PIECE),
         fit: fit_steps(std::slice::from_ref(&run.log)),
-        gate: gate_statistics(&foreseen),
-        score_against_line: score_forecasts(&foreseen, |foreseen| foreseen.line_m),
-        score_against_foreign: score_forecasts(&foreseen, before),
-        foreign_filter: run.foreign_filter.clone(),
-        forecasts: foreseen,
+        gate: gate_statistics(&forecasts),
+        score_against_line: score_forecasts(&forecasts, |foreseen| foreseen.line_m),
+        score_against_foreign: score_forecasts(&forecasts, before),
+        forecasts,
     }
 }
 
-pub(super) struct RunResult {
-    pub(super) name: String,
-    pub(super) readings: usize,
-    pub(super) knows_input: bool,
-    pub(super) by_hand: Result<ManualStepFit, WallStepError>,
-    pub(super) fit: Result<StepFit, WallStepError>,
-    pub(super) forecasts: Vec<RangeForecast>,
-    pub(super) foreign_filter: Vec<(f64, f64)>,
-    pub(super) gate: Option<GateStatistics>,
+struct RunResult<'a> {
+    run: &'a RunLog,
+    readings: usize,
+    by_hand: Result<ManualStepFit, WallStepError>,
+    fit: Result<StepFit, WallStepError>,
+    forecasts: Vec<RangeForecast>,
+    gate: Option<GateStatistics>,
     /// Compared with the line through the last two readings.
-    pub(super) score_against_line: Option<ForecastScore>,
-    pub(super) score_against_foreign: Option<ForecastScore>,
+    score_against_line: Option<ForecastScore>,
+    score_against_foreign: Option<ForecastScore>,
 }
 
-pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> Report {
+fn report(descriptor: &str, command: String, found: &[RunResult<'_>]) -> Report {
     let mut report = Report::new("lab-wall", "The distance to a wall: a recording");
     report.background(
         "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
@@ -258,25 +255,25 @@ pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> 
     add_steps(&mut report, found);
     add_scores(&mut report, found);
     for run in found {
-        pictures::add(&mut report, &pictures::foreseen(&run.name, &run.forecasts, &run.foreign_filter));
+        pictures::add(&mut report, &pictures::foreseen(&run.run.name, &run.forecasts, &run.run.foreign_filter));
     }
     report.data("recording", json!(descriptor));
     report.data("runs", found.iter().map(object).collect());
     report
 }
 
-const fn input_name(run: &RunResult) -> &'static str {
-    if run.knows_input { "recorded" } else { "assumed" }
+const fn input_name(run: &RunResult<'_>) -> &'static str {
+    if run.run.knows_input { "recorded" } else { "assumed" }
 }
 
-fn add_steps(report: &mut Report, found: &[RunResult]) {
+fn add_steps(report: &mut Report, found: &[RunResult<'_>]) {
     report.heading("Step: m/s and s under the input 1");
     report.paragraph("The input is 1 at PWM 80, or for the whole drive where nobody wrote it down.");
     let two = Format::new(Unit::None, 2);
-    let steady = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
-    let rise = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
+    let steady = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
+    let rise = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
     let table = Table::of(found)
-        .text("", "run", |run| run.name.clone())
+        .text("", "run", |run| run.run.name.clone())
         .count("", "readings", |run| run.readings)
         .text("", "input", |run| input_name(run).to_owned())
         .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
@@ -285,14 +282,14 @@ fn add_steps(report: &mut Report, found: &[RunResult]) {
     report.table("", &table);
 }
 
-fn add_scores(report: &mut Report, found: &[RunResult]) {
+fn add_scores(report: &mut Report, found: &[RunResult<'_>]) {
     report.heading("Each reading foretold from those before it, rms");
     report.paragraph(
         "Against a line through two readings, and against their own filter. Gate: its mean half-width, and how many readings it refused.",
     );
     let mm = Format::new(Unit::Millimetres, 1);
     let table = Table::of(found)
-        .text("", "run", |run| run.name.clone())
+        .text("", "run", |run| run.run.name.clone())
         .optional_count("", "readings", |run| Some(run.score_against_line?.readings))
         .number("", "filter", mm, |run| Some(run.score_against_line?.kalman_rms_m))
         .number("", "line", mm, |run| Some(run.score_against_line?.other_rms_m))
@@ -304,7 +301,7 @@ fn add_scores(report: &mut Report, found: &[RunResult]) {
     report.table("", &table);
 }
 
-fn object(run: &RunResult) -> Value {
+fn object(run: &RunResult<'_>) -> Value {
     let scored = |score: Option<ForecastScore>| {
         score.map(|score| {
             json!({
@@ -315,7 +312,7 @@ fn object(run: &RunResult) -> Value {
         })
     };
     json!({
-        "name": run.name,
+        "name": run.run.name,
         "readings": run.readings,
         "input": input_name(run),
         "fit": run.fit.as_ref().ok().map(|fit| json!({

@@ -2,15 +2,13 @@
 
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_estimator::{Filter, FilterConfig, Params};
+use posebridge_estimator::{Filter, Params};
 use posebridge_report::chart::Curve;
-use posebridge_telemetry::{
-    Calibration, Celsius, DriveGeometry, Meters, Observation, ObservationKind, Radians, SensorId, SensorNoise,
-    TimeDelta, Timestamp,
-};
+use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, SensorNoise, TimeDelta, Timestamp};
 
 use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
 use super::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
+use crate::config_without_wheels;
 use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
@@ -184,20 +182,8 @@ impl DynamicFilterConfig {
     }
 
     fn filter(&self, model: &DynamicModel) -> DynamicFilter {
-        let config = FilterConfig {
-            // A thermometer on a bench: no wheel turns.
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.03),
-                right_wheel_radius: Meters(0.03),
-                track_width: Meters(0.1),
-                tick: Radians(0.01),
-            },
-            noise: SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT },
-            start: None,
-            params: Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() },
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        };
+        let params = Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() };
+        let config = config_without_wheels(SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT }, params);
         let filter = DynamicFilter::with_model(&config, model.clone());
         match self.prior_sigma {
             Some(sigma) => filter.with_prior_sigma(sigma),
