@@ -325,33 +325,10 @@ fn thermometer_names_what_cannot_be_done() {
 
 /// A descriptor of runs that are each a file of seconds and degrees, with this noise.
 fn write_descriptor(folder: &Path, runs: &[&str], sigma_k: f64) {
-    let text = format!(
-        r#"
-name = "thermometers"
-source = "this test"
-licence = "none needed"
-default_run = "{}"
-[robot]
-name = "bench"
-left_wheel_radius_m = 0.03
-right_wheel_radius_m = 0.03
-track_width_m = 0.1
-ticks_per_turn = 360.0
-[robot.noise]
-temperature_k = {sigma_k}
-[[runs]]
-name = "{{each}}"
-each = {runs:?}
-[files.log]
-path = "{{each}}.csv"
-header_lines = 1
-time = {{ column = "t_s" }}
-[[temperature]]
-file = "log"
-temperature = "celsius"
-"#,
-        runs[0]
-    );
+    let text = include_str!("../data/lab/thermometers.toml")
+        .replace("FIRST_RUN", runs[0])
+        .replace("ALL_RUNS", &format!("{runs:?}"))
+        .replace("SIGMA_K", &sigma_k.to_string());
     write_text(folder, "thermometers.toml", &text);
 }
 

@@ -185,21 +185,7 @@ fn a_recording_of_a_live_robot_is_never_made_twice() {
 }
 
 /// A square of 0.3 m after a second and a half at rest; its brick runs 2000 ppm fast.
-const SMALL_SQUARE: &str = r#"
-seed = 7
-steering = "odometry"
-
-[path.square]
-side_m = 0.3
-
-[drive]
-laps = 1
-speed_m_per_s = 0.2
-rest_s = 1.5
-
-[brick]
-clock_skew_ppm = 2000.0
-"#;
+const SMALL_SQUARE: &str = include_str!("../data/lab/small-square.toml");
 
 #[test]
 fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {

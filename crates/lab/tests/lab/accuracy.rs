@@ -1,7 +1,7 @@
 //! The scoring of drives with known truth: a toy estimator with a known error gives the known figures.
 
 use posebridge_estimator::Filter;
-use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, ScoreRow, score};
+use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
@@ -143,20 +143,17 @@ fn what_cannot_be_scored_is_counted_and_said() {
     assert_eq!((boast.steps(), boast.refused_covariances), (8, 8));
     assert_eq!(boast.consistency(), Consistency::OverConfident);
     lost.merge(&boast);
-    let row = ScoreRow { name: "toy", score: &lost, bound_m: None };
     let footnotes = [
         "toy: steps left out, no estimate: 4",
         "toy: steps left out, not finite: 8",
         "toy: steps left out of its claim and its ANEES, covariance not positive definite: 8",
     ];
-    assert_eq!(row.footnotes(), footnotes);
+    assert_eq!(lost.footnotes("toy"), footnotes);
 }
 
 #[test]
 fn the_error_is_told_as_a_multiple_of_the_bound() {
     let score = score(&at_rest(), &mut ToyFilter::at(3.0, 4.0, 3.1, 1.0));
-    let with = |bound_m| ScoreRow { name: "toy", score: &score, bound_m }.ratio_to_bound();
-    assert_eq!(with(Some(4.0)), Some(1.25));
-    assert_eq!(with(None), None);
-    assert_eq!(with(Some(0.0)), None);
+    let ratios = [Some(4.0), None, Some(0.0)].map(|bound_m| score.ratio_to_bound(bound_m));
+    assert_eq!(ratios, [Some(1.25), None, None]);
 }

@@ -2,7 +2,7 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::smoother::{OfflineError, batch};
-use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive, WheelRotation, error_bound, score_smoother};
+use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive, error_bound, score_smoother};
 use posebridge_lab::statistics::RunningMean;
 use posebridge_report::TimedPose;
 use posebridge_telemetry::{
@@ -40,14 +40,14 @@ fn pose(x_m: f64) -> Pose<Arena> {
 }
 
 /// What each wheel turns in a step.
-const TURN: WheelRotation = WheelRotation { left: Radians(STEP_M / 0.05), right: Radians(STEP_M / 0.1) };
+const TURN: [Radians; 2] = [Radians(STEP_M / 0.05), Radians(STEP_M / 0.1)];
 
 /// Straight along x. Fixes are of the step `taken` and arrive two steps later, so far beside the truth.
 fn straight(steps: usize, fixes: &[(usize, f64)]) -> ReferenceDrive {
     let mut arrivals = Vec::new();
     for step in 0..=steps {
         let turned = |turn: Radians| turn.0 * step as f64;
-        let observation = support::wheels(50 * step as i64, turned(TURN.left), turned(TURN.right));
+        let observation = support::wheels(50 * step as i64, turned(TURN[0]), turned(TURN[1]));
         arrivals.push(ObservationArrival { step, observation });
         for (taken, off_m) in fixes.iter().filter(|(taken, _)| taken + 2 == step) {
             let observation = support::fix(50 * *taken as i64, STEP_M * *taken as f64, *off_m, None);
