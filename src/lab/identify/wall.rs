@@ -12,7 +12,6 @@ use posebridge_lab::wall::{StepFit, WallLog, fit_by_hand, fit_steps, loop_period
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::report::Report;
 use posebridge_sim::wall::{WallScene, simulate_step};
-use posebridge_telemetry::UncertainValue;
 
 use super::{Quantity, report};
 use crate::exit::{ExitStage, Failure};
@@ -92,14 +91,13 @@ fn report_of_runs(source: &str, runs: &[recorded::RunLog]) -> Result<Report> {
 
 /// The scene has the truth of a simulated car.
 fn quantities(fit: &StepFit, logs: &[WallLog], scene: Option<&WallScene>, of: Option<&str>) -> Vec<Quantity> {
-    let fitted = |(value, sigma): (f64, f64)| Some(UncertainValue { value, sigma });
     let car = scene.map(|scene| &scene.car);
     let model = car.map(|car| WallApproachModel::from_step_test(car.steady_m_per_s, car.rise_90_s));
     let rows = [
-        ("v_ss", "m/s", fitted(fit.steady_m_per_s), car.map(|car| car.steady_m_per_s)),
-        ("t90", "s", fitted(fit.rise_90_s), car.map(|car| car.rise_90_s)),
-        ("d", "s/m", fitted(fit.drag_s_per_m), model.map(|model| model.drag_s_per_m)),
-        ("m", "s²/m", fitted(fit.mass_s2_per_m), model.map(|model| model.mass_s2_per_m)),
+        ("v_ss", "m/s", Some(fit.steady_m_per_s), car.map(|car| car.steady_m_per_s)),
+        ("t90", "s", Some(fit.rise_90_s), car.map(|car| car.rise_90_s)),
+        ("d", "s/m", Some(fit.drag_s_per_m), model.map(|model| model.drag_s_per_m)),
+        ("m", "s²/m", Some(fit.mass_s2_per_m), model.map(|model| model.mass_s2_per_m)),
         ("dt of the loop", "s", loop_period(logs), scene.map(|scene| scene.control.period_s)),
         ("dt of the readings", "s", reading_period(logs), None),
     ];
@@ -153,7 +151,7 @@ fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
         format!("Step test: {of}"),
         format!(
             "v_ss {:.3} ± {:.3} m/s, t90 {:.3} ± {:.3} s",
-            fit.steady_m_per_s.0, fit.steady_m_per_s.1, fit.rise_90_s.0, fit.rise_90_s.1
+            fit.steady_m_per_s.value, fit.steady_m_per_s.sigma, fit.rise_90_s.value, fit.rise_90_s.sigma
         ),
         vec![Axes::new("time [s]", "distance [m]", 280.0, above), Axes::new("time [s]", "left [mm]", 160.0, below)],
     )

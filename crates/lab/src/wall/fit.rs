@@ -7,6 +7,7 @@
 //! the noise of the residuals.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_telemetry::UncertainValue;
 
 use super::log::{ResponseSample, WallLog, responses};
 use crate::statistics::{FittedLine, golden_section};
@@ -22,13 +23,13 @@ const GOLDEN_STEPS: u32 = 60;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFit {
     /// Steady speed under the input 1.
-    pub steady_m_per_s: (f64, f64),
+    pub steady_m_per_s: UncertainValue,
     /// Time to 90 % of it.
-    pub rise_90_s: (f64, f64),
+    pub rise_90_s: UncertainValue,
     /// d.
-    pub drag_s_per_m: (f64, f64),
+    pub drag_s_per_m: UncertainValue,
     /// m.
-    pub mass_s2_per_m: (f64, f64),
+    pub mass_s2_per_m: UncertainValue,
     /// Noise of a reading, from the residuals.
     pub range_sigma_m: f64,
     pub readings: usize,
@@ -36,17 +37,17 @@ pub struct StepFit {
 
 impl StepFit {
     pub const fn model(&self) -> WallApproachModel {
-        WallApproachModel { drag_s_per_m: self.drag_s_per_m.0, mass_s2_per_m: self.mass_s2_per_m.0 }
+        WallApproachModel { drag_s_per_m: self.drag_s_per_m.value, mass_s2_per_m: self.mass_s2_per_m.value }
     }
 
     /// Share of the steady speed at a time after the start: a fit to steps that end early extrapolates.
     pub fn share_reached(&self, after_s: f64) -> f64 {
-        -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()
+        -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.value).exp_m1()
     }
 
     /// Time, reading and fitted distance, in s, m and m; the distance at rest is the one that fits the log best.
     pub fn fitted_curve(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
-        let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
+        let (steady, rate_per_s) = (self.steady_m_per_s.value, std::f64::consts::LN_10 / self.rise_90_s.value);
         let readings = responses(log, rate_per_s);
         let Some((mean_distance_m, range_m)) = means(&readings) else {
             return Vec::new();
@@ -90,10 +91,10 @@ fn step_fit(v: f64, a: f64, covariance: [f64; 3], range_sigma_m: f64, readings: 
     let relative = vv / (v * v) + aa / (a * a) + 2.0 * va / (v * a);
     let rise = std::f64::consts::LN_10 / a;
     StepFit {
-        steady_m_per_s: (v, vv.sqrt()),
-        rise_90_s: (rise, rise * aa.sqrt() / a),
-        drag_s_per_m: (1.0 / v, vv.sqrt() / (v * v)),
-        mass_s2_per_m: (mass, mass * relative.max(0.0).sqrt()),
+        steady_m_per_s: UncertainValue { value: v, sigma: vv.sqrt() },
+        rise_90_s: UncertainValue { value: rise, sigma: rise * aa.sqrt() / a },
+        drag_s_per_m: UncertainValue { value: 1.0 / v, sigma: vv.sqrt() / (v * v) },
+        mass_s2_per_m: UncertainValue { value: mass, sigma: mass * relative.max(0.0).sqrt() },
         range_sigma_m,
         readings,
     }
@@ -203,7 +204,7 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
         .collect()
 }
 
-/// Slopes of regression lines through pieces of `piece` readings, each overlapping half of the previous one.
+/// Slopes of regression lines through pieces of `length` readings, each overlapping half of the previous one.
 pub fn overlapping_lines(log: &WallLog, length: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     segments(&readings, length).filter_map(slope).collect()
@@ -225,7 +226,7 @@ fn slope(samples: &[(f64, f64)]) -> Option<SpeedSample> {
     Some(SpeedSample { at_s: line.centre.0, towards_m_per_s: -line.slope })
 }
 
-/// Evaluates a step as by hand: lines through pieces of `piece` readings.
+/// Evaluates a step as by hand: lines through pieces of `length` readings.
 ///
 /// A line's slope is the mean speed of its piece, lower than at its end while the car accelerates, and the steepest of several noisy
 /// lines is too steep: such results are accurate to some per cent. [`fit_steps`](super::fit_steps) is more accurate and returns its
@@ -310,10 +311,10 @@ mod tests {
     #[test]
     fn readings_without_noise_give_the_drive_itself() {
         let fit = fit_steps(&[simulated(1, 0.0)]).unwrap();
-        assert!((fit.steady_m_per_s.0 - 1.225).abs() < 1e-6, "{fit:?}");
-        assert!((fit.rise_90_s.0 - 0.997).abs() < 1e-6);
-        assert!((fit.drag_s_per_m.0 - 0.816_33).abs() < 1e-5);
-        assert!((fit.mass_s2_per_m.0 - 0.353_46).abs() < 1e-5);
+        assert!((fit.steady_m_per_s.value - 1.225).abs() < 1e-6, "{fit:?}");
+        assert!((fit.rise_90_s.value - 0.997).abs() < 1e-6);
+        assert!((fit.drag_s_per_m.value - 0.816_33).abs() < 1e-5);
+        assert!((fit.mass_s2_per_m.value - 0.353_46).abs() < 1e-5);
         assert!(fit.range_sigma_m < 1e-6);
         for (_, range_m, fitted_m) in fit.fitted_curve(&simulated(1, 0.0)) {
             assert!((range_m - fitted_m).abs() < 1e-6);
@@ -329,8 +330,8 @@ mod tests {
         let [mut d, mut m, mut sigma_m] = [0.0; 3];
         for seed in 0..runs {
             let fit = fit_steps(&[simulated(seed, 0.01), simulated(seed + 1_000, 0.01)]).unwrap();
-            d += ((fit.drag_s_per_m.0 - 0.816_327) / fit.drag_s_per_m.1).powi(2);
-            m += ((fit.mass_s2_per_m.0 - 0.353_464) / fit.mass_s2_per_m.1).powi(2);
+            d += ((fit.drag_s_per_m.value - 0.816_327) / fit.drag_s_per_m.sigma).powi(2);
+            m += ((fit.mass_s2_per_m.value - 0.353_464) / fit.mass_s2_per_m.sigma).powi(2);
             sigma_m += fit.range_sigma_m;
         }
         let per_run = |sum: f64| sum / runs as f64;

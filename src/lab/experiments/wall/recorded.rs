@@ -277,8 +277,8 @@ fn add_steps(report: &mut Report, found: &[RunResult<'_>]) {
         .count("", "readings", |run| run.readings)
         .text("", "input", |run| input_name(run).to_owned())
         .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
-        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.0), move |run| Some(steady(run)?.1))
-        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.0), move |run| Some(rise(run)?.1));
+        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.value), move |run| Some(steady(run)?.sigma))
+        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.value), move |run| Some(rise(run)?.sigma));
     report.table("", &table);
 }
 
@@ -316,10 +316,10 @@ fn object(run: &RunResult<'_>) -> Value {
         "readings": run.readings,
         "input": input_name(run),
         "fit": run.fit.as_ref().ok().map(|fit| json!({
-            "steady_m_per_s": fit.steady_m_per_s.0,
-            "steady_sigma_m_per_s": fit.steady_m_per_s.1,
-            "rise_90_s": fit.rise_90_s.0,
-            "rise_90_sigma_s": fit.rise_90_s.1,
+            "steady_m_per_s": fit.steady_m_per_s.value,
+            "steady_sigma_m_per_s": fit.steady_m_per_s.sigma,
+            "rise_90_s": fit.rise_90_s.value,
+            "rise_90_sigma_s": fit.rise_90_s.sigma,
         })),
         "no_fit": run.fit.as_ref().err().map(ToString::to_string),
         "no_hand": run.by_hand.as_ref().err().map(ToString::to_string),

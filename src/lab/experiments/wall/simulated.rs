@@ -64,7 +64,7 @@ impl IdentificationRow {
 
     fn fitted(name: impl Into<String>, fit: &StepFit) -> Self {
         let values = [fit.steady_m_per_s, fit.rise_90_s, fit.drag_s_per_m, fit.mass_s2_per_m];
-        Self { name: name.into(), values: values.map(|(value, sigma)| (value, Some(sigma))) }
+        Self { name: name.into(), values: values.map(|known| (known.value, Some(known.sigma))) }
     }
 }
 
@@ -125,14 +125,14 @@ fn add_identification(report: &mut Report, prepared: &SimulatedSetup, steps: &St
 
 fn fit_json(fit: &StepFit) -> Value {
     json!({
-        "steady_m_per_s": fit.steady_m_per_s.0,
-        "steady_sigma_m_per_s": fit.steady_m_per_s.1,
-        "rise_90_s": fit.rise_90_s.0,
-        "rise_90_sigma_s": fit.rise_90_s.1,
-        "drag_s_per_m": fit.drag_s_per_m.0,
-        "drag_sigma_s_per_m": fit.drag_s_per_m.1,
-        "mass_s2_per_m": fit.mass_s2_per_m.0,
-        "mass_sigma_s2_per_m": fit.mass_s2_per_m.1,
+        "steady_m_per_s": fit.steady_m_per_s.value,
+        "steady_sigma_m_per_s": fit.steady_m_per_s.sigma,
+        "rise_90_s": fit.rise_90_s.value,
+        "rise_90_sigma_s": fit.rise_90_s.sigma,
+        "drag_s_per_m": fit.drag_s_per_m.value,
+        "drag_sigma_s_per_m": fit.drag_s_per_m.sigma,
+        "mass_s2_per_m": fit.mass_s2_per_m.value,
+        "mass_sigma_s2_per_m": fit.mass_s2_per_m.sigma,
         "range_sigma_m": fit.range_sigma_m,
         "readings": fit.readings,
     })
