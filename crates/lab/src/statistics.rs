@@ -76,6 +76,35 @@ impl FittedLine {
     }
 }
 
+/// Sums over pairs of vectors in the plane, of which a rotation lays the first ones on the second ones.
+#[derive(Default)]
+pub(crate) struct PairedVectors {
+    pub(crate) dot: f64,
+    pub(crate) cross: f64,
+    /// Of the first ones and of the second ones.
+    pub(crate) squares: [f64; 2],
+}
+
+impl PairedVectors {
+    /// Pairs of points, each seen from its own centre.
+    pub(crate) fn about(centres: [[f64; 2]; 2], pairs: impl IntoIterator<Item = [[f64; 2]; 2]>) -> Self {
+        let mut sums = Self::default();
+        for pair in pairs {
+            let [a, b] = [0, 1].map(|which| [0, 1].map(|axis| pair[which][axis] - centres[which][axis]));
+            sums.dot += a[0] * b[0] + a[1] * b[1];
+            sums.cross += a[0] * b[1] - a[1] * b[0];
+            sums.squares[0] += a[0] * a[0] + a[1] * a[1];
+            sums.squares[1] += b[0] * b[0] + b[1] * b[1];
+        }
+        sums
+    }
+
+    /// The rotation that does it best by least squares.
+    pub(crate) fn angle_rad(&self) -> f64 {
+        self.cross.atan2(self.dot)
+    }
+}
+
 /// The largest of `value` between `low` and `high`, if there is one peak; each step keeps 62 % of the bracket.
 pub(crate) fn golden_section(mut low: f64, mut high: f64, steps: u32, value: impl Fn(f64) -> f64) -> f64 {
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;

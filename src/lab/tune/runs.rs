@@ -148,13 +148,7 @@ fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
     });
     let runs: Vec<TuneRun> = drives.collect();
     let used_geometry = runs.first().map(|run| run.config.geometry);
-    let robot = used_geometry.map_or(robot.clone(), |geometry| RobotFile {
-        left_wheel_radius_m: geometry.left_wheel_radius.0,
-        right_wheel_radius_m: geometry.right_wheel_radius.0,
-        track_width_m: geometry.track_width.0,
-        ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
-        ..robot
-    });
+    let robot = used_geometry.map_or(robot.clone(), |geometry| robot.with_geometry(&geometry));
     Ok(TuneDataset { runs, robot, source: format!("sim {requested}, seed {}", args.seed) })
 }
 

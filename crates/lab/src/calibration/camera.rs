@@ -17,6 +17,7 @@ use posebridge_estimator::numerics::statistics::root_mean_square;
 
 use super::CalibrationError;
 use super::least_squares::{ScaledCholesky, fit};
+use crate::statistics::PairedVectors;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationPoint {
@@ -179,16 +180,9 @@ pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, Calibra
     if size <= f64::MIN_POSITIVE {
         return Err(CalibrationError::Undetermined("all points are one"));
     }
-    let (mut dot, mut cross, mut square) = (0.0, 0.0, 0.0);
-    for point in points {
-        let a = [0, 1].map(|axis| point.measured[axis] - from[axis]);
-        let b = [0, 1].map(|axis| point.floor_m[axis] - to[axis]);
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-        square += a[0] * a[0] + a[1] * a[1];
-    }
-    let heading_rad = cross.atan2(dot);
-    let scale = cross.hypot(dot) / square;
+    let sums = PairedVectors::about([from, to], points.iter().map(|point| [point.measured, point.floor_m]));
+    let heading_rad = sums.angle_rad();
+    let scale = sums.cross.hypot(sums.dot) / sums.squares[0];
     let (sin, cos) = heading_rad.sin_cos();
     let turned = |[x, y]: [f64; 2]| [scale * (cos * x - sin * y), scale * (sin * x + cos * y)];
     let at = turned(from);

@@ -20,7 +20,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
-use crate::statistics::lagged_sum;
+use crate::statistics::{PairedVectors, lagged_sum};
 
 /// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -216,19 +216,12 @@ struct PathAlignment {
 fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
     let count = ours.len().max(1) as f64;
     let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
-    let (a0, b0) = (centre(ours), centre(theirs));
-    let (mut dot, mut cross, mut ours_m2, mut theirs_m2) = (0.0, 0.0, 0.0, 0.0);
-    for (a, b) in ours.iter().zip(theirs) {
-        let a = [a[0] - a0[0], a[1] - a0[1]];
-        let b = [b[0] - b0[0], b[1] - b0[1]];
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-        ours_m2 += a[0] * a[0] + a[1] * a[1];
-        theirs_m2 += b[0] * b[0] + b[1] * b[1];
-    }
+    let pairs = ours.iter().zip(theirs).map(|(a, b)| [*a, *b]);
+    let sums = PairedVectors::about([centre(ours), centre(theirs)], pairs);
+    let [ours_m2, theirs_m2] = sums.squares;
     PathAlignment {
-        square_m2: (ours_m2 + theirs_m2 - 2.0 * dot.hypot(cross)).max(0.0),
-        turn_rad: cross.atan2(dot),
+        square_m2: (ours_m2 + theirs_m2 - 2.0 * sums.dot.hypot(sums.cross)).max(0.0),
+        turn_rad: sums.angle_rad(),
         length_m: ours_m2.sqrt(),
     }
 }

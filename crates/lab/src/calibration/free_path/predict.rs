@@ -23,6 +23,7 @@ use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 
 use super::drive::{FreePath, TravelStep};
+use crate::statistics::PairedVectors;
 
 /// Parameters of a robot: factors on nominal travel and track, camera delay and tag.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -226,14 +227,8 @@ pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &Fr
 pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
     let reckoned = prediction.predict_tags(path, 0.0);
     let [x, y, _] = path.start.pose;
-    let (mut dot, mut cross) = (0.0, 0.0);
-    for (ours, fix) in reckoned.iter().zip(&path.fixes) {
-        let a = [ours.tag_m[0] - x, ours.tag_m[1] - y];
-        let b = [fix.position_m[0] - x, fix.position_m[1] - y];
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-    }
-    cross.atan2(dot)
+    let pairs = reckoned.iter().zip(&path.fixes).map(|(ours, fix)| [ours.tag_m, fix.position_m]);
+    PairedVectors::about([[x, y]; 2], pairs).angle_rad()
 }
 
 pub fn dead_reckon(
