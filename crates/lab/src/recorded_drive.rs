@@ -26,6 +26,7 @@ use posebridge_telemetry::{
 };
 
 use super::end_errors::{FilteredDrive, track_of};
+use super::statistics::centroid;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEndReference {
@@ -212,8 +213,7 @@ fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<Br
     if felt.len() < MIN_REST_FIXES {
         return;
     }
-    let n = felt.len() as f64;
-    let mean = [0, 1].map(|side: usize| felt.iter().map(|felt| felt[side]).sum::<f64>() / n);
+    let mean = centroid(felt.iter().copied());
     for observation in observations {
         if let ObservationKind::WheelAccelerations { left, right } = &mut observation.measurement {
             left.0 -= mean[0];

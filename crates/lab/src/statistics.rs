@@ -1,5 +1,6 @@
 //! Sums, lines and searches that several experiments need; means and quantiles are in [`posebridge_estimator::numerics::statistics`].
 
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_telemetry::UncertainValue;
 
 /// A mean of values that come one by one; the last digits depend on their order.
@@ -32,10 +33,14 @@ impl RunningMean {
 
 /// Mean, and variance of a single value; `None` with fewer than two.
 pub(crate) fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
+    let mean = mean(values.iter().copied())?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    (values.len() > 1).then(|| (mean, squares / (count - 1.0)))
+    (values.len() > 1).then(|| (mean, squares / (values.len() as f64 - 1.0)))
+}
+
+/// Zero without a point.
+pub(crate) fn centroid(points: impl Iterator<Item = [f64; 2]> + Clone) -> [f64; 2] {
+    [0, 1].map(|axis| mean(points.clone().map(|point| point[axis])).unwrap_or_default())
 }
 
 /// Mean of independent values with its standard deviation; `None` with fewer than two.
@@ -59,9 +64,7 @@ pub(crate) struct FittedLine {
 impl FittedLine {
     /// `None` unless x varies.
     pub(crate) fn through(points: &[(f64, f64)]) -> Option<Self> {
-        let count = points.len() as f64;
-        let centre =
-            (points.iter().map(|(x, _)| x).sum::<f64>() / count, points.iter().map(|(_, y)| y).sum::<f64>() / count);
+        let centre = (mean(points.iter().map(|(x, _)| *x))?, mean(points.iter().map(|(_, y)| *y))?);
         let (mut across, mut along) = (0.0, 0.0);
         for (x, y) in points {
             across += (x - centre.0) * (y - centre.1);

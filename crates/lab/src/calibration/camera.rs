@@ -13,11 +13,11 @@
 //! PAMI 13(4), equations 40 to 43 in the plane.
 
 use nalgebra::{DMatrix, DVector};
-use posebridge_estimator::numerics::statistics::root_mean_square;
+use posebridge_estimator::numerics::statistics::{mean, root_mean_square};
 
 use super::CalibrationError;
 use super::least_squares::{ScaledCholesky, fit};
-use crate::statistics::PairedVectors;
+use crate::statistics::{PairedVectors, centroid};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationPoint {
@@ -97,10 +97,9 @@ fn rms_without(points: &[CalibrationPoint], index: usize) -> f64 {
 
 /// Centroid and mean distance from it, at least a small positive number.
 fn normalization(points: impl Iterator<Item = [f64; 2]> + Clone) -> ([f64; 2], f64) {
-    let count = points.clone().count().max(1) as f64;
-    let centre = [0, 1].map(|axis| points.clone().map(|p| p[axis]).sum::<f64>() / count);
-    let spread = points.map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1]));
-    (centre, (spread.sum::<f64>() / count).max(f64::MIN_POSITIVE))
+    let centre = centroid(points.clone());
+    let spread = mean(points.map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1])));
+    (centre, spread.unwrap_or_default().max(f64::MIN_POSITIVE))
 }
 
 fn solve_homography(points: &[CalibrationPoint]) -> Result<Homography, CalibrationError> {
@@ -187,12 +186,12 @@ pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, Calibra
     let turned = |[x, y]: [f64; 2]| [scale * (cos * x - sin * y), scale * (sin * x + cos * y)];
     let at = turned(from);
     let origin_m = [to[0] - at[0], to[1] - at[1]];
-    let squares = points.iter().map(|point| {
+    let square = mean(points.iter().map(|point| {
         let [x, y] = turned(point.measured);
         let [dx, dy] = [x + origin_m[0] - point.floor_m[0], y + origin_m[1] - point.floor_m[1]];
         dx * dx + dy * dy
-    });
-    Ok(Similarity { origin_m, heading_rad, scale, rms_m: (squares.sum::<f64>() / points.len() as f64).sqrt() })
+    }));
+    Ok(Similarity { origin_m, heading_rad, scale, rms_m: square.unwrap_or_default().sqrt() })
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ use posebridge_telemetry::UncertainValue;
 
 use super::CalibrationError;
 use super::free_path::{FreePath, RobotParameters, dead_reckon};
+use crate::statistics::centroid;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SquareDirection {
@@ -105,8 +106,7 @@ fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], 
     if let Some(value) = ends.iter().flatten().find(|value| !value.is_finite()) {
         return Err(CalibrationError::ImplausibleValue { what: "the end of a square", value: *value });
     }
-    let count = ends.len() as f64;
-    let mean = [0, 1].map(|axis| ends.iter().map(|end| end[axis]).sum::<f64>() / count);
+    let mean = centroid(ends.iter().copied());
     let squares = [0, 1].map(|axis| {
         let apart = ends.iter().map(|end| (end[axis] - mean[axis]).powi(2));
         apart.sum::<f64>()

@@ -26,7 +26,7 @@
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::UncertainValue;
 
-use super::fit::{ResponseNoise, WhiteningFilter, value_and_slopes, whitening_steps};
+use super::fit::{ResponseNoise, WhiteningFilter, share_slopes, sigma_along, value_and_slopes, whitening_steps};
 use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
@@ -109,15 +109,6 @@ impl StepParameters {
     }
 }
 
-/// Derivatives of s_j by the free shares; the last share is the rest to one.
-fn share_slopes(j: usize, order: usize) -> Vec<(usize, f64)> {
-    let first = row::LAGS + order;
-    if j + 1 < order {
-        return vec![(first + j, 1.0)];
-    }
-    (0..order.saturating_sub(1)).map(|free| (first + free, -1.0)).collect()
-}
-
 fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> UncertainValue {
     let lags = &response.lags;
     let order = lags.len();
@@ -131,13 +122,6 @@ fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> UncertainValu
         value: lags.iter().map(|lag| lag.share * lag.time_constant_s).sum(),
         sigma: sigma_along(covariance, &slopes),
     }
-}
-
-/// The sigma of a function with these slopes by the rows of p.
-fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
-    let pairs = slopes.iter().flat_map(|(i, by_i)| slopes.iter().map(move |(j, by_j)| (*i, *j, by_i * by_j)));
-    let variance: f64 = pairs.filter_map(|(i, j, weight)| Some(weight * covariance.get((i, j))?)).sum();
-    variance.max(0.0).sqrt()
 }
 
 struct WeightedResiduals {

@@ -7,6 +7,7 @@
 //! the noise of the residuals.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_telemetry::UncertainValue;
 
 use super::log::{ResponseSample, WallLog, responses};
@@ -133,10 +134,8 @@ impl LinearFit {
 }
 
 fn means(readings: &[ResponseSample]) -> Option<(f64, f64)> {
-    let count = readings.len() as f64;
-    let mean_distance_m = readings.iter().map(|reading| reading.distance_m).sum::<f64>() / count;
-    let range_m = readings.iter().map(|reading| reading.range_m).sum::<f64>() / count;
-    (count > 0.0).then_some((mean_distance_m, range_m))
+    let distance_m = mean(readings.iter().map(|reading| reading.distance_m))?;
+    Some((distance_m, mean(readings.iter().map(|reading| reading.range_m))?))
 }
 
 /// Covariance [vv, va, aa] by least squares about the minimum.
@@ -149,7 +148,7 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
         let by_a = ahead.iter().zip(&behind);
         let by_a: Vec<f64> =
             by_a.map(|(ahead, behind)| v * (ahead.distance_m - behind.distance_m) / (2.0 * h)).collect();
-        let mean_a = by_a.iter().sum::<f64>() / by_a.len() as f64;
+        let mean_a = mean(by_a.iter().copied())?;
         let (mean_v, _) = means(&here)?;
         for (reading, by_a) in here.iter().zip(by_a) {
             let (by_v, by_a) = (reading.distance_m - mean_v, by_a - mean_a);
@@ -261,14 +260,12 @@ pub fn fit_by_hand(log: &WallLog, length: usize) -> Result<ManualStepFit, WallSt
 }
 
 pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
-    let count = steps.len() as f64;
-    let mean = |of: fn(&ManualStepFit) -> f64| steps.iter().map(of).sum::<f64>() / count;
-    let steady_m_per_s = mean(|step| step.steady_m_per_s);
-    let rise_90_s = mean(|step| step.rise_90_s);
-    (!steps.is_empty()).then(|| ManualStepFit {
+    let mean = |of: fn(&ManualStepFit) -> f64| mean(steps.iter().map(of));
+    let (steady_m_per_s, rise_90_s) = (mean(|step| step.steady_m_per_s)?, mean(|step| step.rise_90_s)?);
+    Some(ManualStepFit {
         steady_m_per_s,
-        steady_by_difference_m_per_s: mean(|step| step.steady_by_difference_m_per_s),
-        start_s: mean(|step| step.start_s),
+        steady_by_difference_m_per_s: mean(|step| step.steady_by_difference_m_per_s)?,
+        start_s: mean(|step| step.start_s)?,
         rise_90_s,
         model: WallApproachModel::from_step_test(steady_m_per_s, rise_90_s),
     })

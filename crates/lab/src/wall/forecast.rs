@@ -2,6 +2,7 @@
 
 use posebridge_estimator::Params;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
@@ -77,14 +78,8 @@ pub struct GateStatistics {
 
 pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
     let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
-    if gates.is_empty() {
-        return None;
-    }
-    Some(GateStatistics {
-        readings: gates.len(),
-        gated: foreseen.iter().filter(|one| one.is_gated).count(),
-        mean_m: gates.iter().sum::<f64>() / gates.len() as f64,
-    })
+    let mean_m = mean(gates.iter().copied())?;
+    Some(GateStatistics { readings: gates.len(), gated: foreseen.iter().filter(|one| one.is_gated).count(), mean_m })
 }
 
 /// Root mean square prediction errors, over the readings that both methods predicted.
@@ -102,18 +97,9 @@ pub fn score_forecasts(
 ) -> Option<ForecastScore> {
     let common: Vec<(&RangeForecast, f64)> =
         foreseen.iter().filter_map(|foreseen| Some((foreseen, other(foreseen)?))).collect();
-    if common.is_empty() {
-        return None;
-    }
-    let rms = |error: &dyn Fn(&(&RangeForecast, f64)) -> f64| {
-        let squares = common.iter().map(|pair| error(pair).powi(2));
-        (squares.sum::<f64>() / common.len() as f64).sqrt()
-    };
-    Some(ForecastScore {
-        readings: common.len(),
-        kalman_rms_m: rms(&|(foreseen, _)| foreseen.range_m - foreseen.kalman_m),
-        other_rms_m: rms(&|(foreseen, other_m)| foreseen.range_m - other_m),
-    })
+    let kalman = mean(common.iter().map(|(foreseen, _)| (foreseen.range_m - foreseen.kalman_m).powi(2)))?;
+    let other = mean(common.iter().map(|(foreseen, other_m)| (foreseen.range_m - other_m).powi(2)))?;
+    Some(ForecastScore { readings: common.len(), kalman_rms_m: kalman.sqrt(), other_rms_m: other.sqrt() })
 }
 
 // The drive and the noise of an unmeasured car, from its run so far.

@@ -20,7 +20,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
-use crate::statistics::{PairedVectors, lagged_sum};
+use crate::statistics::{PairedVectors, centroid, lagged_sum};
 
 /// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -214,10 +214,8 @@ struct PathAlignment {
 
 /// Rotates and shifts `ours` onto `theirs` by least squares.
 fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
-    let count = ours.len().max(1) as f64;
-    let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
-    let pairs = ours.iter().zip(theirs).map(|(a, b)| [*a, *b]);
-    let sums = PairedVectors::about([centre(ours), centre(theirs)], pairs);
+    let centres = [ours, theirs].map(|points| centroid(points.iter().copied()));
+    let sums = PairedVectors::about(centres, ours.iter().zip(theirs).map(|(a, b)| [*a, *b]));
     let [ours_m2, theirs_m2] = sums.squares;
     PathAlignment {
         square_m2: (ours_m2 + theirs_m2 - 2.0 * sums.dot.hypot(sums.cross)).max(0.0),
