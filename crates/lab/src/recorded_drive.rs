@@ -222,7 +222,8 @@ fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<Br
     }
 }
 
-fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
+/// Forward at the left and at the right wheel, m/s².
+pub(crate) fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
     let ObservationKind::WheelAccelerations { left, right } = observation.measurement else {
         return None;
     };
@@ -246,21 +247,13 @@ fn start_pose(
         });
     };
     let noise = &config.noise;
-    if first > rest_until {
+    let (position, heading, count) = if first > rest_until {
         observations.retain(|observation| observation.stamp >= first);
-        let position = mid_axle_position(&fix);
-        let (heading, heading_sigma_rad) = match fix.heading {
-            Some(heading) => (heading, noise.fix_heading_rad),
-            None => heading_by_chord(observations, position, config)?,
-        };
-        return Ok(StartPose {
-            pose: Pose::new(position.x, position.y, heading),
-            position_sigma_m: noise.fix_position_m,
-            heading_sigma_rad,
-        });
-    }
-    let resting = fixes(observations).take_while(|(at, _)| *at <= rest_until);
-    let (position, heading, count) = mean(resting.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?;
+        (mid_axle_position(&fix), fix.heading, 1)
+    } else {
+        let resting = fixes(observations).take_while(|(at, _)| *at <= rest_until);
+        mean(resting.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?
+    };
     let share = (count as f64).sqrt();
     let (heading, heading_sigma_rad) = match heading {
         Some(heading) => (heading, noise.fix_heading_rad / share),

@@ -54,6 +54,43 @@ pub(crate) fn lagged_sum(values: &[f64], lag: usize) -> f64 {
     values.iter().zip(values.iter().skip(lag)).map(|(a, b)| a * b).sum()
 }
 
+/// The variance of a sum of values that are correlated up to `lags` apart, with Bartlett's weights, which keep it positive.
+///
+/// Source: W. K. Newey, K. D. West, Econometrica 55(3), 1987.
+pub(crate) fn correlated_variance(values: &[f64], lags: usize) -> f64 {
+    let lagged = (1..=lags).map(|lag| 2.0 * (1.0 - lag as f64 / (lags + 1) as f64) * lagged_sum(values, lag));
+    lagged_sum(values, 0) + lagged.sum::<f64>()
+}
+
+/// Zero, and the sum up to each value.
+pub(crate) fn running_sums(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
+    let (mut sum, mut sums) = (0.0, vec![0.0]);
+    sums.extend(values.into_iter().map(|value| {
+        sum += value;
+        sum
+    }));
+    sums
+}
+
+/// The value in the middle; of an even number the upper one.
+pub(crate) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let mut sorted: Vec<f64> = values.into_iter().collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
+
+/// Start and length of the first longest run in which something holds.
+pub(crate) fn longest_run(holds: impl IntoIterator<Item = bool>) -> (usize, usize) {
+    let (mut longest, mut length) = ((0, 0), 0);
+    for (index, holds) in holds.into_iter().enumerate() {
+        length = if holds { length + 1 } else { 0 };
+        if length > longest.1 {
+            longest = (index + 1 - length, length);
+        }
+    }
+    longest
+}
+
 /// The least-squares line through points (x, y).
 pub(crate) struct FittedLine {
     /// Means of x and y: the line passes through them.

@@ -313,8 +313,8 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
 /// The least squared position errors of a filter of this configuration over the scored steps of a drive, m²; its root is the lower
 /// bound of the root mean square error.
 ///
-/// `wheel_turns` are the true rotations of the left and the right wheel over each step, before rounding and without slip. `None` where the bound does not apply: another number of entries, a fix timestamp
-/// between steps, or a non-finite bound.
+/// `wheel_turns` are the true rotations of the left and the right wheel over each step, before rounding and without slip. `None` where
+/// the bound does not apply: another number of entries, a fix timestamp between steps, or a non-finite bound.
 pub fn error_bound(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[[Radians; 2]]) -> Option<RunningMean> {
     let [first, second, ..] = drive.truth.as_slice() else {
         return None;

@@ -13,6 +13,7 @@ use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId
 
 use super::parameter_uncertainty::Sampling;
 use super::{TimedSample, sorted_by_time, sorted_finite};
+use crate::statistics::median;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorChannel {
@@ -157,10 +158,7 @@ pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
         return None;
     }
     let bends = samples.windows(3).map(|three| (three[2].value - 2.0 * three[1].value + three[0].value).abs());
-    let mut bends: Vec<f64> = bends.collect();
-    bends.sort_by(f64::total_cmp);
-    let median = bends.get(bends.len() / 2)?;
-    let scatter = median / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());
+    let scatter = median(bends)? / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());
     Some(scatter.max(quantum / 12.0_f64.sqrt()))
 }
 

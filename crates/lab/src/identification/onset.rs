@@ -10,6 +10,7 @@
 //! begun.
 
 use super::{TimedSample, mean_of, sorted_finite};
+use crate::statistics::running_sums;
 
 /// Difference of window means, in sigmas, that counts as a step: false alarms in ten thousand samples have a probability below 1e-10.
 const STEEP_SIGMAS: f64 = 8.0;
@@ -67,12 +68,7 @@ struct PrefixSums(Vec<f64>);
 
 impl PrefixSums {
     fn from_samples(samples: &[TimedSample]) -> Self {
-        let mut sum = 0.0;
-        let after = samples.iter().map(|sample| {
-            sum += sample.value;
-            sum
-        });
-        Self(std::iter::once(0.0).chain(after).collect())
+        Self(running_sums(samples.iter().map(|sample| sample.value)))
     }
 
     fn count(&self) -> usize {

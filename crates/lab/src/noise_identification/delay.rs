@@ -9,7 +9,7 @@
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
-use crate::statistics::{golden_section, lagged_sum};
+use crate::statistics::{correlated_variance, golden_section, running_sums};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DelaySearch {
@@ -125,17 +125,11 @@ impl<'a> CameraMotion<'a> {
                 .map(|(a, b)| (b.position_m[0] - a.position_m[0]).hypot(b.position_m[1] - a.position_m[1]))
                 .collect(),
         };
-        let mut level = 0.0;
-        let mut c = vec![0.0];
-        c.extend(steps.iter().map(|step| {
-            level += step;
-            level
-        }));
         Ok(Self {
             levels,
             axis: of,
             at_s: used.iter().map(|sighting| sighting.at_s).collect(),
-            camera: without_mean(&c),
+            camera: without_mean(&running_sums(steps)),
         })
     }
 
@@ -164,10 +158,7 @@ impl<'a> CameraMotion<'a> {
         let scores: Vec<f64> =
             slope.iter().zip(&e).zip(&self.camera).map(|((slope, e), c)| (slope - share * e) * (c - g * e)).collect();
         let own = dot(&slope, &slope) - share * dot(&slope, &e);
-        // Bartlett's weights keep the sum above zero.
-        let weight = |lag: usize| 2.0 * (1.0 - lag as f64 / (LAGS + 1) as f64);
-        let lagged = (1..=LAGS).map(|lag| weight(lag) * lagged_sum(&scores, lag));
-        let variance = lagged_sum(&scores, 0) + lagged.sum::<f64>();
+        let variance = correlated_variance(&scores, LAGS);
         variance.max(0.0).sqrt() / (g.abs() * own)
     }
 }

@@ -11,6 +11,7 @@
 use std::f64::consts::PI;
 
 use super::white_and_walk::{NoiseDecomposition, decompose_noise};
+use crate::statistics::{median, running_sums};
 
 /// Noise of a sensor at rest, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,12 +133,7 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     if !is_coarse || !distances.iter().all(is_integer) {
         return None;
     }
-    let mut counts = 0.0;
-    let counted = std::iter::once(0.0).chain(distances.iter().map(|distance| {
-        counts += (distance / smallest).round();
-        counts
-    }));
-    let counted: Vec<f64> = counted.collect();
+    let counted = running_sums(distances.iter().map(|distance| (distance / smallest).round()));
     Some((slope_through(&counted, &values)?, values.len()))
 }
 
@@ -246,10 +242,7 @@ fn length_s(stretch: &[(f64, f64)]) -> Option<f64> {
 /// `None` unless it is positive.
 fn median_interval_s(stretches: &[Vec<(f64, f64)>]) -> Option<f64> {
     let pairs = stretches.iter().flat_map(|stretch| stretch.windows(2));
-    let mut intervals: Vec<f64> = pairs.filter_map(length_s).collect();
-    intervals.sort_by(f64::total_cmp);
-    let median = intervals.get(intervals.len() / 2).copied();
-    median.filter(|interval_s| *interval_s > 0.0)
+    median(pairs.filter_map(length_s)).filter(|interval_s| *interval_s > 0.0)
 }
 
 #[cfg(test)]

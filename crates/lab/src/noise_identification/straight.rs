@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::DriveGeometry;
 
-use crate::statistics::{FittedLine, lagged_sum};
+use crate::statistics::{FittedLine, lagged_sum, longest_run, median};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightNoise {
@@ -73,22 +73,12 @@ fn steady_part(speeds: &[f64]) -> &[f64] {
         speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
     // Rest does not count: a robot may stand for longer than it drives.
     let fastest = means.iter().fold(0.0_f64, |most, mean| most.max(mean.abs()));
-    let mut moving: Vec<f64> = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest).collect();
-    moving.sort_by(f64::total_cmp);
-    let Some(median) = moving.get(moving.len() / 2).copied().filter(|_| fastest > 0.0) else {
+    let moving = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest);
+    let Some(median) = median(moving).filter(|_| fastest > 0.0) else {
         return &[];
     };
-    let (mut best, mut start) = ((0, 0), None);
-    for (i, mean) in means.iter().chain([&f64::NAN]).enumerate() {
-        if (mean - median).abs() <= STEADY * median.abs() {
-            start.get_or_insert(i);
-        } else if let Some(first) = start.take()
-            && i - first > best.1
-        {
-            best = (first, i - first);
-        }
-    }
-    let (first, count) = best;
+    let is_steady = means.iter().map(|mean| (mean - median).abs() <= STEADY * median.abs());
+    let (first, count) = longest_run(is_steady);
     if count == 0 {
         return &[];
     }

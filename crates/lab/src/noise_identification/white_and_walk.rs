@@ -8,6 +8,7 @@
 //! sample k, dt the median interval: where a sample was lost, the walk is longer.
 
 use super::rest::RestRecord;
+use crate::statistics::running_sums;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseDecomposition {
@@ -143,12 +144,7 @@ pub fn allan_deviation(rates: &[f64], dt_s: f64) -> Vec<AllanPoint> {
     if !(dt_s.is_finite() && dt_s > 0.0) || rates.iter().any(|rate| !rate.is_finite()) {
         return Vec::new();
     }
-    let mut angle = 0.0;
-    let mut angles = vec![0.0];
-    for rate in rates {
-        angle += rate * dt_s;
-        angles.push(angle);
-    }
+    let angles = running_sums(rates.iter().map(|rate| rate * dt_s));
     let longest = rates.len() / MIN_AVERAGES;
     let mut points = Vec::new();
     let mut m = 1;

@@ -19,7 +19,7 @@ use posebridge_telemetry::DriveGeometry;
 
 use super::table::{SensorRow, SensorTable};
 use crate::recorded_drive::rolled_step;
-use crate::statistics::{FittedLine, mean_and_variance};
+use crate::statistics::{FittedLine, longest_run, mean_and_variance};
 
 /// Rows omitted at both ends of a straight run: the robot starts and stops there.
 const END_ROWS: usize = 8;
@@ -63,19 +63,7 @@ pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<No
 }
 
 pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
-    let count = table.rows.len();
-    let mut longest = (0, 0);
-    let mut begun = None;
-    for row in 0..=count {
-        if is_straight(table, row, geometry) {
-            begun.get_or_insert(row);
-        } else if let Some(from) = begun.take()
-            && row - from > longest.1
-        {
-            longest = (from, row - from);
-        }
-    }
-    let (from, length) = longest;
+    let (from, length) = longest_run((0..table.rows.len()).map(|row| is_straight(table, row, geometry)));
     record(table, from + END_ROWS, length.checked_sub(2 * END_ROWS)?, geometry)
 }
 

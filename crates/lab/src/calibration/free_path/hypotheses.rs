@@ -20,7 +20,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
-use crate::statistics::{PairedVectors, centroid, lagged_sum};
+use crate::statistics::{PairedVectors, centroid, correlated_variance};
 
 /// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -277,14 +277,10 @@ pub(super) fn length_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) 
 /// The variance of `sum (c_k - factor c0_k) c0_k` over one run.
 ///
 /// Neighbours share a fix, whose noise lengthens one window and shortens the other, so that most of it cancels in the sum. The products
-/// of neighbours measure that, weighted as by Newey and West (1987), which keeps the sum positive.
+/// of neighbours measure that.
 fn residual_variance_m4(run: &[PathChord], factor: f64) -> f64 {
     let scores: Vec<f64> = run.iter().map(|chord| chord.predicted_m * chord.residual_m(factor)).collect();
-    let neighbours = (1..=NEIGHBOURS).map(|lag| {
-        let weight = 1.0 - lag as f64 / (NEIGHBOURS as f64 + 1.0);
-        2.0 * weight * lagged_sum(&scores, lag)
-    });
-    lagged_sum(&scores, 0) + neighbours.sum::<f64>()
+    correlated_variance(&scores, NEIGHBOURS)
 }
 
 #[derive(Clone, Copy, Debug)]

@@ -12,6 +12,7 @@ use crate::config_without_wheels;
 use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
+use crate::statistics::median;
 
 const TAU_S: f64 = 20.0;
 const SIGMA_K: f64 = 0.1;
@@ -246,7 +247,9 @@ fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes,
 fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f64; 2])]) {
     let mut row = vec![format!("{:+.0} %", 100.0 * (factor - 1.0))];
     for (method, name) in METHODS.into_iter().enumerate() {
-        let middle = median(runs.iter().map(|(settled, _)| settled[method]).collect());
+        // A run that never settles counts as the largest.
+        let settled = runs.iter().map(|(settled, _)| settled[method].unwrap_or(f64::INFINITY));
+        let middle = median(settled).filter(|middle_s| middle_s.is_finite());
         row.push(seconds(middle));
         section.record_value(format!("{name}_5_percent_s_at_{factor}"), middle);
     }
@@ -256,10 +259,4 @@ fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f6
         section.record_value(format!("{name}_inside_at_{factor}"), mean);
     }
     section.rows.push(row);
-}
-
-/// A run that never settles counts as the largest.
-fn median(mut all: Vec<Option<f64>>) -> Option<f64> {
-    all.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
-    all.get(all.len() / 2).copied().flatten()
 }
