@@ -12,6 +12,7 @@
 
 mod methods;
 
+use posebridge_estimator::numerics::statistics::mean;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -62,45 +63,25 @@ pub fn compare_methods(seeds: &[u64]) -> Vec<ClockRow> {
     pairs.map(|(case, method)| row_of(case, method, seeds)).collect()
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct OffsetErrors {
-    scored: u32,
-    answered: u32,
-    sum_ms: f64,
-    worst_ms: f64,
-}
-
-impl OffsetErrors {
-    fn add(&mut self, error_ms: Option<f64>) {
-        self.scored += 1;
-        let Some(error_ms) = error_ms else {
-            return;
-        };
-        self.answered += 1;
-        self.sum_ms += error_ms;
-        self.worst_ms = self.worst_ms.max(error_ms.abs());
-    }
-}
-
 fn row_of(case: &ClockCase, method: &MethodEntry, seeds: &[u64]) -> ClockRow {
-    let mut errors = OffsetErrors::default();
+    let mut errors_ms: Vec<Option<f64>> = Vec::new();
     for seed in seeds {
         let mut clock = (method.open)();
         for known in case.exchanges(*seed) {
             clock.observe_exchange(&known.exchange);
             if known.answered_s >= case.scored_from_s {
                 let found_s = clock.offset_at(known.answered_s).map(|offset_s| known.exchange.remote_s + offset_s);
-                errors.add(found_s.map(|found_s| (found_s - known.answered_s) * 1e3));
+                errors_ms.push(found_s.map(|found_s| (found_s - known.answered_s) * 1e3));
             }
         }
     }
-    let started = errors.answered > 0;
+    let answered_ms = || errors_ms.iter().flatten().copied();
     ClockRow {
         case: case.name,
         method: method.name,
-        worst_ms: started.then_some(errors.worst_ms),
-        mean_ms: started.then(|| errors.sum_ms / f64::from(errors.answered)),
-        answered: f64::from(errors.answered) / f64::from(errors.scored.max(1)),
+        worst_ms: answered_ms().map(f64::abs).reduce(f64::max),
+        mean_ms: mean(answered_ms()),
+        answered: answered_ms().count() as f64 / errors_ms.len().max(1) as f64,
     }
 }
 

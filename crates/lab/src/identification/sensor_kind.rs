@@ -32,6 +32,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::UncertainValue;
 
 use super::TimedSample;
@@ -126,11 +127,9 @@ impl SensorKind {
             score_predictions(&predict(&run.samples, run.sigma, &kind), run)
         });
         let each: Vec<PredictionScore> = each.map(Option::unwrap_or_default).collect();
-        let count = each.len().max(1) as f64;
-        let factors = each.iter().map(|score| score.bound_factor);
         PredictionScore {
-            mean_error: each.iter().map(|score| score.mean_error).sum::<f64>() / count,
-            bound_factor: factors.sum::<f64>() / count,
+            mean_error: statistics::mean(each.iter().map(|score| score.mean_error)).unwrap_or_default(),
+            bound_factor: statistics::mean(each.iter().map(|score| score.bound_factor)).unwrap_or_default(),
         }
     }
 

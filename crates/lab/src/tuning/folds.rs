@@ -105,8 +105,8 @@ impl ShareChoice {
 
 /// Selects by equation (4) and by the position errors.
 pub fn choose(folds: &[FoldScore]) -> ShareChoice {
-    let gains = per_share(|s| folds.iter().map(|fold| gain(fold, s)).sum());
-    let position_rms_m = per_share(|s| {
+    let gains: [f64; SHARES.len()] = std::array::from_fn(|s| folds.iter().map(|fold| gain(fold, s)).sum());
+    let position_rms_m: [Option<f64>; SHARES.len()] = std::array::from_fn(|s| {
         let mut all = RunningMean::default();
         for fold in folds {
             all.merge(&fold.squares[s]);
@@ -155,10 +155,6 @@ fn best_index(gains: &[f64; SHARES.len()]) -> usize {
         }
     }
     best
-}
-
-fn per_share<T>(of: impl Fn(usize) -> T) -> [T; SHARES.len()] {
-    std::array::from_fn(of)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]

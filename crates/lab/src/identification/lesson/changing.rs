@@ -2,6 +2,7 @@
 
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_estimator::{Filter, Params};
 use posebridge_report::chart::Curve;
 use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, SensorNoise, TimeDelta, Timestamp};
@@ -33,14 +34,12 @@ fn run_filters(samples: &[TimedSample]) -> [FilteredSeries; 2] {
 fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let half = followed.len() / 2;
     let last = followed.get(half..).unwrap_or_default();
-    let count = last.len().max(1) as f64;
-    let errors = last.iter().map(|(at_s, value, _)| (value - truth(*at_s)).abs());
-    let inside = last.iter().filter(|(at_s, value, sigma)| (value - truth(*at_s)).abs() <= BOUND_SIGMAS * sigma);
-    (
-        errors.sum::<f64>() / count,
-        last.iter().map(|(_, _, sigma)| sigma).sum::<f64>() / count,
-        inside.count() as f64 / count,
-    )
+    let error = |at_s: f64, value: f64| (value - truth(at_s)).abs();
+    let errors = last.iter().map(|(at_s, value, _)| error(*at_s, *value));
+    let sigmas = last.iter().map(|(_, _, sigma)| *sigma);
+    let inside = last.iter().map(|(at_s, value, sigma)| error(*at_s, *value) <= BOUND_SIGMAS * sigma);
+    let inside = mean(inside.map(|is_inside| f64::from(u8::from(is_inside))));
+    (mean(errors).unwrap_or_default(), mean(sigmas).unwrap_or_default(), inside.unwrap_or_default())
 }
 
 const COMPARISON_HEADER: [&str; 4] = ["filter", "mean error [K]", "mean sigma [K]", "truth within the bound"];
@@ -106,7 +105,7 @@ pub(super) fn walking(seed: u64) -> LessonSection {
     );
     add_comparison(&mut section, &samples, truth);
     let lag = samples.iter().skip(250).map(|sample| (sample.value - truth(sample.at_s)).abs());
-    section.record_value("shown_error_k", lag.sum::<f64>() / 250.0);
+    section.record_value("shown_error_k", mean(lag));
     section
 }
 
@@ -254,9 +253,9 @@ fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f6
         section.record_value(format!("{name}_5_percent_s_at_{factor}"), middle);
     }
     for (method, name) in METHODS.into_iter().skip(1).enumerate() {
-        let mean = runs.iter().map(|(_, inside)| inside[method]).sum::<f64>() / runs.len() as f64;
-        row.push(format!("{:.0} %", 100.0 * mean));
-        section.record_value(format!("{name}_inside_at_{factor}"), mean);
+        let inside = mean(runs.iter().map(|(_, inside)| inside[method])).unwrap_or_default();
+        row.push(format!("{:.0} %", 100.0 * inside));
+        section.record_value(format!("{name}_inside_at_{factor}"), inside);
     }
     section.rows.push(row);
 }
