@@ -213,7 +213,7 @@ fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<Br
     if felt.len() < MIN_REST_FIXES {
         return;
     }
-    let mean = centroid(felt.iter().copied());
+    let mean = centroid(&felt);
     for observation in observations {
         if let ObservationKind::WheelAccelerations { left, right } = &mut observation.measurement {
             left.0 -= mean[0];

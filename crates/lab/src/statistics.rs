@@ -39,8 +39,8 @@ pub(crate) fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
 }
 
 /// Zero without a point.
-pub(crate) fn centroid(points: impl Iterator<Item = [f64; 2]> + Clone) -> [f64; 2] {
-    [0, 1].map(|axis| mean(points.clone().map(|point| point[axis])).unwrap_or_default())
+pub(crate) fn centroid(points: &[[f64; 2]]) -> [f64; 2] {
+    [0, 1].map(|axis| mean(points.iter().map(|point| point[axis])).unwrap_or_default())
 }
 
 /// Mean of independent values with its standard deviation; `None` with fewer than two.

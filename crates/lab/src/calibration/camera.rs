@@ -96,15 +96,16 @@ fn rms_without(points: &[CalibrationPoint], index: usize) -> f64 {
 }
 
 /// Centroid and mean distance from it, at least a small positive number.
-fn normalization(points: impl Iterator<Item = [f64; 2]> + Clone) -> ([f64; 2], f64) {
-    let centre = centroid(points.clone());
-    let spread = mean(points.map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1])));
+fn normalization(points: &[CalibrationPoint], of: fn(&CalibrationPoint) -> [f64; 2]) -> ([f64; 2], f64) {
+    let points: Vec<[f64; 2]> = points.iter().map(of).collect();
+    let centre = centroid(&points);
+    let spread = mean(points.iter().map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1])));
     (centre, spread.unwrap_or_default().max(f64::MIN_POSITIVE))
 }
 
 fn solve_homography(points: &[CalibrationPoint]) -> Result<Homography, CalibrationError> {
-    let (from, from_size) = normalization(points.iter().map(|p| p.measured));
-    let (to, to_size) = normalization(points.iter().map(|p| p.floor_m));
+    let (from, from_size) = normalization(points, |p| p.measured);
+    let (to, to_size) = normalization(points, |p| p.floor_m);
     let scaled: Vec<([f64; 2], [f64; 2])> = points
         .iter()
         .map(|p| {
@@ -174,8 +175,8 @@ pub struct Similarity {
 
 pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, CalibrationError> {
     validate_points(points, 2)?;
-    let (from, size) = normalization(points.iter().map(|p| p.measured));
-    let (to, _) = normalization(points.iter().map(|p| p.floor_m));
+    let (from, size) = normalization(points, |p| p.measured);
+    let (to, _) = normalization(points, |p| p.floor_m);
     if size <= f64::MIN_POSITIVE {
         return Err(CalibrationError::Undetermined("all points are one"));
     }

@@ -106,7 +106,7 @@ fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], 
     if let Some(value) = ends.iter().flatten().find(|value| !value.is_finite()) {
         return Err(CalibrationError::ImplausibleValue { what: "the end of a square", value: *value });
     }
-    let mean = centroid(ends.iter().copied());
+    let mean = centroid(&ends);
     let squares = [0, 1].map(|axis| {
         let apart = ends.iter().map(|end| (end[axis] - mean[axis]).powi(2));
         apart.sum::<f64>()

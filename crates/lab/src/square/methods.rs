@@ -27,6 +27,9 @@ enum MethodKind {
 
 type BuildFilter = fn(&FilterConfig) -> Box<dyn Filter>;
 
+/// From a row, and the time since the one before it in s, to the next state.
+type StepRow = Box<dyn FnMut(&SensorRow, f64) -> DriveState>;
+
 const OWN: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 const GYRO: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro];
 const COMPASS: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro, TableSensor::Compass];
@@ -104,8 +107,7 @@ impl Method {
         .collect()
     }
 
-    /// What makes the next state of a row and the time since the one before it, in s.
-    fn start(&self, config: &FilterConfig, unit_rad: f64) -> Box<dyn FnMut(&SensorRow, f64) -> DriveState> {
+    fn start(&self, config: &FilterConfig, unit_rad: f64) -> StepRow {
         let start = config.start.map_or([0.0; 3], |start| [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]);
         let (geometry, sensors) = (config.geometry, self.sensors);
         let turned_rad = move |row: &SensorRow| row.encoders.map(|count| count * unit_rad);

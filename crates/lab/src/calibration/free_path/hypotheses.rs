@@ -214,7 +214,7 @@ struct PathAlignment {
 
 /// Rotates and shifts `ours` onto `theirs` by least squares.
 fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
-    let centres = [ours, theirs].map(|points| centroid(points.iter().copied()));
+    let centres = [ours, theirs].map(centroid);
     let sums = PairedVectors::about(centres, ours.iter().zip(theirs).map(|(a, b)| [*a, *b]));
     let [ours_m2, theirs_m2] = sums.squares;
     PathAlignment {
