@@ -17,7 +17,7 @@ use posebridge_telemetry::{Calibration, ObservationKind, UncertainValue};
 use serde_json::{Value, json};
 
 use super::path_report::{PathCalibrationResult, RunComparison};
-use super::profile::{fold_into_geometry, save_profile};
+use super::{fold_into_geometry, save_profile};
 use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;

@@ -4,15 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use posebridge_lab::calibration::at_rest::{RestIntervals, readings_at_rest, rest_noise};
-use posebridge_lab::noise_identification::RestNoise;
+use posebridge_lab::noise_identification::{RestIntervals, RestNoise, readings_at_rest, rest_noise};
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
-use super::profile::save_profile;
+use super::save_profile;
 use crate::config::{CalibrationEntry, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};

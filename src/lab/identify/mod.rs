@@ -7,7 +7,6 @@
 mod noise;
 mod step;
 mod step_dataset;
-mod step_simulated;
 mod wall;
 
 use anyhow::{Result, ensure};

@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_lab::calibration::at_rest::{MIN_STANDSTILL_S, RestIntervals, readings_at_rest};
 use posebridge_lab::noise_identification::{
-    AllanPoint, CameraSample, DelaySearch, RestNoise, RestRecord, allan_deviation, cumulative_motion_of, find_delay,
-    noise_at_rest, rounding_speed_sigma, straight_noise,
+    AllanPoint, CameraSample, DelaySearch, MIN_STANDSTILL_S, RestIntervals, RestNoise, RestRecord, allan_deviation,
+    cumulative_motion_of, find_delay, noise_at_rest, readings_at_rest, rounding_speed_sigma, straight_noise,
 };
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::report::Report;

@@ -15,8 +15,8 @@ use posebridge_report::report::Report;
 use posebridge_telemetry::{Observation, UncertainValue};
 use serde_json::{Value, json};
 
-use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, TimeUnit};
-use super::{Quantity, end_of_interval, report, step_simulated};
+use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, TimeUnit, simulated};
+use super::{Quantity, end_of_interval, report};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
@@ -50,7 +50,7 @@ fn identify_run_step(run: &StepRun) -> Result<StepResult<'_>> {
 pub(super) fn load(args: &StepArgs) -> Result<StepDataset> {
     check(args)?;
     let Some(path) = &args.recording else {
-        return step_simulated::material(args);
+        return simulated(args);
     };
     let end = path.extension().and_then(|end| end.to_str()).unwrap_or("");
     match end {

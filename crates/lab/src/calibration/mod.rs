@@ -2,7 +2,6 @@
 //!
 //! docs/lab/calibration.md has the equations.
 
-pub mod at_rest;
 pub mod camera;
 pub mod free_path;
 mod least_squares;

@@ -23,6 +23,9 @@ mod white_and_walk;
 pub use self::delay::{
     CameraSample, CumulativeMotion, DelayError, DelaySearch, FixDelay, cumulative_motion_of, find_delay,
 };
-pub use self::rest::{RestError, RestNoise, RestRecord, find_quantization_step, noise_at_rest};
+pub use self::rest::{
+    MIN_STANDSTILL_S, RestError, RestIntervals, RestNoise, RestRecord, find_quantization_step, noise_at_rest,
+    readings_at_rest, rest_noise,
+};
 pub use self::straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
 pub use self::white_and_walk::{AllanPoint, NoiseDecomposition, allan_deviation, decompose_noise};

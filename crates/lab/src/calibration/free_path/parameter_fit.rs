@@ -5,7 +5,7 @@ use posebridge_estimator::models::differential_drive::{WheelTravel, step_noise};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{SensorNoise, UncertainValue};
 
-use super::drive::FreePath;
+use super::FreePath;
 use super::hypotheses::{coarse_track_factor, length_factor};
 use super::predict::{PathPredictor, RobotParameters, estimate_start_heading, nominal};
 use super::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
