@@ -23,8 +23,7 @@ use posebridge_report::metrics::{
 };
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::tables::NO_VALUE;
-use posebridge_report::track::SmoothedPath;
-use posebridge_report::track::TimedPose;
+use posebridge_report::track::{SmoothedPath, TimedPose};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Arena, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
@@ -257,10 +256,7 @@ impl FilterScore {
 }
 
 fn larger(one: Option<f64>, other: Option<f64>) -> Option<f64> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.max(other)),
-        (one, other) => one.or(other),
-    }
+    one.into_iter().chain(other).reduce(f64::max)
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -305,7 +301,7 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
     Some(tally)
 }
 
-// How small the error over drives can be at all: the posterior Cramer-Rao bound, added up like a [`Score`](super::Score).
+// How small the error over drives can be at all: the posterior Cramer-Rao bound, added up over steps and runs.
 //
 // # Source
 // [`posebridge_estimator::smoother::cramer_rao`], which says what it assumes.
