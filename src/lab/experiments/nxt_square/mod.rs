@@ -269,7 +269,7 @@ fn add_json(report: &mut Report, found: &SquareReport, recordings: &[String]) {
 fn chain(chain: &MethodRanking) -> Value {
     let methods = chain.names.iter().enumerate().map(|(index, name)| {
         let runs = chain.runs.iter().filter_map(|run| run.get(index));
-        let runs: Value = runs.map(|errors| by_metric(|metric| errors.value(metric)).into()).collect();
+        let runs: Value = runs.map(|errors| Value::Object(by_metric(|metric| errors.value(metric)))).collect();
         let mut method = by_metric(|metric| chain.rms(index, metric));
         method.extend([
             ("name".to_owned(), json!(name)),
