@@ -17,7 +17,7 @@ use posebridge_telemetry::{Calibration, ObservationKind, UncertainValue};
 use serde_json::{Value, json};
 
 use super::path_report::{PathCalibrationResult, RunComparison};
-use super::{fold_into_geometry, save_profile};
+use super::profile::{fold_into_geometry, save_profile};
 use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
@@ -52,15 +52,15 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let report = calibration.report();
     if let Some(path) = &args.save {
         let robot = (calibration.calibrated, calibration.residual);
-        save_profile(path, &timer, &report, "calibrate path", calibration.dataset.recording, robot).while_running()?;
+        save_profile(path, &timer, &report, "calibrate path", calibration.recording, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
 
-pub(super) struct PathDataset {
-    pub(super) recording: String,
-    pub(super) reference: &'static str,
-    pub(super) robot: RobotFile,
+struct PathDataset {
+    recording: String,
+    reference: &'static str,
+    robot: RobotFile,
     config: FilterConfig,
     paths: Vec<FreePath>,
     /// Drives for validation, not among `paths`.
@@ -262,7 +262,9 @@ fn build_result(material: PathDataset, found: PathCalibration) -> Result<PathCal
         runs,
         validation_runs: tried,
         fit: found,
-        dataset: material,
+        recording: material.recording,
+        reference: material.reference,
+        robot: material.robot,
     })
 }
 

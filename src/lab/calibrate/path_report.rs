@@ -9,7 +9,6 @@ use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Calibration;
 use serde_json::{Map, Value, json};
 
-use super::path::PathDataset;
 use crate::config::RobotFile;
 
 const MAX_PLOTTED_RUNS: usize = 3;
@@ -19,7 +18,10 @@ const UNEXPLAINED: f64 = 100.0;
 const ROUGH: f64 = 4.0;
 
 pub(super) struct PathCalibrationResult {
-    pub(super) dataset: PathDataset,
+    pub(super) recording: String,
+    pub(super) reference: &'static str,
+    /// Before the calibration.
+    pub(super) robot: RobotFile,
     pub(super) calibrated: RobotFile,
     pub(super) residual: Calibration,
     pub(super) fit: PathCalibration,
@@ -41,9 +43,8 @@ impl RunComparison {
 
 impl PathCalibrationResult {
     pub(super) fn report(&self) -> Report {
-        let mut report =
-            Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.dataset.recording));
-        report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.dataset.reference));
+        let mut report = Report::new("calibrate-path", format!("Calibration by a watched drive: {}", self.recording));
+        report.paragraph(format!("{} run(s), compared with: {}", self.runs.len(), self.reference));
         report.background("docs/lab/calibration.md says what the numbers mean.");
         let findings = self.findings();
         for finding in &findings {
@@ -58,8 +59,8 @@ impl PathCalibrationResult {
             let caption = format!("{}: where it was seen, and dead reckoning alone before and after.", run.path.name);
             report.chart(&plot(run), caption);
         }
-        report.data("recording", json!(self.dataset.recording));
-        report.data("against", json!(self.dataset.reference));
+        report.data("recording", json!(self.recording));
+        report.data("against", json!(self.reference));
         report.data("sanity", self.sanity());
         report.data("findings", json!(findings));
         report.data("runs", self.runs.iter().map(run_json).collect());
@@ -107,7 +108,7 @@ impl PathCalibrationResult {
     }
 
     fn add_geometry(&self, report: &mut Report) {
-        let (before, after) = (&self.dataset.robot, &self.calibrated);
+        let (before, after) = (&self.robot, &self.calibrated);
         let rows = [
             ("left wheel radius", before.left_wheel_radius_m, after.left_wheel_radius_m),
             ("right wheel radius", before.right_wheel_radius_m, after.right_wheel_radius_m),
@@ -173,7 +174,7 @@ impl PathCalibrationResult {
         if found.track_factor != 1.0 {
             findings.push(format!(
                 "`robot.track_width_m` is {} and fits {} times that: {}; write about {:.4}",
-                self.dataset.robot.track_width_m,
+                self.robot.track_width_m,
                 found.track_factor,
                 if found.track_factor > 1.0 {
                     "it is half the distance between the wheels"
@@ -187,8 +188,8 @@ impl PathCalibrationResult {
             findings.push(format!(
                 "a count moves the wheels by {} times what `robot.ticks_per_turn` = {} and the radii say: write ticks_per_turn = {} (a quadrature decoder counts 1, 2 or 4 times) or mend the radii (radius or diameter?)",
                 found.travel_factor,
-                self.dataset.robot.ticks_per_turn,
-                self.dataset.robot.ticks_per_turn / found.travel_factor
+                self.robot.ticks_per_turn,
+                self.robot.ticks_per_turn / found.travel_factor
             ));
         }
         if findings.len() > before {

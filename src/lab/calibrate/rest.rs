@@ -11,7 +11,7 @@ use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
-use super::save_profile;
+use super::profile::save_profile;
 use crate::config::{CalibrationEntry, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};

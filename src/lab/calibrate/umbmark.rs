@@ -19,7 +19,7 @@ use posebridge_sim::montecarlo::{Course, Drive, Scenario};
 use posebridge_telemetry::{ArenaMap, Calibration, Observation, StartPose, UncertainValue};
 use serde_json::json;
 
-use super::{fold_into_geometry, save_profile};
+use super::profile::{fold_into_geometry, save_profile};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;

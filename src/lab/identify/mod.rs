@@ -5,16 +5,14 @@
 //! 7, has the equations.
 
 mod noise;
+mod report;
 mod step;
 mod step_dataset;
 mod wall;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use posebridge_lab::noise_identification::DelaySearch;
-use posebridge_report::chart::Plot;
-use posebridge_report::quantity::{Format, Unit};
-use posebridge_report::report::{Report, Table};
-use serde_json::json;
+use posebridge_report::report::Report;
 
 use self::noise::{ExperimentSource, FixTimeSource, SourceArgs};
 use crate::exit::{ExitStage, Failure};
@@ -94,75 +92,4 @@ fn run(
     let data = source.read(requested, output)?;
     let folder = output.folder()?;
     output.write_outcome(&folder, &experiment(&data).while_running()?)
-}
-
-/// Checks `--from` and `--to`; returns the end.
-fn end_of_interval(from_s: f64, to_s: Option<f64>) -> Result<f64> {
-    let until_s = to_s.unwrap_or(f64::INFINITY);
-    ensure!(from_s < until_s, "--from is {from_s} and --to is {until_s}: nothing lies between them");
-    Ok(until_s)
-}
-
-struct Quantity {
-    /// The run, if there are several.
-    of: Option<String>,
-    name: String,
-    unit: &'static str,
-    value: Option<f64>,
-    sigma: Option<f64>,
-    truth: Option<f64>,
-}
-
-impl Quantity {
-    /// Without a value it is not significantly different from zero.
-    fn new(
-        name: impl Into<String>,
-        unit: &'static str,
-        value: impl Into<Option<f64>>,
-        sigma: impl Into<Option<f64>>,
-    ) -> Self {
-        Self { of: None, name: name.into(), unit, value: value.into(), sigma: sigma.into(), truth: None }
-    }
-
-    fn for_run(self, run: impl Into<Option<String>>) -> Self {
-        Self { of: run.into(), ..self }
-    }
-
-    fn with_truth(self, truth: Option<f64>) -> Self {
-        Self { truth, ..self }
-    }
-}
-
-/// `name` is the command's words joined, `run` where the data come from.
-fn report(
-    name: &'static str,
-    title: &str,
-    run: &str,
-    quantities: &[Quantity],
-    notes: &[String],
-    plots: &[Plot],
-) -> Report {
-    let mut report = Report::new(name, format!("{title}: {run}"));
-    let six = Format::new(Unit::None, 6);
-    let label = |quantity: &Quantity| match &quantity.of {
-        Some(of) => format!("{of}: {}", quantity.name),
-        None => quantity.name.clone(),
-    };
-    let table = Table::of(quantities)
-        .text("", "quantity", label)
-        .data("of", |quantity| json!(quantity.of))
-        .data("name", |quantity| json!(quantity.name))
-        .number("value", "value", six, |quantity| quantity.value)
-        .number("sigma", "sigma", six, |quantity| quantity.sigma)
-        .text("unit", "unit", |quantity| quantity.unit.to_owned())
-        .number("truth", "truth", six, |quantity| quantity.truth);
-    report.table("quantities", &table);
-    report.list(notes.iter().cloned());
-    for plot in plots {
-        report.chart(plot, plot.title.as_str());
-    }
-    report.data("experiment", json!(name));
-    report.data("run", json!(run));
-    report.data("notes", json!(notes));
-    report
 }

@@ -12,7 +12,7 @@ use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
-use super::{Quantity, end_of_interval, report};
+use super::report::{Quantity, end_of_interval, report};
 use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;

@@ -15,8 +15,8 @@ use posebridge_report::report::Report;
 use posebridge_telemetry::{Observation, UncertainValue};
 use serde_json::{Value, json};
 
+use super::report::{Quantity, end_of_interval, report};
 use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, TimeUnit, simulated};
-use super::{Quantity, end_of_interval, report};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;

@@ -13,10 +13,10 @@ use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::report::Report;
 use posebridge_sim::wall::{WallScene, simulate_step};
 
-use super::{Quantity, report};
+use super::report::{Quantity, report};
 use crate::exit::{ExitStage, Failure};
 use crate::lab::experiments::wall::recorded::RunSelection;
-use crate::lab::experiments::wall::simulated::{PIECE, log_of};
+use crate::lab::experiments::wall::steps::{PIECE, log_of};
 use crate::lab::experiments::wall::{recorded, scene};
 use crate::tools::experiment_output::OutputArgs;
 

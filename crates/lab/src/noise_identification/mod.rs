@@ -16,6 +16,7 @@
 //! IEEE Trans. ASSP 24(4), 1976.
 
 mod delay;
+mod record;
 mod rest;
 mod straight;
 mod white_and_walk;
@@ -23,9 +24,9 @@ mod white_and_walk;
 pub use self::delay::{
     CameraSample, CumulativeMotion, DelayError, DelaySearch, FixDelay, cumulative_motion_of, find_delay,
 };
+pub use self::record::{RestError, RestRecord};
 pub use self::rest::{
-    MIN_STANDSTILL_S, RestError, RestIntervals, RestNoise, RestRecord, find_quantization_step, noise_at_rest,
-    readings_at_rest, rest_noise,
+    MIN_STANDSTILL_S, RestIntervals, RestNoise, find_quantization_step, noise_at_rest, readings_at_rest, rest_noise,
 };
 pub use self::straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
 pub use self::white_and_walk::{AllanPoint, NoiseDecomposition, allan_deviation, decompose_noise};

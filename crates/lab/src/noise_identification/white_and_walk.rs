@@ -7,7 +7,7 @@
 //! The sums go over the m samples that have a predecessor: each stretch begins with an unknown level. dt_k is the interval before
 //! sample k, dt the median interval: where a sample was lost, the walk is longer.
 
-use super::rest::RestRecord;
+use super::record::RestRecord;
 use crate::statistics::running_sums;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

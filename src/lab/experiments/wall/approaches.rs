@@ -13,7 +13,7 @@ use posebridge_sim::wall::{
     approach_over_link,
 };
 
-use super::simulated::StepResults;
+use super::steps::StepResults;
 use crate::lab::parallel::run_cases;
 
 /// Process noise of the corrected filter with an identified drive, per step of 7.6 ms; docs/lab/wall.md section M5.

@@ -7,7 +7,8 @@
 mod approaches;
 mod pictures;
 pub(in crate::lab) mod recorded;
-pub(in crate::lab) mod simulated;
+mod simulated;
+pub(in crate::lab) mod steps;
 
 use std::path::{Path, PathBuf};
 

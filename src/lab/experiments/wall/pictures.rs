@@ -9,7 +9,7 @@ use posebridge_report::report::Report;
 use posebridge_sim::wall::WallScene;
 
 use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
-use super::simulated::{PIECE, StepResults};
+use super::steps::{PIECE, StepResults};
 
 /// Plots every n-th control cycle: 30 ms are less than a line's width.
 const SAMPLE_STRIDE: usize = 4;

@@ -14,7 +14,7 @@ use posebridge_telemetry::{Observation, ObservationKind, SensorId};
 use serde_json::{Value, json};
 
 use super::pictures;
-use super::simulated::PIECE;
+use super::steps::PIECE;
 use crate::config::{Overlay, Setting};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;

@@ -18,8 +18,8 @@ use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_telemetry::UncertainValue;
 use posebridge_telemetry::quantities::wrap_rad;
 
+use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
-use super::{FreePath, TravelStep};
 use crate::statistics::{PairedVectors, centroid, correlated_variance};
 
 /// Wiring errors of the two counters.

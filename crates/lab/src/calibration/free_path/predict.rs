@@ -22,7 +22,7 @@ use posebridge_estimator::models::se2::{StepRule, displace};
 use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 
-use super::{FreePath, TravelStep};
+use super::drive::{FreePath, TravelStep};
 use crate::statistics::PairedVectors;
 
 /// Parameters of a robot: factors on nominal travel and track, camera delay and tag.

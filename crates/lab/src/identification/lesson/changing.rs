@@ -8,7 +8,7 @@ use posebridge_report::chart::Curve;
 use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, SensorNoise, TimeDelta, Timestamp};
 
 use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
-use super::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
 use crate::config_without_wheels;
 use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
 use crate::identification::step_response::{SimulatedSensor, step_input};

@@ -6,7 +6,7 @@ use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_telemetry::SensorId;
 
 use super::changing::{DynamicFilterConfig, first_order};
-use super::{LessonSection, band, filter_values, sample_points, temperatures};
+use super::section::{LessonSection, band, filter_values, sample_points, temperatures};
 use crate::identification::TimedSample;
 use crate::identification::known_dynamics::{block_least_squares, final_value_from_three, recursive_least_squares};
 use crate::identification::prediction::{BOUND_RATE, predict_once};

@@ -2,7 +2,7 @@
 
 use posebridge_report::chart::{Curve, CurveShape, Plot};
 
-use super::{LessonSection, band, filter_values, sample_points, seconds, settling_times_s, temperatures};
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, settling_times_s, temperatures};
 use crate::identification::prediction::{EndPrediction, predict_with_expectation};
 use crate::identification::prior::{ExpectedDynamics, StepDirection};
 use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};

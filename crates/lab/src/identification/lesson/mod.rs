@@ -6,17 +6,18 @@
 mod changing;
 mod first;
 mod identified;
+mod section;
 
-use posebridge_estimator::numerics::statistics::mean;
-use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::chart::{Curve, CurveShape};
 
-use super::prediction::{BOUND_SIGMAS, EndPrediction};
+use self::section::{band, sample_points, seconds, settling_times_s, share_inside, temperatures};
+use super::prediction::EndPrediction;
 use super::prior::StepDirection;
 use super::sensor_kind::{RunSimilarity, SensorKind, predict};
 use super::step::IdentifiedStep;
-use super::{TimedSample, settling_time_s};
 
 pub use self::first::{BoundRun, bound_run, bounds_section};
+pub use self::section::LessonSection;
 
 pub type SectionBuilder = fn(u64) -> LessonSection;
 
@@ -35,80 +36,6 @@ pub const SECTIONS: [SectionBuilder; 12] = [
     changing::quantised,
     changing::mismatch,
 ];
-
-#[derive(Clone, Debug, Default)]
-pub struct LessonSection {
-    pub name: &'static str,
-    pub title: String,
-    pub paragraphs: Vec<String>,
-    /// Column names; empty for no table.
-    pub header: Vec<String>,
-    pub rows: Vec<Vec<String>>,
-    pub figure: Option<(Plot, String)>,
-    /// Named results; `None` where a result is not available.
-    pub values: Vec<(String, Option<f64>)>,
-}
-
-impl LessonSection {
-    fn new(name: &'static str, title: &str, paragraph: impl Into<String>, header: &[&str]) -> Self {
-        Self {
-            name,
-            title: title.to_owned(),
-            paragraphs: vec![paragraph.into()],
-            header: header.iter().map(|name| (*name).to_owned()).collect(),
-            ..Self::default()
-        }
-    }
-
-    /// `None` if there is no such name, or no value for it.
-    pub fn value(&self, name: &str) -> Option<f64> {
-        let mut all = self.values.iter();
-        all.find(|(known, _)| known == name).and_then(|(_, value)| *value)
-    }
-
-    fn record_value(&mut self, name: impl Into<String>, value: impl Into<Option<f64>>) {
-        self.values.push((name.into(), value.into()));
-    }
-}
-
-fn seconds(value: Option<f64>) -> String {
-    value.map_or_else(|| "never".to_owned(), |value| format!("{value:.2}"))
-}
-
-fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
-    let half = BOUND_SIGMAS;
-    let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
-    Curve::new(name, CurveShape::Band(values.iter().map(of).collect()))
-}
-
-fn filter_values(all: &[(f64, f64, f64)]) -> Vec<(f64, f64)> {
-    all.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()
-}
-
-fn sample_points(samples: &[TimedSample]) -> Vec<(f64, f64)> {
-    let of = |sample: &TimedSample| (sample.at_s, sample.value);
-    samples.iter().map(of).collect()
-}
-
-fn temperatures(title: &str, panels: Vec<Vec<Curve>>) -> Plot {
-    let axes = panels.into_iter().map(|curves| Axes::new("time [s]", "temperature [degrees C]", 240.0, curves));
-    Plot::new(title, "", axes.collect())
-}
-
-/// Seconds from the onset until within 10, 5 and 2 % of a step of this size for good.
-fn settling_times_s(series: &[(f64, f64)], onset_s: f64, end: f64, size: f64) -> [Option<f64>; 3] {
-    [0.1, 0.05, 0.02].map(|share| settling_time_s(series, onset_s, end, share * size))
-}
-
-/// Share of the bounds that contain the end, after a step was detected; `None` without one.
-fn share_inside(predictions: &[EndPrediction], end: f64) -> Option<f64> {
-    let moving = predictions.iter().filter(|prediction| prediction.is_settling);
-    let held = moving.map(|prediction| {
-        let (low, high) = prediction.bound();
-        f64::from(u8::from(low <= end && end <= high))
-    });
-    mean(held)
-}
 
 // Sections on recordings: the identified models, and predictions of runs that were not used for them.
 
