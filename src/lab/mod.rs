@@ -5,4 +5,5 @@ pub mod drives;
 pub mod experiments;
 pub mod identify;
 pub mod parallel;
+pub mod source;
 pub mod tune;

@@ -181,25 +181,7 @@ fn a_camera_is_calibrated_by_points_and_a_mistyped_one_is_named() {
 }
 
 /// Of a descriptor: a robot at rest with a gyro, whose column in `wheels.csv` is `gyro`; [`WHEELS_CSV`] belongs behind it.
-const GYRO_BESIDE_WHEELS: &str = r#"
-name = "by-hand"
-source = "written by this test"
-licence = "-"
-default_run = "rest"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[[runs]]
-name = "rest"
-
-[[gyro]]
-file = "wheels"
-turn_rate = "gyro"
-"#;
+const GYRO_BESIDE_WHEELS: &str = include_str!("../data/lab/gyro-beside-wheels.toml");
 
 #[test]
 fn what_cannot_be_done_is_said_with_what_to_do() {

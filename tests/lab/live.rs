@@ -9,7 +9,7 @@ use crate::support::{
 };
 use posebridge::config::Config;
 use posebridge_recording::container::{FORMAT, RecordingHeader, RecordingWriter};
-use posebridge_sim::montecarlo::{Camera, CameraSees, Drive, Scenario};
+use posebridge_sim::montecarlo::{Camera, Drive, Scenario};
 use posebridge_telemetry::{Input, Meters, Observation, ObservationKind, SensorId, TimeDelta, Timestamp};
 use serde_json::Value;
 
@@ -35,20 +35,11 @@ fn arrived(drive: &Drive) -> Vec<Observation> {
     drive.arrivals.iter().map(|arrival| arrival.observation).collect()
 }
 
-/// Two drives of paper 1's square under a camera of 10 Hz with these errors.
+/// Two drives of paper 1's square under a camera of 10 Hz.
 fn squares(folder: &Path) {
     let mut scenario = Scenario::bundled("paper-square").unwrap().with_seed(2);
-    scenario.camera = Some(Camera {
-        sees: CameraSees::Pose,
-        every_steps: 2,
-        delay_steps: 2,
-        delay_spread_steps: 0,
-        position_sigma_m: 0.005,
-        heading_sigma_deg: 1.0,
-        true_noise_factor: 1.0,
-        outliers: None,
-        blackout: None,
-    });
+    let camera = Scenario::bundled("camera-10hz").unwrap().camera.unwrap();
+    scenario.camera = Some(Camera { delay_steps: 2, delay_spread_steps: 0, ..camera });
     for run in 0..2 {
         let path = folder.join(format!("drive-{run}.mcap"));
         record(&path, &arrived(&scenario.drive(run)));
@@ -194,21 +185,7 @@ fn a_recording_of_a_live_robot_is_never_made_twice() {
 }
 
 /// A square of 0.3 m after a second and a half at rest; its brick runs 2000 ppm fast.
-const SMALL_SQUARE: &str = r#"
-seed = 7
-steering = "odometry"
-
-[path.square]
-side_m = 0.3
-
-[drive]
-laps = 1
-speed_m_per_s = 0.2
-rest_s = 1.5
-
-[brick]
-clock_skew_ppm = 2000.0
-"#;
+const SMALL_SQUARE: &str = include_str!("../data/lab/small-square.toml");
 
 #[test]
 fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {

@@ -10,51 +10,10 @@ use posebridge_telemetry::TimeDelta;
 use serde_json::Value;
 
 /// A lap of a square whose robot is off by what UMBmark finds, and its camera late by 0.15 s.
-const SQUARE: &str = r#"
-seed = 5
-steering = "odometry"
-
-[path.square]
-side_m = 0.8
-direction = "left"
-
-[errors]
-radius_error = 0.0
-radius_error_sigma = 0.0
-radius_mismatch = 0.006
-radius_mismatch_sigma = 0.0
-track_error = -0.02
-track_error_sigma = 0.0
-
-[gyro]
-sigma_deg_per_s = 0.4
-quantum_deg_per_s = 0.1
-
-[camera]
-latency_ms = 150.0
-jitter_ms = 20.0
-position_sigma_m = 0.006
-reports_covariance = false
-"#;
+const SQUARE: &str = include_str!("../data/lab/square.toml");
 
 /// A thermometer that is quick enough for a test; the robot drives on while it settles.
-const THERMOMETER: &str = r#"
-seed = 3
-[path.circle]
-radius_m = 0.4
-[drive]
-laps = 2
-[thermometer]
-channel = "temp1"
-rate_hz = 20.0
-lags_s = [0.3, 1.0]
-shares = [0.3, 0.7]
-sigma_k = 0.03
-resolution_k = 0.0625
-before_c = 20.0
-after_c = 48.7
-dipped_at_s = 1.5
-"#;
+const THERMOMETER: &str = include_str!("../data/lab/thermometer.toml");
 
 fn record(folder: &Path, name: &str, scenario: &str, rest_s: f64) {
     let scenario = Scenario::from_toml(scenario).unwrap();

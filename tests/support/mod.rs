@@ -247,18 +247,7 @@ clock_start_micros = 4290967296
 "#;
 
 /// Of a descriptor: wheels that count ticks, in a file `wheels.csv` with the columns `t_s`, `left` and `right`.
-pub(crate) const WHEELS_CSV: &str = r#"
-[files.wheels]
-path = "wheels.csv"
-header_lines = 1
-time = { column = "t_s" }
-
-[[wheels]]
-file = "wheels"
-counting = "absolute"
-left = { column = "left", unit = "ticks" }
-right = { column = "right", unit = "ticks" }
-"#;
+pub(crate) const WHEELS_CSV: &str = include_str!("../data/wheels-csv.toml");
 
 /// A simulated brick that waits to be called, and its URL.
 pub(crate) fn listening_brick(folder: &Path, scenario: &str) -> (RunningProgram, String) {

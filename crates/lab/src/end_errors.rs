@@ -4,13 +4,11 @@
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
-use posebridge_telemetry::{Arena, Observation, Pose};
-
 use posebridge_report::metrics::{PoseError, anees};
+use posebridge_telemetry::{Arena, Estimate, Observation, Pose};
 
-use crate::uncertain_mean;
+use crate::statistics::uncertain_mean;
 
-/// Quantile of the 95 % figures.
 const HIGH_QUANTILE: f64 = 0.95;
 
 /// The result of a filter over a course: end error and estimated path.
@@ -22,28 +20,35 @@ pub struct FilteredDrive {
     pub track_m: Vec<(f64, f64)>,
 }
 
-/// `truth` is the pose at the end of the course.
-pub fn run_filter<'a>(
+/// Runs a filter over observations in turn; returns its last estimate, and x and y after each observation that changed it.
+pub(crate) fn track_of<'a>(
     filter: &mut dyn Filter,
     observations: impl Iterator<Item = &'a Observation>,
-    truth: Pose<Arena>,
-) -> FilteredDrive {
+) -> (Option<Estimate>, Vec<(f64, f64)>) {
     let mut track_m = Vec::new();
     let mut last = None;
     for observation in observations {
         filter.observe(observation);
-        let estimate = filter.latest_time().and_then(|at| filter.estimate_at(at));
-        let Some(estimate) = estimate else { continue };
+        let Some(estimate) = filter.latest_time().and_then(|at| filter.estimate_at(at)) else { continue };
         let here = (estimate.pose.x.0, estimate.pose.y.0);
         if track_m.last() != Some(&here) {
             track_m.push(here);
         }
         last = Some(estimate);
     }
+    (last, track_m)
+}
+
+/// `truth` is the pose at the end of the course.
+pub fn run_filter<'a>(
+    filter: &mut dyn Filter,
+    observations: impl Iterator<Item = &'a Observation>,
+    truth: Pose<Arena>,
+) -> FilteredDrive {
+    let (last, track_m) = track_of(filter, observations);
     FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track_m }
 }
 
-/// End errors over many runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct EndErrorSummary {
     pub runs: usize,

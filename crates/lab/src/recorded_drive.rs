@@ -1,9 +1,5 @@
 //! A drive of a real robot: start, end, and the source of both.
 //!
-//! A recording has no ground truth. The reference for its ends is a camera, whose fixes are then withheld from the filters, or the
-//! path: a closed path ends where it began. Input is observations as recorded; the experiments of the lab run their filters over the
-//! drive.
-//!
 //! # Model
 //! ```text
 //! mid-axle   p = z - R(th) l              z the fix, th its heading, l the tag in the body; p = z where the fix has no heading
@@ -29,9 +25,9 @@ use posebridge_telemetry::{
     StartPose, Timestamp,
 };
 
-use super::end_errors::FilteredDrive;
+use super::end_errors::{FilteredDrive, track_of};
+use super::statistics::centroid;
 
-/// The reference for the end of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriveEndReference {
     /// The fixes; filters scored by them do not get them.
@@ -40,7 +36,6 @@ pub enum DriveEndReference {
     Start,
 }
 
-/// A recorded drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedDrive {
     /// Sorted by timestamp; non-finite observations are omitted, accelerations are zeroed.
@@ -86,20 +81,9 @@ impl RecordedDrive {
 
     /// Runs a filter over the observations that it `accepts`, and compares its estimate with the end.
     pub fn run_filter(&self, filter: &mut dyn Filter, accepts: impl Fn(&ObservationKind) -> bool) -> FilteredDrive {
-        let mut track_m = Vec::new();
-        let until = self.observations.iter();
-        for observation in until.take_while(|observation| observation.stamp <= self.end_time) {
-            if !accepts(&observation.measurement) {
-                continue;
-            }
-            filter.observe(observation);
-            let latest = filter.latest_time().and_then(|at| filter.estimate_at(at));
-            let Some(estimate) = latest else { continue };
-            let here = (estimate.pose.x.0, estimate.pose.y.0);
-            if track_m.last() != Some(&here) {
-                track_m.push(here);
-            }
-        }
+        let until = self.observations.iter().take_while(|observation| observation.stamp <= self.end_time);
+        let accepted = until.filter(|observation| accepts(&observation.measurement));
+        let (_, track_m) = track_of(filter, accepted);
         let end = filter.estimate_at(self.end_time).map(|estimate| {
             let heading = self.end_heading.unwrap_or(estimate.pose.heading);
             let truth = Pose::new(self.end.x, self.end.y, heading);
@@ -150,7 +134,6 @@ pub(crate) fn wheels(observations: &[Observation]) -> impl Iterator<Item = (Time
     })
 }
 
-/// Body motion between two wheel readings.
 pub(crate) fn moved(from: [f64; 2], to: [f64; 2], geometry: &DriveGeometry) -> BodyStep {
     rolled_step([0, 1].map(|side: usize| to[side] - from[side]), geometry)
 }
@@ -189,7 +172,6 @@ const MIN_REST_FIXES: usize = 20;
 /// Sigma of a start that is the arena's origin by definition, m and rad.
 const EXACT_START_SIGMA: f64 = 1e-4;
 
-/// Why observations are not a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriveError {
@@ -231,8 +213,7 @@ fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<Br
     if felt.len() < MIN_REST_FIXES {
         return;
     }
-    let n = felt.len() as f64;
-    let mean = [0, 1].map(|side: usize| felt.iter().map(|felt| felt[side]).sum::<f64>() / n);
+    let mean = centroid(&felt);
     for observation in observations {
         if let ObservationKind::WheelAccelerations { left, right } = &mut observation.measurement {
             left.0 -= mean[0];
@@ -241,7 +222,8 @@ fn zero_accelerations(observations: &mut [Observation], rest_until: Timestamp<Br
     }
 }
 
-fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
+/// Forward at the left and at the right wheel, m/s².
+pub(crate) fn accelerations(observation: &Observation) -> Option<[f64; 2]> {
     let ObservationKind::WheelAccelerations { left, right } = observation.measurement else {
         return None;
     };
@@ -265,21 +247,13 @@ fn start_pose(
         });
     };
     let noise = &config.noise;
-    if first > rest_until {
+    let (position, heading, count) = if first > rest_until {
         observations.retain(|observation| observation.stamp >= first);
-        let position = mid_axle_position(&fix);
-        let (heading, heading_sigma_rad) = match fix.heading {
-            Some(heading) => (heading, noise.fix_heading_rad),
-            None => heading_by_chord(observations, position, config)?,
-        };
-        return Ok(StartPose {
-            pose: Pose::new(position.x, position.y, heading),
-            position_sigma_m: noise.fix_position_m,
-            heading_sigma_rad,
-        });
-    }
-    let resting = fixes(observations).take_while(|(at, _)| *at <= rest_until);
-    let (position, heading, count) = mean(resting.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?;
+        (mid_axle_position(&fix), fix.heading, 1)
+    } else {
+        let resting = fixes(observations).take_while(|(at, _)| *at <= rest_until);
+        mean(resting.map(|(_, fix)| fix)).ok_or(DriveError::NoFix)?
+    };
     let share = (count as f64).sqrt();
     let (heading, heading_sigma_rad) = match heading {
         Some(heading) => (heading, noise.fix_heading_rad / share),
@@ -292,7 +266,6 @@ fn start_pose(
     })
 }
 
-/// The start heading from the next position fixes, and its standard deviation.
 fn heading_by_chord(
     observations: &[Observation],
     start: Point2<Arena>,
@@ -313,7 +286,6 @@ fn heading_by_chord(
     ))
 }
 
-/// Mean position and heading, and the number of fixes.
 fn mean<'a>(fixes: impl Iterator<Item = &'a Fix>) -> Option<(Point2<Arena>, Option<Heading>, usize)> {
     let (mut x, mut y, mut count) = (0.0, 0.0, 0_usize);
     let (mut sin, mut cos, mut headings) = (0.0, 0.0, 0_usize);
@@ -354,27 +326,32 @@ mod tests {
     use posebridge_telemetry::{Body, MetersPerSecondSquared, RadiansPerSecond, SensorId, SensorNoise};
 
     use super::*;
-    use crate::test_support::{self, observation, wheel_angles};
+    use crate::test_support::{self, observation};
 
     fn config() -> FilterConfig {
-        test_support::config(SensorNoise {
+        let noise = SensorNoise {
             fix_position_m: 0.01,
             fix_heading_rad: 0.02,
             wheel_travel_m_per_sqrt_m: 0.001,
             ..SensorNoise::EXACT
-        })
+        };
+        test_support::config([0.05; 2], 0.2, 0.01, noise)
     }
 
     const TAG: Point2<Body> = Point2::new(Meters(0.1), Meters(0.0));
 
     fn fix(millis: i64, x: f64, y: f64, heading: Option<f64>) -> Observation {
-        test_support::fix(millis, Point2::new(Meters(x), Meters(y)), heading, TAG)
+        let mut observation = test_support::fix(millis, x, y, heading);
+        if let ObservationKind::Fix(fix) = &mut observation.measurement {
+            fix.tag_in_body = TAG;
+        }
+        observation
     }
 
     /// Stands for a second, drives 1 m northwards in ten seconds, stands for a second.
     fn northwards() -> Vec<Observation> {
         let angle = |step: i64| 20.0 * (step - 10).clamp(0, 100) as f64 / 100.0;
-        (0..=120).map(|step| wheel_angles(100 * step, angle(step), angle(step))).collect()
+        (0..=120).map(|step| test_support::wheels(100 * step, angle(step), angle(step))).collect()
     }
 
     #[test]
@@ -425,7 +402,7 @@ mod tests {
         let mut observations = Vec::new();
         for step in 0..=100_i64 {
             let angle = quarter * step as f64 / 100.0;
-            observations.push(wheel_angles(100 * step, 0.9 * angle / 0.05, 1.1 * angle / 0.05));
+            observations.push(test_support::wheels(100 * step, 0.9 * angle / 0.05, 1.1 * angle / 0.05));
             observations.push(fix(100 * step, angle.sin(), 1.0 - angle.cos(), None));
         }
         let drive = RecordedDrive::new(&observations, &config(), None).unwrap();
@@ -473,9 +450,9 @@ mod tests {
         assert_eq!(fail(&[]), DriveError::NoWheels);
         assert_eq!(fail(&[rate]), DriveError::NoWheels);
         assert_eq!(
-            fail(&[wheel_angles(0, 1.0, 1.0), wheel_angles(50, 1.0, 1.0)]),
+            fail(&[test_support::wheels(0, 1.0, 1.0), test_support::wheels(50, 1.0, 1.0)]),
             DriveError::NeverMoves { readings: 2 }
         );
-        assert_eq!(fail(&[wheel_angles(0, f64::NAN, 1.0), rate]), DriveError::NoWheels);
+        assert_eq!(fail(&[test_support::wheels(0, f64::NAN, 1.0), rate]), DriveError::NoWheels);
     }
 }

@@ -8,7 +8,6 @@ mod path;
 mod path_report;
 mod profile;
 mod rest;
-pub(super) mod source;
 mod umbmark;
 
 use clap::{Args, Subcommand};

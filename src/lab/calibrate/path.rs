@@ -7,8 +7,8 @@ use clap::Args;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::{FilterConfig, find_filter};
 use posebridge_lab::calibration::free_path::{
-    AS_GIVEN, CalibrationUnknown, FreePath, PathCalibration, PathStart, PositionFix, TravelStep, UNKNOWNS,
-    UnknownEstimate, calibrate_path, dead_reckon, start_heading,
+    AS_GIVEN, FreePath, PathCalibration, PathStart, PositionFix, TravelStep, UNKNOWNS, calibrate_path, dead_reckon,
+    start_heading,
 };
 use posebridge_link::HostTimer;
 use posebridge_report::quantity::{Format, Unit};
@@ -17,12 +17,12 @@ use posebridge_telemetry::{Calibration, ObservationKind, UncertainValue};
 use serde_json::{Value, json};
 
 use super::path_report::{PathCalibrationResult, RunComparison};
-use super::profile::{CalibratedProfile, fold_into_geometry};
-use super::source::{self, CalibrationDrive, CalibrationDrives, CalibrationReference, ReferenceSettings};
+use super::profile::{fold_into_geometry, save_profile};
 use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source::{self, CalibrationReference, SourceRun, SourceRuns};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::tools::csv_table::{CsvRow, CsvTable};
 use crate::tools::experiment_output::OutputArgs;
@@ -48,22 +48,16 @@ pub(super) fn execute(args: &PathArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     let material = PathDataset::load(args)?;
     let found = calibrate_path(&material.config, &material.paths).while_running()?;
-    let calibration = build_result(&material, found)?;
+    let calibration = build_result(material, found)?;
     let report = calibration.report();
     if let Some(path) = &args.save {
-        let calibrated = CalibratedProfile {
-            robot: calibration.calibrated,
-            calibration: calibration.residual,
-            source: calibration.recording,
-            method: "calibrate path",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let robot = (calibration.calibrated, calibration.residual);
+        save_profile(path, &timer, &report, "calibrate path", calibration.recording, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
 
-pub(super) struct PathDataset {
+struct PathDataset {
     recording: String,
     reference: &'static str,
     robot: RobotFile,
@@ -83,34 +77,35 @@ impl PathDataset {
         Self::from_drives(args, drives, &others).before_start()
     }
 
-    fn from_drives(args: &PathArgs, mut drives: CalibrationDrives, others: &[CalibrationDrive]) -> Result<Self> {
-        ensure!(!drives.drives.is_empty(), "`{}` holds no run", drives.recording);
-        let is_other = |drive: &CalibrationDrive| others.iter().any(|other| other.name == drive.name);
-        drives.drives.retain(|drive| !is_other(drive));
-        let Some(first) = drives.drives.first() else {
+    fn from_drives(args: &PathArgs, mut drives: SourceRuns, others: &[SourceRun]) -> Result<Self> {
+        ensure!(!drives.runs.is_empty(), "`{}` holds no run", drives.recording);
+        let is_other = |drive: &SourceRun| others.iter().any(|other| other.name == drive.name);
+        drives.runs.retain(|drive| !is_other(drive));
+        let Some(first) = drives.runs.first() else {
             bail!(
                 "no run of `{}` is left to calibrate by: --try-on takes them all; choose others with --run",
                 drives.recording
             )
         };
-        let robots = drives.drives.iter().chain(others);
+        let robots = drives.runs.iter().chain(others);
         source::check_same_robot(robots.map(|drive| (drive.name.as_str(), &drive.config.geometry)))?;
-        let is_by_truth = |drive: &CalibrationDrive| drive.reference == CalibrationReference::Truth;
+        let reference = positions(args, first)?.0;
+        let by_truth = |drive: &SourceRun| Ok(positions(args, drive)?.0 == CalibrationReference::Truth);
+        let by_truth: Vec<bool> = drives.runs.iter().map(by_truth).collect::<Result<_>>()?;
         ensure!(
-            args.truth_sigma_m.is_none() || drives.drives.iter().any(is_by_truth),
+            args.truth_sigma_m.is_none() || by_truth.contains(&true),
             "--truth-sigma-m is the sigma of a truth, but `{}` is compared with fixes, whose sigma is noise.fix_position_m",
             drives.recording
         );
         let robot = with_flags(args, &first.robot)?;
         let mut config = first.config.clone();
         config.calibration = robot.calibration()?;
-        let against = match first.reference {
-            CalibrationReference::Fixes => "fixes",
-            CalibrationReference::Truth => "truth",
-        };
         Ok(Self {
-            reference: against,
-            paths: free_paths(args, &drives.drives)?,
+            reference: match reference {
+                CalibrationReference::Fixes => "fixes",
+                CalibrationReference::Truth => "truth",
+            },
+            paths: free_paths(args, &drives.runs)?,
             validation_paths: free_paths(args, others)?,
             recording: drives.recording,
             robot,
@@ -119,25 +114,35 @@ impl PathDataset {
     }
 }
 
-fn reference_settings(args: &PathArgs) -> Result<ReferenceSettings> {
-    let truth_sigma_m = args.truth_sigma_m.unwrap_or(TRUTH_SIGMA_M);
-    ensure!(
-        truth_sigma_m > 0.0 && truth_sigma_m.is_finite(),
-        "--truth-sigma-m is {truth_sigma_m}, must be more than zero"
-    );
-    Ok(ReferenceSettings { reference: args.against, truth_sigma_m })
+fn truth_sigma_m(args: &PathArgs, usual_m: f64) -> Result<f64> {
+    let sigma_m = args.truth_sigma_m.unwrap_or(usual_m);
+    ensure!(sigma_m > 0.0 && sigma_m.is_finite(), "--truth-sigma-m is {sigma_m}, must be more than zero");
+    Ok(sigma_m)
 }
 
-fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<CalibrationDrives, Failure> {
+fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<SourceRuns, Failure> {
     let Some(recording) = &args.recording else {
         return Err(anyhow!("name a recording, or give --segments")).before_start();
     };
-    source::load(recording, data, reference_settings(args).before_start()?)
+    if own_recording::is_own(recording) && args.against == Some(CalibrationReference::Truth) {
+        let name = recording.display();
+        return Err(anyhow!(
+            "a recording of ours has no truth: leave --against away, and `{name}` is compared with its fixes"
+        ))
+        .before_start();
+    }
+    source::load(recording, data).before_start()
+}
+
+fn positions(args: &PathArgs, drive: &SourceRun) -> Result<(CalibrationReference, Vec<PositionFix>)> {
+    let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
+    let reference = args.against.or(is_ours.then_some(CalibrationReference::Fixes));
+    Ok(drive.positions(reference, truth_sigma_m(args, TRUTH_SIGMA_M)?))
 }
 
 /// The runs of `--try-on`, without duplicates.
-fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Failure> {
-    let mut others: Vec<CalibrationDrive> = Vec::new();
+fn load_validation_drives(args: &PathArgs) -> Result<Vec<SourceRun>, Failure> {
+    let mut others: Vec<SourceRun> = Vec::new();
     if let (Some(path), false) = (&args.recording, args.try_on.is_empty())
         && own_recording::is_own(path)
     {
@@ -146,7 +151,7 @@ fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Fail
     }
     for prefix in &args.try_on {
         let flags = DataFlags { run: Some(prefix.clone()), ..args.data.clone() };
-        for drive in load_drives(args, &flags)?.drives {
+        for drive in load_drives(args, &flags)?.runs {
             if others.iter().all(|known| known.name != drive.name) {
                 others.push(drive);
             }
@@ -155,14 +160,15 @@ fn load_validation_drives(args: &PathArgs) -> Result<Vec<CalibrationDrive>, Fail
     Ok(others)
 }
 
-fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePath>> {
+fn free_paths(args: &PathArgs, drives: &[SourceRun]) -> Result<Vec<FreePath>> {
     let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
     let paths = drives.iter().map(|drive| {
+        let (reference, positions) = positions(args, drive)?;
         ensure!(
-            !drive.references.is_empty(),
+            !positions.is_empty(),
             "run `{}` has no {}: nothing says where the robot was",
             drive.name,
-            match drive.reference {
+            match reference {
                 CalibrationReference::Fixes if is_ours =>
                     "fixes (record it again where its camera sees it; docs/lab/calibration.md)",
                 CalibrationReference::Fixes => "fixes (try --against truth)",
@@ -173,8 +179,7 @@ fn free_paths(args: &PathArgs, drives: &[CalibrationDrive]) -> Result<Vec<FreePa
         if args.unknown_start {
             config.start = None;
         }
-        let fixes = drive.references.iter().copied();
-        Ok(FreePath::new(&drive.name, &config, &drive.observations, fixes))
+        Ok(FreePath::new(&drive.name, &config, &drive.observations, positions))
     });
     paths.collect()
 }
@@ -194,8 +199,7 @@ fn load_segments(args: &PathArgs, file: &Path) -> Result<PathDataset> {
             entry.sigma = sigma;
         }
     }
-    let sigma_m = args.truth_sigma_m.unwrap_or(TAPE_SIGMA_M);
-    ensure!(sigma_m > 0.0 && sigma_m.is_finite(), "--truth-sigma-m is {sigma_m}, must be more than zero");
+    let sigma_m = truth_sigma_m(args, TAPE_SIGMA_M)?;
     Ok(PathDataset {
         recording: file.display().to_string(),
         reference: "tape",
@@ -226,7 +230,7 @@ fn with_flags(args: &PathArgs, robot: &RobotFile) -> Result<RobotFile> {
     Ok(robot)
 }
 
-fn build_result(material: &PathDataset, found: PathCalibration) -> Result<PathCalibrationResult, Failure> {
+fn build_result(material: PathDataset, found: PathCalibration) -> Result<PathCalibrationResult, Failure> {
     let config = &material.config;
     let hypothesis = found.hypothesis();
     let mut base = material.robot.clone();
@@ -241,8 +245,10 @@ fn build_result(material: &PathDataset, found: PathCalibration) -> Result<PathCa
         // Where the heading is found it is no merit of the robot's new numbers.
         let before = if hypothesis == AS_GIVEN { heading_rad.unwrap_or(before) } else { before };
         RunComparison {
-            before: dead_reckon(config, &found.before, path, before),
-            after: dead_reckon(config, &found.after, &undone, after),
+            reckoned: [
+                dead_reckon(config, &found.before, path, before),
+                dead_reckon(config, &found.after, &undone, after),
+            ],
             path: path.clone(),
         }
     };
@@ -251,30 +257,21 @@ fn build_result(material: &PathDataset, found: PathCalibration) -> Result<PathCa
     let others = material.validation_paths.iter();
     let tried = others.map(|path| try_on(path, None)).collect();
     Ok(PathCalibrationResult {
-        recording: material.recording.clone(),
-        reference: material.reference,
-        robot: material.robot.clone(),
         calibrated,
         residual: left,
         runs,
         validation_runs: tried,
         fit: found,
+        recording: material.recording,
+        reference: material.reference,
+        robot: material.robot,
     })
 }
 
 fn to_calibration(config: &FilterConfig, found: &PathCalibration) -> Calibration {
     let mut calibration = config.calibration;
     for unknown in UNKNOWNS {
-        let UnknownEstimate { after, .. } = found.entry(unknown);
-        let parameter: &mut UncertainValue = match unknown {
-            CalibrationUnknown::RadiusScale => &mut calibration.radius_scale,
-            CalibrationUnknown::TrackScale => &mut calibration.track_scale,
-            CalibrationUnknown::RadiusDifference => &mut calibration.radius_difference,
-            CalibrationUnknown::FixDelay => &mut calibration.fix_delay_s,
-            CalibrationUnknown::TagForward => &mut calibration.tag_forward_m,
-            CalibrationUnknown::TagLeft => &mut calibration.tag_left_m,
-        };
-        *parameter = after;
+        *unknown.value_in(&mut calibration) = found.entry(unknown).after;
     }
     calibration
 }
@@ -366,45 +363,37 @@ fn execute_online(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure> {
     let Some(recording) = &args.recording else {
         return Err(anyhow::anyhow!("--online needs a recording")).before_start();
     };
-    let watch = ReferenceSettings { reference: Some(CalibrationReference::Fixes), truth_sigma_m: 1.0 };
-    let drives = source::load(recording, &args.data, watch)?;
-    let drive = single_drive(&drives.drives).before_start()?;
+    let drives = source::load(recording, &args.data).before_start()?;
+    let drive = single_drive(&drives.runs).before_start()?;
     let learned = learn(drive).while_running()?;
     let report = report(&drives.recording, &learned);
     if let Some(path) = &args.save {
-        let (robot, calibration) = fold_into_geometry(&learned.robot, learned.calibration).while_running()?;
-        let calibrated = CalibratedProfile {
-            robot,
-            calibration,
-            source: format!("{}, {}", drives.recording, drive.name),
-            method: "calibrate path --online",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let robot = fold_into_geometry(&learned.robot, learned.calibration).while_running()?;
+        let source = format!("{}, {}", drives.recording, drive.name);
+        save_profile(path, timer, &report, "calibrate path --online", source, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
 
-fn single_drive(drives: &[CalibrationDrive]) -> Result<&CalibrationDrive> {
+fn single_drive(drives: &[SourceRun]) -> Result<&SourceRun> {
     match drives {
         [drive] => Ok(drive),
         _ => bail!("--online takes what one run has taught, but {} are selected: choose one with --run", drives.len()),
     }
 }
 
-fn learn(drive: &CalibrationDrive) -> Result<LearnedCalibration> {
-    let fixes = |observed: &ObservationKind| matches!(observed, ObservationKind::Fix(_));
+fn learn(drive: &SourceRun) -> Result<LearnedCalibration> {
     ensure!(
-        drive.observations.iter().any(|one| fixes(&one.measurement)),
+        drive.observations.iter().any(|one| matches!(one.measurement, ObservationKind::Fix(_))),
         "run `{}` has no fixes: on line the filter learns from them alone",
         drive.name
     );
-    let Some(entry) = find_filter(FILTER) else { bail!("there is no filter `{FILTER}`") };
+    let entry = find_filter(FILTER).with_context(|| format!("there is no filter `{FILTER}`"))?;
     let mut filter = (entry.build)(&drive.config);
     for observation in &drive.observations {
         filter.observe(observation);
     }
-    let Some(calibration) = filter.calibration() else { bail!("the filter `{FILTER}` has learned nothing") };
+    let calibration = filter.calibration().with_context(|| format!("the filter `{FILTER}` has learned nothing"))?;
     Ok(LearnedCalibration {
         run: drive.name.clone(),
         robot: drive.robot.clone(),
@@ -437,10 +426,8 @@ fn report(recording: &str, learned: &LearnedCalibration) -> Report {
     report
 }
 
-/// Accuracy with which a person aligns a robot with its start line.
-const START_HEADING_SIGMA_RAD: f64 = 0.03;
-/// Accuracy with which a person places a robot on its start point.
-const START_POSITION_SIGMA_M: f64 = 0.01;
+/// As accurately as a person places a robot on its start point and aligns it with the start line.
+const TAPE_START: PathStart = PathStart { pose: [0.0; 3], position_sigma_m: 0.01, heading_sigma_rad: 0.03 };
 
 /// Reads a table of the columns `run`, `left_before_mm`, `left_after_mm`, `right_before_mm`, `right_after_mm`, `measured_x_mm` and
 /// `measured_y_mm`: one row per part of a drive, in order. Every run begins at the origin with heading 0.
@@ -457,7 +444,12 @@ fn read_segments(path: &Path, sigma_m: f64) -> Result<Vec<FreePath>> {
                 "{}: run `{run}` begins again; its rows must stand together",
                 row.location()
             );
-            paths.push(new_path(run, sigma_m));
+            paths.push(FreePath {
+                name: run.to_owned(),
+                start: TAPE_START,
+                steps: Vec::new(),
+                fixes: vec![PositionFix { at_s: 0.0, position_m: [0.0; 2], sigma_m, tag_m: [0.0; 2] }],
+            });
         }
         let Some(path) = paths.last_mut() else {
             continue;
@@ -466,19 +458,6 @@ fn read_segments(path: &Path, sigma_m: f64) -> Result<Vec<FreePath>> {
     }
     ensure!(!paths.is_empty(), "`{}` has a first line and no rows", path.display());
     Ok(paths)
-}
-
-fn new_path(run: &str, sigma_m: f64) -> FreePath {
-    FreePath {
-        name: run.to_owned(),
-        start: PathStart {
-            pose: [0.0; 3],
-            position_sigma_m: START_POSITION_SIGMA_M,
-            heading_sigma_rad: START_HEADING_SIGMA_RAD,
-        },
-        steps: Vec::new(),
-        fixes: vec![PositionFix { at_s: 0.0, position_m: [0.0; 2], sigma_m, tag_m: [0.0; 2] }],
-    }
 }
 
 fn add_segment(path: &mut FreePath, row: &CsvRow<'_>, sigma_m: f64) -> Result<()> {

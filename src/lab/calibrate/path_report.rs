@@ -20,6 +20,7 @@ const ROUGH: f64 = 4.0;
 pub(super) struct PathCalibrationResult {
     pub(super) recording: String,
     pub(super) reference: &'static str,
+    /// Before the calibration.
     pub(super) robot: RobotFile,
     pub(super) calibrated: RobotFile,
     pub(super) residual: Calibration,
@@ -30,13 +31,13 @@ pub(super) struct PathCalibrationResult {
 
 pub(super) struct RunComparison {
     pub(super) path: FreePath,
-    pub(super) before: DeadReckonedPath,
-    pub(super) after: DeadReckonedPath,
+    /// Before and after the calibration.
+    pub(super) reckoned: [DeadReckonedPath; 2],
 }
 
 impl RunComparison {
-    pub(super) const fn errors(&self) -> [DeadReckoningError; 2] {
-        [self.before.error, self.after.error]
+    fn errors(&self) -> [DeadReckoningError; 2] {
+        self.reckoned.each_ref().map(|path| path.error)
     }
 }
 
@@ -75,7 +76,7 @@ impl PathCalibrationResult {
             .number("", "before", signed, |entry| Some(entry.before.value))
             .number("", "found", signed, |entry| Some(entry.after.value))
             .number("", "sigma", plain, |entry| Some(entry.after.sigma))
-            .text("", "standing", |entry| status_text(entry.status).to_owned());
+            .text("", "standing", |entry| status_names(entry.status)[0].to_owned());
         report.heading("Numbers");
         report.table("", &table);
         let has = |status| entries.iter().any(|entry| entry.status == status);
@@ -90,7 +91,7 @@ impl PathCalibrationResult {
                 "before": entry.before.value,
                 "value": entry.after.value,
                 "sigma": entry.after.sigma,
-                "standing": status_key(entry.status),
+                "standing": status_names(entry.status)[1],
             });
             (entry.unknown.key().to_owned(), object)
         });
@@ -142,7 +143,7 @@ impl PathCalibrationResult {
         let sanity = self.fit.hypothesis_test.as_ref().map(|sanity| {
             json!({
                 "is_sound": sanity.is_sound(),
-                "wiring": sanity.found.wiring.name(),
+                "wiring": format!("{:?}", sanity.found.wiring),
                 "track_factor": sanity.found.track_factor,
                 "travel_factor": sanity.found.travel_factor,
                 "described_rms_m": sanity.described_rms_m,
@@ -162,18 +163,13 @@ impl PathCalibrationResult {
                 self.fit.consistency
             ));
         }
-        findings.extend(self.sanity_warnings());
-        findings
-    }
-
-    fn sanity_warnings(&self) -> Vec<String> {
-        let mut findings = Vec::new();
         let Some(sanity) = &self.fit.hypothesis_test else {
             return findings;
         };
+        let before = findings.len();
         let found = sanity.found;
         if let Some(wiring) = wiring_text(found.wiring) {
-            findings.push(wiring.to_owned());
+            findings.push(wiring);
         }
         if found.track_factor != 1.0 {
             findings.push(format!(
@@ -196,7 +192,7 @@ impl PathCalibrationResult {
                 self.robot.ticks_per_turn / found.travel_factor
             ));
         }
-        if !findings.is_empty() {
+        if findings.len() > before {
             findings.push(format!(
                 "the way fits to {:.0} mm then and to {:.0} mm as described (ln L {:+.0}, {} descriptions compared)",
                 1e3 * sanity.found_rms_m,
@@ -209,45 +205,41 @@ impl PathCalibrationResult {
     }
 }
 
-const fn wiring_text(wiring: Wiring) -> Option<&'static str> {
-    match wiring {
-        Wiring::AsGiven => None,
-        Wiring::Swapped => Some(
-            "the wheels are swapped: what is called left is the right one (or the track has the wrong sign); exchange `left` and `right` of the stream in the descriptor, or the two plugs on the brick",
-        ),
-        Wiring::BothReversed => Some(
-            "both wheels count backwards: give both columns `scale = -1` in the descriptor, or turn the motors' direction round on the brick",
-        ),
-        Wiring::LeftReversed => Some(
-            "the left wheel counts backwards: give its column `scale = -1` in the descriptor, or turn its direction round on the brick",
-        ),
-        Wiring::RightReversed => Some(
-            "the right wheel counts backwards: give its column `scale = -1` in the descriptor, or turn its direction round on the brick",
-        ),
-        Wiring::SwappedLeftReversed => Some(
-            "the wheels are swapped, and what is called left counts backwards: exchange `left` and `right` and give the former left column `scale = -1`",
-        ),
-        Wiring::SwappedRightReversed => Some(
-            "the wheels are swapped, and what is called right counts backwards: exchange `left` and `right` and give the former right column `scale = -1`",
-        ),
-    }
+fn wiring_text(wiring: Wiring) -> Option<String> {
+    let direction = "in the descriptor, or turn its direction round on the brick";
+    let reversed = |wheel| format!("the {wheel} wheel counts backwards: give its column `scale = -1` {direction}");
+    let swapped_reversed = |wheel| {
+        format!(
+            "the wheels are swapped, and what is called {wheel} counts backwards: exchange `left` and `right` and give the former \
+             {wheel} column `scale = -1`"
+        )
+    };
+    Some(match wiring {
+        Wiring::AsGiven => return None,
+        Wiring::Swapped => {
+            "the wheels are swapped: what is called left is the right one (or the track has the wrong sign); exchange \
+                            `left` and `right` of the stream in the descriptor, or the two plugs on the brick"
+                .to_owned()
+        }
+        Wiring::BothReversed => {
+            "both wheels count backwards: give both columns `scale = -1` in the descriptor, or turn the motors' \
+                                 direction round on the brick"
+                .to_owned()
+        }
+        Wiring::LeftReversed => reversed("left"),
+        Wiring::RightReversed => reversed("right"),
+        Wiring::SwappedLeftReversed => swapped_reversed("left"),
+        Wiring::SwappedRightReversed => swapped_reversed("right"),
+    })
 }
 
-const fn status_text(status: UnknownStatus) -> &'static str {
+/// In the text, and in JSON.
+const fn status_names(status: UnknownStatus) -> [&'static str; 2] {
     match status {
-        UnknownStatus::Estimated => "found",
-        UnknownStatus::Fixed => "held",
-        UnknownStatus::Unobservable => "not seen",
-        UnknownStatus::NotSeparable => "not separable",
-    }
-}
-
-const fn status_key(status: UnknownStatus) -> &'static str {
-    match status {
-        UnknownStatus::Estimated => "found",
-        UnknownStatus::Fixed => "held",
-        UnknownStatus::Unobservable => "unseen",
-        UnknownStatus::NotSeparable => "not_separable",
+        UnknownStatus::Estimated => ["found"; 2],
+        UnknownStatus::Fixed => ["held"; 2],
+        UnknownStatus::Unobservable => ["not seen", "unseen"],
+        UnknownStatus::NotSeparable => ["not separable", "not_separable"],
     }
 }
 
@@ -290,7 +282,7 @@ fn plot(run: &RunComparison) -> Plot {
         });
         Curve::line(name, off.collect::<Vec<_>>())
     };
-    let (positions_before, positions_after) = (&run.before.positions_m, &run.after.positions_m);
+    let [positions_before, positions_after] = run.reckoned.each_ref().map(|path| &path.positions_m);
     let map = [line("seen", &measured), line("before", positions_before), line("after", positions_after)];
     let distances = [
         Curve::new("seen", CurveShape::Level(0.0)),

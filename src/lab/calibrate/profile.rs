@@ -1,47 +1,36 @@
 //! The robot profile of a calibration, for `run --robot FILE` and `replay --robot FILE`.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use posebridge_link::HostTimer;
+use posebridge_report::report::Report;
 use posebridge_telemetry::{Calibration, UncertainValue};
 
 use crate::config::{CalibratedRobot, Provenance, RobotFile};
 
-pub(super) struct CalibratedProfile {
-    /// With the calibrated geometry.
-    pub(super) robot: RobotFile,
-    /// Remaining calibration, relative to that geometry.
-    pub(super) calibration: Calibration,
-    pub(super) source: String,
-    /// The command, such as `calibrate path`.
-    pub(super) method: &'static str,
-    /// Residuals and findings; each becomes a comment.
-    pub(super) remarks: Vec<String>,
+/// Writes a profile; the report's lines become its comments. `calibration` is relative to the geometry of `robot`, and `method` the
+/// command, such as `calibrate path`.
+pub(super) fn save_profile(
+    path: &Path,
+    timer: &HostTimer,
+    report: &Report,
+    method: &str,
+    source: String,
+    (robot, learned): (RobotFile, Calibration),
+) -> Result<()> {
+    let provenance = Provenance { utc_micros: timer.utc_start(), source, filter: method.to_owned() };
+    let text = profile_text(&report.text(), &CalibratedRobot { robot, learned, provenance })?;
+    std::fs::write(path, text).with_context(|| format!("writing the profile `{}`", path.display()))
 }
 
-impl CalibratedProfile {
-    pub(super) fn to_toml(&self, utc_micros: u64) -> Result<String> {
-        let calibrated = CalibratedRobot {
-            robot: self.robot.clone(),
-            learned: self.calibration,
-            provenance: Provenance { utc_micros, source: self.source.clone(), filter: self.method.to_owned() },
-        };
-        let mut text = String::new();
-        for remark in &self.remarks {
-            for line in remark.lines() {
-                // Writing to a String cannot fail.
-                let _ = writeln!(text, "# {line}");
-            }
-        }
-        text.push_str("# For a recording of the same robot: `posebridge replay RECORDING --robot FILE`.\n");
-        Ok(text + &calibrated.to_toml()?)
-    }
-
-    pub(super) fn save(&self, path: &Path, utc_micros: u64) -> Result<()> {
-        std::fs::write(path, self.to_toml(utc_micros)?)
-            .with_context(|| format!("writing the profile `{}`", path.display()))
-    }
+fn profile_text(remarks: &str, calibrated: &CalibratedRobot) -> Result<String> {
+    let remarks: Vec<String> = remarks.lines().map(|line| format!("# {line}\n")).collect();
+    Ok(format!(
+        "{}# For a recording of the same robot: `posebridge replay RECORDING --robot FILE`.\n{}",
+        remarks.concat(),
+        calibrated.to_toml()?
+    ))
 }
 
 /// Moves the calibration into the robot's geometry; the remaining calibration has the same sigmas about zero.
@@ -84,15 +73,9 @@ mod tests {
             track_scale: known(-0.5, 0.01),
             ..Calibration::default()
         };
-        let (robot, calibration) = fold_into_geometry(&RobotFile::default(), found).unwrap();
-        let calibrated = CalibratedProfile {
-            robot,
-            calibration,
-            source: "here".to_owned(),
-            method: "calibrate path",
-            remarks: vec!["rms 3 mm\nof 2 runs".to_owned()],
-        };
-        let text = calibrated.to_toml(0).unwrap();
+        let (robot, learned) = fold_into_geometry(&RobotFile::default(), found).unwrap();
+        let provenance = Provenance { utc_micros: 0, source: "here".to_owned(), filter: "calibrate path".to_owned() };
+        let text = profile_text("rms 3 mm\nof 2 runs", &CalibratedRobot { robot, learned, provenance }).unwrap();
         assert!(text.starts_with("# rms 3 mm\n# of 2 runs\n"), "{text}");
         for command in ["run --robot FILE", "replay RECORDING --robot FILE"] {
             assert!(text.contains(command), "{text}");

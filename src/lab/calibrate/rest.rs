@@ -4,21 +4,20 @@ use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
-use posebridge_lab::calibration::at_rest::{RestChannel, RestObservations};
-use posebridge_lab::noise_identification::RestNoise;
+use posebridge_lab::noise_identification::{RestIntervals, RestNoise, readings_at_rest, rest_noise};
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use serde_json::json;
 
-use super::profile::CalibratedProfile;
-use super::source::{self, ReferenceSettings};
+use super::profile::save_profile;
 use crate::config::{CalibrationEntry, RobotFile};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source;
 use crate::tools::experiment_output::OutputArgs;
 
 const TASK: &str = "leave the robot standing for a minute, its motors off";
@@ -53,57 +52,40 @@ struct ChannelNoise {
 pub(super) fn execute(args: &RestArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let folder = args.output.folder()?;
-    let watch = ReferenceSettings { reference: None, truth_sigma_m: 1.0 };
     let named = args.recording.as_deref();
     let recording = args.live.or_named(named, &args.output, &args.data, TASK)?;
-    let drives = source::load(&recording, &args.data, watch)?;
-    let Some(first) = drives.drives.first() else {
+    let drives = source::load(&recording, &args.data).before_start()?;
+    let Some(first) = drives.runs.first() else {
         return Err(anyhow!("`{}` holds no run", drives.recording)).before_start();
     };
-    let mut all = RestObservations::default();
-    for drive in &drives.drives {
+    let mut all = <[RestIntervals; 3]>::default();
+    for drive in &drives.runs {
         let mut observations = drive.observations.clone();
         observations.sort_by_key(|observation| observation.stamp);
-        let found = RestObservations::from_observations(&observations);
-        all.gyro.stretches.extend(found.gyro.stretches);
-        let (left, right) = (found.left_accelerometer, found.right_accelerometer);
-        all.left_accelerometer.stretches.extend(left.stretches);
-        all.right_accelerometer.stretches.extend(right.stretches);
+        for (channel, found) in all.iter_mut().zip(readings_at_rest(&observations)) {
+            channel.extend(found);
+        }
     }
     let channels = channels(&all, &drives.recording).while_running()?;
     let report = report(&drives.recording, &channels);
     if let Some(path) = &args.save {
         let robot = with_noise(&first.robot, &channels);
-        let calibrated = CalibratedProfile {
-            calibration: robot.calibration().while_running()?,
-            robot,
-            source: drives.recording.clone(),
-            method: "calibrate rest",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let calibration = robot.calibration().while_running()?;
+        let source = drives.recording.clone();
+        save_profile(path, &timer, &report, "calibrate rest", source, (robot, calibration)).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
 
-fn channels(all: &RestObservations, recording: &str) -> Result<Vec<ChannelNoise>> {
-    let named: [(&'static str, &'static str, &RestChannel); 3] = [
-        ("gyro", "rad/s", &all.gyro),
-        ("left accelerometer", "m/s²", &all.left_accelerometer),
-        ("right accelerometer", "m/s²", &all.right_accelerometer),
-    ];
+fn channels(all: &[RestIntervals; 3], recording: &str) -> Result<Vec<ChannelNoise>> {
+    let named = [("gyro", "rad/s"), ("left accelerometer", "m/s²"), ("right accelerometer", "m/s²")];
     let mut found = Vec::new();
     let mut reasons = Vec::new();
-    for (name, unit, channel) in named {
-        match channel.noise() {
-            Ok(rest) => found.push(ChannelNoise {
-                name,
-                unit,
-                noise: rest,
-                readings: channel.stretches.iter().flatten().copied().collect(),
-            }),
+    for ((name, unit), intervals) in named.into_iter().zip(all) {
+        match rest_noise(intervals) {
+            Ok(rest) => found.push(ChannelNoise { name, unit, noise: rest, readings: intervals.concat() }),
             // No such sensor, or no rest.
-            Err(_) if channel.stretches.is_empty() => {}
+            Err(_) if intervals.is_empty() => {}
             Err(reason) => reasons.push(format!("{name}: {reason}")),
         }
     }

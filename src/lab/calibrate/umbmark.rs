@@ -16,15 +16,15 @@ use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::quantity::{Format, Quantity, Unit};
 use posebridge_report::report::{Report, Table};
 use posebridge_sim::montecarlo::{Course, Drive, Scenario};
-use posebridge_telemetry::{ArenaMap, Calibration, DriveGeometry, Observation, StartPose, UncertainValue};
+use posebridge_telemetry::{ArenaMap, Calibration, Observation, StartPose, UncertainValue};
 use serde_json::json;
 
-use super::profile::{CalibratedProfile, fold_into_geometry};
-use super::source::{self, CalibrationDrive, ReferenceSettings};
+use super::profile::{fold_into_geometry, save_profile};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
-use crate::lab::experiments::live::{LiveArgs, LiveRobot};
+use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source::{self, SourceRun};
 use crate::tools::csv_table::CsvTable;
 use crate::tools::experiment_output::OutputArgs;
 
@@ -96,16 +96,8 @@ pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let result = compute(args)?;
     let report = result.report();
     if let Some(path) = &args.save {
-        let found = result.calibration();
-        let (robot, calibration) = fold_into_geometry(&result.robot, found).while_running()?;
-        let calibrated = CalibratedProfile {
-            robot,
-            calibration,
-            source: result.source,
-            method: "calibrate umbmark",
-            remarks: vec![report.text()],
-        };
-        calibrated.save(path, timer.utc_start()).while_running()?;
+        let robot = fold_into_geometry(&result.robot, result.calibration()).while_running()?;
+        save_profile(path, &timer, &report, "calibrate umbmark", result.source, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)
 }
@@ -131,10 +123,7 @@ fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
     source::check_same_robot(robots).before_start()?;
     let paths: Vec<FreePath> = drives
         .iter()
-        .map(|drive| {
-            let fixes = drive.references.iter().copied();
-            FreePath::new(&drive.name, &drive.config, &drive.observations, fixes)
-        })
+        .map(|drive| FreePath::new(&drive.name, &drive.config, &drive.observations, positions(drive)))
         .collect();
     let squares = calibrate_squares(&first.config, &paths, args.side_m)
         .map_err(|error| with_advice(error.into(), &drives))
@@ -143,22 +132,24 @@ fn compute(args: &UmbmarkArgs) -> Result<UmbmarkResult, Failure> {
 }
 
 /// The squares of all recordings; that of the live robot is last.
-fn drives(args: &UmbmarkArgs) -> Result<Vec<CalibrationDrive>, Failure> {
-    let watch = ReferenceSettings { reference: None, truth_sigma_m: OBSERVED_SIGMA_M };
-    let robot = LiveRobot { file: None, settings: &args.data.settings };
+fn drives(args: &UmbmarkArgs) -> Result<Vec<SourceRun>, Failure> {
     args.live.reject_data_flags(&args.data)?;
-    let live = args.live.record(&args.output, robot, TASK)?;
+    let live = args.live.record(&args.output, None, &args.data.settings, TASK)?;
     let mut drives = Vec::new();
     for recording in args.recordings.iter().chain(&live) {
-        drives.extend(source::load(recording, &args.data, watch)?.drives);
+        drives.extend(source::load(recording, &args.data).before_start()?.runs);
     }
     Ok(drives)
 }
 
+fn positions(drive: &SourceRun) -> Vec<PositionFix> {
+    drive.positions(None, OBSERVED_SIGMA_M).1
+}
+
 /// Adds advice to an error about a missing direction: one recording is one square, unless a descriptor selects several.
-fn with_advice(error: anyhow::Error, drives: &[CalibrationDrive]) -> anyhow::Error {
+fn with_advice(error: anyhow::Error, drives: &[SourceRun]) -> anyhow::Error {
     let is_too_little = matches!(error.downcast_ref(), Some(CalibrationError::TooFewData { .. }));
-    let has_fixes = drives.iter().all(|drive| !drive.references.is_empty());
+    let has_fixes = drives.iter().all(|drive| !positions(drive).is_empty());
     if !(is_too_little && has_fixes) {
         return error;
     }
@@ -169,7 +160,7 @@ fn with_advice(error: anyhow::Error, drives: &[CalibrationDrive]) -> anyhow::Err
     ))
 }
 
-fn names(drives: &[CalibrationDrive]) -> String {
+fn names(drives: &[SourceRun]) -> String {
     let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
     names.join(", ")
 }
@@ -195,19 +186,41 @@ fn from_table(args: &UmbmarkArgs, path: &Path) -> Result<UmbmarkResult> {
     })
 }
 
+/// Drives `args.runs` squares in each direction, and four times as many for validation.
 fn from_simulation(args: &UmbmarkArgs) -> Result<UmbmarkResult> {
-    let simulated = simulate(args.runs, args.seed)?;
-    let squares = calibrate_squares(&simulated.config, &simulated.squares, Some(simulated.side_m))?;
-    let error_of = |numbers| -> Result<SquareError> {
-        Ok(square_error(&closing_runs(&simulated.config, numbers, &simulated.others)?)?)
+    let mut scenario = Scenario::from_toml(SCENARIO).context("the bundled squares")?;
+    let Course::Laps(laps) = &mut scenario.path else { bail!("the bundled squares are no laps") };
+    laps.laps = 2 * args.runs * 5;
+    let (laps, step_s) = (*laps, scenario.step_s);
+    if let Some(seed) = args.seed {
+        scenario = scenario.with_seed(seed);
+    }
+    let drive = scenario.drive(0);
+    let nominal = drive.prior.geometry;
+    let robot = RobotFile {
+        left_wheel_radius_m: nominal.left_wheel_radius.0,
+        right_wheel_radius_m: nominal.right_wheel_radius.0,
+        track_width_m: nominal.track_width.0,
+        ..RobotFile::default()
     };
+    let config = filter_config(&robot, &FilterSection::default(), ArenaMap::default())?;
+    let rest_steps = (laps.rest_s / step_s).round() as usize;
+    let steps = drive.truth.len().saturating_sub(1 + rest_steps);
+    let lap_steps = steps / laps.laps as usize;
+    ensure!(lap_steps > 0 && lap_steps * laps.laps as usize == steps, "the simulated laps are not alike");
+    let firsts = (0..laps.laps as usize).map(|lap| rest_steps + lap * lap_steps);
+    let mut paths: Vec<FreePath> =
+        firsts.map(|first| cut_lap(&drive, &config, first, first + lap_steps)).collect::<Result<_>>()?;
+    let others = paths.split_off(2 * args.runs as usize);
+    let squares = calibrate_squares(&config, &paths, Some(laps.side_m))?;
+    let error_of = |numbers| -> Result<SquareError> { Ok(square_error(&closing_runs(&config, numbers, &others)?)?) };
     let validation_errors = Some([error_of(&squares.before)?, error_of(&squares.after)?]);
-    let (truth, nominal) = (simulated.true_geometry, simulated.config.geometry);
+    let truth = drive.true_geometry;
     let (left, right) = (truth.left_wheel_radius.0, truth.right_wheel_radius.0);
     let track = truth.track_width.0 / nominal.track_width.0 - 1.0;
     let truth = Some([track, (right - left) / f64::midpoint(left, right)]);
     let source = "the simulated robot".to_owned();
-    Ok(UmbmarkResult { validation_errors, truth, ..UmbmarkResult::new(source, simulated.robot, squares) })
+    Ok(UmbmarkResult { validation_errors, truth, ..UmbmarkResult::new(source, robot, squares) })
 }
 
 impl UmbmarkResult {
@@ -235,16 +248,14 @@ impl UmbmarkResult {
         }
     }
 
-    fn warnings(&self) -> Vec<String> {
+    fn warning(&self) -> Option<String> {
         let largest = self.result.corner_rad.abs().max(self.result.bend_rad.abs());
-        let mut caveats = Vec::new();
-        if self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4) {
-            caveats.push(format!(
+        (self.result.disagreement_rad > SUSPECT_RATIO * largest.max(1e-4)).then(|| {
+            format!(
                 "the ends along x and along y tell corners apart by {:.2} degrees: was one of them a square that ended elsewhere, or measured along another axis?",
                 self.result.disagreement_rad.to_degrees()
-            ));
-        }
-        caveats
+            )
+        })
     }
 
     fn report(&self) -> Report {
@@ -285,8 +296,8 @@ impl UmbmarkResult {
                 Quantity::new("", "true wheel radius difference", difference, scale),
             ]);
         }
-        let warnings = self.warnings();
-        for warning in &warnings {
+        let warning = self.warning();
+        if let Some(warning) = &warning {
             report.warning(warning);
         }
         report.paragraph("Where the squares ended, seen from where odometry expected them to end:");
@@ -295,7 +306,7 @@ impl UmbmarkResult {
         report.data("source", json!(self.source));
         report.data("others", json!(self.validation_errors.map(|errors| errors.map(|error| error.systematic_m))));
         report.data("truth", json!(self.truth));
-        report.data("doubts", json!(warnings));
+        report.data("doubts", json!(Vec::from_iter(warning)));
         report
     }
 
@@ -347,7 +358,7 @@ const EXACT_M: f64 = 1e-4;
 
 /// Reads ends of squares, measured minus odometry, from the columns `direction` (cw or ccw), `x_mm`, `y_mm` and, if the odometry did
 /// not end at the start, `odometry_x_mm`, `odometry_y_mm`.
-pub(super) fn read_squares(path: &Path) -> Result<Vec<SquareRun>> {
+fn read_squares(path: &Path) -> Result<Vec<SquareRun>> {
     let listing = CsvTable::read(path)?;
     let has_odometry = listing.has("odometry_x_mm") || listing.has("odometry_y_mm");
     let runs = listing.rows().map(|row| {
@@ -363,47 +374,6 @@ pub(super) fn read_squares(path: &Path) -> Result<Vec<SquareRun>> {
         Ok(SquareRun { direction, ahead_m: off("x_mm", "odometry_x_mm")?, left_m: off("y_mm", "odometry_y_mm")? })
     });
     runs.collect()
-}
-
-pub(super) struct SimulatedSquares {
-    pub(super) robot: RobotFile,
-    pub(super) config: FilterConfig,
-    pub(super) squares: Vec<FreePath>,
-    pub(super) others: Vec<FreePath>,
-    pub(super) true_geometry: DriveGeometry,
-    pub(super) side_m: f64,
-}
-
-/// Drives `runs` squares in each direction, and four times as many for validation.
-pub(super) fn simulate(runs: u32, seed: Option<u64>) -> Result<SimulatedSquares> {
-    let mut scenario = Scenario::from_toml(SCENARIO).context("the bundled squares")?;
-    let Course::Laps(laps) = &mut scenario.path else { bail!("the bundled squares are no laps") };
-    laps.laps = 2 * runs * 5;
-    let (laps, step_s) = (*laps, scenario.step_s);
-    if let Some(seed) = seed {
-        scenario = scenario.with_seed(seed);
-    }
-    let drive = scenario.drive(0);
-    let prior = drive.prior;
-    let robot = RobotFile {
-        left_wheel_radius_m: prior.geometry.left_wheel_radius.0,
-        right_wheel_radius_m: prior.geometry.right_wheel_radius.0,
-        track_width_m: prior.geometry.track_width.0,
-        ..RobotFile::default()
-    };
-    let config = filter_config(&robot, &FilterSection::default(), ArenaMap::default())?;
-    let rest_steps = (laps.rest_s / step_s).round() as usize;
-    let steps = drive.truth.len().saturating_sub(1 + rest_steps);
-    let lap_steps = steps / laps.laps as usize;
-    ensure!(lap_steps > 0 && lap_steps * laps.laps as usize == steps, "the simulated laps are not alike");
-    let mut squares: Vec<FreePath> = (0..laps.laps as usize)
-        .map(|lap| {
-            let first = rest_steps + lap * lap_steps;
-            cut_lap(&drive, &config, first, first + lap_steps)
-        })
-        .collect::<Result<_>>()?;
-    let others = squares.split_off(2 * runs as usize);
-    Ok(SimulatedSquares { robot, config, squares, others, true_geometry: drive.true_geometry, side_m: laps.side_m })
 }
 
 fn cut_lap(drive: &Drive, config: &FilterConfig, first: usize, last: usize) -> Result<FreePath> {

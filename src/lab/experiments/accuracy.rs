@@ -5,7 +5,8 @@
 use anyhow::Result;
 use clap::Args;
 use posebridge_estimator::smoother::OfflineError;
-use posebridge_lab::accuracy::{BoundSum, FilterScore, ScoreRow, bound_text};
+use posebridge_lab::accuracy::{DriveScore, FilterScore, bound_text};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
 use posebridge_report::quantity::{Format, Unit};
@@ -15,8 +16,8 @@ use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
 use posebridge_telemetry::TimeDelta;
 use serde_json::{Value, json};
 
+use super::Estimator;
 use super::estimators::BoundKind;
-use super::{Estimator, EstimatorResult};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::drives::{known_drive, load_scenario};
@@ -65,17 +66,14 @@ pub fn execute(args: &LabAccuracyArgs) -> Result<(), Failure> {
     let runs: u64 = planned.iter().map(|planned| u64::from(planned.runs)).sum();
     let scored = score_all(planned, &estimators, &timer).before_start()?;
     args.output.write_outcome(&folder, &report(&scored, &estimators))?;
+    let bounds = scored.iter().fold(TimeDelta::ZERO, |sum, scored| sum + scored.bound_duration);
     print_line(&format!(
         "{runs} runs with {} estimators in {:.1} s, bounds: {:.1} s of one core",
         estimators.len(),
         (timer.now() - started).as_secs_f64(),
-        bounds_duration(&scored).as_secs_f64()
+        bounds.as_secs_f64()
     ));
     Ok(())
-}
-
-fn bounds_duration(scored: &[ScenarioScores]) -> TimeDelta {
-    scored.iter().fold(TimeDelta::ZERO, |sum, scored| sum + scored.bound_duration)
 }
 
 fn estimators(args: &LabAccuracyArgs) -> Result<Vec<Estimator>> {
@@ -117,23 +115,21 @@ fn report(scored: &[ScenarioScores], estimators: &[Estimator]) -> Report {
 }
 
 struct EstimatorRow<'a> {
-    row: ScoreRow<'a>,
+    name: &'a str,
+    bound_m: Option<f64>,
     scores: &'a EstimatorScores,
 }
 
 /// Adds the text of a scenario to the report and returns its JSON object.
 fn add_scenario(report: &mut Report, scored: &ScenarioScores, names: &[String]) -> Value {
     let (bound_m, bound_note) = (scored.bound_rms_m(), scored.bound_kind.note());
-    let rows: Vec<EstimatorRow<'_>> = names
-        .iter()
-        .zip(&scored.results)
-        .map(|(name, scores)| EstimatorRow { row: ScoreRow { name, score: &scores.score, bound_m }, scores })
-        .collect();
+    let rows = names.iter().zip(&scored.results).map(|(name, scores)| EstimatorRow { name, bound_m, scores });
+    let rows: Vec<EstimatorRow<'_>> = rows.collect();
     let table = estimator_table(&rows);
     report.heading(headline(scored));
     report.table("", &table);
     report.paragraph(bound_text(bound_m, bound_note.as_deref()));
-    report.list(rows.iter().flat_map(|estimator| estimator.row.footnotes()));
+    report.list(rows.iter().flat_map(|row| row.scores.score.footnotes(row.name)));
     report.list(rows.iter().filter_map(refusal_summary));
     json!({
         "name": scored.planned.name,
@@ -149,23 +145,25 @@ fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'
     let mm = Format::three_digits(Unit::Millimetres);
     let three = Format::three_digits(Unit::None);
     Table::of(rows)
-        .text("name", "estimator", |row| row.row.name.to_owned())
-        .number("position_rms_m", "rms", mm, |row| row.row.score.position_rms_m())
-        .number("", "rms/bound", three, |row| row.row.ratio_to_bound())
-        .number("position_mean_m", "mean", mm, |row| row.row.score.position_mean_m())
-        .number("position_max_m", "max", mm, |row| row.row.score.position_max_m())
-        .number("heading_rms_rad", "heading rms", Format::new(Unit::Degrees, 2), |row| row.row.score.heading_rms_rad())
-        .number("claimed_rms_m", "claimed", mm, |row| row.row.score.claimed_rms_m())
-        .number("anees", "ANEES", three, |row| row.row.score.anees())
-        .data("anees_band", |row| json!(row.row.score.band().map(|ConsistencyBand { low, high }| [low, high])))
-        .text("consistency", "its claims are", |row| row.row.score.consistency().as_text().to_owned())
-        .text("", "NIS/dof of what it used", |row| row.row.sources())
-        .data("sources", |row| row.row.score.sources().iter().map(source_json).collect())
-        .data("steps", |row| json!(row.row.score.steps()))
-        .data("steps_without_estimate", |row| json!(row.row.score.steps_without_estimate()))
-        .data("steps_not_finite", |row| json!(row.row.score.steps_not_finite()))
-        .data("refused_covariances", |row| json!(row.row.score.refused_covariances()))
-        .data("run_rms_m", |row| json!(row.row.score.run_rms_m()))
+        .text("name", "estimator", |row| row.name.to_owned())
+        .number("position_rms_m", "rms", mm, |row| row.scores.score.position_rms_m())
+        .number("", "rms/bound", three, |row| row.scores.score.ratio_to_bound(row.bound_m))
+        .number("position_mean_m", "mean", mm, |row| row.scores.score.position_mean_m())
+        .number("position_max_m", "max", mm, |row| row.scores.score.position_max_m)
+        .number("heading_rms_rad", "heading rms", Format::new(Unit::Degrees, 2), |row| {
+            row.scores.score.heading_rms_rad()
+        })
+        .number("claimed_rms_m", "claimed", mm, |row| row.scores.score.claimed_rms_m())
+        .number("anees", "ANEES", three, |row| row.scores.score.anees())
+        .data("anees_band", |row| json!(row.scores.score.band().map(|ConsistencyBand { low, high }| [low, high])))
+        .text("consistency", "its claims are", |row| row.scores.score.consistency().as_text().to_owned())
+        .text("", "NIS/dof of what it used", |row| row.scores.score.sources_text())
+        .data("sources", |row| row.scores.score.sources.iter().map(source_json).collect())
+        .data("steps", |row| json!(row.scores.score.steps()))
+        .data("steps_without_estimate", |row| json!(row.scores.score.steps_without_estimate))
+        .data("steps_not_finite", |row| json!(row.scores.score.steps_not_finite))
+        .data("refused_covariances", |row| json!(row.scores.score.refused_covariances))
+        .data("run_rms_m", |row| json!(row.scores.score.run_rms_m))
         .data("refused_runs", |row| {
             let refusals = row.scores.refusals.iter();
             refusals.map(|(run, refusal)| json!({ "run": run, "reason": refusal.to_string() })).collect()
@@ -188,7 +186,7 @@ fn source_json(tally: &SourceTally) -> Value {
 fn refusal_summary(row: &EstimatorRow<'_>) -> Option<String> {
     let (run, reason) = row.scores.refusals.first()?;
     let count = row.scores.refusals.len();
-    Some(format!("{}: says nothing of {count} runs; of run {run}: {reason}", row.row.name))
+    Some(format!("{}: says nothing of {count} runs; of run {run}: {reason}", row.name))
 }
 
 fn names(estimators: &[Estimator]) -> Vec<String> {
@@ -234,7 +232,7 @@ struct ScenarioScores {
     planned: PlannedScenario,
     results: Vec<EstimatorScores>,
     /// Lower bound of any filter's error, where it applies.
-    bound: Option<BoundSum>,
+    bound: Option<RunningMean>,
     bound_kind: BoundKind,
     bound_duration: TimeDelta,
 }
@@ -247,8 +245,8 @@ struct EstimatorScores {
 }
 
 struct DriveScores {
-    results: Vec<EstimatorResult>,
-    bound: Option<BoundSum>,
+    results: Vec<DriveScore>,
+    bound: Option<RunningMean>,
     bound_duration: TimeDelta,
 }
 
@@ -295,13 +293,13 @@ impl ScenarioScores {
             sum.refusals.extend(verdict.refusal.map(|refusal| (run, refusal)));
         }
         if let Some(bound) = driven.bound {
-            self.bound.get_or_insert_with(BoundSum::default).merge(&bound);
+            self.bound.get_or_insert_with(RunningMean::default).merge(&bound);
         }
         self.bound_duration += driven.bound_duration;
     }
 
     /// Root mean square of the bound over steps and runs.
     fn bound_rms_m(&self) -> Option<f64> {
-        self.bound.as_ref().and_then(BoundSum::rms_m)
+        self.bound.as_ref().and_then(RunningMean::root)
     }
 }

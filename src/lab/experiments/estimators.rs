@@ -1,10 +1,9 @@
 //! Estimators of the experiments: every filter that estimates a pose, and idealised references.
 
-use posebridge_estimator::smoother::{OfflineError, batch, rts};
+use posebridge_estimator::smoother::{batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
-use posebridge_lab::accuracy::{
-    BoundSum, FilterScore, ReferenceDrive, SmootherScore, WheelRotation, score, score_smoother,
-};
+use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, error_bound, score, score_smoother};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};
 use posebridge_telemetry::Calibration;
 
@@ -30,25 +29,6 @@ pub enum Estimator {
     /// The main filter run forwards and backwards.
     Rts,
     Smooth,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct EstimatorResult {
-    pub score: FilterScore,
-    /// Why there is no result; only a smoother can reject a whole drive.
-    pub refusal: Option<OfflineError>,
-}
-
-impl EstimatorResult {
-    const fn from_filter(score: FilterScore) -> Self {
-        Self { score, refusal: None }
-    }
-}
-
-impl From<SmootherScore> for EstimatorResult {
-    fn from(SmootherScore { score, error: refusal }: SmootherScore) -> Self {
-        Self { score, refusal }
-    }
 }
 
 impl Estimator {
@@ -96,22 +76,20 @@ impl Estimator {
     }
 
     /// `known` is the same drive in the form of the score.
-    pub fn score(&self, drive: &Drive, known: &ReferenceDrive) -> EstimatorResult {
+    pub fn score(&self, drive: &Drive, known: &ReferenceDrive) -> DriveScore {
+        let config = filter_config(&drive.prior);
+        let score_filter = |entry: &FilterEntry, config: &FilterConfig| DriveScore {
+            score: score(known, (entry.build)(config).as_mut()),
+            refusal: None,
+        };
         match self {
-            Self::Filter(entry) => {
-                let mut filter = (entry.build)(&filter_config(&drive.prior));
-                EstimatorResult::from_filter(score(known, filter.as_mut()))
-            }
+            Self::Filter(entry) => score_filter(entry, &config),
             Self::TrueGeometry(entry) => {
-                let config = FilterConfig {
-                    geometry: drive.true_geometry,
-                    calibration: Calibration::default(),
-                    ..filter_config(&drive.prior)
-                };
-                EstimatorResult::from_filter(score(known, (entry.build)(&config).as_mut()))
+                let (geometry, calibration) = (drive.true_geometry, Calibration::default());
+                score_filter(entry, &FilterConfig { geometry, calibration, ..config })
             }
-            Self::Rts => score_smoother(known, &filter_config(&drive.prior), rts).into(),
-            Self::Smooth => score_smoother(known, &filter_config(&drive.prior), batch).into(),
+            Self::Rts => score_smoother(known, &config, rts),
+            Self::Smooth => score_smoother(known, &config, batch),
         }
     }
 }
@@ -166,13 +144,12 @@ impl BoundKind {
         Self::Excluding(left_out.into_iter().filter_map(|(is_there, what)| is_there.then_some(what)).collect())
     }
 
-    pub(super) fn compute(&self, drive: &Drive, known: &ReferenceDrive) -> Option<BoundSum> {
+    pub(super) fn compute(&self, drive: &Drive, known: &ReferenceDrive) -> Option<RunningMean> {
         match self {
             Self::Unavailable(_) => None,
             Self::Excluding(_) => {
-                let turns: Vec<WheelRotation> =
-                    drive.wheel_turns.iter().map(|turn| WheelRotation { left: turn.left, right: turn.right }).collect();
-                BoundSum::from_drive(&filter_config(&drive.prior), known, &turns)
+                let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, turn.right]).collect();
+                error_bound(&filter_config(&drive.prior), known, &turns)
             }
         }
     }
@@ -230,12 +207,8 @@ mod tests {
             turn.right = Radians(0.0);
         }
         let known = known_drive(&drive);
-        let turns: Vec<WheelRotation> = drive
-            .wheel_turns
-            .iter()
-            .map(|turn| WheelRotation { left: turn.left, ..WheelRotation::default() })
-            .collect();
-        let expected = BoundSum::from_drive(&filter_config(&drive.prior), &known, &turns);
+        let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, Radians(0.0)]).collect();
+        let expected = error_bound(&filter_config(&drive.prior), &known, &turns);
         assert!(expected.is_some());
         assert_eq!(BoundKind::for_scenario(&scenario).compute(&drive, &known), expected);
     }

@@ -138,19 +138,12 @@ impl SensorSet {
 
     /// Whether an observation of this kind is used; all others, such as fixes, are not.
     const fn accepts(self, observed: &ObservationKind) -> bool {
-        match observed {
-            ObservationKind::WheelAngles { .. } => true,
-            ObservationKind::WheelAccelerations { .. } => !matches!(self, Self::Wheels),
-            ObservationKind::TurnRate(_) => matches!(self, Self::AccelerometersAndGyro),
-            ObservationKind::OdometerPose(_)
-            | ObservationKind::BodyVelocity { .. }
-            | ObservationKind::Fix(_)
-            | ObservationKind::Landmark { .. }
-            | ObservationKind::BeaconRange { .. }
-            | ObservationKind::WallRange(_)
-            | ObservationKind::CompassHeading(_)
-            | ObservationKind::Temperature(_) => false,
-        }
+        matches!(
+            (observed, self),
+            (ObservationKind::WheelAngles { .. }, _)
+                | (ObservationKind::WheelAccelerations { .. }, Self::Accelerometers | Self::AccelerometersAndGyro)
+                | (ObservationKind::TurnRate(_), Self::AccelerometersAndGyro)
+        )
     }
 }
 

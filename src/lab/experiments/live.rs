@@ -37,20 +37,20 @@ pub struct LiveArgs {
     pub config: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LiveRobot<'a> {
-    pub file: Option<&'a Path>,
-    pub settings: &'a [Setting],
-}
-
 impl LiveArgs {
     pub const fn is_requested(&self) -> bool {
         self.link.is_some() || self.listen.is_some()
     }
 
     /// Prints the instructions and records the robot into the output folder; returns the recording. `None` if no live robot was
-    /// requested.
-    pub fn record(&self, output: &OutputArgs, robot: LiveRobot<'_>, task: &str) -> Result<Option<PathBuf>, Failure> {
+    /// requested. `robot` is a profile.
+    pub fn record(
+        &self,
+        output: &OutputArgs,
+        robot: Option<&Path>,
+        settings: &[Setting],
+        task: &str,
+    ) -> Result<Option<PathBuf>, Failure> {
         if !self.is_requested() {
             return Ok(None);
         }
@@ -68,7 +68,7 @@ impl LiveArgs {
             .duration
             .map_or_else(|| "Ctrl-C when done".to_owned(), |seconds| format!("it ends after {seconds} s or at Ctrl-C"));
         print_line(&format!("recording `{}`: {task}; {end}", recording.display()));
-        let sources = run::record(&self.run_args(folder, robot), RECORDING)?;
+        let sources = run::record(&self.run_args(folder, robot, settings), RECORDING)?;
         print_line(&format!("heard\n{}", sources.trim_end()));
         Ok(Some(recording))
     }
@@ -83,8 +83,7 @@ impl LiveArgs {
         task: &str,
     ) -> Result<PathBuf, Failure> {
         self.reject_data_flags(data)?;
-        let robot = LiveRobot { file: None, settings: &data.settings };
-        let live = self.record(output, robot, task)?;
+        let live = self.record(output, None, &data.settings, task)?;
         live.or_else(|| named.map(Path::to_owned))
             .ok_or_else(|| anyhow!("name a recording, or give --link or --listen"))
             .before_start()
@@ -108,11 +107,11 @@ impl LiveArgs {
         link_flags.collect()
     }
 
-    fn run_args(&self, folder: PathBuf, robot: LiveRobot<'_>) -> RunArgs {
+    fn run_args(&self, folder: PathBuf, robot: Option<&Path>, settings: &[Setting]) -> RunArgs {
         RunArgs {
-            config: ConfigFlags { config: self.config.clone(), settings: robot.settings.to_vec() },
+            config: ConfigFlags { config: self.config.clone(), settings: settings.to_vec() },
             links: LinkFlags(self.links()),
-            robot: robot.file.map(Path::to_owned),
+            robot: robot.map(Path::to_owned),
             out: Some(folder),
             duration: self.duration,
             page: DashboardFlags { no_dashboard: true, ..DashboardFlags::default() },

@@ -10,7 +10,7 @@ pub mod recorded;
 pub mod thermometer;
 pub mod wall;
 
-pub use estimators::{Estimator, EstimatorResult, UnknownEstimator};
+pub use estimators::{Estimator, UnknownEstimator};
 
 use clap::{Args, Subcommand};
 

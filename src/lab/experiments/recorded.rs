@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::recorded_drive::{DriveEndReference, RecordedDrive};
 
-use super::live::{LiveArgs, LiveRobot};
+use super::live::LiveArgs;
 use crate::config::{Overlay, Setting};
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_with_bar;
@@ -66,8 +66,7 @@ pub(super) struct RobotDrives {
 impl RecordedArgs {
     /// Records the live robot after printing `task`, or reads the recordings; `None` if neither was requested.
     pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
-        let robot = LiveRobot { file: self.robot.as_deref(), settings: &self.settings };
-        if let Some(recording) = self.live.record(output, robot, task)? {
+        if let Some(recording) = self.live.record(output, self.robot.as_deref(), &self.settings, task)? {
             // Robot and settings stand in the recording.
             let drives = self.read(&[recording], Overlay::default()).while_running()?;
             return Ok(Some(RobotDrives { drives, is_live: true }));

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::identification::lesson::{
-    BoundRun, LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_sections,
+    LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_sections,
 };
 use posebridge_lab::identification::sensor_kind::RunSimilarity;
 use posebridge_lab::identification::{SensorChannel, StepOptions, TimedSample, identify_step};
@@ -16,12 +16,12 @@ use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Observation;
 use serde_json::{Map, Value, json};
 
-use super::live::{LiveArgs, LiveRobot};
+use super::live::LiveArgs;
 use crate::config::{Overlay, Setting};
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
-use crate::lab::parallel::{run_all, run_with_bar};
+use crate::lab::parallel::run_all;
 use crate::tools::dataset::{DataSet, report_bad_rows, report_skipped};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
@@ -32,37 +32,14 @@ pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     args.output.write_outcome(&folder, &report(args, &sections))
 }
 
-enum ThermometerJob {
-    Section(usize),
-    Bound(u64),
-}
-
-enum ThermometerOutput {
-    Section(Box<LessonSection>),
-    Bound(BoundRun),
-}
-
 fn simulated(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
-    let sections = (0..SECTIONS.len()).map(ThermometerJob::Section);
-    let jobs: Vec<ThermometerJob> = sections.chain((0..u64::from(args.runs)).map(ThermometerJob::Bound)).collect();
-    let run = |job: &ThermometerJob| match job {
-        ThermometerJob::Section(index) => {
-            let section = SECTIONS.get(*index).map(|make| make(args.seed));
-            ThermometerOutput::Section(Box::new(section.unwrap_or_default()))
-        }
-        // Far from the seeds of the sections.
-        ThermometerJob::Bound(run) => {
-            ThermometerOutput::Bound(bound_run(args.seed.wrapping_mul(1 << 32).wrapping_add(*run)))
-        }
-    };
-    let mut sections = Vec::new();
-    let mut bound_runs = Vec::new();
-    for done in run_with_bar(&jobs, "parts", run).before_start()? {
-        match done {
-            ThermometerOutput::Section(section) => sections.push(*section),
-            ThermometerOutput::Bound(run) => bound_runs.push(run),
-        }
-    }
+    let runs: Vec<u64> = (0..u64::from(args.runs)).collect();
+    let bar = progress_bar((SECTIONS.len() + runs.len()) as u64, "parts").before_start()?;
+    let mut sections = run_all(&SECTIONS, |make| make(args.seed), || bar.inc(1));
+    // Far from the seeds of the sections.
+    let seed = |run: &u64| args.seed.wrapping_mul(1 << 32).wrapping_add(*run);
+    let bound_runs = run_all(&runs, |run| bound_run(seed(run)), || bar.inc(1));
+    bar.finish_and_clear();
     sections.push(bounds_section(&bound_runs));
     Ok(sections)
 }
@@ -165,8 +142,7 @@ const DEFAULT_SIGMA_K: f64 = 0.03;
 const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
 
 fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
-    let robot = LiveRobot { file: None, settings: &args.settings };
-    let live = args.live.record(&args.output, robot, TASK)?;
+    let live = args.live.record(&args.output, None, &args.settings, TASK)?;
     let (chosen, loaded) = match args.recordings.as_slice() {
         [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => of_descriptor(args, descriptor),
         recordings => of_recordings(args, recordings, live.as_deref()),

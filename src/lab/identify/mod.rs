@@ -4,18 +4,16 @@
 //! Without a recording each experiment uses a simulation with known parameters and reports its error. docs/lab/calibration.md, section
 //! 7, has the equations.
 
-mod findings;
 mod noise;
+mod report;
 mod step;
 mod step_dataset;
-mod step_report;
-mod step_simulated;
 mod wall;
 
 use anyhow::Result;
 use posebridge_lab::noise_identification::DelaySearch;
+use posebridge_report::report::Report;
 
-use self::findings::{Findings, report};
 use self::noise::{ExperimentSource, FixTimeSource, SourceArgs};
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
@@ -89,10 +87,9 @@ fn run(
     source: &SourceArgs,
     output: &OutputArgs,
     requested: &ExperimentSource,
-    experiment: impl FnOnce(&noise::ExperimentData) -> Result<Findings>,
+    experiment: impl FnOnce(&noise::ExperimentData) -> Result<Report>,
 ) -> Result<(), Failure> {
     let data = source.read(requested, output)?;
     let folder = output.folder()?;
-    let findings = experiment(&data).while_running()?;
-    output.write_outcome(&folder, &report(&findings, &data.name))
+    output.write_outcome(&folder, &experiment(&data).while_running()?)
 }

@@ -3,32 +3,32 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_lab::calibration::at_rest::{MIN_STANDSTILL_S, RestChannel, RestObservations};
 use posebridge_lab::noise_identification::{
-    AllanPoint, CameraSample, DelaySearch, RestNoise, RestRecord, allan_deviation, cumulative_motion_of, find_delay,
-    noise_at_rest, rounding_speed_sigma, straight_noise,
+    AllanPoint, CameraSample, DelaySearch, MIN_STANDSTILL_S, RestIntervals, RestNoise, RestRecord, allan_deviation,
+    cumulative_motion_of, find_delay, noise_at_rest, readings_at_rest, rounding_speed_sigma, straight_noise,
 };
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
-use super::findings::{Findings, Quantity};
-use crate::config::{Overlay, Setting};
+use super::report::{Quantity, end_of_interval, report};
+use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::drives;
-use crate::lab::experiments::live::{LiveArgs, LiveRobot};
-use crate::tools::dataset::{DataSet, report_bad_rows};
+use crate::lab::experiments::live::LiveArgs;
+use crate::lab::source;
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
 const PANEL_PX: f64 = 300.0;
 
-pub(super) fn rest(data: &ExperimentData) -> Result<Findings> {
+pub(super) fn rest(data: &ExperimentData) -> Result<Report> {
     let mut notes = Vec::new();
     let resting = gyro_at_rest(data, &mut notes)?;
     let of_the_gyro = || format!("the gyro of `{}`", data.name);
-    let record = RestRecord::from_stretches(&resting.stretches).with_context(of_the_gyro)?;
+    let record = RestRecord::from_stretches(&resting).with_context(of_the_gyro)?;
     let found = noise_at_rest(&record).with_context(of_the_gyro)?;
     let quantities = rest_quantities(data, &found);
     notes.insert(0, format!("{} samples over {:.0} s", found.samples, found.rest_s));
@@ -41,12 +41,12 @@ pub(super) fn rest(data: &ExperimentData) -> Result<Findings> {
         ));
     }
     let points = longest_allan(&record, &mut notes);
-    let plots = vec![allan_plot(&points)];
-    Ok(Findings { quantities, notes, plots, ..Findings::new("identify-rest", "A gyro at rest") })
+    let plots = [allan_plot(&points)];
+    Ok(report("identify-rest", "A gyro at rest", &data.name, &quantities, &notes, &plots))
 }
 
 /// Gyro readings at rest; remarks go to `notes`.
-fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestChannel> {
+fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestIntervals> {
     let mut observations: Vec<Observation> = data.observations.iter().map(|one| one.observation).collect();
     observations.sort_by_key(|observation| observation.stamp);
     let rate = |observation: &Observation| {
@@ -62,10 +62,10 @@ fn gyro_at_rest(data: &ExperimentData, notes: &mut Vec<String>) -> Result<RestCh
     let is_wheel = |one: &Observation| matches!(one.measurement, ObservationKind::WheelAngles { .. });
     if !observations.iter().any(is_wheel) {
         notes.push("there are no wheel counts: that the robot stood is taken on trust".to_owned());
-        return Ok(RestChannel { stretches: vec![all] });
+        return Ok(vec![all]);
     }
-    let resting = RestObservations::from_observations(&observations).gyro;
-    let resting_count = resting.stretches.iter().map(Vec::len).sum::<usize>();
+    let [resting, ..] = readings_at_rest(&observations);
+    let resting_count = resting.iter().map(Vec::len).sum::<usize>();
     if resting_count == 0 {
         bail!(
             "the robot of `{}` never stood: no reading of its gyro lies where the counts of its wheels were the same for {MIN_STANDSTILL_S} s \
@@ -107,15 +107,16 @@ fn rest_quantities(data: &ExperimentData, found: &RestNoise) -> Vec<Quantity> {
     let gyro = data.scenario.as_ref().map(|scenario| scenario.gyro);
     let truth = |of: fn(&posebridge_sim::montecarlo::Gyro) -> f64| gyro.as_ref().map(|gyro| of(gyro).to_radians());
     vec![
-        Quantity::new("bias, mean over the rest", "rad/s", found.bias, Some(found.bias_sigma)),
-        Quantity::new("gyro_rad_per_s", "rad/s", found.white, Some(found.white_sigma))
+        Quantity::new("bias, mean over the rest", "rad/s", found.bias, found.bias_sigma),
+        Quantity::new("gyro_rad_per_s", "rad/s", found.white, found.white_sigma)
             .with_truth(truth(|gyro| gyro.sigma_deg_per_s)),
-        Quantity::optional("gyro_resolution_rad_per_s", "rad/s", found.quantum.map(|quantum| (quantum, None)))
+        Quantity::new("gyro_resolution_rad_per_s", "rad/s", found.quantum, None)
             .with_truth(truth(|gyro| gyro.resolution_deg_per_s)),
-        Quantity::optional(
+        Quantity::new(
             "gyro_bias_walk_rad_per_s_sqrt_s",
             "rad/s/sqrt(s)",
-            found.walk.map(|(walk, sigma)| (walk, Some(sigma))),
+            found.walk.map(|(walk, _)| walk),
+            found.walk.map(|(_, sigma)| sigma),
         )
         .with_truth(truth(|gyro| gyro.bias_walk_deg_per_s_sqrt_s)),
         Quantity::new("angle random walk", "rad/sqrt(s)", found.angle_random_walk, None),
@@ -138,7 +139,7 @@ fn allan_plot(points: &[AllanPoint]) -> Plot {
     )
 }
 
-pub(super) fn straight(data: &ExperimentData) -> Result<Findings> {
+pub(super) fn straight(data: &ExperimentData) -> Result<Report> {
     let counts = travels(data);
     if counts.is_empty() {
         bail!("run `{}` has no wheel counts", data.name)
@@ -147,17 +148,12 @@ pub(super) fn straight(data: &ExperimentData) -> Result<Findings> {
     let mut notes = Vec::new();
     let mut curves = Vec::new();
     for (wheel, column) in [("left", 1), ("right", 2)] {
-        let travel: Vec<(f64, f64)> = counts
-            .windows(2)
-            .filter_map(|pair| match pair {
-                [a, b] => Some((b[0] - a[0], b[column] - a[column])),
-                _ => None,
-            })
-            .collect();
+        let pairs = counts.iter().zip(counts.iter().skip(1));
+        let travel: Vec<(f64, f64)> = pairs.map(|(a, b)| (b[0] - a[0], b[column] - a[column])).collect();
         let found = straight_noise(&travel).with_context(|| format!("the {wheel} wheel of `{}`", data.name))?;
         let (sigma, of_sigma) = (found.sigma_m_per_s, found.sigma_sigma_m_per_s);
         quantities.push(Quantity::new(format!("speed, {wheel} wheel"), "m/s", found.speed_m_per_s, None));
-        quantities.push(Quantity::new(format!("root of R, {wheel} wheel"), "m/s", sigma, Some(of_sigma)));
+        quantities.push(Quantity::new(format!("root of R, {wheel} wheel"), "m/s", sigma, of_sigma));
         let rounding = rounding_speed_sigma(&data.geometry, &travel);
         notes.push(format!(
             "{wheel}: {} intervals, rho(1) {:+.2}; rounding to counts alone makes {rounding:.5} m/s on average over speeds, and rho(1) -0.5",
@@ -166,8 +162,9 @@ pub(super) fn straight(data: &ExperimentData) -> Result<Findings> {
         let speeds = travel.iter().zip(&counts).map(|((dt_s, by_m), from)| (from[0], by_m / dt_s));
         curves.push(Curve::line(format!("{wheel} wheel"), speeds));
     }
-    let plots = vec![one_panel("A straight run", "time [s]", "speed [m/s]", curves)];
-    Ok(Findings { quantities, notes, plots, ..Findings::new("identify-straight", "Encoder speed of a straight run") })
+    let plots = [one_panel("A straight run", "time [s]", "speed [m/s]", curves)];
+    let title = "Encoder speed of a straight run";
+    Ok(report("identify-straight", title, &data.name, &quantities, &notes, &plots))
 }
 
 /// Time, s, and cumulative travel of both wheels, m; sorted by time, without repeated instants.
@@ -186,7 +183,7 @@ fn travels(data: &ExperimentData) -> Vec<[f64; 3]> {
     counts
 }
 
-pub(super) fn delay(data: &ExperimentData, by: FixTimeSource, search: &DelaySearch) -> Result<Findings> {
+pub(super) fn delay(data: &ExperimentData, by: FixTimeSource, search: &DelaySearch) -> Result<Report> {
     let observations: Vec<Observation> = data.observations.iter().map(|one| one.observation).collect();
     let levels = cumulative_motion_of(&observations, &data.geometry);
     let sightings = sightings_of(data, by)?;
@@ -196,15 +193,15 @@ pub(super) fn delay(data: &ExperimentData, by: FixTimeSource, search: &DelaySear
         FixTimeSource::Stamp => 0.0,
         FixTimeSource::Arrival => step_s * f64::from(camera.delay_steps),
     });
-    let quantities = vec![
-        Quantity::new("delay of the camera", "s", found.delay_s, Some(found.sigma_s)).with_truth(truth),
+    let quantities = [
+        Quantity::new("delay of the camera", "s", found.delay_s, found.sigma_s).with_truth(truth),
         Quantity::new("correlation there", "1", found.correlation, None),
     ];
     let what = if found.by_heading { "headings" } else { "paths: the fixes have no heading" };
-    let notes = vec![format!("{} fixes, by their {what}", found.fixes)];
+    let notes = [format!("{} fixes, by their {what}", found.fixes)];
     let curve = Curve::line("correlation", found.curve);
-    let plots = vec![one_panel("Camera motion against wheel motion", "delay [s]", "correlation", vec![curve])];
-    Ok(Findings { quantities, notes, plots, ..Findings::new("identify-delay", "Delay of a camera") })
+    let plots = [one_panel("Camera motion against wheel motion", "delay [s]", "correlation", vec![curve])];
+    Ok(report("identify-delay", "Delay of a camera", &data.name, &quantities, &notes, &plots))
 }
 
 fn sightings_of(data: &ExperimentData, by: FixTimeSource) -> Result<Vec<CameraSample>> {
@@ -313,65 +310,35 @@ pub(super) struct ExperimentData {
 
 impl SourceArgs {
     pub(super) fn read(&self, experiment: &ExperimentSource, output: &OutputArgs) -> Result<ExperimentData, Failure> {
-        let robot = LiveRobot { file: None, settings: &self.settings };
-        if let Some(live) = self.live.record(output, robot, experiment.instruction)? {
+        if let Some(live) = self.live.record(output, None, &self.settings, experiment.instruction)? {
             // The keys that are set stand in the recording.
-            return read_own(&live, &[]).and_then(|data| self.crop(data)).while_running();
+            return read_run(&live, &self.flags(None, Vec::new())).and_then(|data| self.crop(data)).while_running();
         }
         let data = match &self.recording {
-            Some(path) if own_recording::is_own(path) => self.load_own(path),
-            Some(path) => self.load_descriptor(path),
+            Some(path) => {
+                // Every fix is looked at: none needs to be withheld.
+                let every = (!own_recording::is_own(path)).then_some(1);
+                read_run(path, &self.flags(every, self.settings.clone()))
+            }
             None => self.simulate(experiment.scenario),
         };
         data.and_then(|data| self.crop(data)).before_start()
     }
 
+    fn flags(&self, use_every: Option<usize>, settings: Vec<Setting>) -> DataFlags {
+        DataFlags { data: self.data.clone(), run: self.run.clone(), use_every, settings }
+    }
+
     fn crop(&self, mut data: ExperimentData) -> Result<ExperimentData> {
         let first_s =
             data.observations.iter().map(|one| one.observation.stamp.as_secs_f64()).fold(f64::INFINITY, f64::min);
-        let until_s = self.to.unwrap_or(f64::INFINITY);
-        ensure!(self.from < until_s, "--from is {} and --to is {until_s}: nothing lies between them", self.from);
+        let until_s = end_of_interval(self.from, self.to)?;
         data.observations.retain(|one| {
             let at_s = one.observation.stamp.as_secs_f64() - first_s;
             self.from <= at_s && at_s <= until_s
         });
         ensure!(!data.observations.is_empty(), "no observation of `{}` lies between --from and --to", data.name);
         Ok(data)
-    }
-
-    fn load_own(&self, path: &Path) -> Result<ExperimentData> {
-        ensure!(
-            self.run.is_none(),
-            "--run chooses from a descriptor's data; `{}` is a recording of ours",
-            path.display()
-        );
-        read_own(path, &self.settings)
-    }
-
-    fn load_descriptor(&self, path: &Path) -> Result<ExperimentData> {
-        let flags = DataFlags {
-            data: self.data.clone(),
-            run: self.run.clone(),
-            // Every fix is looked at: none needs to be withheld.
-            use_every: Some(1),
-            settings: self.settings.clone(),
-        };
-        let data = DataSet::open(path, &flags)?;
-        let name = data.runs.first().context("the descriptor has no run")?;
-        let loaded = data.load(name, &flags)?;
-        report_bad_rows(&loaded);
-        let timed = loaded.run.observations.iter();
-        Ok(ExperimentData {
-            name: loaded.run.name.clone(),
-            observations: timed
-                .map(|timed| ArrivedObservation {
-                    arrival_s: Some(timed.arrival.as_secs_f64()),
-                    observation: timed.observation,
-                })
-                .collect(),
-            geometry: loaded.filter_config.geometry,
-            scenario: None,
-        })
     }
 
     fn simulate(&self, bundled: &str) -> Result<ExperimentData> {
@@ -396,15 +363,11 @@ impl SourceArgs {
     }
 }
 
-fn read_own(path: &Path, settings: &[Setting]) -> Result<ExperimentData> {
-    let overlay = Overlay { robot: None, settings };
-    let run = own_recording::read(path, overlay)?;
-    let arrived = run.observations.iter().enumerate().map(|(index, observation)| {
-        let arrivals = run.arrivals.as_ref();
-        ArrivedObservation {
-            arrival_s: arrivals.and_then(|all| Some(all.get(index)?.as_secs_f64())),
-            observation: *observation,
-        }
+fn read_run(path: &Path, flags: &DataFlags) -> Result<ExperimentData> {
+    let run = source::load_run(path, None, flags)?;
+    let arrived = run.observations.iter().enumerate().map(|(index, observation)| ArrivedObservation {
+        arrival_s: run.arrivals_s.as_ref().and_then(|all| all.get(index).copied()),
+        observation: *observation,
     });
     Ok(ExperimentData {
         observations: arrived.collect(),

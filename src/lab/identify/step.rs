@@ -5,47 +5,52 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use clap::ValueEnum as _;
 use posebridge_lab::identification::{
-    Sampling, StepParameters, TimedSample, estimate_noise, identify_step, sorted_by_time,
+    DirectionComparison, IdentifiedStep, Sampling, StepDirection, StepParameters, TimedSample, compare_directions,
+    estimate_noise, identify_step, sorted_by_time,
 };
-use posebridge_telemetry::Observation;
+use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::Report;
+use posebridge_telemetry::{Observation, UncertainValue};
+use serde_json::{Value, json};
 
-use super::findings::report;
-use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, TimeUnit};
-use super::step_report::StepResult;
-use super::{step_report, step_simulated};
+use super::report::{Quantity, end_of_interval, report};
+use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, TimeUnit, simulated};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
-use crate::lab::calibrate::source::{self, CalibrationDrive, ReferenceSettings};
 use crate::lab::parallel::run_with_bar;
+use crate::lab::source::{self, SourceRun};
 use crate::tools::csv_table::CsvTable;
 use crate::tools::dataset::report_skipped;
+
+const STEP_PX: f64 = 280.0;
+const REST_PX: f64 = 160.0;
+/// Number of plotted samples; more do not fit side by side.
+const MAX_PLOTTED_SAMPLES: usize = 600;
 
 pub(super) fn execute(args: &StepArgs) -> Result<(), Failure> {
     let material = load(args).before_start()?;
     let folder = args.output.folder()?;
-    let found = run_with_bar(&material.runs, "steps", identify_run_step).before_start()?;
-    let found: Vec<StepResult> = found.into_iter().collect::<Result<_>>().while_running()?;
-    let findings = step_report::findings(&material, &found);
-    args.output.write_outcome(&folder, &report(&findings, &material.source))
+    let runs: Vec<&StepRun> = material.runs.iter().collect();
+    let found = run_with_bar(&runs, "steps", |run| identify_run_step(run)).before_start()?;
+    let found: Vec<StepResult<'_>> = found.into_iter().collect::<Result<_>>().while_running()?;
+    args.output.write_outcome(&folder, &step_report(&material, &found))
 }
 
-fn identify_run_step(run: &StepRun) -> Result<StepResult> {
+fn identify_run_step(run: &StepRun) -> Result<StepResult<'_>> {
     let identified = identify_step(&run.samples, &run.options).with_context(|| {
         format!("run `{}`; cut the step out with --from and --to, or give its noise with --noise", run.name)
     })?;
-    Ok(StepResult {
-        numbers: StepParameters::from_step(&identified, run.options.input_step, run.sampling),
-        identified,
-        run: run.clone(),
-    })
+    let numbers = StepParameters::from_step(&identified, run.options.input_step, run.sampling);
+    Ok(StepResult { run, identified, numbers })
 }
 
 pub(super) fn load(args: &StepArgs) -> Result<StepDataset> {
     check(args)?;
     let Some(path) = &args.recording else {
-        return step_simulated::material(args);
+        return simulated(args);
     };
     let end = path.extension().and_then(|end| end.to_str()).unwrap_or("");
     match end {
@@ -56,8 +61,7 @@ pub(super) fn load(args: &StepArgs) -> Result<StepDataset> {
 }
 
 fn check(args: &StepArgs) -> Result<()> {
-    let until_s = args.to.unwrap_or(f64::INFINITY);
-    ensure!(args.from < until_s, "--from is {} and --to is {until_s}: nothing lies between them", args.from);
+    end_of_interval(args.from, args.to)?;
     for (flag, value) in [("--noise", args.noise), ("--input-step", args.input_step)] {
         if let Some(value) = value {
             let is_usable = value.is_finite() && (value > 0.0 || (value < 0.0 && flag != "--noise"));
@@ -97,20 +101,16 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     );
     let flags = DataFlags {
         data: args.data.clone(),
-        // Every name begins with nothing: all runs. A recording of ours has one.
-        run: is_descriptor.then(|| args.run.clone().unwrap_or_default()),
+        // Every name begins with nothing: all runs.
+        run: args.run.clone().or(is_descriptor.then(String::new)),
         use_every: None,
         settings: args.settings.clone(),
     };
-    ensure!(is_descriptor || args.run.is_none(), "--run chooses from a descriptor's runs; a recording of ours has one");
-    let watch = ReferenceSettings { reference: None, truth_sigma_m: 1.0 };
-    let drives = source::load(path, &flags, watch).map_err(|failure| match failure {
-        Failure::CouldNotStart(error) | Failure::Failed(error) => error,
-    })?;
+    let drives = source::load(path, &flags)?;
     let channel_name = args.channel.unwrap_or(ChannelName::Temperature);
     let channel = channel_name.channel();
     let mut runs = Vec::new();
-    for drive in &drives.drives {
+    for drive in &drives.runs {
         for part in parts(channel_name, drive)? {
             runs.push(run_from_part(args, channel_name, &part)?);
         }
@@ -126,12 +126,12 @@ fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
 
 struct StepPart<'a> {
     name: String,
-    drive: &'a CalibrationDrive,
+    drive: &'a SourceRun,
     observations: &'a [Observation],
 }
 
 /// Each thermometer of a posebridge recording separately; else the whole drive, which has each sensor once.
-fn parts(channel_name: ChannelName, drive: &CalibrationDrive) -> Result<Vec<StepPart<'_>>> {
+fn parts(channel_name: ChannelName, drive: &SourceRun) -> Result<Vec<StepPart<'_>>> {
     if channel_name != ChannelName::Temperature || drive.thermometers.is_empty() {
         return Ok(vec![StepPart { name: drive.name.clone(), drive, observations: &drive.observations }]);
     }
@@ -149,10 +149,10 @@ fn run_from_part(args: &StepArgs, channel_name: ChannelName, part: &StepPart<'_>
     check_onset(args, &part.name, &all)?;
     let samples = crop(args, &all);
     if samples.is_empty() {
-        let others = ChannelName::ALL.into_iter();
-        let others: Vec<&str> = others
+        let others = ChannelName::value_variants().iter();
+        let others: Vec<String> = others
             .filter(|one| !crop(args, &one.channel().samples(part.observations)).is_empty())
-            .map(ChannelName::flag)
+            .filter_map(|one| Some(one.to_possible_value()?.get_name().to_owned()))
             .collect();
         bail!(
             "run `{}` holds no {} there; what it holds for --channel: {}",
@@ -218,4 +218,169 @@ fn load_table(args: &StepArgs, path: &Path) -> Result<StepDataset> {
         unit: "",
         gain_unit: "",
     })
+}
+
+struct StepResult<'a> {
+    run: &'a StepRun,
+    identified: IdentifiedStep,
+    numbers: StepParameters,
+}
+
+fn step_report(material: &StepDataset, found: &[StepResult<'_>]) -> Report {
+    let lags = found.iter().map(|one| (direction_of(one), one.numbers.mean_lag_s));
+    let compared = compare_directions(&lags.collect::<Vec<_>>());
+    let mut notes: Vec<String> = found.iter().map(note).collect();
+    notes.extend(compared.map(|directions| direction_note(&directions)));
+    let quantities: Vec<Quantity> = found.iter().flat_map(|one| quantities(material, one)).collect();
+    let plots: Vec<Plot> = found.iter().map(|one| picture(material, one)).collect();
+    let title = format!("Step response: {}", material.sensor);
+    let mut report = report("identify-step", &title, &material.source, &quantities, &notes, &plots);
+    report.data("sensor", json!(material.sensor));
+    report.data("runs", found.iter().map(run_object).collect());
+    let directions = compared.map(|directions| {
+        json!({
+            "up_s": uncertain_value_json(directions.up),
+            "down_s": uncertain_value_json(directions.down),
+            "z": directions.z,
+            "differ": directions.differ(),
+        })
+    });
+    report.data("ways", json!(directions));
+    report
+}
+
+fn direction_of(found: &StepResult<'_>) -> StepDirection {
+    StepDirection::from_step(found.identified.response().step)
+}
+
+fn quantities(material: &StepDataset, found: &StepResult<'_>) -> Vec<Quantity> {
+    let (numbers, truth) = (&found.numbers, found.run.truth.as_ref());
+    let quantity = |name: &str, unit: &'static str, known: UncertainValue| {
+        Quantity::new(name, unit, known.value, known.sigma).for_run(found.run.name.clone())
+    };
+    let mut all = vec![
+        Quantity::new("order", "1", found.identified.order() as f64, None)
+            .for_run(found.run.name.clone())
+            .with_truth(truth.map(|truth| truth.lags.len() as f64)),
+    ];
+    all.extend(
+        numbers.gain.map(|gain| quantity("gain", material.gain_unit, gain).with_truth(truth.map(|truth| truth.gain))),
+    );
+    all.extend(numbers.delay_s.map(|delay| quantity("dead time", "s", delay).with_truth(truth.map(|one| one.delay_s))));
+    for (j, lag) in numbers.lags.iter().enumerate() {
+        let own = true_lag(truth, numbers.lags.len(), j);
+        let tau = UncertainValue { value: lag.time_constant_s, sigma: lag.time_constant_sigma_s };
+        let tau = quantity(&format!("time constant {}", j + 1), "s", tau);
+        all.push(tau.with_truth(own.map(|(tau_s, _)| tau_s)));
+        if numbers.lags.len() > 1 {
+            let share = UncertainValue { value: lag.share, sigma: lag.share_sigma };
+            let share = quantity(&format!("share {}", j + 1), "1", share);
+            all.push(share.with_truth(own.map(|(_, share)| share)));
+        }
+    }
+    let mean_lag = truth.map(|truth| truth.lags.iter().map(|(tau_s, share)| tau_s * share).sum::<f64>());
+    all.push(quantity("mean lag", "s", numbers.mean_lag_s).with_truth(mean_lag));
+    all.push(quantity("step", material.unit, numbers.step));
+    all.push(quantity("end", material.unit, numbers.end));
+    all
+}
+
+/// The true lag, if the identified order is the true one.
+fn true_lag(truth: Option<&StepTruth>, order: usize, j: usize) -> Option<(f64, f64)> {
+    let lags = &truth?.lags;
+    (lags.len() == order).then(|| lags.get(j).copied())?
+}
+
+fn note(found: &StepResult<'_>) -> String {
+    let StepResult { run, identified, numbers } = found;
+    let by_order: Vec<String> = identified
+        .candidates
+        .iter()
+        .map(|candidate| {
+            let order = candidate.fit.response.lags.len();
+            let is_resolved = IdentifiedStep::is_resolved(candidate);
+            let remark = if is_resolved { "" } else { ", not told apart" };
+            format!("{order}: {:.1}{remark}", candidate.criterion)
+        })
+        .collect();
+    format!(
+        "{}: {}, {} samples of noise {:.4}; residual {:.4}, rho(1) {:+.2}; criterion by order, the least is best: {}",
+        run.name,
+        direction_of(found).name(),
+        identified.samples.len(),
+        identified.sigma,
+        numbers.residual_rms,
+        numbers.rho_1,
+        by_order.join("; ")
+    )
+}
+
+fn direction_note(directions: &DirectionComparison) -> String {
+    let verdict = if directions.differ() {
+        "they differ: identify and predict each way by its own"
+    } else {
+        "no difference is shown"
+    };
+    format!(
+        "mean lag up {:.4} ± {:.4} s, down {:.4} ± {:.4} s, {:+.1} sigma apart: {verdict}",
+        directions.up.value, directions.up.sigma, directions.down.value, directions.down.sigma, directions.z
+    )
+}
+
+fn uncertain_value_json(known: UncertainValue) -> Value {
+    json!({ "value": known.value, "sigma": known.sigma })
+}
+
+fn run_object(found: &StepResult<'_>) -> Value {
+    let candidates = found.identified.candidates.iter().map(|candidate| {
+        json!({
+            "order": candidate.fit.response.lags.len(),
+            "criterion": candidate.criterion,
+            "residual_rms": candidate.residual_rms,
+            "resolved": IdentifiedStep::is_resolved(candidate),
+        })
+    });
+    json!({
+        "name": found.run.name,
+        "way": direction_of(found).name(),
+        "order": found.identified.order(),
+        "samples": found.identified.samples.len(),
+        "noise": found.identified.sigma,
+        "residual_rms": found.numbers.residual_rms,
+        "rho_1": found.numbers.rho_1,
+        "candidates": candidates.collect::<Vec<_>>(),
+    })
+}
+
+fn picture(material: &StepDataset, found: &StepResult<'_>) -> Plot {
+    let samples = &found.identified.samples;
+    let response = found.identified.response();
+    let every = samples.len().div_ceil(MAX_PLOTTED_SAMPLES).max(1);
+    let by = |of: &dyn Fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+        let drawn = samples.iter().step_by(every);
+        drawn.map(|sample| (sample.at_s, of(sample.at_s, sample.value))).collect()
+    };
+    let unit = if material.unit.is_empty() { String::new() } else { format!(" [{}]", material.unit) };
+    let lags: Vec<String> = found
+        .numbers
+        .lags
+        .iter()
+        .map(|lag| format!("{:.4} ± {:.4} s", lag.time_constant_s, lag.time_constant_sigma_s))
+        .collect();
+    let above = [
+        Curve::dots("samples", by(&|_, value| value)),
+        Curve::line("response", by(&|at_s, _| response.value_at(at_s))),
+    ];
+    let below = [
+        Curve::dots("sample - response", by(&|at_s, value| value - response.value_at(at_s))),
+        Curve::new("zero", CurveShape::Level(0.0)),
+    ];
+    Plot::new(
+        format!("{}: {}", material.sensor, found.run.name),
+        format!("time constants {}", lags.join(", ")),
+        vec![
+            Axes::new("time [s]", format!("{}{unit}", material.sensor), STEP_PX, above),
+            Axes::new("time [s]", format!("left{unit}"), REST_PX, below),
+        ],
+    )
 }

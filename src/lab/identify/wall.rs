@@ -10,11 +10,10 @@ use anyhow::{Context, Result, bail};
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_lab::wall::{StepFit, WallLog, fit_by_hand, fit_steps, loop_period, reading_period};
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
+use posebridge_report::report::Report;
 use posebridge_sim::wall::{WallScene, simulate_step};
-use posebridge_telemetry::UncertainValue;
 
-use super::findings::{Findings, Quantity, report};
-use crate::config::Setting;
+use super::report::{Quantity, report};
 use crate::exit::{ExitStage, Failure};
 use crate::lab::experiments::wall::recorded::RunSelection;
 use crate::lab::experiments::wall::steps::{PIECE, log_of};
@@ -34,20 +33,11 @@ pub struct WallArgs {
     #[arg(long, value_name = "N", conflicts_with = "recording")]
     pub seed: Option<u64>,
     /// Descriptor, e.g. config/recordings/tof-wall.toml. Default: the simulated car.
-    #[arg(long, value_name = "FILE.toml")]
+    #[arg(long, value_name = "FILE.toml", group = "real_robot")]
     pub recording: Option<PathBuf>,
-    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
-    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
-    pub data: Option<PathBuf>,
-    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
-    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
-    pub run: Option<String>,
-    /// Set one key of the robot. Can be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "recording")]
-    pub settings: Vec<Setting>,
-    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
-    #[arg(long, value_name = "COLUMN", requires = "recording")]
-    pub command_column: Option<String>,
+    /// What to read of it.
+    #[command(flatten)]
+    pub selection: RunSelection,
     /// What to leave.
     #[command(flatten)]
     pub output: OutputArgs,
@@ -55,52 +45,30 @@ pub struct WallArgs {
 
 pub(super) fn execute(args: &WallArgs) -> Result<(), Failure> {
     if let Some(path) = &args.recording {
-        let prepared = recorded::prepare(path, &run_selection(args)).before_start()?;
+        let prepared = recorded::prepare(path, &args.selection, None).before_start()?;
         let folder = args.output.folder()?;
-        let findings = findings_of_runs(&prepared.runs).while_running()?;
-        return args.output.write_outcome(&folder, &report(&findings, &path.display().to_string()));
+        let report = report_of_runs(&path.display().to_string(), &prepared.runs).while_running()?;
+        return args.output.write_outcome(&folder, &report);
     }
     let scene = scene(args.scene.as_deref(), args.seed).before_start()?;
     let folder = args.output.folder()?;
-    let findings = simulated(&scene, args.steps).while_running()?;
-    let source = format!("simulated, {} steps, seed {}", args.steps, scene.seed);
-    args.output.write_outcome(&folder, &report(&findings, &source))
+    args.output.write_outcome(&folder, &simulated(&scene, args.steps).while_running()?)
 }
 
-fn run_selection(args: &WallArgs) -> RunSelection<'_> {
-    RunSelection {
-        data: args.data.as_deref(),
-        run: args.run.as_deref(),
-        settings: &args.settings,
-        command_column: args.command_column.as_deref(),
-        kalman_column: None,
-    }
-}
+const NAME: &str = "identify-wall";
+const TITLE: &str = "The drive of a car before a wall";
 
-struct WallTruth {
-    steady_m_per_s: f64,
-    rise_90_s: f64,
-    model: WallApproachModel,
-    loop_s: f64,
-}
-
-fn simulated(scene: &WallScene, count: u32) -> Result<Findings> {
+fn simulated(scene: &WallScene, count: u32) -> Result<Report> {
     let logs: Vec<WallLog> = (0..count).map(|run| log_of(scene, &simulate_step(scene, run))).collect();
     let fit = fit_steps(&logs).context("evaluating the steps")?;
-    let (steady_m_per_s, rise_90_s) = (scene.car.steady_m_per_s, scene.car.rise_90_s);
-    let truth = WallTruth {
-        model: WallApproachModel::from_step_test(steady_m_per_s, rise_90_s),
-        steady_m_per_s,
-        rise_90_s,
-        loop_s: scene.control.period_s,
-    };
     let mut notes = vec![noise_note("all steps", &fit)];
     notes.extend(logs.first().and_then(hand_note));
-    let drawn = logs.first().map(|log| picture("the first step", log, &fit));
-    Ok(build_findings(quantities(&fit, &logs, Some(&truth), None), notes, drawn.into_iter().collect()))
+    let drawn: Vec<Plot> = logs.first().map(|log| picture("the first step", log, &fit)).into_iter().collect();
+    let source = format!("simulated, {count} steps, seed {}", scene.seed);
+    Ok(report(NAME, TITLE, &source, &quantities(&fit, &logs, Some(scene), None), &notes, &drawn))
 }
 
-fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
+fn report_of_runs(source: &str, runs: &[recorded::RunLog]) -> Result<Report> {
     let (mut all, mut notes, mut pictures) = (Vec::new(), Vec::new(), Vec::new());
     for run in runs {
         let logs = std::slice::from_ref(&run.log);
@@ -118,30 +86,24 @@ fn findings_of_runs(runs: &[recorded::RunLog]) -> Result<Findings> {
     if all.is_empty() {
         bail!("no run has a result: {}", notes.join("; "));
     }
-    Ok(build_findings(all, notes, pictures))
+    Ok(report(NAME, TITLE, source, &all, &notes, &pictures))
 }
 
-fn build_findings(quantities: Vec<Quantity>, notes: Vec<String>, plots: Vec<Plot>) -> Findings {
-    Findings { quantities, notes, plots, ..Findings::new("identify-wall", "The drive of a car before a wall") }
-}
-
-fn quantities(fit: &StepFit, logs: &[WallLog], truth: Option<&WallTruth>, of: Option<&str>) -> Vec<Quantity> {
-    let known = |(value, sigma): (f64, f64)| UncertainValue { value, sigma };
+/// The scene has the truth of a simulated car.
+fn quantities(fit: &StepFit, logs: &[WallLog], scene: Option<&WallScene>, of: Option<&str>) -> Vec<Quantity> {
+    let car = scene.map(|scene| &scene.car);
+    let model = car.map(|car| WallApproachModel::from_step_test(car.steady_m_per_s, car.rise_90_s));
     let rows = [
-        ("v_ss", "m/s", Some(known(fit.steady_m_per_s)), truth.map(|truth| truth.steady_m_per_s)),
-        ("t90", "s", Some(known(fit.rise_90_s)), truth.map(|truth| truth.rise_90_s)),
-        ("d", "s/m", Some(known(fit.drag_s_per_m)), truth.map(|truth| truth.model.drag_s_per_m)),
-        ("m", "s²/m", Some(known(fit.mass_s2_per_m)), truth.map(|truth| truth.model.mass_s2_per_m)),
-        ("dt of the loop", "s", loop_period(logs), truth.map(|truth| truth.loop_s)),
+        ("v_ss", "m/s", Some(fit.steady_m_per_s), car.map(|car| car.steady_m_per_s)),
+        ("t90", "s", Some(fit.rise_90_s), car.map(|car| car.rise_90_s)),
+        ("d", "s/m", Some(fit.drag_s_per_m), model.map(|model| model.drag_s_per_m)),
+        ("m", "s²/m", Some(fit.mass_s2_per_m), model.map(|model| model.mass_s2_per_m)),
+        ("dt of the loop", "s", loop_period(logs), scene.map(|scene| scene.control.period_s)),
         ("dt of the readings", "s", reading_period(logs), None),
     ];
     let rows = rows.into_iter().map(|(name, unit, known, truth)| {
-        let found = known.map(|known| (known.value, Some(known.sigma)));
-        let quantity = Quantity::optional(name, unit, found).with_truth(truth);
-        match of {
-            Some(run) => quantity.for_run(run),
-            None => quantity,
-        }
+        let (value, sigma) = (known.map(|known| known.value), known.map(|known| known.sigma));
+        Quantity::new(name, unit, value, sigma).for_run(of.map(str::to_owned)).with_truth(truth)
     });
     rows.collect()
 }
@@ -189,7 +151,7 @@ fn picture(of: &str, log: &WallLog, fit: &StepFit) -> Plot {
         format!("Step test: {of}"),
         format!(
             "v_ss {:.3} ± {:.3} m/s, t90 {:.3} ± {:.3} s",
-            fit.steady_m_per_s.0, fit.steady_m_per_s.1, fit.rise_90_s.0, fit.rise_90_s.1
+            fit.steady_m_per_s.value, fit.steady_m_per_s.sigma, fit.rise_90_s.value, fit.rise_90_s.sigma
         ),
         vec![Axes::new("time [s]", "distance [m]", 280.0, above), Axes::new("time [s]", "left [mm]", 160.0, below)],
     )

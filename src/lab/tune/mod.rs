@@ -3,7 +3,6 @@
 //! docs/lab/calibration.md, section 8, has the equations, the disabled parts of the filter, the limits of the parameters, and how to
 //! read the result.
 
-mod args;
 mod report;
 mod runs;
 mod trial;
@@ -14,7 +13,8 @@ use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_estimator::{EstimatedQuantity, FilterEntry, find_filter};
 use posebridge_lab::tuning::{FitQuality, NOISE_KEYS, SearchOptions, ShareChoice, TunedKey, default_keys};
 
-pub use self::args::TuneArgs;
+pub use self::runs::TuneArgs;
+
 use self::report::{KeptValues, ParameterValues, TuneResult};
 use self::runs::{RunScore, RunSet, TuneDataset, TuneRun};
 use self::trial::TuneSearch;
@@ -170,11 +170,10 @@ fn profile_text(material: &TuneDataset, tuned: &TuneResult) -> Result<String> {
         };
     }
     robot.insert("noise".to_owned(), noise.into());
-    let mut origin = toml::Table::new();
-    origin.insert("source".to_owned(), material.source.clone().into());
     let keys: Vec<toml::Value> = tuned.keys.iter().map(|key| key.name().into()).collect();
-    origin.insert("keys".to_owned(), keys.into());
-    origin.insert("kept".to_owned(), report::kept(tuned).into());
+    let origin: [(&str, toml::Value); 3] =
+        [("source", material.source.clone().into()), ("keys", keys.into()), ("kept", report::kept(tuned).into())];
+    let origin: toml::Table = origin.map(|(key, value)| (key.to_owned(), value)).into_iter().collect();
     let mut page = toml::Table::new();
     page.insert("tuned".to_owned(), origin.into());
     page.insert("robot".to_owned(), robot.into());

@@ -2,7 +2,7 @@
 
 use posebridge_estimator::numerics::statistics::mean;
 use posebridge_lab::tuning::{
-    ChoiceReason, QualityLoss, RunFit, SHARES, SearchResult, SearchTermination, ShareChoice, SourceFit, TunedKey,
+    ChoiceReason, QualityLoss, RunFit, SHARES, SearchResult, ShareChoice, SourceFit, TunedKey,
 };
 use posebridge_report::SourceTally;
 use posebridge_report::chart::{Axes, Curve, Plot};
@@ -109,20 +109,19 @@ fn add_parameters(report: &mut Report, tuned: &TuneResult) {
 
 fn add_search(report: &mut Report, tuned: &TuneResult) {
     let found = &tuned.optimum;
-    let has_settled = found.termination == SearchTermination::Converged;
     report.values([
         Quantity::new("", "log-likelihood before", found.start_value, LIKELIHOOD),
         Quantity::new("", "log-likelihood after", found.value, LIKELIHOOD),
         Quantity::new("", "gain", found.value - found.start_value, LIKELIHOOD.signed()),
         Quantity::new("", "rounds", found.rounds.len() as f64, Format::new(Unit::None, 0)),
     ]);
-    if has_settled {
+    if found.has_converged {
         report.paragraph("The search has settled.");
     } else {
         report.warning("the rounds were used up before the search settled");
     }
     report.data("log_likelihood", json!({ "before": found.start_value, "after": found.value }));
-    report.data("settled", json!(has_settled));
+    report.data("settled", json!(found.has_converged));
     report.data("rounds", json!(found.rounds.len()));
 }
 

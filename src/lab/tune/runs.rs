@@ -1,27 +1,82 @@
-//! Training runs and withheld runs.
+//! The flags of `posebridge tune`, and the runs that they choose: training runs and withheld ones.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use posebridge_estimator::{Filter, FilterConfig, FilterEntry};
-use posebridge_lab::accuracy::{ReferenceDrive, score};
+use posebridge_lab::accuracy::{ReferenceDrive, run_drive, score};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_lab::tuning::{
-    RunFit, SquaredErrors, SyntheticFixes, TimeBlocks, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
+    RunFit, SyntheticFixes, TimeBlocks, fit_in_blocks, fit_run, fixes_from_truth, offline_params,
 };
 use posebridge_recording::dataset::{DatasetRun, WithheldFix};
 use posebridge_report::metrics::{add_to_tallies, summarise};
-use posebridge_report::{PoseError, SourceTally, TimedPose};
+use posebridge_report::{PoseError, SourceTally};
 use posebridge_sim::montecarlo::Drive;
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
-use super::args::TuneArgs;
-use crate::config::{Overlay, RobotFile};
+use crate::config::{RobotFile, Setting};
 use crate::flags::DataFlags;
-use crate::lab::calibrate::source::check_same_robot;
 use crate::lab::drives::{self, filter_config, known_drive};
-use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
+use crate::lab::source::{self, SourceRun, check_same_robot};
+use crate::tools::dataset::DataSet;
+use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 use crate::tools::score::{EstimateSource, Scorer};
+
+/// Flags of `tune`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct TuneArgs {
+    /// Descriptor (config/recordings/*.toml), or recording (*.mcap), which is one run named after its file. Can be repeated.
+    #[arg(long = "recording", value_name = "FILE", required_unless_present = "sim")]
+    pub recordings: Vec<PathBuf>,
+    /// Tune on the runs whose names begin with this text. Can be repeated. Default: the usual runs of the descriptor.
+    #[arg(long = "run", value_name = "PREFIX")]
+    pub run: Vec<String>,
+    /// Held-out runs, by the beginning of their names. If the tuned parameters are worse on them, the initial ones are kept. Can
+    /// be repeated.
+    #[arg(long = "hold-out", value_name = "PREFIX")]
+    pub hold_out: Vec<String>,
+    /// Folder for the relative paths of a descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Give the filter every n-th fix and score it on the others. Default: as in the descriptor.
+    #[arg(long, value_name = "N")]
+    pub use_every: Option<usize>,
+    /// Set one key of the robot or one parameter of the filter before tuning, as in `replay`, or one key of the configuration of
+    /// a posebridge recording. Can be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse)]
+    pub settings: Vec<Setting>,
+    /// For recordings without fixes: give the filter a position from the ground truth at this interval, in seconds, with the
+    /// noise noise.fix_position_m.
+    #[arg(long, value_name = "SECONDS", group = "drawn")]
+    pub fixes_from_truth: Option<f64>,
+    /// Tune on simulated drives instead: a scenario of `lab accuracy`, or a TOML file.
+    #[arg(long, value_name = "NAME|FILE.toml", group = "drawn", conflicts_with_all = ["recordings", "run", "hold_out", "use_every", "settings"])]
+    pub sim: Option<String>,
+    /// Number of simulated drives to tune on. The same number is held out.
+    #[arg(long, value_name = "N", default_value_t = 4, conflicts_with = "recordings", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub runs: u32,
+    /// Parameter to tune: a key of [robot.noise], or filter.KEY. Can be repeated. Default: all parameters that the data
+    /// determine.
+    #[arg(long = "param", value_name = "KEY")]
+    pub params: Vec<String>,
+    /// The filter.
+    #[arg(long, value_name = "NAME", default_value = "pose")]
+    pub filter: String,
+    /// Start with the parameters wrong by this factor, as an exercise.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub start_factor: f64,
+    /// Seed of the simulated drives and of the noise of fixes from the ground truth.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "drawn")]
+    pub seed: u64,
+    /// Write a robot profile with the tuned noise, for `run --robot` and `replay --robot`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub out_profile: Option<PathBuf>,
+    /// What to leave.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
 
 /// All runs, of one robot, and that robot as described by the first training run.
 pub(super) struct TuneDataset {
@@ -48,86 +103,83 @@ impl TuneDataset {
 }
 
 fn recorded(args: &TuneArgs) -> Result<TuneDataset> {
-    let mut runs = Vec::new();
+    let mut runs: Vec<TuneRun> = Vec::new();
     let mut robot = None;
-    let mut known = Vec::new();
-    for path in &args.recordings {
-        known.extend(all_runs(args, path)?);
-    }
-    check_prefixes(args, &known)?;
-    for path in &args.recordings {
-        let trained = named(args, path, &args.run)?;
-        let held_out = if args.hold_out.is_empty() { Vec::new() } else { named(args, path, &args.hold_out)? };
-        let trained = trained.into_iter().filter(|name| !held_out.contains(name));
-        let sets = trained.map(|name| (name, RunSet::Training)).collect::<Vec<_>>();
-        let held_out = held_out.iter().map(|name| (name.clone(), RunSet::HeldOut));
-        for (name, set) in sets.into_iter().chain(held_out) {
-            if own_recording::is_own(path) {
-                let (run, its_robot) = load_own(args, path, set)?;
-                if set == RunSet::Training {
-                    robot.get_or_insert(its_robot);
-                }
-                runs.push(run);
-                continue;
-            }
-            let flags = flags(args, Some(name.clone()));
-            let loaded = DataSet::open(path, &flags)?.load(&name, &flags)?;
-            report_bad_rows(&loaded);
-            if set == RunSet::Training {
-                robot.get_or_insert_with(|| loaded.robot.clone());
-            }
-            runs.push(run_from_recording(args, loaded, set)?);
-        }
-    }
-    check_same_robot(runs.iter().map(|run: &TuneRun| (run.name.as_str(), &run.config.geometry)))?;
-    let paths: Vec<String> = args.recordings.iter().map(|path| path.display().to_string()).collect();
-    Ok(TuneDataset { runs, robot: robot.unwrap_or_default(), source: paths.join(", ") })
-}
-
-fn flags(args: &TuneArgs, run: Option<String>) -> DataFlags {
-    DataFlags { data: args.data.clone(), run, use_every: args.use_every, settings: args.settings.clone() }
-}
-
-/// Every run of a descriptor; a posebridge recording is one run.
-fn all_runs(args: &TuneArgs, path: &Path) -> Result<Vec<String>> {
-    if own_recording::is_own(path) {
-        return Ok(vec![name_of(path)]);
-    }
-    Ok(DataSet::open(path, &flags(args, None))?.descriptor.runs)
-}
-
-/// Runs that begin with one of the prefixes; the default runs without a prefix.
-fn named(args: &TuneArgs, path: &Path, prefixes: &[String]) -> Result<Vec<String>> {
-    if prefixes.is_empty() && !own_recording::is_own(path) {
-        return Ok(DataSet::open(path, &flags(args, None))?.runs);
-    }
-    let mut runs = all_runs(args, path)?;
-    runs.retain(|name| prefixes.is_empty() || prefixes.iter().any(|prefix| name.starts_with(prefix.as_str())));
-    Ok(runs)
-}
-
-/// Rejects a prefix that matches no run: probably a typing error.
-fn check_prefixes(args: &TuneArgs, known: &[String]) -> Result<()> {
+    let sources = args.recordings.iter().map(|path| Ok((path, run_names(args, path)?)));
+    let sources: Vec<(&PathBuf, RunNames)> = sources.collect::<Result<_>>()?;
+    let known: Vec<&str> = sources.iter().flat_map(|(_, names)| &names.all).map(String::as_str).collect();
     for prefix in args.run.iter().chain(&args.hold_out) {
+        // Probably a typing error.
         ensure!(
             known.iter().any(|name| name.starts_with(prefix.as_str())),
             "no run begins with `{prefix}`; there are: {}",
             known.join(", ")
         );
     }
-    Ok(())
+    for (path, RunNames { all, usual }) in &sources {
+        let named = |prefixes: &[String]| -> Vec<&String> {
+            all.iter().filter(|name| prefixes.iter().any(|prefix| name.starts_with(prefix.as_str()))).collect()
+        };
+        let held_out = named(&args.hold_out);
+        let mut trained = if args.run.is_empty() { usual.iter().collect() } else { named(&args.run) };
+        trained.retain(|name| !held_out.contains(name));
+        let trained = trained.into_iter().map(|name| (name, RunSet::Training));
+        for (name, set) in trained.chain(held_out.into_iter().map(|name| (name, RunSet::HeldOut))) {
+            let loaded = source::load_run(path, Some(name), &run_flags(args, path, name))?;
+            if set == RunSet::Training {
+                robot.get_or_insert(loaded.robot.clone());
+            }
+            runs.push(run_from_source(args, path, loaded, set)?);
+        }
+    }
+    check_same_robot(runs.iter().map(|run| (run.name.as_str(), &run.config.geometry)))?;
+    let paths: Vec<String> = args.recordings.iter().map(|path| path.display().to_string()).collect();
+    Ok(TuneDataset { runs, robot: robot.unwrap_or_default(), source: paths.join(", ") })
 }
 
-fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<TuneRun> {
-    let mut run = loaded.run;
-    let config = loaded.filter_config;
-    let mut observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
+fn flags(args: &TuneArgs) -> DataFlags {
+    DataFlags { data: args.data.clone(), run: None, use_every: args.use_every, settings: args.settings.clone() }
+}
+
+/// Of a recording, `--use-every` chooses later.
+fn run_flags(args: &TuneArgs, path: &Path, name: &str) -> DataFlags {
+    if own_recording::is_own(path) {
+        return DataFlags { use_every: None, ..flags(args) };
+    }
+    DataFlags { run: Some(name.to_owned()), ..flags(args) }
+}
+
+struct RunNames {
+    all: Vec<String>,
+    /// The default runs of a descriptor.
+    usual: Vec<String>,
+}
+
+fn run_names(args: &TuneArgs, path: &Path) -> Result<RunNames> {
+    if own_recording::is_own(path) {
+        let only = vec![path.display().to_string()];
+        return Ok(RunNames { all: only.clone(), usual: only });
+    }
+    let data = DataSet::open(path, &flags(args))?;
+    Ok(RunNames { all: data.descriptor.runs, usual: data.runs })
+}
+
+/// Of a recording, the fixes between every `--use-every`th are withheld for the score.
+fn run_from_source(args: &TuneArgs, path: &Path, loaded: SourceRun, set: RunSet) -> Result<TuneRun> {
+    let SourceRun { name, config, mut observations, dataset: mut run, .. } = loaded;
+    if own_recording::is_own(path) {
+        ensure!(
+            args.fixes_from_truth.is_none(),
+            "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
+        );
+        (observations, run.withheld) = split(&observations, args.use_every.unwrap_or(1));
+    }
     if let Some(every_s) = args.fixes_from_truth {
         ensure!(
             every_s.is_finite() && every_s > 0.0,
             "--fixes-from-truth is {every_s}, must be a number of seconds of more than zero"
         );
-        ensure!(!run.truth.is_empty(), "run `{}` has no truth for --fixes-from-truth", run.name);
+        ensure!(!run.truth.is_empty(), "run `{name}` has no truth for --fixes-from-truth");
         let truth: Vec<_> = run.truth.iter().map(|truth| (truth.time, truth.position)).collect();
         let glimpses = SyntheticFixes {
             every: TimeDelta::from_secs_f64(every_s),
@@ -138,8 +190,7 @@ fn run_from_recording(args: &TuneArgs, loaded: RobotRun, set: RunSet) -> Result<
         // Stable: at one instant the wheels come before the camera.
         observations.sort_by_key(|observation| observation.stamp);
     }
-    run.observations.clear();
-    Ok(TuneRun { name: run.name.clone(), set, observations, config, reference: RunReference::Recorded(Box::new(run)) })
+    Ok(TuneRun { name, set, observations, config, reference: RunReference::Recorded(Box::new(run)) })
 }
 
 fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
@@ -151,13 +202,7 @@ fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
     });
     let runs: Vec<TuneRun> = drives.collect();
     let used_geometry = runs.first().map(|run| run.config.geometry);
-    let robot = used_geometry.map_or(robot.clone(), |geometry| RobotFile {
-        left_wheel_radius_m: geometry.left_wheel_radius.0,
-        right_wheel_radius_m: geometry.right_wheel_radius.0,
-        track_width_m: geometry.track_width.0,
-        ticks_per_turn: std::f64::consts::TAU / geometry.tick.0,
-        ..robot
-    });
+    let robot = used_geometry.map_or(robot.clone(), |geometry| robot.with_geometry(&geometry));
     Ok(TuneDataset { runs, robot, source: format!("sim {requested}, seed {}", args.seed) })
 }
 
@@ -219,23 +264,32 @@ impl TuneRun {
         fit_in_blocks(&self.observations, (entry.build)(&config).as_mut(), blocks)
     }
 
-    /// Squared position errors of the online filter for each time block; empty sums without known positions.
+    /// Squared position errors of the online filter, m², for each time block; empty without known positions.
     pub(super) fn squares_in_blocks(
         &self,
         entry: &FilterEntry,
         config: &FilterConfig,
         blocks: &TimeBlocks,
-    ) -> Vec<SquaredErrors> {
+    ) -> Vec<RunningMean> {
         let mut live = (entry.build)(config);
-        let mut squares = vec![SquaredErrors::default(); blocks.count()];
+        let mut squares = vec![RunningMean::default(); blocks.count()];
         let mut add = |stamp, error: &PoseError| {
             if let Some(squares) = squares.get_mut(blocks.index(stamp)) {
-                squares.add(error.position_m());
+                squares.add(error.position_m().powi(2));
             }
         };
         match &self.reference {
             RunReference::Simulated(known) => {
-                score_steps(known, live.as_mut(), |truth, error| add(truth.time, error));
+                run_drive(
+                    known,
+                    live.as_mut(),
+                    |_| (),
+                    |truth, estimate| {
+                        if let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) {
+                            add(truth.time, &PoseError::of_estimate(estimate, truth.pose));
+                        }
+                    },
+                );
             }
             RunReference::Recorded(run) => {
                 let mut scorer = Scorer::new(run, &config.calibration);
@@ -258,7 +312,7 @@ impl TuneRun {
         let (position_rms_m, sources) = match &self.reference {
             RunReference::Simulated(known) => {
                 let score = score(known, live.as_mut());
-                (score.position_rms_m(), score.sources().to_vec())
+                (score.position_rms_m(), score.sources)
             }
             RunReference::Recorded(run) => self.score_against(run, &config.calibration, live.as_mut()),
         };
@@ -282,20 +336,6 @@ impl TuneRun {
     }
 }
 
-/// Passes a drive to a filter in the order of arrival, and its error at each scored step to `error`.
-fn score_steps(drive: &ReferenceDrive, filter: &mut dyn Filter, mut error: impl FnMut(&TimedPose, &PoseError)) {
-    let mut arrivals = drive.arrivals.iter().peekable();
-    for (step, truth) in drive.truth.iter().enumerate() {
-        while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
-            filter.observe(&arrival.observation);
-        }
-        let estimate = filter.estimate_at(truth.time);
-        if let Some(estimate) = estimate.filter(|estimate| step >= drive.scored_from && estimate.validity.position) {
-            error(truth, &PoseError::of_estimate(&estimate, truth.pose));
-        }
-    }
-}
-
 /// Adapts a filter to the scoring interface.
 struct FilterEstimates<'a>(&'a dyn Filter);
 
@@ -309,26 +349,6 @@ impl EstimateSource for FilterEstimates<'_> {
     fn latest(&self) -> Option<Timestamp<BrickClock>> {
         self.0.latest_time()
     }
-}
-
-/// Name of a recording among the runs: its path as given.
-pub(super) fn name_of(path: &Path) -> String {
-    path.display().to_string()
-}
-
-/// A posebridge recording as one run. With --use-every the fixes in between are withheld for the score.
-pub(super) fn load_own(args: &TuneArgs, path: &Path, set: RunSet) -> Result<(TuneRun, RobotFile)> {
-    let name = name_of(path);
-    ensure!(
-        args.fixes_from_truth.is_none(),
-        "`{name}` has no truth for --fixes-from-truth: recordings of ours are tuned by the fixes of their camera"
-    );
-    let overlay = Overlay { robot: None, settings: &args.settings };
-    let own = own_recording::read(path, overlay)?;
-    let (observations, withheld) = split(&own.observations, args.use_every.unwrap_or(1));
-    let run = DatasetRun { name: name.clone(), withheld, ..DatasetRun::default() };
-    let run = TuneRun { name, set, observations, config: own.config, reference: RunReference::Recorded(Box::new(run)) };
-    Ok((run, own.robot))
 }
 
 /// Splits off withheld fixes: all but the first of `every` fixes; all for zero.
@@ -359,27 +379,11 @@ mod tests {
     use super::*;
     use crate::cli::{Cli, Command};
 
-    const WHEELS: &str = r#"
-source = "written by this test"
-licence = "-"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 360.0
-
-[files.wheels]
-path = "wheels.csv"
-header_lines = 1
-time = { column = "t_s" }
-
-[[wheels]]
-file = "wheels"
-counting = "absolute"
-left = { column = "left", unit = "ticks" }
-right = { column = "right", unit = "ticks" }
-"#;
+    const WHEELS: &str = concat!(
+        "source = \"written by this test\"\nlicence = \"-\"\n\n[robot]\nleft_wheel_radius_m = 0.1\nright_wheel_radius_m = 0.1\n",
+        "track_width_m = 0.2\nticks_per_turn = 360.0\n",
+        include_str!("../../../tests/data/wheels-csv.toml")
+    );
 
     #[test]
     fn the_robot_is_that_of_the_runs_that_were_tuned_on() {

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use posebridge_estimator::{FilterConfig, FilterEntry};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_lab::tuning::{
-    FoldScore, RunFit, SHARES, SearchOptions, SearchResult, ShareChoice, SquaredErrors, TimeBlocks, TunedKey,
-    blocks_per_run, choose, fold_count, ln_prior, maximise,
+    FoldScore, RunFit, SHARES, SearchOptions, SearchResult, ShareChoice, TimeBlocks, TunedKey, blocks_per_run, choose,
+    fold_count, ln_prior, maximise,
 };
 
 use super::runs::TuneRun;
@@ -27,7 +28,7 @@ pub(super) struct TuneSearch<'a> {
 
 struct BlockScores {
     log_likelihoods: Vec<f64>,
-    squares: Vec<SquaredErrors>,
+    squares: Vec<RunningMean>,
 }
 
 impl<'a> TuneSearch<'a> {

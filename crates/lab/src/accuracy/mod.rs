@@ -1,8 +1,5 @@
 //! Monte-Carlo accuracy: runs estimators over many drives with known truth and accumulates their errors.
 //!
-//! Input is a [`ReferenceDrive`] and an estimator; output is a [`FilterScore`] that can be merged over runs. It draws no random numbers
-//! and knows no scenario, so that scoring is independent of the generation of drives.
-//!
 //! # Model
 //! ```text
 //! e_k    estimate - truth at the end of step k, of the estimate that was there then    3 x 1
@@ -26,12 +23,12 @@ use posebridge_report::metrics::{
 };
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::tables::NO_VALUE;
-use posebridge_report::track::SmoothedPath;
-use posebridge_report::track::TimedPose;
+use posebridge_report::track::{SmoothedPath, TimedPose};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Arena, DriveGeometry, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
+use posebridge_telemetry::{Arena, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
-/// A drive with known truth.
+use crate::statistics::RunningMean;
+
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReferenceDrive {
     /// At the start and at the end of each step, in time order.
@@ -49,54 +46,33 @@ pub struct ObservationArrival {
     pub observation: Observation,
 }
 
-/// Passes a drive to an estimator in the order of arrival, and scores its estimate at the end of each step.
-pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
-    let mut score = FilterScore::default();
+/// Passes a drive to a filter in the order of arrival; calls `on_record` for each observation, and `on_step` at the end of each scored
+/// step with its truth and the estimate that is there then.
+pub fn run_drive(
+    drive: &ReferenceDrive,
+    filter: &mut dyn Filter,
+    mut on_record: impl FnMut(&FusionRecord),
+    mut on_step: impl FnMut(&TimedPose, Option<&Estimate>),
+) {
     let mut arrivals = drive.arrivals.iter().peekable();
     for (step, truth) in drive.truth.iter().enumerate() {
         while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
-            score.add_record(&filter.observe(&arrival.observation));
+            on_record(&filter.observe(&arrival.observation));
         }
         if step >= drive.scored_from {
-            score.add_step(truth.pose, filter.estimate_at(truth.time).as_ref());
+            on_step(truth, filter.estimate_at(truth.time).as_ref());
         }
     }
+}
+
+pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
+    let mut score = FilterScore::default();
+    let mut sources = Vec::new();
+    let on_record = |record: &FusionRecord| add_to_tallies(&mut sources, record);
+    run_drive(drive, filter, on_record, |truth, estimate| score.add_step(truth.pose, estimate));
+    score.sources = sources;
     score.end_run();
     score
-}
-
-/// The score of one estimator in a scenario.
-#[derive(Clone, Copy, Debug)]
-pub struct ScoreRow<'a> {
-    pub name: &'a str,
-    pub score: &'a FilterScore,
-    /// Lower bound of the root mean square position error of any filter; `None` where it does not apply.
-    pub bound_m: Option<f64>,
-}
-
-impl ScoreRow<'_> {
-    /// `None` without a bound.
-    pub fn ratio_to_bound(&self) -> Option<f64> {
-        let bound_m = self.bound_m.filter(|bound_m| *bound_m > 0.0)?;
-        Some(self.score.position_rms_m()? / bound_m)
-    }
-
-    /// The sensors with predicted observations, each with its mean NIS and verdict.
-    pub fn sources(&self) -> String {
-        let scored: Vec<String> = self.score.sources().iter().filter_map(source_text).collect();
-        if scored.is_empty() { NO_VALUE.to_owned() } else { scored.join("; ") }
-    }
-
-    pub fn footnotes(&self) -> Vec<String> {
-        let score = self.score;
-        let left_out = [
-            (score.steps_without_estimate(), ", no estimate"),
-            (score.steps_not_finite(), ", not finite"),
-            (score.refused_covariances(), " of its claim and its ANEES, covariance not positive definite"),
-        ];
-        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
-        some.map(|(count, what)| format!("{}: steps left out{what}: {count}", self.name)).collect()
-    }
 }
 
 fn source_text(tally: &SourceTally) -> Option<String> {
@@ -120,49 +96,29 @@ pub fn bound_text(bound_m: Option<f64>, note: Option<&str>) -> String {
 
 const POSE_DEGREES_OF_FREEDOM: f64 = 3.0;
 
-/// Accumulated errors of one estimator, over one run or many.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FilterScore {
-    run_rms_m: Vec<f64>,
+    /// Of each run that has one, in the order of the runs.
+    pub run_rms_m: Vec<f64>,
     run: ErrorSums,
     all: ErrorSums,
-    runs: u64,
-    position_max_m: Option<f64>,
-    without_estimate: u64,
-    not_finite: u64,
-    refused_covariances: u64,
-    sources: Vec<SourceTally>,
+    pub runs: u64,
+    pub position_max_m: Option<f64>,
+    pub steps_without_estimate: u64,
+    /// Steps whose estimate was not finite, or too large to square.
+    pub steps_not_finite: u64,
+    pub refused_covariances: u64,
+    /// Fusion outcomes of each sensor over all runs, in the order of first arrival.
+    pub sources: Vec<SourceTally>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct ErrorSums {
-    position_m: RunningSum,
-    position_m2: RunningSum,
-    heading_rad2: RunningSum,
-    nees: RunningSum,
-    claim_m2: RunningSum,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct RunningSum {
-    sum: f64,
-    count: u64,
-}
-
-impl RunningSum {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.count += 1;
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.sum += other.sum;
-        self.count += other.count;
-    }
-
-    fn mean(&self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / self.count as f64)
-    }
+    position_m: RunningMean,
+    position_m2: RunningMean,
+    heading_rad2: RunningMean,
+    nees: RunningMean,
+    claim_m2: RunningMean,
 }
 
 impl ErrorSums {
@@ -180,14 +136,14 @@ impl FilterScore {
     /// estimate; a non-finite one is counted separately.
     pub fn add_step(&mut self, truth: Pose<Arena>, estimate: Option<&Estimate>) {
         let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) else {
-            self.without_estimate += 1;
+            self.steps_without_estimate += 1;
             return;
         };
         let error = PoseError::of_estimate(estimate, truth);
         let position_m = error.position_m();
         let squared_m2 = position_m * position_m;
         if !(error.is_finite() && squared_m2.is_finite()) {
-            self.not_finite += 1;
+            self.steps_not_finite += 1;
             return;
         }
         self.run.position_m.add(position_m);
@@ -213,14 +169,10 @@ impl FilterScore {
         }
     }
 
-    pub fn add_record(&mut self, record: &FusionRecord) {
-        add_to_tallies(&mut self.sources, record);
-    }
-
     /// Ends a run: the steps since the last call are one independent sample of the consistency test.
     pub fn end_run(&mut self) {
         self.runs += 1;
-        self.run_rms_m.extend(self.run.position_m2.mean().map(f64::sqrt));
+        self.run_rms_m.extend(self.run.position_m2.root());
         self.all.merge(&self.run);
         self.run = ErrorSums::default();
     }
@@ -231,54 +183,56 @@ impl FilterScore {
         self.all.merge(&other.all);
         self.runs += other.runs;
         self.position_max_m = larger(self.position_max_m, other.position_max_m);
-        self.without_estimate += other.without_estimate;
-        self.not_finite += other.not_finite;
+        self.steps_without_estimate += other.steps_without_estimate;
+        self.steps_not_finite += other.steps_not_finite;
         self.refused_covariances += other.refused_covariances;
         for theirs in &other.sources {
             merge_tally(&mut self.sources, theirs);
         }
     }
 
-    pub const fn runs(&self) -> u64 {
-        self.runs
+    /// `None` without a bound of the root mean square position error.
+    pub fn ratio_to_bound(&self, bound_m: Option<f64>) -> Option<f64> {
+        let bound_m = bound_m.filter(|bound_m| *bound_m > 0.0)?;
+        Some(self.position_rms_m()? / bound_m)
+    }
+
+    /// The sensors with predicted observations, each with its mean NIS and verdict.
+    pub fn sources_text(&self) -> String {
+        let scored: Vec<String> = self.sources.iter().filter_map(source_text).collect();
+        if scored.is_empty() { NO_VALUE.to_owned() } else { scored.join("; ") }
+    }
+
+    /// What is left out of the score of an estimator of this name.
+    pub fn footnotes(&self, name: &str) -> Vec<String> {
+        let left_out = [
+            (self.steps_without_estimate, ", no estimate"),
+            (self.steps_not_finite, ", not finite"),
+            (self.refused_covariances, " of its claim and its ANEES, covariance not positive definite"),
+        ];
+        let some = left_out.into_iter().filter(|(count, _)| *count > 0);
+        some.map(|(count, what)| format!("{name}: steps left out{what}: {count}")).collect()
     }
 
     pub const fn steps(&self) -> u64 {
         self.all.position_m2.count
     }
 
-    pub const fn steps_without_estimate(&self) -> u64 {
-        self.without_estimate
-    }
-
-    /// Steps whose estimate was not finite, or too large to square.
-    pub const fn steps_not_finite(&self) -> u64 {
-        self.not_finite
-    }
-
-    pub const fn refused_covariances(&self) -> u64 {
-        self.refused_covariances
-    }
-
     pub fn position_rms_m(&self) -> Option<f64> {
-        self.all.position_m2.mean().map(f64::sqrt)
+        self.all.position_m2.root()
     }
 
     pub fn position_mean_m(&self) -> Option<f64> {
         self.all.position_m.mean()
     }
 
-    pub const fn position_max_m(&self) -> Option<f64> {
-        self.position_max_m
-    }
-
     pub fn heading_rms_rad(&self) -> Option<f64> {
-        self.all.heading_rad2.mean().map(f64::sqrt)
+        self.all.heading_rad2.root()
     }
 
     /// Root mean square position error by the claimed covariance.
     pub fn claimed_rms_m(&self) -> Option<f64> {
-        self.all.claim_m2.mean().map(f64::sqrt)
+        self.all.claim_m2.root()
     }
 
     pub fn anees(&self) -> Option<f64> {
@@ -299,30 +253,17 @@ impl FilterScore {
         };
         Consistency::of_anees(&outcome, self.runs)
     }
-
-    /// Of each run that has one, in the order of the runs.
-    pub fn run_rms_m(&self) -> &[f64] {
-        &self.run_rms_m
-    }
-
-    /// Fusion outcomes of each sensor over all runs, in the order of first arrival.
-    pub fn sources(&self) -> &[SourceTally] {
-        &self.sources
-    }
 }
 
 fn larger(one: Option<f64>, other: Option<f64>) -> Option<f64> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.max(other)),
-        (one, other) => one.or(other),
-    }
+    one.into_iter().chain(other).reduce(f64::max)
 }
 
-/// The score of a smoother over one drive.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SmootherScore {
+pub struct DriveScore {
     pub score: FilterScore,
-    pub error: Option<OfflineError>,
+    /// Why there is no result; only a smoother can reject a whole drive.
+    pub refusal: Option<OfflineError>,
 }
 
 /// A smoother of a whole run: [`posebridge_estimator::smoother::batch()`] or [`posebridge_estimator::smoother::rts()`].
@@ -332,7 +273,7 @@ pub type SmootherFn = fn(&FilterConfig, &[Observation]) -> Result<SmoothedTrajec
 ///
 /// The path at a step uses later observations. Only fixes are tallied, all under the sensor of the first one: a fix that the path
 /// leaves out counts as gated.
-pub fn score_smoother(drive: &ReferenceDrive, config: &FilterConfig, smoother: SmootherFn) -> SmootherScore {
+pub fn score_smoother(drive: &ReferenceDrive, config: &FilterConfig, smoother: SmootherFn) -> DriveScore {
     let observations: Vec<Observation> = drive.arrivals.iter().map(|arrival| arrival.observation).collect();
     let (path, tally, refusal) = match smoother(config, &observations) {
         Ok(smoothed) => {
@@ -349,7 +290,7 @@ pub fn score_smoother(drive: &ReferenceDrive, config: &FilterConfig, smoother: S
         score.add_step(truth.pose, path.at(truth.time).as_ref());
     }
     score.end_run();
-    SmootherScore { score, error: refusal }
+    DriveScore { score, refusal }
 }
 
 fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Option<SourceTally> {
@@ -360,72 +301,38 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
     Some(tally)
 }
 
-// How small the error over drives can be at all: the posterior Cramer-Rao bound, added up like a [`Score`](super::Score).
+// How small the error over drives can be at all: the posterior Cramer-Rao bound, added up over steps and runs.
 //
 // # Source
 // [`posebridge_estimator::smoother::cramer_rao`], which says what it assumes.
 
-/// True wheel rotation over one step, before encoder rounding; slip is not included.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WheelRotation {
-    pub left: Radians,
-    pub right: Radians,
-}
-
-/// The least mean squared position error over the steps of one drive or of many.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct BoundSum {
-    sum_m2: f64,
-    steps: u64,
-}
-
-impl BoundSum {
-    /// The bound of a drive for a filter of this configuration, over the scored steps.
-    ///
-    /// `wheel_turns` has one entry for each step. `None` where the bound does not apply: another number of entries, a fix timestamp
-    /// between steps, or a non-finite bound.
-    pub fn from_drive(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[WheelRotation]) -> Option<Self> {
-        let [first, second, ..] = drive.truth.as_slice() else {
-            return None;
-        };
-        if wheel_turns.len() + 1 != drive.truth.len() {
-            return None;
-        }
-        let poses: Vec<_> = drive.truth.iter().map(|truth| truth.pose).collect();
-        let travel: Vec<WheelTravel> = wheel_turns.iter().map(|turn| nominal_travel(*turn, &config.geometry)).collect();
-        let run = GroundTruthRun {
-            poses: &poses,
-            travel: &travel,
-            step_s: (second.time - first.time).as_secs_f64(),
-            fixes: &fixes(drive)?,
-        };
-        let after_steps = cramer_rao_bound(config, &run);
-        let scored = after_steps.into_iter().skip(drive.scored_from.saturating_sub(1));
-        let mut sum = Self::default();
-        for variance_m2 in scored {
-            sum.sum_m2 += variance_m2;
-            sum.steps += 1;
-        }
-        sum.sum_m2.is_finite().then_some(sum)
+/// The least squared position errors of a filter of this configuration over the scored steps of a drive, m²; its root is the lower
+/// bound of the root mean square error.
+///
+/// `wheel_turns` are the true rotations of the left and the right wheel over each step, before rounding and without slip. `None` where
+/// the bound does not apply: another number of entries, a fix timestamp between steps, or a non-finite bound.
+pub fn error_bound(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[[Radians; 2]]) -> Option<RunningMean> {
+    let [first, second, ..] = drive.truth.as_slice() else {
+        return None;
+    };
+    if wheel_turns.len() + 1 != drive.truth.len() {
+        return None;
     }
-
-    /// Merges another one. The last digits of the result depend on the order: add them in the order of the runs.
-    pub fn merge(&mut self, other: &Self) {
-        self.sum_m2 += other.sum_m2;
-        self.steps += other.steps;
+    let poses: Vec<_> = drive.truth.iter().map(|truth| truth.pose).collect();
+    let (left_m, right_m) = (config.geometry.left_wheel_radius.0, config.geometry.right_wheel_radius.0);
+    let travel = |[left, right]: &[Radians; 2]| WheelTravel { left_m: left.0 * left_m, right_m: right.0 * right_m };
+    let travel: Vec<WheelTravel> = wheel_turns.iter().map(travel).collect();
+    let run = GroundTruthRun {
+        poses: &poses,
+        travel: &travel,
+        step_s: (second.time - first.time).as_secs_f64(),
+        fixes: &fixes(drive)?,
+    };
+    let mut bound = RunningMean::default();
+    for variance_m2 in cramer_rao_bound(config, &run).into_iter().skip(drive.scored_from.saturating_sub(1)) {
+        bound.add(variance_m2);
     }
-
-    /// Lower bound of the root mean square position error of any filter; `None` without a step.
-    pub fn rms_m(&self) -> Option<f64> {
-        (self.steps > 0).then(|| (self.sum_m2 / self.steps as f64).sqrt())
-    }
-}
-
-fn nominal_travel(turn: WheelRotation, geometry: &DriveGeometry) -> WheelTravel {
-    WheelTravel {
-        left_m: turn.left.0 * geometry.left_wheel_radius.0,
-        right_m: turn.right.0 * geometry.right_wheel_radius.0,
-    }
+    bound.mean().is_none_or(f64::is_finite).then_some(bound)
 }
 
 fn fixes(drive: &ReferenceDrive) -> Option<Vec<FixArrival>> {

@@ -13,12 +13,12 @@
 //! PAMI 13(4), equations 40 to 43 in the plane.
 
 use nalgebra::{DMatrix, DVector};
-use posebridge_estimator::numerics::statistics::root_mean_square;
+use posebridge_estimator::numerics::statistics::{mean, root_mean_square};
 
 use super::CalibrationError;
 use super::least_squares::{ScaledCholesky, fit};
+use crate::statistics::{PairedVectors, centroid};
 
-/// A point found in the image and measured on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationPoint {
     /// Image position in the camera's unit (pixels or metres).
@@ -26,7 +26,6 @@ pub struct CalibrationPoint {
     pub floor_m: [f64; 2],
 }
 
-/// Maps the image to the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography {
     /// Row by row; the last number is one.
@@ -41,7 +40,6 @@ impl Homography {
     }
 }
 
-/// A homography with its quality of fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraFit {
     pub homography: Homography,
@@ -98,16 +96,16 @@ fn rms_without(points: &[CalibrationPoint], index: usize) -> f64 {
 }
 
 /// Centroid and mean distance from it, at least a small positive number.
-fn normalization(points: impl Iterator<Item = [f64; 2]> + Clone) -> ([f64; 2], f64) {
-    let count = points.clone().count().max(1) as f64;
-    let centre = [0, 1].map(|axis| points.clone().map(|p| p[axis]).sum::<f64>() / count);
-    let spread = points.map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1]));
-    (centre, (spread.sum::<f64>() / count).max(f64::MIN_POSITIVE))
+fn normalization(points: &[CalibrationPoint], of: fn(&CalibrationPoint) -> [f64; 2]) -> ([f64; 2], f64) {
+    let points: Vec<[f64; 2]> = points.iter().map(of).collect();
+    let centre = centroid(&points);
+    let spread = mean(points.iter().map(|p| (p[0] - centre[0]).hypot(p[1] - centre[1])));
+    (centre, spread.unwrap_or_default().max(f64::MIN_POSITIVE))
 }
 
 fn solve_homography(points: &[CalibrationPoint]) -> Result<Homography, CalibrationError> {
-    let (from, from_size) = normalization(points.iter().map(|p| p.measured));
-    let (to, to_size) = normalization(points.iter().map(|p| p.floor_m));
+    let (from, from_size) = normalization(points, |p| p.measured);
+    let (to, to_size) = normalization(points, |p| p.floor_m);
     let scaled: Vec<([f64; 2], [f64; 2])> = points
         .iter()
         .map(|p| {
@@ -172,37 +170,29 @@ pub struct Similarity {
     pub heading_rad: f64,
     /// Metres of the floor per unit of the camera.
     pub scale: f64,
-    /// Root mean square residual of the points.
     pub rms_m: f64,
 }
 
 pub fn fit_similarity(points: &[CalibrationPoint]) -> Result<Similarity, CalibrationError> {
     validate_points(points, 2)?;
-    let (from, size) = normalization(points.iter().map(|p| p.measured));
-    let (to, _) = normalization(points.iter().map(|p| p.floor_m));
+    let (from, size) = normalization(points, |p| p.measured);
+    let (to, _) = normalization(points, |p| p.floor_m);
     if size <= f64::MIN_POSITIVE {
         return Err(CalibrationError::Undetermined("all points are one"));
     }
-    let (mut dot, mut cross, mut square) = (0.0, 0.0, 0.0);
-    for point in points {
-        let a = [0, 1].map(|axis| point.measured[axis] - from[axis]);
-        let b = [0, 1].map(|axis| point.floor_m[axis] - to[axis]);
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-        square += a[0] * a[0] + a[1] * a[1];
-    }
-    let heading_rad = cross.atan2(dot);
-    let scale = cross.hypot(dot) / square;
+    let sums = PairedVectors::about([from, to], points.iter().map(|point| [point.measured, point.floor_m]));
+    let heading_rad = sums.angle_rad();
+    let scale = sums.cross.hypot(sums.dot) / sums.squares[0];
     let (sin, cos) = heading_rad.sin_cos();
     let turned = |[x, y]: [f64; 2]| [scale * (cos * x - sin * y), scale * (sin * x + cos * y)];
     let at = turned(from);
     let origin_m = [to[0] - at[0], to[1] - at[1]];
-    let squares = points.iter().map(|point| {
+    let square = mean(points.iter().map(|point| {
         let [x, y] = turned(point.measured);
         let [dx, dy] = [x + origin_m[0] - point.floor_m[0], y + origin_m[1] - point.floor_m[1]];
         dx * dx + dy * dy
-    });
-    Ok(Similarity { origin_m, heading_rad, scale, rms_m: (squares.sum::<f64>() / points.len() as f64).sqrt() })
+    }));
+    Ok(Similarity { origin_m, heading_rad, scale, rms_m: square.unwrap_or_default().sqrt() })
 }
 
 #[cfg(test)]

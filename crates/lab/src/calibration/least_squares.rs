@@ -122,7 +122,6 @@ fn numeric_jacobian(values: &[f64], steps: &[f64], residuals: &impl Fn(&[f64]) -
     slopes
 }
 
-/// J'r of one fix.
 fn score(slopes: &[Residuals], run: usize, fix: usize, residual: [f64; 2]) -> DVector<f64> {
     DVector::from_fn(slopes.len(), |unknown, _| {
         let slope = slopes[unknown][run][fix];
@@ -130,7 +129,6 @@ fn score(slopes: &[Residuals], run: usize, fix: usize, residual: [f64; 2]) -> DV
     })
 }
 
-/// J'J and J'r.
 fn normal_equations(slopes: &[Residuals], residuals: &Residuals) -> (DMatrix<f64>, DVector<f64>) {
     let unknowns = slopes.len();
     let mut normal = DMatrix::zeros(unknowns, unknowns);
@@ -165,7 +163,6 @@ fn robust_covariance(
     Ok(&inverse * middle * &inverse)
 }
 
-/// The sums of B over one run.
 fn add_correlated(middle: &mut DMatrix<f64>, scores: &[DVector<f64>]) {
     let farthest = (scores.len() as f64 * CORRELATED_SHARE) as usize;
     for lag in 0..=farthest {

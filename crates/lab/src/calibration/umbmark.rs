@@ -1,9 +1,5 @@
 //! UMBmark: wheel diameters and track from squares driven in both directions.
 //!
-//! The robot drives a square until its own odometry is back at the start; a ruler measures its true position. A wrong track turns all
-//! corners too far or too little, which bends both squares inwards or outwards. Unequal wheels bend the sides, to the same hand in both
-//! directions. So the two errors look alike in one direction and differ in the other.
-//!
 //! # Model
 //! ```text
 //! e  = measured end - end by odometry, in the space of the start       mean over the runs of one direction
@@ -29,15 +25,14 @@ use posebridge_telemetry::UncertainValue;
 
 use super::CalibrationError;
 use super::free_path::{FreePath, RobotParameters, dead_reckon};
+use crate::statistics::centroid;
 
-/// The direction of a square.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SquareDirection {
     Clockwise,
     CounterClockwise,
 }
 
-/// The end error of one square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRun {
     pub direction: SquareDirection,
@@ -47,14 +42,12 @@ pub struct SquareRun {
     pub left_m: f64,
 }
 
-/// The geometry that the odometry used, and the square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareRobot {
     pub track_width_m: f64,
     pub side_m: f64,
 }
 
-/// The result of the squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Umbmark {
     pub track_scale: UncertainValue,
@@ -71,7 +64,6 @@ pub struct Umbmark {
     pub error: SquareError,
 }
 
-/// End errors of squares.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SquareError {
     /// Mean (ahead, left) of the clockwise runs.
@@ -114,8 +106,7 @@ fn mean_of(runs: &[SquareRun], direction: SquareDirection) -> Result<([f64; 2], 
     if let Some(value) = ends.iter().flatten().find(|value| !value.is_finite()) {
         return Err(CalibrationError::ImplausibleValue { what: "the end of a square", value: *value });
     }
-    let count = ends.len() as f64;
-    let mean = [0, 1].map(|axis| ends.iter().map(|end| end[axis]).sum::<f64>() / count);
+    let mean = centroid(&ends);
     let squares = [0, 1].map(|axis| {
         let apart = ends.iter().map(|end| (end[axis] - mean[axis]).powi(2));
         apart.sum::<f64>()
@@ -191,7 +182,6 @@ const CONVERGED: f64 = 1e-7;
 /// Plausible total turn of a square: one turn, possibly one more corner at its end, by a description that is off by a fifth.
 const TURNS_RAD: [f64; 2] = [0.75 * TAU, 1.5 * TAU];
 
-/// The calibration by recorded squares.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SquareCalibration {
     /// Results of the last round, accumulated over all rounds.
@@ -230,7 +220,6 @@ pub fn calibrate_squares(
     Err(CalibrationError::Diverged)
 }
 
-/// The first round with the accumulated corrections of all.
 fn sum_estimates(first: Option<Umbmark>, step: Umbmark, before: &RobotParameters, after: &RobotParameters) -> Umbmark {
     let first = first.unwrap_or(step);
     let difference = after.radius_difference - before.radius_difference;

@@ -5,7 +5,6 @@ use posebridge_station::clock::align::ClockAligner;
 use posebridge_station::clock::bounds::{ClockBounds, LinearOffset};
 use posebridge_telemetry::{BrickClock, Timestamp};
 
-/// One answered time request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockExchange {
     /// Departure of the request, host clock.
@@ -16,7 +15,6 @@ pub struct ClockExchange {
     pub received_s: f64,
 }
 
-/// Estimates the offset between a remote clock and the host's.
 pub trait ClockMethod {
     /// A one-way method uses only the timestamp and its arrival.
     fn observe_exchange(&mut self, exchange: &ClockExchange);
@@ -64,7 +62,6 @@ const MAX_DEVIATION_S: f64 = 0.1;
 /// More consecutive deviations restart the filter.
 const MAX_DEVIATIONS: u32 = 5;
 
-/// The filter, with its gate on the round trip.
 #[derive(Clone, Copy, Debug)]
 pub struct TimeSyncFilter {
     gate_s: f64,
@@ -147,7 +144,6 @@ const MAX_LAG_S: f64 = 0.5;
 /// Messages between two estimates of the offset.
 const RENEWAL_INTERVAL: u32 = 100;
 
-/// One-way alignment by the smallest difference.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct JitterCorrection {
     offset_s: Option<f64>,

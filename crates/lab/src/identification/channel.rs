@@ -13,8 +13,8 @@ use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind, SensorId
 
 use super::parameter_uncertainty::Sampling;
 use super::{TimedSample, sorted_by_time, sorted_finite};
+use crate::statistics::median;
 
-/// A quantity measured by a robot or a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SensorChannel {
     Temperature,
@@ -101,10 +101,7 @@ impl SensorChannel {
 
 /// Equation (18).
 fn differences(angles: &[TimedSample]) -> Vec<TimedSample> {
-    let pairs = angles.windows(2).filter_map(|pair| match pair {
-        [a, b] => Some((a, b)),
-        _ => None,
-    });
+    let pairs = angles.iter().zip(angles.iter().skip(1));
     pairs
         .map(|(a, b)| TimedSample {
             at_s: f64::midpoint(a.at_s, b.at_s),
@@ -147,7 +144,6 @@ pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> 
 
 /// 75 % quantile of the standard normal distribution, which is its median absolute value.
 const MEDIAN_OF_NORMAL: f64 = 0.674_49;
-/// Fewer samples give no estimate.
 const MIN_SAMPLES: usize = 8;
 
 /// Equation (16), in the sensor's unit; `None` for too few samples, or if all are equal.
@@ -156,27 +152,13 @@ pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
     if samples.len() < MIN_SAMPLES {
         return None;
     }
-    let quantum = samples
-        .windows(2)
-        .filter_map(|pair| match pair {
-            [a, b] => Some((b.value - a.value).abs()),
-            _ => None,
-        })
-        .filter(|difference| *difference > 0.0)
-        .fold(f64::INFINITY, f64::min);
+    let differences = samples.windows(2).map(|pair| (pair[1].value - pair[0].value).abs());
+    let quantum = differences.filter(|difference| *difference > 0.0).fold(f64::INFINITY, f64::min);
     if quantum.is_infinite() {
         return None;
     }
-    let mut bends: Vec<f64> = samples
-        .windows(3)
-        .filter_map(|three| match three {
-            [a, b, c] => Some((c.value - 2.0 * b.value + a.value).abs()),
-            _ => None,
-        })
-        .collect();
-    bends.sort_by(f64::total_cmp);
-    let median = bends.get(bends.len() / 2)?;
-    let scatter = median / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());
+    let bends = samples.windows(3).map(|three| (three[2].value - 2.0 * three[1].value + three[0].value).abs());
+    let scatter = median(bends)? / (MEDIAN_OF_NORMAL * 6.0_f64.sqrt());
     Some(scatter.max(quantum / 12.0_f64.sqrt()))
 }
 
@@ -186,7 +168,7 @@ mod tests {
 
     use super::*;
     use crate::identification::step_response::{SimulatedSensor, step_input};
-    use crate::test_support::{self, observation, wheel_angles};
+    use crate::test_support::{self, observation};
 
     fn observed(millis: i64, measurement: ObservationKind) -> Observation {
         observation(SensorId::THERMOMETER, millis, measurement)
@@ -195,10 +177,10 @@ mod tests {
     #[test]
     fn each_channel_takes_its_own_in_the_order_of_time() {
         let all = [
-            wheel_angles(0, 0.0, 0.0),
-            wheel_angles(200, 0.5, -0.4),
-            wheel_angles(100, 0.1, 0.0),
-            wheel_angles(100, 7.0, 7.0),
+            test_support::wheels(0, 0.0, 0.0),
+            test_support::wheels(200, 0.5, -0.4),
+            test_support::wheels(100, 0.1, 0.0),
+            test_support::wheels(100, 7.0, 7.0),
             observed(50, ObservationKind::TurnRate(RadiansPerSecond(0.3))),
             observed(60, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))),
             observed(70, ObservationKind::Temperature(Celsius(21.0))),
@@ -223,7 +205,7 @@ mod tests {
             gyro_resolution_rad_per_s: 0.04 * 12.0_f64.sqrt(),
             ..SensorNoise::EXACT
         };
-        let geometry = test_support::config(SensorNoise::EXACT).geometry;
+        let geometry = test_support::config([0.05; 2], 0.2, 0.01, SensorNoise::EXACT).geometry;
         let of = |channel: SensorChannel, samples: &[TimedSample]| channel.noise(&noise, &geometry, samples);
         assert!((of(SensorChannel::TurnRate, &[]).unwrap() - 0.05).abs() < 1e-12);
         let readings: Vec<(f64, f64)> = (0..11).map(|k| (0.1 * f64::from(k), 0.0)).collect();

@@ -31,7 +31,6 @@ use super::TimedSample;
 use super::prior::{MAX_ORDER, ResponsePrior, response_of, row};
 use super::step_response::StepResponse;
 
-/// A fitted response with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResponseFit {
     pub response: StepResponse,
@@ -57,30 +56,32 @@ impl ResponseFit {
 
     /// Infinite for a lag that does not exist.
     pub fn ln_lag_sigma(&self, j: usize) -> f64 {
-        self.sigma_of(row::LAGS + j, self.response.lags.len(), j)
-    }
-
-    /// Infinite for a lag that does not exist. The last share has the sigma of the sum of the others.
-    pub fn share_sigma(&self, j: usize) -> f64 {
-        let order = self.response.lags.len();
-        let first = row::LAGS + order;
-        if j + 1 < order {
-            return self.sigma_of(first + j, order, j);
-        }
-        let free = order.saturating_sub(1);
-        let of_sum: f64 = (0..free)
-            .flat_map(|a| (0..free).map(move |b| (a, b)))
-            .map(|(a, b)| self.covariance[(first + a, first + b)])
-            .sum();
-        of_sum.max(0.0).sqrt()
-    }
-
-    fn sigma_of(&self, index: usize, order: usize, j: usize) -> f64 {
-        if j >= order {
+        if j >= self.response.lags.len() {
             return f64::INFINITY;
         }
-        self.covariance[(index, index)].max(0.0).sqrt()
+        sigma_along(&self.covariance, &[(row::LAGS + j, 1.0)])
     }
+
+    /// The last share has the sigma of the sum of the others.
+    pub fn share_sigma(&self, j: usize) -> f64 {
+        sigma_along(&self.covariance, &share_slopes(j, self.response.lags.len()))
+    }
+}
+
+/// Derivatives of s_j by the free shares; the last share is the rest to one.
+pub(super) fn share_slopes(j: usize, order: usize) -> Vec<(usize, f64)> {
+    let first = row::LAGS + order;
+    if j + 1 < order {
+        return vec![(first + j, 1.0)];
+    }
+    (0..order.saturating_sub(1)).map(|free| (first + free, -1.0)).collect()
+}
+
+/// The sigma of a function with these slopes by the rows of p.
+pub(super) fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
+    let pairs = slopes.iter().flat_map(|(i, by_i)| slopes.iter().map(move |(j, by_j)| (*i, *j, by_i * by_j)));
+    let variance: f64 = pairs.filter_map(|(i, j, weight)| Some(weight * covariance.get((i, j))?)).sum();
+    variance.max(0.0).sqrt()
 }
 
 /// Minimises (3) from a guess; `None` where samples or prior are invalid.
@@ -110,7 +111,6 @@ pub fn fit_response(
     Some(ResponseFit { response: response_from(&at, order), covariance: normal.cholesky()?.inverse(), cost })
 }
 
-/// How often S is recomputed.
 const REWEIGHTINGS: usize = 2;
 /// Iterations of one descent; far more than a normal one takes.
 const MAX_ITERATIONS: usize = 60;
@@ -244,7 +244,6 @@ impl NormalSums {
     }
 }
 
-/// Values that do not change from sample to sample.
 struct ResponseParameters {
     order: usize,
     start: f64,

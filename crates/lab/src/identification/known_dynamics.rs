@@ -29,8 +29,13 @@ pub fn final_value_from_three([first, second, third]: [f64; 3]) -> Option<f64> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalizedEstimate {
     pub value: f64,
-    /// Standard deviation as a multiple of a sample's.
     pub noise_gain: f64,
+}
+
+impl NormalizedEstimate {
+    fn finite(value: f64, noise_gain: f64) -> Option<Self> {
+        (value.is_finite() && noise_gain.is_finite()).then_some(Self { value, noise_gain })
+    }
 }
 
 /// The stacked system of (11) with a prior in additional rows: u is the first sample over the gain, the transient zero, each with a
@@ -75,8 +80,7 @@ pub fn block_least_squares(
     let v_t = svd.v_t.as_ref()?;
     let parts = svd.singular_values.iter().enumerate();
     let variance: f64 = parts.map(|(k, s)| (v_t[(k, 0)] / s).powi(2)).sum();
-    let found = NormalizedEstimate { value: solution[0], noise_gain: variance.sqrt() };
-    (found.value.is_finite() && found.noise_gain.is_finite()).then_some(found)
+    NormalizedEstimate::finite(solution[0], variance.sqrt())
 }
 
 /// Recursive least squares (12) with the same prior; otherwise like [`block_least_squares`].
@@ -96,6 +100,5 @@ pub fn recursive_least_squares(
         theta += &gain * (values[i] - phi.dot(&theta));
         p -= &gain * (phi.transpose() * &p);
     }
-    let found = NormalizedEstimate { value: theta[0], noise_gain: p[(0, 0)].max(0.0).sqrt() };
-    (found.value.is_finite() && found.noise_gain.is_finite()).then_some(found)
+    NormalizedEstimate::finite(theta[0], p[(0, 0)].max(0.0).sqrt())
 }

@@ -1,37 +1,5 @@
 //! Identification of a sensor's step response from its samples, and prediction of its final value from the transient.
 //!
-//! Input is samples, output is models and predictions; no IO and no clock. The filter for known dynamics is
-//! [`posebridge_estimator::filters::dynamic`]; this module identifies the dynamics, provides block least squares as a reference for the
-//! filter, and treats uncertain dynamics.
-//!
-//! | step | module |
-//! |---|---|
-//! | detection of the step in a recording | [`onset`] |
-//! | the response as a sum of exponentials, settling time, a simulated sensor | [`step_response`] |
-//! | least squares for its parameters, and their prior; errors of the model that hold for a while | [`fit`], [`prior`] |
-//! | gain, delay, lags, their sigmas and the order of one run | [`step`](mod@step) |
-//! | extraction of one sensor from observations, and its noise | [`channel`] |
-//! | sigmas that are valid for correlated errors | [`parameter_uncertainty`] |
-//! | several runs of one kind of sensor: the prior of the next; steps up against steps down | [`sensor_kind`] |
-//! | the final value with bounds, from sample to sample | [`prediction`] |
-//! | known dynamics: block and recursive least squares | [`known_dynamics`] |
-//! | the experiment of the lab, section by section | [`lesson`] |
-//!
-//! ```
-//! use posebridge_lab::identification::{StepOptions, TimedSample, identify_step};
-//! // 20 degrees, then from 10 s on towards 3 with a lag of 5 s.
-//! let samples: Vec<TimedSample> = (0..400)
-//!     .map(|k| {
-//!         let at_s = 0.1 * f64::from(k);
-//!         let gone = if at_s > 10.0 { 1.0 - ((10.0 - at_s) / 5.0).exp() } else { 0.0 };
-//!         TimedSample { at_s, value: 20.0 - 17.0 * gone }
-//!     })
-//!     .collect();
-//! let found = identify_step(&samples, &StepOptions::with_sigma(0.01)).unwrap();
-//! assert_eq!(found.order(), 1);
-//! assert!((found.lags()[0].time_constant_s - 5.0).abs() < 0.05);
-//! ```
-//!
 //! # Sources
 //! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite.
 
@@ -55,10 +23,9 @@ pub use self::parameter_uncertainty::{Sampling, StepParameters};
 pub use self::prediction::EndPrediction;
 pub use self::prior::{ExpectedDynamics, StepDirection};
 pub use self::sensor_kind::{DirectionComparison, KindError, SensorKind, compare_directions, predict};
-pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, ModelOrder, StepOptions, identify_step};
+pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, StepOptions, identify_step};
 pub use self::step_response::{Lag, StepResponse, settling_time_s};
 
-/// One reading of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedSample {
     /// By the sensor's own clock.

@@ -1,8 +1,5 @@
 //! Detection of a step in a recording: rest, onset, transient, plateau.
 //!
-//! A recording holds more than a step: the sensor lies in its box, is dipped, and is warmed up again. Samples before the rest and after
-//! the plateau do not belong to the step response.
-//!
 //! # Method
 //! ```text
 //! steepest    the shortest window w whose means before and after some sample differ by more than 8 sigma sqrt(2 / w)
@@ -13,6 +10,7 @@
 //! begun.
 
 use super::{TimedSample, mean_of, sorted_finite};
+use crate::statistics::running_sums;
 
 /// Difference of window means, in sigmas, that counts as a step: false alarms in ten thousand samples have a probability below 1e-10.
 const STEEP_SIGMAS: f64 = 8.0;
@@ -27,7 +25,6 @@ const TAIL_SHARE: usize = 10;
 /// Limit of the samples averaged for the level before the step.
 const REST_SAMPLES: usize = 64;
 
-/// A step within a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepSegment {
     /// Some rest, the transient and the plateau.
@@ -71,12 +68,7 @@ struct PrefixSums(Vec<f64>);
 
 impl PrefixSums {
     fn from_samples(samples: &[TimedSample]) -> Self {
-        let mut sum = 0.0;
-        let after = samples.iter().map(|sample| {
-            sum += sample.value;
-            sum
-        });
-        Self(std::iter::once(0.0).chain(after).collect())
+        Self(running_sums(samples.iter().map(|sample| sample.value)))
     }
 
     fn count(&self) -> usize {
@@ -94,7 +86,6 @@ impl PrefixSums {
 #[derive(Clone, Copy)]
 struct SteepestChange {
     index: usize,
-    /// Window size in samples.
     width: usize,
 }
 
@@ -142,13 +133,11 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
-/// Detects the beginning of a step from past samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnsetDetector {
     sigma: f64,
 }
 
-/// A detected step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectedOnset {
     /// Approximate onset, by the sensor's clock.

@@ -26,12 +26,12 @@
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::UncertainValue;
 
-use super::fit::{ResponseNoise, WhiteningFilter, value_and_slopes, whitening_steps};
+use super::fit::{ResponseNoise, WhiteningFilter, share_slopes, sigma_along, value_and_slopes, whitening_steps};
 use super::prior::row;
 use super::step::{IdentifiedLag, IdentifiedStep};
 use super::step_response::StepResponse;
+use crate::statistics::lagged_sum;
 
-/// The kind of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sampling {
     #[default]
@@ -109,15 +109,6 @@ impl StepParameters {
     }
 }
 
-/// Derivatives of s_j by the free shares; the last share is the rest to one.
-fn share_slopes(j: usize, order: usize) -> Vec<(usize, f64)> {
-    let first = row::LAGS + order;
-    if j + 1 < order {
-        return vec![(first + j, 1.0)];
-    }
-    (0..order.saturating_sub(1)).map(|free| (first + free, -1.0)).collect()
-}
-
 fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> UncertainValue {
     let lags = &response.lags;
     let order = lags.len();
@@ -133,14 +124,6 @@ fn mean_lag(response: &StepResponse, covariance: &DMatrix<f64>) -> UncertainValu
     }
 }
 
-/// The sigma of a function with these slopes by the rows of p.
-fn sigma_along(covariance: &DMatrix<f64>, slopes: &[(usize, f64)]) -> f64 {
-    let pairs = slopes.iter().flat_map(|(i, by_i)| slopes.iter().map(move |(j, by_j)| (*i, *j, by_i * by_j)));
-    let variance: f64 = pairs.filter_map(|(i, j, weight)| Some(weight * covariance.get((i, j))?)).sum();
-    variance.max(0.0).sqrt()
-}
-
-/// Residuals of the response and their derivatives by the parameters.
 struct WeightedResiduals {
     weighted: Vec<f64>,
     slopes: Vec<DVector<f64>>,
@@ -247,7 +230,6 @@ impl WeightedResiduals {
     }
 }
 
-/// L where there is a correlation.
 fn correlation_window(count: usize) -> usize {
     (count / SAMPLES_PER_LAG).clamp(1, MAX_LAGS)
 }
@@ -274,15 +256,9 @@ fn lagged_products(slopes: &[DVector<f64>], lag: usize, rows: usize) -> DMatrix<
     sum
 }
 
-/// Sum of products of values `lag` samples apart.
-fn lagged_sum(values: &[f64], lag: usize) -> f64 {
-    let pairs = values.iter().zip(values.iter().skip(lag));
-    pairs.map(|(a, b)| a * b).sum()
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::step::{ModelOrder, StepOptions, identify_step};
+    use super::super::step::{StepOptions, identify_step};
     use super::super::{TimedSample, estimate_noise};
     use super::*;
     use crate::identification::step_response::{SimulatedSensor, step_input};
@@ -303,7 +279,7 @@ mod tests {
         let mut sums = [0.0; 3];
         for seed in 0..RUNS {
             let options = StepOptions {
-                order: ModelOrder::Fixed(1),
+                order: Some(1),
                 onset_s: Some(ONSET_S),
                 input_step: Some(input),
                 ..StepOptions::with_sigma(sigma)

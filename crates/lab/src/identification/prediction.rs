@@ -1,8 +1,5 @@
 //! Prediction of a sensor's final value at each sample, with uncertain dynamics.
 //!
-//! Input is samples and a prior from other runs ([`ExpectedDynamics`]); a prediction at a sample uses only that sample and earlier
-//! ones. The onset is detected on the way. The lags are estimated along with the quantity, starting from their prior.
-//!
 //! # Model
 //! Equations (3) to (6) of [`super::fit`], over all samples so far. The bound is u plus and minus 1.96 of its sigma, which contains the
 //! noise, the uncertainty of the lags, and the error of the model.
@@ -24,7 +21,6 @@ pub const BOUND_RATE: f64 = 0.95;
 /// Two-sided quantile of the normal distribution for [`BOUND_RATE`].
 pub const BOUND_SIGMAS: f64 = 1.959_964;
 
-/// The predicted final value of a sensor at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EndPrediction {
     /// Time of the latest sample, by the sensor's clock.
@@ -32,7 +28,6 @@ pub struct EndPrediction {
     pub value: f64,
     /// One standard deviation, with the uncertainty of the dynamics.
     pub sigma: f64,
-    /// Whether a step was detected.
     pub is_settling: bool,
 }
 

@@ -6,7 +6,6 @@ use nalgebra::{DMatrix, DVector};
 
 use super::step_response::{Lag, StepResponse};
 
-/// Largest number of exponentials of a response.
 pub const MAX_ORDER: usize = 3;
 /// Indices of the parameters that every response has.
 pub mod row {
@@ -20,7 +19,6 @@ pub mod row {
     pub const LAGS: usize = 3;
 }
 
-/// Gaussian prior of one parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianPrior {
     pub mean: f64,
@@ -118,7 +116,6 @@ impl DynamicsPrior {
     }
 }
 
-/// Prior of a step response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResponsePrior {
     /// t_0, in seconds.
@@ -161,7 +158,6 @@ pub(super) fn response_of(
     StepResponse { lags: lags.collect(), start: first[row::START], step: first[row::STEP], onset_s: first[row::ONSET] }
 }
 
-/// The sign of a step: up or down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepDirection {
     Up,
@@ -172,9 +168,15 @@ impl StepDirection {
     pub fn from_step(step: f64) -> Self {
         if step < 0.0 { Self::Down } else { Self::Up }
     }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Up => "up",
+            Self::Down => "down",
+        }
+    }
 }
 
-/// Prior of the dynamics of the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExpectedDynamics {
     /// For a run of the same kind.

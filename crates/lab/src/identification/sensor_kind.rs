@@ -32,6 +32,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
+use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::UncertainValue;
 
 use super::TimedSample;
@@ -49,7 +50,6 @@ const SHARE_SPREAD: f64 = 0.02;
 /// remaining transient of three DS18B20 in ice water (root mean squares of both over the step); the worst of a kind counts.
 const MODEL_SHARE: f64 = 0.04;
 
-/// Assumed similarity of runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RunSimilarity {
     /// Sensors of one kind, or one sensor in different surroundings: equations (9) and (10).
@@ -59,7 +59,6 @@ pub enum RunSimilarity {
     SameDynamics,
 }
 
-/// Prior of the next run from identified runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorKind {
     order: usize,
@@ -69,7 +68,6 @@ pub struct SensorKind {
     down: Vec<CandidateModel>,
 }
 
-/// Why the runs give no prior.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KindError {
@@ -129,11 +127,9 @@ impl SensorKind {
             score_predictions(&predict(&run.samples, run.sigma, &kind), run)
         });
         let each: Vec<PredictionScore> = each.map(Option::unwrap_or_default).collect();
-        let count = each.len().max(1) as f64;
-        let factors = each.iter().map(|score| score.bound_factor);
         PredictionScore {
-            mean_error: each.iter().map(|score| score.mean_error).sum::<f64>() / count,
-            bound_factor: factors.sum::<f64>() / count,
+            mean_error: statistics::mean(each.iter().map(|score| score.mean_error)).unwrap_or_default(),
+            bound_factor: statistics::mean(each.iter().map(|score| score.bound_factor)).unwrap_or_default(),
         }
     }
 
@@ -164,7 +160,6 @@ pub fn predict(samples: &[TimedSample], sigma: f64, kind: &SensorKind) -> Vec<En
     predict_series(samples, sigma, |direction| kind.expectation(direction))
 }
 
-/// Lags and shares of several runs, with their covariances.
 struct RunParameters {
     each: Vec<(DVector<f64>, DMatrix<f64>)>,
     mean: DVector<f64>,
@@ -223,7 +218,6 @@ impl RunParameters {
     }
 }
 
-/// ln tau of the lags and the free shares of a candidate.
 fn parameter_rows(run: &CandidateModel, rows: usize) -> DVector<f64> {
     let lags = &run.fit.response.lags;
     let ln_lags = lags.iter().map(|lag| lag.time_constant_s.ln());
@@ -267,7 +261,6 @@ fn is_resolved_in_all(runs: &[IdentifiedStep], order: usize) -> bool {
 // # Sources
 // The weighted mean with Birge's ratio (1932), as for physical constants; docs/lab/calibration.md, section 7.
 
-/// Steps up compared with steps down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectionComparison {
     pub up: UncertainValue,

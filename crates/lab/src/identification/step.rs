@@ -18,40 +18,28 @@ use super::onset::{StepSegment, find_step};
 use super::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
 use super::step_response::{Lag, StepResponse};
 use super::{TimedSample, sorted_finite};
+use crate::statistics::lagged_sum;
 
-/// The number of exponentials, fixed or selected by the data.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ModelOrder {
-    /// Selected by equation (7).
-    #[default]
-    Automatic,
-    /// 1 to [`MAX_ORDER`].
-    Fixed(usize),
-}
-
-/// Known data of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOptions {
     /// Noise of a sample, standard deviation in the sensor's unit; for a sensor that rounds, at least its resolution over the root of
     /// 12.
     pub sigma: f64,
-    pub order: ModelOrder,
+    /// Number of exponentials, 1 to [`MAX_ORDER`]; selected by equation (7) if `None`.
+    pub order: Option<usize>,
     /// Time of the quantity's step, by the sensor's clock; without it the delay is not observable.
     pub onset_s: Option<f64>,
     /// Step of the quantity, in its own unit; without it the gain is not observable.
     pub input_step: Option<f64>,
-    /// Final value of the sensor, if known.
     pub end: Option<f64>,
 }
 
 impl StepOptions {
-    /// Only the noise is known.
     pub const fn with_sigma(sigma: f64) -> Self {
-        Self { sigma, order: ModelOrder::Automatic, onset_s: None, input_step: None, end: None }
+        Self { sigma, order: None, onset_s: None, input_step: None, end: None }
     }
 }
 
-/// A lag with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IdentifiedLag {
     /// tau.
@@ -61,7 +49,6 @@ pub struct IdentifiedLag {
     pub share_sigma: f64,
 }
 
-/// A fitted response of one order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CandidateModel {
     pub fit: ResponseFit,
@@ -75,12 +62,9 @@ pub struct CandidateModel {
     pub criterion: f64,
 }
 
-/// The identified step response of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IdentifiedStep {
     pub samples: Vec<TimedSample>,
-    /// Sensor units per unit of the quantity, if the step of the quantity was given.
-    pub gain: Option<f64>,
     /// From the step of the quantity to the onset of the sensor, if the former was given.
     pub delay_s: Option<f64>,
     /// Final value: as given, else the mean of the last tenth of the samples.
@@ -106,7 +90,6 @@ impl IdentifiedStep {
         self.response().lags.len()
     }
 
-    /// The selected response; its `model` configures the dynamic measurement filter.
     pub fn response(&self) -> &StepResponse {
         &self.chosen().fit.response
     }
@@ -118,7 +101,6 @@ impl IdentifiedStep {
         lags.all(|(j, lag)| lag.share.abs() > ONE_SIDED_SIGMAS * fit.share_sigma(j))
     }
 
-    /// The lags with their sigmas, the fastest first.
     pub fn lags(&self) -> Vec<IdentifiedLag> {
         let fit = &self.chosen().fit;
         let of = |(j, lag): (usize, &Lag)| IdentifiedLag {
@@ -134,7 +116,6 @@ impl IdentifiedStep {
 /// 95 % quantile of the normal distribution.
 const ONE_SIDED_SIGMAS: f64 = 1.644_854;
 
-/// Why the identification failed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IdentificationError {
@@ -158,8 +139,8 @@ pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<I
     let no_step = || IdentificationError::NoStep { samples: sorted_finite(samples).len(), sigma: options.sigma };
     let found = find_step(samples, options.sigma).ok_or_else(no_step)?;
     let orders = match options.order {
-        ModelOrder::Automatic => 1..=MAX_ORDER,
-        ModelOrder::Fixed(order) => order..=order,
+        None => 1..=MAX_ORDER,
+        Some(order) => order..=order,
     };
     let work = StepFitter::new(&found, options);
     let mut candidates: Vec<CandidateModel> = orders.clone().filter_map(|order| work.candidate(order)).collect();
@@ -173,9 +154,7 @@ pub fn identify_step(samples: &[TimedSample], options: &StepOptions) -> Result<I
         return Err(IdentificationError::TooFew { samples: work.samples_after_onset, order: *orders.start() });
     };
     let response = &best.fit.response;
-    let step = response.step;
     Ok(IdentifiedStep {
-        gain: options.input_step.map(|input| step / input),
         delay_s: options.onset_s.map(|onset_s| response.onset_s - onset_s),
         end: options.end.unwrap_or(found.end),
         sigma: work.sigma,
@@ -190,7 +169,7 @@ fn validate_options(options: &StepOptions) -> Result<(), IdentificationError> {
     if !(sigma > 0.0 && sigma.is_finite()) {
         return Err(IdentificationError::Sigma { sigma });
     }
-    if let ModelOrder::Fixed(order) = options.order
+    if let Some(order) = options.order
         && !(1..=MAX_ORDER).contains(&order)
     {
         return Err(IdentificationError::Order { order });
@@ -300,7 +279,6 @@ impl<'a> StepFitter<'a> {
         })
     }
 
-    /// Residuals of the samples after the onset.
     fn residuals(&self, response: &StepResponse) -> Vec<f64> {
         let moving = self.segment.samples.iter();
         let moving = moving.filter(|sample| sample.at_s > self.segment.onset_s);
@@ -352,13 +330,11 @@ struct ResidualCorrelation {
 impl ResidualCorrelation {
     fn from_residuals(residuals: &[f64]) -> Self {
         let count = residuals.len().max(1);
-        let all = covariance(residuals, 0);
+        let covariance = |lag| lagged_sum(residuals, lag) / count as f64;
+        let all = covariance(0);
         // Two standard deviations of the covariance of white noise.
         let chance = 2.0 * all / (count as f64).sqrt();
-        let common: Vec<f64> = (1..count / 4)
-            .map(|lag| covariance(residuals, lag))
-            .take_while(|covariance| *covariance > chance)
-            .collect();
+        let common: Vec<f64> = (1..count / 4).map(covariance).take_while(|covariance| *covariance > chance).collect();
         let sum: f64 = common.iter().sum();
         let Some(&next) = common.first() else {
             return Self { model_variance: 0.0, model_samples: 1.0, samples_per_residual: 1.0 };
@@ -369,10 +345,4 @@ impl ResidualCorrelation {
             samples_per_residual: 1.0 + 2.0 * sum / all,
         }
     }
-}
-
-/// Mean product of residuals `lag` samples apart.
-fn covariance(residuals: &[f64], lag: usize) -> f64 {
-    let pairs = residuals.iter().zip(residuals.iter().skip(lag));
-    pairs.map(|(a, b)| a * b).sum::<f64>() / residuals.len().max(1) as f64
 }

@@ -11,15 +11,12 @@
 //! # Sources
 //! Paper 2 (Markovsky), the model with known dynamics; docs/lab/thermometer.md section 1.
 
-use posebridge_estimator::models::dynamic_measurement::{DynamicModel, ModelError};
-use posebridge_telemetry::SensorId;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_pcg::Pcg64;
 
 use super::TimedSample;
 
-/// One exponential of a response.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
     /// tau.
@@ -28,7 +25,6 @@ pub struct Lag {
     pub share: f64,
 }
 
-/// Start, step, onset and lags of a response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResponse {
     /// y_0, the value before the step.
@@ -57,13 +53,6 @@ impl StepResponse {
     pub fn final_value(&self) -> f64 {
         self.start + self.step
     }
-
-    /// These lags as a model for the dynamic measurement filter; `gain` is in sensor units per unit of the quantity. The filter does
-    /// not use the shares: it estimates the transient of each lag.
-    pub fn model(&self, sensor: SensorId, gain: f64) -> Result<DynamicModel, ModelError> {
-        let lags: Vec<f64> = self.lags.iter().map(|lag| lag.time_constant_s).collect();
-        DynamicModel::empty().with_lags(sensor, gain, &lags)
-    }
 }
 
 /// Time after the onset from which a series stays within `limit` of `end`; `None` if its last value is outside, if it is empty, or if a
@@ -88,12 +77,10 @@ pub fn settling_time_s(series: &[(f64, f64)], onset_s: f64, end: f64, limit: f64
 // ```
 // Between two instants T is taken as a straight line, for which each z_j is known exactly.
 
-/// A sensor with its sampling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedSensor {
     /// tau_j in seconds with s_j; the shares sum to one.
     pub lags: Vec<(f64, f64)>,
-    /// White noise.
     pub sigma: f64,
     /// 0 for none.
     pub resolution: f64,
@@ -175,14 +162,6 @@ mod tests {
         let by_hand = 20.0 - 16.0 * (1.0 - 0.25 * (-3.0_f64).exp() - 0.75 * (-0.75_f64).exp());
         assert!((response.value_at(11.0) - by_hand).abs() < 1e-12);
         assert_eq!(response.final_value(), 4.0);
-    }
-
-    #[test]
-    fn its_model_for_the_filter_has_a_state_for_each_lag() {
-        let model = response().model(SensorId::THERMOMETER, 1.0).unwrap();
-        assert_eq!(model.states(), 2);
-        assert!((model.transition(2.0)[(1, 1)] - (-1.0_f64).exp()).abs() < 1e-14);
-        assert!(response().model(SensorId::THERMOMETER, 0.0).is_err());
     }
 
     #[test]

@@ -9,7 +9,8 @@
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{DriveGeometry, Observation, ObservationKind};
 
-/// Settings of the search.
+use crate::statistics::{correlated_variance, golden_section, running_sums};
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DelaySearch {
     /// The smallest delay; negative for a camera whose timestamps are early.
@@ -17,7 +18,6 @@ pub struct DelaySearch {
     pub to_s: f64,
 }
 
-/// The identified delay of a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixDelay {
     pub delay_s: f64,
@@ -28,7 +28,6 @@ pub struct FixDelay {
     pub curve: Vec<(f64, f64)>,
 }
 
-/// Why no delay was found.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DelayError {
     #[error("only {0} fixes lie within the wheel readings at every delay; 30 are needed")]
@@ -75,7 +74,8 @@ pub fn find_delay(
     if coarse_s <= search.from_s || coarse_s >= search.to_s {
         return Err(DelayError::AtSearchLimit(coarse_s));
     }
-    let delay_s = motion.refine(coarse_s);
+    let value = |delay_s| motion.correlation(delay_s);
+    let delay_s = golden_section(coarse_s - GRID_S, coarse_s + GRID_S, SECTIONS, value);
     Ok(FixDelay {
         delay_s,
         sigma_s: motion.sigma_s(delay_s),
@@ -125,17 +125,11 @@ impl<'a> CameraMotion<'a> {
                 .map(|(a, b)| (b.position_m[0] - a.position_m[0]).hypot(b.position_m[1] - a.position_m[1]))
                 .collect(),
         };
-        let mut level = 0.0;
-        let mut c = vec![0.0];
-        c.extend(steps.iter().map(|step| {
-            level += step;
-            level
-        }));
         Ok(Self {
             levels,
             axis: of,
             at_s: used.iter().map(|sighting| sighting.at_s).collect(),
-            camera: without_mean(&c),
+            camera: without_mean(&running_sums(steps)),
         })
     }
 
@@ -151,20 +145,6 @@ impl<'a> CameraMotion<'a> {
         if both > 0.0 { dot(&e, &self.camera) / both.sqrt() } else { 0.0 }
     }
 
-    fn refine(&self, coarse_s: f64) -> f64 {
-        let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-        let (mut low, mut high) = (coarse_s - GRID_S, coarse_s + GRID_S);
-        for _ in 0..SECTIONS {
-            let (a, b) = (high - golden * (high - low), low + golden * (high - low));
-            if self.correlation(a) > self.correlation(b) {
-                high = b;
-            } else {
-                low = a;
-            }
-        }
-        0.5 * (low + high)
-    }
-
     fn sigma_s(&self, delay_s: f64) -> f64 {
         let e = self.predicted(delay_s);
         let slope: Vec<f64> = self
@@ -178,10 +158,7 @@ impl<'a> CameraMotion<'a> {
         let scores: Vec<f64> =
             slope.iter().zip(&e).zip(&self.camera).map(|((slope, e), c)| (slope - share * e) * (c - g * e)).collect();
         let own = dot(&slope, &slope) - share * dot(&slope, &e);
-        let lagged = |lag: usize| scores.iter().zip(scores.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
-        // Bartlett's weights keep the sum above zero.
-        let weight = |lag: usize| 2.0 * (1.0 - lag as f64 / (LAGS + 1) as f64);
-        let variance = lagged(0) + (1..=LAGS).map(|lag| weight(lag) * lagged(lag)).sum::<f64>();
+        let variance = correlated_variance(&scores, LAGS);
         variance.max(0.0).sqrt() / (g.abs() * own)
     }
 }
@@ -200,19 +177,16 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Cumulative turn and path, in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CumulativeMotion {
     /// Instant in seconds, turn in radians, path in metres.
     samples: Vec<[f64; 3]>,
 }
 
-/// A camera observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraSample {
     /// By the clock whose delay is estimated.
     pub at_s: f64,
-    /// x and y.
     pub position_m: [f64; 2],
     /// `None` if the camera does not measure it.
     pub heading_rad: Option<f64>,
@@ -253,7 +227,6 @@ impl CumulativeMotion {
         }
     }
 
-    /// First and last instant.
     pub fn time_range_s(&self) -> Option<(f64, f64)> {
         Some((self.samples.first()?[0], self.samples.last()?[0]))
     }
@@ -283,14 +256,14 @@ mod tests {
     use posebridge_telemetry::SensorNoise;
 
     use super::*;
-    use crate::test_support::{self, wheel_angles};
+    use crate::test_support::{self, wheels};
 
     #[test]
     fn turn_and_path_lie_on_a_line_between_two_counts() {
-        let geometry = test_support::config(SensorNoise::EXACT).geometry;
+        let geometry = test_support::config([0.05; 2], 0.2, 0.01, SensorNoise::EXACT).geometry;
         // Wheels of 50 mm on a track of 200 mm.
         let observations = [(0, 0.0, 0.0), (1_000, 1.0, 2.0), (500, 9.0, 9.0), (2_000, f64::NAN, 0.0)]
-            .map(|(millis, left, right)| wheel_angles(millis, left, right));
+            .map(|(millis, left, right)| wheels(millis, left, right));
         let levels = cumulative_motion_of(&observations, &geometry);
         assert_eq!(levels.time_range_s(), Some((0.0, 1.0)));
         assert!((levels.at(0.5, MotionAxis::Turn).unwrap() - 0.125).abs() < 1e-12);

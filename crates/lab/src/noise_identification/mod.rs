@@ -1,8 +1,5 @@
 //! A sensor's noise from rest or a straight drive, and a camera's delay from motion.
 //!
-//! Paper 1 finds its R by hand from two recordings: a standing robot, and one that drives straight. Here the same two recordings give
-//! the parameters with their standard deviations, and a third, in which a robot turns to and fro, gives the delay of a camera.
-//!
 //! # Model
 //! ```text
 //! rest      y_k = b_k + v_k     b_k+1 = b_k + w_k     var v = s^2 + q^2 / 12     var w = K^2 dt                  (1)
@@ -28,6 +25,8 @@ pub use self::delay::{
     CameraSample, CumulativeMotion, DelayError, DelaySearch, FixDelay, cumulative_motion_of, find_delay,
 };
 pub use self::record::{RestError, RestRecord};
-pub use self::rest::{RestNoise, find_quantization_step, noise_at_rest};
+pub use self::rest::{
+    MIN_STANDSTILL_S, RestIntervals, RestNoise, find_quantization_step, noise_at_rest, readings_at_rest, rest_noise,
+};
 pub use self::straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
 pub use self::white_and_walk::{AllanPoint, NoiseDecomposition, allan_deviation, decompose_noise};

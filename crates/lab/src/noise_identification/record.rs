@@ -1,4 +1,6 @@
-//! Readings at rest, split at gaps.
+//! The readings of a sensor at rest, split at gaps.
+
+use crate::statistics::median;
 
 /// A longer gap splits a stretch, unless the sensor's rate is that low: the state during it is unknown.
 const MIN_SILENCE_S: f64 = 1.0;
@@ -7,7 +9,6 @@ const SILENCE_INTERVALS: f64 = 3.0;
 /// Fewer readings give no useful mean; 20 determine the noise to a sixth.
 const MIN_READINGS: usize = 20;
 
-/// Why a rest has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RestError {
     #[error("only {0} samples; 20 are the least")]
@@ -18,7 +19,6 @@ pub enum RestError {
     Silent,
 }
 
-/// Readings of a sensor at rest, split at gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RestRecord {
     /// Instant in seconds and reading, in time order; each stretch has at least one.
@@ -73,7 +73,6 @@ impl RestRecord {
         self.stretches.iter().filter_map(|one| length_s(one)).sum()
     }
 
-    /// Never empty.
     pub fn longest(&self) -> &[(f64, f64)] {
         let longest = self.stretches.iter().max_by_key(|stretch| stretch.len());
         longest.map_or(&[], Vec::as_slice)
@@ -91,10 +90,7 @@ fn length_s(stretch: &[(f64, f64)]) -> Option<f64> {
 /// `None` unless it is positive.
 fn median_interval_s(stretches: &[Vec<(f64, f64)>]) -> Option<f64> {
     let pairs = stretches.iter().flat_map(|stretch| stretch.windows(2));
-    let mut intervals: Vec<f64> = pairs.filter_map(length_s).collect();
-    intervals.sort_by(f64::total_cmp);
-    let median = intervals.get(intervals.len() / 2).copied();
-    median.filter(|interval_s| *interval_s > 0.0)
+    median(pairs.filter_map(length_s)).filter(|interval_s| *interval_s > 0.0)
 }
 
 #[cfg(test)]

@@ -10,8 +10,12 @@
 
 use std::f64::consts::PI;
 
+use posebridge_telemetry::{Observation, ObservationKind};
+
 use super::record::{RestError, RestRecord};
 use super::white_and_walk::{NoiseDecomposition, decompose_noise};
+use crate::recorded_drive::wheels;
+use crate::statistics::running_sums;
 
 /// Noise of a sensor at rest, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +78,6 @@ pub fn noise_at_rest(record: &RestRecord) -> Result<RestNoise, RestError> {
     })
 }
 
-/// White noise without the rounding to a step, with its standard deviation.
 fn without_rounding(found: &NoiseDecomposition, quantum: Option<f64>) -> (f64, f64) {
     let rounding2 = quantum.map_or(0.0, |quantum| quantum * quantum / 12.0);
     let white = (found.white * found.white - rounding2).max(0.0).sqrt();
@@ -134,12 +137,7 @@ fn shared_distance(sorted: &[f64], same: f64) -> Option<(f64, usize)> {
     if !is_coarse || !distances.iter().all(is_integer) {
         return None;
     }
-    let mut counts = 0.0;
-    let counted = std::iter::once(0.0).chain(distances.iter().map(|distance| {
-        counts += (distance / smallest).round();
-        counts
-    }));
-    let counted: Vec<f64> = counted.collect();
+    let counted = running_sums(distances.iter().map(|distance| (distance / smallest).round()));
     Some((slope_through(&counted, &values)?, values.len()))
 }
 
@@ -158,6 +156,62 @@ fn slope_through(counts: &[f64], values: &[&[f64]]) -> Option<f64> {
     (along > 0.0).then(|| across / along)
 }
 
+// The intervals at rest of a drive, with the readings of gyro and accelerometers in them; docs/lab/calibration.md, section 5.
+
+/// Duration without counter changes after which a robot counts as standing.
+pub const MIN_STANDSTILL_S: f64 = 0.4;
+
+/// Intervals of rest in time order, each of (timestamp in s, reading in SI).
+pub type RestIntervals = Vec<Vec<(f64, f64)>>;
+
+/// The readings of gyro, left and right accelerometer at which no wheel had moved for [`MIN_STANDSTILL_S`] and none moved before the
+/// next wheel reading.
+///
+/// Observations must be in the order of their timestamps. Without wheel readings nothing counts as rest.
+pub fn readings_at_rest(observations: &[Observation]) -> [RestIntervals; 3] {
+    let seconds = |observation: &Observation| observation.stamp.as_secs_f64();
+    let mut channels = [const { Vec::new() }; 3];
+    for (from_s, until_s) in rest_intervals(observations) {
+        let first = observations.partition_point(|one| seconds(one) <= from_s);
+        let rest = observations.iter().skip(first).take_while(|one| seconds(one) <= until_s);
+        let mut interval = [const { Vec::new() }; 3];
+        for observation in rest {
+            for (readings, value) in interval.iter_mut().zip(sensor_readings(&observation.measurement)) {
+                readings.extend(value.filter(|value| value.is_finite()).map(|value| (seconds(observation), value)));
+            }
+        }
+        for (channel, readings) in channels.iter_mut().zip(interval) {
+            channel.extend(Some(readings).filter(|readings| !readings.is_empty()));
+        }
+    }
+    channels
+}
+
+pub fn rest_noise(intervals: &[Vec<(f64, f64)>]) -> Result<RestNoise, RestError> {
+    noise_at_rest(&RestRecord::from_stretches(intervals)?)
+}
+
+fn sensor_readings(observed: &ObservationKind) -> [Option<f64>; 3] {
+    if let ObservationKind::TurnRate(rate) = observed {
+        [Some(rate.0), None, None]
+    } else if let ObservationKind::WheelAccelerations { left, right } = observed {
+        [None, Some(left.0), Some(right.0)]
+    } else {
+        [None; 3]
+    }
+}
+
+/// Start and end of each interval in which the robot certainly stood, in seconds.
+fn rest_intervals(observations: &[Observation]) -> Vec<(f64, f64)> {
+    let readings: Vec<_> = wheels(observations).collect();
+    let still = readings.chunk_by(|before, after| before.1 == after.1);
+    let rests = still.filter_map(|still| Some((still.first()?.0.as_secs_f64(), still.last()?.0.as_secs_f64())));
+    rests
+        .filter(|(since_s, until_s)| until_s - since_s > MIN_STANDSTILL_S)
+        .map(|(since_s, until_s)| (since_s + MIN_STANDSTILL_S, until_s))
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use rand::{RngExt, SeedableRng};
@@ -165,6 +219,8 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
+    use crate::test_support::{observation, wheels};
+    use posebridge_telemetry::{RadiansPerSecond, SensorId};
 
     fn normal(count: usize, seed: u64) -> Vec<f64> {
         let mut rng = Pcg64::seed_from_u64(seed);
@@ -213,11 +269,6 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_nothing_is_refused() {
-        assert_eq!(found(&[0.0; 1_000]), Err(RestError::Silent));
-    }
-
-    #[test]
     fn the_finer_units_of_a_link_do_not_hide_the_step_of_a_gyro() {
         let mut random = Pcg64::seed_from_u64(9);
         // A degree per second, in units of 0.02 mrad/s.
@@ -244,5 +295,24 @@ mod tests {
     fn what_is_one_value_or_none_has_no_step() {
         assert_eq!(find_quantization_step(&[]), None);
         assert_eq!(find_quantization_step(&[2.0; 50]), None);
+        assert_eq!(found(&[0.0; 1_000]), Err(RestError::Silent));
+    }
+
+    #[test]
+    fn only_what_was_read_while_the_counters_stood_counts() {
+        let mut observations = Vec::new();
+        for i in 0..300 {
+            let angle = if i < 200 { 0.0 } else { f64::from(i) };
+            observations.push(wheels(i64::from(i) * 50, angle, angle));
+            let rate = if i < 200 { 0.01 } else { 5.0 };
+            let rate = rate + 1e-3 * f64::from(i % 2);
+            let rate = ObservationKind::TurnRate(RadiansPerSecond(rate));
+            observations.push(observation(SensorId::GYRO, i64::from(i) * 50 + 1, rate));
+        }
+        observations.push(observation(SensorId::GYRO, 20, ObservationKind::TurnRate(RadiansPerSecond(f64::NAN))));
+        let rest = rest_noise(&readings_at_rest(&observations)[0]).unwrap();
+        assert!((rest.bias - 0.0105).abs() < 1e-5);
+        // 9.95 s of standing less the first 0.4 s, one reading each 50 ms.
+        assert_eq!(rest.samples, 191);
     }
 }

@@ -2,12 +2,12 @@
 
 use posebridge_telemetry::DriveGeometry;
 
-/// Noise of a wheel's speed.
+use crate::statistics::{FittedLine, lagged_sum, longest_run, median};
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightNoise {
     /// Speeds in the stretch at a steady speed.
     pub samples: usize,
-    pub from: usize,
     pub speed_m_per_s: f64,
     /// About a straight line through the speeds: the root of R.
     pub sigma_m_per_s: f64,
@@ -16,7 +16,6 @@ pub struct StraightNoise {
     pub rho_1: f64,
 }
 
-/// Why a drive has no result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StraightError {
     #[error(
@@ -40,20 +39,20 @@ pub fn straight_noise(travel: &[(f64, f64)]) -> Result<StraightNoise, StraightEr
         return Err(StraightError::NotFinite);
     }
     let speeds: Vec<f64> = travel.iter().map(|(dt_s, by_m)| by_m / dt_s).collect();
-    let (from, steady) = steady_part(&speeds);
+    let steady = steady_part(&speeds);
     if steady.len() < MIN_INTERVALS {
         return Err(StraightError::TooShort(steady.len()));
     }
-    let deviations = residuals_about_line(steady);
+    let points: Vec<(f64, f64)> = steady.iter().enumerate().map(|(index, speed)| (index as f64, *speed)).collect();
+    let line = FittedLine::through(&points).ok_or(StraightError::TooShort(steady.len()))?;
+    let deviations: Vec<f64> = points.iter().map(|point| line.residual(*point)).collect();
     let n = deviations.len() as f64;
-    let squares: f64 = deviations.iter().map(|d| d * d).sum();
-    let products: f64 = deviations.iter().zip(deviations.iter().skip(1)).map(|(a, b)| a * b).sum();
-    let rho_1 = if squares > 0.0 { products / squares } else { 0.0 };
+    let squares = lagged_sum(&deviations, 0);
+    let rho_1 = if squares > 0.0 { lagged_sum(&deviations, 1) / squares } else { 0.0 };
     let sigma = (squares / (n - 2.0)).sqrt();
     Ok(StraightNoise {
         samples: steady.len(),
-        from,
-        speed_m_per_s: steady.iter().sum::<f64>() / n,
+        speed_m_per_s: line.centre.1,
         sigma_m_per_s: sigma,
         // Correlated squares are fewer samples: M. S. Bartlett, J. R. Stat. Soc. Suppl. 8(1), 1946.
         sigma_sigma_m_per_s: sigma * ((1.0 + 2.0 * rho_1 * rho_1) / (2.0 * n)).sqrt(),
@@ -69,43 +68,21 @@ pub fn rounding_speed_sigma(geometry: &DriveGeometry, travel: &[(f64, f64)]) -> 
     radius_m * geometry.tick.0 / dt_s / 6.0_f64.sqrt()
 }
 
-/// The longest stretch at a steady speed, and its first index.
-fn steady_part(speeds: &[f64]) -> (usize, &[f64]) {
+fn steady_part(speeds: &[f64]) -> &[f64] {
     let means: Vec<f64> =
         speeds.windows(MEAN_OVER).map(|window| window.iter().sum::<f64>() / MEAN_OVER as f64).collect();
     // Rest does not count: a robot may stand for longer than it drives.
     let fastest = means.iter().fold(0.0_f64, |most, mean| most.max(mean.abs()));
-    let mut moving: Vec<f64> = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest).collect();
-    moving.sort_by(f64::total_cmp);
-    let Some(median) = moving.get(moving.len() / 2).copied().filter(|_| fastest > 0.0) else {
-        return (0, &[]);
+    let moving = means.iter().copied().filter(|mean| mean.abs() > 0.5 * fastest);
+    let Some(median) = median(moving).filter(|_| fastest > 0.0) else {
+        return &[];
     };
-    let (mut best, mut start) = ((0, 0), None);
-    for (i, mean) in means.iter().chain([&f64::NAN]).enumerate() {
-        if (mean - median).abs() <= STEADY * median.abs() {
-            start.get_or_insert(i);
-        } else if let Some(first) = start.take()
-            && i - first > best.1
-        {
-            best = (first, i - first);
-        }
-    }
-    let (first, count) = best;
+    let is_steady = means.iter().map(|mean| (mean - median).abs() <= STEADY * median.abs());
+    let (first, count) = longest_run(is_steady);
     if count == 0 {
-        return (0, &[]);
+        return &[];
     }
-    (first, speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[]))
-}
-
-/// Deviations from the least-squares line over the index.
-fn residuals_about_line(values: &[f64]) -> Vec<f64> {
-    let n = values.len() as f64;
-    let middle = (n - 1.0) / 2.0;
-    let mean = values.iter().sum::<f64>() / n;
-    let indexed = || values.iter().enumerate().map(|(i, value)| (i as f64 - middle, value - mean));
-    let (xy, xx) = indexed().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
-    let slope = if xx > 0.0 { xy / xx } else { 0.0 };
-    indexed().map(|(x, y)| y - slope * x).collect()
+    speeds.get(first..first + count + MEAN_OVER - 1).unwrap_or(&[])
 }
 
 #[cfg(test)]
@@ -131,7 +108,7 @@ mod tests {
             let found = straight_noise(&run(850, seed)).unwrap();
             let off = (found.sigma_m_per_s - 0.01) / found.sigma_sigma_m_per_s;
             assert!(off.abs() < 3.0, "{seed}: {found:?}");
-            assert!(found.from > 40 && found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
+            assert!(found.samples > 750 && found.rho_1.abs() < 0.12, "{found:?}");
         }
     }
 

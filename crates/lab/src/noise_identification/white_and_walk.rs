@@ -8,8 +8,8 @@
 //! sample k, dt the median interval: where a sample was lost, the walk is longer.
 
 use super::record::RestRecord;
+use crate::statistics::running_sums;
 
-/// White noise and random walk of a sensor, separated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseDecomposition {
     pub white: f64,
@@ -128,7 +128,6 @@ fn profile(stretches: &[RestStretch], ln_l: f64) -> Option<(f64, f64)> {
     (white2 > 0.0).then(|| (-0.5 * (n * (white2.ln() + 1.0) + ln_f), white2))
 }
 
-/// The Allan deviation at one averaging time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AllanPoint {
     pub tau_s: f64,
@@ -137,7 +136,6 @@ pub struct AllanPoint {
     pub sigma: f64,
 }
 
-/// Per factor of ten of the averaging time.
 const POINTS_PER_DECADE: f64 = 8.0;
 const MIN_AVERAGES: usize = 9;
 
@@ -146,12 +144,7 @@ pub fn allan_deviation(rates: &[f64], dt_s: f64) -> Vec<AllanPoint> {
     if !(dt_s.is_finite() && dt_s > 0.0) || rates.iter().any(|rate| !rate.is_finite()) {
         return Vec::new();
     }
-    let mut angle = 0.0;
-    let mut angles = vec![0.0];
-    for rate in rates {
-        angle += rate * dt_s;
-        angles.push(angle);
-    }
+    let angles = running_sums(rates.iter().map(|rate| rate * dt_s));
     let longest = rates.len() / MIN_AVERAGES;
     let mut points = Vec::new();
     let mut m = 1;

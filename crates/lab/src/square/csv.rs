@@ -9,8 +9,6 @@
 //! The first line that is not a comment names the columns, in any order. `time_s` and both encoders are required, the others optional;
 //! an empty cell is a missing reading. Numbers are written in the shortest form that reads back as the same number, to the last bit.
 
-use std::fmt::Write as _;
-
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 
 pub fn parse(text: &str) -> Result<SensorTable, SensorTextError> {
@@ -40,58 +38,25 @@ pub fn parse(text: &str) -> Result<SensorTable, SensorTextError> {
 
 /// Omits columns without data.
 pub fn write(table: &SensorTable, remark: &str) -> String {
-    let columns: Vec<(&str, Vec<Option<f64>>)> = COLUMNS
-        .iter()
-        .map(|name| (*name, column(table, name)))
-        .filter(|(_, values)| values.iter().any(Option::is_some))
-        .collect();
+    let has_values = |column: &&Column| table.rows.iter().any(|row| (column.value)(table.unit, row).is_some());
+    let columns: Vec<&Column> = COLUMNS.iter().filter(has_values).collect();
     let mut text = String::new();
     for line in remark.lines() {
         text += "# ";
         text += line;
         text.push('\n');
     }
-    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-    text += &names.join(",");
+    text += &columns.iter().map(|column| column.name).collect::<Vec<_>>().join(",");
     text.push('\n');
-    for row in 0..table.rows.len() {
-        for (index, (_, values)) in columns.iter().enumerate() {
-            if index > 0 {
-                text.push(',');
-            }
-            if let Some(Some(value)) = values.get(row) {
-                // A text grows without errors.
-                let _written = write!(text, "{value}");
-            }
-        }
+    for row in &table.rows {
+        let cells = columns.iter().map(|column| {
+            let value = (column.value)(table.unit, row);
+            value.map_or_else(String::new, |value| value.to_string())
+        });
+        text += &cells.collect::<Vec<_>>().join(",");
         text.push('\n');
     }
     text
-}
-
-fn column(table: &SensorTable, name: &str) -> Vec<Option<f64>> {
-    let of = |row: &SensorRow| -> Option<f64> {
-        let encoder = |unit, wheel: usize| (table.unit == unit).then_some(row.encoders[wheel]);
-        match name {
-            "time_s" => Some(row.time_s),
-            "left_counts" => encoder(EncoderUnit::Counts, 0),
-            "right_counts" => encoder(EncoderUnit::Counts, 1),
-            "left_deg" => encoder(EncoderUnit::Degrees, 0),
-            "right_deg" => encoder(EncoderUnit::Degrees, 1),
-            "gyro_deg_per_s" => row.gyro_deg_per_s,
-            "accel_left_m_per_s2" => row.accelerations_m_per_s2.map(|both| both[0]),
-            "accel_right_m_per_s2" => row.accelerations_m_per_s2.map(|both| both[1]),
-            "camera_x_m" => row.camera.map(|measured| measured.x_m),
-            "camera_y_m" => row.camera.map(|measured| measured.y_m),
-            "camera_theta_deg" => row.camera.and_then(|measured| measured.theta_deg),
-            "compass_deg" => row.compass_deg,
-            "truth_x_m" => row.truth.map(|measured| measured.x_m),
-            "truth_y_m" => row.truth.map(|measured| measured.y_m),
-            "truth_theta_deg" => row.truth.and_then(|measured| measured.theta_deg),
-            _ => None,
-        }
-    };
-    table.rows.iter().map(of).collect()
 }
 
 struct ColumnLayout {
@@ -124,7 +89,6 @@ impl ColumnLayout {
         self.index_of(name).is_some()
     }
 
-    /// Index of a column in a line of the file.
     fn index_of(&self, name: &str) -> Option<usize> {
         column_index(name).and_then(|index| self.indices[index])
     }
@@ -217,26 +181,35 @@ impl RowCells<'_> {
     }
 }
 
-pub const COLUMNS: [&str; 15] = [
-    "time_s",
-    "left_counts",
-    "right_counts",
-    "left_deg",
-    "right_deg",
-    "gyro_deg_per_s",
-    "accel_left_m_per_s2",
-    "accel_right_m_per_s2",
-    "camera_x_m",
-    "camera_y_m",
-    "camera_theta_deg",
-    "compass_deg",
-    "truth_x_m",
-    "truth_y_m",
-    "truth_theta_deg",
+struct Column {
+    name: &'static str,
+    value: fn(EncoderUnit, &SensorRow) -> Option<f64>,
+}
+
+const fn column(name: &'static str, value: fn(EncoderUnit, &SensorRow) -> Option<f64>) -> Column {
+    Column { name, value }
+}
+
+const COLUMNS: [Column; 15] = [
+    column("time_s", |_, row| Some(row.time_s)),
+    column("left_counts", |unit, row| (unit == EncoderUnit::Counts).then_some(row.encoders[0])),
+    column("right_counts", |unit, row| (unit == EncoderUnit::Counts).then_some(row.encoders[1])),
+    column("left_deg", |unit, row| (unit == EncoderUnit::Degrees).then_some(row.encoders[0])),
+    column("right_deg", |unit, row| (unit == EncoderUnit::Degrees).then_some(row.encoders[1])),
+    column("gyro_deg_per_s", |_, row| row.gyro_deg_per_s),
+    column("accel_left_m_per_s2", |_, row| Some(row.accelerations_m_per_s2?[0])),
+    column("accel_right_m_per_s2", |_, row| Some(row.accelerations_m_per_s2?[1])),
+    column("camera_x_m", |_, row| Some(row.camera?.x_m)),
+    column("camera_y_m", |_, row| Some(row.camera?.y_m)),
+    column("camera_theta_deg", |_, row| row.camera?.theta_deg),
+    column("compass_deg", |_, row| row.compass_deg),
+    column("truth_x_m", |_, row| Some(row.truth?.x_m)),
+    column("truth_y_m", |_, row| Some(row.truth?.y_m)),
+    column("truth_theta_deg", |_, row| row.truth?.theta_deg),
 ];
 
 fn column_index(name: &str) -> Option<usize> {
-    COLUMNS.iter().position(|column| *column == name)
+    COLUMNS.iter().position(|column| column.name == name)
 }
 
 /// Longer than any lap: fourteen hours at 20 Hz.
@@ -250,7 +223,7 @@ pub(super) const MAX_VALUE: f64 = 1e9;
 pub enum SensorTextError {
     #[error("there is no line with the names of the columns; begin with time_s,left_counts,right_counts")]
     NoHeader,
-    #[error("line {line}: no column is called `{name}`; there are {}", COLUMNS.join(", "))]
+    #[error("line {line}: no column is called `{name}`; there are {}", COLUMNS.map(|column| column.name).join(", "))]
     UnknownColumn { line: usize, name: String },
     #[error("line {line}: the column `{name}` stands there twice")]
     RepeatedColumn { line: usize, name: String },

@@ -127,7 +127,6 @@ impl WheelState {
     }
 }
 
-/// Filters both wheels, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedWheels {
     matrices: WheelMatrices,
@@ -137,7 +136,6 @@ pub struct MatchedWheels {
     base: Option<[f64; 2]>,
 }
 
-/// Filters both speeds, then computes odometry.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchedSpeeds {
     matrices: SpeedMatrices,
@@ -149,13 +147,8 @@ pub struct MatchedSpeeds {
 }
 
 impl MatchedWheels {
-    /// At rest at a pose (x, y, heading).
     pub fn new(matrices: WheelMatrices, geometry: DriveGeometry, pose: [f64; 3]) -> Self {
         Self { matrices, geometry, wheels: [WheelState::at_rest(matrices.start); 2], pose, base: None }
-    }
-
-    pub const fn wheels(&self) -> &[WheelState; 2] {
-        &self.wheels
     }
 
     /// Total rotation of both wheels, rad, `dt_s` after the previous step.
@@ -235,31 +228,21 @@ impl MatchedSpeeds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_estimator::{Params, find_filter};
-    use posebridge_telemetry::{
-        Calibration, Heading, Meters, Pose, Radians, SensorNoise, StartPose, Timestamp, quantities::wrap_rad,
-    };
+    use posebridge_estimator::find_filter;
+    use posebridge_telemetry::{Heading, Meters, Pose, SensorNoise, StartPose, Timestamp, quantities::wrap_rad};
 
     use crate::square::table::{SensorRow, SensorTable, TableSensor};
+    use crate::test_support;
 
     fn config() -> FilterConfig {
-        FilterConfig {
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.0279),
-                right_wheel_radius: Meters(0.0282),
-                track_width: Meters(0.112),
-                tick: Radians(1.0_f64.to_radians()),
-            },
-            noise: SensorNoise { accelerometer_m_per_s2: 0.05, ..SensorNoise::EXACT },
-            start: Some(StartPose {
-                pose: Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.4)),
-                position_sigma_m: 1e-3,
-                heading_sigma_rad: 1e-3,
-            }),
-            params: Params::default(),
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        }
+        let noise = SensorNoise { accelerometer_m_per_s2: 0.05, ..SensorNoise::EXACT };
+        let start = StartPose {
+            pose: Pose::new(Meters(1.0), Meters(-2.0), Heading::from_rad(0.4)),
+            position_sigma_m: 1e-3,
+            heading_sigma_rad: 1e-3,
+        };
+        let config = test_support::config([0.0279, 0.0282], 0.112, 1.0_f64.to_radians(), noise);
+        FilterConfig { start: Some(start), ..config }
     }
 
     /// A winding drive of 20 s at uneven intervals.

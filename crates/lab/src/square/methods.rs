@@ -1,12 +1,12 @@
 //! The compared methods: the paper's chain with its matrices and with derived ones, and those that the paper leaves as its outlook.
 
 use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder};
-use posebridge_estimator::{Filter, FilterConfig, FilterEntry, find_filter};
+use posebridge_estimator::{Filter, FilterConfig, find_filter};
 
 use super::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices};
 use super::table::{SensorRow, SensorTable, TableSensor};
+use crate::recorded_drive::rolled_step;
 
-/// Computes a path from a table of sensor readings.
 #[derive(Clone, Copy)]
 pub struct Method {
     pub name: &'static str,
@@ -17,17 +17,19 @@ pub struct Method {
 #[derive(Clone, Copy)]
 enum MethodKind {
     /// Odometry from the counters: pose by the row of the table of filters, speeds by differences.
-    Raw(&'static FilterEntry),
-    Filter(&'static FilterEntry),
-    /// `ekf5` with the other interpretation of the paper's Q.
-    Swapped,
+    Raw(BuildFilter),
+    Filter(BuildFilter),
     /// The wheels' filter with matrices derived from the sensors.
     Wheels,
     /// The speeds' filter with matrices derived from the sensors.
     Speeds,
 }
 
-/// The paper's own sensors.
+type BuildFilter = fn(&FilterConfig) -> Box<dyn Filter>;
+
+/// From a row, and the time since the one before it in s, to the next state.
+type StepRow = Box<dyn FnMut(&SensorRow, f64) -> DriveState>;
+
 const OWN: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 const GYRO: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro];
 const COMPASS: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro, TableSensor::Compass];
@@ -38,14 +40,14 @@ const ALL: &[TableSensor] =
     &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro, TableSensor::Compass, TableSensor::Camera];
 
 fn row(name: &'static str, filter: &str, senses: &'static [TableSensor]) -> Option<Method> {
-    find_filter(filter).map(|entry| Method { name, sensors: senses, kind: MethodKind::Filter(entry) })
+    find_filter(filter).map(|entry| Method { name, sensors: senses, kind: MethodKind::Filter(entry.build) })
 }
 
 fn raw() -> Option<Method> {
     find_filter("odometry").map(|entry| Method {
         name: "raw encoders",
         sensors: &[TableSensor::Wheels],
-        kind: MethodKind::Raw(entry),
+        kind: MethodKind::Raw(entry.build),
     })
 }
 
@@ -60,7 +62,8 @@ pub fn printed_methods() -> Vec<Method> {
 pub fn swapped_methods() -> Vec<Method> {
     let mut chain = printed_methods();
     if let Some(last) = chain.last_mut() {
-        *last = Method { name: "ekf5 (v, w swapped)", sensors: OWN, kind: MethodKind::Swapped };
+        let build: BuildFilter = |config| ekf5::build(config, SpeedVarianceOrder::Swapped, FixUsage::Unused);
+        *last = Method { name: "ekf5 (v, w swapped)", sensors: OWN, kind: MethodKind::Filter(build) };
     }
     chain
 }
@@ -90,86 +93,51 @@ pub fn extended() -> Vec<Method> {
     methods.into_iter().flatten().collect()
 }
 
-enum MethodRunner {
-    Filter(Box<dyn Filter>),
-    Raw { filter: Box<dyn Filter>, config: Box<FilterConfig>, before: Option<(f64, [f64; 2])> },
-    Wheels(MatchedWheels),
-    Speeds(MatchedSpeeds),
-}
-
 impl Method {
     /// Runs over a table and returns the estimate after each row; NaN without an estimate. Every `camera_every`-th image is used.
     pub fn run(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<DriveState> {
-        let mut follower = self.runner(config);
-        let unit_rad = table.unit.rad_per_unit(&config.geometry);
+        let mut step = self.start(config, table.unit.rad_per_unit(&config.geometry));
         let mut before_s = table.rows.first().map_or(0.0, |row| row.time_s);
         let rows = table.rows.iter().zip(table.used_images(camera_every));
         rows.map(|(row, is_used)| {
-            let mut row = *row;
-            if !is_used {
-                row.camera = None;
-            }
             let dt_s = row.time_s - before_s;
             before_s = row.time_s;
-            follower.step(&row, dt_s, unit_rad, self.sensors)
+            step(&SensorRow { camera: row.camera.filter(|_| is_used), ..*row }, dt_s)
         })
         .collect()
     }
 
-    fn runner(&self, config: &FilterConfig) -> MethodRunner {
+    fn start(&self, config: &FilterConfig, unit_rad: f64) -> StepRow {
         let start = config.start.map_or([0.0; 3], |start| [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]);
-        let geometry = config.geometry;
+        let (geometry, sensors) = (config.geometry, self.sensors);
+        let turned_rad = move |row: &SensorRow| row.encoders.map(|count| count * unit_rad);
         match self.kind {
-            MethodKind::Filter(entry) => MethodRunner::Filter((entry.build)(config)),
-            MethodKind::Swapped => {
-                let order = SpeedVarianceOrder::Swapped;
-                MethodRunner::Filter(ekf5::build(config, order, FixUsage::Unused))
+            MethodKind::Filter(build) => {
+                let mut filter = build(config);
+                Box::new(move |row, _| observe_row(filter.as_mut(), row, unit_rad, sensors))
             }
-            MethodKind::Raw(entry) => {
-                MethodRunner::Raw { filter: (entry.build)(config), config: Box::new(config.clone()), before: None }
+            MethodKind::Raw(build) => {
+                let (mut filter, mut before) = (build(config), None);
+                Box::new(move |row, dt_s| {
+                    let now = turned_rad(row);
+                    let rates = before.replace(now).map_or([0.0; 2], |before: [f64; 2]| {
+                        [0, 1].map(|side: usize| (now[side] - before[side]) / dt_s)
+                    });
+                    let speeds = rolled_step(rates, &geometry);
+                    let [x, y, heading, ..] = observe_row(filter.as_mut(), row, unit_rad, sensors);
+                    [x, y, heading, speeds.forward_m, speeds.turn_rad]
+                })
             }
             MethodKind::Wheels => {
-                let matrices = WheelMatrices::of_robot(config);
-                MethodRunner::Wheels(MatchedWheels::new(matrices, geometry, start))
+                let mut wheels = MatchedWheels::new(WheelMatrices::of_robot(config), geometry, start);
+                Box::new(move |row, dt_s| wheels.step(dt_s, turned_rad(row)))
             }
             MethodKind::Speeds => {
-                let matrices = SpeedMatrices::of_robot(config);
-                MethodRunner::Speeds(MatchedSpeeds::new(matrices, geometry, start))
+                let mut speeds = MatchedSpeeds::new(SpeedMatrices::of_robot(config), geometry, start);
+                Box::new(move |row, dt_s| speeds.step(dt_s, turned_rad(row), row.accelerations_m_per_s2))
             }
         }
     }
-}
-
-impl MethodRunner {
-    fn step(&mut self, row: &SensorRow, dt_s: f64, unit_rad: f64, senses: &[TableSensor]) -> DriveState {
-        let turned_rad = row.encoders.map(|count| count * unit_rad);
-        match self {
-            Self::Wheels(wheels) => wheels.step(dt_s, turned_rad),
-            Self::Speeds(speeds) => speeds.step(dt_s, turned_rad, row.accelerations_m_per_s2),
-            Self::Filter(filter) => observe_row(filter.as_mut(), row, unit_rad, senses),
-            Self::Raw { filter, config, before } => {
-                let mut state = observe_row(filter.as_mut(), row, unit_rad, senses);
-                let speeds = before.replace((row.time_s, turned_rad)).map_or([0.0, 0.0], |(before_s, before_rad)| {
-                    let dt_s = row.time_s - before_s;
-                    let rolled = [0, 1].map(|i: usize| (turned_rad[i] - before_rad[i]) / dt_s);
-                    speeds_of(rolled, config)
-                });
-                [state[3], state[4]] = speeds;
-                state
-            }
-        }
-    }
-}
-
-/// v and w for these wheel rates, left and right, rad/s.
-fn speeds_of([left, right]: [f64; 2], config: &FilterConfig) -> [f64; 2] {
-    use posebridge_estimator::models::differential_drive::{WheelTravel, body_step};
-    let travel = WheelTravel {
-        left_m: config.geometry.left_wheel_radius.0 * left,
-        right_m: config.geometry.right_wheel_radius.0 * right,
-    };
-    let body = body_step(travel, &config.geometry);
-    [body.forward_m, body.turn_rad]
 }
 
 fn observe_row(filter: &mut dyn Filter, row: &SensorRow, unit_rad: f64, senses: &[TableSensor]) -> DriveState {

@@ -1,8 +1,5 @@
 //! The square of paper 1: three filters over one table of sensor readings, and a test of the ranking that the paper claims.
 //!
-//! Input is a [`SensorTable`], from a simulated drive or from a file, and a filter's configuration; output is errors, rankings, figures
-//! and the page of `posebridge lab nxt-square`. It simulates no drive and does no IO; the optional compass draws from a given seed.
-//!
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/lab/square.md.
 
 mod csv;
@@ -17,7 +14,7 @@ mod table;
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{Heading, Meters, Pose, StartPose, UncertainValue};
 
-pub use self::csv::{COLUMNS, MAX_ROWS, SensorTextError, parse, write};
+pub use self::csv::{MAX_ROWS, SensorTextError, parse, write};
 pub use self::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};
 pub use self::methods::{Method, corrected_methods, extended, printed_methods, swapped_methods};
 pub use self::noise::{MeanAndVariance, NoiseRecord, noise_at_stop, noise_on_straight};

@@ -18,8 +18,8 @@
 use posebridge_telemetry::DriveGeometry;
 
 use super::table::{SensorRow, SensorTable};
-use crate::mean_and_variance;
 use crate::recorded_drive::rolled_step;
+use crate::statistics::{FittedLine, longest_run, mean_and_variance};
 
 /// Rows omitted at both ends of a straight run: the robot starts and stops there.
 const END_ROWS: usize = 8;
@@ -28,7 +28,6 @@ const WINDOW_ROWS: usize = 5;
 const MAX_TURN_RAD_PER_M: f64 = 0.26;
 const MIN_ROWS: usize = 10;
 
-/// Statistics of one channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanAndVariance {
     /// Mean, or slope per second for values that drift.
@@ -59,26 +58,12 @@ pub struct NoiseRecord {
     pub camera: Option<[MeanAndVariance; 2]>,
 }
 
-/// Evaluates the initial rest of a drive.
 pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
     record(table, 0, table.at_rest().len(), geometry)
 }
 
-/// Evaluates the longest straight run.
 pub fn noise_on_straight(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
-    let count = table.rows.len();
-    let mut longest = (0, 0);
-    let mut begun = None;
-    for row in 0..=count {
-        if is_straight(table, row, geometry) {
-            begun.get_or_insert(row);
-        } else if let Some(from) = begun.take()
-            && row - from > longest.1
-        {
-            longest = (from, row - from);
-        }
-    }
-    let (from, length) = longest;
+    let (from, length) = longest_run((0..table.rows.len()).map(|row| is_straight(table, row, geometry)));
     record(table, from + END_ROWS, length.checked_sub(2 * END_ROWS)?, geometry)
 }
 
@@ -170,27 +155,20 @@ fn spread_about_line(times: &[f64], values: &[Option<f64>]) -> Option<MeanAndVar
     if points.len() < MIN_ROWS {
         return None;
     }
-    let n = points.len() as f64;
-    let middle_s = points.iter().map(|(time, _)| time).sum::<f64>() / n;
-    let mean = points.iter().map(|(_, value)| value).sum::<f64>() / n;
-    let spread: f64 = points.iter().map(|(time, _)| (time - middle_s).powi(2)).sum();
-    let shared: f64 = points.iter().map(|(time, value)| (time - middle_s) * (value - mean)).sum();
-    let slope = shared / spread;
-    let squares: f64 = points.iter().map(|(time, value)| (value - mean - slope * (time - middle_s)).powi(2)).sum();
-    Some(MeanAndVariance { mean: slope, variance: squares / (n - 2.0) })
+    let line = FittedLine::through(&points)?;
+    let squares: f64 = points.iter().map(|point| line.residual(*point).powi(2)).sum();
+    Some(MeanAndVariance { mean: line.slope, variance: squares / (points.len() as f64 - 2.0) })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Meters, Radians, Timestamp};
+    use crate::test_support;
+    use posebridge_telemetry::{SensorNoise, Timestamp};
 
-    const GEOMETRY: DriveGeometry = DriveGeometry {
-        left_wheel_radius: Meters(0.028),
-        right_wheel_radius: Meters(0.028),
-        track_width: Meters(0.112),
-        tick: Radians(0.017_453_292_519_943_295),
-    };
+    fn geometry() -> DriveGeometry {
+        test_support::config([0.028; 2], 0.112, 0.017_453_292_519_943_295, SensorNoise::EXACT).geometry
+    }
 
     /// Two seconds at rest, four at a speed that is no whole number of counts per row, one of turning in place.
     fn drive() -> SensorTable {
@@ -209,12 +187,12 @@ mod tests {
 
     #[test]
     fn a_stop_says_nothing_of_rounding_and_a_straight_run_a_twelfth() {
-        let rest = noise_at_stop(&drive(), &GEOMETRY).unwrap();
+        let rest = noise_at_stop(&drive(), &geometry()).unwrap();
         assert_eq!((rest.from, rest.rows), (0, 41));
         assert_eq!(rest.counters.unwrap()[0].variance, 0.0);
         let gyro = rest.gyro.unwrap();
         assert!((gyro.mean - 1.0).abs() < 0.05 && (gyro.variance - 1.0).abs() < 0.05);
-        let straight = noise_on_straight(&drive(), &GEOMETRY).unwrap();
+        let straight = noise_on_straight(&drive(), &geometry()).unwrap();
         assert!(straight.from > 40 && straight.from + straight.rows < 121, "{straight:?}");
         let [left, right] = straight.counters.unwrap();
         assert!((left.variance - 1.0 / 12.0).abs() < 0.02, "{left:?}");
@@ -228,8 +206,8 @@ mod tests {
     fn without_a_straight_run_there_is_no_record() {
         let mut table = drive();
         table.rows.truncate(40);
-        assert_eq!(noise_on_straight(&table, &GEOMETRY), None);
+        assert_eq!(noise_on_straight(&table, &geometry()), None);
         table.rows.truncate(5);
-        assert_eq!(noise_at_stop(&table, &GEOMETRY), None);
+        assert_eq!(noise_at_stop(&table, &geometry()), None);
     }
 }

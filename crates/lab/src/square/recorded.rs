@@ -19,7 +19,7 @@ use posebridge_telemetry::{
 };
 
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
-use crate::recorded_drive::{DriveEndReference, RecordedDrive, fixes, mid_axle_position, moved, wheels};
+use crate::recorded_drive::{DriveEndReference, RecordedDrive, accelerations, fixes, mid_axle_position, moved, wheels};
 
 /// With the path as reference, the last row has the start as its true position.
 pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable {
@@ -37,8 +37,23 @@ pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable 
         ..SensorRow::empty(*stamp)
     });
     let mut table = SensorTable { unit: EncoderUnit::Counts, rows: rows.collect() };
-    add_rates(&mut table, &samples, &drive.observations);
-    add_accelerations(&mut table, &samples, &drive.observations);
+    let mut before: Option<Timestamp<BrickClock>> = None;
+    let rates = drive.observations.iter().filter_map(|observation| {
+        let ObservationKind::TurnRate(rate) = observation.measurement else {
+            return None;
+        };
+        // The first rate covers a time of unknown length: as good as any other.
+        let since_s = before.map_or(1e-3, |before| (observation.stamp - before).as_secs_f64());
+        before = Some(observation.stamp);
+        (since_s > 0.0).then(|| (observation.stamp, [rate.0.to_degrees()], since_s))
+    });
+    let felt = drive.observations.iter();
+    let felt = felt.filter_map(|observation| Some((observation.stamp, accelerations(observation)?, 1.0)));
+    let means = row_means(&samples, rates).into_iter().zip(row_means(&samples, felt));
+    for (row, (rate, felt)) in table.rows.iter_mut().zip(means) {
+        row.gyro_deg_per_s = rate.map(|[rate]| rate);
+        row.accelerations_m_per_s2 = felt;
+    }
     add_images(&mut table, &samples, &drive.observations, geometry);
     if let Some(first) = table.rows.first_mut() {
         // The start is known better than by one image.
@@ -56,52 +71,22 @@ pub fn table_of(drive: &RecordedDrive, geometry: &DriveGeometry) -> SensorTable 
     table
 }
 
-/// The row whose interval contains an instant; `None` before the first and after the last row.
-fn row_index(readings: &[(Timestamp<BrickClock>, [f64; 2])], stamp: Timestamp<BrickClock>) -> Option<usize> {
-    let row = readings.partition_point(|(at, _)| *at < stamp);
-    (row < readings.len()).then_some(row)
-}
-
-fn add_rates(table: &mut SensorTable, readings: &[(Timestamp<BrickClock>, [f64; 2])], observations: &[Observation]) {
-    let mut sums = vec![(0.0, 0.0); table.rows.len()];
-    let mut before: Option<Timestamp<BrickClock>> = None;
-    for observation in observations {
-        let ObservationKind::TurnRate(rate) = observation.measurement else {
-            continue;
-        };
-        // The first rate covers a time of unknown length: as good as any other.
-        let since_s = before.map_or(1e-3, |before| (observation.stamp - before).as_secs_f64());
-        before = Some(observation.stamp);
-        let sum = row_index(readings, observation.stamp).and_then(|row| sums.get_mut(row));
-        if let Some(sum) = sum.filter(|_| since_s > 0.0) {
-            sum.0 += rate.0.to_degrees() * since_s;
-            sum.1 += since_s;
+/// The mean of the weighted values in each row's interval.
+fn row_means<const N: usize>(
+    samples: &[(Timestamp<BrickClock>, [f64; 2])],
+    values: impl Iterator<Item = (Timestamp<BrickClock>, [f64; N], f64)>,
+) -> Vec<Option<[f64; N]>> {
+    let mut sums = vec![([0.0; N], 0.0); samples.len()];
+    for (stamp, value, weight) in values {
+        let row = samples.partition_point(|(at, _)| *at < stamp);
+        if let Some((sum, total)) = sums.get_mut(row) {
+            for (sum, value) in sum.iter_mut().zip(value) {
+                *sum += weight * value;
+            }
+            *total += weight;
         }
     }
-    for (row, (sum, weight)) in table.rows.iter_mut().zip(sums) {
-        row.gyro_deg_per_s = (weight > 0.0).then(|| sum / weight);
-    }
-}
-
-fn add_accelerations(
-    table: &mut SensorTable,
-    readings: &[(Timestamp<BrickClock>, [f64; 2])],
-    observations: &[Observation],
-) {
-    let mut sums = vec![([0.0; 2], 0_u32); table.rows.len()];
-    for observation in observations {
-        let ObservationKind::WheelAccelerations { left, right } = observation.measurement else {
-            continue;
-        };
-        let sum = row_index(readings, observation.stamp).and_then(|row| sums.get_mut(row));
-        if let Some(sum) = sum {
-            sum.0 = [sum.0[0] + left.0, sum.0[1] + right.0];
-            sum.1 += 1;
-        }
-    }
-    for (row, (sum, count)) in table.rows.iter_mut().zip(sums) {
-        row.accelerations_m_per_s2 = (count > 0).then(|| sum.map(|component| component / f64::from(count)));
-    }
+    sums.into_iter().map(|(sum, total)| (total > 0.0).then(|| sum.map(|sum| sum / total))).collect()
 }
 
 fn add_images(
@@ -134,7 +119,6 @@ fn add_images(
     }
 }
 
-/// Direction from the previous fix to the next.
 fn course_over_ground(fixes: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> Option<Heading> {
     let position = |index: usize| fixes.get(index).map(|(_, fix)| fix.position);
     let here: Point2<Arena> = position(index)?;
@@ -144,7 +128,6 @@ fn course_over_ground(fixes: &[(Timestamp<BrickClock>, &Fix)], index: usize) -> 
     (x != 0.0 || y != 0.0).then(|| Heading::from_rad(y.atan2(x)))
 }
 
-/// The fix after a body motion.
 fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) -> MeasuredPose {
     let position = mid_axle_position(fix);
     let theta_deg = fix.heading.map(|heading| (heading + Radians(turn_rad)).rad().to_degrees());
@@ -160,22 +143,22 @@ fn move_fix(fix: &Fix, forward_m: f64, turn_rad: f64, along: Option<Heading>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_support::{self, observation, wheel_angles};
+    use crate::test_support::{self, observation};
     use posebridge_estimator::FilterConfig;
     use posebridge_telemetry::{Meters, MetersPerSecondSquared, RadiansPerSecond, SensorId, SensorNoise};
 
     fn config() -> FilterConfig {
-        test_support::config(SensorNoise::EXACT)
+        test_support::config([0.05; 2], 0.2, 0.01, SensorNoise::EXACT)
     }
 
     /// 0.2 m/s to the north, read every 100 ms, after 200 ms of rest.
     fn northwards() -> Vec<Observation> {
         let angle = |step: i64| 0.4 * (step - 2).max(0) as f64;
-        (0..12).map(|step| wheel_angles(100 * step, angle(step), angle(step))).collect()
+        (0..12).map(|step| test_support::wheels(100 * step, angle(step), angle(step))).collect()
     }
 
     fn fix(millis: i64, y: f64, heading: Option<f64>) -> Observation {
-        test_support::fix(millis, Point2::new(Meters(1.0), Meters(y)), heading, Point2::ORIGIN)
+        test_support::fix(millis, 1.0, y, heading)
     }
 
     fn table(observations: &[Observation]) -> SensorTable {

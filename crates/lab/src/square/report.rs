@@ -31,14 +31,12 @@ pub struct PaperInterpretation {
     pub order: MethodOrder,
 }
 
-/// All results of the experiment.
 #[derive(Clone, Debug)]
 pub struct SquareReport {
     pub source: String,
     pub command: String,
     /// The paper's chain under each setting.
     pub rankings: Vec<MethodRanking>,
-    /// The paper's outlook.
     pub extended: MethodRanking,
     /// Other interpretations of the paper; empty for a file.
     pub interpretations: Vec<PaperInterpretation>,
@@ -275,7 +273,6 @@ fn share(holds: u64, drives: u64) -> f64 {
     holds as f64 / drives.max(1) as f64
 }
 
-/// One drive with the results of the methods.
 #[derive(Clone, Debug)]
 pub struct SquareExample {
     pub table: SensorTable,

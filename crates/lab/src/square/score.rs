@@ -15,12 +15,11 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::matched::DriveState;
 use super::table::SensorTable;
-use crate::uncertain_mean;
+use crate::statistics::{RunningMean, uncertain_mean};
 
 /// Two-sided 95 % quantile of the standard normal distribution.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// The quantity of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorMetric {
     /// Over the whole drive, rms, m.
@@ -36,7 +35,15 @@ pub enum ErrorMetric {
 }
 
 impl ErrorMetric {
-    /// With the unit of the figures.
+    /// All, with their keys in JSON.
+    pub const KEYS: [(&str, Self); 5] = [
+        ("position_rms_m", Self::Position),
+        ("position_end_m", Self::End),
+        ("heading_rms_rad", Self::Heading),
+        ("forward_rms_m_per_s", Self::Forward),
+        ("turn_rms_rad_per_s", Self::Turn),
+    ];
+
     pub const fn name(self) -> &'static str {
         match self {
             Self::Position => "position rms",
@@ -71,29 +78,9 @@ impl PathErrors {
     }
 }
 
-/// Accumulates a root mean square.
-#[derive(Clone, Copy, Default)]
-struct SquareSum {
-    sum: f64,
-    count: u64,
-}
-
-impl SquareSum {
-    /// A non-finite one stays in the sum: a method that diverged has no error.
-    const fn add(&mut self, square: f64) {
-        self.sum += square;
-        self.count += 1;
-    }
-
-    fn root(self) -> Option<f64> {
-        let is_some = self.count > 0 && self.sum.is_finite();
-        is_some.then(|| (self.sum / self.count as f64).sqrt())
-    }
-}
-
 /// `path` has one state for each row of the table.
 pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize) -> PathErrors {
-    let [mut position, mut heading, mut forward, mut turn] = [SquareSum::default(); 4];
+    let [mut position, mut heading, mut forward, mut turn] = [RunningMean::default(); 4];
     let mut end_m = None;
     let references = table.references(camera_every);
     for (row, (state, reference)) in path.iter().zip(references).enumerate() {
@@ -109,15 +96,12 @@ pub fn path_errors(table: &SensorTable, path: &[DriveState], camera_every: usize
             turn.add((state[4] - w).powi(2));
         }
     }
-    let all = [position, heading, forward, turn];
-    PathErrors {
-        diverged: all.iter().any(|squares| !squares.sum.is_finite()),
-        position_m: position.root(),
-        end_m,
-        heading_rad: heading.root(),
-        forward_m_per_s: forward.root(),
-        turn_rad_per_s: turn.root(),
-    }
+    // A square that is not finite stays in the mean: a method that diverged has no error.
+    let roots = [position, heading, forward, turn].map(|squares| squares.root());
+    let [position_m, heading_rad, forward_m_per_s, turn_rad_per_s] =
+        roots.map(|root| root.filter(|root| root.is_finite()));
+    let diverged = roots.into_iter().flatten().any(|root| !root.is_finite());
+    PathErrors { position_m, end_m, heading_rad, forward_m_per_s, turn_rad_per_s, diverged }
 }
 
 /// v and w at a row, by central differences of the neighbouring true poses.
@@ -132,7 +116,6 @@ pub fn true_speeds(table: &SensorTable, row: usize) -> Option<[f64; 2]> {
     Some([forward_m / dt_s, turned_rad / dt_s])
 }
 
-/// One step of an order: whether a method is worse than the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderStep {
     /// Should be worse.
@@ -169,7 +152,6 @@ impl OrderStep {
     }
 }
 
-/// Whether an order holds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodOrder {
     pub steps: Vec<OrderStep>,

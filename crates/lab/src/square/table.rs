@@ -10,9 +10,10 @@ use posebridge_telemetry::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use crate::statistics::normal_pair;
+
 const NANOS_PER_S: f64 = 1e9;
 
-/// Unit of the encoder columns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum EncoderUnit {
     #[default]
@@ -21,7 +22,6 @@ pub enum EncoderUnit {
 }
 
 impl EncoderUnit {
-    /// Radians of wheel rotation.
     pub fn rad_per_unit(self, geometry: &DriveGeometry) -> f64 {
         match self {
             Self::Counts => geometry.tick.0,
@@ -30,7 +30,6 @@ impl EncoderUnit {
     }
 }
 
-/// A pose from an external sensor, or the true one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPose {
     pub x_m: f64,
@@ -51,12 +50,10 @@ pub struct SensorRow {
     /// Forward, at the left and at the right wheel.
     pub accelerations_m_per_s2: Option<[f64; 2]>,
     pub camera: Option<MeasuredPose>,
-    /// Like [`MeasuredPose::theta_deg`].
     pub compass_deg: Option<f64>,
     pub truth: Option<MeasuredPose>,
 }
 
-/// Rows in time order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorTable {
     pub unit: EncoderUnit,
@@ -64,7 +61,6 @@ pub struct SensorTable {
     pub rows: Vec<SensorRow>,
 }
 
-/// A sensor that only some methods use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TableSensor {
     Wheels,
@@ -236,32 +232,21 @@ const COMPASS_SIGMA_DEG: f64 = 3.0;
 /// Of the amplitude of the compass deviation: motors distort the field by some degrees.
 const DEVIATION_SIGMA_DEG: f64 = 3.0;
 
-/// Standard normal numbers from a seed.
-struct NormalSampler(Pcg64);
-
-impl NormalSampler {
-    fn of(seed: u64) -> Self {
-        Self(Pcg64::seed_from_u64(seed))
-    }
-
-    /// Box and Muller (1958); one of the pair is enough here.
-    fn next(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.0.random::<f64>()).ln()).sqrt();
-        radius * (std::f64::consts::TAU * self.0.random::<f64>()).cos()
-    }
+fn normal(random: &mut Pcg64) -> f64 {
+    normal_pair(random.random(), random.random())[0]
 }
 
 /// Fills the compass column of every row that has a true heading.
 pub fn add_compass(table: &mut SensorTable, seed: u64) {
-    let mut normals = NormalSampler::of(seed ^ 0xc0_4a55);
-    let amplitude_deg = DEVIATION_SIGMA_DEG * normals.next();
-    let phase_rad = std::f64::consts::PI * normals.next();
+    let mut random = Pcg64::seed_from_u64(seed ^ 0xc0_4a55);
+    let amplitude_deg = DEVIATION_SIGMA_DEG * normal(&mut random);
+    let phase_rad = std::f64::consts::PI * normal(&mut random);
     for row in &mut table.rows {
         let Some(theta_deg) = row.truth.and_then(|truth| truth.theta_deg) else {
             continue;
         };
         let bent_deg = amplitude_deg * (theta_deg.to_radians() - phase_rad).sin();
-        let noise_deg = COMPASS_SIGMA_DEG * normals.next();
+        let noise_deg = COMPASS_SIGMA_DEG * normal(&mut random);
         row.compass_deg = Some((theta_deg + bent_deg + noise_deg).round());
     }
 }
@@ -269,10 +254,10 @@ pub fn add_compass(table: &mut SensorTable, seed: u64) {
 /// Adds white noise to every reading of both counters but the first; variances of the left and the right one, in the table's unit
 /// squared.
 pub fn add_jitter(table: &mut SensorTable, variances: [f64; 2], seed: u64) {
-    let mut normals = NormalSampler::of(seed ^ 0x71_77e2);
+    let mut random = Pcg64::seed_from_u64(seed ^ 0x71_77e2);
     for row in table.rows.iter_mut().skip(1) {
         for (count, variance) in row.encoders.iter_mut().zip(variances) {
-            *count = (*count + variance.sqrt() * normals.next()).round();
+            *count = (*count + variance.sqrt() * normal(&mut random)).round();
         }
     }
 }

@@ -19,6 +19,8 @@
 
 use posebridge_telemetry::{BrickClock, Observation, TimeDelta, Timestamp};
 
+use crate::statistics::RunningMean;
+
 /// Eighths: the whole step is a few standard deviations long, and no data resolve more.
 pub const SHARES: [f64; 9] = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0];
 /// Fewer runs are split into blocks of time, until there is this number of parts.
@@ -34,7 +36,6 @@ pub fn fold_count(parts: usize) -> usize {
     parts.min(MAX_FOLDS)
 }
 
-/// A run split into blocks of equal duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeBlocks {
     first: Timestamp<BrickClock>,
@@ -67,40 +68,16 @@ impl TimeBlocks {
     }
 }
 
-/// Squared position errors of the online filter.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct SquaredErrors {
-    pub sum_m2: f64,
-    pub count: u64,
-}
-
-impl SquaredErrors {
-    pub fn add(&mut self, error_m: f64) {
-        self.sum_m2 += error_m * error_m;
-        self.count += 1;
-    }
-
-    pub fn merge(&mut self, other: &Self) {
-        self.sum_m2 += other.sum_m2;
-        self.count += other.count;
-    }
-
-    pub fn mean_m2(&self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum_m2 / self.count as f64)
-    }
-}
-
 /// Scores of one fold at each of [`SHARES`] of the step that was found without it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoldScore {
     pub log_likelihood: [f64; SHARES.len()],
-    pub squares: [SquaredErrors; SHARES.len()],
+    /// Squared position errors of the online filter, m².
+    pub squares: [RunningMean; SHARES.len()],
 }
 
-/// The selected step length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShareChoice {
-    /// Index into [`SHARES`].
     pub index: usize,
     /// G(s) of equation (3).
     pub gains: [f64; SHARES.len()],
@@ -110,7 +87,6 @@ pub struct ShareChoice {
     pub reason: ChoiceReason,
 }
 
-/// The reason for the selected step length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChoiceReason {
     /// Equation (4).
@@ -129,13 +105,13 @@ impl ShareChoice {
 
 /// Selects by equation (4) and by the position errors.
 pub fn choose(folds: &[FoldScore]) -> ShareChoice {
-    let gains = per_share(|s| folds.iter().map(|fold| gain(fold, s)).sum());
-    let position_rms_m = per_share(|s| {
-        let mut all = SquaredErrors::default();
+    let gains: [f64; SHARES.len()] = std::array::from_fn(|s| folds.iter().map(|fold| gain(fold, s)).sum());
+    let position_rms_m: [Option<f64>; SHARES.len()] = std::array::from_fn(|s| {
+        let mut all = RunningMean::default();
         for fold in folds {
             all.merge(&fold.squares[s]);
         }
-        all.mean_m2().map(f64::sqrt)
+        all.root()
     });
     let all_of_it = ShareChoice {
         index: SHARES.len() - 1,
@@ -171,7 +147,6 @@ fn gain(fold: &FoldScore, share: usize) -> f64 {
     fold.log_likelihood[share] - fold.log_likelihood[0]
 }
 
-/// The first of equal maxima.
 fn best_index(gains: &[f64; SHARES.len()]) -> usize {
     let mut best = 0;
     for (index, gain) in gains.iter().enumerate() {
@@ -182,11 +157,6 @@ fn best_index(gains: &[f64; SHARES.len()]) -> usize {
     best
 }
 
-fn per_share<T>(of: impl Fn(usize) -> T) -> [T; SHARES.len()] {
-    std::array::from_fn(of)
-}
-
-/// Scores of withheld runs under one set of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitQuality {
     /// Mean log-likelihood of an innovation component; `None` without one.
@@ -195,12 +165,9 @@ pub struct FitQuality {
     pub position_rms_m: Option<f64>,
 }
 
-/// The criterion by which a set of parameters is worse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum QualityLoss {
-    /// Lower likelihood.
     Likelihood,
-    /// Larger position error.
     Position,
     Both,
 }
@@ -228,10 +195,10 @@ impl FitQuality {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_support::wheel_angles;
+    use crate::test_support::wheels;
 
     fn at(second: i64) -> Observation {
-        wheel_angles(1_000 * second, 0.0, 0.0)
+        wheels(1_000 * second, 0.0, 0.0)
     }
 
     /// A fold that gains by a parabola with its top at `top`, and misses positions by `error_m`.
@@ -240,8 +207,8 @@ mod tests {
         FoldScore {
             log_likelihood: SHARES.map(|s| -500.0 + of(s)),
             squares: SHARES.map(|s| {
-                let mut squares = SquaredErrors::default();
-                squares.add(error_m(s));
+                let mut squares = RunningMean::default();
+                squares.add(error_m(s).powi(2));
                 squares
             }),
         }

@@ -4,7 +4,6 @@ use posebridge_estimator::params::{PARAMS, Param};
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{Observation, ObservationKind, SensorNoise};
 
-/// A noise parameter of a robot.
 #[derive(Debug)]
 pub struct NoiseKey {
     /// Key in `[robot.noise]`.
@@ -58,14 +57,12 @@ const fn is_motion_observation(kind: &ObservationKind) -> bool {
     )
 }
 
-/// A tuned parameter.
 #[derive(Clone, Copy)]
 pub enum TunedKey {
     Noise(&'static NoiseKey),
     Param(&'static Param),
 }
 
-/// A key that names no tunable parameter.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{key}` cannot be tuned; there are {known}, and filter.KEY for the tunables of `[filter]`")]
 pub struct UnknownKey {

@@ -8,6 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::folds::TimeBlocks;
+use crate::statistics::normal_pair;
 
 /// Share of outliers: the mismatches of a good camera (about 1 % in the sets of docs/recordings.md).
 const OUTLIER_SHARE: f64 = 0.01;
@@ -25,7 +26,6 @@ pub const fn offline_params(params: Params) -> Params {
     Params { adapt_gain: 0.0, slip_nis: f64::INFINITY, gate_probability: 0.999_999, ..params }
 }
 
-/// The innovations of one sensor over one run or many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFit {
     pub sensor: SensorId,
@@ -93,7 +93,6 @@ impl SourceFit {
     }
 }
 
-/// Likelihood of one run or many under a filter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunFit {
     /// By sensor, in the order of their first observations.
@@ -183,7 +182,6 @@ fn ln_density(record: &FusionRecord) -> Option<f64> {
     Some(at_centre + more + (less - more).exp().ln_1p())
 }
 
-/// Settings of position fixes sampled from the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SyntheticFixes {
     pub every: TimeDelta,
@@ -222,15 +220,6 @@ pub fn fixes_from_truth(
         });
     }
     fixes
-}
-
-/// Two independent standard normal numbers from two uniform ones in [0, 1).
-///
-/// Source: G. E. P. Box, M. E. Muller, A note on the generation of random normal deviates, Ann. Math. Statist. 29(2), 1958.
-fn normal_pair(u: f64, v: f64) -> [f64; 2] {
-    let radius = (-2.0 * (1.0 - u).ln()).sqrt();
-    let (sin, cos) = (std::f64::consts::TAU * v).sin_cos();
-    [radius * cos, radius * sin]
 }
 
 #[cfg(test)]

@@ -1,8 +1,5 @@
 //! Tunes noise parameters on recordings by the likelihood of the innovations.
 //!
-//! A filter predicts each observation before it uses it. Of two sets of noise parameters the better one gives the observations the
-//! higher likelihood. No ground truth is needed.
-//!
 //! # Model
 //! ```text
 //! x_j    = ln(sigma_j / sigma_j0)                      log-scale of noise parameter j against where the search starts
@@ -31,11 +28,11 @@ mod likelihood;
 mod search;
 
 pub use self::folds::{
-    ChoiceReason, FitQuality, FoldScore, QualityLoss, SHARES, ShareChoice, SquaredErrors, TimeBlocks, blocks_per_run,
-    choose, fold_count,
+    ChoiceReason, FitQuality, FoldScore, QualityLoss, SHARES, ShareChoice, TimeBlocks, blocks_per_run, choose,
+    fold_count,
 };
 pub use self::keys::{NOISE_KEYS, NoiseKey, TunedKey, UnknownKey, default_keys};
 pub use self::likelihood::{
     PRIOR_SIGMA, RunFit, SourceFit, SyntheticFixes, fit_in_blocks, fit_run, fixes_from_truth, ln_prior, offline_params,
 };
-pub use self::search::{SearchOptions, SearchResult, SearchRound, SearchTermination, maximise};
+pub use self::search::{SearchOptions, SearchResult, SearchRound, maximise};

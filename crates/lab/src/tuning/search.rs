@@ -4,7 +4,6 @@
 //! together, the same twice as long, and the best single one twice as long. The best point is the next centre; without an improvement
 //! the step is halved. All points of a round are evaluated together, so that the caller may use all cores.
 
-/// Settings of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchOptions {
     pub first_step: f64,
@@ -34,25 +33,14 @@ impl Default for SearchOptions {
     }
 }
 
-/// Value, position and step after a round of the search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchRound {
     /// Largest value so far.
     pub value: f64,
-    /// Its position.
     pub at: Vec<f64>,
     pub step: f64,
 }
 
-/// Why a search ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SearchTermination {
-    /// No step of the smallest size helped.
-    Converged,
-    RoundLimit,
-}
-
-/// The maximum that a search found, with its history.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SearchResult {
     /// At zero.
@@ -62,7 +50,8 @@ pub struct SearchResult {
     pub rounds: Vec<SearchRound>,
     /// One standard deviation of each variable with the others fixed, from the curvature of a log-likelihood; `None` where it is flat.
     pub sigma: Vec<Option<f64>>,
-    pub termination: SearchTermination,
+    /// No step of the smallest size helped; else the rounds were used up.
+    pub has_converged: bool,
 }
 
 /// Step of the second difference: large enough for a rough function.
@@ -91,10 +80,10 @@ pub fn maximise(
     let mut best = SearchPoint { at: start, value: start_value };
     let mut step = search.first_step;
     let mut rounds = Vec::new();
-    let mut ending = SearchTermination::RoundLimit;
+    let mut has_converged = false;
     for _ in 0..search.max_rounds {
         if step < search.last_step || variables == 0 {
-            ending = SearchTermination::Converged;
+            has_converged = true;
             break;
         }
         let polled = poll_points(&best.at, step, search.bound);
@@ -110,7 +99,7 @@ pub fn maximise(
         rounds.push(SearchRound { value: best.value, at: best.at.clone(), step });
     }
     let sigma = sigmas(&best, &mut score_points);
-    SearchResult { start_value, at: best.at, value: best.value, rounds, sigma, termination: ending }
+    SearchResult { start_value, at: best.at, value: best.value, rounds, sigma, has_converged }
 }
 
 /// One step up and one down along each axis: points 2 j and 2 j + 1.
@@ -177,7 +166,7 @@ mod tests {
     fn the_top_of_a_ridge_is_found_with_its_curvature() {
         let found = maximise(2, &SearchOptions::default(), |points| points.iter().map(|point| ridge(point)).collect());
         assert!((found.at[0] - 2.3).abs() < 0.06 && (found.at[1] + 1.1).abs() < 0.06, "{found:?}");
-        assert_eq!(found.termination, SearchTermination::Converged);
+        assert!(found.has_converged);
         assert!((found.sigma[0].unwrap() - 0.1).abs() < 1e-9);
         assert!(found.rounds.windows(2).all(|pair| pair[0].value <= pair[1].value));
     }
@@ -205,8 +194,8 @@ mod tests {
     fn it_ends_when_the_rounds_are_used_up() {
         let search = SearchOptions { max_rounds: 2, ..SearchOptions::default() };
         let found = maximise(2, &search, |points| points.iter().map(|point| ridge(point)).collect());
-        assert_eq!((found.rounds.len(), found.termination), (2, SearchTermination::RoundLimit));
+        assert_eq!((found.rounds.len(), found.has_converged), (2, false));
         let none = maximise(0, &search, |points| vec![1.0; points.len()]);
-        assert_eq!((none.at.len(), none.termination), (0, SearchTermination::Converged));
+        assert_eq!((none.at.len(), none.has_converged), (0, true));
     }
 }

@@ -7,8 +7,11 @@
 //! the noise of the residuals.
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::numerics::statistics::mean;
+use posebridge_telemetry::UncertainValue;
 
 use super::log::{ResponseSample, WallLog, responses};
+use crate::statistics::{FittedLine, golden_section};
 
 /// Search range of the rate: time constants from 20 ms to 20 s.
 const MIN_RATE_PER_S: f64 = 0.05;
@@ -21,13 +24,13 @@ const GOLDEN_STEPS: u32 = 60;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFit {
     /// Steady speed under the input 1.
-    pub steady_m_per_s: (f64, f64),
+    pub steady_m_per_s: UncertainValue,
     /// Time to 90 % of it.
-    pub rise_90_s: (f64, f64),
+    pub rise_90_s: UncertainValue,
     /// d.
-    pub drag_s_per_m: (f64, f64),
+    pub drag_s_per_m: UncertainValue,
     /// m.
-    pub mass_s2_per_m: (f64, f64),
+    pub mass_s2_per_m: UncertainValue,
     /// Noise of a reading, from the residuals.
     pub range_sigma_m: f64,
     pub readings: usize,
@@ -35,17 +38,17 @@ pub struct StepFit {
 
 impl StepFit {
     pub const fn model(&self) -> WallApproachModel {
-        WallApproachModel { drag_s_per_m: self.drag_s_per_m.0, mass_s2_per_m: self.mass_s2_per_m.0 }
+        WallApproachModel { drag_s_per_m: self.drag_s_per_m.value, mass_s2_per_m: self.mass_s2_per_m.value }
     }
 
     /// Share of the steady speed at a time after the start: a fit to steps that end early extrapolates.
     pub fn share_reached(&self, after_s: f64) -> f64 {
-        -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.0).exp_m1()
+        -(-after_s.max(0.0) * std::f64::consts::LN_10 / self.rise_90_s.value).exp_m1()
     }
 
     /// Time, reading and fitted distance, in s, m and m; the distance at rest is the one that fits the log best.
     pub fn fitted_curve(&self, log: &WallLog) -> Vec<(f64, f64, f64)> {
-        let (steady, rate_per_s) = (self.steady_m_per_s.0, std::f64::consts::LN_10 / self.rise_90_s.0);
+        let (steady, rate_per_s) = (self.steady_m_per_s.value, std::f64::consts::LN_10 / self.rise_90_s.value);
         let readings = responses(log, rate_per_s);
         let Some((mean_distance_m, range_m)) = means(&readings) else {
             return Vec::new();
@@ -89,10 +92,10 @@ fn step_fit(v: f64, a: f64, covariance: [f64; 3], range_sigma_m: f64, readings: 
     let relative = vv / (v * v) + aa / (a * a) + 2.0 * va / (v * a);
     let rise = std::f64::consts::LN_10 / a;
     StepFit {
-        steady_m_per_s: (v, vv.sqrt()),
-        rise_90_s: (rise, rise * aa.sqrt() / a),
-        drag_s_per_m: (1.0 / v, vv.sqrt() / (v * v)),
-        mass_s2_per_m: (mass, mass * relative.max(0.0).sqrt()),
+        steady_m_per_s: UncertainValue { value: v, sigma: vv.sqrt() },
+        rise_90_s: UncertainValue { value: rise, sigma: rise * aa.sqrt() / a },
+        drag_s_per_m: UncertainValue { value: 1.0 / v, sigma: vv.sqrt() / (v * v) },
+        mass_s2_per_m: UncertainValue { value: mass, sigma: mass * relative.max(0.0).sqrt() },
         range_sigma_m,
         readings,
     }
@@ -104,20 +107,10 @@ fn best_rate(logs: &[WallLog]) -> f64 {
     let grid = |index: u32| MIN_RATE_PER_S * ratio.powf(f64::from(index) / f64::from(GRID));
     let best = (0..=GRID).min_by(|a, b| cost(grid(*a)).total_cmp(&cost(grid(*b))));
     let best = best.unwrap_or(0);
-    let (mut low, mut high) = (grid(best.saturating_sub(1)), grid((best + 1).min(GRID)));
-    let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
-    for _ in 0..GOLDEN_STEPS {
-        let (left, right) = (high - golden * (high - low), low + golden * (high - low));
-        if cost(left) < cost(right) {
-            high = right;
-        } else {
-            low = left;
-        }
-    }
-    f64::midpoint(low, high)
+    let (low, high) = (grid(best.saturating_sub(1)), grid((best + 1).min(GRID)));
+    golden_section(low, high, GOLDEN_STEPS, |rate| -cost(rate))
 }
 
-/// The best linear parameters for a given rate.
 struct LinearFit {
     steady_m_per_s: f64,
     cost_m2: f64,
@@ -141,10 +134,8 @@ impl LinearFit {
 }
 
 fn means(readings: &[ResponseSample]) -> Option<(f64, f64)> {
-    let count = readings.len() as f64;
-    let mean_distance_m = readings.iter().map(|reading| reading.distance_m).sum::<f64>() / count;
-    let range_m = readings.iter().map(|reading| reading.range_m).sum::<f64>() / count;
-    (count > 0.0).then_some((mean_distance_m, range_m))
+    let distance_m = mean(readings.iter().map(|reading| reading.distance_m))?;
+    Some((distance_m, mean(readings.iter().map(|reading| reading.range_m))?))
 }
 
 /// Covariance [vv, va, aa] by least squares about the minimum.
@@ -157,7 +148,7 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
         let by_a = ahead.iter().zip(&behind);
         let by_a: Vec<f64> =
             by_a.map(|(ahead, behind)| v * (ahead.distance_m - behind.distance_m) / (2.0 * h)).collect();
-        let mean_a = by_a.iter().sum::<f64>() / by_a.len() as f64;
+        let mean_a = mean(by_a.iter().copied())?;
         let (mean_v, _) = means(&here)?;
         for (reading, by_a) in here.iter().zip(by_a) {
             let (by_v, by_a) = (reading.distance_m - mean_v, by_a - mean_a);
@@ -170,7 +161,6 @@ fn covariance(logs: &[WallLog], a: f64, v: f64, variance_m2: f64) -> Option<[f64
     (determinant > 0.0).then(|| [n_aa, -n_va, n_vv].map(|entry| variance_m2 * entry / determinant))
 }
 
-/// Speed towards the wall at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedSample {
     pub at_s: f64,
@@ -178,7 +168,6 @@ pub struct SpeedSample {
     pub towards_m_per_s: f64,
 }
 
-/// Why a step test has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WallStepError {
@@ -190,7 +179,6 @@ pub enum WallStepError {
     NoMotion,
 }
 
-/// The result of the evaluation by hand.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ManualStepFit {
     /// Steady speed, from the steepest line.
@@ -215,7 +203,7 @@ pub fn differences(log: &WallLog) -> Vec<SpeedSample> {
         .collect()
 }
 
-/// Slopes of regression lines through pieces of `piece` readings, each overlapping half of the previous one.
+/// Slopes of regression lines through pieces of `length` readings, each overlapping half of the previous one.
 pub fn overlapping_lines(log: &WallLog, length: usize) -> Vec<SpeedSample> {
     let readings: Vec<(f64, f64)> = log.readings().collect();
     segments(&readings, length).filter_map(slope).collect()
@@ -233,18 +221,11 @@ fn segments(readings: &[(f64, f64)], length: usize) -> impl Iterator<Item = &[(f
 }
 
 fn slope(samples: &[(f64, f64)]) -> Option<SpeedSample> {
-    let count = samples.len() as f64;
-    let at_s = samples.iter().map(|(at_s, _)| at_s).sum::<f64>() / count;
-    let mean_m = samples.iter().map(|(_, range_m)| range_m).sum::<f64>() / count;
-    let (mut across, mut along) = (0.0, 0.0);
-    for (time_s, range_m) in samples {
-        across += (time_s - at_s) * (range_m - mean_m);
-        along += (time_s - at_s).powi(2);
-    }
-    (along > 0.0).then_some(SpeedSample { at_s, towards_m_per_s: -across / along })
+    let line = FittedLine::through(samples)?;
+    Some(SpeedSample { at_s: line.centre.0, towards_m_per_s: -line.slope })
 }
 
-/// Evaluates a step as by hand: lines through pieces of `piece` readings.
+/// Evaluates a step as by hand: lines through pieces of `length` readings.
 ///
 /// A line's slope is the mean speed of its piece, lower than at its end while the car accelerates, and the steepest of several noisy
 /// lines is too steep: such results are accurate to some per cent. [`fit_steps`](super::fit_steps) is more accurate and returns its
@@ -278,16 +259,13 @@ pub fn fit_by_hand(log: &WallLog, length: usize) -> Result<ManualStepFit, WallSt
     })
 }
 
-/// `None` for no steps.
 pub fn mean_manual_fit(steps: &[ManualStepFit]) -> Option<ManualStepFit> {
-    let count = steps.len() as f64;
-    let mean = |of: fn(&ManualStepFit) -> f64| steps.iter().map(of).sum::<f64>() / count;
-    let steady_m_per_s = mean(|step| step.steady_m_per_s);
-    let rise_90_s = mean(|step| step.rise_90_s);
-    (!steps.is_empty()).then(|| ManualStepFit {
+    let mean = |of: fn(&ManualStepFit) -> f64| mean(steps.iter().map(of));
+    let (steady_m_per_s, rise_90_s) = (mean(|step| step.steady_m_per_s)?, mean(|step| step.rise_90_s)?);
+    Some(ManualStepFit {
         steady_m_per_s,
-        steady_by_difference_m_per_s: mean(|step| step.steady_by_difference_m_per_s),
-        start_s: mean(|step| step.start_s),
+        steady_by_difference_m_per_s: mean(|step| step.steady_by_difference_m_per_s)?,
+        start_s: mean(|step| step.start_s)?,
         rise_90_s,
         model: WallApproachModel::from_step_test(steady_m_per_s, rise_90_s),
     })
@@ -330,10 +308,10 @@ mod tests {
     #[test]
     fn readings_without_noise_give_the_drive_itself() {
         let fit = fit_steps(&[simulated(1, 0.0)]).unwrap();
-        assert!((fit.steady_m_per_s.0 - 1.225).abs() < 1e-6, "{fit:?}");
-        assert!((fit.rise_90_s.0 - 0.997).abs() < 1e-6);
-        assert!((fit.drag_s_per_m.0 - 0.816_33).abs() < 1e-5);
-        assert!((fit.mass_s2_per_m.0 - 0.353_46).abs() < 1e-5);
+        assert!((fit.steady_m_per_s.value - 1.225).abs() < 1e-6, "{fit:?}");
+        assert!((fit.rise_90_s.value - 0.997).abs() < 1e-6);
+        assert!((fit.drag_s_per_m.value - 0.816_33).abs() < 1e-5);
+        assert!((fit.mass_s2_per_m.value - 0.353_46).abs() < 1e-5);
         assert!(fit.range_sigma_m < 1e-6);
         for (_, range_m, fitted_m) in fit.fitted_curve(&simulated(1, 0.0)) {
             assert!((range_m - fitted_m).abs() < 1e-6);
@@ -349,8 +327,8 @@ mod tests {
         let [mut d, mut m, mut sigma_m] = [0.0; 3];
         for seed in 0..runs {
             let fit = fit_steps(&[simulated(seed, 0.01), simulated(seed + 1_000, 0.01)]).unwrap();
-            d += ((fit.drag_s_per_m.0 - 0.816_327) / fit.drag_s_per_m.1).powi(2);
-            m += ((fit.mass_s2_per_m.0 - 0.353_464) / fit.mass_s2_per_m.1).powi(2);
+            d += ((fit.drag_s_per_m.value - 0.816_327) / fit.drag_s_per_m.sigma).powi(2);
+            m += ((fit.mass_s2_per_m.value - 0.353_464) / fit.mass_s2_per_m.sigma).powi(2);
             sigma_m += fit.range_sigma_m;
         }
         let per_run = |sum: f64| sum / runs as f64;

@@ -2,6 +2,7 @@
 
 use posebridge_estimator::Params;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
@@ -10,7 +11,6 @@ use super::replay_filter::{
     ApproachEstimator, GATE_SIGMAS, KalmanNoise, LinearExtrapolation, WallKalman, innovation_sigma,
 };
 
-/// A reading and its predictions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeForecast {
     pub at_s: f64,
@@ -31,7 +31,7 @@ pub struct RangeForecast {
 const REFIT_GROWTH: f64 = 1.02;
 
 /// Predicts every reading but the first from the earlier ones.
-pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
+pub fn forecast(log: &WallLog, range_sigma_m: f64) -> Vec<RangeForecast> {
     let least_gate_m = Params::default().wall_gate_m;
     let mut foreseen = Vec::new();
     let mut line = LinearExtrapolation::default();
@@ -47,7 +47,7 @@ pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
         let is_due = readings as f64 >= REFIT_GROWTH * identified_at as f64;
         if readings > 0 && (known.is_none() || (is_due && readings > identified_at)) {
             let past = log.entries().iter().take(index).copied().collect();
-            known = Some(search.best(&WallLog::new(past)));
+            known = Some(best_plant(&WallLog::new(past), range_sigma_m));
             identified_at = readings;
         }
         if let Some((plant, runner)) = &mut known {
@@ -69,7 +69,6 @@ pub fn forecast(log: &WallLog, search: PlantSearch) -> Vec<RangeForecast> {
     foreseen
 }
 
-/// Statistics of the gate over a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GateStatistics {
     pub readings: usize,
@@ -77,17 +76,10 @@ pub struct GateStatistics {
     pub mean_m: f64,
 }
 
-/// `None` if no reading had a prediction.
 pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
     let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
-    if gates.is_empty() {
-        return None;
-    }
-    Some(GateStatistics {
-        readings: gates.len(),
-        gated: foreseen.iter().filter(|one| one.is_gated).count(),
-        mean_m: gates.iter().sum::<f64>() / gates.len() as f64,
-    })
+    let mean_m = mean(gates.iter().copied())?;
+    Some(GateStatistics { readings: gates.len(), gated: foreseen.iter().filter(|one| one.is_gated).count(), mean_m })
 }
 
 /// Root mean square prediction errors, over the readings that both methods predicted.
@@ -105,18 +97,9 @@ pub fn score_forecasts(
 ) -> Option<ForecastScore> {
     let common: Vec<(&RangeForecast, f64)> =
         foreseen.iter().filter_map(|foreseen| Some((foreseen, other(foreseen)?))).collect();
-    if common.is_empty() {
-        return None;
-    }
-    let rms = |error: &dyn Fn(&(&RangeForecast, f64)) -> f64| {
-        let squares = common.iter().map(|pair| error(pair).powi(2));
-        (squares.sum::<f64>() / common.len() as f64).sqrt()
-    };
-    Some(ForecastScore {
-        readings: common.len(),
-        kalman_rms_m: rms(&|(foreseen, _)| foreseen.range_m - foreseen.kalman_m),
-        other_rms_m: rms(&|(foreseen, other_m)| foreseen.range_m - other_m),
-    })
+    let kalman = mean(common.iter().map(|(foreseen, _)| (foreseen.range_m - foreseen.kalman_m).powi(2)))?;
+    let other = mean(common.iter().map(|(foreseen, other_m)| (foreseen.range_m - other_m).powi(2)))?;
+    Some(ForecastScore { readings: common.len(), kalman_rms_m: kalman.sqrt(), other_rms_m: other.sqrt() })
 }
 
 // The drive and the noise of an unmeasured car, from its run so far.
@@ -159,52 +142,39 @@ pub struct Plant {
     pub noise: KalmanNoise,
 }
 
-/// Prior knowledge before the first reading.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlantSearch {
-    /// Configured noise of a reading.
-    pub range_sigma_m: f64,
-}
-
-impl PlantSearch {
-    /// The candidate with the highest likelihood, with its filter at the log's end. An empty log gives the usual one.
-    pub(super) fn best(self, log: &WallLog) -> (Plant, PlantFilter) {
-        let mut best: Option<(f64, Plant, PlantFilter)> = None;
-        for time_constant_s in TIME_CONSTANTS_S {
-            let steps = steps(log, 1.0 / time_constant_s);
-            for share in PROCESS_SHARES {
-                for factor in RANGE_FACTORS {
-                    let noise = KalmanNoise {
-                        process_m: share * KalmanNoise::PAPER.process_m,
-                        range_m: factor * self.range_sigma_m,
-                    };
-                    let plant = Plant { steady_m_per_s: estimate_steady_speed(&steps, noise), time_constant_s, noise };
-                    let unusual =
-                        (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs() + share.log2().abs() + factor.log2();
-                    let (cost, runner) = run_plant(log, plant);
-                    let prior = 0.5 * (plant.steady_m_per_s / STEADY_SIGMA_M_PER_S).powi(2);
-                    let cost = cost + prior + PER_DOUBLING * unusual;
-                    if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
-                        best = Some((cost, plant, runner));
-                    }
+/// The candidate with the highest likelihood, with its filter at the log's end; `range_sigma_m` is the configured noise of a reading. An
+/// empty log gives the usual one.
+fn best_plant(log: &WallLog, range_sigma_m: f64) -> (Plant, PlantFilter) {
+    let mut best: Option<(f64, Plant, PlantFilter)> = None;
+    for time_constant_s in TIME_CONSTANTS_S {
+        let steps = steps(log, 1.0 / time_constant_s);
+        for share in PROCESS_SHARES {
+            for factor in RANGE_FACTORS {
+                let noise =
+                    KalmanNoise { process_m: share * KalmanNoise::PAPER.process_m, range_m: factor * range_sigma_m };
+                let plant = Plant { steady_m_per_s: estimate_steady_speed(&steps, noise), time_constant_s, noise };
+                let unusual =
+                    (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs() + share.log2().abs() + factor.log2();
+                let (cost, runner) = run_plant(log, plant);
+                let prior = 0.5 * (plant.steady_m_per_s / STEADY_SIGMA_M_PER_S).powi(2);
+                let cost = cost + prior + PER_DOUBLING * unusual;
+                if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+                    best = Some((cost, plant, runner));
                 }
             }
         }
-        best.map_or_else(|| self.usual(), |(_, plant, runner)| (plant, runner))
     }
-
-    /// Fallback if every cost is NaN.
-    fn usual(self) -> (Plant, PlantFilter) {
-        let plant = Plant {
-            steady_m_per_s: 0.0,
-            time_constant_s: USUAL_TIME_CONSTANT_S,
-            noise: KalmanNoise { range_m: self.range_sigma_m, ..KalmanNoise::PAPER },
-        };
-        (plant, PlantFilter::new(plant))
-    }
+    best.map_or_else(
+        || {
+            let noise = KalmanNoise { range_m: range_sigma_m, ..KalmanNoise::PAPER };
+            let usual = Plant { steady_m_per_s: 0.0, time_constant_s: USUAL_TIME_CONSTANT_S, noise };
+            (usual, PlantFilter::new(usual))
+        },
+        |(_, plant, runner)| (plant, runner),
+    )
 }
 
-pub(super) struct PlantFilter {
+struct PlantFilter {
     kalman: WallKalman,
     steady_m_per_s: f64,
 }
@@ -219,8 +189,7 @@ impl PlantFilter {
         }
     }
 
-    /// Processes an entry; returns its cost.
-    pub(super) fn observe(&mut self, at_s: f64, reading: WallReading) -> f64 {
+    fn observe(&mut self, at_s: f64, reading: WallReading) -> f64 {
         match reading {
             WallReading::Input(input) => {
                 self.kalman.observe_input(at_s, input * self.steady_m_per_s);
@@ -233,11 +202,11 @@ impl PlantFilter {
         }
     }
 
-    pub(super) fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
+    fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
         self.kalman.fuse(at_s, range_m)
     }
 
-    pub(super) fn distance_m(&self, at_s: f64) -> Option<f64> {
+    fn distance_m(&self, at_s: f64) -> Option<f64> {
         self.kalman.estimate(at_s).map(|estimate| estimate.distance_m)
     }
 }
@@ -287,14 +256,14 @@ mod tests {
         log_of([], ranges).with_assumed_drive()
     }
 
-    const SEARCH: PlantSearch = PlantSearch { range_sigma_m: 0.01 };
+    const SIGMA_M: f64 = 0.01;
 
     #[test]
     fn what_is_foretold_does_not_depend_on_what_comes_later() {
         let ranges = [3.0, 2.98, 2.93, 2.86, 2.77, 2.66, 2.52, 2.39, 2.21, 2.04];
         let mut changed = ranges;
         changed[8..].fill(9.0);
-        let (before, after) = (forecast(&log(&ranges), SEARCH), forecast(&log(&changed), SEARCH));
+        let (before, after) = (forecast(&log(&ranges), SIGMA_M), forecast(&log(&changed), SIGMA_M));
         assert_eq!(before.len(), 9);
         for (before, after) in before.iter().zip(&after).take(7) {
             assert_eq!(before, after);
@@ -310,7 +279,7 @@ mod tests {
         // 0.5 m/s; the reading at 1.6 s is a passer-by.
         let mut ranges: Vec<f64> = (0..24).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
         ranges[16] = 0.1;
-        let foreseen = forecast(&log(&ranges), SEARCH);
+        let foreseen = forecast(&log(&ranges), SIGMA_M);
         let refused: Vec<usize> = (0..23).filter(|index| foreseen[*index].is_gated).collect();
         // There is no prediction of the first reading.
         assert_eq!(refused, [15]);
@@ -324,7 +293,7 @@ mod tests {
 
     #[test]
     fn scores_are_over_common_readings_alone() {
-        let foreseen = forecast(&log(&[3.0, 2.9, 2.7]), SEARCH);
+        let foreseen = forecast(&log(&[3.0, 2.9, 2.7]), SIGMA_M);
         let by_line = score_forecasts(&foreseen, |foreseen| foreseen.line_m).unwrap();
         assert_eq!(by_line.readings, 1);
         assert!((by_line.other_rms_m - 0.1).abs() < 1e-9);
@@ -348,7 +317,7 @@ mod tests {
     #[test]
     fn a_car_is_recognised_by_what_it_has_done_whatever_the_sign_of_its_input() {
         for input in [1.0, -0.5] {
-            let (plant, _) = SEARCH.best(&driven(input, 25));
+            let (plant, _) = best_plant(&driven(input, 25), SIGMA_M);
             assert!((plant.steady_m_per_s * input / 2.0 - 1.0).abs() < 0.15, "{plant:?}");
             assert_eq!(plant.time_constant_s, 0.9, "{plant:?}");
             assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.02);
@@ -358,7 +327,7 @@ mod tests {
     #[test]
     fn a_car_that_has_done_nothing_is_not_believed_to_move() {
         for readings in [0, 1] {
-            let (plant, _) = SEARCH.best(&driven(1.0, readings));
+            let (plant, _) = best_plant(&driven(1.0, readings), SIGMA_M);
             assert_eq!(plant.steady_m_per_s, 0.0);
             assert_eq!(plant.time_constant_s, USUAL_TIME_CONSTANT_S);
         }

@@ -2,9 +2,8 @@
 
 use posebridge_telemetry::UncertainValue;
 
-use crate::uncertain_mean;
+use crate::statistics::uncertain_mean;
 
-/// The content of an entry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WallReading {
     Range(f64),
@@ -12,14 +11,12 @@ pub enum WallReading {
     Input(f64),
 }
 
-/// A reading or motor input with its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallEntry {
     pub at_s: f64,
     pub reading: WallReading,
 }
 
-/// Readings and motor inputs of a drive before a wall.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WallLog {
     entries: Vec<WallEntry>,
@@ -93,23 +90,18 @@ impl WallLog {
 ///
 /// `None` for fewer than three intervals, as in a log without inputs.
 pub fn loop_period(logs: &[WallLog]) -> Option<UncertainValue> {
-    let intervals = logs.iter().map(|log| gaps(&log.inputs().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
-    mean(&intervals.flatten().collect::<Vec<_>>())
+    mean_interval(logs.iter().map(|log| log.inputs().map(|(at_s, _)| at_s).collect()))
 }
 
 /// The same between the readings: a missed reading doubles an interval.
 pub fn reading_period(logs: &[WallLog]) -> Option<UncertainValue> {
-    let intervals = logs.iter().map(|log| gaps(&log.readings().map(|(at_s, _)| at_s).collect::<Vec<_>>()));
-    mean(&intervals.flatten().collect::<Vec<_>>())
+    mean_interval(logs.iter().map(|log| log.readings().map(|(at_s, _)| at_s).collect()))
 }
 
-fn gaps(times: &[f64]) -> Vec<f64> {
-    let pairs = times.iter().zip(times.iter().skip(1));
-    pairs.map(|(from, to)| to - from).collect()
-}
-
-fn mean(intervals: &[f64]) -> Option<UncertainValue> {
-    if intervals.len() < 3 { None } else { uncertain_mean(intervals) }
+fn mean_interval(times: impl Iterator<Item = Vec<f64>>) -> Option<UncertainValue> {
+    let intervals = |times: Vec<f64>| times.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<f64>>();
+    let intervals: Vec<f64> = times.flat_map(intervals).collect();
+    if intervals.len() < 3 { None } else { uncertain_mean(&intervals) }
 }
 
 /// A reading with the travel by then at a steady speed of 1 m/s per unit of input.

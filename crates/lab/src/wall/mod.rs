@@ -1,10 +1,6 @@
 //! Car before a wall: its parameters from a step test, the wall filter's estimates from its readings, and the filter's prediction
 //! errors.
 //!
-//! The offline evaluation of paper 3: a [`WallLog`] from the simulator or a recording gives numbers. The filter itself is the
-//! estimator's `range-kf` with its corrected twin; the only other estimator here is the baseline of the paper, the line through the
-//! last two readings.
-//!
 //! # Model
 //! ```text
 //! dz/dt = -v        dv/dt = (u - d v) / m        u the motor input: 1 at the PWM of the step
@@ -24,11 +20,10 @@ pub use self::fit::{
     overlapping_lines,
 };
 pub use self::forecast::{
-    ForecastScore, GateStatistics, Plant, PlantSearch, RangeForecast, forecast, gate_statistics, score_forecasts,
+    ForecastScore, GateStatistics, Plant, RangeForecast, forecast, gate_statistics, score_forecasts,
 };
 pub use self::log::{WallEntry, WallLog, WallReading, loop_period, reading_period};
 pub use self::replay_filter::{
-    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LastReading, LinearExtrapolation, NEAR_WALL_M,
-    StopComparison, StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops,
-    validate_model,
+    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LinearExtrapolation, NEAR_WALL_M, StopComparison,
+    StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops, validate_model,
 };

@@ -2,13 +2,14 @@
 
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::{RangeFilter, RangeFilterVariant};
-use posebridge_estimator::{Filter, FilterConfig, Params};
+use posebridge_estimator::{Filter, Params};
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, FusionOutcome, FusionRecord, Meters, MetersPerSecond, Observation,
-    ObservationKind, Radians, RadiansPerSecond, SensorId, SensorNoise, TimeDelta, Timestamp,
+    BrickClock, FusionOutcome, FusionRecord, Meters, MetersPerSecond, Observation, ObservationKind, RadiansPerSecond,
+    SensorId, SensorNoise, TimeDelta, Timestamp,
 };
 
 use super::log::{WallLog, WallReading};
+use crate::config_without_wheels;
 
 /// Estimated distance and speed towards the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,59 +27,35 @@ pub trait ApproachEstimator {
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate>;
 }
 
+/// The line through the last two readings: extrapolated, or its last reading held until the next.
 #[derive(Clone, Copy, Debug, Default)]
-struct LastTwoReadings {
+pub struct LinearExtrapolation {
     last: Option<(f64, f64)>,
     before: Option<(f64, f64)>,
+    is_held: bool,
 }
 
-impl LastTwoReadings {
-    fn push(&mut self, at_s: f64, range_m: f64) {
+impl LinearExtrapolation {
+    pub const HELD: Self = Self { last: None, before: None, is_held: true };
+}
+
+impl ApproachEstimator for LinearExtrapolation {
+    fn observe_range(&mut self, at_s: f64, range_m: f64) {
         if self.last.is_none_or(|(last_s, _)| at_s > last_s) {
             self.before = self.last.replace((at_s, range_m));
         }
     }
 
-    fn towards_m_per_s(&self) -> f64 {
-        match (self.before, self.last) {
-            (Some((t0, z0)), Some((t1, z1))) => (z0 - z1) / (t1 - t0),
-            _ => 0.0,
-        }
-    }
-}
-
-/// Holds the last reading until the next; the speed is the slope between the last two.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LastReading(LastTwoReadings);
-
-impl ApproachEstimator for LastReading {
-    fn observe_range(&mut self, at_s: f64, range_m: f64) {
-        self.0.push(at_s, range_m);
-    }
     fn observe_input(&mut self, _: f64, _: f64) {}
-    fn estimate(&self, _: f64) -> Option<ApproachEstimate> {
-        let (_, distance_m) = self.0.last?;
-        Some(ApproachEstimate { distance_m, towards_m_per_s: self.0.towards_m_per_s() })
-    }
-}
 
-/// Extrapolates the line through the last two readings.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LinearExtrapolation(LastTwoReadings);
-
-impl ApproachEstimator for LinearExtrapolation {
-    fn observe_range(&mut self, at_s: f64, range_m: f64) {
-        self.0.push(at_s, range_m);
-    }
-    fn observe_input(&mut self, _: f64, _: f64) {}
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate> {
-        let (last_s, range_m) = self.0.last?;
-        let towards_m_per_s = self.0.towards_m_per_s();
-        Some(ApproachEstimate { distance_m: range_m - towards_m_per_s * (at_s - last_s), towards_m_per_s })
+        let (last_s, range_m) = self.last?;
+        let towards_m_per_s = self.before.map_or(0.0, |(t0, z0)| (z0 - range_m) / (last_s - t0));
+        let since_s = if self.is_held { 0.0 } else { at_s - last_s };
+        Some(ApproachEstimate { distance_m: range_m - towards_m_per_s * since_s, towards_m_per_s })
     }
 }
 
-/// The configured noise of the wall filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanNoise {
     /// sigma_u: of distance (m) and speed (m/s) per step of 7.6 ms.
@@ -92,7 +69,6 @@ impl KalmanNoise {
     pub const PAPER: Self = Self { process_m: 0.05, range_m: 0.02 };
 }
 
-/// The wall filter of the estimator, for offline replay.
 pub struct WallKalman {
     filter: RangeFilter,
     drag_s_per_m: f64,
@@ -100,19 +76,13 @@ pub struct WallKalman {
 
 impl WallKalman {
     pub fn new(model: WallApproachModel, noise: KalmanNoise, variant: RangeFilterVariant) -> Self {
-        let config = FilterConfig {
-            geometry: UNUSED_GEOMETRY,
-            noise: SensorNoise { wall_range_m: noise.range_m, ..SensorNoise::EXACT },
-            start: None,
-            params: Params {
-                wall_drag_s_per_m: model.drag_s_per_m,
-                wall_mass_s2_per_m: model.mass_s2_per_m,
-                wall_process_m: noise.process_m,
-                ..Params::default()
-            },
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
+        let params = Params {
+            wall_drag_s_per_m: model.drag_s_per_m,
+            wall_mass_s2_per_m: model.mass_s2_per_m,
+            wall_process_m: noise.process_m,
+            ..Params::default()
         };
+        let config = config_without_wheels(SensorNoise { wall_range_m: noise.range_m, ..SensorNoise::EXACT }, params);
         Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m }
     }
 
@@ -154,17 +124,9 @@ fn timestamp(at_s: f64) -> Timestamp<BrickClock> {
     Timestamp::from_secs_f64(at_s)
 }
 
-const UNUSED_GEOMETRY: DriveGeometry = DriveGeometry {
-    left_wheel_radius: Meters(1.0),
-    right_wheel_radius: Meters(1.0),
-    track_width: Meters(1.0),
-    tick: Radians(1.0),
-};
-
 /// The paper's gate, in standard deviations of the innovation.
 pub(super) const GATE_SIGMAS: f64 = 3.0;
 
-/// Statistics of the filter over a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Validation {
     /// Control cycles: each is a prediction.
@@ -237,10 +199,8 @@ pub(super) fn innovation_sigma(record: &FusionRecord) -> Option<f64> {
     (record.degrees_of_freedom == 1 && s_m2 > 0.0).then_some(s_m2)
 }
 
-/// Outcome of a reading with an added error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GateTrial {
-    pub index: usize,
     pub added_m: f64,
     pub is_gated: bool,
     pub jumped_m: f64,
@@ -270,7 +230,6 @@ pub fn gate_trial(
                 innovation_sigma(&record)?;
                 let after = kalman.estimate(entry.at_s)?;
                 return Some(GateTrial {
-                    index,
                     added_m,
                     is_gated: record.outcome == FusionOutcome::Gated,
                     jumped_m: after.distance_m - before.distance_m,
@@ -284,7 +243,6 @@ pub fn gate_trial(
 /// Tolerance of a stop at the target.
 pub const NEAR_WALL_M: f64 = 0.02;
 
-/// Error, time and speed of an approach that stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopResult {
     /// Distance from the wall minus the target; negative is too near.
@@ -295,7 +253,6 @@ pub struct StopResult {
     pub approach_m_per_s: f64,
 }
 
-/// Statistics over approaches of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StopSummary {
     pub runs: usize,
@@ -364,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_line_goes_on_where_the_last_reading_stays() {
-        let (mut last, mut line) = (LastReading::default(), LinearExtrapolation::default());
+        let (mut last, mut line) = (LinearExtrapolation::HELD, LinearExtrapolation::default());
         assert_eq!(line.estimate(0.0), None);
         for (at_s, range_m) in [(0.0, 2.0), (0.1, 1.9), (0.1, 7.0)] {
             last.observe_range(at_s, range_m);

@@ -1,7 +1,7 @@
 //! The scoring of drives with known truth: a toy estimator with a known error gives the known figures.
 
 use posebridge_estimator::Filter;
-use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, ScoreRow, score};
+use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
@@ -84,17 +84,17 @@ fn at_rest() -> ReferenceDrive {
 fn a_constant_error_is_its_own_root_mean_square() {
     // 5 m away, and 0.1 rad off across the seam of the circle.
     let result = score(&at_rest(), &mut ToyFilter::at(3.0, 4.0, 3.2, 0.25));
-    assert_eq!((result.runs(), result.steps(), result.steps_without_estimate()), (1, 8, 2));
+    assert_eq!((result.runs, result.steps(), result.steps_without_estimate), (1, 8, 2));
     assert_eq!(result.position_rms_m(), Some(5.0));
     assert_eq!(result.position_mean_m(), Some(5.0));
-    assert_eq!(result.position_max_m(), Some(5.0));
-    assert_eq!(result.run_rms_m(), [5.0]);
+    assert_eq!(result.position_max_m, Some(5.0));
+    assert_eq!(result.run_rms_m, [5.0]);
     assert!((result.heading_rms_rad().unwrap() - 0.1).abs() < 1e-12);
     // By hand: (9 + 16 + 0.01) / 0.25 / 3.
     assert!((result.anees().unwrap() - 25.01 / 0.75).abs() < 1e-9);
     assert_eq!(result.claimed_rms_m(), Some(0.5_f64.sqrt()));
     assert_eq!(result.consistency(), Consistency::OverConfident);
-    assert_eq!(result.sources()[0].mean_nis_per_dof(), Some(1.5));
+    assert_eq!(result.sources[0].mean_nis_per_dof(), Some(1.5));
 }
 
 #[test]
@@ -103,14 +103,14 @@ fn runs_merge_over_all_their_steps_and_not_over_their_means() {
     let short = ReferenceDrive { scored_from: 9, ..at_rest() };
     let mut merged = score(&short, &mut ToyFilter::at(0.0, -7.0, 3.1, 1.0));
     merged.merge(&long);
-    assert_eq!((merged.runs(), merged.steps()), (2, 10));
+    assert_eq!((merged.runs, merged.steps()), (2, 10));
     // By hand: 8 steps of 1 and 2 of 7.
     assert!((merged.position_rms_m().unwrap() - (106.0_f64 / 10.0).sqrt()).abs() < 1e-12);
     assert!((merged.position_mean_m().unwrap() - 2.2).abs() < 1e-12);
     assert!((merged.anees().unwrap() - 106.0 / 30.0).abs() < 1e-12);
-    assert_eq!(merged.position_max_m(), Some(7.0));
-    assert_eq!(merged.run_rms_m(), [7.0, 1.0]);
-    assert_eq!(merged.sources()[0].used, 2);
+    assert_eq!(merged.position_max_m, Some(7.0));
+    assert_eq!(merged.run_rms_m, [7.0, 1.0]);
+    assert_eq!(merged.sources[0].used, 2);
     let mut from_nothing = FilterScore::default();
     from_nothing.merge(&merged);
     assert_eq!(from_nothing, merged);
@@ -134,29 +134,26 @@ fn an_honest_estimator_is_called_consistent() {
 #[test]
 fn what_cannot_be_scored_is_counted_and_said() {
     let mut lost = score(&at_rest(), &mut ToyFilter::at(f64::NAN, 0.0, 3.1, 1.0));
-    assert_eq!((lost.steps(), lost.steps_not_finite()), (0, 8));
+    assert_eq!((lost.steps(), lost.steps_not_finite), (0, 8));
     assert_eq!((lost.position_rms_m(), lost.anees()), (None, None));
-    assert_eq!(lost.run_rms_m(), [0.0; 0]);
+    assert_eq!(lost.run_rms_m, [0.0; 0]);
     let far = score(&at_rest(), &mut ToyFilter::at(1e200, 0.0, 3.1, 1.0));
-    assert_eq!(far.steps_not_finite(), 8);
+    assert_eq!(far.steps_not_finite, 8);
     let boast = score(&at_rest(), &mut ToyFilter::at(0.0, 0.0, 3.1, 0.0));
-    assert_eq!((boast.steps(), boast.refused_covariances()), (8, 8));
+    assert_eq!((boast.steps(), boast.refused_covariances), (8, 8));
     assert_eq!(boast.consistency(), Consistency::OverConfident);
     lost.merge(&boast);
-    let row = ScoreRow { name: "toy", score: &lost, bound_m: None };
     let footnotes = [
         "toy: steps left out, no estimate: 4",
         "toy: steps left out, not finite: 8",
         "toy: steps left out of its claim and its ANEES, covariance not positive definite: 8",
     ];
-    assert_eq!(row.footnotes(), footnotes);
+    assert_eq!(lost.footnotes("toy"), footnotes);
 }
 
 #[test]
 fn the_error_is_told_as_a_multiple_of_the_bound() {
     let score = score(&at_rest(), &mut ToyFilter::at(3.0, 4.0, 3.1, 1.0));
-    let with = |bound_m| ScoreRow { name: "toy", score: &score, bound_m }.ratio_to_bound();
-    assert_eq!(with(Some(4.0)), Some(1.25));
-    assert_eq!(with(None), None);
-    assert_eq!(with(Some(0.0)), None);
+    let ratios = [Some(4.0), None, Some(0.0)].map(|bound_m| score.ratio_to_bound(bound_m));
+    assert_eq!(ratios, [Some(1.25), None, None]);
 }

@@ -2,7 +2,8 @@
 
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::smoother::{OfflineError, batch};
-use posebridge_lab::accuracy::{BoundSum, ObservationArrival, ReferenceDrive, WheelRotation, score_smoother};
+use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive, error_bound, score_smoother};
+use posebridge_lab::statistics::RunningMean;
 use posebridge_report::TimedPose;
 use posebridge_telemetry::{
     Arena, BrickClock, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, TimeDelta, Timestamp,
@@ -39,14 +40,14 @@ fn pose(x_m: f64) -> Pose<Arena> {
 }
 
 /// What each wheel turns in a step.
-const TURN: WheelRotation = WheelRotation { left: Radians(STEP_M / 0.05), right: Radians(STEP_M / 0.1) };
+const TURN: [Radians; 2] = [Radians(STEP_M / 0.05), Radians(STEP_M / 0.1)];
 
 /// Straight along x. Fixes are of the step `taken` and arrive two steps later, so far beside the truth.
 fn straight(steps: usize, fixes: &[(usize, f64)]) -> ReferenceDrive {
     let mut arrivals = Vec::new();
     for step in 0..=steps {
         let turned = |turn: Radians| turn.0 * step as f64;
-        let observation = support::wheels(50 * step as i64, turned(TURN.left), turned(TURN.right));
+        let observation = support::wheels(50 * step as i64, turned(TURN[0]), turned(TURN[1]));
         arrivals.push(ObservationArrival { step, observation });
         for (taken, off_m) in fixes.iter().filter(|(taken, _)| taken + 2 == step) {
             let observation = support::fix(50 * *taken as i64, STEP_M * *taken as f64, *off_m, None);
@@ -57,8 +58,8 @@ fn straight(steps: usize, fixes: &[(usize, f64)]) -> ReferenceDrive {
     ReferenceDrive { truth: truth.collect(), arrivals, scored_from: 1 }
 }
 
-fn bound_of(drive: &ReferenceDrive) -> BoundSum {
-    BoundSum::from_drive(&config(), drive, &vec![TURN; drive.truth.len() - 1]).unwrap()
+fn bound_of(drive: &ReferenceDrive) -> RunningMean {
+    error_bound(&config(), drive, &vec![TURN; drive.truth.len() - 1]).unwrap()
 }
 
 #[test]
@@ -74,15 +75,15 @@ fn without_a_fix_the_bound_is_the_start_and_the_noise_of_the_wheels() {
         let count = steps.clone().count() as f64;
         (steps.map(variance).sum::<f64>() / count).sqrt()
     };
-    assert!((bound_of(&drive).rms_m().unwrap() / expected(1) - 1.0).abs() < 1e-6);
+    assert!((bound_of(&drive).root().unwrap() / expected(1) - 1.0).abs() < 1e-6);
     drive.scored_from = 15;
     let late = bound_of(&drive);
-    assert!((late.rms_m().unwrap() / expected(15) - 1.0).abs() < 1e-6);
+    assert!((late.root().unwrap() / expected(15) - 1.0).abs() < 1e-6);
     // Six steps and another six: the same mean.
     let mut twice = late;
     twice.merge(&late);
-    assert!((twice.rms_m().unwrap() / expected(15) - 1.0).abs() < 1e-6);
-    assert_eq!(BoundSum::default().rms_m(), None);
+    assert!((twice.root().unwrap() / expected(15) - 1.0).abs() < 1e-6);
+    assert_eq!(RunningMean::default().root(), None);
 }
 
 #[test]
@@ -92,7 +93,7 @@ fn a_fix_lowers_the_bound_from_the_step_of_its_arrival_on() {
         let mut drive = straight(110, fixes);
         drive.truth.truncate(steps + 1);
         drive.scored_from = steps;
-        bound_of(&drive).rms_m().unwrap()
+        bound_of(&drive).root().unwrap()
     };
     // A hundred of the same step: the position at that step is known to a tenth of a millimetre.
     let fixes = [(100, 0.0); 100];
@@ -103,18 +104,18 @@ fn a_fix_lowers_the_bound_from_the_step_of_its_arrival_on() {
 #[test]
 fn there_is_no_bound_where_its_assumptions_do_not_hold() {
     let drive = straight(20, &[(4, 0.0)]);
-    assert_eq!(BoundSum::from_drive(&config(), &drive, &[]), None);
-    assert_eq!(BoundSum::from_drive(&config(), &ReferenceDrive::default(), &[]), None);
+    assert_eq!(error_bound(&config(), &drive, &[]), None);
+    assert_eq!(error_bound(&config(), &ReferenceDrive::default(), &[]), None);
     let mut between = drive.clone();
     for arrival in &mut between.arrivals {
         if arrival.observation.sensor == SensorId::CAMERA {
             arrival.observation.stamp = arrival.observation.stamp + TimeDelta::from_millis(1);
         }
     }
-    assert_eq!(BoundSum::from_drive(&config(), &between, &[TURN; 20]), None);
+    assert_eq!(error_bound(&config(), &between, &[TURN; 20]), None);
     let mut config = config();
     config.noise.wheel_travel_m_per_sqrt_m = f64::NAN;
-    assert_eq!(BoundSum::from_drive(&config, &drive, &[TURN; 20]), None);
+    assert_eq!(error_bound(&config, &drive, &[TURN; 20]), None);
 }
 
 #[test]
@@ -130,12 +131,12 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
     };
     let drive = straight(60, &[(10, 0.0), (20, 0.0), (30, 0.0), (40, 0.5), (50, 0.0), (55, 0.0)]);
     let result = score_smoother(&drive, &assumed, batch);
-    assert_eq!(result.error, None);
+    assert_eq!(result.refusal, None);
     let score = result.score;
-    assert_eq!((score.runs(), score.steps(), score.steps_without_estimate()), (1, 60, 0));
-    assert!(score.position_max_m().unwrap() < 0.001);
+    assert_eq!((score.runs, score.steps(), score.steps_without_estimate), (1, 60, 0));
+    assert!(score.position_max_m.unwrap() < 0.001);
     assert!(score.claimed_rms_m().unwrap() < 0.002);
-    let camera = score.sources()[0];
+    let camera = score.sources[0];
     assert_eq!((camera.sensor, camera.used, camera.gated), (SensorId::CAMERA, 5, 1));
 }
 
@@ -143,8 +144,8 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
 fn without_a_path_no_step_has_an_estimate_and_the_reason_is_told() {
     let nowhere = FilterConfig { start: None, ..config() };
     let result = score_smoother(&straight(20, &[]), &nowhere, batch);
-    let refusal = result.error.unwrap();
+    let refusal = result.refusal.unwrap();
     assert!(matches!(refusal, OfflineError::NothingObserved { .. }));
-    assert_eq!((result.score.runs(), result.score.steps(), result.score.steps_without_estimate()), (1, 0, 20));
-    assert!(result.score.sources().is_empty() && result.score.run_rms_m().is_empty());
+    assert_eq!((result.score.runs, result.score.steps(), result.score.steps_without_estimate), (1, 0, 20));
+    assert!(result.score.sources.is_empty() && result.score.run_rms_m.is_empty());
 }

@@ -6,8 +6,8 @@ use posebridge_lab::identification::prior::{DynamicsPrior, GaussianPrior, MAX_OR
 use posebridge_lab::identification::sensor_kind::RunSimilarity;
 use posebridge_lab::identification::step_response::{SimulatedSensor, step_input};
 use posebridge_lab::identification::{
-    ExpectedDynamics, IdentificationError, IdentifiedStep, Lag, ModelOrder, SensorKind, StepDirection, StepOptions,
-    StepResponse, TimedSample, identify_step, predict, settling_time_s,
+    ExpectedDynamics, IdentificationError, IdentifiedStep, Lag, Sampling, SensorKind, StepDirection, StepOptions,
+    StepParameters, StepResponse, TimedSample, identify_step, predict, settling_time_s,
 };
 
 const SIGMA: f64 = 0.05;
@@ -87,7 +87,8 @@ fn gain_and_delay_are_told_where_the_step_of_the_quantity_is() {
     let samples: Vec<TimedSample> = sensor(&[(6.0, 1.0)]).run(5, 200, step_input(10.0, 26.0, DIPPED_S + 1.5));
     let options = StepOptions { onset_s: Some(DIPPED_S), input_step: Some(8.0), ..StepOptions::with_sigma(SIGMA) };
     let found = identify_step(&samples, &options).unwrap();
-    assert!((found.gain.unwrap() - 2.0).abs() < 0.01, "{:?}", found.gain);
+    let gain = StepParameters::from_step(&found, Some(8.0), Sampling::Readings).gain.unwrap();
+    assert!((gain.value - 2.0).abs() < 0.01, "{gain:?}");
     let delay_s = found.delay_s.unwrap();
     assert!((delay_s - 1.5).abs() < 0.1, "{delay_s}");
     assert!((found.end - 26.0).abs() < 0.05);
@@ -98,7 +99,7 @@ fn a_known_end_makes_the_lags_of_a_short_recording_certain() {
     let samples: Vec<TimedSample> =
         simulate_dip(&[(8.0, 1.0)], 3, 20.0, 4.0).into_iter().filter(|sample| sample.at_s < DIPPED_S + 8.0).collect();
     let with_end = |end| {
-        let options = StepOptions { end, order: ModelOrder::Fixed(1), ..StepOptions::with_sigma(SIGMA) };
+        let options = StepOptions { end, order: Some(1), ..StepOptions::with_sigma(SIGMA) };
         identify_step(&samples, &options).unwrap().lags()[0]
     };
     let (open, known) = (with_end(None), with_end(Some(4.0)));
@@ -118,7 +119,7 @@ fn what_cannot_be_identified_is_refused_with_a_reason() {
         assert!(matches!(refused(&good, StepOptions::with_sigma(sigma)), IdentificationError::Sigma { .. }));
     }
     for order in [0, MAX_ORDER + 1, usize::MAX] {
-        let options = StepOptions { order: ModelOrder::Fixed(order), ..options };
+        let options = StepOptions { order: Some(order), ..options };
         assert_eq!(refused(&good, options), IdentificationError::Order { order });
     }
     for input_step in [0.0, f64::NAN] {

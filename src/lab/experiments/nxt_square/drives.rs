@@ -1,7 +1,7 @@
 //! Simulated drives as tables of sensor readings, and every method over them, on all cores.
 
 use anyhow::Result;
-use posebridge_estimator::{FilterConfig, Params};
+use posebridge_estimator::FilterConfig;
 use posebridge_lab::square::{
     ErrorMetric, MeasuredPose, Method, PathErrors, SensorRow, SensorTable, WheelMatrices, add_compass, add_jitter,
     align_accelerations, delay_reference, path_errors, prepare_config, printed_methods, swapped_methods,
@@ -9,6 +9,7 @@ use posebridge_lab::square::{
 use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError};
 use posebridge_telemetry::Calibration;
 
+use crate::lab::drives;
 use crate::lab::parallel::run_cases;
 
 const SCENARIO: &str = "paper-square";
@@ -35,20 +36,12 @@ pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
 }
 
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
-    let prior = scenario.drive(0).prior;
-    let mut noise = prior.noise;
+    let told = drives::filter_config(&scenario.drive(0).prior);
+    let mut noise = told.noise;
     noise.compass_rad = COMPASS_SIGMA_DEG.to_radians();
-    FilterConfig {
-        geometry: prior.geometry,
-        noise,
-        start: None,
-        params: Params::default(),
-        calibration: Calibration {
-            gyro_bias_rad_per_s: Calibration::default().gyro_bias_rad_per_s,
-            ..prior.calibration
-        },
-        arena_map: std::sync::Arc::default(),
-    }
+    let calibration =
+        Calibration { gyro_bias_rad_per_s: Calibration::default().gyro_bias_rad_per_s, ..told.calibration };
+    FilterConfig { noise, start: None, calibration, ..told }
 }
 
 pub(super) fn table(scenario: &Scenario, run: u32) -> SensorTable {
@@ -160,11 +153,6 @@ fn uncalibrated(scenario: &mut Scenario) {
     scenario.errors.track_scale_sigma = 0.03;
 }
 
-fn uncalibrated_and_long_rest(scenario: &mut Scenario) {
-    uncalibrated(scenario);
-    laps(scenario, |laps| laps.rest_s = 30.0);
-}
-
 /// A MEMS gyro: 0.1 deg/s, no rounding, little walk.
 fn good_gyro(scenario: &mut Scenario) {
     scenario.gyro.resolution_deg_per_s = 0.0;
@@ -176,11 +164,6 @@ fn good_accelerometers(scenario: &mut Scenario) {
     if let Some(accelerometer) = &mut scenario.accelerometer {
         accelerometer.sigma_m_per_s2 = 0.01;
     }
-}
-
-fn good_inertial(scenario: &mut Scenario) {
-    good_gyro(scenario);
-    good_accelerometers(scenario);
 }
 
 fn exact_and_coarse(scenario: &mut Scenario) {
@@ -200,11 +183,6 @@ fn slippery(scenario: &mut Scenario) {
 /// Speed ramps of two seconds.
 fn gentle(scenario: &mut Scenario) {
     laps(scenario, |laps| laps.ramp_steps = 40);
-}
-
-fn gentle_and_good_accelerometers(scenario: &mut Scenario) {
-    gentle(scenario);
-    good_accelerometers(scenario);
 }
 
 /// White noise of the counter variance in the paper's equation 19.
@@ -247,7 +225,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Position,
         "the same, and the gyro zeroed over 30 s at rest",
     )
-    .with_scenario(uncalibrated_and_long_rest),
+    .with_scenario(|scenario| {
+        uncalibrated(scenario);
+        laps(scenario, |laps| laps.rest_s = 30.0);
+    }),
     Variation::new(
         "not calibrated, good gyro",
         ErrorMetric::Position,
@@ -275,7 +256,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Position,
         "the same with a gyro of 0.1 deg/s and accelerometers of 0.01 m/s^2",
     )
-    .with_scenario(good_inertial)
+    .with_scenario(|scenario| {
+        good_gyro(scenario);
+        good_accelerometers(scenario);
+    })
     .with_table(late_camera),
     Variation::new(
         "noisy counters",
@@ -303,7 +287,10 @@ pub(super) const VARIATIONS: &[Variation] = &[
         ErrorMetric::Forward,
         "the same, with speeds that rise and fall over 2 s, Q swapped and accelerometers of 0.01 m/s^2",
     )
-    .with_scenario(gentle_and_good_accelerometers)
+    .with_scenario(|scenario| {
+        gentle(scenario);
+        good_accelerometers(scenario);
+    })
     .with_table(noisy_counters)
     .with_methods(swapped_methods),
 ];

@@ -15,7 +15,7 @@ use posebridge_lab::square::{
 };
 use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use self::drives::{MethodSeries, VARIATIONS, all_errors, errors_of, filter_config, scenario, table, unchanged_table};
 use super::recorded::{RecordedArgs, RobotDrive, RobotDrives, rerun_command};
@@ -164,22 +164,18 @@ fn groups() -> [(&'static str, Vec<Method>); 4] {
     ]
 }
 
-/// Splits the errors of all methods, in the order of [`groups`], into chains.
-fn chains(runs: &[Vec<PathErrors>]) -> (Vec<MethodRanking>, MethodRanking) {
+/// The errors of all methods, in the order of [`groups`], by group.
+fn rankings(runs: &[Vec<PathErrors>]) -> [MethodRanking; 4] {
     let mut from = 0;
-    let mut all: Vec<MethodRanking> = Vec::new();
-    for (setting, methods) in groups() {
-        let to = from + methods.len();
-        let runs = runs.iter().filter_map(|run| Some(run.get(from..to)?.to_vec()));
-        all.push(MethodRanking {
-            matrices: setting,
+    groups().map(|(matrices, methods)| {
+        let own = from..from + methods.len();
+        from = own.end;
+        MethodRanking {
+            matrices,
             names: methods.iter().map(|method| method.name).collect(),
-            runs: runs.collect(),
-        });
-        from = to;
-    }
-    let outlook = all.pop().unwrap_or(MethodRanking { matrices: "outlook", names: Vec::new(), runs: Vec::new() });
-    (all, outlook)
+            runs: runs.iter().filter_map(|run| Some(run.get(own.clone())?.to_vec())).collect(),
+        }
+    })
 }
 
 fn every_method() -> Vec<Method> {
@@ -202,12 +198,12 @@ fn report(
     readings: Vec<PaperInterpretation>,
     example: SquareExample,
 ) -> SquareReport {
-    let (chains, outlook) = chains(runs);
+    let [printed, corrected, swapped, extended] = rankings(runs);
     SquareReport {
         source,
         command,
-        rankings: chains,
-        extended: outlook,
+        rankings: vec![printed, corrected, swapped],
+        extended,
         interpretations: readings,
         stop: noise_at_stop(&example.table, example.geometry()),
         straight: noise_on_straight(&example.table, example.geometry()),
@@ -272,17 +268,15 @@ fn add_json(report: &mut Report, found: &SquareReport, recordings: &[String]) {
 
 fn chain(chain: &MethodRanking) -> Value {
     let methods = chain.names.iter().enumerate().map(|(index, name)| {
-        let runs: Vec<Value> = chain.runs.iter().filter_map(|run| run.get(index)).map(errors).collect();
-        json!({
-            "name": name,
-            "position_rms_m": chain.rms(index, ErrorMetric::Position),
-            "position_end_m": chain.rms(index, ErrorMetric::End),
-            "heading_rms_rad": chain.rms(index, ErrorMetric::Heading),
-            "forward_rms_m_per_s": chain.rms(index, ErrorMetric::Forward),
-            "turn_rms_rad_per_s": chain.rms(index, ErrorMetric::Turn),
-            "diverged": chain.diverged(index),
-            "runs": runs,
-        })
+        let runs = chain.runs.iter().filter_map(|run| run.get(index));
+        let runs: Value = runs.map(|errors| Value::Object(by_metric(|metric| errors.value(metric)))).collect();
+        let mut method = by_metric(|metric| chain.rms(index, metric));
+        method.extend([
+            ("name".to_owned(), json!(name)),
+            ("diverged".to_owned(), json!(chain.diverged(index))),
+            ("runs".to_owned(), runs),
+        ]);
+        method
     });
     json!({
         "setting": chain.matrices,
@@ -291,14 +285,8 @@ fn chain(chain: &MethodRanking) -> Value {
     })
 }
 
-fn errors(errors: &PathErrors) -> Value {
-    json!({
-        "position_rms_m": errors.position_m,
-        "position_end_m": errors.end_m,
-        "heading_rms_rad": errors.heading_rad,
-        "forward_rms_m_per_s": errors.forward_m_per_s,
-        "turn_rms_rad_per_s": errors.turn_rad_per_s,
-    })
+fn by_metric(value: impl Fn(ErrorMetric) -> Option<f64>) -> Map<String, Value> {
+    ErrorMetric::KEYS.map(|(key, metric)| (key.to_owned(), json!(value(metric)))).into_iter().collect()
 }
 
 fn order(order: &MethodOrder) -> Value {

@@ -4,8 +4,8 @@ use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
-    ApproachEstimator, KalmanNoise, LastReading, LinearExtrapolation, StopComparison, StopResult, StopSummary,
-    WallKalman, compare_stops, summarise_stops,
+    ApproachEstimator, KalmanNoise, LinearExtrapolation, StopComparison, StopResult, StopSummary, WallKalman,
+    compare_stops, summarise_stops,
 };
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::{
@@ -57,7 +57,7 @@ impl DistanceSource {
     fn estimator(self, steps: &StepResults) -> Box<dyn ApproachEstimator> {
         let model = steps.all.model();
         match self {
-            Self::LastReading => Box::new(LastReading::default()),
+            Self::LastReading => Box::new(LinearExtrapolation::HELD),
             Self::Line => Box::new(LinearExtrapolation::default()),
             Self::Faithful => Box::new(WallKalman::new(model, KalmanNoise::PAPER, RangeFilterVariant::Paper)),
             Self::Corrected => {

@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 
-use super::live::{LiveArgs, LiveRobot};
+use self::recorded::RunSelection;
+use super::live::LiveArgs;
 use super::recorded::rerun_command;
-use crate::config::Setting;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::link_profile;
@@ -46,19 +46,9 @@ pub struct LabWallArgs {
     /// A live robot.
     #[command(flatten)]
     pub live: LiveArgs,
-    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
-    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
-    pub data: Option<PathBuf>,
-    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
-    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
-    pub run: Option<String>,
-    /// Set one key of the robot, e.g. noise.wall_range_m=0.02. For a posebridge recording or a live robot: a key of the
-    /// configuration, e.g. robot.noise.wall_range_m=0.02. Can be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
-    pub settings: Vec<Setting>,
-    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
-    #[arg(long, value_name = "COLUMN", requires = "recording")]
-    pub command_column: Option<String>,
+    /// What to read of it.
+    #[command(flatten)]
+    pub selection: RunSelection,
     /// Column of a distance that another program has filtered. Default: kf_mm, kf, kalman_mm or kalman, if one exists.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub kalman_column: Option<String>,
@@ -88,24 +78,11 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
 }
 
 fn real(args: &LabWallArgs) -> Result<Option<recorded::RecordedRuns>, Failure> {
-    let robot = LiveRobot { file: None, settings: &args.settings };
-    if let Some(recording) = args.live.record(&args.output, robot, recorded::TASK)? {
-        let prepared = recorded::prepare(&recording, &choice(args));
-        return prepared.map(Some).while_running();
+    let prepare = |path: &Path| recorded::prepare(path, &args.selection, args.kalman_column.as_deref());
+    if let Some(recording) = args.live.record(&args.output, None, &args.selection.settings, recorded::TASK)? {
+        return prepare(&recording).map(Some).while_running();
     }
-    let recording = args.recording.as_ref();
-    let prepared = recording.map(|path| recorded::prepare(path, &choice(args)));
-    prepared.transpose().before_start()
-}
-
-fn choice(args: &LabWallArgs) -> recorded::RunSelection<'_> {
-    recorded::RunSelection {
-        data: args.data.as_deref(),
-        run: args.run.as_deref(),
-        settings: &args.settings,
-        command_column: args.command_column.as_deref(),
-        kalman_column: args.kalman_column.as_deref(),
-    }
+    args.recording.as_deref().map(prepare).transpose().before_start()
 }
 
 /// The scene of a file, or that of the paper; `seed` overrides its seed.

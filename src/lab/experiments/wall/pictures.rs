@@ -33,7 +33,7 @@ pub(super) fn step(steps: &StepResults) -> Plot {
     let first = &steps.first;
     let commands = first.commands.iter().zip(&first.towards_m_per_s);
     let truth = commands.map(|(command, speed)| (command.at_s, *speed));
-    let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.0, steps.all.rise_90_s.0);
+    let key = format!("v_ss {:.3} m/s, t90 {:.3} s", steps.all.steady_m_per_s.value, steps.all.rise_90_s.value);
     Plot::new(
         "Step test",
         key,
@@ -45,7 +45,7 @@ pub(super) fn step(steps: &StepResults) -> Plot {
                     Curve::line("true", truth),
                     Curve::dots("differences", speeds(differences(&steps.log))),
                     Curve::line("lines, half overlapping", speeds(overlapping_lines(&steps.log, PIECE))),
-                    Curve::new("v_ss by the fit", CurveShape::Level(steps.all.steady_m_per_s.0)),
+                    Curve::new("v_ss by the fit", CurveShape::Level(steps.all.steady_m_per_s.value)),
                 ],
             ),
         ],

@@ -1,10 +1,10 @@
 //! The experiment on a recording: each run's step, and the predictions of its readings.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_lab::wall::{
-    ForecastScore, GateStatistics, ManualStepFit, PlantSearch, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
+    ForecastScore, GateStatistics, ManualStepFit, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
     WallStepError, fit_by_hand, fit_steps, forecast, gate_statistics, score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
@@ -43,48 +43,54 @@ pub(in crate::lab) struct RunLog {
 pub(super) const TASK: &str =
     "leave the robot standing before the wall for a second, then drive it straight at the wall, and stop it";
 
-#[derive(Clone, Copy, Debug)]
-pub(in crate::lab) struct RunSelection<'a> {
-    pub(in crate::lab) data: Option<&'a Path>,
-    /// Prefix of a descriptor's runs; `None` for all.
-    pub(in crate::lab) run: Option<&'a str>,
-    /// Keys of the robot's table, or of the configuration of a posebridge recording.
-    pub(in crate::lab) settings: &'a [Setting],
-    /// Column of the motor's PWM; `None` for a common name.
-    pub(in crate::lab) command_column: Option<&'a str>,
-    /// Column of another program's filter; `None` for a common name.
-    pub(in crate::lab) kalman_column: Option<&'a str>,
+/// Flags that choose from a recording.
+#[derive(clap::Args, Clone, Debug)]
+pub struct RunSelection {
+    /// Folder for the relative paths of the descriptor. Default: POSEBRIDGE_DATA, or else the descriptor's folder.
+    #[arg(long, value_name = "DIR", env = "POSEBRIDGE_DATA")]
+    pub data: Option<PathBuf>,
+    /// Read the runs of the descriptor whose names begin with this text. Default: all runs.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recording")]
+    pub run: Option<String>,
+    /// Set one key of the robot, e.g. noise.wall_range_m=0.02. For a posebridge recording or a live robot: a key of the
+    /// configuration, e.g. robot.noise.wall_range_m=0.02. Can be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
+    pub settings: Vec<Setting>,
+    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
+    #[arg(long, value_name = "COLUMN", requires = "recording")]
+    pub command_column: Option<String>,
 }
 
-/// Reads the selected runs of a descriptor, or a posebridge recording, which is one run.
-pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
+/// Reads the selected runs of a descriptor, or a posebridge recording, which is one run. `kalman_column` is that of another program's
+/// filter; `None` for a common name.
+pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column: Option<&str>) -> Result<RecordedRuns> {
     if own_recording::is_own(path) {
-        return prepare_own(path, choice);
+        ensure!(
+            choice.run.is_none() && choice.command_column.is_none() && kalman_column.is_none(),
+            "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
+            path.display()
+        );
+        return prepare_own(path, &choice.settings);
     }
     let flags = DataFlags {
-        data: choice.data.map(Path::to_owned),
-        run: Some(choice.run.unwrap_or_default().to_owned()),
+        data: choice.data.clone(),
+        run: Some(choice.run.clone().unwrap_or_default()),
         use_every: None,
-        settings: choice.settings.to_vec(),
+        settings: choice.settings.clone(),
     };
     let mut set = DataSet::open(path, &flags)?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
     let mut runs = Vec::new();
     for name in set.runs.clone() {
         let mut reader = RunReader { set: &mut set, flags: &flags, text: &text, run: &name };
-        runs.push(reader.read(choice)?);
+        runs.push(reader.read(choice.command_column.as_deref(), kalman_column)?);
     }
     Ok(RecordedRuns { descriptor: path.display().to_string(), runs })
 }
 
 /// A posebridge recording has ranges but no motor commands: full drive is assumed.
-fn prepare_own(path: &Path, choice: &RunSelection<'_>) -> Result<RecordedRuns> {
-    ensure!(
-        choice.run.is_none() && choice.command_column.is_none() && choice.kalman_column.is_none(),
-        "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
-        path.display()
-    );
-    let overlay = Overlay { robot: None, settings: choice.settings };
+fn prepare_own(path: &Path, settings: &[Setting]) -> Result<RecordedRuns> {
+    let overlay = Overlay { robot: None, settings };
     let run = own_recording::read(path, overlay)?;
     let ranges = readings_of(run.observations.iter(), |_, observed| range_m(observed).map(WallReading::Range));
     ensure!(
@@ -112,11 +118,11 @@ struct RunReader<'a> {
 }
 
 impl RunReader<'_> {
-    fn read(&mut self, choice: &RunSelection<'_>) -> Result<RunLog> {
+    fn read(&mut self, command_column: Option<&str>, kalman_column: Option<&str>) -> Result<RunLog> {
         let plain = self.set.load(self.run, self.flags)?;
         report_bad_rows(&plain);
-        let commanded = self.column(choice.command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
-        let filtered = self.column(choice.kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
+        let commanded = self.column(command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
+        let filtered = self.column(kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
         let ranges = readings_of(of_run(&plain.run), |sensor, observed| {
             range_m(observed).filter(|_| sensor != FOREIGN_FILTER).map(WallReading::Range)
         });
@@ -202,13 +208,13 @@ fn readings_of<'a>(
 }
 
 pub(super) fn run(prepared: &RecordedRuns, command: String) -> Result<Report> {
-    let found = run_with_bar(&prepared.runs, "runs", evaluate)?;
+    let runs: Vec<&RunLog> = prepared.runs.iter().collect();
+    let found = run_with_bar(&runs, "runs", |run| evaluate(run))?;
     Ok(report(&prepared.descriptor, command, &found))
 }
 
-fn evaluate(run: &RunLog) -> RunResult {
-    let search = PlantSearch { range_sigma_m: run.range_sigma_m };
-    let foreseen = forecast(&run.log, search);
+fn evaluate(run: &RunLog) -> RunResult<'_> {
+    let forecasts = forecast(&run.log, run.range_sigma_m);
     // The last output of their filter before the reading came.
     let before = |foreseen: &RangeForecast| {
         let earlier = run.foreign_filter.partition_point(|(at_s, _)| *at_s < foreseen.at_s);
@@ -216,34 +222,30 @@ fn evaluate(run: &RunLog) -> RunResult {
         last.map(|(_, distance_m)| *distance_m)
     };
     RunResult {
-        name: run.name.clone(),
+        run,
         readings: run.log.readings().count(),
-        knows_input: run.knows_input,
         by_hand: fit_by_hand(&run.log, PIECE),
         fit: fit_steps(std::slice::from_ref(&run.log)),
-        gate: gate_statistics(&foreseen),
-        score_against_line: score_forecasts(&foreseen, |foreseen| foreseen.line_m),
-        score_against_foreign: score_forecasts(&foreseen, before),
-        foreign_filter: run.foreign_filter.clone(),
-        forecasts: foreseen,
+        gate: gate_statistics(&forecasts),
+        score_against_line: score_forecasts(&forecasts, |foreseen| foreseen.line_m),
+        score_against_foreign: score_forecasts(&forecasts, before),
+        forecasts,
     }
 }
 
-pub(super) struct RunResult {
-    pub(super) name: String,
-    pub(super) readings: usize,
-    pub(super) knows_input: bool,
-    pub(super) by_hand: Result<ManualStepFit, WallStepError>,
-    pub(super) fit: Result<StepFit, WallStepError>,
-    pub(super) forecasts: Vec<RangeForecast>,
-    pub(super) foreign_filter: Vec<(f64, f64)>,
-    pub(super) gate: Option<GateStatistics>,
+struct RunResult<'a> {
+    run: &'a RunLog,
+    readings: usize,
+    by_hand: Result<ManualStepFit, WallStepError>,
+    fit: Result<StepFit, WallStepError>,
+    forecasts: Vec<RangeForecast>,
+    gate: Option<GateStatistics>,
     /// Compared with the line through the last two readings.
-    pub(super) score_against_line: Option<ForecastScore>,
-    pub(super) score_against_foreign: Option<ForecastScore>,
+    score_against_line: Option<ForecastScore>,
+    score_against_foreign: Option<ForecastScore>,
 }
 
-pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> Report {
+fn report(descriptor: &str, command: String, found: &[RunResult<'_>]) -> Report {
     let mut report = Report::new("lab-wall", "The distance to a wall: a recording");
     report.background(
         "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
@@ -253,41 +255,41 @@ pub(super) fn report(descriptor: &str, command: String, found: &[RunResult]) -> 
     add_steps(&mut report, found);
     add_scores(&mut report, found);
     for run in found {
-        pictures::add(&mut report, &pictures::foreseen(&run.name, &run.forecasts, &run.foreign_filter));
+        pictures::add(&mut report, &pictures::foreseen(&run.run.name, &run.forecasts, &run.run.foreign_filter));
     }
     report.data("recording", json!(descriptor));
     report.data("runs", found.iter().map(object).collect());
     report
 }
 
-const fn input_name(run: &RunResult) -> &'static str {
-    if run.knows_input { "recorded" } else { "assumed" }
+const fn input_name(run: &RunResult<'_>) -> &'static str {
+    if run.run.knows_input { "recorded" } else { "assumed" }
 }
 
-fn add_steps(report: &mut Report, found: &[RunResult]) {
+fn add_steps(report: &mut Report, found: &[RunResult<'_>]) {
     report.heading("Step: m/s and s under the input 1");
     report.paragraph("The input is 1 at PWM 80, or for the whole drive where nobody wrote it down.");
     let two = Format::new(Unit::None, 2);
-    let steady = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
-    let rise = |run: &RunResult| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
+    let steady = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
+    let rise = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
     let table = Table::of(found)
-        .text("", "run", |run| run.name.clone())
+        .text("", "run", |run| run.run.name.clone())
         .count("", "readings", |run| run.readings)
         .text("", "input", |run| input_name(run).to_owned())
         .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
-        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.0), move |run| Some(steady(run)?.1))
-        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.0), move |run| Some(rise(run)?.1));
+        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.value), move |run| Some(steady(run)?.sigma))
+        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.value), move |run| Some(rise(run)?.sigma));
     report.table("", &table);
 }
 
-fn add_scores(report: &mut Report, found: &[RunResult]) {
+fn add_scores(report: &mut Report, found: &[RunResult<'_>]) {
     report.heading("Each reading foretold from those before it, rms");
     report.paragraph(
         "Against a line through two readings, and against their own filter. Gate: its mean half-width, and how many readings it refused.",
     );
     let mm = Format::new(Unit::Millimetres, 1);
     let table = Table::of(found)
-        .text("", "run", |run| run.name.clone())
+        .text("", "run", |run| run.run.name.clone())
         .optional_count("", "readings", |run| Some(run.score_against_line?.readings))
         .number("", "filter", mm, |run| Some(run.score_against_line?.kalman_rms_m))
         .number("", "line", mm, |run| Some(run.score_against_line?.other_rms_m))
@@ -299,7 +301,7 @@ fn add_scores(report: &mut Report, found: &[RunResult]) {
     report.table("", &table);
 }
 
-fn object(run: &RunResult) -> Value {
+fn object(run: &RunResult<'_>) -> Value {
     let scored = |score: Option<ForecastScore>| {
         score.map(|score| {
             json!({
@@ -310,14 +312,14 @@ fn object(run: &RunResult) -> Value {
         })
     };
     json!({
-        "name": run.name,
+        "name": run.run.name,
         "readings": run.readings,
         "input": input_name(run),
         "fit": run.fit.as_ref().ok().map(|fit| json!({
-            "steady_m_per_s": fit.steady_m_per_s.0,
-            "steady_sigma_m_per_s": fit.steady_m_per_s.1,
-            "rise_90_s": fit.rise_90_s.0,
-            "rise_90_sigma_s": fit.rise_90_s.1,
+            "steady_m_per_s": fit.steady_m_per_s.value,
+            "steady_sigma_m_per_s": fit.steady_m_per_s.sigma,
+            "rise_90_s": fit.rise_90_s.value,
+            "rise_90_sigma_s": fit.rise_90_s.sigma,
         })),
         "no_fit": run.fit.as_ref().err().map(ToString::to_string),
         "no_hand": run.by_hand.as_ref().err().map(ToString::to_string),

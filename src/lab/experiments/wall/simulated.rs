@@ -49,33 +49,20 @@ pub(super) fn run(prepared: &SimulatedSetup) -> Result<Report> {
 
 struct IdentificationRow {
     name: String,
-    steady_m_per_s: (f64, Option<f64>),
-    rise_90_s: (f64, Option<f64>),
-    drag_s_per_m: (f64, Option<f64>),
-    mass_s2_per_m: (f64, Option<f64>),
+    /// Steady speed, rise time, d and m, each with its sigma where there is one.
+    values: [(f64, Option<f64>); 4],
 }
 
 impl IdentificationRow {
     fn by_hand(name: impl Into<String>, steady_m_per_s: f64, rise_90_s: f64) -> Self {
         let model = WallApproachModel::from_step_test(steady_m_per_s, rise_90_s);
-        Self {
-            name: name.into(),
-            steady_m_per_s: (steady_m_per_s, None),
-            rise_90_s: (rise_90_s, None),
-            drag_s_per_m: (model.drag_s_per_m, None),
-            mass_s2_per_m: (model.mass_s2_per_m, None),
-        }
+        let values = [steady_m_per_s, rise_90_s, model.drag_s_per_m, model.mass_s2_per_m];
+        Self { name: name.into(), values: values.map(|value| (value, None)) }
     }
 
     fn fitted(name: impl Into<String>, fit: &StepFit) -> Self {
-        let with_sigma = |(value, sigma): (f64, f64)| (value, Some(sigma));
-        Self {
-            name: name.into(),
-            steady_m_per_s: with_sigma(fit.steady_m_per_s),
-            rise_90_s: with_sigma(fit.rise_90_s),
-            drag_s_per_m: with_sigma(fit.drag_s_per_m),
-            mass_s2_per_m: with_sigma(fit.mass_s2_per_m),
-        }
+        let values = [fit.steady_m_per_s, fit.rise_90_s, fit.drag_s_per_m, fit.mass_s2_per_m];
+        Self { name: name.into(), values: values.map(|known| (known.value, Some(known.sigma))) }
     }
 }
 
@@ -107,12 +94,12 @@ fn add_identification(report: &mut Report, prepared: &SimulatedSetup, steps: &St
     let rows = identification_rows(steps, prepared.steps);
     let table = Table::of(&rows)
         .text("", "", |row| row.name.clone())
-        .uncertain("", "v_ss m/s", THREE, |row| Some(row.steady_m_per_s.0), |row| row.steady_m_per_s.1)
-        .uncertain("", "t90 s", THREE, |row| Some(row.rise_90_s.0), |row| row.rise_90_s.1)
-        .uncertain("", "d s/m", FIVE, |row| Some(row.drag_s_per_m.0), |row| row.drag_s_per_m.1)
-        .number("", "off", off, |row| Some(row.drag_s_per_m.0 / truth.drag_s_per_m - 1.0))
-        .uncertain("", "m s2/m", FIVE, |row| Some(row.mass_s2_per_m.0), |row| row.mass_s2_per_m.1)
-        .number("", "off", off, |row| Some(row.mass_s2_per_m.0 / truth.mass_s2_per_m - 1.0));
+        .uncertain("", "v_ss m/s", THREE, |row| Some(row.values[0].0), |row| row.values[0].1)
+        .uncertain("", "t90 s", THREE, |row| Some(row.values[1].0), |row| row.values[1].1)
+        .uncertain("", "d s/m", FIVE, |row| Some(row.values[2].0), |row| row.values[2].1)
+        .number("", "off", off, |row| Some(row.values[2].0 / truth.drag_s_per_m - 1.0))
+        .uncertain("", "m s2/m", FIVE, |row| Some(row.values[3].0), |row| row.values[3].1)
+        .number("", "off", off, |row| Some(row.values[3].0 / truth.mass_s2_per_m - 1.0));
     report.table("", &table);
     pictures::add(report, &pictures::step(steps));
     let model =
@@ -136,14 +123,14 @@ fn add_identification(report: &mut Report, prepared: &SimulatedSetup, steps: &St
 
 fn fit_json(fit: &StepFit) -> Value {
     json!({
-        "steady_m_per_s": fit.steady_m_per_s.0,
-        "steady_sigma_m_per_s": fit.steady_m_per_s.1,
-        "rise_90_s": fit.rise_90_s.0,
-        "rise_90_sigma_s": fit.rise_90_s.1,
-        "drag_s_per_m": fit.drag_s_per_m.0,
-        "drag_sigma_s_per_m": fit.drag_s_per_m.1,
-        "mass_s2_per_m": fit.mass_s2_per_m.0,
-        "mass_sigma_s2_per_m": fit.mass_s2_per_m.1,
+        "steady_m_per_s": fit.steady_m_per_s.value,
+        "steady_sigma_m_per_s": fit.steady_m_per_s.sigma,
+        "rise_90_s": fit.rise_90_s.value,
+        "rise_90_sigma_s": fit.rise_90_s.sigma,
+        "drag_s_per_m": fit.drag_s_per_m.value,
+        "drag_sigma_s_per_m": fit.drag_s_per_m.sigma,
+        "mass_s2_per_m": fit.mass_s2_per_m.value,
+        "mass_sigma_s2_per_m": fit.mass_s2_per_m.sigma,
         "range_sigma_m": fit.range_sigma_m,
         "readings": fit.readings,
     })

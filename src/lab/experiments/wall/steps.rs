@@ -1,4 +1,4 @@
-//! The simulated step tests, the drive identified from them, and its predictions.
+//! The step tests of the simulated car, and what follows from them.
 
 use anyhow::{Context, Result};
 use posebridge_estimator::models::wall_approach::WallApproachModel;

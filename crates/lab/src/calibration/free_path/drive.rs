@@ -5,7 +5,6 @@ use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::motion::{MotionReading, MotionTrack, TravelSegment};
 use posebridge_telemetry::{BrickClock, Observation, StartPose, Timestamp};
 
-/// A drive for the calibration: wheel travel and external fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FreePath {
     pub name: String,
@@ -15,7 +14,6 @@ pub struct FreePath {
     pub fixes: Vec<PositionFix>,
 }
 
-/// Start of a drive with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathStart {
     /// x, y in metres, heading in radians; a guess where the sigmas are large.
@@ -27,13 +25,11 @@ pub struct PathStart {
 /// Wheel travel between two instants, along an arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TravelStep {
-    /// Start, by the recording's clock.
     pub from_s: f64,
     pub until_s: f64,
     pub travel: WheelTravel,
 }
 
-/// An external position fix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionFix {
     /// Timestamp, by the recording's clock.

@@ -20,6 +20,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
+use crate::statistics::{PairedVectors, centroid, correlated_variance};
 
 /// Wiring errors of the two counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,20 +49,8 @@ impl Wiring {
         Self::SwappedRightReversed,
     ];
 
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::AsGiven => "AsGiven",
-            Self::Swapped => "Swapped",
-            Self::BothReversed => "BothReversed",
-            Self::LeftReversed => "LeftReversed",
-            Self::RightReversed => "RightReversed",
-            Self::SwappedLeftReversed => "SwappedLeftReversed",
-            Self::SwappedRightReversed => "SwappedRightReversed",
-        }
-    }
-
     /// The true travel of both wheels if this is the error.
-    pub const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
+    const fn undo(self, WheelTravel { left_m, right_m }: WheelTravel) -> WheelTravel {
         let (left_m, right_m) = match self {
             Self::AsGiven => (left_m, right_m),
             Self::Swapped => (right_m, left_m),
@@ -75,7 +64,6 @@ impl Wiring {
     }
 }
 
-/// One possible error of a description.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hypothesis {
     pub wiring: Wiring,
@@ -95,7 +83,6 @@ const SEGMENT_FIXES: usize = 24;
 const MIN_FIXES: usize = 8;
 /// An error is only reported if its correction improves the fit by this factor: small corrections gain less.
 const MIN_IMPROVEMENT: f64 = 1.6;
-/// Two fits within this ratio are equal.
 const EQUAL_FIT_FACTOR: f64 = 1.02;
 
 /// Comparison of the description with other hypotheses.
@@ -141,7 +128,6 @@ struct ScoredHypothesis {
     start_off_rad: Option<f64>,
 }
 
-/// `None` with too few fixes.
 pub(super) fn test_hypotheses(prediction: &PathPredictor<'_>, paths: &[FreePath]) -> Option<HypothesisTest> {
     let fix_count: usize = paths.iter().map(|path| path.fixes.len()).sum();
     if fix_count < MIN_FIXES {
@@ -228,21 +214,12 @@ struct PathAlignment {
 
 /// Rotates and shifts `ours` onto `theirs` by least squares.
 fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
-    let count = ours.len().max(1) as f64;
-    let centre = |points: &[[f64; 2]]| [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / count);
-    let (a0, b0) = (centre(ours), centre(theirs));
-    let (mut dot, mut cross, mut ours_m2, mut theirs_m2) = (0.0, 0.0, 0.0, 0.0);
-    for (a, b) in ours.iter().zip(theirs) {
-        let a = [a[0] - a0[0], a[1] - a0[1]];
-        let b = [b[0] - b0[0], b[1] - b0[1]];
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-        ours_m2 += a[0] * a[0] + a[1] * a[1];
-        theirs_m2 += b[0] * b[0] + b[1] * b[1];
-    }
+    let centres = [ours, theirs].map(centroid);
+    let sums = PairedVectors::about(centres, ours.iter().zip(theirs).map(|(a, b)| [*a, *b]));
+    let [ours_m2, theirs_m2] = sums.squares;
     PathAlignment {
-        square_m2: (ours_m2 + theirs_m2 - 2.0 * dot.hypot(cross)).max(0.0),
-        turn_rad: cross.atan2(dot),
+        square_m2: (ours_m2 + theirs_m2 - 2.0 * sums.dot.hypot(sums.cross)).max(0.0),
+        turn_rad: sums.angle_rad(),
         length_m: ours_m2.sqrt(),
     }
 }
@@ -267,11 +244,8 @@ fn align_paths(ours: &[[f64; 2]], theirs: &[[f64; 2]]) -> PathAlignment {
 
 /// Least length of a window, in sigmas of its fixes.
 const MIN_CHORD_SIGMAS: f64 = 20.0;
-/// Largest turn within a window.
 const MAX_TURN_RAD: f64 = 0.5;
-/// Number of following windows that count as neighbours.
 const NEIGHBOURS: usize = 3;
-/// Fewest windows for an estimate of the scatter.
 const MIN_WINDOWS: usize = 3;
 
 /// The mean wheel size relative to the predicted path: a factor, and the number of windows behind it.
@@ -303,18 +277,10 @@ pub(super) fn length_factor(prediction: &PathPredictor<'_>, paths: &[FreePath]) 
 /// The variance of `sum (c_k - factor c0_k) c0_k` over one run.
 ///
 /// Neighbours share a fix, whose noise lengthens one window and shortens the other, so that most of it cancels in the sum. The products
-/// of neighbours measure that, weighted as by Newey and West (1987), which keeps the sum positive.
+/// of neighbours measure that.
 fn residual_variance_m4(run: &[PathChord], factor: f64) -> f64 {
     let scores: Vec<f64> = run.iter().map(|chord| chord.predicted_m * chord.residual_m(factor)).collect();
-    let at_lag = |lag: usize| -> f64 {
-        let pairs = scores.iter().zip(scores.iter().skip(lag));
-        pairs.map(|(one, other)| one * other).sum()
-    };
-    let neighbours = (1..=NEIGHBOURS).map(|lag| {
-        let weight = 1.0 - lag as f64 / (NEIGHBOURS as f64 + 1.0);
-        2.0 * weight * at_lag(lag)
-    });
-    at_lag(0) + neighbours.sum::<f64>()
+    correlated_variance(&scores, NEIGHBOURS)
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -331,7 +297,6 @@ impl PathChord {
     }
 }
 
-/// Predicted and observed length of each window.
 fn chords(prediction: &PathPredictor<'_>, path: &FreePath) -> Vec<PathChord> {
     let reckoned = prediction.predict_tags(path, path.start.pose[2]);
     let mut chords = Vec::new();

@@ -22,7 +22,6 @@ mod drive;
 mod hypotheses;
 mod parameter_fit;
 mod predict;
-mod unknown;
 
 use posebridge_estimator::FilterConfig;
 
@@ -33,10 +32,10 @@ use super::CalibrationError;
 
 pub use self::drive::{FreePath, PathStart, PositionFix, TravelStep, seconds};
 pub use self::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest, Wiring};
+pub use self::parameter_fit::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 pub use self::predict::{
     DeadReckonedPath, DeadReckoningError, RobotParameters, dead_reckon, mean_error, start_heading,
 };
-pub use self::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 
 /// Rounds over the second and the third step; the second round changes values by hundredths of their sigmas.
 const MAX_ROUNDS: u32 = 3;

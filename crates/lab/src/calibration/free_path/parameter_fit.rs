@@ -3,14 +3,136 @@
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::{WheelTravel, step_noise};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{SensorNoise, UncertainValue};
+use posebridge_telemetry::{Calibration, SensorNoise, UncertainValue};
 
 use super::drive::FreePath;
-use super::hypotheses::{coarse_track_factor, length_factor};
+use super::hypotheses::{AS_GIVEN, Hypothesis, HypothesisTest, coarse_track_factor, length_factor};
 use super::predict::{PathPredictor, RobotParameters, estimate_start_heading, nominal};
-use super::unknown::{CalibrationUnknown, PathCalibration, UNKNOWNS, UnknownEstimate, UnknownStatus};
 use crate::calibration::CalibrationError;
 use crate::calibration::least_squares::{LeastSquaresFit, Residuals, fit, solution_shift};
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CalibrationUnknown {
+    /// e_m: relative error of the mean wheel radius.
+    RadiusScale,
+    /// e_b: relative error of the track width.
+    TrackScale,
+    /// e_d: relative difference of the radii, right minus left.
+    RadiusDifference,
+    /// tau: time by which a fix was valid before its timestamp, in seconds.
+    FixDelay,
+    /// l_f: offset of the tag from its configured position, forward, in metres.
+    TagForward,
+    /// l_l: the same to the left.
+    TagLeft,
+}
+
+/// All, in the order in which they are tried.
+pub const UNKNOWNS: [CalibrationUnknown; 6] = [
+    CalibrationUnknown::RadiusScale,
+    CalibrationUnknown::TrackScale,
+    CalibrationUnknown::FixDelay,
+    CalibrationUnknown::RadiusDifference,
+    CalibrationUnknown::TagForward,
+    CalibrationUnknown::TagLeft,
+];
+
+impl CalibrationUnknown {
+    /// Key in `[robot.calibration]`.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::RadiusScale => "radius_scale",
+            Self::TrackScale => "track_scale",
+            Self::RadiusDifference => "radius_difference",
+            Self::FixDelay => "fix_delay_s",
+            Self::TagForward => "tag_forward_m",
+            Self::TagLeft => "tag_left_m",
+        }
+    }
+
+    pub const fn value_in(self, calibration: &mut Calibration) -> &mut UncertainValue {
+        match self {
+            Self::RadiusScale => &mut calibration.radius_scale,
+            Self::TrackScale => &mut calibration.track_scale,
+            Self::RadiusDifference => &mut calibration.radius_difference,
+            Self::FixDelay => &mut calibration.fix_delay_s,
+            Self::TagForward => &mut calibration.tag_forward_m,
+            Self::TagLeft => &mut calibration.tag_left_m,
+        }
+    }
+
+    const fn prior(self, mut calibration: Calibration) -> UncertainValue {
+        *self.value_in(&mut calibration)
+    }
+
+    /// Half width of its central difference, in its own unit. The residual over the delay has kinks at the counters' readings, so its
+    /// step is wide.
+    const fn step(self) -> f64 {
+        match self {
+            Self::RadiusScale | Self::TrackScale | Self::RadiusDifference => 1e-5,
+            Self::FixDelay => 1e-2,
+            Self::TagForward | Self::TagLeft => 1e-4,
+        }
+    }
+
+    fn apply(self, value: f64, base_track_m: f64, numbers: &mut RobotParameters) {
+        match self {
+            Self::RadiusScale => numbers.radius_scale = value,
+            Self::TrackScale => numbers.track_width_m = base_track_m * (1.0 + value),
+            Self::RadiusDifference => numbers.radius_difference = value,
+            Self::FixDelay => numbers.fix_delay_s = value,
+            Self::TagForward => numbers.tag_m[0] = value,
+            Self::TagLeft => numbers.tag_m[1] = value,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UnknownStatus {
+    Estimated,
+    /// Its prior has no sigma.
+    Fixed,
+    /// The drive determines it less well than the prior: unchanged.
+    Unobservable,
+    /// It cannot be separated from the track on this drive: unchanged.
+    NotSeparable,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnknownEstimate {
+    pub unknown: CalibrationUnknown,
+    pub before: UncertainValue,
+    /// Equal to `before` unless estimated.
+    pub after: UncertainValue,
+    pub status: UnknownStatus,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathCalibration {
+    /// One per unknown, in the order of [`UNKNOWNS`]; relative to the description under [`Self::hypothesis_test`].
+    pub entries: Vec<UnknownEstimate>,
+    /// `None` with too few fixes.
+    pub hypothesis_test: Option<HypothesisTest>,
+    /// Number of windows behind the wheel size; `None` if it was not estimated from the length of the path.
+    pub length_windows: Option<usize>,
+    pub headings_rad: Vec<f64>,
+    /// Mean squared whitened innovation: about one if the noise is as described.
+    pub consistency: f64,
+    pub before: RobotParameters,
+    pub after: RobotParameters,
+}
+
+impl PathCalibration {
+    pub fn entry(&self, unknown: CalibrationUnknown) -> UnknownEstimate {
+        let index = UNKNOWNS.iter().position(|one| *one == unknown);
+        self.entries[index.unwrap_or(0)]
+    }
+
+    /// The hypothesis under which the values hold.
+    pub fn hypothesis(&self) -> Hypothesis {
+        self.hypothesis_test.as_ref().map_or(AS_GIVEN, |sanity| sanity.found)
+    }
+}
 
 /// An unknown is inseparable from the track if it increases the track's sigma by this factor.
 const INSEPARABLE_FACTOR: f64 = 3.0;
@@ -18,7 +140,6 @@ const INSEPARABLE_FACTOR: f64 = 3.0;
 const INFORMATIVE_SHARE: f64 = 0.5;
 /// A heading known better than this is not estimated: about the accuracy of a person or a tracker.
 const KNOWN_HEADING_RAD: f64 = 0.02;
-/// Half width of the central difference of a heading.
 const HEADING_STEP_RAD: f64 = 1e-4;
 
 /// Second and third step: selects the free unknowns and estimates them.
@@ -32,10 +153,8 @@ pub(super) struct ParameterSolver<'a> {
     /// Result of the last round, used by the second step.
     latest: RobotParameters,
     radius_scale: Option<UncertainValue>,
-    /// Start of the descent of the track.
     first_track_scale: f64,
     headings_rad: Vec<f64>,
-    /// The runs whose start heading is estimated.
     free_headings: Vec<usize>,
 }
 
@@ -95,12 +214,12 @@ impl<'a> ParameterSolver<'a> {
     }
 
     fn is_fixed(&self, unknown: CalibrationUnknown) -> bool {
-        unknown.prior(&self.config.calibration).sigma <= 0.0
+        unknown.prior(self.config.calibration).sigma <= 0.0
     }
 
     /// The second step; returns the number of windows behind it.
     pub(super) fn estimate_length(&mut self) -> Option<usize> {
-        let prior = CalibrationUnknown::RadiusScale.prior(&self.config.calibration);
+        let prior = CalibrationUnknown::RadiusScale.prior(self.config.calibration);
         if self.is_fixed(CalibrationUnknown::RadiusScale) {
             return None;
         }
@@ -152,7 +271,7 @@ impl<'a> ParameterSolver<'a> {
         let Ok(with) = self.fit(free) else {
             return if is_basic { UnknownStatus::Unobservable } else { UnknownStatus::NotSeparable };
         };
-        let prior = unknown.prior(&self.config.calibration);
+        let prior = unknown.prior(self.config.calibration);
         if with.value_of(unknown).is_none_or(|found| found.sigma >= INFORMATIVE_SHARE * prior.sigma) {
             return UnknownStatus::Unobservable;
         }
@@ -173,7 +292,7 @@ impl<'a> ParameterSolver<'a> {
             CalibrationUnknown::RadiusDifference
             | CalibrationUnknown::FixDelay
             | CalibrationUnknown::TagForward
-            | CalibrationUnknown::TagLeft => unknown.prior(&self.config.calibration).value,
+            | CalibrationUnknown::TagLeft => unknown.prior(self.config.calibration).value,
         });
         let headings = self.free_headings.iter().map(|run| self.headings_rad[*run]);
         let start: Vec<f64> = start.chain(headings).collect();
@@ -230,7 +349,7 @@ impl<'a> ParameterSolver<'a> {
         let looked_at = UNKNOWNS.iter().zip(statuses);
         let looked_at = looked_at.zip(by_others.into_iter().zip(by_wandering));
         let entries = looked_at.map(|((unknown, status), (by_others, by_wandering))| {
-            let before = unknown.prior(&self.config.calibration);
+            let before = unknown.prior(self.config.calibration);
             let after = match unknown {
                 CalibrationUnknown::RadiusScale => self.radius_scale.or(chosen.value_of(*unknown)),
                 CalibrationUnknown::TrackScale
@@ -303,7 +422,7 @@ impl<'a> ParameterSolver<'a> {
         }
         for (unknown, status) in UNKNOWNS.iter().zip(statuses) {
             if matches!(status, UnknownStatus::Unobservable | UnknownStatus::NotSeparable) {
-                let prior = unknown.prior(&self.config.calibration);
+                let prior = unknown.prior(self.config.calibration);
                 let mut other = self.clone();
                 let wrong = prior.value + prior.sigma;
                 unknown.apply(wrong, self.base_track_m, &mut other.parameters);
@@ -346,7 +465,6 @@ pub(super) struct HeadingJump {
     pub(super) var_rad2: f64,
 }
 
-/// Jumps that represent the heading random walk of a drive.
 pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorNoise) -> Vec<HeadingJump> {
     let geometry = nominal(track_width_m);
     let length = path.steps.len().div_ceil(JUMPS_PER_PATH).max(1);
@@ -358,7 +476,6 @@ pub(super) fn heading_jumps(path: &FreePath, track_width_m: f64, noise: &SensorN
     jumps.filter(|jump| jump.var_rad2 > 0.0).collect()
 }
 
-/// The drive with a heading jump of `by_rad`.
 pub(super) fn apply_jump(path: &FreePath, jump: HeadingJump, by_rad: f64, track_width_m: f64) -> FreePath {
     let mut path = path.clone();
     if let Some(step) = path.steps.get_mut(jump.step) {

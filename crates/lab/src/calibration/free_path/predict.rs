@@ -23,6 +23,7 @@ use posebridge_estimator::numerics::statistics;
 use posebridge_telemetry::{DriveGeometry, Meters, Radians, SensorNoise};
 
 use super::drive::{FreePath, TravelStep};
+use crate::statistics::PairedVectors;
 
 /// Parameters of a robot: factors on nominal travel and track, camera delay and tag.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,14 +76,12 @@ struct PathFilter<'a> {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PredictedTag {
-    /// x, y.
     pub(super) tag_m: [f64; 2],
     /// Not wrapped.
     pub(super) heading_rad: f64,
 }
 
 impl PathPredictor<'_> {
-    /// Whitened innovations of a drive with this start heading.
     pub(super) fn innovations(&self, path: &FreePath, heading_rad: f64) -> Vec<[f64; 2]> {
         let mut white = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::Correct, |_, innovation| {
@@ -91,7 +90,6 @@ impl PathPredictor<'_> {
         white
     }
 
-    /// Predicted fixes by dead reckoning from the start.
     pub(super) fn predict_tags(&self, path: &FreePath, heading_rad: f64) -> Vec<PredictedTag> {
         let mut predicted = Vec::with_capacity(path.fixes.len());
         self.run(path, heading_rad, FixHandling::CompareOnly, |reckoned, _| {
@@ -203,7 +201,6 @@ impl PathFilter<'_> {
     }
 }
 
-/// Distances between dead reckoning and fixes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeadReckoningError {
     pub rms_m: f64,
@@ -211,7 +208,6 @@ pub struct DeadReckoningError {
     pub end_m: f64,
 }
 
-/// A drive by dead reckoning alone, compared with its fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeadReckonedPath {
     /// x, y of the predicted tag at each fix.
@@ -231,17 +227,10 @@ pub fn start_heading(config: &FilterConfig, numbers: &RobotParameters, path: &Fr
 pub(super) fn estimate_start_heading(prediction: &PathPredictor<'_>, path: &FreePath) -> f64 {
     let reckoned = prediction.predict_tags(path, 0.0);
     let [x, y, _] = path.start.pose;
-    let (mut dot, mut cross) = (0.0, 0.0);
-    for (ours, fix) in reckoned.iter().zip(&path.fixes) {
-        let a = [ours.tag_m[0] - x, ours.tag_m[1] - y];
-        let b = [fix.position_m[0] - x, fix.position_m[1] - y];
-        dot += a[0] * b[0] + a[1] * b[1];
-        cross += a[0] * b[1] - a[1] * b[0];
-    }
-    cross.atan2(dot)
+    let pairs = reckoned.iter().zip(&path.fixes).map(|(ours, fix)| [ours.tag_m, fix.position_m]);
+    PairedVectors::about([[x, y]; 2], pairs).angle_rad()
 }
 
-/// Dead reckoning with these parameters from a start with this heading.
 pub fn dead_reckon(
     config: &FilterConfig,
     numbers: &RobotParameters,

@@ -2,18 +2,18 @@
 
 use posebridge_estimator::filters::dynamic::DynamicFilter;
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
-use posebridge_estimator::{Filter, FilterConfig, Params};
+use posebridge_estimator::numerics::statistics::mean;
+use posebridge_estimator::{Filter, Params};
 use posebridge_report::chart::Curve;
-use posebridge_telemetry::{
-    Calibration, Celsius, DriveGeometry, Meters, Observation, ObservationKind, Radians, SensorId, SensorNoise,
-    TimeDelta, Timestamp,
-};
+use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, SensorNoise, TimeDelta, Timestamp};
 
 use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
-use super::section::{LessonSection, band, filter_values, sample_points, seconds, temperatures};
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
+use crate::config_without_wheels;
 use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
+use crate::statistics::median;
 
 const TAU_S: f64 = 20.0;
 const SIGMA_K: f64 = 0.1;
@@ -34,14 +34,12 @@ fn run_filters(samples: &[TimedSample]) -> [FilteredSeries; 2] {
 fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f64) {
     let half = followed.len() / 2;
     let last = followed.get(half..).unwrap_or_default();
-    let count = last.len().max(1) as f64;
-    let errors = last.iter().map(|(at_s, value, _)| (value - truth(*at_s)).abs());
-    let inside = last.iter().filter(|(at_s, value, sigma)| (value - truth(*at_s)).abs() <= BOUND_SIGMAS * sigma);
-    (
-        errors.sum::<f64>() / count,
-        last.iter().map(|(_, _, sigma)| sigma).sum::<f64>() / count,
-        inside.count() as f64 / count,
-    )
+    let error = |at_s: f64, value: f64| (value - truth(at_s)).abs();
+    let errors = last.iter().map(|(at_s, value, _)| error(*at_s, *value));
+    let sigmas = last.iter().map(|(_, _, sigma)| *sigma);
+    let inside = last.iter().map(|(at_s, value, sigma)| error(*at_s, *value) <= BOUND_SIGMAS * sigma);
+    let inside = mean(inside.map(|is_inside| f64::from(u8::from(is_inside))));
+    (mean(errors).unwrap_or_default(), mean(sigmas).unwrap_or_default(), inside.unwrap_or_default())
 }
 
 const COMPARISON_HEADER: [&str; 4] = ["filter", "mean error [K]", "mean sigma [K]", "truth within the bound"];
@@ -107,7 +105,7 @@ pub(super) fn walking(seed: u64) -> LessonSection {
     );
     add_comparison(&mut section, &samples, truth);
     let lag = samples.iter().skip(250).map(|sample| (sample.value - truth(sample.at_s)).abs());
-    section.record_value("shown_error_k", lag.sum::<f64>() / 250.0);
+    section.record_value("shown_error_k", mean(lag));
     section
 }
 
@@ -184,20 +182,8 @@ impl DynamicFilterConfig {
     }
 
     fn filter(&self, model: &DynamicModel) -> DynamicFilter {
-        let config = FilterConfig {
-            // A thermometer on a bench: no wheel turns.
-            geometry: DriveGeometry {
-                left_wheel_radius: Meters(0.03),
-                right_wheel_radius: Meters(0.03),
-                track_width: Meters(0.1),
-                tick: Radians(0.01),
-            },
-            noise: SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT },
-            start: None,
-            params: Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() },
-            calibration: Calibration::default(),
-            arena_map: std::sync::Arc::default(),
-        };
+        let params = Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() };
+        let config = config_without_wheels(SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT }, params);
         let filter = DynamicFilter::with_model(&config, model.clone());
         match self.prior_sigma {
             Some(sigma) => filter.with_prior_sigma(sigma),
@@ -211,9 +197,7 @@ pub(super) fn first_order(tau_s: f64) -> DynamicModel {
     DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
 }
 
-/// Factors on all lags of the next sensor.
 const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
-/// Runs for each factor; the median is reported.
 const RUNS: u64 = 3;
 const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };
 const SHARE: f64 = 0.05;
@@ -256,36 +240,22 @@ fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes,
     let settled = |series: &[(f64, f64)]| settling_time_s(series, DIPPED_S, DIP.after, limit);
     let values = |all: &[EndPrediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };
     let all = [settled(&sample_points(&samples)), settled(&values(&certain)), settled(&values(&estimated))];
-    (all, [share_inside(&certain), share_inside(&estimated)])
-}
-
-/// Share of bounds that contain the end, after a step was detected.
-fn share_inside(predictions: &[EndPrediction]) -> f64 {
-    let moving: Vec<&EndPrediction> = predictions.iter().filter(|p| p.is_settling).collect();
-    let held = moving.iter().filter(|p| {
-        let (low, high) = p.bound();
-        low <= DIP.after && DIP.after <= high
-    });
-    held.count() as f64 / moving.len().max(1) as f64
+    (all, [&certain, &estimated].map(|all| share_inside(all, DIP.after).unwrap_or(0.0)))
 }
 
 fn add_row(section: &mut LessonSection, factor: f64, runs: &[(SettlingTimes, [f64; 2])]) {
     let mut row = vec![format!("{:+.0} %", 100.0 * (factor - 1.0))];
     for (method, name) in METHODS.into_iter().enumerate() {
-        let middle = median(runs.iter().map(|(settled, _)| settled[method]).collect());
+        // A run that never settles counts as the largest.
+        let settled = runs.iter().map(|(settled, _)| settled[method].unwrap_or(f64::INFINITY));
+        let middle = median(settled).filter(|middle_s| middle_s.is_finite());
         row.push(seconds(middle));
         section.record_value(format!("{name}_5_percent_s_at_{factor}"), middle);
     }
     for (method, name) in METHODS.into_iter().skip(1).enumerate() {
-        let mean = runs.iter().map(|(_, inside)| inside[method]).sum::<f64>() / runs.len() as f64;
-        row.push(format!("{:.0} %", 100.0 * mean));
-        section.record_value(format!("{name}_inside_at_{factor}"), mean);
+        let inside = mean(runs.iter().map(|(_, inside)| inside[method])).unwrap_or_default();
+        row.push(format!("{:.0} %", 100.0 * inside));
+        section.record_value(format!("{name}_inside_at_{factor}"), inside);
     }
     section.rows.push(row);
-}
-
-/// A run that never settles counts as the largest.
-fn median(mut all: Vec<Option<f64>>) -> Option<f64> {
-    all.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
-    all.get(all.len() / 2).copied().flatten()
 }

@@ -12,13 +12,12 @@ use crate::identification::known_dynamics::{block_least_squares, final_value_fro
 use crate::identification::prediction::{BOUND_RATE, predict_once};
 use crate::identification::prior::{ExpectedDynamics, StepDirection};
 use crate::identification::sensor_kind::{RunSimilarity, SensorKind};
-use crate::identification::step::{ModelOrder, StepOptions, identify_step};
+use crate::identification::step::{StepOptions, identify_step};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 
 /// The worked example of the paper: three readings a minute apart, of a thermometer that goes from 21 to 3 degrees.
 const EXAMPLE: [f64; 3] = [21.0, 15.0, 11.0];
 const MINUTE_S: f64 = 60.0;
-/// Of a good thermometer.
 const SIGMA_K: f64 = 0.1;
 const FIRST_SENSOR: SensorId = SensorId::THERMOMETER;
 const SECOND_SENSOR: SensorId = SensorId(20);
@@ -268,7 +267,7 @@ pub fn bound_run(seed: u64) -> BoundRun {
         count(40.0),
         step_input(IDENTIFICATION_STEP.0, IDENTIFICATION_STEP.1, DIPPED_S),
     );
-    let options = StepOptions { order: ModelOrder::Fixed(1), ..StepOptions::with_sigma(SIGMA_K) };
+    let options = StepOptions { order: Some(1), ..StepOptions::with_sigma(SIGMA_K) };
     let identified = identify_step(&teaching, &options).ok();
     let found_s = identified.as_ref().and_then(|found| Some(found.lags().first()?.time_constant_s));
     let kind = identified.and_then(|found| SensorKind::from_runs(&[found], RunSimilarity::SameDynamics).ok());

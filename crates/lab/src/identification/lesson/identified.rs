@@ -2,7 +2,7 @@
 
 use posebridge_report::chart::{Curve, CurveShape, Plot};
 
-use super::section::{LessonSection, band, filter_values, sample_points, seconds, temperatures};
+use super::section::{LessonSection, band, filter_values, sample_points, seconds, settling_times_s, temperatures};
 use crate::identification::prediction::{EndPrediction, predict_with_expectation};
 use crate::identification::prior::{ExpectedDynamics, StepDirection};
 use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
@@ -108,14 +108,6 @@ fn fit_plot(found: &IdentifiedStep) -> Plot {
     temperatures("A step response and its exponentials", vec![above, below])
 }
 
-/// Settling to 10, 5 and 2 % of the step.
-pub(super) const SHARES: [f64; 3] = [0.1, 0.05, 0.02];
-
-fn settling_times_s(series: &[(f64, f64)], dip: DipTemperatures) -> [Option<f64>; 3] {
-    let step = (dip.after - dip.before).abs();
-    SHARES.map(|share| settling_time_s(series, DIPPED_S, dip.after, share * step))
-}
-
 fn settling_bounds(predictions: &[EndPrediction]) -> Vec<(f64, f64, f64)> {
     let moving = predictions.iter().filter(|prediction| prediction.is_settling);
     moving.map(|p| (p.at_s, p.value, p.sigma)).collect()
@@ -170,7 +162,6 @@ impl IdentifiedModels {
         Ok(Self { certain, kind })
     }
 
-    /// With exact lags, and with lags estimated along.
     pub(super) fn predictions(&self, samples: &[TimedSample]) -> (Vec<EndPrediction>, Vec<EndPrediction>) {
         (predict_with_expectation(samples, SIGMA_K, &self.certain), predict(samples, SIGMA_K, &self.kind))
     }
@@ -181,7 +172,6 @@ impl IdentifiedModels {
     }
 }
 
-/// Instants, values and sigmas of both.
 struct FilterPredictions {
     certain: Vec<(f64, f64, f64)>,
     estimated: Vec<(f64, f64, f64)>,
@@ -194,7 +184,7 @@ impl FilterPredictions {
             ("certain", filter_values(&self.certain)),
             ("estimated", filter_values(&self.estimated)),
         ] {
-            let settled = settling_times_s(&series, dip);
+            let settled = settling_times_s(&series, DIPPED_S, dip.after, (dip.after - dip.before).abs());
             let cells = settled.map(seconds).to_vec();
             let names = vec![name.to_owned(), method.to_owned()];
             section.rows.push([names, cells].concat());

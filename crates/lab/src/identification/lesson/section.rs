@@ -1,11 +1,11 @@
-//! A section of the lesson, and its common cells and curves.
+//! A section of the lesson, and what several sections draw and measure.
 
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 
-use crate::identification::TimedSample;
-use crate::identification::prediction::BOUND_SIGMAS;
+use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
+use crate::identification::{TimedSample, settling_time_s};
 
-/// Text, table, plot and named numbers of one section.
 #[derive(Clone, Debug, Default)]
 pub struct LessonSection {
     pub name: &'static str,
@@ -45,14 +45,12 @@ pub(super) fn seconds(value: Option<f64>) -> String {
     value.map_or_else(|| "never".to_owned(), |value| format!("{value:.2}"))
 }
 
-/// The 95 % band around values with sigmas.
 pub(super) fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
     let half = BOUND_SIGMAS;
     let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
     Curve::new(name, CurveShape::Band(values.iter().map(of).collect()))
 }
 
-/// The values alone, for a line.
 pub(super) fn filter_values(all: &[(f64, f64, f64)]) -> Vec<(f64, f64)> {
     all.iter().map(|(at_s, value, _)| (*at_s, *value)).collect()
 }
@@ -65,4 +63,19 @@ pub(super) fn sample_points(samples: &[TimedSample]) -> Vec<(f64, f64)> {
 pub(super) fn temperatures(title: &str, panels: Vec<Vec<Curve>>) -> Plot {
     let axes = panels.into_iter().map(|curves| Axes::new("time [s]", "temperature [degrees C]", 240.0, curves));
     Plot::new(title, "", axes.collect())
+}
+
+/// Seconds from the onset until within 10, 5 and 2 % of a step of this size for good.
+pub(super) fn settling_times_s(series: &[(f64, f64)], onset_s: f64, end: f64, size: f64) -> [Option<f64>; 3] {
+    [0.1, 0.05, 0.02].map(|share| settling_time_s(series, onset_s, end, share * size))
+}
+
+/// Share of the bounds that contain the end, after a step was detected; `None` without one.
+pub(super) fn share_inside(predictions: &[EndPrediction], end: f64) -> Option<f64> {
+    let moving = predictions.iter().filter(|prediction| prediction.is_settling);
+    let held = moving.map(|prediction| {
+        let (low, high) = prediction.bound();
+        f64::from(u8::from(low <= end && end <= high))
+    });
+    mean(held)
 }
