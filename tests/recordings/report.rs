@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use crate::support::virtual_drive::record_configured_drive;
-use crate::support::{
-    SKEWED_SQUARE, assert_refused, committed_data, descriptor, json, named, number, read_text, run, write_text,
-};
+use crate::support::{SKEWED_SQUARE, committed_data, descriptor, json, named, number, read_text, run};
 use posebridge::config::Config;
 use posebridge_sim::Scenario;
 use posebridge_telemetry::TimeDelta;
@@ -139,21 +137,4 @@ fn the_page_of_a_foreign_recording_has_its_runs_with_the_figures_of_replay() {
         assert_eq!(run["yardstick"], "truth");
     }
     assert!(page.len() < 2_000_000, "page of {} bytes", page.len());
-}
-
-#[test]
-fn what_cannot_be_reported_on_is_refused_before_anything_is_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    write_text(folder, "no.mcap", "hello");
-    assert_refused(
-        folder,
-        &[
-            ("report no.mcap", 2, &["no.mcap", "MCAP magic"]),
-            ("report no.mcap --param gate_prop=0.9", 2, &["`gate_prop`", "gate_prob, history_s"]),
-            ("report no.mcap --param gate_prob=7", 2, &["is 7, must lie in 0.5 to"]),
-            ("report no.mcap --from 5 --to 2", 2, &["--from 5 does not lie before --to 2"]),
-        ],
-    );
-    assert_eq!(std::fs::read_dir(folder).unwrap().count(), 1);
 }
