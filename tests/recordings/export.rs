@@ -56,10 +56,6 @@ fn assert_scores_as(scored: &Value, folder: &Path) {
 
 #[test]
 fn trajectories_score_as_the_replay_does() {
-    let own = drive();
-    run(own.path(), &["export", "drive.mcap", "--format", "tum"]);
-    assert_scores_as(&json(own.path(), &["replay", "drive.mcap"]), own.path());
-
     let foreign = tempfile::tempdir().unwrap();
     let foreign = foreign.path();
     let (optiodom, data) = (descriptor("optiodom.toml"), committed_data());
