@@ -10,7 +10,7 @@ use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_telemetry::{HostClock, Timestamp};
 use serde_json::{Map, Value, json};
 
-use super::{FramedFacts, InspectResult, RecordingFacts, RunFacts, TlogFacts};
+use super::facts::{FramedFacts, InspectResult, RecordingFacts, RunFacts, TlogFacts};
 use crate::station::input_file::InputKind;
 
 /// With a line feed.
