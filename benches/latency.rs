@@ -17,10 +17,10 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use posebridge::config::{AtInstant, Config, LinkSection, OutputSection};
-use posebridge::station::deferred_errors::DeferredErrors;
+use posebridge::config::{AtInstant, Config, LinkSection, OutputSection, RecordingLimits};
+use posebridge::exit::DeferredErrors;
 use posebridge::station::live_status::LiveView;
-use posebridge::station::observer::{Observer, ObserverConfig};
+use posebridge::station::observer::Observer;
 use posebridge::station::recorder::Recorder;
 use posebridge::station::requests::RequestHandler;
 use posebridge::station::station_loop::{StationLoop, StopConditions};
@@ -268,14 +268,14 @@ async fn start_station_loop(recording: &std::path::Path, ground: SocketAddr) -> 
     let mut ports = LinkSet::new(vec![port(0, &ground, ConnectRole::Dial), port(1, brick, ConnectRole::Listen)]);
     ports.try_open_all().await.expect("the link opens");
     let address = ports.iter().nth(1).and_then(Link::local_address).expect("an address");
-    let observed = ObserverConfig { events: None, view: LiveView::silent() };
+    let recorder = Recorder::start(recording, &RecordingHeader::default(), RecordingLimits::default());
     let station_loop = StationLoop {
         station: Station::new(config.station_config().expect("a station"), Timestamp::ZERO).expect("a station"),
         links: ports,
         timer,
-        recorder: Some(Recorder::start(recording, &RecordingHeader::default()).expect("a recorder")),
+        recorder: Some(recorder.expect("a recorder")),
         tlog: None,
-        observer: Observer::start(observed).expect("an observer"),
+        observer: Observer::start(None, LiveView::silent()).expect("an observer"),
         dashboard: None,
         failures: DeferredErrors::default(),
         input_count: 0,

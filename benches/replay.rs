@@ -1,5 +1,4 @@
 //! How fast a recording goes through the engine again, and what its report costs.
-//!
 //! An hour of the simulated brick, 50 Hz of telemetry and a camera of 10 Hz, is driven and recorded in virtual time, as `posebridge run`
 //! would have recorded it but without the estimates beside the inputs; then the real program replays it three times, and makes its page.
 //! Ten minutes of the same give the size of a page. Run with `cargo bench --bench replay`.

@@ -1,5 +1,4 @@
 //! How fast telemetry logs are inspected and replayed, in CPU seconds, beside pymavlink on the same bytes in the same run.
-//!
 //! The log is an hour of a rover: wheel ticks and gyro 50 times per second, a camera five times, heartbeats. It is inspected ten times in
 //! one file, so that starting the program does not count, and replayed once. pymavlink reads the hour if `python3`, or the program that
 //! POSEBRIDGE_PYTHON names, has it. Run with `cargo bench --bench tlog`.

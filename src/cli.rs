@@ -8,7 +8,6 @@ use crate::exit::Failure;
 #[cfg(feature = "lab")]
 use crate::lab::{self, calibrate::CalibrateArgs, experiments::LabArgs, identify::IdentifyArgs, tune::TuneArgs};
 use crate::station::args::RunArgs;
-use crate::tools::completions::CompletionsArgs;
 use crate::tools::config::ConfigArgs;
 use crate::tools::doctor::DoctorArgs;
 use crate::tools::export::ExportArgs;
@@ -16,7 +15,7 @@ use crate::tools::import::ImportArgs;
 use crate::tools::init::{InitArgs, robots_help};
 use crate::tools::inspect::InspectArgs;
 use crate::tools::key::KeyArgs;
-use crate::tools::man::ManArgs;
+use crate::tools::man::{CompletionsArgs, ManArgs};
 use crate::tools::play::PlayArgs;
 use crate::tools::relay::RelayArgs;
 use crate::tools::replay::ReplayArgs;
@@ -123,7 +122,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Doctor(args) => tools::doctor::execute(&args),
         Command::Init(args) => tools::init::execute(&args),
         Command::Config(args) => tools::config::execute(&args),
-        Command::Completions(args) => tools::completions::execute(&args, Cli::command()),
+        Command::Completions(args) => tools::man::print_completions(&args, Cli::command()),
         Command::Man(args) => tools::man::execute(&args, Cli::command()),
     }
 }

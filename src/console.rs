@@ -1,5 +1,4 @@
 //! Console output: messages on stderr, results on stdout, progress bars.
-//!
 //! Errors of writing to stderr are ignored. While the terminal view owns the screen, messages go to its event panel
 //! ([`redirect_stderr`]). They are also retained and printed when the screen is restored, so that no message is lost with it.
 
@@ -39,6 +38,12 @@ pub fn print_line(line: &str) {
     }
     // There is nowhere left to report it.
     drop(writeln!(std::io::stderr().lock(), "{line}"));
+}
+
+pub fn print_lines(lines: &[String]) {
+    for line in lines {
+        print_line(line);
+    }
 }
 
 /// Writes log entries as console messages. Each write is one entry.

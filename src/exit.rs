@@ -1,6 +1,6 @@
-//! Exit codes of commands and signal handling.
+//! Exit codes of commands, deferred errors, signals, and the runtime of a command.
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 
 #[derive(Debug)]
 pub enum Failure {
@@ -39,6 +39,52 @@ impl<T, E: Into<anyhow::Error>> ExitStage<T> for Result<T, E> {
     }
 }
 
+/// Errors kept in full; bounds repeated requests for a recording on a full disk.
+const MAX_ERRORS: usize = 8;
+
+/// Errors that do not stop a run: reported together at its end.
+#[derive(Debug, Default)]
+pub struct DeferredErrors {
+    errors: Vec<anyhow::Error>,
+    omitted: u64,
+}
+
+impl DeferredErrors {
+    /// Stores an error; returns the value of a success.
+    pub fn record<T>(&mut self, result: Result<T>) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(error) => {
+                if self.errors.len() < MAX_ERRORS {
+                    self.errors.push(error);
+                } else {
+                    self.omitted += 1;
+                }
+                None
+            }
+        }
+    }
+
+    pub fn into_result(mut self) -> Result<()> {
+        if self.errors.len() <= 1 {
+            return self.errors.pop().map_or(Ok(()), Err);
+        }
+        let mut words: Vec<String> = self.errors.iter().map(|error| format!("{error:#}")).collect();
+        if self.omitted > 0 {
+            words.push(format!("{} more", self.omitted));
+        }
+        Err(anyhow!(words.join("; ")))
+    }
+}
+
+/// Runs a future on this thread. An attempt to open a device that hangs does not keep the program alive.
+pub(crate) fn run_in_runtime<T>(work: impl Future<Output = T>) -> std::io::Result<T> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let result = runtime.block_on(work);
+    runtime.shutdown_background();
+    Ok(result)
+}
+
 /// Handlers of Ctrl-C and SIGTERM, installed at the start so that no signal is lost while links open.
 pub(crate) struct Signals {
     interrupt: tokio::signal::unix::Signal,
@@ -56,5 +102,25 @@ impl Signals {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_that_failed_is_told_and_what_is_too_much_is_counted() {
+        let mut failures = DeferredErrors::default();
+        assert_eq!(failures.record(Ok(7)), Some(7));
+        assert!(failures.into_result().is_ok());
+        let mut failures = DeferredErrors::default();
+        for number in 1..=10 {
+            let failed: Option<()> = failures.record(Err(anyhow!("file {number}")));
+            assert_eq!(failed, None);
+        }
+        let message = failures.into_result().unwrap_err().to_string();
+        assert!(message.starts_with("file 1; file 2; "), "{message}");
+        assert!(message.ends_with("file 8; 2 more"), "{message}");
     }
 }

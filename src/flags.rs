@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
-use clap::Args;
+use anyhow::{Context, Result};
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use posebridge_estimator::params::ParamError;
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkUrl};
@@ -82,25 +82,82 @@ pub struct StationLink {
 }
 
 impl StationLink {
-    pub(crate) fn to_link(&self, timer: HostTimer) -> Result<Link> {
-        let (text, role) = match (&self.listen, &self.link) {
-            (Some(url), _) => (url, ConnectRole::Listen),
-            (None, Some(url)) => (url, ConnectRole::Dial),
-            (None, None) => bail!("give --listen URL or --link URL"),
-        };
-        let config = LinkOpenConfig { id: LinkId(0), url: LinkUrl::parse(text)?, role };
-        Ok(Link::new(config, timer))
+    pub(crate) fn flag(&self) -> Result<LinkFlag> {
+        LinkFlag::from_values(self.listen.as_deref(), self.link.as_deref()).context("give --listen URL or --link URL")
+    }
+}
+
+/// A link of the command line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinkFlag {
+    pub url: String,
+    pub role: ConnectRole,
+}
+
+impl LinkFlag {
+    pub(crate) fn from_values(listen: Option<&str>, dial: Option<&str>) -> Option<Self> {
+        let listen = listen.map(|url| (url, ConnectRole::Listen));
+        let (url, role) = listen.or(dial.map(|url| (url, ConnectRole::Dial)))?;
+        Some(Self { url: url.to_owned(), role })
     }
 
-    /// Opens the link, or keeps retrying if that may help, and prints where it listens. Fails on permanent errors: an address in use,
-    /// no permission.
-    pub(crate) async fn open(&self, link: &mut Link) -> Result<String> {
+    /// Opens the link, or keeps retrying if that may help, and describes where it is. Fails on permanent errors: an address in use, no
+    /// permission.
+    pub(crate) async fn open(&self, timer: HostTimer) -> Result<(Link, String)> {
+        let config = LinkOpenConfig { id: LinkId(0), url: LinkUrl::parse(&self.url)?, role: self.role };
+        let mut link = Link::new(config, timer);
         let name = link.url().to_string();
         link.try_open().await.with_context(|| format!("opening `{name}`"))?;
-        Ok(match (&self.listen, link.local_address()) {
-            (Some(_), Some(address)) => format!("listening on {address}"),
-            _ => format!("on {name}"),
-        })
+        let address = link.local_address().filter(|_| self.role == ConnectRole::Listen);
+        let place = address.map_or_else(|| format!("on {name}"), |address| format!("listening on {address}"));
+        Ok((link, place))
+    }
+}
+
+/// The links of these arguments in the order of the command line; a derived parser keeps the order within one argument only.
+pub(crate) fn links_in_order(matches: &ArgMatches, ids: [(&str, ConnectRole); 2]) -> Vec<LinkFlag> {
+    let mut indexed = Vec::new();
+    for (id, role) in ids {
+        let urls = matches.get_many::<String>(id).unwrap_or_default();
+        let flags = urls.map(|url| LinkFlag { url: url.clone(), role });
+        indexed.extend(matches.indices_of(id).into_iter().flatten().zip(flags));
+    }
+    indexed.sort_by_key(|(index, _)| *index);
+    indexed.into_iter().map(|(_, flag)| flag).collect()
+}
+
+const LINK: &str = "link";
+const LISTEN: &str = "listen";
+
+/// `--link URL` and `--listen URL` of a run. `--brick` applies to the first of them, and reports number them, so their order must not
+/// depend on which end connects.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LinkFlags(pub Vec<LinkFlag>);
+
+impl FromArgMatches for LinkFlags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        Ok(Self(links_in_order(matches, [(LINK, ConnectRole::Dial), (LISTEN, ConnectRole::Listen)])))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Args for LinkFlags {
+    fn augment_args(command: Command) -> Command {
+        let flag = |name: &'static str, help: &'static str| {
+            Arg::new(name).long(name).value_name("URL").action(ArgAction::Append).help(help)
+        };
+        command.args([
+            flag(LINK, "Connect to this link. Can be repeated. Replaces the links of the configuration"),
+            flag(LISTEN, "Wait for a connection on this link. Can be repeated"),
+        ])
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
     }
 }
 
@@ -123,17 +180,13 @@ pub struct DashboardFlags {
 }
 
 pub(crate) fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
-        _ => Err("must be a number of more than zero".to_owned()),
-    }
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "must be a number of more than zero".to_owned())
 }
 
 fn not_negative(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),
-        _ => Err("must be a number of zero or more".to_owned()),
-    }
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
+    number.ok_or_else(|| "must be a number of zero or more".to_owned())
 }
 
 /// Parses `KEY=VALUE` of a filter tunable.
@@ -150,4 +203,25 @@ fn a_param(text: &str) -> Result<Setting, String> {
         }
     })?;
     Ok(Setting { path: vec!["filter".to_owned(), key], value: toml::Value::Float(value) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_stand_in_the_order_of_the_command_line() {
+        let command = LinkFlags::augment_args(Command::new("run"));
+        let line = ["run", "--listen", "a", "--link", "b", "--link", "c", "--listen", "d"];
+        let matches = command.try_get_matches_from(line).unwrap();
+        let flags = LinkFlags::from_arg_matches(&matches).unwrap();
+        let order: Vec<(&str, ConnectRole)> = flags.0.iter().map(|flag| (flag.url.as_str(), flag.role)).collect();
+        let expected = [
+            ("a", ConnectRole::Listen),
+            ("b", ConnectRole::Dial),
+            ("c", ConnectRole::Dial),
+            ("d", ConnectRole::Listen),
+        ];
+        assert_eq!(order, expected);
+    }
 }

@@ -1,10 +1,6 @@
-//! The program: connects links, engine, recorder, simulated brick and reports.
-//!
-//! It contains no formulas and no byte formats: physics is in the crates, and the station processes the data between a socket and a
-//! reply. The program opens files and links, owns the threads and prints messages.
-//!
-//! Its modules form layers, and each may use those before it: [`config`], [`station`], [`tools`], `lab`, [`cli`]. Only `cli` uses
-//! `lab`, which the feature of that name can remove.
+//! The program: opens files and links, owns the threads, prints messages, and connects links, engine, recorder, simulated brick and
+//! reports. It contains no formulas and no byte formats. Its modules form layers, and each may use those before it: [`config`],
+//! [`station`], [`tools`], `lab`, [`cli`]. Only `cli` uses `lab`, which the feature of that name can remove.
 
 pub mod cli;
 pub mod config;

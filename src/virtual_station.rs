@@ -1,5 +1,4 @@
 //! Simulated brick and station in one loop in virtual time: no socket, no thread, no clock, and deterministic.
-//!
 //! It runs the same simulation and the same station as a live run, over a link without delay or one of [`posebridge_sim::impairment`].
 //! `lab links`, the comparison of steerings after a run, and tests use it.
 
@@ -232,25 +231,14 @@ impl VirtualSession<'_> {
     }
 
     fn change_link(&mut self, now: Timestamp<HostClock>, command: &SimulatorCommand) {
-        match command {
-            SimulatorCommand::LinkProfile(name) => {
-                let profile = name.and_then(|name| LinkProfile::bundled(name.as_str()).ok());
-                let seed = self.simulation.scenario().seed;
-                self.link = ImpairedLink::new(&profile.unwrap_or_default(), seed, now);
-            }
-            SimulatorCommand::PullCable { duration } => {
-                self.unplugged_until = Some(self.simulation.elapsed() + *duration);
-                self.outages += 1;
-                self.report_link_state(now, self.id, LinkState::Down);
-            }
-            SimulatorCommand::Kidnap { .. }
-            | SimulatorCommand::Slip { .. }
-            | SimulatorCommand::Camera(_)
-            | SimulatorCommand::CameraDelay { .. }
-            | SimulatorCommand::GyroBiasStep { .. }
-            | SimulatorCommand::Steering(_)
-            | SimulatorCommand::Drive { .. }
-            | SimulatorCommand::Path => {}
+        if let SimulatorCommand::PullCable { duration } = command {
+            self.unplugged_until = Some(self.simulation.elapsed() + *duration);
+            self.outages += 1;
+            self.report_link_state(now, self.id, LinkState::Down);
+        } else if let SimulatorCommand::LinkProfile(name) = command {
+            let profile = name.and_then(|name| LinkProfile::bundled(name.as_str()).ok());
+            let seed = self.simulation.scenario().seed;
+            self.link = ImpairedLink::new(&profile.unwrap_or_default(), seed, now);
         }
     }
 

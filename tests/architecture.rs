@@ -1,6 +1,5 @@
 //! Which crate and which part of `src/` may name which, checked against the manifests and sources.
-//!
-//! [`LAYERS`] is the dependency table of `ARCHITECTURE.md`, [`PARTS`] the one of `src/`. A test fails with one sentence per violation, so
+//! The dependency table is that of `ARCHITECTURE.md`, [`PARTS`] the one of `src/`. A test fails with one sentence per violation, so
 //! that a boundary changes only by a decision that can be seen in a diff. Manifests and sources are read as text; no network is needed.
 #![expect(
     clippy::expect_used,
@@ -17,46 +16,36 @@ use std::path::Path;
 use cargo_metadata::{Dependency, DependencyKind, Metadata, MetadataCommand, Package};
 use imports::{Imports, rust_files};
 
-/// One crate and what it may name.
+/// One crate and what it may name: a row of the code map of `ARCHITECTURE.md`.
 struct Layer {
     /// The package name without `posebridge-`; the root package is `posebridge`.
-    name: &'static str,
-    kind: Kind,
+    name: String,
+    /// Bytes and time come in as arguments, actions go out as values. Others may name a runtime, a socket, a port, a thread.
+    is_pure: bool,
     /// Which of our crates it may name.
-    may_name: &'static [&'static str],
+    may_name: Vec<String>,
 }
 
-/// Whether a crate may touch the world.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    /// Bytes and time come in as arguments, actions go out as values.
-    Pure,
-    /// May name a runtime, a socket, a port, a thread.
-    Io,
-}
+/// What "all" in the code map means: neither what is for microcontrollers nor the tests of the others.
+const ALL: &str = "telemetry, protocol, estimator, recording, station, report, lab, sim, link, dashboard";
 
-/// Who may name whom. A row stands here before its crate does; a crate without a row is a failure.
-const LAYERS: &[Layer] = &[
-    pure("telemetry", &[]),
-    // For microcontrollers: names nobody, needs no standard library.
-    pure("brick", &[]),
-    pure("protocol", &["telemetry"]),
-    pure("estimator", &["telemetry"]),
-    pure("recording", &["telemetry"]),
-    pure("station", &["telemetry", "protocol", "estimator"]),
-    pure("report", &["telemetry", "estimator"]),
-    pure("lab", &["telemetry", "estimator", "station", "recording", "report"]),
-    // Never estimator or station: nobody marks their own exam.
-    pure("sim", &["telemetry", "protocol", "brick"]),
-    io("link", &["telemetry"]),
-    io("dashboard", &["telemetry", "recording"]),
-    // Tests of the others; nobody may name it.
-    io("fuzz-bodies", &["telemetry", "brick", "protocol", "recording", "link", "sim", "dashboard", ROOT]),
-    io(
-        ROOT,
-        &["telemetry", "protocol", "estimator", "recording", "station", "report", "lab", "sim", "link", "dashboard"],
-    ),
-];
+/// The code map. A row stands there before its crate does; a crate without a row is a failure.
+fn layers() -> BTreeMap<String, Layer> {
+    let page = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md"));
+    let rows = page.lines().filter_map(|line| {
+        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+        let [_, name, kind @ ("pure" | "IO"), may_name, ..] = cells[..] else { return None };
+        let may_name = match may_name {
+            "nothing of ours" => "",
+            "all" => ALL,
+            names => names,
+        };
+        let name = name.trim_matches('`').to_owned();
+        let may_name = may_name.split(", ").map(str::to_owned).collect();
+        Some((name.clone(), Layer { name, is_pure: kind == "pure", may_name }))
+    });
+    rows.collect()
+}
 
 /// The parts of `src/`, with the files and folders of each. A part imports from itself and from those before it. So nothing but `cli` names
 /// the lab, which the feature of that name takes out of the program.
@@ -70,10 +59,7 @@ const PARTS: &[(&str, &[&str])] = &[
     ("cli", &["cli.rs", "lib.rs", "main.rs"]),
 ];
 
-/// The package at the top of the workspace.
-const ROOT: &str = "posebridge";
-
-/// Foreign crates that bring a runtime, a socket, a port or a thread; only [`Kind::Io`] crates may name them directly.
+/// Foreign crates that bring a runtime, a socket, a port or a thread; only crates that are not pure may name them directly.
 const IO_CRATES: &[&str] = &[
     "tokio",
     "tokio-serial",
@@ -94,28 +80,20 @@ const IO_CRATES: &[&str] = &[
 /// Paths that reach the clock or the world, each as it is written where it is used.
 const IMPURE_PATHS: &[&str] = &["Instant::now", "SystemTime::now", "thread::", "net::", "fs::"];
 
-const fn pure(name: &'static str, may_name: &'static [&'static str]) -> Layer {
-    Layer { name, kind: Kind::Pure, may_name }
-}
-
-const fn io(name: &'static str, may_name: &'static [&'static str]) -> Layer {
-    Layer { name, kind: Kind::Io, may_name }
-}
-
 #[test]
 fn every_crate_names_only_what_its_row_allows() {
     let metadata = workspace();
-    let members = members(&metadata);
+    let (members, layers) = (members(&metadata), layers());
     let mut violations = Vec::new();
     for (name, package) in &members {
-        let Some(layer) = layer(name) else {
-            violations.push(format!("{name} has no row in LAYERS: add one there and in ARCHITECTURE.md"));
+        let Some(layer) = layers.get(*name) else {
+            violations.push(format!("{name} has no row in the code map of ARCHITECTURE.md"));
             continue;
         };
         for dependency in &package.dependencies {
             let named = short(&dependency.name);
             let is_ours = members.contains_key(named);
-            if is_ours && binds(layer, dependency) && !layer.may_name.contains(&named) {
+            if is_ours && binds(layer, dependency) && !layer.may_name.iter().any(|name| name == named) {
                 violations.push(format!("{name} names {named}, but may name only [{}]", layer.may_name.join(", ")));
             }
         }
@@ -125,10 +103,10 @@ fn every_crate_names_only_what_its_row_allows() {
 
 #[test]
 fn only_io_crates_name_a_runtime_a_socket_or_a_port() {
-    let metadata = workspace();
+    let (metadata, layers) = (workspace(), layers());
     let mut violations = Vec::new();
     for (name, package) in members(&metadata) {
-        let is_pure = layer(name).is_none_or(|layer| layer.kind == Kind::Pure);
+        let is_pure = layers.get(name).is_none_or(|layer| layer.is_pure);
         for dependency in &package.dependencies {
             let is_io = IO_CRATES.contains(&dependency.name.as_str());
             if is_pure && is_io && dependency.kind == DependencyKind::Normal {
@@ -142,10 +120,10 @@ fn only_io_crates_name_a_runtime_a_socket_or_a_port() {
 
 #[test]
 fn pure_sources_touch_neither_clock_nor_world() {
-    let metadata = workspace();
+    let (metadata, layers) = (workspace(), layers());
     let mut violations = Vec::new();
     for (name, package) in members(&metadata) {
-        if layer(name).is_none_or(|layer| layer.kind != Kind::Pure) {
+        if layers.get(name).is_none_or(|layer| !layer.is_pure) {
             continue;
         }
         let folder = package.manifest_path.with_file_name("src");
@@ -198,8 +176,8 @@ fn no_files_of_a_crate_import_each_other_in_a_circle() {
     let mut violations = Vec::new();
     for (name, package) in &members {
         let src = package.manifest_path.with_file_name("src");
-        let circles = Imports::read(src.as_std_path()).circles();
-        violations.extend(circles.iter().map(|circle| format!("{name}: {circle}")));
+        let circle = Imports::read(src.as_std_path()).circle();
+        violations.extend(circle.map(|circle| format!("{name}: {circle}")));
     }
     assert_none(&violations);
 }
@@ -217,7 +195,7 @@ fn the_import_scan_follows_re_exports_and_skips_tests() {
     let b = "pub struct Two(u8); #[cfg(test)] mod tests { use crate::a::One; }";
     // By the root's re-export, in a bracket, and not by what only tests import.
     let one_way = crate_of(&[("lib.rs", root), ("a.rs", "use crate::b::{Two as T}; pub struct One(T);"), ("b.rs", b)]);
-    assert_eq!(one_way.circles(), Vec::<String>::new());
+    assert_eq!(one_way.circle(), None);
     assert_eq!(one_way.edges[Path::new("a.rs")][Path::new("b.rs")], "crate::b::Two");
     let circle = crate_of(&[
         ("lib.rs", root),
@@ -225,42 +203,14 @@ fn the_import_scan_follows_re_exports_and_skips_tests() {
         ("b.rs", "pub struct Two(u8); fn f(x: &crate::One) { x.g() }"),
     ]);
     let said = "a.rs imports `crate::b::Two` from b.rs, b.rs imports `crate::One` from a.rs";
-    assert_eq!(circle.circles(), [said]);
+    assert_eq!(circle.circle().as_deref(), Some(said));
     // A parent that uses what it re-exports, and a child that uses its parent.
     let parent = crate_of(&[
         ("lib.rs", "mod a; pub use a::One; pub trait Root {} pub const ALL: [One; 0] = [];"),
         ("a.rs", "use super::Root; pub struct One; impl Root for One {}"),
     ]);
     let said = "a.rs imports `super::Root` from lib.rs, lib.rs imports `a::One` from a.rs";
-    assert_eq!(parent.circles(), [said]);
-}
-
-#[test]
-fn the_architecture_page_has_the_row_of_every_crate() {
-    let page = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md"));
-    let metadata = workspace();
-    let mut violations = Vec::new();
-    for layer in members(&metadata).keys().filter_map(|name| layer(name)) {
-        let row = page_row(layer);
-        if !page.lines().any(|line| line.starts_with(&row)) {
-            violations.push(format!("ARCHITECTURE.md has no line that starts with `{row}`"));
-        }
-    }
-    assert_none(&violations);
-}
-
-/// The start of a layer's line in the code map of `ARCHITECTURE.md`.
-fn page_row(layer: &Layer) -> String {
-    let kind = match layer.kind {
-        Kind::Pure => "pure",
-        Kind::Io => "IO",
-    };
-    let may_name = match layer.may_name {
-        [] => "nothing of ours".to_owned(),
-        _ if layer.name == ROOT => "all".to_owned(),
-        names => names.join(", "),
-    };
-    format!("| `{}` | {kind} | {may_name} |", layer.name)
+    assert_eq!(parent.circle().as_deref(), Some(said));
 }
 
 /// The place in [`PARTS`] of a file below `src/`.
@@ -295,10 +245,6 @@ fn members(metadata: &Metadata) -> BTreeMap<&str, &Package> {
 /// A package's name as the table writes it.
 fn short(package: &str) -> &str {
     package.strip_prefix("posebridge-").unwrap_or(package)
-}
-
-fn layer(name: &str) -> Option<&'static Layer> {
-    LAYERS.iter().find(|layer| layer.name == name)
 }
 
 /// Lines, counted from 1, whose code names an impure path. Unit tests stand last in a file and are left out.

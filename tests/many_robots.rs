@@ -8,12 +8,109 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use posebridge::config::{Config, LinkSection, load_text};
+use posebridge::station::event_collector::EventCollector;
 use posebridge::station::learned_calibration::LearnedCalibration;
-use posebridge_sim::{Scenario, Steering};
+use posebridge::station::per_robot::{PerRobot, RobotEntry};
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge_sim::{Scenario, Simulation, Steering};
 use posebridge_station::Station;
-use posebridge_telemetry::{Event, Output, TimeDelta, Timestamp};
-use support::virtual_bricks::{ConnectedBrick, rms_m, run, run_with, station};
-use support::{RunningProgram, assert_replays, json, read_text, write_text};
+use posebridge_telemetry::{Event, Input, LinkId, LinkState, Output, PeerId, Recipients, TimeDelta, Timestamp};
+use support::{RunningProgram, assert_replays, json, read_text, run, write_text};
+
+/// A brick and where the station hears it.
+struct ConnectedBrick {
+    simulation: Simulation,
+    link: LinkId,
+    peer: PeerId,
+}
+
+impl ConnectedBrick {
+    fn new(scenario: Scenario, link: u16, peer: u32) -> Self {
+        Self { simulation: Simulation::new(scenario), link: LinkId(link), peer: PeerId(peer) }
+    }
+
+    fn receives(&self, link: LinkId, to: Recipients) -> bool {
+        self.link == link
+            && match to {
+                Recipients::All => true,
+                Recipients::AllExcept(peer) => peer != self.peer,
+                Recipients::Peer(peer) => peer == self.peer,
+            }
+    }
+}
+
+/// What bricks and a station leave behind.
+struct BricksRun {
+    bricks: Vec<ConnectedBrick>,
+    inputs: Vec<(TimeDelta, Input)>,
+    events: Vec<Event>,
+}
+
+/// A station whose first link is a UDP port and whose others are terminals.
+fn station(links: u16) -> Station {
+    let port = LinkSection { listen: true, ..LinkSection::new("udp://127.0.0.1:14550") };
+    let terminals = (1..links).map(|link| LinkSection::new(&format!("serial:brick-{link}.tty")));
+    let config = Config { links: std::iter::once(port).chain(terminals).collect(), ..Config::default() };
+    Station::new(config.station_config().unwrap(), Timestamp::ZERO).unwrap()
+}
+
+/// Lets bricks drive for so long with a station of this many links; every input and event is kept.
+fn drive(links: u16, bricks: Vec<ConnectedBrick>, duration: TimeDelta) -> BricksRun {
+    drive_with(&mut station(links), links, bricks, duration)
+}
+
+/// The same with any station.
+fn drive_with(station: &mut Station, links: u16, mut bricks: Vec<ConnectedBrick>, duration: TimeDelta) -> BricksRun {
+    let mut run = BricksRun { bricks: Vec::new(), inputs: Vec::new(), events: Vec::new() };
+    let mut pending: Vec<Input> =
+        (0..links).map(|link| Input::Link { link: LinkId(link), state: LinkState::Up }).collect();
+    let mut elapsed = TimeDelta::ZERO;
+    while elapsed < duration {
+        let now = Timestamp::ZERO + elapsed;
+        if station.deadline().is_some_and(|deadline| deadline <= now) {
+            pending.push(Input::Tick);
+        }
+        for input in pending.drain(..) {
+            station.handle(now, &input);
+            run.inputs.push((elapsed, input));
+            while let Some(output) = station.poll() {
+                match output {
+                    Output::Event(event) => run.events.push(event),
+                    Output::Transmit { link, to, bytes, .. } => {
+                        let listeners = bricks.iter_mut().filter(|brick| brick.receives(link, to));
+                        listeners.for_each(|brick| brick.simulation.receive(&bytes));
+                    }
+                    Output::Request(_) => {}
+                }
+            }
+        }
+        for brick in &mut bricks {
+            brick.simulation.step();
+            while let Some(bytes) = brick.simulation.poll() {
+                pending.push(Input::Bytes { link: brick.link, peer: brick.peer, bytes });
+            }
+        }
+        elapsed = bricks.first().map_or(duration, |brick| brick.simulation.elapsed());
+    }
+    run.bricks = bricks;
+    run
+}
+
+/// The root mean square error of each robot's estimates in metres, in the order of the bricks.
+fn rms_m(run: &BricksRun) -> Vec<f64> {
+    let mut robots = PerRobot::new(EventCollector::default);
+    for event in &run.events {
+        robots.push(event, EventCollector::on_event);
+    }
+    let rms_of = |brick: &ConnectedBrick| {
+        let truth = SimulationTruth::from_simulation(&brick.simulation);
+        let rms = |robot: &RobotEntry<EventCollector>| errors(&robot.value, &truth).0.position_rms_m;
+        // Robots with the same ids are told apart by where they are: the others are at least a path away.
+        let on_link = robots.entries().iter().filter(|robot| robot.robot.is_some_and(|id| id.link == brick.link));
+        on_link.filter_map(rms).min_by(f64::total_cmp).unwrap()
+    };
+    run.bricks.iter().map(rms_of).collect()
+}
 
 const CONFIG: &str = r#"
 [[robot]]
@@ -41,7 +138,7 @@ fn simulated_robots_on_one_port_have_their_own_names_truths_and_figures() {
     write_text(folder, "robots.toml", CONFIG);
     let args = ["run", "--robots", "4", "--duration", "5", "--config", "robots.toml", "--no-dashboard"];
     let out = ["--link", "sim://square", "--out", "run", "--events", "live"];
-    let table = support::run(folder, &[&args[..], &out].concat());
+    let table = run(folder, &[&args[..], &out].concat());
     let all = BTreeSet::from(["0/1/1", "ada", "0/3/1", "0/4/1"]);
     for robot in &all {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
@@ -55,7 +152,7 @@ fn simulated_robots_on_one_port_have_their_own_names_truths_and_figures() {
     let report = json(folder, &["report", "run/recording.mcap", "--only", "ada"]);
     assert_eq!(report["runs"].as_array().unwrap().len(), 1);
     assert_eq!(report["runs"][0]["name"], "ada");
-    support::run(folder, &["export", "run/recording.mcap", "--format", "csv,tum", "--out", "out"]);
+    run(folder, &["export", "run/recording.mcap", "--format", "csv,tum", "--out", "out"]);
     let estimates = read_text(folder, "out/estimates.csv");
     let of_robots: BTreeSet<&str> = estimates.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
     assert_eq!(of_robots, all);
@@ -73,7 +170,7 @@ fn robots_on_terminals_of_their_own_are_robots_of_their_own_links() {
     bricks.wait_for("brick 2 up");
     let links = ["--link", "serial:brick-1.tty", "--link", "serial:brick-2.tty"];
     let args = ["run", "--duration", "4", "--no-dashboard", "--out", "run"];
-    let table = support::run(folder, &[&args[..], &links].concat());
+    let table = run(folder, &[&args[..], &links].concat());
     for robot in ["0/1/1", "1/2/1"] {
         assert!(table.lines().any(|line| line.starts_with(robot)), "{robot}: {table}");
     }
@@ -90,7 +187,7 @@ fn a_robot_that_is_given_a_free_system_id_keeps_the_block_of_its_own_ids() {
     let mut scenarios = Scenario::default().without_end().side_by_side(2).unwrap();
     scenarios[1].brick.system = 1;
     let bricks = (0..).zip(scenarios).map(|(peer, scenario)| ConnectedBrick::new(scenario, 0, peer)).collect();
-    run_with(&mut station, 1, bricks, TimeDelta::from_millis(5_000));
+    drive_with(&mut station, 1, bricks, TimeDelta::from_millis(5_000));
     let ids: Vec<String> = station.robots().iter().map(|robot| robot.id().address.to_string()).collect();
     assert_eq!(ids, ["1/1", "2/1"], "the second is given system 2, which the block of ada matches");
     let learned = LearnedCalibration::of_session(&station, "run", &config).unwrap();
@@ -122,11 +219,11 @@ fn each_of_many_robots_is_estimated_as_well_as_alone_and_a_replay_is_the_run() {
         let (link, peer) = place(index);
         ConnectedBrick::new(scenario.clone(), link, peer)
     });
-    let together = run(links, bricks.collect(), duration);
+    let together = drive(links, bricks.collect(), duration);
     let together_m = rms_m(&together);
     for (index, scenario) in scenarios.into_iter().enumerate() {
         let (link, peer) = place(index);
-        let alone = run(links, vec![ConnectedBrick::new(scenario, link, peer)], duration);
+        let alone = drive(links, vec![ConnectedBrick::new(scenario, link, peer)], duration);
         let ratio = together_m[index] / rms_m(&alone)[0];
         println!("robot {index}: {:.3} mm, {ratio:.4} of what it is alone", 1e3 * together_m[index]);
         assert!((ratio - 1.0).abs() < 0.05, "robot {index}: {ratio}");

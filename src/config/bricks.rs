@@ -506,39 +506,4 @@ mod tests {
         let parsed = camera("delay_ms = 150.5\nleast_quality = 40").unwrap();
         assert_eq!((parsed.delay, parsed.min_quality), (TimeDelta::from_micros(150_500), 40.0));
     }
-
-    #[test]
-    fn what_cannot_be_is_refused_by_its_key() {
-        type Refusal = fn(&str) -> Option<String>;
-        let (nxt, ev3): (Refusal, Refusal) = (|text| nxt(text).err(), |text| ev3(text).err());
-        let (line, camera): (Refusal, Refusal) = (|text| line(text).err(), |text| camera(text).err());
-        for (refusal, text, expected) in [
-            (nxt, "left_motor = \"D\"", "`left_motor`"),
-            (nxt, "left_motor = \"C\"", "port C"),
-            (nxt, "outstanding = 3", "`outstanding`"),
-            (nxt, "mailbox = 10", "mailbox 10"),
-            (nxt, "sensor = [{ port = 5, kind = \"ht-gyro\" }]", "`port` is 5"),
-            (nxt, "sensor = [{ port = 1, kind = \"ht-gyro\" }, { port = 1, kind = \"ultrasonic\" }]", "port 1 already"),
-            (nxt, "sensor = [{ port = 1, kind = \"ht-accelerometer\", forward = \"up\" }]", "`forward`"),
-            (nxt, "sensor = [{ port = 1, kind = \"lidar\" }]", "lidar"),
-            (ev3, "left_motor = \"E\"", "`left_motor`"),
-            (ev3, "left_motor = \"C\"", "both C"),
-            (ev3, "gyro_port = 5", "`gyro_port`"),
-            (ev3, "distance_port = 2", "both 2"),
-            (ev3, "rate_hz = 0.0", "`rate_hz`"),
-            (ev3, "outstanding = 0", "`outstanding`"),
-            (line, "columns = [\"speed\"]", "`speed` is no quantity"),
-            (line, "columns = [\"left_ticks\"]", "both are needed"),
-            (line, "separator = \"::\"", "`separator`"),
-            (line, "columns = [\"gyro_deg_per_s\"]\nkeys = { g = \"gyro_deg_per_s\" }", "two layouts"),
-            (line, "keys = { \"\" = \"gyro_deg_per_s\" }", "`keys`"),
-            (camera, "delay_ms = -1.0", "`delay_ms` is -1"),
-            (camera, "delay_spread_ms = nan", "`delay_spread_ms` is NaN"),
-            (camera, "least_quality = 101.0", "`least_quality` is 101"),
-            (camera, "latency = 1.0", "latency"),
-        ] {
-            let error = refusal(text).unwrap_or_else(|| panic!("{text} is accepted"));
-            assert!(error.contains(expected), "{text}: {error}");
-        }
-    }
 }

@@ -1,8 +1,5 @@
-//! `[robot.noise]` and `[robot.calibration]`: tables of keys, defaults and limits that generate the structs, their validation and their
-//! use.
-//!
-//! A calibration entry is a value with one standard deviation. A sigma of zero fixes the value; any other lets an adaptive filter
-//! estimate it.
+//! `[robot.noise]` and `[robot.calibration]`: tables that generate the structs, their validation and their use. A calibration entry is
+//! a value with one standard deviation. A sigma of zero fixes the value; any other lets an adaptive filter estimate it.
 
 use anyhow::{Result, ensure};
 use posebridge_telemetry::{Calibration, SensorNoise, UncertainValue};
@@ -224,50 +221,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_noise_that_makes_no_sense_is_named_with_its_key() {
-        let refused = |noise: RobotNoise| noise.checked().unwrap_err().to_string();
-        assert_eq!(
-            refused(RobotNoise { beacon_range_m: 0.0, ..RobotNoise::default() }),
-            "`robot.noise.beacon_range_m` is 0, must be more than zero"
-        );
-        assert_eq!(
-            refused(RobotNoise { gyro_rad_per_s: -1.0, ..RobotNoise::default() }),
-            "`robot.noise.gyro_rad_per_s` is -1, must be zero or more"
-        );
-        for value in [f64::NAN, f64::INFINITY] {
-            let noise = RobotNoise { temperature_k: value, ..RobotNoise::default() };
-            assert!(noise.checked().is_err(), "{value}");
-        }
-    }
-
-    #[test]
     fn every_number_reaches_the_filter_under_its_own_name() {
         let noise = RobotNoise { landmark_range_m: 0.15, landmark_bearing_rad: 0.03, ..RobotNoise::default() };
         let checked = noise.checked().unwrap();
         assert_eq!((checked.landmark_range_m, checked.landmark_bearing_rad), (0.15, 0.03));
         assert_eq!(checked.gyro_bias_rad_per_s, 2.0 * DEGREE);
-    }
-
-    #[test]
-    fn an_entry_out_of_range_is_named_with_its_range() {
-        let refused = |track_scale: CalibrationEntry| {
-            let calibration = RobotCalibration { track_scale, ..RobotCalibration::default() };
-            calibration.checked(0.03).unwrap_err().to_string()
-        };
-        let (value, sigma) = (0.0, -0.1);
-        assert_eq!(
-            refused(CalibrationEntry { value, sigma }),
-            "`robot.calibration.track_scale.sigma` is -0.1, must lie in 0 to 0.5"
-        );
-        let (value, sigma) = (-0.6, 0.1);
-        assert_eq!(
-            refused(CalibrationEntry { value, sigma }),
-            "`robot.calibration.track_scale.value` is -0.6, must lie in -0.5 to 0.5"
-        );
-        for broken in [f64::NAN, f64::INFINITY] {
-            refused(CalibrationEntry { value: broken, sigma: 0.1 });
-            refused(CalibrationEntry { value: 0.0, sigma: broken });
-        }
     }
 
     #[test]

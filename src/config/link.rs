@@ -11,6 +11,7 @@ use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
 use posebridge_sim::Scenario;
+use posebridge_sim::impairment::LinkProfile;
 use posebridge_station::{AcceptedVersions, AnnouncedAs, BrickLink, LinkConfig, OUTPUTS, OutputInstant, OutputStream};
 use posebridge_telemetry::{LinkId, TimeDelta};
 use schemars::JsonSchema;
@@ -267,9 +268,13 @@ impl fmt::Display for LinkTarget {
     }
 }
 
+fn is_toml_file(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension == "toml")
+}
+
 /// A bundled scenario by its name, or one from a TOML file.
 pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
-    if Path::new(name_or_file).extension().is_none_or(|extension| extension != "toml") {
+    if !is_toml_file(name_or_file) {
         return Ok(Scenario::bundled(name_or_file)?);
     }
     let text = std::fs::read_to_string(name_or_file).with_context(|| format!("reading scenario `{name_or_file}`"))?;
@@ -277,6 +282,16 @@ pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
     let folder = Path::new(name_or_file).parent().unwrap_or(Path::new(""));
     let mut read = |path: &Path| std::fs::read_to_string(folder.join(path));
     Scenario::from_toml_with(&text, &mut read).with_context(|| format!("scenario `{name_or_file}`"))
+}
+
+/// A bundled link profile by its name (`none` has no impairments), or one from a TOML file.
+pub fn load_link_profile(name_or_file: &str) -> Result<LinkProfile> {
+    if !is_toml_file(name_or_file) {
+        return Ok(LinkProfile::bundled(name_or_file)?);
+    }
+    let text =
+        std::fs::read_to_string(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
+    LinkProfile::from_toml(&text).with_context(|| format!("`{name_or_file}`"))
 }
 
 /// The protocol that needs no brick codec.

@@ -175,13 +175,6 @@ pub fn config_with_overlay(header: &str, overlay: Overlay<'_>) -> Result<Config>
     Ok(apply_overrides(&config, overlay.settings)?)
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Origin {
-    Default,
-    File,
-    Flag,
-}
-
 pub fn print(loaded: &Loaded) -> Result<String> {
     let table = toml::Table::try_from(&loaded.config)?;
     let mut lines = String::new();
@@ -195,33 +188,25 @@ fn print_table(table: &toml::Table, path: &mut Vec<String>, loaded: &Loaded, lin
         if let toml::Value::Table(inner) = value {
             print_table(inner, path, loaded, lines);
         } else {
-            let origin = match origin_of(path, loaded) {
-                Origin::Default => "default",
-                Origin::File => "file",
-                Origin::Flag => "flag",
-            };
             // Writing to a String cannot fail.
-            let _ = writeln!(lines, "{} = {value}    # {origin}", path.join("."));
+            let _ = writeln!(lines, "{} = {value}    # {}", path.join("."), origin_of(path, loaded));
         }
         path.pop();
     }
 }
 
-fn origin_of(path: &[String], loaded: &Loaded) -> Origin {
+fn origin_of(path: &[String], loaded: &Loaded) -> &'static str {
     if loaded.settings.iter().any(|setting| setting.path == path) {
-        return Origin::Flag;
+        return "flag";
     }
-    let mut table = &loaded.file;
-    let Some((last, parents)) = path.split_last() else {
-        return Origin::Default;
-    };
-    for part in parents {
-        match table.get(part).and_then(toml::Value::as_table) {
-            Some(inner) => table = inner,
-            None => return Origin::Default,
-        }
+    let mut tables = Some(&loaded.file);
+    let mut is_in_file = false;
+    for part in path {
+        let value = tables.and_then(|table| table.get(part));
+        is_in_file = value.is_some();
+        tables = value.and_then(toml::Value::as_table);
     }
-    if table.contains_key(last) { Origin::File } else { Origin::Default }
+    if is_in_file { "file" } else { "default" }
 }
 
 #[cfg(test)]
@@ -267,6 +252,30 @@ mod tests {
         assert!(error.contains("`--set robot.axle=1`: unknown field"), "{error}");
         let error = with(&START[..2]).unwrap_err();
         assert!(error.contains("x_m=0.5 --set robot.start.y_m=0`: missing field"), "{error}");
+    }
+
+    #[derive(serde::Deserialize)]
+    struct Refused {
+        config: String,
+        words: Vec<String>,
+    }
+
+    #[test]
+    fn a_configuration_that_makes_no_sense_is_refused_with_its_place_and_key() {
+        let file = include_str!("../../tests/data/refused_configurations.toml");
+        let cases: std::collections::BTreeMap<String, Vec<Refused>> = toml::from_str(file).unwrap();
+        assert!(cases["refused"].len() > 70);
+        for Refused { config: text, words } in &cases["refused"] {
+            let check = || {
+                let config = load_text("station.toml", text, &[])?.config;
+                config.validate()?;
+                config.plotjuggler.checked()
+            };
+            let error = format!("{:#}", check().map(drop).err().unwrap_or_else(|| panic!("{text} is accepted")));
+            for word in words {
+                assert!(error.contains(word), "{text}: `{word}` in {error}");
+            }
+        }
     }
 
     #[test]

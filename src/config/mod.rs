@@ -1,5 +1,4 @@
 //! The configuration: from files and flags to validated values.
-//!
 //! `config/default.toml` is compiled in and documents every key; the structs below are its schema. An unknown key is an error that
 //! names it. Units are in the keys; here they become the types of the telemetry crate, and no later code validates them again.
 
@@ -20,10 +19,9 @@ pub use bricks::{
     Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
 };
 pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise};
-pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_scenario};
+pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_link_profile, load_scenario};
 pub use load::{
-    ConfigError, DEFAULT_TOML, Loaded, Origin, Overlay, Setting, apply_overrides, config_with_overlay, load, load_text,
-    print,
+    ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, config_with_overlay, load, load_text, print,
 };
 pub use profile::{CalibratedRobot, ProfileFilter, Provenance, RobotProfile, utc_date};
 pub use robot::{RobotFile, RobotStart, RobotThermometer};

@@ -1,5 +1,4 @@
 //! `[[robot]]` blocks: a list of robots, each with its own configuration.
-//!
 //! TOML has either one table `[robot]` or a list `[[robot]]`. In a list every block has a `match`, except at most one, which applies to
 //! all robots that no other block matches. The others inherit missing keys from that one.
 
@@ -231,22 +230,5 @@ mod tests {
         let config = load_text("f.toml", FILE, &[]).unwrap().config;
         let printed = toml::to_string(&config).unwrap();
         assert_eq!(load_text("printed", &printed, &[]).unwrap().config, config);
-    }
-
-    #[test]
-    fn a_mistake_in_a_block_names_file_and_key() {
-        for (text, expected) in [
-            ("[[robot]]\nmatch = { sistem = 7 }", "unknown field `sistem`"),
-            ("[[robot]]\nmatch = {}\naxle_m = 1", "unknown field `axle_m`"),
-            ("[[robot]]\nname = \"a\"\n[[robot]]\nname = \"b\"", "`robot[1]` has no `match`"),
-            ("[[robot]]\nmatch = { system = 7 }\nev3.left_motor = \"A\"", "`robot[0].ev3` is read for one link"),
-            (
-                "[[robot]]\nmatch = { link = 1 }\n[[robot]]\nmatch = { link = 1, system = 7 }\nnxt.mailbox = 2",
-                "`robot[1].nxt` is never read: link 1 takes what is plugged in from `robot[0]`",
-            ),
-        ] {
-            let error = load_text("f.toml", text, &[]).unwrap_err().to_string();
-            assert!(error.contains("`f.toml`") && error.contains(expected), "{error}");
-        }
     }
 }

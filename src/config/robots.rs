@@ -1,8 +1,6 @@
 //! The bundled robots of `config/robots/`, and a commented configuration for one of them: `config/default.toml` merged with the robot's
-//! file.
-//!
-//! Every comment of a template comes from one of the two files. The keys of the robot's file are kept as they are; all other keys
-//! become comments with their defaults, so that a reader sees them and later defaults apply. Lines are moved, values are not parsed.
+//! file. The keys of the robot's file are kept as they are; all other keys become comments with their defaults, so that a reader sees
+//! them and later defaults apply. Lines are moved, values are not parsed.
 
 use super::load::DEFAULT_TOML;
 

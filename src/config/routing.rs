@@ -197,27 +197,4 @@ mod tests {
         let intervals: Vec<_> = limits.min_intervals.iter().collect();
         assert_eq!(intervals, [(&30, &TimeDelta::from_millis(200)), (&42_102, &TimeDelta::from_millis(100))]);
     }
-
-    #[test]
-    fn what_makes_no_sense_is_named_by_its_key() {
-        for (line, expected) in [
-            (r#"filter_in = { allow_messages = ["ATTITUD"] }"#, ["filter_in", "allow_messages"]),
-            (r"filter_out = { block_messages = [16777216] }", ["filter_out", "block_messages"]),
-            (r#"limits = { min_interval_ms = { ATTITUDE = 1, "30" = 2 } }"#, ["limits", "min_interval_ms"]),
-            (r"limits = { min_interval_ms = { NONE = 1 } }", ["limits", "min_interval_ms"]),
-            (r#"group = """#, ["link 0", "group"]),
-            (r#"forward = "some""#, ["line 3", "forward"]),
-            (r"filter_in = { block_messages = [1.5] }", ["filter_in", "its number"]),
-            (r"filter_in = { allow_message = [1] }", ["line 3", "allow_message"]),
-        ] {
-            let text = format!("[[link]]\nurl = \"udp://:14550\"\n{line}\n");
-            let error = format!("{:#}", rules(&text).unwrap_err());
-            for part in expected {
-                assert!(error.contains(part), "{line}: {error}");
-            }
-        }
-        let text = "[routing]\nduplicate_window_ms = 60001\n";
-        let error = format!("{:#}", rules(text).unwrap_err());
-        assert!(error.contains("routing.duplicate_window_ms"), "{error}");
-    }
 }

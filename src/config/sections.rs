@@ -319,23 +319,6 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_stand_there_is_named() {
-        let refused = |text: &str| world(text).unwrap_err().to_string();
-        assert_eq!(
-            refused("beacons = [{ id = 1, x_m = 0.0, y_m = 0.0 }, { id = 1, x_m = 1.0, y_m = 0.0 }]"),
-            "`[world]` beacons: the id 1 is there twice"
-        );
-        assert_eq!(
-            refused("walls = [{ from = { x_m = 1.0, y_m = 0.0 }, to = { x_m = 1.0, y_m = 0.0 } }]"),
-            "`[world]` walls, number 1: it has no length"
-        );
-        assert_eq!(
-            refused("landmarks = [{ id = 3, x_m = nan, y_m = 0.0 }]"),
-            "`[world]` landmarks, id 3: it lies at (NaN, 0): both must be finite"
-        );
-    }
-
-    #[test]
     fn the_default_may_move_on_and_another_address_is_taken_as_it_is() {
         let listen = |text: &str| {
             let section = DashboardSection { listen: text.to_owned(), ..DashboardSection::default() };
@@ -345,8 +328,6 @@ mod tests {
         assert_eq!(default, ListenAddress::FirstFree("127.0.0.1:4680".parse().unwrap()));
         let other = "0.0.0.0:80".parse().unwrap();
         assert_eq!(listen("0.0.0.0:80").unwrap(), ListenAddress::Exact(other));
-        let error = listen("localhost").unwrap_err().to_string();
-        assert!(error.starts_with("`dashboard.listen` is `localhost`; give"), "{error}");
     }
 
     #[test]
@@ -356,9 +337,5 @@ mod tests {
         let default = PlotJugglerSection::default().checked().unwrap();
         assert_eq!(default, "127.0.0.1:9870".parse().unwrap());
         assert_eq!(checked("[::1]:80").unwrap(), "[::1]:80".parse().unwrap());
-        let error = checked("localhost:9870").unwrap_err().to_string();
-        assert!(error.starts_with("`plotjuggler.address` is `localhost:9870`; give"), "{error}");
-        let error = checked("127.0.0.1:0").unwrap_err().to_string();
-        assert!(error.contains("port 0 has no listener"), "{error}");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
 use posebridge_sim::Scenario;
@@ -259,16 +259,21 @@ impl Config {
                 !matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))),
                 "{name}: the simulated brick does not sign; take away `signing`"
             );
-            let before = used.insert((&signing.key_file, signing.link_id), index);
-            if let Some(other) = before {
-                ensure!(
-                    false,
+            if let Some(other) = used.insert((&signing.key_file, signing.link_id), index) {
+                bail!(
                     "{name}: link {other} uses the same key with the same `signing.link_id` {}; give each link its own",
                     signing.link_id
                 );
             }
         }
         Ok(())
+    }
+
+    /// Rejects a configuration that no station can run with; reads no key and opens no link.
+    pub fn validate(&self) -> Result<()> {
+        self.targets()?;
+        self.station_config()?;
+        self.dashboard.checked().map(drop)
     }
 
     pub fn targets(&self) -> Result<Vec<(LinkTarget, ConnectRole)>> {

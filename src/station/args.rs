@@ -5,9 +5,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::link_flags::LinkFlags;
 use crate::config::PLOTJUGGLER_ADDRESS;
-use crate::flags::{ConfigFlags, DashboardFlags, positive};
+use crate::flags::{ConfigFlags, DashboardFlags, LinkFlags, positive};
 
 /// Flags of `run`.
 #[derive(Args, Clone, Debug, Default)]

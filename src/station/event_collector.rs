@@ -51,6 +51,7 @@ impl EventCollector {
         Self { retains_observations: true, ..Self::default() }
     }
 
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the other events change nothing here")]
     pub fn on_event(&mut self, event: &Event) {
         match event {
             Event::ObservationAligned { observation, .. } => {
@@ -62,25 +63,15 @@ impl EventCollector {
                     if let ObservationKind::Fix(fix) = observation.measurement { Some(fix.position) } else { None };
             }
             Event::ObservationFused { record, .. } => self.on_fusion(record),
-            Event::EstimateUpdated { estimate, .. } => {
-                if estimate.validity.position && estimate.validity.heading {
-                    self.estimates.push(*estimate);
-                }
+            Event::EstimateUpdated { estimate, .. } if estimate.validity.position && estimate.validity.heading => {
+                self.estimates.push(*estimate);
             }
             Event::Health { link, health, sources } => {
                 let report = LinkReport { health: *health, sources: sources.clone() };
                 self.links.insert(*link, report);
             }
             Event::BrickRestarted { .. } => self.restarts += 1,
-            Event::RobotDetected { .. }
-            | Event::RobotNamed { .. }
-            | Event::RobotLost { .. }
-            | Event::Temperature { .. }
-            | Event::BrickClockAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Link { .. }
-            | Event::ReceiveError { .. }
-            | Event::Text { .. } => {}
+            _ => {}
         }
     }
 
@@ -123,7 +114,6 @@ impl<T> Default for ThinnedSeries<T> {
 }
 
 impl<T> ThinnedSeries<T> {
-    /// Holds at most `capacity` items.
     pub fn with_capacity(capacity: usize) -> Self {
         Self { items: Vec::new(), capacity, stride: 1, pushed: 0, recent: None }
     }

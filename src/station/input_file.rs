@@ -57,7 +57,6 @@ impl InputFile {
         Ok(Self { kind, name, size, is_truncated: false, is_compressed: is_packed, reader })
     }
 
-    /// The first bytes, without consuming them.
     pub fn peek(&mut self) -> Result<&[u8]> {
         beginning(&mut self.reader, &self.name)
     }

@@ -117,14 +117,6 @@ mod tests {
     }
 
     #[test]
-    fn only_what_could_be_learned_is_printed_with_what_was_known_before() {
-        assert_eq!(
-            learned_table(&[learned()]),
-            "learned  track_scale          +0.11610 ± 0.00420   before +0.00000 ± 0.10000   robot4\n"
-        );
-    }
-
-    #[test]
     fn each_robot_has_a_file_of_its_own() {
         let folder = tempfile::tempdir().unwrap();
         let robots = ["a 1", "a-1"].map(|run| LearnedCalibration { run: run.to_owned(), ..learned() });

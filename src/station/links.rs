@@ -10,25 +10,12 @@ use posebridge_telemetry::{LinkId, RobotId};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
-use super::simulator::{BrickStart, EmbeddedBrick, EmbeddedBricks};
+use super::simulator::{BrickStart, EmbeddedBricks};
 use crate::config::{Config, LinkTarget, load_scenario};
 use crate::console::print_line;
 
 /// Listening address of the station for several simulated bricks; the system chooses the port.
 const SHARED_PORT: &str = "udp://127.0.0.1:0";
-
-pub(super) struct EmbeddedLink {
-    pub(super) embedded: EmbeddedBricks,
-    pub(super) name: String,
-    pub(super) link: LinkId,
-}
-
-impl EmbeddedLink {
-    /// Never empty.
-    pub(super) fn bricks(&self) -> &[EmbeddedBrick] {
-        &self.embedded.bricks
-    }
-}
 
 pub(super) struct FinishedSimulation {
     pub(super) simulation: Simulation,
@@ -66,16 +53,19 @@ impl LapLimit {
 }
 
 /// Stops all tasks and joins the simulated bricks, if there are any.
-pub(super) fn stop_bricks(link: Option<EmbeddedLink>, stop: &CancellationToken) -> Result<Vec<FinishedSimulation>> {
+pub(super) fn stop_bricks(
+    embedded: Option<EmbeddedBricks>,
+    stop: &CancellationToken,
+) -> Result<Vec<FinishedSimulation>> {
     // A stopped task is finished as well.
-    let is_complete = link.as_ref().is_some_and(|link| link.embedded.finished.is_cancelled());
+    let is_complete = embedded.as_ref().is_some_and(|bricks| bricks.finished.is_cancelled());
     stop.cancel();
-    let Some(EmbeddedLink { mut embedded, name, link }) = link else {
+    let Some(mut embedded) = embedded else {
         return Ok(Vec::new());
     };
     let bricks = std::mem::take(&mut embedded.bricks);
-    let simulations = embedded.finish()?;
-    let finished = bricks.into_iter().zip(simulations).map(|(brick, simulation)| FinishedSimulation {
+    let (name, link) = (embedded.name.clone(), embedded.link);
+    let finished = bricks.into_iter().zip(embedded.finish()?).map(|(brick, simulation)| FinishedSimulation {
         is_complete,
         simulation,
         robot: brick.robot,
@@ -92,7 +82,7 @@ pub(super) async fn open_links(
     config: &Config,
     session: SimulatedSession<'_>,
     stop: &CancellationToken,
-) -> Result<(LinkSet, Option<EmbeddedLink>)> {
+) -> Result<(LinkSet, Option<EmbeddedBricks>)> {
     let mut ports = Vec::new();
     let mut simulated = SimulatedLink::None;
     for (index, (target, role)) in config.targets()?.into_iter().enumerate() {
@@ -108,7 +98,7 @@ pub(super) async fn open_links(
                 } else {
                     let path = session.folder.join("brick.tty");
                     let on_terminal = |_: &Scenario| Ok((LinkUrl::pty(&path)?, ConnectRole::Listen, None));
-                    simulated = SimulatedLink::Started(EmbeddedLink::start(planned, session, stop, on_terminal)?);
+                    simulated = SimulatedLink::Started(start_bricks(planned, session, stop, on_terminal)?);
                     (LinkUrl::serial(&path)?, ConnectRole::Dial)
                 }
             }
@@ -142,7 +132,7 @@ pub(super) async fn open_links(
                 let robot = RobotId { link, address: scenario.brick.address_of(BRICK) };
                 Ok((LinkUrl::parse(&format!("udp://{address}"))?, ConnectRole::Dial, Some(robot)))
             };
-            Some(EmbeddedLink::start(planned, session, stop, on_shared_port)?)
+            Some(start_bricks(planned, session, stop, on_shared_port)?)
         }
     };
     Ok((ports, embedded))
@@ -152,7 +142,7 @@ pub(super) async fn open_links(
 enum SimulatedLink {
     None,
     /// One brick, behind a terminal that must exist before the station opens it.
-    Started(EmbeddedLink),
+    Started(EmbeddedBricks),
     /// Several bricks, which connect once the station's port is open.
     Planned(PlannedBricks),
 }
@@ -178,20 +168,17 @@ fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>
     scenario.side_by_side(count).context("--robots")
 }
 
-impl EmbeddedLink {
-    /// Starts a brick for each scenario, on the link that `ends` creates for it.
-    fn start(
-        planned: PlannedBricks,
-        session: SimulatedSession<'_>,
-        stop: &CancellationToken,
-        ends: impl Fn(&Scenario) -> Result<(LinkUrl, ConnectRole, Option<RobotId>)>,
-    ) -> Result<Self> {
-        let PlannedBricks { scenarios, name, link } = planned;
-        let starts = scenarios.into_iter().map(|scenario| {
-            let (url, role, robot) = ends(&scenario)?;
-            Ok(BrickStart { scenario, link: LinkOpenConfig { id: LinkId(0), url, role }, robot })
-        });
-        let embedded = EmbeddedBricks::start(starts.collect::<Result<_>>()?, session.timer, stop.clone())?;
-        Ok(Self { embedded, name, link })
-    }
+/// Starts a brick for each scenario, on the link that `ends` creates for it.
+fn start_bricks(
+    planned: PlannedBricks,
+    session: SimulatedSession<'_>,
+    stop: &CancellationToken,
+    ends: impl Fn(&Scenario) -> Result<(LinkUrl, ConnectRole, Option<RobotId>)>,
+) -> Result<EmbeddedBricks> {
+    let PlannedBricks { scenarios, name, link } = planned;
+    let starts = scenarios.into_iter().map(|scenario| {
+        let (url, role, robot) = ends(&scenario)?;
+        Ok(BrickStart { scenario, link: LinkOpenConfig { id: LinkId(0), url, role }, robot })
+    });
+    EmbeddedBricks::start(name, link, starts.collect::<Result<_>>()?, session.timer, stop.clone())
 }

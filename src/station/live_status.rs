@@ -73,7 +73,7 @@ impl LinkView {
 }
 
 impl LiveView {
-    pub fn new(progress: Option<watch::Receiver<f64>>) -> Self {
+    pub fn new(progress: Option<watch::Receiver<f64>>, error_to_truth: Vec<ErrorToTruth>) -> Self {
         let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
         let template = match progress {
             Some(_) => "{msg}\n  {wide_bar} {percent:>3} %",
@@ -85,7 +85,7 @@ impl LiveView {
         Self {
             bar,
             progress,
-            error_to_truth: Vec::new(),
+            error_to_truth,
             now: Timestamp::ZERO,
             last_written: Timestamp::ZERO,
             links: BTreeMap::new(),
@@ -97,16 +97,12 @@ impl LiveView {
         }
     }
 
-    pub fn with_truth(mut self, errors: Vec<ErrorToTruth>) -> Self {
-        self.error_to_truth = errors;
-        self
-    }
-
     /// Prints nothing, for benchmarks.
     pub fn silent() -> Self {
-        Self { is_silent: true, ..Self::new(None) }
+        Self { is_silent: true, ..Self::new(None, Vec::new()) }
     }
 
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the other events change nothing here")]
     pub fn on_event(&mut self, now: Timestamp<HostClock>, event: &Event) {
         self.now = now;
         match event {
@@ -132,14 +128,7 @@ impl LiveView {
             Event::RobotNamed { robot, name } => {
                 self.robots.entry(*robot).or_default().name = Some(name.clone());
             }
-            Event::RobotDetected { .. }
-            | Event::RobotLost { .. }
-            | Event::BrickRestarted { .. }
-            | Event::Text { .. }
-            | Event::ObservationFused { .. }
-            | Event::ObservationAligned { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::ReceiveError { .. } => {}
+            _ => {}
         }
         // The block shows the state of the links.
         if !matches!(event, Event::Link { .. })

@@ -1,15 +1,11 @@
 //! `posebridge run`: the station.
-//!
 //! The station loop decodes, fuses and answers without a queue between socket and reply. All other consumers use bounded channels that
 //! drop and count when full. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
-pub mod dashboard;
-pub mod deferred_errors;
 pub mod event_collector;
 pub mod input_file;
 pub mod learned_calibration;
-pub mod link_flags;
 pub mod link_report;
 mod links;
 pub mod live_status;
@@ -30,4 +26,4 @@ pub mod simulator;
 pub mod station_loop;
 pub mod tlog_writer;
 pub mod tui;
-mod viewers;
+pub mod viewers;

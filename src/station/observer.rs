@@ -29,22 +29,16 @@ pub struct Observer {
     blocks_when_full: bool,
 }
 
-pub struct ObserverConfig<'a> {
-    /// Output file of every event as a line of text.
-    pub events: Option<&'a Path>,
-    pub view: LiveView,
-}
-
 impl Observer {
-    pub fn start(config: ObserverConfig<'_>) -> Result<Self> {
-        let events = config.events.map(create).transpose()?;
+    /// `events` is a file that gets every event as a line of text.
+    pub fn start(events: Option<&Path>, view: LiveView) -> Result<Self> {
+        let file = events.map(create).transpose()?;
         let (sender, batches) = bounded(QUEUE_CAPACITY);
-        let view = config.view;
         let thread = std::thread::Builder::new()
             .name("observer".to_owned())
-            .spawn(move || run_observer(&batches, events, view))
+            .spawn(move || run_observer(&batches, file, view))
             .context("starting the observer's thread")?;
-        Ok(Self { sender, thread, dropped: 0, blocks_when_full: config.events.is_some() })
+        Ok(Self { sender, thread, dropped: 0, blocks_when_full: events.is_some() })
     }
 
     /// Queues the outputs of an input; drops them if the terminal is far behind, unless there is an event file.

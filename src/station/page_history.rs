@@ -12,7 +12,8 @@ use posebridge_station::{Robot, Station};
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{Address, Calibration, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
-use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_recording_bytes};
+use super::input_file::InputFile;
+use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_bytes};
 use super::recorder::Recorder;
 use super::signing::recorded_station_config;
 use crate::config::{CALIBRATION_KEYS, Config, Overlay, config_with_overlay};
@@ -26,7 +27,7 @@ const MEMORY_LIMIT: MemoryLimit = MemoryLimit { max_bytes: 256 << 20, on_excess:
 /// Replays a recording through the engine and collects its trails. Missing, damaged or truncated data comes first in its log.
 pub fn build_history(path: &Path) -> Result<Frame> {
     let name = path.display();
-    let (bytes, found) = own_recording_bytes(path, MEMORY_LIMIT)?;
+    let (bytes, found) = own_bytes(path, InputFile::open(path)?, MEMORY_LIMIT)?;
     let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let config = config_with_overlay(&reader.header().config_toml, Overlay::default())?;
     let truth = container::read_truth(&bytes).with_context(|| format!("the truth in `{name}`"))?;

@@ -1,5 +1,4 @@
 //! A posebridge recording as input: its parts joined in memory, messages about missing or damaged data, and its clock alignments.
-//!
 //! A following part is identified by its number and by the file name that it continues; other files with such a name are ignored.
 //! Damaged or missing data is reported, because the joined recording no longer shows it.
 
@@ -36,12 +35,7 @@ impl Default for MemoryLimit {
     }
 }
 
-/// The bytes of a posebridge recording with the parts that continue it, as far as the limit allows; and notes on skipped data.
-pub fn own_recording_bytes(path: &Path, budget: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
-    own_bytes(path, InputFile::open(path)?, budget)
-}
-
-/// The bytes of an open posebridge recording, with the parts that continue it.
+/// The bytes of an open posebridge recording with the parts that continue it, as far as the limit allows; and notes on skipped data.
 pub fn own_bytes(path: &Path, mut file: InputFile, budget: MemoryLimit) -> Result<(Vec<u8>, Vec<String>)> {
     let (name, size) = (file.name.clone(), file.size);
     // Looked at before it is read: what is none may be large.
@@ -289,7 +283,6 @@ pub struct ClockAlignment {
 }
 
 impl ClockAlignment {
-    /// `None` if the event contains no alignment.
     pub const fn from_event(event: &Event) -> Option<Self> {
         if let Event::BrickClockAligned { host, brick, skew_ppm, .. } = *event {
             return Some(Self { host, brick, skew_ppm });
@@ -297,13 +290,11 @@ impl ClockAlignment {
         None
     }
 
-    /// Converts host time to brick time.
     pub fn brick_at(&self, host: Timestamp<HostClock>) -> Timestamp<BrickClock> {
         let since_s = (host - self.host).as_secs_f64();
         self.brick + TimeDelta::from_secs_f64(since_s * self.rate())
     }
 
-    /// Converts brick time to host time.
     pub fn host_at(&self, brick: Timestamp<BrickClock>) -> Timestamp<HostClock> {
         let since_s = (brick - self.brick).as_secs_f64();
         self.host + TimeDelta::from_secs_f64(since_s / self.rate())
@@ -333,7 +324,7 @@ mod tests {
         for number in 0..28 {
             let now = Timestamp::from_millis(250 * i64::from(number));
             parts.record(now, u64::from(number as u32), &Input::Tick).unwrap();
-            parts.record_truth(&[truth(number)]).unwrap();
+            parts.record_outputs(|writer, last| writer.record_truth(last, &[truth(number)])).unwrap();
         }
         parts.finish(28).unwrap();
         path

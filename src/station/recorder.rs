@@ -1,8 +1,8 @@
 //! The thread that writes the recording's files.
-//!
 //! No other thread waits for it: items that do not fit into its queue are dropped and counted, outputs of the station first and inputs
 //! last. The recording states its gaps.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
-use posebridge_recording::container::{RecordingHeader, TruthSample};
+use posebridge_recording::container::{RecordingHeader, RecordingWriter, TruthSample, WriteError};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, Timestamp};
 
 use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
@@ -24,12 +24,12 @@ const QUEUE_CAPACITY: usize = 8_192;
 /// Number of queued items from which only inputs are accepted.
 const OUTPUT_QUEUE_CAPACITY: usize = QUEUE_CAPACITY / 2;
 
+/// Writes outputs of the station; the time is that of the last input.
+type OutputWriter = dyn FnOnce(&mut RecordingWriter<File>, Timestamp<HostClock>) -> Result<(), WriteError> + Send;
+
 enum RecorderItem {
     Input(Timestamp<HostClock>, u64, Input),
-    Events(Timestamp<HostClock>, Arc<[Event]>),
-    Calibration(Timestamp<HostClock>, RobotId, Box<Calibration>),
-    Line(Timestamp<HostClock>, u8, String),
-    Truth(Vec<TruthSample>),
+    Outputs(Box<OutputWriter>),
     /// The last item: the number of inputs of the session.
     End(u64),
 }
@@ -47,13 +47,8 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Creates the file and starts the thread, at the start of a session and with the default limits. Never overwrites a file.
-    pub fn start(path: &Path, header: &RecordingHeader) -> Result<Self> {
-        Self::start_limited(path, header, RecordingLimits::default())
-    }
-
     /// Creates the file and starts the thread, at the start of a session. Never overwrites a file.
-    pub fn start_limited(path: &Path, header: &RecordingHeader, limits: RecordingLimits) -> Result<Self> {
+    pub fn start(path: &Path, header: &RecordingHeader, limits: RecordingLimits) -> Result<Self> {
         let parts = RecordingParts::create(path, header.clone(), limits, 0)?;
         Self::spawn(path, 0, move || Ok(parts))
     }
@@ -110,29 +105,26 @@ impl Recorder {
     /// Records outputs of the station for viewers, without waiting and with lower priority than inputs.
     pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
         if events.iter().any(Event::is_for_viewers) {
-            self.offer(RecorderItem::Events(now, Arc::clone(events)));
+            let events = Arc::clone(events);
+            self.offer(move |writer, _| events.iter().try_for_each(|event| writer.record_event(now, event)));
         }
     }
 
     /// Records the estimated constants of a robot, like [`Self::record_events`].
     pub fn record_calibration(&mut self, now: Timestamp<HostClock>, robot: RobotId, calibration: Calibration) {
-        self.offer(RecorderItem::Calibration(now, robot, Box::new(calibration)));
+        self.offer(move |writer, _| writer.record_calibration(now, Some(robot), &calibration));
     }
 
     /// Records a log line with its MAVLink severity, like [`Self::record_events`].
     pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) {
-        self.offer(RecorderItem::Line(now, severity, text.to_owned()));
-    }
-
-    /// Inputs, and batches of outputs, dropped so far.
-    pub const fn losses(&self) -> (u64, u64) {
-        (self.lost, self.lost_outputs)
+        let text = text.to_owned();
+        self.offer(move |writer, _| writer.record_log_message(now, severity, &text));
     }
 
     /// Records true poses of a simulated robot, in time order, like [`Self::record_events`].
     pub fn record_truth(&mut self, truth: Vec<TruthSample>) {
         if !truth.is_empty() {
-            self.offer(RecorderItem::Truth(truth));
+            self.offer(move |writer, last| writer.record_truth(last, &truth));
         }
     }
 
@@ -156,10 +148,13 @@ impl Recorder {
         StoppingRecorder { thread: self.thread }.wait()
     }
 
-    /// Queues an item of lower priority than inputs.
-    fn offer(&mut self, item: RecorderItem) {
+    /// Queues outputs, which have a lower priority than inputs.
+    fn offer(
+        &mut self,
+        write: impl FnOnce(&mut RecordingWriter<File>, Timestamp<HostClock>) -> Result<(), WriteError> + Send + 'static,
+    ) {
         let is_backlogged = self.sender.len() >= OUTPUT_QUEUE_CAPACITY;
-        if is_backlogged || self.try_send(item).is_err() {
+        if is_backlogged || self.try_send(RecorderItem::Outputs(Box::new(write))).is_err() {
             self.lost_outputs += 1;
         }
     }
@@ -200,12 +195,7 @@ fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &
                 parts.record(now, number, &input)?;
                 part.store(parts.part(), Ordering::Relaxed);
             }
-            RecorderItem::Events(now, events) => parts.record_events(now, &events)?,
-            RecorderItem::Calibration(now, robot, calibration) => {
-                parts.record_calibration(now, robot, &calibration)?;
-            }
-            RecorderItem::Line(now, severity, text) => parts.record_message(now, severity, &text)?,
-            RecorderItem::Truth(truth) => parts.record_truth(&truth)?,
+            RecorderItem::Outputs(write) => parts.record_outputs(write)?,
             RecorderItem::End(number) => input_count = Some(number),
         }
     }
@@ -253,7 +243,7 @@ mod tests {
             recorder.record(now(n), Input::Tick).unwrap();
             recorder.record_events(now(n), &some_events());
         }
-        let (lost, lost_outputs) = recorder.losses();
+        let (lost, lost_outputs) = (recorder.lost, recorder.lost_outputs);
         // What came out gives way at half the queue, and the inputs have the other half to themselves.
         let outputs = OUTPUT_QUEUE_CAPACITY as u64 / 2;
         assert_eq!(lost_outputs, input_count - outputs);
@@ -284,7 +274,7 @@ mod tests {
         let path = folder.path().join("recording.mcap");
         let header = RecordingHeader { format: FORMAT, ..RecordingHeader::default() };
         let limits = RecordingLimits { part_duration: Some(TimeDelta::from_millis(2_000)), ..LIMITS };
-        let mut recorder = Recorder::start_limited(&path, &header, limits).unwrap();
+        let mut recorder = Recorder::start(&path, &header, limits).unwrap();
         assert_eq!(recorder.current(), path);
         for now_ms in (0..=2_500).step_by(500) {
             recorder.record(Timestamp::from_millis(now_ms), Input::Tick).unwrap();

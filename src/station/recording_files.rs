@@ -7,10 +7,10 @@ use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, RecordingHeader};
 
 use super::args::RunArgs;
-use super::deferred_errors::DeferredErrors;
 use super::recorder::{Recorder, RecordingTotals};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
 use crate::config::Config;
+use crate::exit::DeferredErrors;
 
 const MAX_NAMES: u32 = 10_000;
 
@@ -73,7 +73,7 @@ pub(super) fn start_recorder(
     if args.no_record || !config.record.enabled {
         return Ok(None);
     }
-    let started = Recorder::start_limited(path, &header(config, timer.utc_start())?, config.record.limits());
+    let started = Recorder::start(path, &header(config, timer.utc_start())?, config.record.limits());
     or_continue_without("recording", started, path, failures)
 }
 

@@ -1,5 +1,4 @@
 //! The files of a recording: consecutive parts, each readable by itself.
-//!
 //! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, and once a second checks that the file exists,
 //! that the disk has space, and whether the part is large or old enough.
 
@@ -10,9 +9,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use nix::sys::statvfs::statvfs;
 use posebridge_recording::container::{
-    OutputHandover, PartHeader, RecordingGap, RecordingHeader, RecordingWriter, TruthSample, WriteError,
+    OutputHandover, PartHeader, RecordingGap, RecordingHeader, RecordingWriter, WriteError,
 };
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, Input, TimeDelta, Timestamp};
 
 use crate::config::RecordingLimits;
 
@@ -104,30 +103,13 @@ impl RecordingParts {
         Ok(())
     }
 
-    pub fn record_events(&mut self, now: Timestamp<HostClock>, events: &[Event]) -> Result<()> {
-        for event in events {
-            self.write(|writer| writer.record_event(now, event))?;
-        }
-        Ok(())
-    }
-
-    pub fn record_calibration(
+    /// Writes outputs of the station; `write` gets the time of the last input.
+    pub fn record_outputs(
         &mut self,
-        now: Timestamp<HostClock>,
-        robot: RobotId,
-        calibration: &Calibration,
+        write: impl FnOnce(&mut RecordingWriter<File>, Timestamp<HostClock>) -> Result<(), WriteError>,
     ) -> Result<()> {
-        self.write(|writer| writer.record_calibration(now, Some(robot), calibration))
-    }
-
-    pub fn record_message(&mut self, now: Timestamp<HostClock>, severity: u8, text: &str) -> Result<()> {
-        self.write(|writer| writer.record_log_message(now, severity, text))
-    }
-
-    /// Records true poses of simulated robots.
-    pub fn record_truth(&mut self, truth: &[TruthSample]) -> Result<()> {
         let last = self.last;
-        self.write(|writer| writer.record_truth(last, truth))
+        self.write(|writer| write(writer, last))
     }
 
     pub fn flush(&mut self) -> Result<()> {
@@ -141,7 +123,6 @@ impl RecordingParts {
         Ok(self.totals)
     }
 
-    /// Number of the session's next input.
     pub const fn next(&self) -> u64 {
         self.next
     }
@@ -151,7 +132,6 @@ impl RecordingParts {
         self.totals.parts
     }
 
-    /// The part being written.
     fn open(&mut self) -> Result<&mut OpenPart> {
         self.part.as_mut().context(RECORDING_ENDED)
     }

@@ -1,11 +1,6 @@
 //! Executes the station's requests to the program: saving the tunables, starting and stopping a recording, controlling the simulated
-//! brick.
-//!
-//! A saved file is the whole configuration of the run with the present tunables, in the run's folder, for `--config`. Files that this
-//! run has not written are never overwritten. The outcome of a request returns to the station as a log line, and so into the recording.
-//!
-//! It runs in the station loop, between a robot and its steering: threads do what may wait for a disk (`ConfigSaver`, and the recorder
-//! creates its file itself). Here a new recording costs one file name lookup.
+//! brick. The outcome returns to the station as a log line, and so into the recording. It runs in the station loop, between a robot and
+//! its steering: threads do what may wait for a disk.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,12 +17,12 @@ use posebridge_telemetry::{
 };
 use tokio::sync::mpsc;
 
-use super::deferred_errors::DeferredErrors;
 use super::recorder::{Recorder, RecordingTotals, StoppingRecorder};
 use super::recording_files::{RECORDING, done_message, header, unused_path};
 use super::simulator::CommandSender;
 use crate::config::Config;
 use crate::console::print_line;
+use crate::exit::DeferredErrors;
 
 /// Minimum interval between recordings started on request: each creates a file, and repeated clicks should not create hundreds.
 const MIN_START_INTERVAL: TimeDelta = TimeDelta::from_millis(1_000);
@@ -41,11 +36,9 @@ pub struct RequestHandler {
     /// The thread that saves configurations; started by the first request.
     saver: Option<ConfigSaver>,
     current: Option<PathBuf>,
-    /// Recordings that ended during the run.
     ended_recordings: Vec<(PathBuf, StoppingRecorder)>,
     /// First number to try for the next recording: lower ones are in use, or will be when the thread creates their files.
     next_number: u32,
-    /// Start of the last recording on request.
     last_started: Option<Timestamp<HostClock>>,
     links: BTreeMap<LinkId, LinkState>,
     bricks: Vec<ReachableBrick>,
@@ -63,24 +56,16 @@ pub struct ReachableBrick {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SimulatorOverrides {
     pub steering: Option<SteeringSource>,
-    /// Link profile of the simulated link.
     pub link_profile: Option<ChannelName>,
 }
 
 impl SimulatorOverrides {
     fn record(&mut self, command: &SimulatorCommand) {
-        match command {
-            SimulatorCommand::Steering(by) => self.steering = Some(*by),
-            SimulatorCommand::LinkProfile(profile) => self.link_profile = *profile,
-            // These pass by themselves, or are seen in what the brick sends.
-            SimulatorCommand::Kidnap { .. }
-            | SimulatorCommand::Slip { .. }
-            | SimulatorCommand::Camera(_)
-            | SimulatorCommand::CameraDelay { .. }
-            | SimulatorCommand::GyroBiasStep { .. }
-            | SimulatorCommand::PullCable { .. }
-            | SimulatorCommand::Drive { .. }
-            | SimulatorCommand::Path => {}
+        // The others pass by themselves, or are seen in what the brick sends.
+        if let SimulatorCommand::Steering(by) = command {
+            self.steering = Some(*by);
+        } else if let SimulatorCommand::LinkProfile(profile) = command {
+            self.link_profile = *profile;
         }
     }
 }

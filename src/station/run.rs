@@ -1,16 +1,11 @@
-//! `posebridge run`: the station.
-//!
-//! Opens the links, decodes, aligns the clocks, fuses, sends the estimate back, records all inputs, and shows one status block, until
-//! Ctrl-C, `--duration` or `--until-silent`. An embedded simulated brick drives its path repeatedly; with `--laps` the run ends with
-//! the last lap. With `--tui` a terminal view owns the screen. At the end come tables and two figures, with a simulated brick also the
-//! errors.
+//! `posebridge run`: the station, until Ctrl-C, `--duration`, `--until-silent`, or with `--laps` the last lap of the embedded simulated
+//! brick. At the end come tables and two figures, with a simulated brick also the errors.
 
 use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
 use posebridge_report::tables::source_table;
 
 use super::args::RunArgs;
-use super::deferred_errors::DeferredErrors;
 use super::links::LapLimit;
 use super::recording_files::RECORDING;
 use super::run_report::{finish, report_learned};
@@ -18,7 +13,7 @@ use super::session::session;
 use super::tui::tty::ensure_terminal;
 use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure};
+use crate::exit::{DeferredErrors, ExitStage, Failure, run_in_runtime};
 
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).before_start()?;
@@ -26,7 +21,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
         ensure_terminal().before_start()?;
     }
     let laps = args.laps.map_or(LapLimit::Endless, LapLimit::Counted);
-    let session = run_in_runtime(session(args, &config, RECORDING, laps))?;
+    let session = run_in_runtime(session(args, &config, RECORDING, laps)).before_start()??;
     // What cannot be drawn or saved must not cost the rest.
     let mut failures = DeferredErrors::default();
     failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
@@ -48,23 +43,15 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     config.record.enabled = true;
     // A recording that is evaluated must end.
     let laps = args.laps.map_or(LapLimit::OfScenario, LapLimit::Counted);
-    let session = run_in_runtime(session(args, &config, file_name, laps))?;
+    let session = run_in_runtime(session(args, &config, file_name, laps)).before_start()??;
     let robots = session.collectors.entries();
     let sources = robots.first().map_or_else(String::new, |robot| source_table(&robot.value.sources));
     session.into_result().while_running()?;
     Ok(sources)
 }
 
-fn run_in_runtime<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
-    let result = runtime.block_on(work);
-    // An attempt to open a device that hangs must not keep the program alive.
-    runtime.shutdown_background();
-    result
-}
-
 /// Applies the command line's flags.
-fn configuration(args: &RunArgs) -> Result<Config> {
+pub fn configuration(args: &RunArgs) -> Result<Config> {
     let is_of = |setting: &Setting, sections: &[&str]| {
         let section = setting.path.first();
         section.is_some_and(|section| sections.contains(&section.as_str()))
@@ -104,55 +91,7 @@ fn configuration(args: &RunArgs) -> Result<Config> {
             config = config.with_tag_of(&load_scenario(&name)?);
         }
     }
-    config.station_config()?;
-    config.dashboard.checked()?;
+    config.validate()?;
     config.plotjuggler.checked()?;
     Ok(config)
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::*;
-    use crate::cli::{Cli, Command};
-    use clap::Parser as _;
-
-    /// Commands of the pages, each in one line, without comments and quotes.
-    fn commands(page: &Path) -> Vec<Vec<String>> {
-        let text = std::fs::read_to_string(page).unwrap();
-        let shells = text.split("```sh\n").skip(1);
-        let blocks = shells.filter_map(|rest| rest.split("```").next());
-        let lines: Vec<String> = blocks
-            .flat_map(|block| {
-                let joined = block.replace("\\\n", " ");
-                joined.lines().map(str::to_owned).collect::<Vec<_>>()
-            })
-            .collect();
-        lines
-            .iter()
-            .map(|line| line.split(" #").next().unwrap_or_default())
-            .filter(|line| line.starts_with("posebridge run") && line.contains("config/robots"))
-            .map(|line| line.split_whitespace().map(|word| word.trim_matches('\'').to_owned()).collect())
-            .collect()
-    }
-
-    #[test]
-    fn the_commands_of_the_pages_about_bricks_make_sense() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let mut found = 0;
-        for entry in std::fs::read_dir(root.join("docs/protocols")).unwrap() {
-            for command in commands(&entry.unwrap().path()) {
-                let cli = Cli::try_parse_from(&command).unwrap();
-                let Some(Command::Run(args)) = cli.command else {
-                    panic!("{command:?} does not run");
-                };
-                if let Err(error) = configuration(&args) {
-                    panic!("{}: {error:#}", command.join(" "));
-                }
-                found += 1;
-            }
-        }
-        assert!(found >= 5, "{found} commands");
-    }
 }

@@ -22,7 +22,6 @@ use crate::config::{Config, Provenance};
 use crate::console::print_result;
 use crate::virtual_station;
 
-/// Ground truth and odometry of a simulation.
 pub struct SimulationTruth {
     pub track: PoseTrack,
     pub odometry: PoseTrack,
@@ -77,31 +76,6 @@ fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&Sim
         let _ = writeln!(text, "  {name:<28} {:>8}  {:>8}", millimetres(rms_m), millimetres(max_m));
     }
     text
-}
-
-/// Draws every figure into a folder and prints the paths.
-fn draw_figures(
-    folder: &Path,
-    title: &str,
-    collector: &EventCollector,
-    truth: Option<&SimulationTruth>,
-) -> Result<Vec<PathBuf>> {
-    let layers = RunLayers {
-        title,
-        ideal: truth.map_or(&[], |truth| &truth.path),
-        truth: truth.map(|truth| &truth.track),
-        odometry: truth.map(|truth| &truth.odometry),
-        estimates: collector.estimates.items(),
-        fixes: collector.fixes.items(),
-        ..RunLayers::default()
-    };
-    let mut drawn = Vec::new();
-    for figure in FIGURES {
-        let path = folder.join(format!("{}.svg", figure.name));
-        std::fs::write(&path, (figure.render)(&layers)).with_context(|| format!("writing `{}`", path.display()))?;
-        drawn.push(path);
-    }
-    Ok(drawn)
 }
 
 /// With more robots the calibrations are not printed line by line.
@@ -209,21 +183,36 @@ fn several_robots(robots: &[RobotOutcome<'_>]) -> String {
     text
 }
 
+/// Draws every figure of the first robot into a folder; returns the paths.
 fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
-    let Some(robot) = robots.first() else {
+    let Some(RobotOutcome { label, collector, simulation, truth }) = robots.first() else {
         return Ok(Vec::new());
     };
-    let mut title = robot.simulation.map_or_else(
+    let mut title = simulation.map_or_else(
         || "live run".to_owned(),
         |simulated| format!("{}, seed {}", simulated.name, simulated.scenario.seed),
     );
     if robots.len() > 1 {
-        title = format!("{title}, robot {}", robot.label);
+        title = format!("{title}, robot {label}");
     }
-    draw_figures(folder, &title, robot.collector, robot.truth.as_ref())
+    let truth = truth.as_ref();
+    let layers = RunLayers {
+        title: &title,
+        ideal: truth.map_or(&[], |truth| &truth.path),
+        truth: truth.map(|truth| &truth.track),
+        odometry: truth.map(|truth| &truth.odometry),
+        estimates: collector.estimates.items(),
+        fixes: collector.fixes.items(),
+        ..RunLayers::default()
+    };
+    let drawn = FIGURES.iter().map(|figure| {
+        let path = folder.join(format!("{}.svg", figure.name));
+        std::fs::write(&path, (figure.render)(&layers)).with_context(|| format!("writing `{}`", path.display()))?;
+        Ok(path)
+    });
+    drawn.collect()
 }
 
-/// Prints and saves the estimated calibrations.
 pub(super) fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
     let learned = &session.learned;
     if learned.len() <= MAX_LEARNED_TABLES {

@@ -9,24 +9,23 @@ use posebridge_telemetry::{TimeDelta, Timestamp};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
-use super::dashboard;
-use super::deferred_errors::DeferredErrors;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
-use super::links::{EmbeddedLink, FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
+use super::links::{FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
 use super::live_status::{ErrorToTruth, LiveView};
-use super::observer::{Observer, ObserverConfig};
+use super::observer::Observer;
 use super::per_robot::PerRobot;
 use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
 use super::signing::{SigningSession, warn_of_open_listeners};
+use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
-use super::viewers::Viewers;
+use super::viewers::{Viewers, reserve_dashboard};
 use crate::config::Config;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure, Signals};
+use crate::exit::{DeferredErrors, ExitStage, Failure, Signals};
 
 pub(super) struct Session {
     pub(super) timer: HostTimer,
@@ -63,7 +62,7 @@ pub(super) async fn session(
     if let Some(warning) = config.filter.warning(&config.robot) {
         print_line(&warning);
     }
-    let reserved = dashboard::reserve(&args.page, config).before_start()?;
+    let reserved = reserve_dashboard(&args.page, config).before_start()?;
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
     let signals = Signals::listen().before_start()?;
@@ -73,7 +72,7 @@ pub(super) async fn session(
     let recording = folder.join(file_name);
     let for_recordings = signing.config_for_recording(config);
     // From the very start.
-    let bricks = embedded.as_mut().map_or(&mut [][..], |link| &mut link.embedded.bricks);
+    let bricks = embedded.as_mut().map_or(&mut [][..], |link| &mut link.bricks);
     let truth = bricks.iter_mut().filter_map(|brick| brick.truth.take()).collect();
     let reachable = bricks.iter().map(|brick| {
         let commands = brick.controls.commands.clone();
@@ -143,7 +142,7 @@ async fn open(
     config: &Config,
     session: SimulatedSession<'_>,
     stop: &CancellationToken,
-) -> Result<(LinkSet, Option<EmbeddedLink>)> {
+) -> Result<(LinkSet, Option<EmbeddedBricks>)> {
     let opened = open_links(args, config, session, stop).await;
     match &opened {
         Ok((ports, _)) => warn_of_open_listeners(ports, config),
@@ -153,29 +152,21 @@ async fn open(
     opened
 }
 
-fn observer(args: &RunArgs, embedded: Option<&EmbeddedLink>) -> Result<Observer> {
-    let view = if args.views.tui {
-        // The terminal view shows all that and more.
-        LiveView::silent()
-    } else {
-        live_view(embedded)
-    };
-    Observer::start(ObserverConfig { events: args.events.as_deref(), view })
-}
-
-fn live_view(embedded: Option<&EmbeddedLink>) -> LiveView {
-    let bricks = embedded.map_or(&[][..], EmbeddedLink::bricks);
+fn observer(args: &RunArgs, embedded: Option<&EmbeddedBricks>) -> Result<Observer> {
+    let bricks = embedded.map_or(&[][..], |link| &link.bricks);
     // The bricks drive one path in one time.
     let progress = bricks.first().map(|brick| brick.progress.clone());
-    let errors = bricks.iter().map(|brick| ErrorToTruth::new(brick.truth_tap())).collect();
-    LiveView::new(progress).with_truth(errors)
+    let errors = || bricks.iter().map(|brick| ErrorToTruth::new(brick.truth_tap())).collect();
+    // The terminal view shows all that and more.
+    let view = if args.views.tui { LiveView::silent() } else { LiveView::new(progress, errors()) };
+    Observer::start(args.events.as_deref(), view)
 }
 
 /// The end conditions: at the latest the end of the simulated brick.
-fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedLink>, stop: &CancellationToken) -> StopConditions {
+fn stop_conditions(args: &RunArgs, embedded: Option<&EmbeddedBricks>, stop: &CancellationToken) -> StopConditions {
     StopConditions {
-        stop: embedded.map_or_else(|| stop.clone(), |link| link.embedded.finished.clone()),
-        progress: embedded.and_then(|link| Some(link.bricks().first()?.progress.clone())),
+        stop: embedded.map_or_else(|| stop.clone(), |link| link.finished.clone()),
+        progress: embedded.and_then(|link| Some(link.bricks.first()?.progress.clone())),
         at: args.duration.map(Timestamp::from_secs_f64),
         silence: args.until_silent.map(TimeDelta::from_secs_f64),
     }

@@ -11,8 +11,6 @@ use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, P
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::dashboard::{DashboardHandle, next_command};
-use super::deferred_errors::DeferredErrors;
 use super::observer::Observer;
 use super::page_history::station_status;
 use super::recorder::Recorder;
@@ -20,6 +18,8 @@ use super::requests::RequestHandler;
 use super::signing::SigningStateWriter;
 use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
+use super::viewers::{DashboardHandle, next_command};
+use crate::exit::DeferredErrors;
 
 /// Period of the link counters, equal to that of the health reports.
 const COUNTS_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -46,13 +46,11 @@ pub struct StationLoop {
     /// inputs.
     pub recorder: Option<Recorder>,
     pub input_count: u64,
-    /// `None` without a telemetry log.
     pub tlog: Option<TlogRecorder>,
     pub observer: Observer,
     pub dashboard: Option<DashboardHandle>,
     /// Errors of a recording or telemetry log that ended before the run.
     pub failures: DeferredErrors,
-    /// `None` without signed links.
     pub signing: Option<SigningStateWriter>,
     pub requests: RequestHandler,
     pub truth: Vec<TruthTap>,
@@ -138,7 +136,6 @@ impl StationLoop {
         }
     }
 
-    /// Records the filters' estimated constants as outputs.
     fn record_calibration(&mut self, now: Timestamp<HostClock>) {
         let Some(recorder) = &mut self.recorder else {
             return;
@@ -157,7 +154,6 @@ impl StationLoop {
         }
     }
 
-    /// Records the true poses of simulated robots as outputs.
     pub fn record_truth(&mut self) {
         for tap in &mut self.truth {
             let missed = tap.missed();

@@ -1,11 +1,6 @@
-//! Writes the frames of a session as a telemetry log: received and sent ones. Offline that is [`TrafficLog`], for `posebridge export`;
-//! live a thread writes it beside the recording ([`TlogRecorder`]).
-//!
-//! The station loop never waits for the thread: chunks that do not fit into its queue are dropped and counted, because the recording is
-//! complete without the log.
-//!
-//! It is one file, however long the run, because its readers support no parts. Once a second it is checked like a recording: a deleted
-//! file, or a disk without space, ends it with an error.
+//! Writes the received and sent frames of a session as a telemetry log: offline by [`TrafficLog`], live by a thread beside the
+//! recording ([`TlogRecorder`]), for which the station loop never waits: the recording is complete without the log. It is one file,
+//! because its readers support no parts; a deleted file, or a disk without space, ends it with an error.
 
 use std::collections::BTreeMap;
 use std::fs::File;

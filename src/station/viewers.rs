@@ -1,21 +1,34 @@
-//! The viewers of a running station: dashboard, terminal view, PlotJuggler. The station loop waits for none of them.
+//! The viewers of a running station: dashboard, terminal view, PlotJuggler. The station loop waits for none of them: it sends to the
+//! dashboard through [`DashboardHandle`], which never blocks and also receives commands. The server itself, with its own thread and
+//! runtime, is in `crates/dashboard`.
 
+use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 
-use anyhow::{Context, Result};
-use posebridge_dashboard::model::SimulatorFacts;
-use posebridge_dashboard::{Dashboard, FrameTap, FrameTaps};
+use anyhow::{Context, Result, ensure};
+use posebridge_dashboard::model::{ParameterRow, SimulatorFacts, SimulatorNow};
+use posebridge_dashboard::{
+    BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTap, FrameTaps,
+    ListenAddress, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
+};
+use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
+use posebridge_sim::impairment::PROFILES;
+use posebridge_sim::{Scenario, Simulation, Steering};
+use posebridge_telemetry::{Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
+use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
-use super::dashboard::{self, DashboardHandle, ReservedListener, SimulatedBrickInfo};
-use super::links::EmbeddedLink;
+use super::page_history;
 use super::plotjuggler::{self, PlotJuggler, SendCounts};
-use super::simulator::EmbeddedBrick;
+use super::requests::SimulatorOverrides;
+use super::simulator::{EmbeddedBrick, EmbeddedBricks, TimedTruthSample, TruthTap};
 use super::tui::{self, TerminalInputs, TerminalView};
 use crate::config::Config;
 use crate::console::print_line;
+use crate::flags::DashboardFlags;
 
 #[derive(Default)]
 pub(super) struct Viewers {
@@ -34,20 +47,15 @@ impl Viewers {
         config: &Config,
         timer: HostTimer,
         folder: &Path,
-        embedded: Option<&EmbeddedLink>,
+        embedded: Option<&EmbeddedBricks>,
     ) -> Result<(Self, Option<DashboardHandle>)> {
-        let simulated = embedded.map(|link| SimulatedBrickInfo {
-            name: &link.name,
-            scenarios: link.bricks().iter().map(|brick| &brick.scenario).collect(),
-            truth: link.bricks().iter().map(EmbeddedBrick::truth_tap).collect(),
-        });
-        let facts = simulated.as_ref().map(dashboard::simulator_facts);
+        let facts = embedded.map(simulator_facts);
         let mut taps = FrameTaps::default();
         let terminal_frames = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
         let configured = config.plotjuggler.checked()?;
         let plotted = args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured));
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
-        let started = dashboard::start(reserved, &args.page, config, timer, folder, simulated, taps)?;
+        let started = start_dashboard(reserved, &args.page, config, timer, folder, embedded, taps)?;
         let Some((dashboard, handle)) = started else {
             return Ok((Self::default(), None));
         };
@@ -89,7 +97,6 @@ impl Viewers {
         self.terminal = None;
     }
 
-    /// Stops the others, and reports unsent data.
     pub(super) fn finish(self) -> Result<()> {
         drop(self.terminal);
         drop(self.dashboard);
@@ -105,4 +112,213 @@ impl Viewers {
         });
         Ok(())
     }
+}
+
+/// The station loop's ends of the channels to and from the dashboard.
+pub struct DashboardHandle {
+    feed: EventFeed,
+    commands: mpsc::Receiver<Input>,
+    timer: HostTimer,
+    /// Initial settings of the simulated brick, if there is one.
+    simulator: Option<SimulatorNow>,
+}
+
+pub(super) struct ReservedListener {
+    bound: BoundListener,
+    listen: ListenAddress,
+}
+
+/// Binds the dashboard's address, if it is enabled, before anything else is created that a failed start would leave behind. It is no
+/// error if all default ports are taken: a robot may wait.
+pub(super) fn reserve_dashboard(flags: &DashboardFlags, config: &Config) -> Result<Option<ReservedListener>> {
+    let Some(listen) = listen_config(flags, config)? else {
+        return Ok(None);
+    };
+    if let Some(folder) = &flags.ui_dir {
+        let page = folder.join("index.html");
+        ensure!(page.is_file(), "--ui-dir: there is no `{}`", page.display());
+    }
+    match BoundListener::new(listen) {
+        Ok(bound) => Ok(Some(ReservedListener { bound, listen })),
+        Err(error @ DashboardStartError::AllPortsInUse { .. }) => {
+            tracing::warn!("there is no dashboard: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error).context("starting the dashboard"),
+    }
+}
+
+/// Starts the dashboard, if it has an address or another view in this process needs its messages, and prints its address.
+fn start_dashboard(
+    reserved: Option<ReservedListener>,
+    flags: &DashboardFlags,
+    config: &Config,
+    timer: HostTimer,
+    folder: &Path,
+    embedded: Option<&EmbeddedBricks>,
+    taps: FrameTaps,
+) -> Result<Option<(Dashboard, DashboardHandle)>> {
+    if reserved.is_none() && taps.is_empty() {
+        return Ok(None);
+    }
+    let (bound, listen) = reserved.map(|reserved| (reserved.bound, reserved.listen)).unzip();
+    let facts = facts_of(config, embedded)?;
+    let simulator = facts.simulator.as_ref().map(|simulator| SimulatorNow {
+        steering: simulator.steering.clone(),
+        link_profile: simulator.link_profile.clone(),
+    });
+    let truth = embedded.map(|link| truth_of(link.bricks.iter().map(EmbeddedBrick::truth_tap).collect()));
+    let sources = DashboardInputs {
+        clock: Box::new(move || timer.now()),
+        truth,
+        recordings: folder.to_owned(),
+        replay: Box::new(|path| page_history::build_history(path).map_err(|error| format!("{error:#}"))),
+        ui_dir: flags.ui_dir.clone(),
+        taps,
+    };
+    let started = Dashboard::start(bound, facts, sources);
+    let (dashboard, feed, commands) = started.context("starting the dashboard")?;
+    print_address(&dashboard, listen);
+    if let (true, Some(url)) = (flags.open, dashboard.url()) {
+        open_in_browser(url)?;
+    }
+    let handle = DashboardHandle { feed, commands, timer, simulator };
+    Ok(Some((dashboard, handle)))
+}
+
+fn listen_config(flags: &DashboardFlags, config: &Config) -> Result<Option<ListenAddress>> {
+    if let Some(address) = flags.dashboard {
+        return Ok(Some(ListenAddress::Exact(address)));
+    }
+    let configured = config.dashboard.checked()?;
+    let is_enabled = config.dashboard.enabled && !flags.no_dashboard;
+    Ok(is_enabled.then_some(configured))
+}
+
+fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {
+    let Some(address) = dashboard.address() else {
+        return;
+    };
+    if let Some(ListenAddress::FirstFree(first)) = listen
+        && first != address
+    {
+        print_line(&format!("{first} is in use, perhaps by another station: the dashboard takes the next free port"));
+    }
+    for url in dashboard.urls() {
+        print_line(&format!("dashboard: {url}"));
+    }
+    if !address.ip().is_loopback() {
+        print_line("the address holds a token that lets anybody command this station, and it travels unencrypted");
+    }
+}
+
+fn open_in_browser(url: String) -> Result<()> {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let work = move || {
+        let opened = std::process::Command::new(opener)
+            .arg(&url)
+            .stdin(std::process::Stdio::null())
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .status();
+        if !opened.is_ok_and(|status| status.success()) {
+            print_line(&format!("`{opener}` opened no browser: open the address yourself"));
+        }
+    };
+    std::thread::Builder::new().name("open".to_owned()).spawn(work).map(drop).context("starting a browser")
+}
+
+/// Returns the samples since the last call, one by one.
+fn truth_of(mut taps: Vec<TruthTap>) -> Box<dyn FnMut() -> Option<SimulatedTruth> + Send> {
+    let mut waiting = VecDeque::new();
+    Box::new(move || {
+        if waiting.is_empty() {
+            for tap in &mut taps {
+                let robot = tap.robot();
+                waiting.extend(tap.drain().into_iter().map(|live| (robot, live)));
+            }
+        }
+        waiting.pop_front().map(|(robot, live): (Option<RobotId>, TimedTruthSample)| SimulatedTruth {
+            robot,
+            now: live.at,
+            time: live.sample.brick_time,
+            pose: live.sample.pose,
+            odometry: Some(live.sample.odometry),
+        })
+    })
+}
+
+fn facts_of(config: &Config, embedded: Option<&EmbeddedBricks>) -> Result<StationInfo> {
+    let params = config.filter_config()?.params;
+    Ok(StationInfo {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        links: config.links.iter().map(|link| link.url.clone()).collect(),
+        parameters: parameter_rows(&params),
+        simulator: embedded.map(simulator_facts),
+        token: if config.dashboard.always_token { TokenPolicy::Always } else { TokenPolicy::RemoteOnly },
+    })
+}
+
+fn simulator_facts(link: &EmbeddedBricks) -> SimulatorFacts {
+    // One lap of the first: the others are driven on the same path, and the other robots beside it.
+    let scenario = link.bricks.first().map_or_else(Scenario::default, |first| first.scenario.clone());
+    let steering = scenario.steering;
+    let world = Simulation::new(scenario.with_laps(1));
+    SimulatorFacts {
+        scenario: link.name.clone(),
+        path: world.path().iter().map(|at| [at.x.0, at.y.0]).collect(),
+        link_profiles: PROFILES.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        steering: match steering {
+            Steering::Odometry => "odometry".to_owned(),
+            Steering::Estimate => "estimate".to_owned(),
+        },
+        // The default is a cable.
+        link_profile: None,
+    }
+}
+
+fn parameter_rows(params: &Params) -> Vec<ParameterRow> {
+    let rows = PARAMS.iter().map(|row| ParameterRow {
+        name: row.key.to_owned(),
+        value: (row.read)(params),
+        default: row.default,
+        least: *row.range.start(),
+        most: *row.range.end(),
+        unit: row.unit.to_owned(),
+        help: row.doc.to_owned(),
+        mavlink_name: row.key.to_ascii_uppercase(),
+    });
+    rows.collect()
+}
+
+impl DashboardHandle {
+    /// Sends the outputs of an input; drops them if the dashboard is behind.
+    pub fn publish_events(&self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+        self.feed.publish(EventBatch {
+            now,
+            latency: self.timer.now() - now,
+            events: Arc::clone(events),
+            status: None,
+        });
+    }
+
+    /// Sends the present state with the changed settings of the simulated brick.
+    pub fn publish_status(&self, now: Timestamp<HostClock>, status: StationStatus, overrides: SimulatorOverrides) {
+        let simulator = self.simulator.as_ref().map(|begun| SimulatorNow {
+            steering: overrides.steering.map_or_else(|| begun.steering.clone(), |by| by.as_str().to_owned()),
+            link_profile: overrides.link_profile.map(|name| name.as_str().to_owned()),
+        });
+        let status = StationStatus { simulator, ..status };
+        self.feed.publish(EventBatch { now, latency: TimeDelta::ZERO, events: Arc::default(), status: Some(status) });
+    }
+}
+
+/// The next command from the page; pending forever without a dashboard.
+pub async fn next_command(handle: &mut Option<DashboardHandle>) -> Input {
+    if let Some(handle) = handle
+        && let Some(command) = handle.commands.recv().await
+    {
+        return command;
+    }
+    std::future::pending().await
 }

@@ -26,7 +26,6 @@ pub struct RobotRun {
 }
 
 impl DataSet {
-    /// Reads a descriptor and selects its runs.
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
         let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;

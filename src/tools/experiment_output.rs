@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use posebridge_report::page::{ReportBlock, ReportFigure};
+use posebridge_report::page::ReportBlock;
 use posebridge_report::report::Report;
 
 use super::raster;
@@ -48,8 +48,13 @@ impl OutputArgs {
             let number = if pictures.len() > 1 { format!("-{}", index + 1) } else { String::new() };
             self.write_picture(folder, &format!("{name}{number}"), svg)?;
         }
-        for picture in page.blocks.iter().flat_map(pictures_of) {
-            self.write_picture(folder, &format!("{name}-{}", picture.name), &picture.svg)?;
+        for block in &page.blocks {
+            // Elements of the page.
+            if let ReportBlock::FigureGrid(pictures) = block {
+                for picture in pictures {
+                    self.write_picture(folder, &format!("{name}-{}", picture.name), &picture.svg)?;
+                }
+            }
         }
         let path = folder.join(format!("{name}.html"));
         write(&path, page.html().as_bytes())?;
@@ -67,14 +72,6 @@ impl OutputArgs {
         }
         Ok(())
     }
-}
-
-/// Figures that are elements of the page.
-fn pictures_of(part: &ReportBlock) -> &[ReportFigure] {
-    let ReportBlock::FigureGrid(pictures) = part else {
-        return &[];
-    };
-    pictures
 }
 
 const fn picture(part: &ReportBlock) -> Option<&String> {

@@ -1,5 +1,4 @@
 //! `posebridge export`: converts a recording and its estimates to files for other programs.
-//!
 //! Reads posebridge recordings, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the
 //! files.
 
@@ -22,7 +21,7 @@ use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
 use super::score::{PosePair, Scorer};
 use crate::config::{Config, Overlay, config_with_overlay};
-use crate::console::print_line;
+use crate::console::{print_line, print_lines};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, InputKind};
@@ -132,7 +131,7 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
 fn write_mcap(args: &ExportArgs) -> Result<()> {
     let (file, fresh) = create_new(args, "mcap")?;
     let (_, account) = import::import(&args.recording, &args.data, station(args), file)?;
-    print_notes(&account.notes);
+    print_lines(&account.notes);
     print_written(fresh.path(), account.inputs, "inputs");
     fresh.finish()
 }
@@ -150,7 +149,7 @@ fn copy_tlog(args: &ExportArgs) -> Result<()> {
     })?;
     let written = written.with_context(|| format!("writing `{}`", fresh.path().display()))?;
     writer.finish()?;
-    print_notes(&notes);
+    print_lines(&notes);
     print_written(fresh.path(), written, "frames");
     fresh.finish()
 }
@@ -164,7 +163,6 @@ struct ExportSession {
     truth: Option<PoseTrack>,
 }
 
-/// Results of a run besides files.
 struct ExportedRun {
     /// Of a posebridge recording; never empty.
     robots: Vec<RobotPoses>,
@@ -191,11 +189,11 @@ impl ExportSession {
         let (bytes, scorer) = if kind == InputKind::Descriptor {
             let bytes = Cursor::new(Vec::new());
             let (bytes, account) = import::import(&args.recording, &args.data, station(args), bytes)?;
-            print_notes(&account.notes);
+            print_lines(&account.notes);
             (bytes.into_inner(), Some(scorer_of(args)?))
         } else {
             let (bytes, notes) = import::recording_bytes(&args.recording, station(args))?;
-            print_notes(&notes);
+            print_lines(&notes);
             (bytes, None)
         };
         let reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
@@ -486,12 +484,6 @@ fn stem(path: &Path) -> String {
 
 fn print_written(path: &Path, count: u64, what: &str) {
     print_line(&format!("wrote `{}`: {count} {what}", path.display()));
-}
-
-fn print_notes(notes: &[String]) {
-    for note in notes {
-        print_line(note);
-    }
 }
 
 #[cfg(test)]

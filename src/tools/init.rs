@@ -1,5 +1,4 @@
 //! `posebridge init`: writes a commented configuration for a robot.
-//!
 //! The file is `config/default.toml` merged with the robot's own file ([`template`]). It is loaded like any configuration before it is
 //! written, so that it is known to be valid. Nothing else is opened or changed.
 
@@ -10,7 +9,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 
-use super::doctor::SystemRoots;
 use super::doctor::serial_ports::{SerialPort, serial_ports};
 use crate::config::{self, BundledRobot, Config, LinkSection, ROBOTS, TemplateLink, list_of_robots, template};
 use crate::console::{print_line, print_result};
@@ -48,7 +46,8 @@ pub fn execute(args: &InitArgs) -> Result<(), Failure> {
     let is_stdout = args.out.as_os_str() == STDOUT;
     let file = if is_stdout { "FILE".to_owned() } else { args.out.display().to_string() };
     let text = template(robot, &link, &file);
-    check(&text).before_start()?;
+    let loaded = config::load_text("of posebridge init", &text, &[]).before_start()?;
+    loaded.config.validate().before_start()?;
     if is_stdout {
         return print_result(&text).while_running();
     }
@@ -89,16 +88,7 @@ fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
     }
     let own: Config = toml::from_str(robot.text).context(robot.name)?;
     let usual = own.links.first().ok_or_else(|| anyhow!("config/robots/{}.toml names no link", robot.name))?;
-    Ok(guess(usual, &SystemRoots::host()))
-}
-
-/// Loads the text to make sure that it is a valid configuration.
-fn check(text: &str) -> Result<()> {
-    let loaded = config::load_text("of posebridge init", text, &[])?;
-    loaded.config.targets()?;
-    loaded.config.station_config()?;
-    loaded.config.dashboard.checked()?;
-    Ok(())
+    Ok(guess(usual, Path::new("/")))
 }
 
 /// Writes a new file, or overwrites one on request; a full disk never destroys an existing file.
@@ -173,14 +163,13 @@ fn parse_choice(answer: &str) -> Option<BundledRobot> {
     }
 }
 
-/// Prefix of a serial port URL.
 const SERIAL: &str = "serial://";
 /// A board on a USB cable has one or the other, depending on its chip.
 const USB_PREFIXES: [&str; 2] = ["ttyACM", "ttyUSB"];
 const MAX_LISTED: usize = 8;
 
 /// The robot's default link, with an existing port in place of its own.
-fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
+fn guess(usual: &LinkSection, root: &Path) -> TemplateLink {
     let as_usual = |origin: &str, notes| TemplateLink {
         url: usual.url.clone(),
         is_listening: usual.listen,
@@ -190,7 +179,7 @@ fn guess(usual: &LinkSection, roots: &SystemRoots) -> TemplateLink {
     let Some(device) = serial_device(&usual.url) else {
         return as_usual("how this robot is usually reached", Vec::new());
     };
-    let ports = serial_ports(roots);
+    let ports = serial_ports(root);
     let (fitting, others): (Vec<_>, Vec<_>) = ports.iter().partition(|port| is_alike(&port.name, &device));
     let Some((first, further)) = fitting.split_first() else {
         let notes = describe_ports(&others, "no such port is there now; there is");
@@ -282,44 +271,44 @@ mod tests {
         LinkSection::new(url)
     }
 
-    /// A computer with these device nodes.
-    fn computer(names: &[&str]) -> (tempfile::TempDir, SystemRoots) {
+    /// A computer with these device nodes, and its folder of them.
+    fn computer(names: &[&str]) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
-        let roots = SystemRoots::under(folder.path());
-        fs::create_dir_all(&roots.dev).unwrap();
+        let dev = folder.path().join("dev");
+        fs::create_dir_all(&dev).unwrap();
         for name in names {
-            fs::write(roots.dev.join(name), "").unwrap();
+            fs::write(dev.join(name), "").unwrap();
         }
-        (folder, roots)
+        (folder, dev)
     }
 
     #[test]
     fn a_port_of_the_usual_kind_takes_its_place_and_keeps_the_options() {
-        let (_folder, roots) = computer(&["rfcomm0", "tty0", "ttyUSB3", "ttyUSB7"]);
-        let found = guess(&usual("serial:///dev/ttyACM0?baud=57600"), &roots);
-        let device = roots.dev.join("ttyUSB3");
+        let (folder, dev) = computer(&["rfcomm0", "tty0", "ttyUSB3", "ttyUSB7"]);
+        let found = guess(&usual("serial:///dev/ttyACM0?baud=57600"), folder.path());
+        let device = dev.join("ttyUSB3");
         let expected = format!("serial://{}?baud=57600", device.display());
         assert_eq!(found.url, expected);
         assert_eq!(found.origin, format!("a guess: {} is there", device.display()));
-        let dev = roots.dev.display();
+        let dev = dev.display();
         let notes = [format!("also there: {dev}/ttyUSB7"), format!("also there: {dev}/rfcomm0")];
         assert_eq!(found.notes, notes);
     }
 
     #[test]
     fn a_name_that_stays_is_taken_before_a_number() {
-        let (_folder, roots) = computer(&["ttyACM0"]);
-        let by_id = roots.dev.join("serial/by-id");
+        let (folder, dev) = computer(&["ttyACM0"]);
+        let by_id = dev.join("serial/by-id");
         fs::create_dir_all(&by_id).unwrap();
         std::os::unix::fs::symlink("../../ttyACM0", by_id.join("usb-board")).unwrap();
-        let found = guess(&usual("serial:///dev/ttyACM0"), &roots);
+        let found = guess(&usual("serial:///dev/ttyACM0"), folder.path());
         assert_eq!(found.url, format!("serial://{}", by_id.join("usb-board").display()));
     }
 
     #[test]
     fn without_a_fitting_port_the_usual_link_stands_and_the_others_are_named() {
-        let (_folder, roots) = computer(&["ttyACM0"]);
-        let found = guess(&usual("serial:///dev/rfcomm0"), &roots);
+        let (folder, _) = computer(&["ttyACM0"]);
+        let found = guess(&usual("serial:///dev/rfcomm0"), folder.path());
         assert_eq!(found.url, "serial:///dev/rfcomm0");
         assert!(found.origin.starts_with("a guess, no such port"), "{}", found.origin);
         assert_eq!(found.notes.len(), 1, "{:?}", found.notes);
@@ -327,9 +316,9 @@ mod tests {
 
     #[test]
     fn a_link_that_is_no_port_stays_as_it_is() {
-        let (_folder, roots) = computer(&["ttyACM0"]);
+        let (folder, _) = computer(&["ttyACM0"]);
         let listening = LinkSection { listen: true, ..usual("tcp://127.0.0.1:5760") };
-        let found = guess(&listening, &roots);
+        let found = guess(&listening, folder.path());
         assert_eq!((found.url.as_str(), found.is_listening), ("tcp://127.0.0.1:5760", true));
     }
 }

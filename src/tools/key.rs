@@ -26,7 +26,6 @@ pub enum KeyAction {
     },
 }
 
-/// Creates a key and prints its name.
 pub fn execute(args: &KeyArgs) -> Result<(), Failure> {
     let KeyAction::New { file } = &args.action;
     let key = create_key(file).before_start()?;

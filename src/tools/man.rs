@@ -1,4 +1,4 @@
-//! `posebridge man`: manual pages, generated from the definition of the command line.
+//! `posebridge man` and `posebridge completions`: manual pages and scripts for shells, from the definition of the command line.
 
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,19 @@ pub struct ManArgs {
     /// Write the pages of the program and of every command into this folder instead of printing the program's page.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+/// Flags of `completions`.
+#[derive(Args, Clone, Debug)]
+pub struct CompletionsArgs {
+    /// The shell.
+    pub shell: clap_complete::Shell,
+}
+
+pub fn print_completions(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut program, "posebridge", &mut script);
+    print_result(&String::from_utf8_lossy(&script)).while_running()
 }
 
 /// File name and roff text of a page.

@@ -1,6 +1,5 @@
 //! All other commands, one module each, for files and links, with their helper modules.
 
-pub mod completions;
 pub mod config;
 pub mod csv_table;
 pub mod dataset;
@@ -12,7 +11,6 @@ pub mod import;
 pub mod init;
 pub mod inspect;
 pub mod key;
-pub mod link_profile;
 pub mod man;
 pub mod own_recording;
 pub mod play;

@@ -13,7 +13,7 @@ use posebridge_telemetry::{
 
 use super::import::{self, StationOptions};
 use crate::config::{Overlay, RobotFile, config_with_overlay};
-use crate::console::print_line;
+use crate::console::{print_line, print_lines};
 use crate::station::recorded_session::{ClockAlignment, for_each_input, missing_start};
 use crate::station::signing::recorded_station_config;
 
@@ -81,6 +81,7 @@ struct SessionObservations {
 }
 
 impl SessionObservations {
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the other events change nothing here")]
     fn on_event(&mut self, event: &Event) {
         match *event {
             Event::ObservationAligned { arrival, observation, .. } => {
@@ -98,16 +99,7 @@ impl SessionObservations {
             }
             Event::BrickClockAligned { .. } => self.aligned.extend(ClockAlignment::from_event(event)),
             Event::BrickRestarted { .. } => self.restarts += 1,
-            Event::RobotDetected { .. }
-            | Event::RobotNamed { .. }
-            | Event::RobotLost { .. }
-            | Event::ObservationFused { .. }
-            | Event::EstimateUpdated { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Link { .. }
-            | Event::Health { .. }
-            | Event::ReceiveError { .. }
-            | Event::Text { .. } => {}
+            _ => {}
         }
     }
 
@@ -154,9 +146,7 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
     let name = path.display().to_string();
     let station = StationOptions { config: None, robot: overlay.robot, settings: overlay.settings };
     let (bytes, notes) = import::recording_bytes(path, station)?;
-    for note in notes {
-        print_line(&note);
-    }
+    print_lines(&notes);
     let mut reader = RecordingReader::open(&bytes)
         .with_context(|| format!("recording `{name}` ({} bytes): `posebridge run` writes recordings", bytes.len()))?;
     if let Some(lack) = missing_start(reader.part_header()) {

@@ -1,5 +1,4 @@
 //! `posebridge play`: sends a recording of a real robot over a link, as a brick would.
-//!
 //! Observations are sent at their arrival times, in real time or faster, with the recording's own timestamps. The player describes the
 //! robot, answers time requests and sends its heartbeat once per second. Truth and withheld fixes are not sent.
 
@@ -14,7 +13,7 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure, Signals};
+use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
 use crate::flags::{DataFlags, StationLink, positive};
 
 /// Flags of `play`.
@@ -54,18 +53,18 @@ pub fn execute(args: &PlayArgs) -> Result<(), Failure> {
     }
     let run = data.load(name, &args.data).before_start()?;
     report_bad_rows(&run);
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
-    runtime.block_on(async {
+    run_in_runtime(async {
         let timer = HostTimer::start();
         let mut signals = Signals::listen().before_start()?;
-        let mut port = args.link.to_link(timer).before_start()?;
-        print_line(&args.link.open(&mut port).await.before_start()?);
+        let (port, place) = args.link.flag().before_start()?.open(timer).await.before_start()?;
+        print_line(&place);
         let mut player = Player { port, timer, speed: args.speed };
         tokio::select! {
             result = player.play(&run, args) => result.while_running(),
             () = signals.received() => Ok(()),
         }
     })
+    .before_start()?
 }
 
 /// Maps host time to recording time.
@@ -153,7 +152,6 @@ impl Player {
         }
     }
 
-    /// Answers the station until `due`.
     async fn serve_until(&mut self, due: Timestamp<HostClock>, clock: DataClock, brick: &mut RecordedRobot) {
         loop {
             let now = self.timer.now();

@@ -1,5 +1,4 @@
 //! Converts figures to pixels, for programs that do not show SVG.
-//!
 //! Only with the feature `png`, and in tests: the rasteriser takes longer to build than most other crates. Its only font is embedded,
 //! so that figures are the same on every computer.
 

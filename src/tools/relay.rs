@@ -1,18 +1,15 @@
-//! `posebridge relay`: connects two real links through an impaired one.
-//!
-//! Bytes from one end go through the link model ([`posebridge_sim::impairment`]) to the other end. A datagram is one unit, and so is
-//! one read of a stream; frames are decoded only for the final report of complete frames per sender. An outage of the model is silence;
-//! the real links stay open. An end never gets its own data back, so the peers of one end do not receive each other's frames.
-
-mod ends;
+//! `posebridge relay`: connects two real links through an impaired one ([`posebridge_sim::impairment`]). A datagram is one unit, and so
+//! is one read of a stream; frames are decoded only for the final report. An outage of the model is silence; the real links stay open.
+//! An end never gets its own data back, so the peers of one end do not receive each other's frames.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::Args;
-use posebridge_link::{HostTimer, Link, LinkEvent};
+use clap::error::ErrorKind;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkUrl};
 use posebridge_recording::container::RecordingHeader;
 use posebridge_sim::impairment::{
     Counters, FrameCounts, FrameLedger, ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkKind, LinkProfile,
@@ -20,15 +17,12 @@ use posebridge_sim::impairment::{
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
 use serde::Serialize;
 
-use super::link_profile;
-use crate::config::{Config, LinkSection};
+use crate::config::{Config, LinkSection, RecordingLimits, load_link_profile};
 use crate::console::{print_line, print_result};
-use crate::exit::{ExitStage, Failure, Signals};
-use crate::flags::{StationLink, positive};
+use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
+use crate::flags::{LinkFlag, links_in_order, positive};
 use crate::station::recorder::{Recorder, RecordingTotals};
 use crate::station::recording_files::header;
-
-pub use self::ends::RelayEnds;
 
 /// Flags of `relay`.
 #[derive(Args, Clone, Debug)]
@@ -53,6 +47,53 @@ pub struct RelayArgs {
     pub json: bool,
 }
 
+/// The two ends, connecting or listening, in the order of the command line: a profile distinguishes the brick's end from the station's.
+#[derive(Clone, Debug)]
+pub struct RelayEnds {
+    pub brick: LinkFlag,
+    pub station: LinkFlag,
+}
+
+const DIAL: &str = "url";
+const LISTEN: &str = "listen";
+
+impl Args for RelayEnds {
+    fn augment_args(command: Command) -> Command {
+        let link =
+            |id: &'static str, help: &'static str| Arg::new(id).value_name("URL").action(ArgAction::Append).help(help);
+        command.args([
+            link(DIAL, "Connect to this link. The first link goes to the robot, the second to the station")
+                .num_args(0..),
+            link(LISTEN, "Wait for a connection on this link. It counts at its position among the links").long(LISTEN),
+        ])
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for RelayEnds {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let ends = links_in_order(matches, [(DIAL, ConnectRole::Dial), (LISTEN, ConnectRole::Listen)]);
+        let count = ends.len();
+        let ends = <[LinkFlag; 2]>::try_from(ends).map_err(|_other_count| {
+            let message = format!(
+                "a relay has two ends and was given {count}: URL calls a link, --listen URL waits on one; \
+                 the brick's end comes first\n"
+            );
+            clap::Error::raw(ErrorKind::WrongNumberOfValues, message)
+        })?;
+        let [brick, station] = ends;
+        Ok(Self { brick, station })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
 /// Retry period of a chunk that an end does not accept: the resolution of a timer.
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(2);
 /// Limit of the time for delivering arrived data when the relay is stopped.
@@ -60,12 +101,8 @@ const DRAIN_TIMEOUT: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Runs until Ctrl-C, `--duration`, or the end of a played file.
 pub fn execute(args: &RelayArgs) -> Result<(), Failure> {
-    let profile = link_profile::load(&args.impair).before_start()?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
-    let result = runtime.block_on(relay(args, &profile));
-    // An attempt to open a device that hangs must not keep the program alive.
-    runtime.shutdown_background();
-    result
+    let profile = load_link_profile(&args.impair).before_start()?;
+    run_in_runtime(relay(args, &profile)).before_start()?
 }
 
 async fn relay(args: &RelayArgs, profile: &LinkProfile) -> Result<(), Failure> {
@@ -106,14 +143,10 @@ fn start_recorder(args: &RelayArgs, timer: &HostTimer) -> Result<Option<Recorder
     let Some(path) = &args.record else {
         return Ok(None);
     };
-    let urls = [&args.ends.brick, &args.ends.station].map(|end| url_of(end).to_owned());
+    let urls = [args.ends.brick.url.clone(), args.ends.station.url.clone()];
     let config = Config { links: urls.iter().take(1).map(|url| LinkSection::new(url)).collect(), ..Config::default() };
     let header = RecordingHeader { links: urls.to_vec(), ..header(&config, timer.utc_start())? };
-    Recorder::start(Path::new(path), &header).map(Some)
-}
-
-fn url_of(end: &StationLink) -> &str {
-    end.listen.as_deref().or(end.link.as_deref()).unwrap_or_default()
+    Recorder::start(path, &header, RecordingLimits::default()).map(Some)
 }
 
 struct RelayEndpoint {
@@ -125,10 +158,10 @@ struct RelayEndpoint {
 }
 
 impl RelayEndpoint {
-    async fn open(name: &'static str, flags: &StationLink, timer: HostTimer, kind: LinkKind) -> Result<Self> {
-        let mut port = flags.to_link(timer).with_context(|| format!("{name} end"))?;
-        let endpoint = flags.open(&mut port).await?;
-        print_line(&format!("{name} end {endpoint}"));
+    async fn open(name: &'static str, flag: &LinkFlag, timer: HostTimer, kind: LinkKind) -> Result<Self> {
+        LinkUrl::parse(&flag.url).map(drop).with_context(|| format!("{name} end"))?;
+        let (port, place) = flag.open(timer).await?;
+        print_line(&format!("{name} end {place}"));
         match (kind, port.is_datagram()) {
             (LinkKind::Stream, true) => print_line(&format!(
                 "{name} end: the profile is for streams, so that a datagram may leave in pieces or lack bytes"
@@ -446,4 +479,31 @@ fn rows(direction: &DirectionReport) -> [(&'static str, u64); 16] {
         ("bytes that the end did not take", direction.bytes_untaken),
         ("chunks that its port dropped", direction.chunks_dropped),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(words: &[&str]) -> Result<RelayEnds, clap::Error> {
+        let matches = RelayEnds::augment_args(Command::new("relay")).try_get_matches_from(words)?;
+        RelayEnds::from_arg_matches(&matches)
+    }
+
+    #[test]
+    fn the_first_link_is_the_bricks_however_it_is_opened() {
+        let ends = parse(&["relay", "--listen", "tcp://:1", "udp://host:2"]).unwrap();
+        assert_eq!((ends.brick.url.as_str(), ends.brick.role), ("tcp://:1", ConnectRole::Listen));
+        assert_eq!((ends.station.url.as_str(), ends.station.role), ("udp://host:2", ConnectRole::Dial));
+        let ends = parse(&["relay", "serial:/dev/ttyUSB0", "--listen", "tcp://:1"]).unwrap();
+        assert_eq!(ends.brick.role, ConnectRole::Dial);
+        assert_eq!(ends.station.role, ConnectRole::Listen);
+    }
+
+    #[test]
+    fn one_end_or_three_are_refused() {
+        for words in [&["relay", "udp://:1"][..], &["relay", "a", "b", "--listen", "c"]] {
+            assert!(parse(words).is_err(), "{words:?}");
+        }
+    }
 }

@@ -1,13 +1,6 @@
-//! `posebridge replay`: runs estimators over a recording, offline, with the same engine as live.
-//!
-//! The station gets the inputs of a posebridge recording (`*.mcap`) exactly as live, so its events are those of the live run, bit for
-//! bit. A descriptor of a foreign recording (`*.toml`) is converted to observations; each estimator is then scored against the truth or
-//! against the withheld fixes.
-//!
-//! Several estimators of one posebridge recording run in parallel, input by input; those of a descriptor one after the other. `--from`
-//! and `--to` select the evaluated part: the filter also gets the inputs before it, so that its state is that of the live run, but
-//! events, tallies and errors begin there. Flags that change the configuration make it another run than the recorded one, and a note
-//! says so.
+//! `posebridge replay`: runs estimators over a recording, offline, with the engine of a live run, so that the events of a posebridge
+//! recording are those of the live run, bit for bit. Estimators of a descriptor's run are scored against the truth or the withheld
+//! fixes. `--from` and `--to` select the evaluated part: the filter also gets the inputs before it.
 
 pub mod foreign;
 pub mod own;
@@ -257,41 +250,5 @@ pub(super) fn source(tally: &SourceTally) -> SourceEntry {
         mean_nis_per_dof: tally.mean_nis_per_dof(),
         degrees_of_freedom: tally.degrees_of_freedom(),
         consistency: tally.consistency().as_text(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use posebridge_report::ErrorSummary;
-    use posebridge_telemetry::{Calibration, SensorId, UncertainValue};
-
-    use crate::config::RobotFile;
-
-    #[test]
-    fn what_was_learned_stands_under_its_run_and_its_key() {
-        let calibration =
-            Calibration { track_scale: UncertainValue { value: 0.116, sigma: 0.004 }, ..Calibration::default() };
-        let outcome = FilterResult {
-            name: "pose".to_owned(),
-            robot: None,
-            errors: ErrorSummary::default(),
-            position_rms_uncorrected_m: Some(0.0194),
-            learned: vec![LearnedCalibration {
-                run: "robot4".to_owned(),
-                robot: RobotFile::default(),
-                prior: Calibration::default(),
-                calibration,
-            }],
-            sources: vec![SourceTally::new(SensorId::CAMERA)],
-        };
-        let json = serde_json::to_value(estimator(&outcome)).unwrap();
-        let learned = &json["calibration"]["robot4"];
-        assert_eq!(learned["track_scale"]["value"], 0.116);
-        assert_eq!(learned["track_scale"]["sigma"], 0.004);
-        assert_eq!(learned.as_object().unwrap().len(), CALIBRATION_KEYS.len());
-        assert_eq!(json["position_rms_uncorrected_m"], 0.0194);
-        assert_eq!(json["sources"][0]["consistency"], "undetermined");
-        assert_eq!(json["sources"][0]["degrees_of_freedom"], 0);
     }
 }

@@ -1,5 +1,4 @@
 //! `posebridge report`: a recording as a self-contained page, with every figure also as a file.
-//!
 //! All results come from replaying the recorded inputs through the engine, by the code of `replay`; no output of the live run is used,
 //! except the ground truth of a simulated one. Docs: docs/reports.md.
 
@@ -152,7 +151,7 @@ fn title_of(robot: &RobotFile) -> String {
 }
 
 fn own_facts(recording: &OwnRecording, robot: &RobotFile) -> Vec<(String, String)> {
-    let header = &recording.header;
+    let header = recording.header();
     let fact = |name: &str, value: String| (name.to_owned(), value);
     let mut facts = vec![fact("robot", robot.name.clone())];
     if header.utc_start_micros > 0 {

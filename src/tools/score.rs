@@ -1,10 +1,6 @@
-//! Scores an estimator against data that it did not get: ground truth, or withheld fixes.
-//!
-//! The estimate for an instant is taken as soon as the motion until that instant has been observed, with the fixes that had arrived by
-//! then: the filter's history interpolates the motion within an encoder interval.
-//!
-//! A camera with a timestamp delay also delays the withheld fixes. An estimator of the delay is scored at the timestamp minus its
-//! present estimate of the delay; the score at the timestamp itself is kept as well.
+//! Scores an estimator against data that it did not get: ground truth, or withheld fixes. The estimate for an instant is taken as soon
+//! as the motion until then has been observed. A camera with a timestamp delay also delays the withheld fixes: an estimator of the
+//! delay is scored at the timestamp minus its present estimate of the delay; the score at the timestamp itself is kept as well.
 
 use posebridge_recording::dataset::{DatasetRun, TruthPose, WithheldFix};
 use posebridge_report::PoseError;

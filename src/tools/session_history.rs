@@ -1,8 +1,5 @@
-//! Time series of a session, collected from the engine's events in bounded memory.
-//!
-//! Times are seconds since the first input, by the host's clock. Tests and tallies use all data; plotted series are thinned in sessions
-//! of hours ([`ThinnedSeries`]). [`EventTimeline`] lists noteworthy events as text: frequent ones are excluded, damage is listed once
-//! for each link and kind, and the tables of the links count it.
+//! Time series of a session, collected from the engine's events in bounded memory. Times are seconds since the first input, by the
+//! host's clock. Tests and tallies use all data; plotted series are thinned in sessions of hours ([`ThinnedSeries`]).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -124,6 +121,7 @@ impl SessionHistory {
         }
     }
 
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the other events change nothing here")]
     fn on_clock_event(&mut self, t_s: f64, event: &Event) {
         match event {
             Event::Health { link, health, .. } => {
@@ -140,22 +138,11 @@ impl SessionHistory {
                     round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
                 });
             }
-            Event::EstimateUpdated { estimate, .. } => {
-                if estimate.validity.position {
-                    self.estimates.push((t_s, *estimate));
-                }
+            Event::EstimateUpdated { estimate, .. } if estimate.validity.position => {
+                self.estimates.push((t_s, *estimate));
             }
             Event::ObservationFused { record, .. } => self.on_fusion(t_s, record),
-            Event::ObservationAligned { .. }
-            | Event::Temperature { .. }
-            | Event::RobotDetected { .. }
-            | Event::RobotNamed { .. }
-            | Event::RobotLost { .. }
-            | Event::BrickRestarted { .. }
-            | Event::CameraClockAligned { .. }
-            | Event::Link { .. }
-            | Event::ReceiveError { .. }
-            | Event::Text { .. } => {}
+            _ => {}
         }
     }
 }
@@ -218,9 +205,9 @@ pub struct TimelineEntry {
     pub text: String,
 }
 
+/// Noteworthy events as text: frequent ones are left out, damage is listed once for each link and kind.
 #[derive(Debug, Default)]
 pub struct EventTimeline {
-    /// In order.
     pub entries: Vec<TimelineEntry>,
     pub omitted: u64,
     /// Events that are listed only once.
@@ -305,25 +292,10 @@ const fn kind_of(defect: &ReceiveError) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Address, RobotId};
+    use posebridge_telemetry::Address;
 
     fn text(text: &str) -> Event {
         Event::Text { source: Address::new(1, 1), severity: 4, text: text.to_owned() }
-    }
-
-    #[test]
-    fn damage_is_named_once_and_the_rest_in_order() {
-        let mut timeline = EventTimeline::default();
-        let damage = Event::ReceiveError { link: LinkId(0), defect: ReceiveError::UnframedBytes { bytes: 3 } };
-        timeline.on_event(1.0, &text("battery low"));
-        timeline.on_event(2.0, &damage);
-        timeline.on_event(3.0, &damage);
-        timeline.on_event(4.0, &Event::BrickRestarted { robot: RobotId::default() });
-        let texts: Vec<&str> = timeline.entries.iter().map(|one| one.text.as_str()).collect();
-        assert_eq!(texts.len(), 3);
-        assert_eq!(texts[0], "1/1: battery low (severity 4)");
-        assert_eq!(texts[1], "first on link 0: bytes outside every frame");
-        assert!(texts[2].contains("restarted"));
     }
 
     #[test]

@@ -1,5 +1,4 @@
 //! `posebridge sim`: simulated bricks in a separate process.
-//!
 //! It listens for a station, or connects to one, drives its path and writes the truth to a file on request. The truth is never sent
 //! over the link. The camera of a brick without MAVLink has a separate link.
 
@@ -7,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use posebridge_link::{HostTimer, Link};
+use posebridge_link::HostTimer;
 use posebridge_sim::scenario::Personality;
 use posebridge_sim::{Scenario, Simulation, Steering, ev3_beacon};
 use tokio_util::sync::CancellationToken;
@@ -15,8 +14,8 @@ use tokio_util::sync::CancellationToken;
 use super::ground_truth::write_truth_file;
 use crate::config::load_scenario;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure, Signals};
-use crate::flags::StationLink;
+use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
+use crate::flags::{LinkFlag, StationLink};
 use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
 
 /// Placeholder for a robot's system in a URL or file name.
@@ -104,8 +103,7 @@ pub fn execute(args: &SimArgs) -> Result<(), Failure> {
         Some(count) => scenario.side_by_side(count).before_start()?,
         None => vec![scenario],
     };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().before_start()?;
-    let simulations = runtime.block_on(run_bricks(scenarios, args))?;
+    let simulations = run_in_runtime(run_bricks(scenarios, args)).before_start()??;
     if let Some(path) = &args.truth {
         for simulation in &simulations {
             write_truth(path, simulation).while_running()?;
@@ -166,7 +164,6 @@ fn check_robots(args: &SimArgs, personality: Personality) -> Result<()> {
     Ok(())
 }
 
-/// Replaces the placeholder by the robot's system.
 fn for_system(text: &str, system: u8) -> String {
     text.replace(SYSTEM_PLACEHOLDER, &system.to_string())
 }
@@ -198,10 +195,8 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
     let mut bricks = Vec::new();
     for scenario in scenarios {
         let system = scenario.brick.system;
-        let link = StationLink {
-            listen: args.link.listen.as_deref().map(|url| for_system(url, system)),
-            link: args.link.link.as_deref().map(|url| for_system(url, system)),
-        };
+        let mut link = args.link.flag().before_start()?;
+        link.url = for_system(&link.url, system);
         let simulation = simulation(scenario, args);
         let (ports, endpoint) = ports(args, &link, timer).await.before_start()?;
         let name = args.robots.map_or_else(|| "brick".to_owned(), |_| format!("brick {system}"));
@@ -222,37 +217,27 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
 }
 
 /// All open ports of a brick, and a description of them.
-async fn ports(args: &SimArgs, link: &StationLink, timer: HostTimer) -> Result<(BrickPorts, String)> {
-    let (brick, mut endpoint) = open(link, timer).await?;
+async fn ports(args: &SimArgs, link: &LinkFlag, timer: HostTimer) -> Result<(BrickPorts, String)> {
+    let (brick, mut places) = link.open(timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
     let mut ports = BrickPorts::of(SimulatedCable::fixed(brick));
-    let camera = StationLink { listen: args.camera.camera_listen.clone(), link: args.camera.camera_link.clone() };
-    if camera.listen.is_some() || camera.link.is_some() {
-        let (port, own_endpoint) = open(&camera, timer).await?;
+    let CameraLink { camera_listen, camera_link } = &args.camera;
+    if let Some(camera) = LinkFlag::from_values(camera_listen.as_deref(), camera_link.as_deref()) {
+        let (port, place) = camera.open(timer).await?;
         ports.camera = Some(port);
-        endpoint.push_str("; its camera ");
-        endpoint.push_str(&own_endpoint);
+        places = format!("{places}; its camera {place}");
     }
-    if args.images_listen.is_some() {
-        let eye = StationLink { listen: args.images_listen.clone(), link: None };
-        let (port, own_endpoint) = open(&eye, timer).await?;
+    if let Some(images) = LinkFlag::from_values(args.images_listen.as_deref(), None) {
+        let (port, place) = images.open(timer).await?;
         ports.images = Some(port);
-        endpoint.push_str("; its images ");
-        endpoint.push_str(&own_endpoint);
+        places = format!("{places}; its images {place}");
     }
-    if let Some(url) = &args.announce {
+    if let Some(announce) = LinkFlag::from_values(None, args.announce.as_deref()) {
         let beacon = beacon_of(beacon_port)?;
-        let to = StationLink { listen: None, link: Some(url.clone()) };
-        let (port, _) = open(&to, timer).await?;
+        let (port, _) = announce.open(timer).await?;
         ports.announcement = Some(Announcement::new(port, beacon));
     }
-    Ok((ports, endpoint))
-}
-
-async fn open(link: &StationLink, timer: HostTimer) -> Result<(Link, String)> {
-    let mut port = link.to_link(timer)?;
-    let endpoint = link.open(&mut port).await?;
-    Ok((port, endpoint))
+    Ok((ports, places))
 }
 
 /// The UDP beacon of an EV3 that listens on this port.

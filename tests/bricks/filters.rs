@@ -5,14 +5,12 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use posebridge_estimator::{FilterConfig, Params, find_filter};
+use posebridge::config::{Config, RobotProfile};
+use posebridge_estimator::{FilterConfig, find_filter};
 use posebridge_lab::square::{
     Method, SensorRow, SensorTable, TableSensor, corrected_methods, parse, printed_methods, swapped_methods, write,
 };
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{
-    Calibration, DriveGeometry, Heading, Meters, Pose, Radians, SensorNoise, StartPose, UncertainValue,
-};
 
 use crate::support::root;
 
@@ -21,36 +19,8 @@ const TOLERANCE: f64 = 1e-9;
 const SENSES: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 
 fn config() -> FilterConfig {
-    FilterConfig {
-        geometry: DriveGeometry {
-            left_wheel_radius: Meters(0.0281),
-            right_wheel_radius: Meters(0.0279),
-            track_width: Meters(0.1115),
-            tick: Radians(1.0_f64.to_radians()),
-        },
-        noise: SensorNoise {
-            wheel_travel_m_per_sqrt_m: 0.0008,
-            travel_m_per_sqrt_m: 0.001,
-            turn_rad_per_sqrt_rad: 0.004,
-            heading_rad_per_sqrt_m: 0.003,
-            gyro_rad_per_s: 0.6_f64.to_radians(),
-            gyro_resolution_rad_per_s: 1.0_f64.to_radians(),
-            gyro_bias_walk_rad_per_s_sqrt_s: 0.01_f64.to_radians(),
-            accelerometer_m_per_s2: 0.05,
-            ..SensorNoise::EXACT
-        },
-        start: Some(StartPose {
-            pose: Pose::new(Meters(0.2), Meters(-0.1), Heading::from_rad(0.3)),
-            position_sigma_m: 0.01,
-            heading_sigma_rad: 0.02,
-        }),
-        params: Params::default(),
-        calibration: Calibration {
-            gyro_bias_rad_per_s: UncertainValue { value: 0.002, sigma: 0.003 },
-            ..Calibration::default()
-        },
-        arena_map: std::sync::Arc::default(),
-    }
+    let robot = RobotProfile::from_toml(include_str!("../data/filters-robot.toml")).unwrap();
+    Config::default().with_robot(robot).filter_config().unwrap()
 }
 
 /// The same numbers as the program on the brick takes them.

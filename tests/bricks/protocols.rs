@@ -1,7 +1,7 @@
 //! Every protocol that the simulated brick speaks, through one body: a square with a camera at 5 Hz, in virtual time.
 
+use crate::support::{errors_mm, used};
 use posebridge::config::{Config, Ev3Section, LinkSection, NxtSection, NxtSensorKind, NxtSensorSection, Place};
-use posebridge::station::run_report::{SimulationTruth, errors};
 use posebridge::virtual_station::{self, VirtualLink, VirtualRun};
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::scenario::MissingSensor;
@@ -42,22 +42,9 @@ fn driven(brick: &str, laps: u32, seed: u64, link: &VirtualLink) -> VirtualRun {
     virtual_station::run_over_link(scenario, config.station_config().unwrap(), link).unwrap()
 }
 
-/// The estimate's and the odometry's error, rms, in millimetres.
-fn errors_mm(run: &VirtualRun) -> [f64; 2] {
-    let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
-    [estimate, odometry].map(|error| 1e3 * error.position_rms_m.unwrap())
-}
-
-/// How many observations of a sensor were used.
-fn used(run: &VirtualRun, sensor: SensorId) -> f64 {
-    let mut sources = run.collector.sources.iter();
-    let tally = sources.find(|tally| tally.sensor == sensor);
-    tally.map_or(0.0, |tally| tally.used as f64)
-}
-
 /// How many observations a sensor gave, per second.
 fn rate_hz(run: &VirtualRun, sensor: SensorId) -> f64 {
-    used(run, sensor) / run.simulation.elapsed().as_secs_f64()
+    used(run, sensor) as f64 / run.simulation.elapsed().as_secs_f64()
 }
 
 #[test]
@@ -115,7 +102,8 @@ fn an_nxt_tells_its_whole_state_fourteen_times_a_second_and_three_times_as_often
     // What connecting costs drops out.
     let (one, three) = (drive(1), drive(3));
     let seconds = (three.simulation.elapsed() - one.simulation.elapsed()).as_secs_f64();
-    let rates = [SensorId::WHEELS, SensorId::GYRO].map(|sensor| (used(&three, sensor) - used(&one, sensor)) / seconds);
+    let rates =
+        [SensorId::WHEELS, SensorId::GYRO].map(|sensor| (used(&three, sensor) - used(&one, sensor)) as f64 / seconds);
     let by_maps = rates[0].min(rates[1]);
     let clock = || vec![TICK.to_vec()];
     // What the two maps hold, and the clock; and no more than this robot needs.
@@ -168,10 +156,10 @@ fn an_ev3_that_waits_for_a_sensor_that_is_not_there_costs_its_wheels_three_secon
         virtual_station::run_over_link(scenario, config.station_config().unwrap(), &VirtualLink::default()).unwrap();
     let full = driven("ev3", 2, 3, &VirtualLink::default());
     let missing_s =
-        run.simulation.elapsed().as_secs_f64() - used(&run, SensorId::WHEELS) / rate_hz(&full, SensorId::WHEELS);
+        run.simulation.elapsed().as_secs_f64() - used(&run, SensorId::WHEELS) as f64 / rate_hz(&full, SensorId::WHEELS);
     println!("wheels are missing for {missing_s:.1} s of {:.1} s", run.simulation.elapsed().as_secs_f64());
     assert!((2.5..4.0).contains(&missing_s), "{missing_s}");
-    assert_eq!(used(&run, SensorId::GYRO), 0.0);
+    assert_eq!(used(&run, SensorId::GYRO), 0);
 }
 
 /// A program that somebody stops and starts again every so many seconds; both zero the counters.

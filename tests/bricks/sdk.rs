@@ -1,14 +1,13 @@
-//! The brick SDK and the station: robots in C and in Python that are driven against the same station, and robot profiles.
-//!
+//! The brick SDK and the station: robots in C and in Python that are driven against the same station.
 //! A board stands behind each robot as lines of text (brick/check/robot.c), time is virtual, and the clock of the robot is wrong
 //! and wraps in the middle. That the SDKs make the right bytes is tested in brick/rust.
 
 use std::f64::consts::TAU;
 use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-use posebridge::config::{Config, ROBOTS, RobotProfile, RobotStart};
+use posebridge::config::{Config, RobotStart};
 use posebridge_station::Station;
 use posebridge_telemetry::{Estimate, Event, Input, LinkId, LinkState, Output, PeerId, TimeDelta, Timestamp};
 
@@ -164,20 +163,4 @@ fn compiled(program: &Path) -> Command {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     Command::new(program)
-}
-
-#[test]
-fn every_robot_profile_loads_and_bears_the_name_of_its_file() {
-    let files = std::fs::read_dir(root().join("config/robots")).unwrap();
-    let mut found: Vec<PathBuf> = files.map(|file| file.unwrap().path()).collect();
-    found.sort();
-    let stems: Vec<&str> = found.iter().map(|path| path.file_stem().unwrap().to_str().unwrap()).collect();
-    assert_eq!(stems, ROBOTS.iter().map(|robot| robot.name).collect::<Vec<_>>());
-    for (path, stem) in found.iter().zip(stems) {
-        let profile = RobotProfile::read(path).unwrap();
-        assert_eq!(profile.robot.name, stem);
-        let config = Config::default().with_robot(profile);
-        config.filter_config().unwrap();
-        config.station_config().unwrap();
-    }
 }

@@ -44,12 +44,6 @@ impl DrivenRun {
         estimate.pose.origin().distance(truth.pose.origin()).0
     }
 
-    /// Half of the large axis of the 95 % ellipse, in metres.
-    fn ellipse_m(&self, secs: f64) -> f64 {
-        let estimate = self.estimate_at(secs);
-        estimate.x_sigma_m().hypot(estimate.y_sigma_m())
-    }
-
     fn texts(&self) -> Vec<&str> {
         let texts = self.events.iter().filter_map(|(_, event)| match event {
             Event::Text { text, .. } => Some(text.as_str()),
@@ -118,20 +112,6 @@ fn a_kidnapped_robot_is_found_again_and_the_jump_is_counted() {
 }
 
 #[test]
-fn without_a_camera_the_ellipse_grows_and_shrinks_when_it_is_back() {
-    let commands =
-        [at(6.0, SimulatorCommand::Camera(SensorSwitch::Off)), at(12.0, SimulatorCommand::Camera(SensorSwitch::On))];
-    let run = driven("square", &commands, 14.0);
-    let (before, dark, after) = (run.ellipse_m(5.9), run.ellipse_m(8.0), run.ellipse_m(14.0));
-    assert!(dark > 1.5 * before, "{dark} {before}");
-    assert!(run.ellipse_m(12.0) > dark);
-    assert!(after < 1.5 * before, "{after} {before}");
-    let fixes = run.verdicts_of(SensorId::CAMERA);
-    // What was seen before is still on its way for a while.
-    assert_eq!(fixes.filter(|(at_s, _)| (6.5..12.0).contains(at_s)).count(), 0);
-}
-
-#[test]
 fn a_slipping_wheel_is_called_slip_and_told_once() {
     let slip = |secs| {
         let wheel = SlippingWheel::Left;
@@ -157,21 +137,6 @@ fn a_slipping_wheel_is_called_slip_and_told_once() {
     let truth = run.truth_at(5.0);
     let odometry_m = truth.odometry.origin().distance(truth.pose.origin()).0;
     assert!(odometry_m > 3.0 * run.off_m(5.0), "{odometry_m} {}", run.off_m(5.0));
-}
-
-#[test]
-fn a_late_camera_is_used_at_its_own_time() {
-    let delay = TimeDelta::from_millis(700);
-    let run = driven("square", &[at(6.0, SimulatorCommand::CameraDelay { delay })], 12.0);
-    let lags: Vec<(f64, FusionOutcome)> = run
-        .records()
-        .filter(|(at_s, record)| record.kind == "fix" && *at_s > 8.0)
-        .map(|(_, record)| (record.lag.as_secs_f64(), record.outcome))
-        .collect();
-    let used = lags.iter().filter(|(_, verdict)| *verdict == FusionOutcome::Accepted);
-    assert!(used.count() > 15, "{lags:?}");
-    assert!(lags.iter().all(|(lag_s, _)| (0.6..0.85).contains(lag_s)), "{lags:?}");
-    assert!(run.off_m(11.9) < 0.03, "{} m", run.off_m(11.9));
 }
 
 #[test]

@@ -1,11 +1,14 @@
 //! Command lines: those of the documentation are understood, those that make no sense are refused.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::support::{assert_refused, root};
+use crate::support::{assert_refused, committed_data, descriptor, read_text, root, write_text};
 use clap::Parser;
 use clap::error::ErrorKind;
-use posebridge::cli::Cli;
+use posebridge::cli::{Cli, Command};
+use posebridge::station::run::configuration;
+use serde::Deserialize;
 
 fn pages() -> Vec<PathBuf> {
     let mut pages = vec![root().join("README.md")];
@@ -31,7 +34,7 @@ fn commands(page: &Path) -> Vec<String> {
 
 #[test]
 fn every_command_of_the_documentation_is_understood() {
-    let mut found = 0;
+    let (mut found, mut with_bricks) = (0, 0);
     for page in pages() {
         for command in commands(&page) {
             // A value in quotes is one word.
@@ -39,6 +42,11 @@ fn every_command_of_the_documentation_is_understood() {
                 if number % 2 == 1 { vec![part] } else { part.split_whitespace().collect() }
             });
             match Cli::try_parse_from(words) {
+                // Those of the pages about bricks have what they name.
+                Ok(Cli { command: Some(Command::Run(args)), .. }) if command.contains("config/robots") => {
+                    configuration(&args).unwrap_or_else(|error| panic!("{command}: {error:#}"));
+                    with_bricks += 1;
+                }
                 Ok(_) => {}
                 Err(error) if error.kind() == ErrorKind::DisplayHelp => {}
                 Err(error) => panic!("{}: {command}: {error}", page.display()),
@@ -46,34 +54,41 @@ fn every_command_of_the_documentation_is_understood() {
             found += 1;
         }
     }
-    assert!(found > 60, "{found} commands");
+    assert!(found > 60 && with_bricks >= 5, "{found} commands, {with_bricks} with bricks");
 }
 
-/// Whoever gave such a flag would believe that it did something.
+#[derive(Deserialize)]
+struct RefusedCommands {
+    files: BTreeMap<String, String>,
+    refused: Vec<RefusedCommand>,
+}
+
+#[derive(Deserialize)]
+struct RefusedCommand {
+    command: String,
+    #[serde(default = "could_not_start")]
+    code: i32,
+    words: Vec<String>,
+}
+
+const fn could_not_start() -> i32 {
+    2
+}
+
 #[test]
-fn flags_that_make_no_sense_or_do_not_go_together_are_refused() {
+fn what_makes_no_sense_is_refused_with_a_reason_and_leaves_nothing_behind() {
     let folder = tempfile::tempdir().unwrap();
-    assert_refused(
-        folder.path(),
-        &[
-            // Numbers that cannot be.
-            ("run --duration=-1", 2, &["--duration"]),
-            ("run --duration nan", 2, &["--duration"]),
-            ("run --until-silent inf", 2, &["--until-silent"]),
-            ("run --laps 0", 2, &["--laps"]),
-            ("play x.toml --listen pty:x --speed 0", 2, &["--speed"]),
-            // Two sources.
-            ("lab nxt-square --link tcp://127.0.0.1:9 --recording a.mcap", 2, &["--recording", "cannot be used with"]),
-            // How a live robot is recorded, of a recording that is there.
-            ("lab wall --recording a.mcap --duration 3", 2, &["--duration"]),
-            ("calibrate umbmark a.mcap --config c.toml", 2, &["--config"]),
-            // What only a real robot has, and what only the simulation has.
-            ("identify rest --set a=1", 2, &["--set"]),
-            ("identify step --recording a.csv --sim motor", 2, &["--sim"]),
-            ("tune --sim camera-1hz --hold-out r", 2, &["--hold-out"]),
-            ("calibrate path a.mcap --online --hold track", 2, &["--hold"]),
-            ("replay x.mcap --use-every 4", 2, &["--use-every"]),
-        ],
-    );
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "what is refused leaves nothing behind");
+    let folder = folder.path();
+    let file: RefusedCommands = toml::from_str(&read_text(&root(), "tests/data/refused_commands.toml")).unwrap();
+    for (name, text) in &file.files {
+        write_text(folder, name, text);
+    }
+    assert!(file.refused.len() > 50);
+    for RefusedCommand { command, code, words } in &file.refused {
+        let command = command.replace("{data}", &committed_data()).replace("{optiodom}", &descriptor("optiodom.toml"));
+        let command = command.replace("{lego}", &descriptor("lego-nxt-camera.toml"));
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        assert_refused(folder, &[(&command, *code, &words)]);
+        assert_eq!(std::fs::read_dir(folder).unwrap().count(), file.files.len(), "{command}");
+    }
 }

@@ -5,7 +5,7 @@ use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::Path;
 
 use crate::support::mavlink::PATIENCE;
-use crate::support::{RunningProgram, assert_refused, events_named, read_text, run, write_text};
+use crate::support::{RunningProgram, events_named, read_text, run, write_text};
 use posebridge_sim::impairment::{ImpairedLink, ImpairedLinkEvent, LinkEnd, LinkProfile};
 use posebridge_telemetry::Timestamp;
 use serde_json::Value;
@@ -166,22 +166,6 @@ fn it_ends_with_a_file_though_the_other_end_still_has_something_on_the_way() {
     assert_eq!(count(&report, "to_brick", "bytes_on_the_way"), 13);
     let took_s = report["duration_s"].as_f64().unwrap();
     assert!(took_s < 30.0, "it waited for what nobody takes: {took_s} s");
-}
-
-#[test]
-fn what_makes_no_sense_is_refused_with_a_reason() {
-    let folder = tempfile::tempdir().unwrap();
-    write_text(folder.path(), "wrong.toml", "kind = \"stream\"\n[both]\nlos = 0.1\n");
-    assert_refused(
-        folder.path(),
-        &[
-            ("relay pty:a.tty", 2, &["two ends"]),
-            ("relay pty:a.tty pty:b.tty --impair string", 2, &["string", "none, usb", "harsh"]),
-            ("relay pty:a.tty pty:b.tty --impair wrong.toml", 2, &["wrong.toml", "line 3", "los"]),
-            ("relay pty:a.tty pty:b.tty --impair none.toml", 2, &["none.toml"]),
-            ("relay pty:a.tty carrier:pigeon", 2, &["station end", "carrier"]),
-        ],
-    );
 }
 
 /// A relay between two TCP links of ours, and our ends: the brick's and the station's.

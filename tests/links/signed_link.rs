@@ -2,7 +2,6 @@
 
 use std::io::Write as _;
 use std::net::{TcpListener, TcpStream};
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use crate::support::mavlink::{HEARTBEAT, MavlinkPeer, wheel_ticks};
@@ -127,26 +126,6 @@ fn a_signed_session_replays_bit_for_bit_with_its_key_which_stands_nowhere_else()
     );
     run(folder, &["replay", "run/recording.mcap", "--key", "c.key", "--key", "b.key", "--events", "again.txt"]);
     assert!(read_text(folder, "again.txt") == live);
-}
-
-#[test]
-fn keys_are_refused_with_the_cure() {
-    let (folder, _key) = folder_with_key();
-    let folder = folder.path();
-    let (first, _link) = station(folder);
-    let other = "[[link]]\nurl = \"udp://127.0.0.1:0\"\nlisten = true\nsigning = { key_file = \"a.key\" }\n";
-    write_text(folder, "other.toml", other);
-    assert_refused(
-        folder,
-        &[
-            ("key new a.key", 2, &["never overwritten"]),
-            ("run --config other.toml --out other", 2, &["another station"]),
-        ],
-    );
-    first.kill();
-    std::fs::set_permissions(folder.join("a.key"), std::fs::Permissions::from_mode(0o644)).unwrap();
-    assert_refused(folder, &[("run --config other.toml --out other", 2, &["chmod 600 a.key", "link 0"])]);
-    assert!(!folder.join("other").exists());
 }
 
 /// What was accepted before a kill is refused after it, because the state is written when a stream is heard first.

@@ -6,33 +6,7 @@ use std::process::{Child, Command, Stdio};
 use crate::support::{RunningProgram, events_named, json, named, number, read_text, root, write_text};
 
 /// A square whose robot is not quite what its brick believes, with an overhead camera of 10 Hz and a few millimetres.
-const SCENARIO: &str = r#"
-seed = 7
-steering = "estimate"
-
-[path.square]
-side_m = 0.5
-
-[drive]
-laps = 1
-speed_m_per_s = 0.15
-
-[errors]
-radius_error = 0.005
-radius_error_sigma = 0.0
-radius_mismatch = 0.005
-radius_mismatch_sigma = 0.0
-track_error = -0.02
-track_error_sigma = 0.0
-
-[brick]
-clock_skew_ppm = 500.0
-
-[camera]
-rate_hz = 10.0
-position_sigma_m = 0.003
-heading_sigma_deg = 0.5
-"#;
+const SCENARIO: &str = include_str!("../data/camera-square.toml");
 
 /// What the script is late by: the time that a slow detector needs.
 const SECONDS_LATE: &str = "0.15";

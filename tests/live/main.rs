@@ -11,17 +11,9 @@ mod http;
 #[path = "../support/mod.rs"]
 mod support;
 
-mod adversity;
 mod camera_fixes;
 mod dashboard;
-mod endless_run;
-mod fix_requests;
-mod kill_minus_nine;
 mod plotjuggler;
-mod replay_equals_live;
-mod temperature;
+mod runs;
 mod terminal_picture;
-mod terminal_svg;
-mod terminal_user;
 mod terminal_view;
-mod two_processes;

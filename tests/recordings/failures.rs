@@ -1,5 +1,4 @@
 //! The disk fills, the folder takes no files, a file goes: the station says so once and goes on answering its robot.
-//!
 //! The test is the brick: it floods the station so that the recording grows, and the station's requests for the time show that the
 //! station goes on.
 

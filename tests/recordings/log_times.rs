@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::support::virtual_drive::record_drive;
 use crate::support::{assert_refused, exit_code_and_stderr, json, read_text, run, write_text};
-use crate::trajectory::{trajectory, worst_distance};
+use crate::{trajectory, worst_distance};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use posebridge_sim::Scenario;

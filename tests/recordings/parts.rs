@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::support::virtual_drive::record_drive;
-use crate::support::{SKEWED_SQUARE, assert_refused, exit_code_and_stderr, json, posebridge, read_text, run};
+use crate::support::{SKEWED_SQUARE, exit_code_and_stderr, json, posebridge, read_text, run};
 use posebridge::config::{Config, RecordingLimits};
 use posebridge::station::recording_parts::RecordingParts;
 use posebridge_recording::container::{FORMAT, RecordingHeader};
@@ -97,8 +97,6 @@ fn several_estimators_at_once_give_what_each_gives_alone() {
         assert_eq!(together["name"], *name);
     }
     assert_eq!(all["changed"], serde_json::json!(["filter.name=odometry", "filter.name=ekf5"]));
-    let twice = "replay drive.mcap --filter pose --filter ekf5 --events e.txt";
-    assert_refused(folder, &[(twice, 2, &["give --filter once"])]);
 }
 
 #[test]

@@ -1,44 +1,11 @@
-//! `replay --smooth`: the path in hindsight beside the filters, on a robot whose drive is known by hand, and what a person reads
-//! when there is none.
+//! `replay --smooth`: the path in hindsight beside the filters, on a robot whose drive is known by hand.
 
 use std::fmt::Write as _;
 
-use crate::support::virtual_drive::record_drive_and_truth;
-use crate::support::{SKEWED_SQUARE, WHEELS_CSV, json, number, read_text, run, write_text};
-use posebridge_sim::Scenario;
-use posebridge_telemetry::TimeDelta;
+use crate::support::{WHEELS_CSV, json, number, read_text, run, write_text};
 
 /// Straight along x at 0.1 m/s for 20 s: a tick is a millimetre, the camera looks once a second and every second fix is withheld.
-const DESCRIPTOR: &str = r#"
-name = "by-hand"
-source = "written by this test"
-licence = "-"
-default_run = "straight"
-
-[robot]
-left_wheel_radius_m = 0.1
-right_wheel_radius_m = 0.1
-track_width_m = 0.2
-ticks_per_turn = 628.3185307179587
-
-[robot.noise]
-wheel_travel_m_per_sqrt_m = 0.002
-turn_rad_per_sqrt_rad = 0.01
-fix_position_m = 0.005
-wall_range_m = 0.01
-
-[[runs]]
-name = "straight"
-
-[files.camera]
-path = "camera.csv"
-header_lines = 1
-time = { column = "t_s" }
-
-[[wall_range]]
-file = "wheels"
-range = { column = "wall_m" }
-"#;
+const DESCRIPTOR: &str = include_str!("../data/by-hand.toml");
 
 const FIXES: &str = r#"
 [[fixes]]
@@ -59,7 +26,7 @@ heading_sigma_rad = 0.1
 ";
 
 /// The descriptor and its data in a folder; one of the fixes is half a metre off.
-fn recording(parts: &[&str]) -> tempfile::TempDir {
+fn recording() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let mut wheels = "t_s,left,right,wall_m\n".to_owned();
     for tenth in 0..=200 {
@@ -73,13 +40,13 @@ fn recording(parts: &[&str]) -> tempfile::TempDir {
     }
     write_text(folder.path(), "wheels.csv", &wheels);
     write_text(folder.path(), "camera.csv", &camera);
-    write_text(folder.path(), "by-hand.toml", &(parts.concat() + WHEELS_CSV));
+    write_text(folder.path(), "by-hand.toml", &[DESCRIPTOR, FIXES, START, WHEELS_CSV].concat());
     folder
 }
 
 #[test]
 fn in_hindsight_the_start_is_known_and_the_outlier_left_out() {
-    let folder = recording(&[DESCRIPTOR, FIXES, START]);
+    let folder = recording();
     let folder = folder.path();
     let report = json(folder, &["replay", "by-hand.toml", "--filter", "pose", "--smooth"]);
     let smooth = &report["smooth"]["straight"];
@@ -103,34 +70,4 @@ fn in_hindsight_the_start_is_known_and_the_outlier_left_out() {
     assert!(table.lines().any(|line| line == note), "{table}");
     assert!(read_text(folder, "track.svg").contains("smoothed path"));
     assert!(!run(folder, &["replay", "by-hand.toml"]).contains("smooth"), "not asked for");
-}
-
-#[test]
-fn without_start_and_fixes_a_person_reads_why_there_is_no_path() {
-    let folder = recording(&[DESCRIPTOR]);
-    let folder = folder.path();
-    let reason = "nothing to smooth: 201 motion readings, 0 fixes and no start";
-    let table = run(folder, &["replay", "by-hand.toml", "--smooth"]);
-    let note = format!("straight: no smoothed path: {reason}");
-    assert!(table.lines().any(|line| line == note), "{table}");
-    let report = json(folder, &["replay", "by-hand.toml", "--smooth"]);
-    let smooth = &report["smooth"]["straight"];
-    assert_eq!(smooth["reason"], reason);
-    for figure in ["position_rms_m", "fixes_used", "iterations"] {
-        assert!(smooth[figure].is_null(), "{figure}");
-    }
-}
-
-#[test]
-fn a_recording_of_ours_is_smoothed_from_what_its_filter_was_given() {
-    let folder = tempfile::tempdir().unwrap();
-    let scenario = Scenario::from_toml(SKEWED_SQUARE).unwrap();
-    record_drive_and_truth(&folder.path().join("own.mcap"), scenario, TimeDelta::ZERO);
-    let report = json(folder.path(), &["replay", "own.mcap", "--smooth"]);
-    let smooth = &report["smooth"]["recording"];
-    assert!(smooth["reason"].is_null(), "{smooth}");
-    assert!(number(smooth, "/fixes_used") > 5.0, "{smooth}");
-    // The truth of a simulated run is in its recording.
-    let rms_m = number(smooth, "/position_rms_m");
-    assert!(rms_m > 0.0 && rms_m < 0.02, "{rms_m}");
 }

@@ -11,8 +11,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use crate::frame_account::{FrameAccount, max_unseen};
 use crate::support::{RunningProgram, write_text};
+use crate::{FrameAccount, max_unseen};
 use serde_json::Value;
 
 /// Length of the run that every commit makes, s.
@@ -36,16 +36,7 @@ const PATIENT_UDP: &str = "udp://127.0.0.1:0?idle_s=60";
 const HARSH_DATAGRAMS: &str = include_str!("../data/harsh-datagrams.toml");
 
 /// The bricks' frames are none of each other's business.
-const STATION: &str = r#"
-[[link]]
-url = "pty:station.tty"
-listen = true
-forward = "none"
-
-[[link]]
-url = "udp://RELAY"
-forward = "none"
-"#;
+const STATION: &str = include_str!("../data/two-links.toml");
 
 #[test]
 fn over_two_bad_links_the_losses_are_those_of_the_relays_and_the_memory_stays() {

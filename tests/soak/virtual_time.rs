@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::frame_account::{FrameAccount, max_unseen};
+use crate::{FrameAccount, max_unseen};
 use allocation_counter::{measure, opt_out};
 use posebridge::config::Config;
 use posebridge::station::event_collector::EventCollector;

@@ -90,47 +90,36 @@ impl Imports {
         Self { edges }
     }
 
-    /// The circles: for each group of files that import each other, a shortest circle in it, in words.
-    pub(crate) fn circles(&self) -> Vec<String> {
-        let mut circles = Vec::new();
-        let mut reported: BTreeSet<&PathBuf> = BTreeSet::new();
-        for start in self.edges.keys() {
-            if reported.contains(start) {
-                continue;
-            }
-            if let Some(circle) = self.shortest_circle(start) {
-                let steps = circle.windows(2).map(|pair| {
-                    let name = &self.edges[pair[0]][pair[1]];
-                    format!("{} imports `{name}` from {}", pair[0].display(), pair[1].display())
-                });
-                circles.push(steps.collect::<Vec<_>>().join(", "));
-                reported.extend(circle);
-            }
-        }
-        circles
+    /// A circle of files that import each other, in words.
+    pub(crate) fn circle(&self) -> Option<String> {
+        let mut done = BTreeSet::new();
+        let circle = self.edges.keys().find_map(|file| self.circle_from(file, &mut Vec::new(), &mut done))?;
+        let steps = circle.windows(2).map(|pair| {
+            let name = &self.edges[pair[0]][pair[1]];
+            format!("{} imports `{name}` from {}", pair[0].display(), pair[1].display())
+        });
+        Some(steps.collect::<Vec<_>>().join(", "))
     }
 
-    /// From a file back to itself by the fewest imports.
-    fn shortest_circle<'a>(&'a self, start: &'a PathBuf) -> Option<Vec<&'a PathBuf>> {
-        let mut came_from: BTreeMap<&PathBuf, &PathBuf> = BTreeMap::new();
-        let mut reached = vec![start];
-        let mut next = 0;
-        while let Some(file) = reached.get(next).copied() {
-            next += 1;
-            for target in self.edges.get(file).into_iter().flat_map(BTreeMap::keys) {
-                if target == start {
-                    let mut circle = vec![start, file];
-                    while let Some(before) = circle.last().and_then(|last| came_from.get(last)) {
-                        circle.push(before);
-                    }
-                    circle.reverse();
-                    return Some(circle);
-                }
-                if !came_from.contains_key(target) {
-                    came_from.insert(target, file);
-                    reached.push(target);
-                }
+    /// Follows the imports of a file; `trail` holds the files on the way to it, `done` those that lead into no circle.
+    fn circle_from<'a>(
+        &'a self,
+        file: &'a PathBuf,
+        trail: &mut Vec<&'a PathBuf>,
+        done: &mut BTreeSet<&'a PathBuf>,
+    ) -> Option<Vec<&'a PathBuf>> {
+        if let Some(start) = trail.iter().position(|before| *before == file) {
+            return Some([&trail[start..], &[file]].concat());
+        }
+        if !done.contains(file) {
+            trail.push(file);
+            let mut targets = self.edges.get(file).into_iter().flat_map(BTreeMap::keys);
+            let circle = targets.find_map(|target| self.circle_from(target, trail, done));
+            if circle.is_some() {
+                return circle;
             }
+            trail.pop();
+            done.insert(file);
         }
         None
     }

@@ -7,15 +7,17 @@
 
 pub(crate) mod mavlink;
 pub(crate) mod terminal;
-pub(crate) mod virtual_bricks;
 pub(crate) mod virtual_drive;
 
 use std::io::{BufRead, BufReader, Read as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, Stdio};
+use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use posebridge::station::run_report::{SimulationTruth, errors};
+use posebridge::virtual_station::VirtualRun;
+use posebridge_telemetry::SensorId;
 use serde_json::Value;
 
 /// The repository's root.
@@ -66,6 +68,18 @@ pub(crate) fn assert_refused(folder: &Path, cases: &[(&str, i32, &[&str])]) {
             assert!(stderr.contains(word), "{command}: `{word}` in {stderr}");
         }
     }
+}
+
+/// The errors of estimate and odometry of a virtual run, rms, in millimetres.
+pub(crate) fn errors_mm(run: &VirtualRun) -> [f64; 2] {
+    let (estimate, odometry) = errors(&run.collector, &SimulationTruth::from_simulation(&run.simulation));
+    [estimate, odometry].map(|error| 1e3 * error.position_rms_m.expect("there are estimates"))
+}
+
+/// How many observations of a sensor a virtual run has used.
+pub(crate) fn used(run: &VirtualRun, sensor: SensorId) -> u64 {
+    let mut sources = run.collector.sources.iter();
+    sources.find(|tally| tally.sensor == sensor).map_or(0, |tally| tally.used)
 }
 
 /// Where the recordings of others lie; `None` on a computer without them.
@@ -190,15 +204,9 @@ impl RunningProgram {
     /// The same for a run that may end badly: exit code, standard output and what it said since it was last waited for.
     pub(crate) fn interrupted(mut self) -> (Option<i32>, String, String) {
         self.send_interrupt();
-        let mut stdout = self.child.stdout.take().expect("stdout is piped");
-        let (mut printed, mut said) = (String::new(), String::new());
-        // Neither may fill up while the other one is read.
-        std::thread::scope(|scope| {
-            scope.spawn(|| self.lines.read_to_string(&mut said).expect("stderr is text"));
-            stdout.read_to_string(&mut printed).expect("stdout is text");
-        });
-        let status = self.child.wait().expect("it can be waited for");
-        (status.code(), printed, said)
+        let heard = self.output.len();
+        let (status, printed) = self.wait_for_end();
+        (status.code(), printed, self.output.split_off(heard))
     }
 
     fn send_interrupt(&self) {
@@ -208,16 +216,20 @@ impl RunningProgram {
 
     /// Waits for its end and returns its standard output.
     pub(crate) fn output(&mut self) -> String {
+        let (status, text) = self.wait_for_end();
+        assert!(status.success(), "{status}; it said:\n{}", self.output);
+        text
+    }
+
+    fn wait_for_end(&mut self) -> (ExitStatus, String) {
         let mut text = String::new();
         let mut stdout = self.child.stdout.take().expect("stdout is piped");
-        // What it still says must be read, or it would wait for us.
+        // Neither may fill up while the other one is read.
         std::thread::scope(|scope| {
             scope.spawn(|| self.lines.read_to_string(&mut self.output).expect("stderr is text"));
             stdout.read_to_string(&mut text).expect("stdout is text");
         });
-        let status = self.child.wait().expect("it can be waited for");
-        assert!(status.success(), "{status}; it said:\n{}", self.output);
-        text
+        (self.child.wait().expect("it can be waited for"), text)
     }
 }
 
@@ -230,21 +242,7 @@ impl Drop for RunningProgram {
 }
 
 /// A short square whose brick runs 2000 ppm fast and whose 32-bit counter wraps on the way.
-pub(crate) const SKEWED_SQUARE: &str = r#"
-seed = 7
-steering = "estimate"
-
-[path.square]
-side_m = 0.3
-
-[drive]
-laps = 1
-speed_m_per_s = 0.2
-
-[brick]
-clock_skew_ppm = 2000.0
-clock_start_micros = 4290967296
-"#;
+pub(crate) const SKEWED_SQUARE: &str = include_str!("../data/skewed-square.toml");
 
 /// Of a descriptor: wheels that count ticks, in a file `wheels.csv` with the columns `t_s`, `left` and `right`.
 pub(crate) const WHEELS_CSV: &str = include_str!("../data/wheels-csv.toml");

@@ -16,12 +16,11 @@ use posebridge_sim::{ReceivedEstimate, Scenario, Steering};
 use posebridge_telemetry::TimeDelta;
 use serde_json::json;
 
-use crate::config::Config;
+use crate::config::{Config, load_link_profile};
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_cases;
 use crate::station::run_report::{SimulationTruth, errors};
 use crate::tools::experiment_output::OutputArgs;
-use crate::tools::link_profile;
 use crate::virtual_station::{self, VirtualLink};
 
 /// The seeds of docs/maths/clock.md.
@@ -111,7 +110,7 @@ fn cases(args: &LabLinksArgs) -> Result<Vec<LinkCase>> {
 
 /// A bundled profile by its name, else one from a file, named after the file.
 fn load_profile(requested: &str) -> Result<(String, LinkProfile)> {
-    let profile = link_profile::load(requested)?;
+    let profile = load_link_profile(requested)?;
     let file_name = requested.strip_suffix(".toml").and_then(|path| Path::new(path).file_name());
     let name = file_name.map_or_else(|| requested.to_owned(), |name| name.to_string_lossy().into_owned());
     Ok((name, profile))

@@ -10,9 +10,8 @@ use posebridge_link::ConnectRole;
 use crate::config::Setting;
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
-use crate::flags::{ConfigFlags, DashboardFlags, DataFlags, positive};
+use crate::flags::{ConfigFlags, DashboardFlags, DataFlags, LinkFlag, LinkFlags, positive};
 use crate::station::args::RunArgs;
-use crate::station::link_flags::{LinkFlag, LinkFlags};
 use crate::station::run;
 use crate::tools::experiment_output::OutputArgs;
 

@@ -1,11 +1,7 @@
-//! The signing files: the key, 64 hexadecimal digits readable only by its owner, and one state file per link id with the last
-//! timestamps, with a lock against other stations.
-//!
-//! Two stations that sign with one key and one link id would reject each other's frames and reuse timestamps, so the second is refused.
-//! The lock is a separate file, because the state file is replaced and never written in place.
-//!
-//! Anyone with write access to the state can reset the timestamps, and a replacement that is lost in a power failure restores the
-//! previous state: so others must not have write access, and each write is synced with its directory before the program continues.
+//! The signing files: the key, readable only by its owner, and one state file per link id with the last timestamps, with a lock against
+//! other stations: two that sign with one key and one link id would reject each other's frames. The lock is a separate file, because
+//! the state file is replaced. Anyone with write access to the state can reset the timestamps, and so does a replacement that is lost
+//! in a power failure: so others must not have write access, and each write is synced with its directory.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -76,7 +72,6 @@ const OTHERS_WRITE: u32 = 0o022;
 #[derive(Debug)]
 pub(super) struct StateFile {
     path: PathBuf,
-    /// Held for the lifetime of this value.
     _lock: Flock<File>,
 }
 

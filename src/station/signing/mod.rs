@@ -1,5 +1,4 @@
 //! Signing of links: from the key and state files in a live session, from the recording in a replay.
-//!
 //! The station signs and verifies; this module reads the keys, keeps the timestamps between sessions, and warns where any sender is
 //! accepted. Keys are passed only to the station: recordings, events, logs and errors contain their names.
 

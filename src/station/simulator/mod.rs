@@ -1,6 +1,5 @@
 //! Simulated bricks in real time behind real links: on a thread in `run`, as the whole process in `posebridge sim`.
 
-mod cable;
 mod controls;
 
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -9,14 +8,16 @@ use std::thread::JoinHandle;
 use anyhow::{Context, Result, anyhow};
 use posebridge_link::{HostTimer, Link, LinkEvent, LinkOpenConfig};
 use posebridge_sim::{STEP, Scenario, Simulation};
-use posebridge_telemetry::{HostClock, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, LinkId, RobotId, TimeDelta, Timestamp};
 use tokio::sync::watch;
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
-pub use self::cable::SimulatedCable;
+use crate::exit::run_in_runtime;
+
 pub use self::controls::{
-    COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatorControls, TimedTruthSample, TruthTap, controls,
+    COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatedCable, SimulatorControls, TimedTruthSample, TruthTap,
+    controls,
 };
 
 /// Step of the real-time loop: host timers have a resolution of a millisecond, and telemetry of 200 Hz is still on time.
@@ -35,7 +36,6 @@ pub struct BrickPorts {
     pub announcement: Option<Announcement>,
 }
 
-/// A text that is sent periodically.
 pub struct Announcement {
     port: Link,
     text: Vec<u8>,
@@ -43,7 +43,6 @@ pub struct Announcement {
 }
 
 impl Announcement {
-    /// Sends `text` periodically on `port`.
     pub const fn new(port: Link, text: Vec<u8>) -> Self {
         Self { port, text, due: TimeDelta::ZERO }
     }
@@ -197,7 +196,6 @@ pub struct EmbeddedBrick {
 }
 
 impl EmbeddedBrick {
-    /// Another receiver of later truth samples.
     pub fn truth_tap(&self) -> TruthTap {
         TruthTap::new(&self.controls.truth, self.robot)
     }
@@ -209,31 +207,50 @@ pub struct EmbeddedBricks {
     stop: CancellationToken,
     /// Cancelled when all paths are complete.
     pub finished: CancellationToken,
-    /// In the order of `starts`.
+    /// Of their scenario.
+    pub name: String,
+    /// The station's link to them.
+    pub link: LinkId,
+    /// Never empty; in the order of `starts`.
     pub bricks: Vec<EmbeddedBrick>,
 }
 
 impl EmbeddedBricks {
     /// Starts each brick on its link. `timer` timestamps their outputs.
-    pub fn start(starts: Vec<BrickStart>, timer: HostTimer, stop: CancellationToken) -> Result<Self> {
+    pub fn start(
+        name: String,
+        link: LinkId,
+        starts: Vec<BrickStart>,
+        timer: HostTimer,
+        stop: CancellationToken,
+    ) -> Result<Self> {
         let finished = CancellationToken::new();
         let (ready, is_ready) = sync_channel::<Result<()>>(1);
         let mut bricks = Vec::new();
-        let mut prepared = Vec::new();
-        for BrickStart { scenario, link, robot } in starts {
+        let mut drives = Vec::new();
+        for BrickStart { scenario, link: config, robot } in starts {
             let (sender, progress) = watch::channel(0.0);
             let (controls, receiver) = controls();
             let truth = Some(TruthTap::new(&controls.truth, robot));
-            bricks.push(EmbeddedBrick { scenario: scenario.clone(), robot, progress, controls, truth });
-            prepared.push(PreparedBrick { scenario, link, progress: sender, controls: receiver });
+            drives.push(BrickDrive {
+                simulation: Simulation::new(scenario.clone()),
+                ports: BrickPorts::of(SimulatedCable::pluggable(config, timer)),
+                progress: sender,
+                controls: Some(receiver),
+            });
+            bricks.push(EmbeddedBrick { scenario, robot, progress, controls, truth });
         }
-        let thread = BrickThread { bricks: prepared, timer, stop: stop.clone(), finished: finished.clone(), ready };
+        let (stopped, all_driven) = (stop.clone(), finished.clone());
         let thread = std::thread::Builder::new()
             .name("brick".to_owned())
-            .spawn(move || thread.run())
+            .spawn(move || {
+                let driven = run_in_runtime(open_and_drive(drives, timer, &stopped, &ready));
+                all_driven.cancel();
+                driven.context("starting the runtime of the simulated bricks")?
+            })
             .context("starting the thread of the simulated bricks")?;
         is_ready.recv().map_err(|_closed| anyhow!("the thread of the simulated bricks died"))??;
-        Ok(Self { thread: Some(thread), stop, finished, bricks })
+        Ok(Self { thread: Some(thread), stop, finished, name, link, bricks })
     }
 
     /// Joins the thread and returns the simulations with their truth, in the order of the bricks.
@@ -254,45 +271,20 @@ impl Drop for EmbeddedBricks {
     }
 }
 
-struct PreparedBrick {
-    scenario: Scenario,
-    link: LinkOpenConfig,
-    progress: watch::Sender<f64>,
-    controls: ControlReceiver,
-}
-
-struct BrickThread {
-    bricks: Vec<PreparedBrick>,
+/// Reports to `ready` when all links are open, or the first error.
+async fn open_and_drive(
+    mut bricks: Vec<BrickDrive>,
     timer: HostTimer,
-    stop: CancellationToken,
-    finished: CancellationToken,
-    ready: SyncSender<Result<()>>,
-}
-
-impl BrickThread {
-    fn run(self) -> Result<Vec<Simulation>> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .context("starting the runtime of the simulated bricks")?;
-        runtime.block_on(self.drive())
-    }
-
-    async fn drive(self) -> Result<Vec<Simulation>> {
-        let mut drives = Vec::new();
-        for PreparedBrick { scenario, link, progress, controls } in self.bricks {
-            let mut cable = SimulatedCable::pluggable(link, self.timer);
-            if let Err(error) = cable.open_first().await {
-                // The starter has gone only if it has failed itself.
-                drop(self.ready.send(Err(error)));
-                return Ok(Vec::new());
-            }
-            let simulation = Simulation::new(scenario);
-            drives.push(BrickDrive { simulation, ports: BrickPorts::of(cable), progress, controls: Some(controls) });
+    stop: &CancellationToken,
+    ready: &SyncSender<Result<()>>,
+) -> Result<Vec<Simulation>> {
+    for brick in &mut bricks {
+        if let Err(error) = brick.ports.brick.open_first().await {
+            // The starter has gone only if it has failed itself.
+            drop(ready.send(Err(error)));
+            return Ok(Vec::new());
         }
-        drop(self.ready.send(Ok(())));
-        let simulations = drive(drives, self.timer, &self.stop).await;
-        self.finished.cancel();
-        simulations
     }
+    drop(ready.send(Ok(())));
+    drive(bricks, timer, stop).await
 }

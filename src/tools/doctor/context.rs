@@ -4,12 +4,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use nix::unistd::{AccessFlags, Gid, Uid, User, access};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 /// The configuration, links and system to check.
 #[derive(Clone, Debug)]
 pub struct DiagnosticContext {
-    pub roots: SystemRoots,
+    /// The root folder of the computer: `/`, in tests that of a simulated computer.
+    pub root: PathBuf,
     pub user: UserPermissions,
     /// `None` checks the embedded default and opens no link.
     pub config: Option<PathBuf>,
@@ -40,13 +41,19 @@ impl Status {
     }
 }
 
-/// The result of a check for one item.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// The result of a check for one item, in the JSON object of `doctor --json` too.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CheckResult {
     pub status: Status,
+    #[serde(rename = "what")]
     pub message: String,
-    /// What to do; empty if nothing.
+    /// What to do; empty if nothing, in JSON null.
+    #[serde(serialize_with = "null_if_empty")]
     pub advice: String,
+}
+
+fn null_if_empty<S: Serializer>(text: &str, serializer: S) -> Result<S::Ok, S::Error> {
+    Some(text).filter(|text| !text.is_empty()).serialize(serializer)
 }
 
 impl CheckResult {
@@ -73,42 +80,11 @@ impl CheckResult {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     pub name: &'static str,
+    #[serde(flatten)]
     pub result: CheckResult,
-}
-
-/// The folders of the Linux system interfaces.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SystemRoots {
-    /// `/sys`: devices and drivers.
-    pub sys: PathBuf,
-    /// `/dev`: device nodes.
-    pub dev: PathBuf,
-    /// `/proc`: processes and limits.
-    pub proc: PathBuf,
-    /// `/run`: runtime data of services and udev.
-    pub run: PathBuf,
-    /// `/var/lib`: persistent data of services, such as paired devices.
-    pub var_lib: PathBuf,
-}
-
-impl SystemRoots {
-    pub fn host() -> Self {
-        Self::under(Path::new("/"))
-    }
-
-    /// The folders of a computer whose root folder is `root`.
-    pub fn under(root: &Path) -> Self {
-        Self {
-            sys: root.join("sys"),
-            dev: root.join("dev"),
-            proc: root.join("proc"),
-            run: root.join("run"),
-            var_lib: root.join("var/lib"),
-        }
-    }
 }
 
 /// Permissions of the user of this process.
@@ -185,22 +161,20 @@ impl Process {
     }
 }
 
-pub(super) fn processes(roots: &SystemRoots) -> Vec<Process> {
-    let mut found: Vec<_> = names_in(&roots.proc)
+pub(super) fn processes(root: &Path) -> Vec<Process> {
+    let proc = root.join("proc");
+    let mut found: Vec<_> = names_in(&proc)
         .into_iter()
-        .filter_map(|name| Some((name.parse().ok()?, roots.proc.join(name))))
-        .filter_map(|(pid, folder)| process(pid, &folder))
+        .filter_map(|name| {
+            let folder = proc.join(&name);
+            // `None` if the process has ended.
+            Some(Process { pid: name.parse().ok()?, name: value_in(&folder.join("comm"))?, folder })
+        })
         .collect();
     found.sort_by_key(|process| process.pid);
     found
 }
 
-/// `None` if the process has ended.
-fn process(pid: u32, folder: &Path) -> Option<Process> {
-    Some(Process { pid, name: value_in(&folder.join("comm"))?, folder: folder.to_owned() })
-}
-
-/// A process with one of these names.
-pub(super) fn running(roots: &SystemRoots, names: &[&str]) -> Option<Process> {
-    processes(roots).into_iter().find(|process| names.contains(&process.name.as_str()))
+pub(super) fn running(root: &Path, names: &[&str]) -> Option<Process> {
+    processes(root).into_iter().find(|process| names.contains(&process.name.as_str()))
 }

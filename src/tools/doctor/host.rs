@@ -1,5 +1,4 @@
 //! Checks of the computer besides its serial ports: Bluetooth, time synchronisation, and the receive buffer of UDP links.
-//!
 //! Sources: the kernel's Documentation/ABI/stable/sysfs-class-rfkill (type, soft, hard); BlueZ keeps paired devices in
 //! `/var/lib/bluetooth/<adapter>/<device>/info`, which only root may read on most systems; systemd-timesyncd(8) (the file
 //! `synchronized`); chronyd(8) (its command socket); socket(7), SO_RCVBUF: limited by net.core.rmem_max.
@@ -8,13 +7,13 @@ use std::path::Path;
 
 use posebridge_link::UDP_RECEIVE_BUFFER_BYTES as RECOMMENDED_BYTES;
 
-use super::context::{CheckResult, DiagnosticContext, SystemRoots, names_in, running, value_in};
+use super::context::{CheckResult, DiagnosticContext, names_in, running, value_in};
 
 /// Checks adapters, rfkill switches and pairings; skipped without a radio.
 pub(super) fn check_bluetooth(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let roots = &context.roots;
-    let mut verdicts = check_blocked_radios(roots);
-    let adapters = adapters(roots);
+    let root = &context.root;
+    let mut verdicts = check_blocked_radios(root);
+    let adapters = adapters(root);
     if adapters.is_empty() {
         if verdicts.is_empty() {
             verdicts.push(CheckResult::skipped("no Bluetooth adapter is there"));
@@ -24,25 +23,25 @@ pub(super) fn check_bluetooth(context: &DiagnosticContext) -> Vec<CheckResult> {
     if verdicts.is_empty() {
         verdicts.push(CheckResult::ok(format!("adapter {} is not blocked", adapters.join(", "))));
     }
-    if running(roots, &["bluetoothd"]).is_none() {
+    if running(root, &["bluetoothd"]).is_none() {
         verdicts.push(CheckResult::warning(
             "the Bluetooth service does not run, so nothing can be paired",
             "run `sudo systemctl start bluetooth`",
         ));
     }
-    verdicts.push(check_paired(&roots.var_lib));
+    verdicts.push(check_paired(root));
     verdicts
 }
 
 /// Excludes open connections, which are listed beside them as `hci0:11`.
-fn adapters(roots: &SystemRoots) -> Vec<String> {
-    let mut names = names_in(&roots.sys.join("class/bluetooth"));
+fn adapters(root: &Path) -> Vec<String> {
+    let mut names = names_in(&root.join("sys/class/bluetooth"));
     names.retain(|name| name.starts_with("hci") && !name.contains(':'));
     names
 }
 
-fn check_blocked_radios(roots: &SystemRoots) -> Vec<CheckResult> {
-    let folder = roots.sys.join("class/rfkill");
+fn check_blocked_radios(root: &Path) -> Vec<CheckResult> {
+    let folder = root.join("sys/class/rfkill");
     names_in(&folder)
         .into_iter()
         .map(|name| folder.join(name))
@@ -64,9 +63,8 @@ fn check_radio(radio: &Path) -> Option<CheckResult> {
         .then(|| CheckResult::problem(format!("Bluetooth radio {name} is blocked"), "run `rfkill unblock bluetooth`"))
 }
 
-/// Paired devices, if readable.
-fn check_paired(var_lib: &Path) -> CheckResult {
-    let folder = var_lib.join("bluetooth");
+fn check_paired(root: &Path) -> CheckResult {
+    let folder = root.join("var/lib/bluetooth");
     if std::fs::read_dir(&folder).is_err() {
         return CheckResult::skipped(
             "paired devices cannot be read without root: `bluetoothctl devices Paired` lists them",
@@ -103,9 +101,8 @@ const SERVICES: &[&str] = &["systemd-timesyn", "chronyd", "ntpd", "ntpsec", "ope
 
 /// Checks for a service, and whether it reports success.
 pub(super) fn check_time_sync(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let roots = &context.roots;
-    let run = &roots.run;
-    let service = running(roots, SERVICES);
+    let (root, run) = (&context.root, context.root.join("run"));
+    let service = running(root, SERVICES);
     let verdict = if run.join("systemd/timesync/synchronized").exists() {
         CheckResult::ok("the date is synchronised by systemd-timesyncd")
     } else if run.join("chrony/chronyd.sock").exists() {
@@ -126,9 +123,8 @@ pub(super) fn check_time_sync(context: &DiagnosticContext) -> Vec<CheckResult> {
     vec![verdict]
 }
 
-/// Compares the limit with the requested size.
 pub(super) fn check_receive_buffer(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let path = context.roots.proc.join("sys/net/core/rmem_max");
+    let path = context.root.join("proc/sys/net/core/rmem_max");
     let granted = value_in(&path).and_then(|text| text.parse::<usize>().ok());
     vec![match granted {
         None => CheckResult::skipped(format!("{} cannot be read", path.display())),

@@ -1,6 +1,5 @@
 //! Checks of links: whether the configuration is valid and its links open, and what the given links receive, for a serial port also its
 //! correct speed.
-//!
 //! Nothing is sent. A brick that only answers requests stays silent here.
 
 use std::fs;
@@ -16,6 +15,7 @@ use posebridge_telemetry::{LinkId, TimeDelta};
 use super::context::{CheckResult, DiagnosticContext};
 use crate::config::{self, Config, LinkTarget, load_scenario};
 use crate::console::print_line;
+use crate::exit::run_in_runtime;
 
 /// Loads the configuration, then opens and closes each link of a given file.
 pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResult> {
@@ -46,7 +46,7 @@ fn invalid_config(what: &str) -> CheckResult {
 }
 
 fn open_links(config: &Config, targets: &[(LinkTarget, ConnectRole)]) -> Vec<CheckResult> {
-    run_in_runtime(async {
+    use_links(async {
         let timer = HostTimer::start();
         let mut verdicts = Vec::new();
         for ((target, role), section) in targets.iter().zip(&config.links) {
@@ -107,17 +107,9 @@ async fn open(url: &LinkUrl, role: ConnectRole, timer: HostTimer) -> OpenOutcome
     }
 }
 
-/// Runs a future in a new runtime. A blocked attempt to open a device is abandoned, so that it does not keep the program alive.
-fn run_in_runtime(look: impl Future<Output = Vec<CheckResult>>) -> Vec<CheckResult> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    match runtime {
-        Ok(runtime) => {
-            let verdicts = runtime.block_on(look);
-            runtime.shutdown_background();
-            verdicts
-        }
-        Err(error) => vec![CheckResult::skipped(format!("no link can be opened: {error}"))],
-    }
+/// Opens and reads links in a new runtime.
+fn use_links(work: impl Future<Output = Vec<CheckResult>>) -> Vec<CheckResult> {
+    run_in_runtime(work).unwrap_or_else(|error| vec![CheckResult::skipped(format!("no link can be opened: {error}"))])
 }
 
 /// The result for a link that may become available.
@@ -200,7 +192,7 @@ pub(super) fn check_listening(context: &DiagnosticContext) -> Vec<CheckResult> {
     }
     let listener =
         LinkListener { timer: HostTimer::start(), listen_for: TimeDelta::from_secs_f64(context.listen_for_s) };
-    run_in_runtime(async {
+    use_links(async {
         let mut verdicts = Vec::new();
         for link in &context.links {
             verdicts.push(listener.listen_on(link).await);

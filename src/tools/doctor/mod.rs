@@ -1,8 +1,6 @@
-//! `posebridge doctor`: finds out why no data of a robot arrives, and suggests remedies.
-//!
-//! Each check tests one cause and returns results; a new check is a function and a line in [`CHECKS`]. Checks change nothing: they send
-//! no byte, close what they open, and restore the settings of a serial line. They read the system through [`SystemRoots`], so that
-//! tests can use a simulated computer. docs/getting-started.md is the manual.
+//! `posebridge doctor`: finds out why no data of a robot arrives, and suggests remedies. Each check tests one cause and changes
+//! nothing: it sends no byte, closes what it opens, and restores the settings of a serial line. The system is read below a root folder,
+//! so that tests can use a simulated computer.
 
 mod context;
 mod host;
@@ -19,7 +17,7 @@ use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::positive;
 
-pub use self::context::{CheckResult, DiagnosticContext, Finding, Status, SystemRoots, UserGroup, UserPermissions};
+pub use self::context::{CheckResult, DiagnosticContext, Finding, Status, UserGroup, UserPermissions};
 
 /// Flags of `doctor`.
 #[derive(Args, Clone, Debug)]
@@ -40,15 +38,15 @@ pub struct DoctorArgs {
 
 /// In the order of the report. Adding one: a file here and a line there.
 pub const CHECKS: &[Check] = &[
-    Check::new("serial-ports", serial_ports::check_ports),
-    Check::new("permissions", serial_ports::check_permissions),
-    Check::new("port-holders", serial_ports::check_holders),
-    Check::new("modem-manager", serial_ports::check_modem_manager),
-    Check::new("bluetooth", host::check_bluetooth),
-    Check::new("time-sync", host::check_time_sync),
-    Check::new("receive-buffer", host::check_receive_buffer),
-    Check::new("configuration", links::check_configuration),
-    Check::new("listening", links::check_listening),
+    Check { name: "serial-ports", run: serial_ports::check_ports },
+    Check { name: "permissions", run: serial_ports::check_permissions },
+    Check { name: "port-holders", run: serial_ports::check_holders },
+    Check { name: "modem-manager", run: serial_ports::check_modem_manager },
+    Check { name: "bluetooth", run: host::check_bluetooth },
+    Check { name: "time-sync", run: host::check_time_sync },
+    Check { name: "receive-buffer", run: host::check_receive_buffer },
+    Check { name: "configuration", run: links::check_configuration },
+    Check { name: "listening", run: links::check_listening },
 ];
 
 #[derive(Clone, Copy, Debug)]
@@ -58,16 +56,10 @@ pub struct Check {
     pub run: fn(&DiagnosticContext) -> Vec<CheckResult>,
 }
 
-impl Check {
-    const fn new(name: &'static str, run: fn(&DiagnosticContext) -> Vec<CheckResult>) -> Self {
-        Self { name, run }
-    }
-}
-
 /// Runs the checks and prints their results. Any problem gives exit code 1.
 pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
     let context = DiagnosticContext {
-        roots: SystemRoots::host(),
+        root: PathBuf::from("/"),
         user: UserPermissions::current(),
         config: args.config.clone(),
         links: args.links.clone(),
@@ -83,7 +75,6 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
     }
 }
 
-/// In the order of [`CHECKS`].
 pub fn run_checks(context: &DiagnosticContext) -> Vec<Finding> {
     let findings_of = |check: &Check| {
         let name = check.name;
@@ -107,15 +98,7 @@ struct DoctorReport<'a> {
     version: &'static str,
     problems: usize,
     warnings: usize,
-    checks: Vec<CheckRow<'a>>,
-}
-
-#[derive(Serialize)]
-struct CheckRow<'a> {
-    name: &'a str,
-    status: Status,
-    what: &'a str,
-    advice: Option<&'a str>,
+    checks: &'a [Finding],
 }
 
 fn count(findings: &[Finding], status: Status) -> usize {
@@ -123,26 +106,13 @@ fn count(findings: &[Finding], status: Status) -> usize {
 }
 
 fn json_report(findings: &[Finding]) -> serde_json::Result<String> {
-    let checks = findings.iter().map(CheckRow::from_finding).collect();
     let report = DoctorReport {
         version: env!("CARGO_PKG_VERSION"),
         problems: count(findings, Status::Problem),
         warnings: count(findings, Status::Warning),
-        checks,
+        checks: findings,
     };
     Ok(serde_json::to_string(&report)? + "\n")
-}
-
-impl<'a> CheckRow<'a> {
-    fn from_finding(finding: &'a Finding) -> Self {
-        let verdict = &finding.result;
-        Self {
-            name: finding.name,
-            status: verdict.status,
-            what: &verdict.message,
-            advice: Some(verdict.advice.as_str()).filter(|advice| !advice.is_empty()),
-        }
-    }
 }
 
 /// One line per finding, its remedy below it, and totals.

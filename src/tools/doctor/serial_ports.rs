@@ -1,10 +1,7 @@
-//! Checks of serial ports: ports and connected devices, user permissions, programs that hold them, and access by ModemManager.
-//!
-//! ModemManager opens USB boards (`ttyACM*`) when they appear and sends AT commands for some seconds, unless a udev tag forbids it.
-//! udev's properties are in `/run/udev/data`, by device number.
-//!
-//! Source: ModemManager's reference manual, "Common udev tags" (ID_MM_DEVICE_IGNORE, ID_MM_PORT_IGNORE); systemd,
-//! sd-device (the files `c<major>:<minor>` with a line `E:KEY=VALUE` per property).
+//! Checks of serial ports: ports and connected devices, user permissions, programs that hold them, and access by ModemManager, which
+//! opens USB boards (`ttyACM*`) when they appear unless a udev tag forbids it. Source: ModemManager's reference manual, "Common udev
+//! tags" (ID_MM_DEVICE_IGNORE, ID_MM_PORT_IGNORE); systemd, sd-device (in `/run/udev/data` the files `c<major>:<minor>` with a line
+//! `E:KEY=VALUE` per property).
 
 use std::collections::BTreeSet;
 use std::fs::{self, Metadata};
@@ -14,7 +11,7 @@ use std::path::{Path, PathBuf};
 use posebridge_link::LinkUrl;
 
 use super::context::{
-    CheckResult, DiagnosticContext, SystemRoots, UserPermissions, link_name, names_in, processes, running, value_in,
+    CheckResult, DiagnosticContext, Process, UserPermissions, link_name, names_in, processes, running, value_in,
 };
 
 /// Name prefixes of ports for robots: USB adapters, USB boards, bound Bluetooth links, and the pins of a single-board computer. Source:
@@ -45,7 +42,7 @@ pub struct UsbIds {
 
 /// Lists the ports; without any it is only a warning, because a robot may use the network.
 pub fn check_ports(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let ports = serial_ports(&context.roots);
+    let ports = serial_ports(&context.root);
     if ports.is_empty() {
         return vec![CheckResult::warning(
             "no serial port is there",
@@ -68,20 +65,21 @@ fn describe(port: &SerialPort) -> String {
 }
 
 /// Sorted by name.
-pub fn serial_ports(roots: &SystemRoots) -> Vec<SerialPort> {
-    let names = names_in(&roots.dev);
+pub fn serial_ports(root: &Path) -> Vec<SerialPort> {
+    let names = names_in(&root.join("dev"));
     let is_port = |name: &&String| PREFIXES.iter().any(|prefix| name.starts_with(prefix));
-    names.iter().filter(is_port).map(|name| port(roots, name)).collect()
+    names.iter().filter(is_port).map(|name| port(root, name)).collect()
 }
 
-fn port(roots: &SystemRoots, name: &str) -> SerialPort {
-    let device_link = roots.sys.join("class/tty").join(name).join("device");
-    let sys_folders = fs::canonicalize(&device_link).map(|folder| folders_up(&folder, &roots.sys)).unwrap_or_default();
-    let tty = roots.sys.join("class/tty").join(name);
+fn port(root: &Path, name: &str) -> SerialPort {
+    let tty = root.join("sys/class/tty").join(name);
+    let device_link = tty.join("device");
+    let sys = root.join("sys");
+    let sys_folders = fs::canonicalize(&device_link).map(|folder| folders_up(&folder, &sys)).unwrap_or_default();
     SerialPort {
         name: name.to_owned(),
-        device: roots.dev.join(name),
-        by_id: by_id(roots, name),
+        device: root.join("dev").join(name),
+        by_id: by_id(root, name),
         driver: link_name(&device_link.join("driver")),
         usb: sys_folders.iter().find_map(|folder| usb_ids(folder)),
         sys_folders: std::iter::once(tty).chain(sys_folders).collect(),
@@ -102,8 +100,8 @@ fn usb_ids(folder: &Path) -> Option<UsbIds> {
     })
 }
 
-fn by_id(roots: &SystemRoots, name: &str) -> Option<PathBuf> {
-    let folder = roots.dev.join("serial/by-id");
+fn by_id(root: &Path, name: &str) -> Option<PathBuf> {
+    let folder = root.join("dev/serial/by-id");
     names_in(&folder).into_iter().map(|id| folder.join(id)).find(|link| link_name(link).as_deref() == Some(name))
 }
 
@@ -111,7 +109,7 @@ const GROUP_READ_WRITE: u32 = 0o060;
 
 /// Checks every port; a port that the user may not open is a problem.
 pub fn check_permissions(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let ports = serial_ports(&context.roots);
+    let ports = serial_ports(&context.root);
     if ports.is_empty() {
         return vec![CheckResult::skipped("no serial port is there")];
     }
@@ -160,8 +158,7 @@ pub fn check_holders(context: &DiagnosticContext) -> Vec<CheckResult> {
     if devices.is_empty() {
         return vec![CheckResult::skipped("no serial port is there")];
     }
-    let (holders, hidden) = holders(&context.roots, &devices);
-    let mut verdicts: Vec<_> = holders.iter().map(DeviceHolder::to_result).collect();
+    let (mut verdicts, hidden) = holders(&context.root, &devices);
     if verdicts.is_empty() {
         verdicts.push(none_found(devices.len(), hidden));
     }
@@ -170,7 +167,7 @@ pub fn check_holders(context: &DiagnosticContext) -> Vec<CheckResult> {
 
 /// The devices with links resolved, as in `/proc`.
 fn devices(context: &DiagnosticContext) -> BTreeSet<PathBuf> {
-    let ports = serial_ports(&context.roots);
+    let ports = serial_ports(&context.root);
     let of_ports = ports.into_iter().map(|port| port.device);
     let of_links = context
         .links
@@ -196,36 +193,22 @@ fn none_found(devices: usize, hidden: usize) -> CheckResult {
     }
 }
 
-struct DeviceHolder {
-    device: PathBuf,
-    name: String,
-    pid: u32,
-}
-
-impl DeviceHolder {
-    fn to_result(&self) -> CheckResult {
-        let Self { device, name, pid } = self;
-        CheckResult::warning(
-            format!("{} is held by {name}, process {pid}", device.display()),
-            format!("close the port there, or end it with `kill {pid}`"),
-        )
-    }
-}
-
-/// Processes that hold a device, and the number of processes that cannot be inspected.
-fn holders(roots: &SystemRoots, devices: &BTreeSet<PathBuf>) -> (Vec<DeviceHolder>, usize) {
+/// A warning for each process that holds a device, and the number of processes that cannot be inspected.
+fn holders(root: &Path, devices: &BTreeSet<PathBuf>) -> (Vec<CheckResult>, usize) {
     let mut found = Vec::new();
     let mut hidden = 0;
-    for process in processes(roots) {
+    for process in processes(root) {
         let Some(files) = process.open_files() else {
             hidden += 1;
             continue;
         };
         let held: BTreeSet<&Path> = files.iter().filter_map(|file| devices.get(file)).map(PathBuf::as_path).collect();
-        found.extend(held.into_iter().map(|device| DeviceHolder {
-            device: device.to_owned(),
-            name: process.name.clone(),
-            pid: process.pid,
+        let Process { name, pid, .. } = &process;
+        found.extend(held.into_iter().map(|device| {
+            CheckResult::warning(
+                format!("{} is held by {name}, process {pid}", device.display()),
+                format!("close the port there, or end it with `kill {pid}`"),
+            )
         }));
     }
     (found, hidden)
@@ -236,13 +219,13 @@ const IGNORE_TAGS: [&str; 2] = ["E:ID_MM_DEVICE_IGNORE=1", "E:ID_MM_PORT_IGNORE=
 
 /// Checks whether it runs, and which ports it may probe.
 pub fn check_modem_manager(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let roots = &context.roots;
-    if running(roots, &["ModemManager"]).is_none() {
+    let root = &context.root;
+    if running(root, &["ModemManager"]).is_none() {
         return vec![CheckResult::ok("ModemManager does not run")];
     }
-    let probed: Vec<_> = serial_ports(roots)
+    let probed: Vec<_> = serial_ports(root)
         .into_iter()
-        .filter(|port| port.name.starts_with(PROBED) && !is_ignored(port, roots))
+        .filter(|port| port.name.starts_with(PROBED) && !is_ignored(port, root))
         .collect();
     if probed.is_empty() {
         return vec![CheckResult::ok("ModemManager runs, but has no port here that it would probe")];
@@ -269,10 +252,10 @@ fn modem_manager_result(port: &SerialPort) -> CheckResult {
 }
 
 /// Whether udev has tagged the port or a parent device.
-fn is_ignored(port: &SerialPort, roots: &SystemRoots) -> bool {
+fn is_ignored(port: &SerialPort, root: &Path) -> bool {
     port.sys_folders
         .iter()
         .filter_map(|folder| value_in(&folder.join("dev")))
-        .filter_map(|number| fs::read_to_string(roots.run.join("udev/data").join(format!("c{number}"))).ok())
+        .filter_map(|number| fs::read_to_string(root.join("run/udev/data").join(format!("c{number}"))).ok())
         .any(|properties| properties.lines().any(|line| IGNORE_TAGS.contains(&line)))
 }

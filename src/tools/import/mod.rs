@@ -1,5 +1,4 @@
 //! `posebridge import`: converts foreign files to posebridge recordings, so that all commands for recordings support them.
-//!
 //! A telemetry log or a descriptor's run becomes the inputs of a station, with a configuration in the header. docs/recordings.md states
 //! what is kept and what is lost.
 
@@ -12,13 +11,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use posebridge_recording::container::{RecordingHeader, RecordingReader, RecordingWriter};
+use posebridge_recording::container::{RecordingHeader, RecordingWriter};
 use posebridge_telemetry::{Address, Arena, Input, Point2};
 
 use self::tlog::timed_frames;
 use super::dataset::{DataSet, RobotRun};
 use crate::config::{self, Config, NumberedPlace, RobotFile, RobotProfile, RobotStart, Setting, WorldConfig};
-use crate::console::print_line;
+use crate::console::{print_line, print_lines};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, InputKind};
@@ -56,9 +55,7 @@ pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
         drop(std::fs::remove_file(&args.out));
     }
     let (_, account) = imported.while_running()?;
-    for note in &account.notes {
-        print_line(note);
-    }
+    print_lines(&account.notes);
     print_line(&format!("wrote `{}`: {} inputs", args.out.display(), account.inputs));
     Ok(())
 }
@@ -80,7 +77,7 @@ pub struct StationOptions<'a> {
 }
 
 impl StationOptions<'_> {
-    fn config(&self) -> Result<Config> {
+    pub fn config(&self) -> Result<Config> {
         let mut config = config::load(self.config, self.settings)?.config;
         if let Some(path) = self.robot {
             config = config.with_robot(RobotProfile::read(path)?);
@@ -95,21 +92,6 @@ pub struct ImportSummary {
     pub inputs: u64,
     /// Messages about omitted or changed data.
     pub notes: Vec<String>,
-}
-
-/// The inputs of a session, with the configuration of its station.
-pub struct ImportedSession {
-    /// The configuration, and other data that affects the result.
-    pub header: RecordingHeader,
-    /// Messages about omitted data that is known before the inputs are read.
-    pub notes: Vec<String>,
-    pub inputs: InputSource,
-}
-
-pub enum InputSource {
-    Recorded(Vec<u8>),
-    /// A telemetry log, converted to inputs one by one.
-    Logged(Box<TlogSource>),
 }
 
 /// Passes the frames of a telemetry log with their times, microseconds since 1970, corrected for damage and date changes so that they
@@ -133,8 +115,7 @@ pub fn import<W: Write + Seek>(
     match InputFile::open(path)?.kind {
         InputKind::Tlog => {
             let source = TlogSource::open(path, station.config()?)?;
-            let header = header(&source.config, source.epoch_micros)?;
-            write(out, &header, |sink| source.inputs(sink))
+            write(out, &source.header, |sink| source.inputs(sink))
         }
         InputKind::Descriptor => {
             let source = DescriptorSource::open(path, data)?;
@@ -156,25 +137,8 @@ pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<
         return own_bytes(path, file, MemoryLimit::default());
     }
     let source = TlogSource::open(path, station.config()?)?;
-    let header = header(&source.config, source.epoch_micros)?;
-    let out = Cursor::new(Vec::new());
-    let (out, account) = write(out, &header, |sink| source.inputs(sink))?;
+    let (out, account) = write(Cursor::new(Vec::new()), &source.header, |sink| source.inputs(sink))?;
     Ok((out.into_inner(), account.notes))
-}
-
-/// A posebridge recording with all parts that continue it, or a telemetry log.
-pub fn session(path: &Path, station: StationOptions<'_>) -> Result<ImportedSession> {
-    if InputFile::open(path)?.kind == InputKind::Tlog {
-        let source = TlogSource::open(path, station.config()?)?;
-        return Ok(ImportedSession {
-            header: header(&source.config, source.epoch_micros)?,
-            notes: Vec::new(),
-            inputs: InputSource::Logged(Box::new(source)),
-        });
-    }
-    let (bytes, notes) = recording_bytes(path, station)?;
-    let reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{}`", path.display()))?;
-    Ok(ImportedSession { header: reader.header().clone(), notes, inputs: InputSource::Recorded(bytes) })
 }
 
 fn write<W: Write + Seek>(

@@ -160,7 +160,6 @@ impl Timeline {
         self.defects
     }
 
-    /// The time with the present correction.
     fn shifted(&self, micros: u64) -> u64 {
         micros.saturating_add_signed(self.shift_micros)
     }

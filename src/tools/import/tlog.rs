@@ -17,12 +17,14 @@ use anyhow::{Result, bail};
 use posebridge_protocol::dialect;
 use posebridge_protocol::framing::{FrameRef, parse_verified};
 use posebridge_protocol::message::{Message, WireStamp};
+use posebridge_recording::container::RecordingHeader;
 use posebridge_recording::tlog::{FrameCheck, OLDEST_MICROS, TlogRecord};
 use posebridge_telemetry::{Address, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
 
 use super::timeline::{ClockReading, FrameSink, TimedRecord, Timeline, TimelineDefects, are_consistent, is_possible};
 use crate::config::{Config, LinkSection};
 use crate::station::input_file::{InputFile, first_tlog_records, tlog_records};
+use crate::station::recording_files::header;
 
 const LINK: LinkId = LinkId(0);
 /// Number of records searched for the station's frames.
@@ -35,18 +37,15 @@ const MAX_TICKS: u32 = 60;
 pub type InputSink<'s> = dyn FnMut(Timestamp<HostClock>, &Input) -> Result<()> + 's;
 
 pub struct TlogSource {
-    /// The station's configuration for the log; one link, without outputs.
-    pub(super) config: Config,
-    /// The host clock's zero, microseconds since 1970.
-    pub(super) epoch_micros: u64,
+    /// With the station's configuration for the log: one link, without outputs.
+    pub header: RecordingHeader,
     first_micros: u64,
     path: PathBuf,
     own: Address,
 }
 
 impl TlogSource {
-    /// Determines the zero of the host's clock.
-    pub(super) fn open(path: &Path, station: Config) -> Result<Self> {
+    pub fn open(path: &Path, station: Config) -> Result<Self> {
         let own = Address::new(station.station.system, station.station.component);
         let config = Config {
             links: vec![LinkSection {
@@ -58,9 +57,8 @@ impl TlogSource {
         };
         let beginning = find_origin(path, own)?;
         Ok(Self {
-            epoch_micros: beginning.zero_micros,
+            header: header(&config, beginning.zero_micros)?,
             first_micros: beginning.first_micros,
-            config,
             path: path.to_owned(),
             own,
         })
@@ -70,7 +68,7 @@ impl TlogSource {
     pub fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
         let mut inputs = InputBuilder {
             own: self.own,
-            epoch_micros: self.epoch_micros,
+            epoch_micros: self.header.utc_start_micros,
             latest: Timestamp::ZERO,
             of_station: 0,
             failure: None,
@@ -233,7 +231,6 @@ struct InputBuilder<'a, 's> {
 }
 
 impl InputBuilder<'_, '_> {
-    /// Adds a frame with the corrected time.
     fn push_frame(&mut self, micros: u64, frame: &[u8]) {
         let since_zero = micros.saturating_sub(self.epoch_micros);
         let mut at = Timestamp::from_micros(i64::try_from(since_zero).unwrap_or(i64::MAX));

@@ -1,5 +1,5 @@
-//! Content of a file: telemetry logs and raw captures frame by frame; posebridge recordings by link, MAVLink links with their frames,
-//! others by bytes; descriptors by run and kind of observation.
+//! Content of a file: recordings by link, MAVLink links with their frames and others by bytes; telemetry logs and raw captures frame by
+//! frame in bounded memory, verified with the checksum seeds of every known dialect; descriptors by run and kind of observation.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,6 +11,7 @@ use posebridge_recording::container::{RecordingEnd, RecordingHeader, RecordingRe
 use posebridge_recording::dataset::TimedObservation;
 use posebridge_recording::tlog::{ByteOrder, FrameCheck, LINK_BITS, TlogRecord};
 use posebridge_telemetry::{BrickClock, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
+use serde::Serialize;
 
 use crate::config;
 use crate::console::progress_bar;
@@ -61,29 +62,30 @@ pub(super) enum InspectResult {
     Runs(Vec<RunFacts>),
 }
 
-impl InspectResult {
-    pub(super) fn from_framed(framed: FramedFacts) -> Self {
-        Self::Framed(Box::new(framed))
-    }
-}
-
-#[derive(Debug)]
+/// In the JSON object with some values of the header.
+#[derive(Debug, Default, Serialize)]
 pub(super) struct RecordingFacts {
+    #[serde(skip)]
     pub(super) header: RecordingHeader,
     pub(super) inputs: u64,
     /// Observations without bytes, from a foreign recording.
     pub(super) observations: u64,
     pub(super) commands: u64,
+    #[serde(skip)]
     pub(super) links: BTreeMap<LinkId, LinkFacts>,
     /// Time of the first input; a later part of a session begins late.
+    #[serde(skip)]
     pub(super) first: Option<Timestamp<HostClock>>,
     /// Part number in the session, from 1.
     pub(super) part: u32,
     /// Message about the missing beginning of the session.
+    #[serde(rename = "lack")]
     pub(super) missing_start: Option<String>,
     /// File names of the parts that continue it; they are not counted.
     pub(super) continued_by: Vec<String>,
-    pub(super) last: Timestamp<HostClock>,
+    #[serde(skip)]
+    pub(super) last: Option<Timestamp<HostClock>>,
+    #[serde(rename = "torn")]
     pub(super) truncation: Option<String>,
     pub(super) damages: Vec<String>,
 }
@@ -91,12 +93,11 @@ pub(super) struct RecordingFacts {
 impl RecordingFacts {
     /// From the first input to the last.
     pub(super) fn duration_s(&self) -> f64 {
-        let first = self.first.unwrap_or(self.last);
-        (self.last - first).as_secs_f64()
+        self.first.zip(self.last).map_or(0.0, |(first, last)| (last - first).as_secs_f64())
     }
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 pub(super) struct LinkFacts {
     pub(super) url: String,
     /// `None` for MAVLink.
@@ -157,16 +158,11 @@ pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {
 }
 
 /// A framer for foreign recordings: both versions and every dialect.
-pub(super) fn inspection_framer() -> Framer {
+fn inspection_framer() -> Framer {
     Framer::with_all_dialects(FramerConfig { accept_v1: true, ..FramerConfig::default() })
 }
 
-pub(super) fn record_frame(
-    framed: &mut FramedFacts,
-    link: LinkId,
-    found: FramerOutput<'_>,
-    at: Option<Timestamp<HostClock>>,
-) {
+fn record_frame(framed: &mut FramedFacts, link: LinkId, found: FramerOutput<'_>, at: Option<Timestamp<HostClock>>) {
     match found {
         FramerOutput::Frame(frame) => framed.census.record(link, &frame, at),
         FramerOutput::UnknownFrame(frame) => {
@@ -204,7 +200,7 @@ pub(super) fn inspect_recording(file: InputFile, path: &Path) -> Result<FramedFa
         }
     }
     for ((link, _), mut framer) in scanners {
-        framer.finish(&mut |found| record_frame(&mut framed, link, found, Some(facts.last)));
+        framer.finish(&mut |found| record_frame(&mut framed, link, found, facts.last));
         framed.bytes_outside += framer.counters().garbage_bytes;
     }
     framed.bytes_outside += framed.unknown_bytes;
@@ -227,20 +223,7 @@ fn facts_of(header: &RecordingHeader) -> RecordingFacts {
         };
         (LinkId(index as u16), facts)
     });
-    RecordingFacts {
-        header: header.clone(),
-        inputs: 0,
-        observations: 0,
-        commands: 0,
-        links: links.collect(),
-        first: None,
-        part: 1,
-        missing_start: None,
-        continued_by: Vec::new(),
-        last: Timestamp::ZERO,
-        truncation: None,
-        damages: Vec::new(),
-    }
+    RecordingFacts { header: header.clone(), links: links.collect(), ..RecordingFacts::default() }
 }
 
 fn record_input(
@@ -252,7 +235,7 @@ fn record_input(
 ) {
     facts.inputs += 1;
     facts.first.get_or_insert(now);
-    facts.last = now;
+    facts.last = Some(now);
     match input {
         Input::Bytes { link, peer, bytes } => {
             let of_link = facts.links.entry(*link).or_default();

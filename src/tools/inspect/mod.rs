@@ -1,7 +1,4 @@
 //! `posebridge inspect`: prints the content of a file without estimation.
-//!
-//! Reads posebridge recordings, telemetry logs, raw captures of a link and descriptors of foreign recordings; logs and captures in
-//! bounded memory. Frames are verified with the checksum seeds of every known dialect. docs/recordings.md describes the JSON object.
 
 mod facts;
 mod report;
@@ -10,7 +7,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use self::facts::InspectResult;
+use self::facts::{InspectResult, inspect_bytes, inspect_descriptor, inspect_recording, inspect_tlog};
 use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
@@ -32,11 +29,12 @@ pub struct InspectArgs {
 pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let file = InputFile::open(&args.file).before_start()?;
     let (name, kind, size) = (file.name.clone(), file.kind, file.size);
+    let framed = |facts| InspectResult::Framed(Box::new(facts));
     let found = match kind {
-        InputKind::Tlog => facts::inspect_tlog(file).map(InspectResult::from_framed).while_running()?,
-        InputKind::Bytes => facts::inspect_bytes(file).map(InspectResult::from_framed).while_running()?,
-        InputKind::Own => facts::inspect_recording(file, &args.file).map(InspectResult::from_framed).before_start()?,
-        InputKind::Descriptor => InspectResult::Runs(facts::inspect_descriptor(&args.file, &args.data).before_start()?),
+        InputKind::Tlog => inspect_tlog(file).map(framed).while_running()?,
+        InputKind::Bytes => inspect_bytes(file).map(framed).while_running()?,
+        InputKind::Own => inspect_recording(file, &args.file).map(framed).before_start()?,
+        InputKind::Descriptor => InspectResult::Runs(inspect_descriptor(&args.file, &args.data).before_start()?),
     };
     let text =
         if args.json { report::json_text(&name, kind, size, &found) } else { report::table_text(&name, kind, &found) };

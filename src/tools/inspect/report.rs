@@ -145,36 +145,24 @@ fn tlog_of(facts: &TlogFacts) -> Value {
 }
 
 fn own_of(facts: &RecordingFacts) -> Value {
-    let links: Vec<Value> = facts
-        .links
-        .iter()
-        .map(|(id, link)| {
-            json!({
-                "link": id.0,
-                "url": link.url,
-                "brick": link.brick,
-                "chunks": link.chunks,
-                "bytes": link.bytes,
-                "ups": link.ups,
-                "downs": link.downs,
-            })
-        })
-        .collect();
-    json!({
-        "format": facts.header.format,
-        "program_version": facts.header.program_version,
-        "utc_start_micros": facts.header.utc_start_micros,
-        "duration_s": facts.duration_s(),
-        "part": facts.part,
-        "continued_by": facts.continued_by,
-        "lack": facts.missing_start,
-        "inputs": facts.inputs,
-        "observations": facts.observations,
-        "commands": facts.commands,
-        "torn": facts.truncation,
-        "damages": facts.damages,
-        "links": links,
-    })
+    let links = facts.links.iter().map(|(id, link)| {
+        let mut fields = json!(link);
+        fields["link"] = json!(id.0);
+        fields
+    });
+    let links: Vec<Value> = links.collect();
+    let header = &facts.header;
+    let mut fields = json!(facts);
+    for (key, value) in [
+        ("format", json!(header.format)),
+        ("program_version", json!(header.program_version)),
+        ("utc_start_micros", json!(header.utc_start_micros)),
+        ("duration_s", json!(facts.duration_s())),
+        ("links", json!(links)),
+    ] {
+        fields[key] = value;
+    }
+    fields
 }
 
 fn run_of(run: &RunFacts) -> Value {

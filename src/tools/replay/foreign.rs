@@ -101,7 +101,6 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     Ok(replayed)
 }
 
-/// The requested filters, else the default ones.
 fn filters_of(args: &ReplayArgs) -> Result<Vec<String>> {
     if args.filters.is_empty() {
         return Ok(DEFAULT_FILTERS.map(str::to_owned).to_vec());
@@ -251,7 +250,6 @@ fn write_run_charts(
     write_charts(args, &robot_run.run.name, collector, tracks)
 }
 
-/// `None` without truth.
 pub fn truth_of(robot_run: &RobotRun) -> Option<PoseTrack> {
     let truth = &robot_run.run.truth;
     let poses = truth.iter().map(|truth| TimedPose { time: truth.time, pose: pose_at(truth.position, truth.heading) });

@@ -16,22 +16,22 @@ use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, Smoothe
 use super::watch::{
     ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
 };
-use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
+use crate::config::{self, Config, RobotProfile, Setting};
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
+use crate::station::input_file::{InputFile, InputKind};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
 use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::station::recorded_session::RecordingWarnings;
 use crate::station::signing::recorded_station_config;
 use crate::tools::ground_truth::GroundTruth;
-use crate::tools::import::{self, ImportedSession, InputSource, StationOptions};
+use crate::tools::import::{self, StationOptions, TlogSource};
 
 pub const WHOLE_RUN: &str = "recording";
 
-/// Replays with the configured filter, or others.
 pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     if let (Some(_), [_, _, ..]) = (&args.events, args.filters.as_slice()) {
         return Err(anyhow!("--events writes the events of one estimator: give --filter once")).before_start();
@@ -61,20 +61,11 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     if let Some(events) = events {
         finish_events(events).while_running()?;
     }
-    let replays = configs.iter().zip(stations.iter().zip(collectors));
-    let replays: Vec<FilterReplay<'_>> =
-        replays.map(|(config, (station, collectors))| FilterReplay { config, station, collectors }).collect();
-    summarize(args, &recording, replays).map(|replayed| ReplayResult {
+    summarize(args, &recording, &configs, stations.iter().zip(collectors)).map(|replayed| ReplayResult {
         duration: summary.duration,
         changed_settings: changed,
         ..replayed
     })
-}
-
-struct FilterReplay<'m> {
-    config: &'m Config,
-    station: &'m Station,
-    collectors: PerRobot<EventCollector>,
 }
 
 fn configs(args: &ReplayArgs, recording: &OwnRecording) -> Result<Vec<Config>> {
@@ -106,96 +97,53 @@ fn create_watchers<'e>(
 }
 
 /// Results of every estimator for every robot. Figures and the smoothed path are those of the last estimator.
-fn summarize(
+fn summarize<'m>(
     args: &ReplayArgs,
     recording: &OwnRecording,
-    replays: Vec<FilterReplay<'_>>,
+    configs: &[Config],
+    replays: impl Iterator<Item = (&'m Station, PerRobot<EventCollector>)>,
 ) -> Result<ReplayResult, Failure> {
     let mut result =
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
-    let count = replays.len();
-    for (index, replay) in replays.into_iter().enumerate() {
-        let is_first_estimator = index == 0;
-        let is_last_estimator = index + 1 == count;
-        let entries = replay.collectors.into_entries();
+    for (index, (config, (station, collectors))) in configs.iter().zip(replays).enumerate() {
+        let entries = collectors.into_entries();
         let has_several = entries.len() > 1;
-        for (position, entry) in entries.into_iter().enumerate() {
-            let label = has_several.then(|| entry.label.clone());
-            let known = recording.ground_truth(args.session.truth.as_deref(), entry.robot).before_start()?;
-            let robot = RobotReplay::new(replay.config, replay.station, label, entry).before_start()?;
-            if is_first_estimator {
-                result.observations += robot.collector.observations;
+        for (position, RobotEntry { robot: id, label, value: collector }) in entries.into_iter().enumerate() {
+            let known = recording.ground_truth(args.session.truth.as_deref(), id).before_start()?;
+            let truth = known.truth.as_ref();
+            // `None` if the station received nothing from a robot.
+            let robot = station.robots().iter().find(|robot| Some(robot.id()) == id);
+            let file = config.robot_file(robot);
+            let mut filter_config = config.filter_config_of(file).before_start()?;
+            let label = has_several.then_some(label);
+            let run = label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
+            let prior = filter_config.calibration;
+            let learned = robot.and_then(|robot| LearnedCalibration::of_robot(robot, &run, file, &prior));
+            if index == 0 {
+                result.observations += collector.observations;
             }
-            if is_last_estimator {
-                let smoothed = args.smooth.then(|| robot.smooth(known.truth.as_ref()));
+            if index + 1 == configs.len() {
+                filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
+                let run = label.as_deref().unwrap_or(WHOLE_RUN);
+                let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, truth));
                 if position == 0 {
-                    robot.write_charts(args, &recording.name, &known, smoothed.as_ref()).while_running()?;
+                    let path = smoothed.as_ref().and_then(SmoothedRun::track);
+                    let tracks = ReferenceTracks { truth, odometry: known.odometry.as_ref(), smoothed: path.as_ref() };
+                    write_charts(args, &recording.name, &collector, tracks).while_running()?;
                 }
                 result.smoothed.extend(smoothed);
             }
-            result.outcomes.push(robot.into_result(known.truth.as_ref()));
+            result.outcomes.push(FilterResult {
+                name: config.filter.name.clone(),
+                robot: label,
+                errors: errors(&collector, truth),
+                position_rms_uncorrected_m: None,
+                learned: learned.into_iter().collect(),
+                sources: collector.sources,
+            });
         }
     }
     Ok(result)
-}
-
-struct RobotReplay<'m> {
-    config: &'m Config,
-    file: &'m RobotFile,
-    filter_config: FilterConfig,
-    /// `None` if the station received nothing from a robot.
-    robot: Option<&'m Robot>,
-    /// `None` for a single robot.
-    label: Option<String>,
-    collector: EventCollector,
-}
-
-impl<'m> RobotReplay<'m> {
-    fn new(
-        config: &'m Config,
-        station: &'m Station,
-        label: Option<String>,
-        entry: RobotEntry<EventCollector>,
-    ) -> Result<Self> {
-        let robot = station.robots().iter().find(|robot| Some(robot.id()) == entry.robot);
-        let file = config.robot_file(robot);
-        Ok(Self { config, file, filter_config: config.filter_config_of(file)?, robot, label, collector: entry.value })
-    }
-
-    /// The smoothed path, with the geometry that the robot described, if it did.
-    fn smooth(&self, truth: Option<&PoseTrack>) -> SmoothedRun {
-        let mut filter_config = self.filter_config.clone();
-        filter_config.geometry = self.robot.map_or(filter_config.geometry, Robot::geometry);
-        smoothed(self.label.as_deref().unwrap_or(WHOLE_RUN), &filter_config, &self.collector, truth)
-    }
-
-    /// Draws the estimates with truth, odometry and the smoothed path.
-    fn write_charts(
-        &self,
-        args: &ReplayArgs,
-        title: &str,
-        known: &GroundTruth,
-        smoothed: Option<&SmoothedRun>,
-    ) -> Result<()> {
-        let path = smoothed.and_then(SmoothedRun::track);
-        let tracks =
-            ReferenceTracks { truth: known.truth.as_ref(), odometry: known.odometry.as_ref(), smoothed: path.as_ref() };
-        write_charts(args, title, &self.collector, tracks)
-    }
-
-    fn into_result(self, truth: Option<&PoseTrack>) -> FilterResult {
-        let run = self.label.as_ref().map_or_else(|| WHOLE_RUN.to_owned(), |label| format!("{WHOLE_RUN} {label}"));
-        let prior = &self.filter_config.calibration;
-        let learned = self.robot.and_then(|robot| LearnedCalibration::of_robot(robot, &run, self.file, prior));
-        FilterResult {
-            name: self.config.filter.name.clone(),
-            robot: self.label,
-            errors: errors(&self.collector, truth),
-            position_rms_uncorrected_m: None,
-            learned: learned.into_iter().collect(),
-            sources: self.collector.sources,
-        }
-    }
 }
 
 /// Errors of every published estimate at its own timestamp.
@@ -222,9 +170,18 @@ const PROGRESS_STEP_BYTES: u64 = 256 * 1024;
 /// A posebridge recording in memory, or a telemetry log instead.
 pub struct OwnRecording {
     pub name: String,
-    pub header: RecordingHeader,
     inputs: InputSource,
+    /// About omitted data.
     notes: Vec<String>,
+}
+
+enum InputSource {
+    Recorded {
+        header: RecordingHeader,
+        bytes: Vec<u8>,
+    },
+    /// A telemetry log, converted to inputs one by one.
+    Logged(Box<TlogSource>),
 }
 
 #[derive(Debug, Default)]
@@ -245,15 +202,29 @@ impl OwnRecording {
         let name = flags.recording.display().to_string();
         let settings = profile_settings(flags, &["robot"])?;
         let station = StationOptions { settings: &settings, ..StationOptions::default() };
-        let ImportedSession { header, notes, inputs } = import::session(&flags.recording, station)?;
-        Ok(Self { name, header, inputs, notes })
+        if InputFile::open(&flags.recording)?.kind == InputKind::Tlog {
+            let log = TlogSource::open(&flags.recording, station.config()?)?;
+            let inputs = InputSource::Logged(Box::new(log));
+            return Ok(Self { name, inputs, notes: Vec::new() });
+        }
+        let (bytes, notes) = import::recording_bytes(&flags.recording, station)?;
+        let reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+        let header = reader.header().clone();
+        Ok(Self { name, inputs: InputSource::Recorded { header, bytes }, notes })
+    }
+
+    pub fn header(&self) -> &RecordingHeader {
+        match &self.inputs {
+            InputSource::Recorded { header, .. } => header,
+            InputSource::Logged(log) => &log.header,
+        }
     }
 
     /// The recorded configuration with the changes by flags and filter.
     pub fn config(&self, flags: &SessionFlags, filter: Option<&str>) -> Result<Config> {
         let origin = "the recording's own configuration";
         let settings = profile_settings(flags, &["robot"])?;
-        let mut config = config::load_text(origin, &self.header.config_toml, &settings)?.config;
+        let mut config = config::load_text(origin, &self.header().config_toml, &settings)?.config;
         if let Some(filter) = filter {
             filter.clone_into(&mut config.filter.name);
         }
@@ -262,7 +233,7 @@ impl OwnRecording {
 
     /// Messages about changes of the recorded configuration; empty without changes.
     pub fn changes(&self, flags: &SessionFlags, filters: &[String]) -> Result<Vec<String>> {
-        let recorded = config::load_text("the recording's own configuration", &self.header.config_toml, &[])?;
+        let recorded = config::load_text("the recording's own configuration", &self.header().config_toml, &[])?;
         let others = filters.iter().filter(|name| **name != recorded.config.filter.name);
         let mut changes: Vec<String> = others.map(|name| format!("filter.name={name}")).collect();
         changes.extend(changed_settings(flags));
@@ -276,13 +247,13 @@ impl OwnRecording {
     /// The truth of a robot: from a file, else from the recording.
     pub fn ground_truth(&self, truth: Option<&Path>, robot: Option<RobotId>) -> Result<GroundTruth> {
         match &self.inputs {
-            InputSource::Recorded(bytes) => GroundTruth::load(&self.name, bytes, truth, robot),
+            InputSource::Recorded { bytes, .. } => GroundTruth::load(&self.name, bytes, truth, robot),
             InputSource::Logged(_) => GroundTruth::from_file(truth),
         }
     }
 
     pub fn origin(&self) -> Timestamp<HostClock> {
-        let InputSource::Recorded(bytes) = &self.inputs else {
+        let InputSource::Recorded { bytes, .. } = &self.inputs else {
             return Timestamp::ZERO;
         };
         let reader = RecordingReader::open(bytes).ok();
@@ -308,7 +279,7 @@ impl OwnRecording {
             is_finished: false,
         };
         match &self.inputs {
-            InputSource::Recorded(bytes) => run_recorded(bytes, &mut cursor, &mut notes)?,
+            InputSource::Recorded { bytes, .. } => run_recorded(bytes, &mut cursor, &mut notes)?,
             InputSource::Logged(log) => {
                 let left_out = log.inputs(&mut |now, input| cursor.push(now, input))?;
                 for note in left_out {

@@ -1,8 +1,5 @@
-//! Flags and results of a replay: errors, tallies and calibrations of each estimator, and with `--smooth` the smoothed path of each
-//! run.
-//!
-//! The smoother gets the observations and the configuration of the filters, and is scored against the same reference. It uses wheels,
-//! gyro and fixes; other observations are counted by sensor.
+//! Flags and results of a replay. The smoother of `--smooth` gets the observations and the configuration of the filters, and is scored
+//! against the same reference. It uses wheels, gyro and fixes; other observations are counted by sensor.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -84,7 +81,6 @@ pub struct ReplayResult {
     pub smoothed: Vec<SmoothedRun>,
     /// Replayed time over all runs, counted once and not for each estimator.
     pub duration: TimeDelta,
-    /// Changes of the recorded configuration, as text.
     pub changed_settings: Vec<String>,
 }
 
@@ -202,20 +198,16 @@ impl SmoothedRun {
 fn count_ignored(observations: &[Observation]) -> BTreeMap<&'static str, u64> {
     let mut counts = BTreeMap::new();
     for observation in observations {
-        match observation.measurement {
+        let is_used = matches!(
+            observation.measurement,
             ObservationKind::WheelAngles { .. }
-            | ObservationKind::OdometerPose(_)
-            | ObservationKind::BodyVelocity { .. }
-            | ObservationKind::TurnRate(_)
-            | ObservationKind::Fix(_) => {}
-            ObservationKind::WheelAccelerations { .. }
-            | ObservationKind::Landmark { .. }
-            | ObservationKind::BeaconRange { .. }
-            | ObservationKind::WallRange(_)
-            | ObservationKind::CompassHeading(_)
-            | ObservationKind::Temperature(_) => {
-                *counts.entry(observation.sensor.name()).or_default() += 1;
-            }
+                | ObservationKind::OdometerPose(_)
+                | ObservationKind::BodyVelocity { .. }
+                | ObservationKind::TurnRate(_)
+                | ObservationKind::Fix(_)
+        );
+        if !is_used {
+            *counts.entry(observation.sensor.name()).or_default() += 1;
         }
     }
     counts

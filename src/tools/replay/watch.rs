@@ -79,7 +79,6 @@ impl Window {
     }
 }
 
-/// Waits until an input is due.
 pub struct ReplayPacer {
     runtime: tokio::runtime::Runtime,
     timer: HostTimer,
@@ -88,7 +87,6 @@ pub struct ReplayPacer {
 }
 
 impl ReplayPacer {
-    /// Starts at the first input.
     pub fn new(speed: f64) -> Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         let timer = HostTimer::start();
@@ -146,7 +144,6 @@ struct TimedView {
 }
 
 impl ReplayWatcher<'_> {
-    /// Collects data for tables.
     pub(super) fn new(collectors: PerRobot<EventCollector>) -> Self {
         Self { collectors, events: None, view: None }
     }
@@ -154,7 +151,7 @@ impl ReplayWatcher<'_> {
     /// Shows the status block of a live run if the replay has a speed.
     pub(super) fn show_at(&mut self, speed: Option<f64>) {
         self.view = speed.map(|speed| TimedView {
-            live: LiveView::new(None),
+            live: LiveView::new(None, Vec::new()),
             period: TimeDelta::from_secs_f64(DRAW_PERIOD_S * speed),
             last_drawn: Timestamp::ZERO,
         });
@@ -197,7 +194,6 @@ pub(super) struct ReferenceTracks<'a> {
     pub(super) smoothed: Option<&'a PoseTrack>,
 }
 
-/// Draws a collector's estimates with these tracks.
 pub(super) fn write_charts(
     args: &ReplayArgs,
     title: &str,

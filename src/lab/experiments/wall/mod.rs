@@ -18,9 +18,9 @@ use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 use self::recorded::RunSelection;
 use super::live::LiveArgs;
 use super::recorded::rerun_command;
+use crate::config::{Setting, load_link_profile};
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
-use crate::tools::link_profile;
 
 /// Flags of `lab wall`.
 #[derive(clap::Args, Clone, Debug)]
@@ -70,7 +70,7 @@ pub fn execute(args: &LabWallArgs) -> Result<(), Failure> {
         steps: args.steps,
         runs: args.runs,
         profile_name: args.profile.clone(),
-        link: link_profile::load(&args.profile).before_start()?,
+        link: load_link_profile(&args.profile).before_start()?,
     };
     let folder = args.output.folder()?;
     let report = simulated::run(&prepared).while_running()?;
