@@ -180,7 +180,7 @@ impl OutputSection {
             bail!("`outputs.message` is `{}`; there are: {}", self.message, known.join(", "));
         };
         Ok(OutputStream {
-            kind: *kind,
+            kind: output.kind,
             interval: TimeDelta::from_millis(i64::from(self.interval_ms)),
             instant: match self.at {
                 AtInstant::Observed => OutputInstant::Observed,

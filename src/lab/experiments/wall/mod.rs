@@ -18,7 +18,7 @@ use posebridge_sim::wall::{DEFAULT_SCENE, WallScene};
 use self::recorded::RunSelection;
 use super::live::LiveArgs;
 use super::recorded::rerun_command;
-use crate::config::{Setting, load_link_profile};
+use crate::config::load_link_profile;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
 
