@@ -6,10 +6,11 @@ use mavlink::dialects::common::{HIGHRES_IMU_DATA, HighresImuUpdatedFlags, SCALED
 use posebridge_telemetry::{Celsius, ChannelName, Meters, MetersPerSecondSquared, RadiansPerSecond};
 
 use super::frames::negate;
+use super::ids;
 use super::payload::{
     Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
-use super::{ids, services};
+use super::services::{NAME_BYTES, write_named_value};
 use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
@@ -26,7 +27,6 @@ const VARIANCE_UNKNOWN: u8 = u8::MAX;
 const QUALITY_INVALID: u8 = 1;
 /// Unit of SCALED_PRESSURE.temperature.
 const CENTIDEGREE_C: f64 = 1e-2;
-pub(super) const NAME_BYTES: usize = 10;
 /// A named value whose name begins so is a temperature in degrees Celsius; the message's definition leaves the meaning
 /// to its sender.
 const TEMPERATURE_NAME: &[u8] = b"temp";
@@ -197,6 +197,6 @@ pub(super) fn write_thermometer(stamp: WireStamp, channel: &ChannelName, tempera
             .f32s(&[absolute_hpa, differential_hpa])
             .number::<i16>((temperature.0 / CENTIDEGREE_C).round() as i16)
     } else {
-        services::write_named_value(&NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
+        write_named_value(&NamedValue { stamp, name: *channel, value: temperature.0 as f32 })
     }
 }

@@ -8,7 +8,6 @@ use posebridge_telemetry::{Address, ChannelName};
 
 use super::ids;
 use super::payload::{Decoded, Payload, PayloadReader, decode_generated, micros64, millis32, specific_address};
-use super::sensors::NAME_BYTES;
 use crate::message::{
     AutopilotVersion, CommandAck, CommandInt, CommandLong, ComponentInformation, FloatArray, Heartbeat, Message,
     MessageInterval, NamedValue, ProtocolVersion, STOP_INTERVAL, SetMessageInterval, TextPart, TimeSync, WireStamp,
@@ -28,6 +27,8 @@ mod integer_type {
     pub(super) const INT32: u8 = 6;
 }
 const PARAM_NAME: usize = 16;
+/// Length of the names in NAMED_VALUE_FLOAT and DEBUG_FLOAT_ARRAY.
+pub(super) const NAME_BYTES: usize = 10;
 pub(super) const STATUS_TEXT: usize = 50;
 
 pub(super) fn heartbeat(payload: &[u8]) -> Message {
