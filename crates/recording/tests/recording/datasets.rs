@@ -88,7 +88,9 @@ fn each_case_has_its_outcome() {
         let blank = lines.iter().rev().take_while(|line| line.is_empty()).count();
         let input = &lines[..lines.len() - blank];
         found.extend(["## ", &input.join("\n"), "\n"]);
-        outcome(&input[1..]).iter().for_each(|line| found.extend(["= ", line, "\n"]));
+        for line in outcome(&input[1..]) {
+            found.extend(["= ", &line, "\n"]);
+        }
         found.push('\n');
     }
     found.truncate(found.trim_end().len() + 1);
@@ -104,16 +106,16 @@ fn each_case_has_its_outcome() {
 #[test]
 fn an_option_says_which_fixes_are_used() {
     let descriptor = parse("[[fixes]]\nfile = \"data\"\nx = 1\ny = 1\nuse_every = 3\nuse_first = 1");
-    let rows: String = (0..8).map(|n| format!("{n},{n}\n")).collect();
+    let rows = (0..8).map(|n| format!("{n},{n}")).collect::<Vec<_>>().join("\n");
     let mut open = |_: &Path| Ok(rows.clone().into_bytes());
     for (use_every, used) in
         [(None, &[1.0, 4.0, 7.0][..]), (Some(1), &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]), (Some(0), &[])]
     {
         let options = LoadOptions { run: "only", geometry: GEOMETRY, use_every };
         let run = load(&descriptor, options, &mut open).unwrap();
-        let observed = run.observations.iter().map(|timed| match timed.observation.measurement {
-            ObservationKind::Fix(fix) => fix.position.x.0,
-            other => panic!("{other:?}"),
+        let observed = run.observations.iter().map(|timed| {
+            let ObservationKind::Fix(fix) = timed.observation.measurement else { panic!("{timed:?}") };
+            fix.position.x.0
         });
         assert_eq!(observed.collect::<Vec<_>>(), used);
         assert_eq!(run.withheld.len(), 8 - used.len());
@@ -123,7 +125,7 @@ fn an_option_says_which_fixes_are_used() {
 #[test]
 fn a_row_that_two_streams_refuse_counts_once_and_twenty_are_named() {
     let rest = "[[gyro]]\nfile = \"data\"\nturn_rate = 1\n[[temperature]]\nfile = \"data\"\ntemperature = 1";
-    let rows: String = (0..100).map(|n| format!("{n},bad\n")).collect();
+    let rows = (0..100).map(|n| format!("{n},bad")).collect::<Vec<_>>().join("\n");
     let run = load_rows(rest, &rows);
     assert_eq!((run.bad_rows.total(), run.bad_rows.listed.len()), (100, 20));
 }
