@@ -18,8 +18,8 @@ use nalgebra::{Matrix5, Vector5};
 use posebridge_estimator::filters::pose::motion_update::{self, UpdateContext};
 use posebridge_estimator::filters::pose::state::{CORE_STATES, PoseState};
 use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep};
-use posebridge_estimator::motion::{GyroTrack, MotionReading, MotionTrack};
-use posebridge_estimator::numerics::chi_square::{ChiSquareGates, chi_square_gates};
+use posebridge_estimator::motion::MotionReading;
+use posebridge_estimator::numerics::statistics::quantile;
 use posebridge_estimator::update::{ScalarMeasurement, use_scalar};
 use posebridge_estimator::{Filter, FilterConfig, find_filter};
 use posebridge_telemetry::estimate::row;
@@ -96,9 +96,7 @@ fn ratio(samples: &[f64], floor: &[f64]) -> f64 {
 }
 
 fn median(samples: &[f64]) -> f64 {
-    let mut sorted = samples.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    quantile(samples, 0.5).unwrap_or(f64::NAN)
 }
 
 fn nanos(elapsed: Duration) -> f64 {
@@ -150,6 +148,11 @@ enum Camera {
     Every(i64),
 }
 
+fn flagship(config: &FilterConfig) -> Box<dyn Filter> {
+    let Some(entry) = find_filter("pose") else { unreachable!("the flagship stands in the table") };
+    (entry.build)(config)
+}
+
 /// The flagship, its history full, that drives on and on.
 struct Flagship {
     filter: Box<dyn Filter>,
@@ -159,8 +162,7 @@ struct Flagship {
 
 impl Flagship {
     fn new(camera: Camera) -> Self {
-        let Some(entry) = find_filter("pose") else { unreachable!("the flagship stands in the table") };
-        let mut flagship = Self { filter: (entry.build)(&learning_geometry()), camera, step: 0 };
+        let mut flagship = Self { filter: flagship(&learning_geometry()), camera, step: 0 };
         for _ in 0..WARM_UP {
             flagship.drive_on();
             if flagship.is_fix_due() {
@@ -207,10 +209,7 @@ const HISTORY: TimeDelta = TimeDelta::from_millis(3_000);
 
 /// A step of the flagship's state and of what is known of wheels and gyro, without history and records around it.
 struct FilterWithoutHistory {
-    config: FilterConfig,
-    gates: ChiSquareGates,
-    track: MotionTrack,
-    gyro: GyroTrack,
+    context: UpdateContext,
     state: PoseState<CORE_STATES>,
     record: FusionRecord,
     step: i64,
@@ -218,25 +217,10 @@ struct FilterWithoutHistory {
 
 impl FilterWithoutHistory {
     fn new(config: &FilterConfig) -> Self {
-        let first = wheels(0);
         Self {
-            config: config.clone(),
-            gates: chi_square_gates(config.params.gate_probability),
-            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
-            gyro: GyroTrack::default(),
+            context: UpdateContext::new(config),
             state: PoseState::initial(config),
-            record: FusionRecord {
-                sensor: first.sensor,
-                kind: first.measurement.kind(),
-                stamp: first.stamp,
-                lag: TimeDelta::ZERO,
-                outcome: FusionOutcome::Accepted,
-                innovation: [0.0; 3],
-                innovation_covariance: [[0.0; 3]; 3],
-                nis: 0.0,
-                degrees_of_freedom: 0,
-                log_likelihood: 0.0,
-            },
+            record: flagship(config).observe(&wheels(0)),
             step: 0,
         }
     }
@@ -250,15 +234,15 @@ impl FilterWithoutHistory {
         else {
             return;
         };
-        self.gyro.insert(now, rate.0);
+        let context = &mut self.context;
+        context.gyro.insert(now, rate.0);
         let reading = MotionReading::Wheels { left_rad: left.0, right_rad: right.0 };
-        self.track.insert(now, &reading);
-        let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
-        self.state.predict_speeds_and_bias(now, &self.config);
-        motion_update::update_turn_rate(&mut self.state, rate.0, &context);
-        self.state.advance(now, &self.track, &self.config);
-        motion_update::update_motion(&mut self.state, now, &context, &mut self.record);
-        self.track.discard_before(now - HISTORY);
-        self.gyro.discard_before(now - HISTORY);
+        context.track.insert(now, &reading);
+        self.state.predict_speeds_and_bias(now, &context.config);
+        motion_update::update_turn_rate(&mut self.state, rate.0, context);
+        self.state.advance(now, &context.track, &context.config);
+        motion_update::update_motion(&mut self.state, now, context, &mut self.record);
+        context.track.discard_before(now - HISTORY);
+        context.gyro.discard_before(now - HISTORY);
     }
 }

@@ -14,17 +14,15 @@ use crate::validation::is_valid_start;
 pub trait Filter: Send {
     fn observe(&mut self, observation: &Observation) -> FusionRecord;
 
-    /// Sets the pose at [`Filter::latest_time`], after all observations of that instant; counts as a reset.
-    ///
-    /// [`FusionOutcome::PoseReset`], or [`FusionOutcome::Malformed`] and no change when a number is not finite or a sigma is negative;
-    /// [`FusionOutcome::Unused`] from a filter that has no pose.
+    /// Sets the pose at [`Filter::latest_time`], after all observations of that instant:
+    /// [`FusionOutcome::PoseReset`], a counted reset; [`FusionOutcome::Malformed`] and no change when a number is not
+    /// finite or a sigma is negative; `Unused` without a pose.
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         if is_valid_start(start) { FusionOutcome::Unused } else { FusionOutcome::Malformed }
     }
 
-    /// Applies a command after all observations up to [`Filter::latest_time`].
-    ///
-    /// [`FusionOutcome::Accepted`], or [`FusionOutcome::Unused`] and no change from a filter that does not support it.
+    /// Applies a command after all observations up to [`Filter::latest_time`]; [`FusionOutcome::Unused`] and no
+    /// change from a filter that does not support it.
     fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         let _ = adjustment;
         FusionOutcome::Unused

@@ -16,8 +16,7 @@ use crate::motion::count_before;
 const RECENT_STATES: usize = 16;
 /// The distance between the older states that are kept, in entries.
 const CHECKPOINT_INTERVAL: usize = 8;
-/// The first capacity for checkpoints: three seconds of a brick that is read 80 times a second. Growing later would
-/// fragment the memory of a station that runs for weeks.
+/// Three seconds of a brick that is read 80 times a second; growing later would fragment the memory of a station.
 const INITIAL_CHECKPOINTS: usize = 32;
 
 /// An input of a filter at one instant.
@@ -64,18 +63,22 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         self.stored_state(self.entries.len()).1
     }
 
-    /// The state after the last entry at or before an instant, or the base, as the nearest stored state and the entries
-    /// to apply to it.
+    /// The state at an instant, as the nearest stored state before it and the entries to apply to it.
     pub fn state_at_or_before(&self, stamp: Timestamp<BrickClock>) -> (&S, impl Iterator<Item = &E>) {
         let count = self.count_until(stamp);
         let (stored, state) = self.stored_state(count);
         (state, self.entries.range(stored..count))
     }
 
-    /// Inserts an entry at its own time and returns the entries to apply again, oldest first: this one and all later
-    /// ones, those after `changed_after` where that is earlier, and those between there and the nearest stored state.
-    /// Their states are invalid until then.
-    pub fn insert(&mut self, entry: E, changed_after: Option<Timestamp<BrickClock>>) -> Replay<'_, E, S> {
+    /// Inserts an entry at its own time, and applies it and all later ones again, oldest first; those after
+    /// `changed_after` too, where that is earlier, and those between there and the nearest stored state. `apply` gets
+    /// the state before an entry, a copy of that to be updated, the entry, and whether it is the inserted one.
+    pub fn insert(
+        &mut self,
+        entry: E,
+        changed_after: Option<Timestamp<BrickClock>>,
+        mut apply: impl FnMut(&S, &mut S, &E, bool),
+    ) {
         let inserted = count_before(&self.entries, |other| other.order(&entry) != Ordering::Greater);
         let changed = changed_after.map_or(inserted, |after| self.count_until(after)).min(inserted);
         if self.recent.is_empty() {
@@ -92,7 +95,14 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
         } else {
             self.entries.insert(inserted, entry);
         }
-        Replay { history: self, inserted, next }
+        for index in next..self.entries.len() {
+            self.store_checkpoint(index);
+            let slots = [self.slot(index), self.slot(index + 1)];
+            if let (Some(entry), Ok([before, after])) = (self.entries.get(index), self.recent.get_disjoint_mut(slots)) {
+                *after = *before;
+                apply(before, after, entry, index == inserted);
+            }
+        }
     }
 
     /// Whether [`Self::discard_before`] the same instant may discard anything; in constant time.
@@ -161,46 +171,6 @@ impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {
     }
 }
 
-/// The entries to apply again after an insertion.
-#[derive(Debug)]
-#[must_use = "until all entries are applied again the states behind the insertion are not theirs"]
-pub struct Replay<'h, E, S> {
-    history: &'h mut FixedLagHistory<E, S>,
-    inserted: usize,
-    /// The next entry; the state before it is in the ring.
-    next: usize,
-}
-
-#[derive(Debug)]
-pub struct ReplayStep<'h, E, S> {
-    pub entry: &'h E,
-    pub before: &'h S,
-    /// A copy of `before`, to be updated to the state after the entry.
-    pub after: &'h mut S,
-    /// Whether it is the inserted entry and not one that was applied before.
-    pub is_inserted: bool,
-}
-
-impl<E: HistoryEntry, S: Copy> Replay<'_, E, S> {
-    /// The next entry to apply; the previous one must have been applied.
-    #[inline]
-    #[expect(clippy::should_implement_trait, reason = "what it returns borrows from the replay")]
-    pub fn next(&mut self) -> Option<ReplayStep<'_, E, S>> {
-        let index = self.next;
-        let history = &mut *self.history;
-        if index == history.entries.len() {
-            return None;
-        }
-        history.store_checkpoint(index);
-        let (before, after) = (history.slot(index), history.slot(index + 1));
-        let entry = history.entries.get(index)?;
-        self.next += 1;
-        let [before, after] = history.recent.get_disjoint_mut([before, after]).ok()?;
-        *after = *before;
-        Some(ReplayStep { entry, before, after, is_inserted: index == self.inserted })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -229,13 +199,17 @@ mod tests {
         state.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(entry.number).rotate_left(17)
     }
 
-    fn apply_all(mut replay: Replay<'_, Append, Digest>) -> Vec<Append> {
+    fn insert(
+        history: &mut FixedLagHistory<Append, Digest>,
+        entry: Append,
+        changed_after: Option<Timestamp<BrickClock>>,
+    ) -> Vec<Append> {
         let mut entries = Vec::new();
-        while let Some(step) = replay.next() {
-            assert_eq!(step.before, step.after, "it begins as a copy");
-            *step.after = applied(*step.before, step.entry);
-            entries.push(*step.entry);
-        }
+        history.insert(entry, changed_after, |before, after, entry, _| {
+            assert_eq!(before, after, "it begins as a copy");
+            *after = applied(*before, entry);
+            entries.push(*entry);
+        });
         entries
     }
 
@@ -246,7 +220,7 @@ mod tests {
     fn history_of(entries: &[Append]) -> FixedLagHistory<Append, Digest> {
         let mut history = FixedLagHistory::new(1);
         for entry in entries {
-            apply_all(history.insert(*entry, None));
+            insert(&mut history, *entry, None);
         }
         history
     }
@@ -269,7 +243,7 @@ mod tests {
         let late = Append { millis: 40, number: 5 };
         for (changed_after, from) in [(5, 0), (10, 1), (20, 3), (30, 4), (35, 4), (50, 4)] {
             let mut history = history_of(&ENTRIES);
-            let replayed = apply_all(history.insert(late, Some(ms(changed_after))));
+            let replayed = insert(&mut history, late, Some(ms(changed_after)));
             let all = [ENTRIES[0], ENTRIES[1], ENTRIES[2], ENTRIES[3], late];
             assert_eq!(replayed, all[from..], "changed after {changed_after} ms");
         }
@@ -284,7 +258,7 @@ mod tests {
         history.reset(7);
         assert!(history.entries().is_empty());
         assert_eq!((*history.base(), *history.last_state()), (7, 7));
-        apply_all(history.insert(ENTRIES[0], None));
+        insert(&mut history, ENTRIES[0], None);
         assert_eq!(*history.last_state(), applied(7, &ENTRIES[0]));
     }
 
@@ -301,7 +275,7 @@ mod tests {
             let entry = Append { millis: (10 * step - 10 * late - late.signum() * 5).max(0), number: step as u64 };
             let position = expected.partition_point(|other| other.order(&entry) != Ordering::Greater);
             expected.insert(position, entry);
-            let replayed = apply_all(history.insert(entry, None));
+            let replayed = insert(&mut history, entry, None);
             let recomputed = replayed.len() - (expected.len() - position);
             assert!(recomputed < CHECKPOINT_INTERVAL, "step {step}: {recomputed} more than the late ones");
             history.discard_before(ms(10 * (step - LONGEST)));

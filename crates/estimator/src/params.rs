@@ -142,8 +142,6 @@ impl Default for Params {
 }
 
 impl Params {
-    /// Sets one tunable by its key.
-    ///
     /// Errors: the key is unknown, or the value is outside the row's range.
     pub fn set(&mut self, key: &str, value: f64) -> Result<(), ParamError> {
         let row =

@@ -132,12 +132,8 @@ pub enum UpdateOutcome {
     Indefinite,
 }
 
-/// Uses one scalar observation of a few rows, unless its NIS exceeds `gate` (infinite for none).
-///
-/// The sparse form of the update: S, the gain and the new covariance from the named rows alone. `covariance` must be symmetric;
-/// it stays so to the last bit.
-///
-/// Panics: a named row is N or more.
+/// Uses one scalar observation of a few rows, unless its NIS exceeds `gate` (infinite for none); the covariance stays
+/// symmetric to the last bit. Panics: a named row is N or more.
 #[inline]
 pub fn use_scalar<const N: usize, const K: usize>(
     mean: &mut SVector<f64, N>,
@@ -167,10 +163,8 @@ pub fn use_scalar<const N: usize, const K: usize>(
     ScalarOutcome { innovation_variance: s, nis, outcome: usage }
 }
 
-/// The effect of [`use_scalar`] without a gate on some rows, in rising order: their mean and covariance; `None` if it
-/// would change nothing. Bit for bit the same, without the other rows.
-///
-/// Panics: a named row is N or more.
+/// The effect of [`use_scalar`] without a gate on some rows, in rising order, bit for bit; `None` if it would change
+/// nothing. Panics: a named row is N or more.
 #[inline]
 pub fn preview_scalar<const N: usize, const K: usize, const R: usize>(
     mean: &SVector<f64, N>,

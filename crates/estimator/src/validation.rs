@@ -15,8 +15,7 @@ use crate::update::{ScalarOutcome, UpdateOutcome, nis_and_log_likelihood};
 const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// Larger numbers are damage: no arena, wheel or rate comes near, and their squares must stay finite.
 const MAX_MAGNITUDE: f64 = 1e9;
-/// Smaller variances are damage, a nanometre or a nanoradian squared: no sensor is better, and they would divide by
-/// almost zero.
+/// Smaller variances are damage, a nanometre or a nanoradian squared: they would divide by almost zero.
 const MIN_VARIANCE: f64 = 1e-18;
 /// A tag further from mid-axle is not on the robot, m.
 const MAX_LEVER_M: f64 = 1e3;
@@ -26,8 +25,7 @@ pub(crate) const RESTART_POSITION_SIGMA_M: f64 = 0.1;
 /// The same for its heading, rad.
 pub(crate) const RESTART_HEADING_SIGMA_RAD: f64 = 0.3;
 
-/// Why an observation is rejected whatever the state: damaged, too old, or from the far future. `latest` is the latest
-/// timestamp so far.
+/// Why an observation is rejected whatever the state, with the latest stamp so far.
 fn reject_invalid(
     observation: &Observation,
     latest: Option<Timestamp<BrickClock>>,
@@ -120,8 +118,7 @@ fn is_finite_fix(fix: &Fix) -> bool {
         && covariance
 }
 
-/// Applies an observation unless it is invalid whatever the state, and returns its record; `apply` gets one with the
-/// outcome `Unused`.
+/// Applies a valid observation to a record with the outcome `Unused`, and returns it.
 pub(crate) fn observe_if_valid(
     observation: &Observation,
     latest: Option<Timestamp<BrickClock>>,
@@ -191,10 +188,8 @@ pub(crate) fn write_innovation<const M: usize>(
     true
 }
 
-/// Adds one more innovation with its S; at most three fit.
-///
-/// Each is computed after the ones before it have been used, so they are independent: their NIS and log-likelihoods add
-/// up.
+/// Adds one more innovation with its S; at most three fit. Each is computed after those before it have been used, so
+/// they are independent: their NIS and log-likelihoods add up.
 pub(crate) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome: &ScalarOutcome) {
     let i = usize::from(record.degrees_of_freedom);
     if outcome.outcome == UpdateOutcome::Indefinite || i >= record.innovation.len() {

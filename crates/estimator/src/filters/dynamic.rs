@@ -44,8 +44,8 @@ pub struct DynamicFilter {
 }
 
 impl DynamicFilter {
-    /// One thermometer, [`SensorId::THERMOMETER`], of first order with the time constant `dynamic_tau_s`. With a time
-    /// constant that is not positive ([`crate::Params::set`] lets none in) the filter ignores all temperatures.
+    /// One thermometer, [`SensorId::THERMOMETER`], of first order; ignores all temperatures if `dynamic_tau_s` is not
+    /// positive.
     pub fn new(config: &FilterConfig) -> Self {
         let tau_s = config.params.dynamic_tau_s;
         let model = DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty());
@@ -67,8 +67,8 @@ impl DynamicFilter {
         }
     }
 
-    /// Sets the initial uncertainty: one standard deviation of the quantity around the first sample, and of each state
-    /// around zero. Ignores values that are not positive and finite.
+    /// One standard deviation of the quantity around the first sample, and of each state around zero, if positive and
+    /// finite.
     pub fn with_prior_sigma(mut self, sigma: f64) -> Self {
         if sigma > 0.0 && sigma.is_finite() {
             self.prior_sigma = sigma;
@@ -76,8 +76,8 @@ impl DynamicFilter {
         self
     }
 
-    /// The expected sample of a sensor at an instant and its variance, noise included; `None` before the first sample
-    /// and for a sensor that is not in the model.
+    /// The expected sample of a sensor and its variance, noise included; `None` before the first, and for an unknown
+    /// sensor.
     pub fn expected(&self, sensor: SensorId, stamp: Timestamp<BrickClock>) -> Option<(f64, f64)> {
         let row = self.model.row_of(sensor)?;
         let state = self.predict_state(self.state?, stamp);

@@ -96,9 +96,7 @@ impl OdometryFilter {
         validation::fusion_outcome(added)
     }
 
-    /// Recomputes the estimates that follow a late reading, from the last one before it.
-    ///
-    /// In place, because a step must not allocate: the queue has grown to the length of the history by then.
+    /// Recomputes the estimates that follow a late reading; in place, because a step must not allocate.
     fn recompute_from(&mut self, stamp: Timestamp<BrickClock>) {
         // The oldest estimate is the start, and stays.
         let first_later = self.states.partition_point(|state| state.stamp <= Some(stamp)).max(1);

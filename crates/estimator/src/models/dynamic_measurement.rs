@@ -43,9 +43,7 @@ struct SensorOutput {
 }
 
 impl DynamicModel {
-    /// One sensor of first order, as Newton's law of cooling has it: dy/dt = (u - y) / tau.
-    ///
-    /// Errors: the time constant, in seconds, is not positive and finite.
+    /// One sensor of first order: dy/dt = (u - y) / tau. Errors: tau is not positive and finite.
     pub fn first_order(sensor: SensorId, time_constant_s: f64) -> Result<Self, ModelError> {
         Self::empty().with_lags(sensor, 1.0, &[time_constant_s])
     }

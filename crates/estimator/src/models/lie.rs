@@ -40,17 +40,9 @@ impl Se2 {
         // (1 - s) / turn and (1 - cos) / turn^2, by series near zero.
         let (one_less_s, half) =
             if turn_rad.abs() < 1e-4 { (turn_rad / 6.0, 0.5) } else { ((1.0 - s) / turn_rad, c / turn_rad) };
-        Matrix3::new(
-            s,
-            c,
-            forward_m * one_less_s - left_m * half,
-            -c,
-            s,
-            left_m * one_less_s + forward_m * half,
-            0.0,
-            0.0,
-            1.0,
-        )
+        let forward_by_turn = forward_m * one_less_s - left_m * half;
+        let left_by_turn = left_m * one_less_s + forward_m * half;
+        Matrix3::new(s, c, forward_by_turn, -c, s, left_by_turn, 0.0, 0.0, 1.0)
     }
 
     /// This pose, moved by `motion` in its own frame.

@@ -32,11 +32,7 @@ pub struct Acceleration {
 }
 
 impl Acceleration {
-    /// Turns the accelerations measured at the two wheels into those of the body.
-    ///
-    /// ```text
-    /// a = (a_L + a_R) / 2          alpha = (a_R - a_L) / b
-    /// ```
+    /// a = (a_L + a_R) / 2, alpha = (a_R - a_L) / b.
     pub fn from_wheels(left_m_per_s2: f64, right_m_per_s2: f64, geometry: &DriveGeometry) -> Self {
         Self {
             forward_m_per_s2: 0.5 * (left_m_per_s2 + right_m_per_s2),
@@ -55,8 +51,8 @@ pub struct PredictionStep {
 }
 
 impl PredictionStep {
-    /// Propagates mean and covariance over the step: [`advance`], and F P F' + Q with the F of [`jacobian`]. Reads only
-    /// the lower triangle of the covariance; the result is symmetric to the last bit.
+    /// [`advance`], and F P F' + Q with the F of [`jacobian`], which reads only the lower triangle of P and leaves it
+    /// symmetric.
     #[inline]
     pub fn predict(&self, mean: &mut Mean, covariance: &mut Covariance, felt: Acceleration) {
         let slope = SparseJacobian::at(mean, self.interval_s);

@@ -8,8 +8,8 @@
 //! Euler:  A = [1, -dt; 0, 1 - a dt]              B = [0; dt/m]
 //! exact:  A = [1, -g;  0, E]                     B = [-(dt - g)/d; (1 - E)/d]       E = e^(-a dt)   g = (1 - E)/a
 //!
-//! Q = q_z [dt, 0; 0, 0] + q_v [ (dt - 2 g + g_2)/a^2,  -(g - g_2)/a ]     g_2 = (1 - E^2)/(2 a), after white noise of densities
-//!                             [ -(g - g_2)/a,          g_2          ]     q_z (m^2/s) on distance and q_v (m^2/s^3) on speed
+//! Q = q_z [dt, 0; 0, 0] + q_v [ (dt - 2 g + g_2)/a^2,  -(g - g_2)/a ]     g_2 = (1 - E^2)/(2 a)
+//!                             [ -(g - g_2)/a,          g_2          ]     q_z, q_v densities of white noise
 //! ```
 //! Source: Paper 3 (Lab 7: step test, d and m, Euler's rule); exact discretisation: Van Loan (1978); docs/lab/wall.md
 //! sections M1, M2.
@@ -65,8 +65,7 @@ impl WallApproachModel {
         }
     }
 
-    /// Covariance that white noise on distance (density in m²/s) and on speed (m²/s³) adds over a step, `dt_s` at least
-    /// 0.
+    /// What white noise of these densities, m²/s on distance and m²/s³ on speed, adds over a step of at least 0 s.
     pub fn exact_noise(&self, dt_s: f64, distance_density: f64, speed_density: f64) -> Matrix2<f64> {
         let a = self.rate_per_s();
         let g = -(-a * dt_s).exp_m1() / a;
@@ -78,12 +77,8 @@ impl WallApproachModel {
             (dt_s - 2.0 * g + g_2) / (a * a)
         };
         let cross = if a * dt_s < SHORT { 0.5 * dt_s * dt_s } else { (g - g_2) / a };
-        Matrix2::new(
-            distance_density * dt_s + speed_density * through,
-            -speed_density * cross,
-            -speed_density * cross,
-            speed_density * g_2,
-        )
+        let shared = -speed_density * cross;
+        Matrix2::new(distance_density * dt_s + speed_density * through, shared, shared, speed_density * g_2)
     }
 }
 

@@ -7,8 +7,8 @@ use super::reading::InsertOutcome;
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
 const SAMPLE_HOLD: TimeDelta = TimeDelta::from_millis(60);
-/// Samples further apart than this leave a gap. A sample is the mean since the one before it only where the sender sums
-/// the turn; elsewhere a long gap is unknown. Five lost frames in a row at 20 Hz are still bridged.
+/// Samples further apart leave a gap, because not every sender gives means. Five lost frames in a row at 20 Hz are
+/// bridged.
 const MAX_SAMPLE_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +48,7 @@ impl GyroTrack {
         self.samples.last_at_or_before(stamp).map(|sample| sample.0)
     }
 
-    /// The turn between two instants, the first not after the second; `None` if the span has a gap. The last sample is held for
+    /// The turn between two instants in their order; `None` if the span has a gap. The last sample is held for
     /// `SAMPLE_HOLD`.
     pub fn covered_turn(&self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>) -> Option<GyroTurn> {
         let samples = &self.samples.entries;

@@ -34,9 +34,7 @@ impl<T> Default for TimeSeries<T> {
 }
 
 impl<T> TimeSeries<T> {
-    /// The index at which a value of this instant belongs, and the instant before it.
-    ///
-    /// Errors: there is one already, or all are later and older ones were discarded.
+    /// The index for a value of this instant, and the instant before it. Errors: it would be a duplicate or too old.
     fn vacancy(&self, stamp: Timestamp<BrickClock>) -> Result<(usize, Option<Timestamp<BrickClock>>), InsertOutcome> {
         let index = count_before(&self.entries, |(at, _)| *at < stamp);
         let before = index.checked_sub(1).and_then(|i| self.entries.get(i)).map(|(at, _)| *at);
@@ -57,8 +55,8 @@ impl<T> TimeSeries<T> {
         self.entries.get(self.count_until(stamp).checked_sub(1)?)
     }
 
-    /// Appends the value of an instant that is not before the last one, or replaces the one of the same instant, and discards
-    /// what is older than `length`.
+    /// Appends the value of an instant that is not before the last one, or replaces the one of the same instant, and
+    /// discards what is older than `length`.
     pub(crate) fn push(&mut self, stamp: Timestamp<BrickClock>, value: T, length: TimeDelta) {
         if self.entries.back().is_some_and(|(last, _)| *last == stamp) {
             self.entries.pop_back();

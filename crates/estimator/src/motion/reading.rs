@@ -9,8 +9,8 @@ use crate::models::differential_drive::WheelTravel;
 pub enum InsertOutcome {
     /// Inserted; the motion changed after this instant, the stamp of the reading before it. `None`: it is the first.
     Inserted(Option<Timestamp<BrickClock>>),
-    /// Inserted, but the motion since the reading before it, at this instant, is unknown: the counters jumped, or a
-    /// better source took over.
+    /// Inserted, but the motion since the reading at this instant is unknown: a jump of the counters, or a better
+    /// source.
     Rebased(Timestamp<BrickClock>),
     /// A better source is in use.
     Superseded,

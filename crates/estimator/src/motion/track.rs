@@ -6,8 +6,7 @@ use super::reading::{InsertOutcome, MotionReading, MotionSource};
 use super::{TimeSeries, count_before};
 use crate::models::differential_drive::{WheelTravel, body_step};
 
-/// Over a longer interval between two counter readings the path is not taken for an arc. Five lost frames in a row at
-/// 20 Hz are below it.
+/// Over a longer interval the path is not taken for an arc. Five lost frames in a row at 20 Hz are below it.
 const MAX_ARC_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 #[derive(Clone, Copy, Debug)]
@@ -25,8 +24,8 @@ pub enum TravelSegment {
     Known {
         until: Timestamp<BrickClock>,
         travel: WheelTravel,
-        /// Variance of each coordinate of the segment's end: only the sums of distance and turn are known, not their
-        /// order. Zero over short intervals.
+        /// Variance of each coordinate of the end, where the order of distance and turn is unknown; zero over short
+        /// intervals.
         path_var_m2: f64,
     },
     /// The readings around it do not determine the motion.

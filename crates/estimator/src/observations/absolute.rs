@@ -8,9 +8,9 @@
 //!   range            h(x) = (a . n) / n_x            H = [ -1  -n_y / n_x  -(n_y / n_x) h ]        along the body's x axis
 //! compass            h(x) = th                       H = [  0   0   1 ]
 //! ```
-//! Radio ranges are too long, by a few per cent and some decimetres: without o and s they would bias a filter. Of several walls the
-//! nearest ahead is met; a wall that is met at less than 20 degrees reflects away and is left out. A disturbed compass is off by
-//! far more than its noise: the gate rejects that.
+//! Radio ranges are too long, by a few per cent and some decimetres: without o and s they would bias a filter. Of
+//! several walls the nearest ahead is met; a wall that is met at less than 20 degrees reflects away and is left out. A
+//! disturbed compass is off by far more than its noise: the gate rejects that.
 //!
 //! Source: docs/maths/pose.md section 4; Leung et al. (2011) for the landmarks' data; paper 3 for the use of a wall.
 
@@ -86,7 +86,8 @@ pub fn landmark(
     })
 }
 
-/// The range to a radio beacon; `slot` is its number among the beacons of the arena. `None` when the estimate is on the beacon.
+/// The range to a radio beacon; `slot` is its number among the beacons of the arena. `None` when the estimate is on the
+/// beacon.
 pub fn beacon(
     view: &impl PoseView,
     position: Point2<Arena>,

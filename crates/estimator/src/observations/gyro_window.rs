@@ -64,8 +64,8 @@ pub struct GyroWindowModel {
     pub variance: f64,
 }
 
-/// Innovation, H and R of a window. R includes the variance of the rounding at its end, rad²; `None` for a robot at rest, where it
-/// equals that at the beginning, which is a state.
+/// Innovation, H and R of a window. R includes the variance of the rounding at its end, rad²; `None` for a robot at
+/// rest, where it equals that at the beginning, which is a state.
 pub fn measurement(
     view: &impl PoseView,
     window: &GyroWindow,

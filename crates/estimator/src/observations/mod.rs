@@ -1,4 +1,5 @@
-//! Observation models, each with h(x), H and R, and their interface to filters: states by name, never by the filter's rows.
+//! Observation models, each with h(x), H and R, and their interface to filters: states by name, never by the filter's
+//! rows.
 
 pub mod absolute;
 pub mod fix;
@@ -45,8 +46,7 @@ pub trait PoseView {
 /// No component of an observation depends on more states besides the pose.
 const MAX_TERMS: usize = 2;
 
-/// A row of H by name: the derivatives of a predicted component by the left-invariant error of the pose and by other
-/// states.
+/// A row of H by name, for the left-invariant error of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JacobianRow {
     pub forward: f64,

@@ -7,8 +7,8 @@
 //! accelerometers   v <- v + a dt          var v <- var v + (sigma_a dt)^2 / 2
 //!                  w <- w + alpha dt      var w <- var w + 2 (sigma_a dt / b)^2
 //! ```
-//! The difference of two floored counts has variance tick²/6; the mean of two wheels a half of that. Accelerations are an input and
-//! replace the random walk of the speeds.
+//! The difference of two floored counts has variance tick²/6; the mean of two wheels a half of that. Accelerations are
+//! an input and replace the random walk of the speeds.
 //!
 //! Source: docs/maths/pose.md section 5; paper 1 (Valera et al.), equations 20 to 22, for the accelerations.
 

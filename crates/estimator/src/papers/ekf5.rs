@@ -20,7 +20,7 @@ use super::paper_scaffold::{
     FixStep, GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
 };
 use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
-use super::rows::{self, position_in_arena, with_heading};
+use super::rows::{self, position_in_arena};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::{FixContext, fix_noise};
@@ -35,10 +35,8 @@ const GYRO_HEADING_VARIANCE: f64 = 0.332;
 /// Diagonal of P0: paper 1, below equation 26.
 const INITIAL_VARIANCES: [f64; N] = [0.05; N];
 
-/// The order of the last two rows of the paper's Q, 1 and 3.
-///
-/// The state of equation 24 ends in v, w; the matrix of equation 25 has the 1 of v_enc in its *fifth* column, so there
-/// the state ends in w, v.
+/// The order of the last two rows of the paper's Q, 1 and 3: the state of equation 24 ends in v, w; the matrix of
+/// equation 25 has the 1 of v_enc in its *fifth* column, so there it ends in w, v.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpeedVarianceOrder {
     /// As equation 25 is printed: 1 is for the turn rate, 3 for the forward speed.
@@ -104,19 +102,6 @@ impl FiveStateEkf {
     fn rebase_headings(&mut self) {
         self.wheel_heading_rad = self.mean[HEADING];
         self.gyro_heading_rad = self.mean[HEADING];
-    }
-
-    fn gate_and_apply<const M: usize>(
-        &mut self,
-        measurement: &LinearizedMeasurement<N, M>,
-        context: &SampledContext,
-        record: &mut FusionRecord,
-    ) -> FusionOutcome {
-        let outcome = rows::gate_and_apply(&mut self.mean, &mut self.covariance, measurement, &context.gates, record);
-        if outcome == FusionOutcome::Accepted {
-            self.rebase_headings();
-        }
-        outcome
     }
 }
 
@@ -188,17 +173,16 @@ impl SampledFilter for FiveStateEkf {
         let fix = &step.fix;
         let circumstances = FixContext::at_speeds(step.stamp_sigma_s, self.mean[FORWARD], self.mean[TURN]);
         let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
-        let rows = [X, Y, HEADING];
-        let (innovation, jacobian) = position_in_arena(rows.map(|row| self.mean[row]), rows, fix);
+        let (innovation, jacobian) = position_in_arena([X, Y, HEADING].map(|row| self.mean[row]), fix);
         let position = LinearizedMeasurement { innovation, jacobian, noise: noise.position };
-        match fix.heading {
-            None => self.gate_and_apply(&position, context, record),
-            Some(heading) => {
-                let turn_rad = wrap_rad(heading.rad() - self.mean[HEADING]);
-                let full = with_heading(&position, HEADING, turn_rad, noise.heading_rad2);
-                self.gate_and_apply(&full, context, record)
-            }
+        let expected_rad = self.mean[HEADING];
+        let heading = fix.heading.map(|heading| (wrap_rad(heading.rad() - expected_rad), noise.heading_rad2));
+        let (mean, covariance) = (&mut self.mean, &mut self.covariance);
+        let outcome = rows::gate_and_apply_fix(mean, covariance, &position, heading, &context.gates, record);
+        if outcome == FusionOutcome::Accepted {
+            self.rebase_headings();
         }
+        outcome
     }
 }
 

@@ -38,8 +38,7 @@ pub const WHEEL_HEADING_ERROR: usize = 6;
 pub const GYRO_HEADING_ERROR: usize = 7;
 pub const GYRO_BIAS: usize = 8;
 
-/// Variance of the integrated gyro beside its error state, (0.01 degrees)². Its complete error is in the state; this keeps
-/// S away from zero.
+/// Variance of the integrated gyro beside its error state, (0.01 degrees)²: it keeps S away from zero.
 const INTEGRAL_VARIANCE: f64 = 3.046e-8;
 /// Sigma of the forward speed before anything is known, m/s: a robot that is switched on is at rest.
 const INITIAL_FORWARD_SIGMA: f64 = 0.1;

@@ -87,7 +87,8 @@ impl<M: SampledFilter> FilterSnapshot<M> {
 
 pub(super) struct OnArrivalFilter<M> {
     context: SampledContext,
-    counters: WheelCounters,
+    /// The last reading of both counters, rad.
+    last_wheels: Option<(Timestamp<BrickClock>, [f64; 2])>,
     last_gyro: Option<Timestamp<BrickClock>>,
     last_acceleration: Option<Timestamp<BrickClock>>,
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
@@ -111,7 +112,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         };
         Self {
             context: SampledContext { config: config.clone(), gates: chi_square_gates(config.params.gate_probability) },
-            counters: WheelCounters::default(),
+            last_wheels: None,
             last_gyro: None,
             last_acceleration: None,
             last_fixes: BTreeMap::new(),
@@ -162,23 +163,28 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         angles_rad: [f64; 2],
         record: &mut FusionRecord,
     ) -> FusionOutcome {
-        let reading = self.counters.observe(stamp, angles_rad, &self.context.config);
+        let before = self.last_wheels;
+        if let Some(verdict) = reject_repeated(before.map(|(stamp, _)| stamp), stamp) {
+            return verdict;
+        }
+        self.last_wheels = Some((stamp, angles_rad));
+        let step = before.map(|(before_stamp, before_rad)| WheelStep {
+            interval: stamp - before_stamp,
+            left_rad: angles_rad[0] - before_rad[0],
+            right_rad: angles_rad[1] - before_rad[1],
+        });
         let mut next = self.current;
-        let verdict = match reading {
-            CounterOutcome::Rejected(verdict) => return verdict,
-            CounterOutcome::First | CounterOutcome::Rebased => {
+        let verdict = if let Some(step) = step.filter(|step| step.is_possible(&self.context.config)) {
+            if step.is_gap() {
+                next.bridge_gap(&step, stamp, &self.context);
+            } else {
                 next.advance_to(stamp, &self.context);
-                next.filter.rebase_wheels(&self.context);
-                if reading == CounterOutcome::First { FusionOutcome::Accepted } else { FusionOutcome::Rebased }
             }
-            CounterOutcome::Step(step) => {
-                if step.is_gap() {
-                    next.bridge_gap(&step, stamp, &self.context);
-                } else {
-                    next.advance_to(stamp, &self.context);
-                }
-                next.filter.use_wheels(&step, &self.context, record)
-            }
+            next.filter.use_wheels(&step, &self.context, record)
+        } else {
+            next.advance_to(stamp, &self.context);
+            next.filter.rebase_wheels(&self.context);
+            if step.is_none() { FusionOutcome::Accepted } else { FusionOutcome::Rebased }
         };
         next.status.last_motion = next.status.last_motion.max(Some(stamp));
         self.save(next);
@@ -291,7 +297,7 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         let position_m = validation::RESTART_POSITION_SIGMA_M;
         let heading_rad = validation::RESTART_HEADING_SIGMA_RAD;
         next.filter.reset_speeds(position_m, heading_rad, &self.context);
-        self.counters = WheelCounters::default();
+        self.last_wheels = None;
         self.last_gyro = None;
         self.last_acceleration = None;
         self.last_fixes.clear();
@@ -424,57 +430,15 @@ impl WheelStep {
         body_step(WheelTravel::from_rotation(self.left_rad, self.right_rad, geometry), geometry)
     }
 
+    /// Whether wheels turn that fast; else the counters were zeroed or have leapt. Two counts of slack: quantisation
+    /// alone must never look like a jump.
+    fn is_possible(&self, config: &FilterConfig) -> bool {
+        let limit_rad = config.params.max_wheel_rad_per_s * self.interval.as_secs_f64() + 2.0 * config.geometry.tick.0;
+        self.left_rad.abs() <= limit_rad && self.right_rad.abs() <= limit_rad
+    }
+
     /// Whether the interval is so long that its mean speed is no speed.
     pub(super) fn is_gap(&self) -> bool {
         self.interval > MAX_STEP
-    }
-}
-
-/// A reading of the counters compared with the one before it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum CounterOutcome {
-    /// It is the first: the base from which the wheels turn.
-    First,
-    /// The wheels turned so far since the reading before.
-    Step(WheelStep),
-    /// No wheel turns that fast: the counters were zeroed or have leapt, and this is their new base.
-    Rebased,
-    /// It comes twice or from the past; the reading before stays the last one.
-    Rejected(FusionOutcome),
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct WheelCounters {
-    last: Option<(Timestamp<BrickClock>, [f64; 2])>,
-}
-
-impl WheelCounters {
-    /// Takes a reading of both wheels' total rotation, in rad.
-    pub(super) fn observe(
-        &mut self,
-        stamp: Timestamp<BrickClock>,
-        angles_rad: [f64; 2],
-        config: &FilterConfig,
-    ) -> CounterOutcome {
-        let before = self.last;
-        if let Some(verdict) = reject_repeated(before.map(|(stamp, _)| stamp), stamp) {
-            return CounterOutcome::Rejected(verdict);
-        }
-        self.last = Some((stamp, angles_rad));
-        let Some((before_stamp, before_rad)) = before else {
-            return CounterOutcome::First;
-        };
-        let step = WheelStep {
-            interval: stamp - before_stamp,
-            left_rad: angles_rad[0] - before_rad[0],
-            right_rad: angles_rad[1] - before_rad[1],
-        };
-        // Two counts of slack: quantisation alone must never look like a jump.
-        let limit_rad = config.params.max_wheel_rad_per_s * step.interval.as_secs_f64() + 2.0 * config.geometry.tick.0;
-        if step.left_rad.abs() <= limit_rad && step.right_rad.abs() <= limit_rad {
-            CounterOutcome::Step(step)
-        } else {
-            CounterOutcome::Rebased
-        }
     }
 }

@@ -39,8 +39,7 @@ pub(super) fn add_unobserved_motion<const N: usize>(covariance: &mut SMatrix<f64
     inflate_pose(covariance, UNOBSERVED_M_PER_SQRT_S * root_s, UNOBSERVED_RAD_PER_SQRT_S * root_s);
 }
 
-/// Adds standard deviations, in m and rad, to the pose, and makes the speeds zero with these variances, independent of all other
-/// rows.
+/// Inflates the pose by sigmas in m and rad, and makes the speeds zero with these variances.
 pub(super) fn reset_speeds<const N: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -74,8 +73,7 @@ pub(super) fn set_independent_variance<const N: usize>(covariance: &mut SMatrix<
     covariance[(row, row)] = variance;
 }
 
-/// Makes a row the opposite of another one, plus an independent error of this variance: the row of an integral that starts at
-/// that one's estimate.
+/// The row of an integral that starts at another row's estimate: its opposite, plus an independent error.
 pub(super) fn set_opposite<const N: usize>(covariance: &mut SMatrix<f64, N, N>, row: usize, of: usize, variance: f64) {
     set_independent_variance(covariance, row, 0.0);
     for other in (0..N).filter(|other| *other != row) {
@@ -88,9 +86,8 @@ pub(super) fn set_opposite<const N: usize>(covariance: &mut SMatrix<f64, N, N>, 
 
 // Innovations of several scalars at once: used one after the other, recorded together.
 
-/// Uses scalars with independent noises, all predicted from the present state, without a gate.
-///
-/// Returns `FusionOutcome::Malformed`, and changes nothing, when their covariance is not positive definite.
+/// Uses scalars with independent noises, all predicted from the present state, without a gate; `Malformed`, and no
+/// change, when their covariance is not positive definite.
 pub(super) fn apply_all<const N: usize, const K: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
@@ -137,7 +134,7 @@ fn cross_variance<const N: usize, const K: usize>(
 // Innovation and H of a fix for the states of the papers, which hold x, y and heading themselves, in the arena.
 
 /// Uses a measurement unless its NIS exceeds the gate for its number of components; the outcome is in the record.
-pub(super) fn gate_and_apply<const N: usize, const M: usize>(
+fn gate_and_apply<const N: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
     measurement: &LinearizedMeasurement<N, M>,
@@ -156,22 +153,27 @@ pub(super) fn gate_and_apply<const N: usize, const M: usize>(
     }
 }
 
-/// Appends a heading to a position: its innovation, in rad, is that of the state's `row`; its variance, in rad², is
-/// independent of the position.
-pub(super) fn with_heading<const N: usize>(
+/// Uses a fix: its position and, with a heading, the innovation of that in rad and its independent variance in rad².
+pub(super) fn gate_and_apply_fix<const N: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
     position: &LinearizedMeasurement<N, 2>,
-    row: usize,
-    turn_rad: f64,
-    heading_rad2: f64,
-) -> LinearizedMeasurement<N, 3> {
+    heading: Option<(f64, f64)>,
+    gates: &[f64; 3],
+    record: &mut FusionRecord,
+) -> FusionOutcome {
+    let Some((turn_rad, heading_rad2)) = heading else {
+        return gate_and_apply(mean, covariance, position, gates, record);
+    };
     let mut jacobian = SMatrix::<f64, 3, N>::zeros();
     jacobian.fixed_rows_mut::<2>(0).copy_from(&position.jacobian);
-    jacobian[(2, row)] = 1.0;
-    LinearizedMeasurement {
+    jacobian[(2, HEADING)] = 1.0;
+    let measurement = LinearizedMeasurement {
         innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
         jacobian,
         noise: with_heading_variance(&position.noise, heading_rad2),
-    }
+    };
+    gate_and_apply(mean, covariance, &measurement, gates, record)
 }
 
 /// Innovation and H of a fix's position for a state that holds x, y and heading themselves, in the arena.
@@ -180,18 +182,17 @@ pub(super) fn with_heading<const N: usize>(
 /// nu = z - (x, y) - R(th) l          H = [ 1 0 -(R l)_y ]
 ///                                        [ 0 1  (R l)_x ]          l the tag in the body
 /// ```
-/// The estimate comes first, x in m, y in m and the heading in rad, then the rows of these.
+/// The estimate is x in m, y in m and the heading in rad.
 pub(super) fn position_in_arena<const N: usize>(
     [x_m, y_m, heading_rad]: [f64; 3],
-    [x, y, heading]: [usize; 3],
     fix: &Fix,
 ) -> (Vector2<f64>, SMatrix<f64, 2, N>) {
     let lever = lever_in_arena([fix.tag_in_body.x.0, fix.tag_in_body.y.0], heading_rad);
     let mut jacobian = SMatrix::<f64, 2, N>::zeros();
-    jacobian[(0, x)] = 1.0;
-    jacobian[(1, y)] = 1.0;
-    jacobian[(0, heading)] = -lever[1];
-    jacobian[(1, heading)] = lever[0];
+    jacobian[(0, X)] = 1.0;
+    jacobian[(1, Y)] = 1.0;
+    jacobian[(0, HEADING)] = -lever[1];
+    jacobian[(1, HEADING)] = lever[0];
     let measured = Vector2::new(fix.position.x.0, fix.position.y.0);
     (measured - Vector2::new(x_m, y_m) - lever, jacobian)
 }

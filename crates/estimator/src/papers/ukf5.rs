@@ -21,29 +21,11 @@ use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, advance};
 use crate::numerics::cholesky::factorise;
 use crate::numerics::covariance::symmetrise;
 
-/// A pivot this far below zero, as a share of its diagonal element, is rounding; further below, the matrix is not a
-/// covariance.
+/// A pivot this far below zero, as a share of its diagonal element, is rounding.
 const ROUNDING: f64 = 1e-9;
 
-/// A matrix without a square root.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the covariance is not positive semi-definite in row {row}: pivot {pivot}")]
-pub struct NotPositiveSemidefinite {
-    /// The row of the negative pivot.
-    pub row: usize,
-    /// The remaining diagonal there, in the row's unit squared.
-    pub pivot: f64,
-}
-
-/// Mean and covariance after `dt_s` by sigma points, without process noise; SI units, rows as telemetry's `estimate::row`.
-///
-/// Errors: [`NotPositiveSemidefinite`] when the covariance has no square root.
-pub fn predict(
-    mean: &Mean,
-    covariance: &Covariance,
-    felt: Acceleration,
-    dt_s: f64,
-) -> Result<(Mean, Covariance), NotPositiveSemidefinite> {
+/// Mean and covariance after `dt_s` by sigma points, without process noise; `None` when P has no square root.
+pub fn predict(mean: &Mean, covariance: &Covariance, felt: Acceleration, dt_s: f64) -> Option<(Mean, Covariance)> {
     let spread = square_root(covariance)? * (N as f64).sqrt();
     let middle = advance(mean, felt, dt_s);
     let mut from_middle = [Mean::zeros(); 2 * N];
@@ -68,31 +50,31 @@ pub fn predict(
         spread_after += off * off.transpose() * weight;
     }
     symmetrise(&mut spread_after);
-    Ok((middle + shift, spread_after))
+    Some((middle + shift, spread_after))
 }
 
-/// The lower triangle L with L L' = P. A row without variance gets a column of zeros.
-///
-/// Errors: [`NotPositiveSemidefinite`] when P has a negative eigenvalue beyond rounding or is not finite.
-pub fn square_root(covariance: &Covariance) -> Result<Covariance, NotPositiveSemidefinite> {
+/// The lower triangle L with L L' = P; a row without variance gets a column of zeros. `None` when P has a negative
+/// eigenvalue beyond rounding or is not finite.
+pub fn square_root(covariance: &Covariance) -> Option<Covariance> {
     let root = factorise(covariance, |row, pivot| {
         let rounding = ROUNDING * covariance[(row, row)].abs();
         if !pivot.is_finite() || pivot < -rounding {
-            return Err(NotPositiveSemidefinite { row, pivot });
+            return Err(());
         }
         Ok(if pivot <= rounding { 0.0 } else { pivot.sqrt() })
-    })?;
+    })
+    .ok()?;
     // Rows without variance of their own can share none with the rows below.
     for row in (0..N).filter(|&row| root[(row, row)] == 0.0) {
         for below in row + 1..N {
             let left = covariance[(below, row)] - root.row(below).dot(&root.row(row));
             let scale = (covariance[(below, below)] * covariance[(row, row)]).sqrt();
             if left.is_nan() || left.abs() > ROUNDING.sqrt() * scale {
-                return Err(NotPositiveSemidefinite { row, pivot: 0.0 });
+                return None;
             }
         }
     }
-    Ok(root)
+    Some(root)
 }
 
 /// The filter of [`super::ekf5`] with another prediction.
@@ -102,7 +84,7 @@ pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 fn predict_sigma_points(filter: &mut FiveStateEkf, dt_s: f64, felt: Acceleration) {
-    if let Ok((mean, covariance)) = predict(&filter.mean, &filter.covariance, felt, dt_s) {
+    if let Some((mean, covariance)) = predict(&filter.mean, &filter.covariance, felt, dt_s) {
         filter.mean = mean;
         filter.covariance = covariance + process_noise(filter.order, dt_s);
     } else {

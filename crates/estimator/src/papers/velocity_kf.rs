@@ -95,12 +95,10 @@ impl SampledFilter for VelocityKf {
         let measured = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
         let noise: [f64; 2] = [0, 1].map(|i: usize| MEASUREMENT_VARIANCES[i] * UNITS[measured[i].0].powi(2));
         let nu = SVector::<f64, 2>::from_fn(|i, _| measured[i].1 - self.mean[measured[i].0]);
-        let s = Matrix2::new(
-            self.covariance[(FORWARD, FORWARD)] + noise[0],
-            0.0,
-            0.0,
-            self.covariance[(TURN, TURN)] + noise[1],
-        );
+        let s = Matrix2::from_fn(|i, j| {
+            let row = measured[i].0;
+            if i == j { self.covariance[(row, row)] + noise[i] } else { 0.0 }
+        });
         if !write_innovation(record, &nu, &s) {
             return FusionOutcome::Malformed;
         }

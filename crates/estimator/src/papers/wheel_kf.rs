@@ -80,8 +80,7 @@ struct WheelKf {
     counted_deg: [f64; 2],
     /// The wheels' angles up to which the pose has been moved, degrees: left, right.
     moved: [f64; 2],
-    /// The part of the angles' variance that is no uncertainty of the pose, degrees²: the variance when the pose was
-    /// given.
+    /// The angles' variance when the pose was given, degrees²: it is no uncertainty of the pose.
     settled: [f64; 2],
     pose: Vector3<f64>,
     pose_covariance: Matrix3<f64>,

@@ -65,9 +65,7 @@ pub enum FixContent {
     Pose,
 }
 
-/// The least mean squared position error after each step, m²: the trace of the bound's position block.
-///
-/// One value per step with a pose before and after; empty for an empty run.
+/// The least mean squared position error after each step with a pose before and after, m².
 pub fn cramer_rao_bound(config: &FilterConfig, run: &GroundTruthRun<'_>) -> Vec<f64> {
     let steps = run.travel.len().min(run.poses.len().saturating_sub(1));
     let mut recursion = BoundRecursion::new(config, run);

@@ -177,17 +177,10 @@ pub(super) fn whitener(by: &MotionSegment, config: &FilterConfig, constants: &[f
             let floor_m2 = LATERAL_M_PER_SQRT_M.powi(2) * path_m + MIN_VARIANCE_M2;
             let half_track_m = 0.5 * geometry.track_width.0;
             let cross = noise.forward_turn_m_rad;
-            Matrix3::new(
-                noise.forward_var_m2 + floor_m2 + path_var_m2,
-                cross,
-                0.0,
-                cross,
-                noise.turn_var_rad2 + floor_m2 / half_track_m.powi(2),
-                0.0,
-                0.0,
-                0.0,
-                floor_m2 + path_var_m2,
-            )
+            let distance_m2 = noise.forward_var_m2 + floor_m2 + path_var_m2;
+            let turn_rad2 = noise.turn_var_rad2 + floor_m2 / half_track_m.powi(2);
+            let lateral_m2 = floor_m2 + path_var_m2;
+            Matrix3::new(distance_m2, cross, 0.0, cross, turn_rad2, 0.0, 0.0, 0.0, lateral_m2)
         }
     };
     covariance.cholesky()?.l().try_inverse()
@@ -258,55 +251,22 @@ fn arc_residual(
     let residual = Vector3::new(length - step.step.forward_m, phi - step.step.turn_rad, lateral);
     let length_by_phi = 0.5 * lateral / chord - length * chord_by_turn / chord;
     let (d, dth) = (step.forward_by_scales, step.turn_by_scales);
-    let by_unknown = SMatrix::from_row_slice(&[
-        // Distance.
-        -cos / chord,
-        -sin / chord,
-        lateral / chord - length_by_phi,
-        cos / chord,
-        -sin / chord,
-        length_by_phi,
-        -d[0],
-        -d[1],
-        -d[2],
-        // Turn.
-        0.0,
-        0.0,
-        -1.0,
-        0.0,
-        0.0,
-        1.0,
-        -dth[0],
-        -dth[1],
-        -dth[2],
-        // Lateral.
-        sin,
-        -cos,
-        -0.5 * along,
-        sin,
-        cos,
-        -0.5 * along,
-        0.0,
-        0.0,
-        0.0,
-    ]);
-    (residual, by_unknown)
+    let (c, s) = (cos / chord, sin / chord);
+    let by_unknown = [
+        [-c, -s, lateral / chord - length_by_phi, c, -s, length_by_phi, -d[0], -d[1], -d[2]],
+        [0.0, 0.0, -1.0, 0.0, 0.0, 1.0, -dth[0], -dth[1], -dth[2]],
+        [sin, -cos, -0.5 * along, sin, cos, -0.5 * along, 0.0, 0.0, 0.0],
+    ];
+    (residual, SMatrix::from_fn(|row, column| by_unknown[row][column]))
 }
 
 /// The same where the motion is unknown: (forward, turn, left) minus zero.
 fn offset_residual(from: UnwrappedPose, to: UnwrappedPose) -> (Vector3<f64>, SMatrix<f64, 3, MAX_ROW_ENTRIES>) {
     let (u, phi) = relative(from, to);
     let (sin, cos) = phi.sin_cos();
-    let mut by_unknown = SMatrix::zeros();
-    for (row, values) in
-        [[-1.0, 0.0, u[1], cos, -sin, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0], [0.0, -1.0, -u[0], sin, cos, 0.0]]
-            .into_iter()
-            .enumerate()
-    {
-        for (column, value) in values.into_iter().enumerate() {
-            by_unknown[(row, column)] = value;
-        }
-    }
+    let by_pose =
+        [[-1.0, 0.0, u[1], cos, -sin, 0.0], [0.0, 0.0, -1.0, 0.0, 0.0, 1.0], [0.0, -1.0, -u[0], sin, cos, 0.0]];
+    let by_unknown = SMatrix::from_fn(|row, column| by_pose[row].get(column).copied().unwrap_or(0.0));
     (Vector3::new(u[0], phi, u[1]), by_unknown)
 }
 
@@ -321,8 +281,7 @@ fn offset_residual(from: UnwrappedPose, to: UnwrappedPose) -> (Vector3<f64>, SMa
 /// Least variance of a fix, a micrometre or a microradian squared: without noise its weight would be unbounded.
 const MIN_VARIANCE: f64 = 1e-12;
 
-/// Rows for x, y and the heading of a fix, the third empty without one. `None` when its covariance is not positive
-/// definite.
+/// Rows for x, y and the heading of a fix, and how many there are; `None` without a positive definite covariance.
 pub(super) fn fix_rows(
     problem: &SmoothingProblem<'_>,
     associated: &AssociatedFix,

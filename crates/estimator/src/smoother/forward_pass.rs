@@ -12,6 +12,7 @@ use super::factors::{
 use super::problem::{
     AssociatedFix, CONSTANTS, MotionSegment, ProblemValues, SmoothingProblem, VariableKind, VariableLayout,
 };
+use super::trajectory::OfflineError;
 use crate::models::se2::BodyStep;
 use crate::numerics::elimination::{EliminationChain, EliminationFront};
 use crate::update::nis_and_log_likelihood;
@@ -32,7 +33,7 @@ pub(super) struct LinearizedProblem {
 }
 
 /// Linearises a problem at `values`; `damping` per variable shortens the step.
-pub(super) fn linearize(ground: PassContext<'_, '_>, values: &ProblemValues, damping: f64) -> LinearizedProblem {
+fn linearize(ground: PassContext<'_, '_>, values: &ProblemValues, damping: f64) -> LinearizedProblem {
     let mut walk = ForwardPass::new(ground, values.clone(), PassMode::Linearise { damping });
     walk.run();
     LinearizedProblem { cost: walk.cost, chain: walk.chain }
@@ -135,8 +136,7 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         self.front.add_row(row.entries(), -row.residual);
     }
 
-    /// Poses come before all others in the front and biases before constants, so that the variable to eliminate next is
-    /// first.
+    /// Poses come first in the front and constants last, so that the variable to eliminate next is first.
     fn add_variable(&mut self, variable: usize) {
         let rank = |meaning| match meaning {
             VariableKind::Pose(..) => 0,
@@ -290,4 +290,67 @@ impl<'p, 'a> ForwardPass<'p, 'a> {
         }
         self.front.clear_right_hand_sides();
     }
+}
+
+// The damped Gauss-Newton descent, from a first guess to the values of least cost.
+//
+//     (J'J + lambda I) delta = -J'r         Levenberg (1944); units of m, rad, rad/s, s, and one for the scales
+//
+// lambda is zero as long as the cost falls; a step that would raise it is rejected, and lambda grows.
+// Source: docs/maths/pose.md section B3.
+
+const MAX_STEPS: u32 = 100;
+/// Converged when no unknown moves by more: ten nanometres, ten nanoradians.
+const CONVERGED: f64 = 1e-8;
+/// The first damping; the information of one good fix is ten thousand times that.
+const INITIAL_DAMPING: f64 = 1.0;
+/// Smaller damping is set to zero; earlier, the undamped step would overshoot along rows known to a micrometre.
+const MIN_DAMPING: f64 = 1e-6;
+/// At this damping the step is far below a nanometre.
+const MAX_DAMPING: f64 = 1e16;
+/// Share of the cost by which rounding alone may raise it.
+const ROUNDING: f64 = 1e-9;
+
+#[derive(Clone, Debug)]
+pub(super) struct Optimum {
+    pub(super) values: ProblemValues,
+    /// Linearised there, undamped.
+    pub(super) linearised: LinearizedProblem,
+    pub(super) steps: u32,
+}
+
+/// Errors: no step lowers the cost, they do not become small, or the first guess has no finite cost.
+pub(super) fn minimize(ground: PassContext<'_, '_>, mut values: ProblemValues) -> Result<Optimum, OfflineError> {
+    let layout = ground.problem.layout();
+    let mut damping = 0.0;
+    let mut here = linearize(ground, &values, damping);
+    if !here.cost.is_finite() {
+        return Err(OfflineError::NotFinite);
+    }
+    for steps in 1..=MAX_STEPS {
+        let step = here.chain.solve(layout.count());
+        let size = step.iter().fold(0.0_f64, |most, part| most.max(part.abs()));
+        let mut there = values.clone();
+        there.retract(layout, &step);
+        // A maximum over NaN is none: the sum is checked as well.
+        let is_finite = step.iter().sum::<f64>().is_finite();
+        if is_finite && size < CONVERGED && damping == 0.0 {
+            let linearised = linearize(ground, &there, 0.0);
+            return Ok(Optimum { values: there, linearised, steps });
+        }
+        let tried = linearize(ground, &there, damping);
+        if is_finite && tried.cost <= here.cost * (1.0 + ROUNDING) + ROUNDING {
+            let relaxed = if damping > MIN_DAMPING { damping / 10.0 } else { 0.0 };
+            values = there;
+            here = if relaxed == damping { tried } else { linearize(ground, &values, relaxed) };
+            damping = relaxed;
+        } else {
+            damping = (damping * 10.0).max(INITIAL_DAMPING);
+            if damping > MAX_DAMPING {
+                break;
+            }
+            here = linearize(ground, &values, damping);
+        }
+    }
+    Err(OfflineError::Diverged { cost: here.cost })
 }

@@ -10,66 +10,21 @@ mod factors;
 mod forward_pass;
 mod posterior;
 mod problem;
+mod trajectory;
 
-use posebridge_telemetry::{Arena, BrickClock, Calibration, Observation, ObservationKind, Pose, Timestamp};
+use posebridge_telemetry::{Observation, ObservationKind};
 
 pub use self::batch::batch;
 pub use self::cramer_rao::{FixArrival, FixContent, GroundTruthRun, cramer_rao_bound};
+pub use self::trajectory::{OfflineError, SmoothedPose, SmoothedTrajectory};
 use crate::filter::FilterConfig;
 use crate::filters::pose::smoother::{SmoothedState, smooth};
 
-/// The most likely path and calibration of a run.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SmoothedTrajectory {
-    /// One per motion reading, in the order of their stamps; of [`rts`] one per fix as well.
-    pub poses: Vec<SmoothedPose>,
-    /// The estimated constants; the others are as configured. The gyro bias is that of the last window.
-    pub calibration: Calibration,
-    /// Sum of the squared residuals over their sigmas, at the optimum.
-    pub cost: f64,
-    /// Steps of the descent, over all rounds.
-    pub iterations: u32,
-    pub fixes_used: usize,
-    /// Rejected by the gate, or outside the motion readings.
-    pub fixes_rejected: usize,
-    pub gyro_windows: usize,
-}
-
-/// The smoothed pose at one motion reading.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SmoothedPose {
-    pub stamp: Timestamp<BrickClock>,
-    pub pose: Pose<Arena>,
-    /// Covariance of x, y and heading in the arena: m², m rad, rad².
-    pub covariance: [[f64; 3]; 3],
-}
-
-/// Why a run cannot be smoothed.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum OfflineError {
-    /// There is no motion reading, or neither a start nor a fix.
-    #[error("nothing to smooth: {motion_readings} motion readings, {fixes} fixes and no start")]
-    NothingObserved {
-        motion_readings: usize,
-        /// Between the first and the last of them.
-        fixes: usize,
-    },
-    #[error("the descent does not converge: the cost stays at {cost}")]
-    Diverged { cost: f64 },
-    /// The configuration or its noise is not finite.
-    #[error("the configuration leads to numbers that are not finite")]
-    NotFinite,
-}
-
-/// The pose filter run forwards and back: its estimate at each instant, given the rest of the run as well.
-///
-/// Unlike [`batch()`] it uses every kind of observation that the filter uses, treats outliers and slip as the filter does, and keeps
-/// to the filter's linearisation: cheaper and nearer to the filter, a little less exact where much was uncertain. Observations may
-/// come in any order; one pose per motion reading and per absolute observation that was used. In the result, `cost` is the sum of the NIS of the used absolute observations in the
-/// forward pass; `fixes_used` and `fixes_rejected` count all of these, landmarks and ranges too; `iterations` and
-/// `gyro_windows` are 1 and 0.
-///
+/// The pose filter run forwards and back: its estimate at each instant, given the rest of the run as well. Unlike
+/// [`batch()`] it uses every kind of observation, and treats outliers and slip as the filter does; it keeps to the
+/// filter's linearisation, and is a little less exact where much was uncertain. There is one pose per motion reading
+/// and per absolute observation that was used; `cost` is the sum of the NIS of these in the forward pass, and
+/// `fixes_used` and `fixes_rejected` count landmarks and ranges too; `iterations` and `gyro_windows` are 1 and 0.
 /// Errors: nothing moved, neither start nor fix gives a position, or the configuration is not finite.
 pub fn rts(config: &FilterConfig, observations: &[Observation]) -> Result<SmoothedTrajectory, OfflineError> {
     if !batch::is_valid_config(config) {

@@ -10,13 +10,13 @@
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{Calibration, UncertainValue};
 
-use super::SmoothedPose;
-use super::batch::Optimum;
 use super::factors::{WhitenedRow, bias_prior, fix_rows};
+use super::forward_pass::Optimum;
 use super::problem::{
     CONSTANTS, FIX_DELAY, ProblemValues, RADIUS_DIFFERENCE, RADIUS_SCALE, ReadingPose, SmoothingProblem, TAG_FORWARD,
     TAG_LEFT, TRACK_SCALE, VariableKind,
 };
+use super::trajectory::SmoothedPose;
 use crate::numerics::elimination::JointCovariance;
 use crate::update::nis_and_log_likelihood;
 

@@ -3,6 +3,7 @@
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_estimator::models::differential_drive::WheelTravel;
+use posebridge_estimator::numerics::statistics::quantile;
 use posebridge_estimator::papers::indirect::error_state::{
     ACCELERATED_ANGLE, ACCELERATED_DISTANCE, Covariance, DISTANCE, ErrorState, GYRO_ANGLE, HEADING, N,
     RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals, TRACK_SCALE, X, Y, nominal_step, process_noise, start_row,
@@ -409,9 +410,7 @@ struct EndErrors {
 
 impl EndErrors {
     fn median_m(&self) -> f64 {
-        let mut sorted = self.lengths_m.clone();
-        sorted.sort_by(f64::total_cmp);
-        sorted[sorted.len() / 2]
+        quantile(&self.lengths_m, 0.5).expect("there are runs")
     }
 }
 

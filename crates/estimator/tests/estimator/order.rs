@@ -12,7 +12,7 @@ use rand_pcg::Pcg64;
 
 use crate::support::any::learning_everything;
 use crate::support::filters::{drive_straight, latest, without_start};
-use crate::support::observe::{gyro, wheels};
+use crate::support::observe::{each_fix, gyro, wheels};
 use crate::support::robot::config;
 use crate::support::simulation::{Camera, SimulatedSensors, add, add_accelerometers, drive_lap, stamp};
 
@@ -69,15 +69,6 @@ fn shift(observations: &mut [Observation], sensor: SensorId, by: TimeDelta) {
         observation.stamp = observation.stamp + by;
     }
     observations.sort_by_key(|observation| observation.stamp);
-}
-
-/// Changes every fix.
-fn each_fix(observations: &mut [Observation], change: impl Fn(&mut posebridge_telemetry::Fix)) {
-    for observation in observations {
-        if let ObservationKind::Fix(fix) = &mut observation.measurement {
-            change(fix);
-        }
-    }
 }
 
 /// No gyro for two seconds, no wheels for one, and then counters that begin again; at the end no gyro but for the last two.

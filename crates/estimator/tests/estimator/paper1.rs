@@ -230,21 +230,19 @@ fn the_mean_heading_of_sigma_points_does_not_care_where_the_circle_is_cut() {
 }
 
 #[test]
-fn a_matrix_that_is_no_covariance_has_no_square_root_and_names_the_row() {
+fn a_matrix_that_is_no_covariance_has_no_square_root() {
     let mut p = Covariance::identity();
     p[(3, 1)] = 2.0;
     p[(1, 3)] = 2.0;
-    let refused = ukf5::square_root(&p).unwrap_err();
-    assert_eq!((refused.row, refused.pivot), (3, -3.0));
-    assert!(ukf5::predict(&Mean::zeros(), &p, FELT, 0.05).is_err());
+    assert!(ukf5::square_root(&p).is_none() && ukf5::predict(&Mean::zeros(), &p, FELT, 0.05).is_none());
     p[(3, 3)] = f64::NAN;
-    assert!(ukf5::square_root(&p).is_err());
+    assert!(ukf5::square_root(&p).is_none());
     // A row that is known exactly and yet varies with another.
     let mut p = Covariance::identity();
     p[(1, 1)] = 0.0;
     p[(3, 1)] = 0.5;
     p[(1, 3)] = 0.5;
-    assert_eq!(ukf5::square_root(&p).unwrap_err().row, 1);
+    assert!(ukf5::square_root(&p).is_none());
     let half_known = Covariance::from_diagonal(&Mean::from([0.0, 4.0, 0.0, 9.0, 0.0]));
     let root = ukf5::square_root(&half_known).unwrap();
     assert_eq!(root * root.transpose(), half_known);

@@ -11,6 +11,7 @@ use posebridge_telemetry::{FusionOutcome, Observation, SensorId, TimeDelta};
 use proptest::prelude::*;
 
 use crate::support::any::{AnyMeasurement, any_observation, cases, damages, learning_everything, of, without_learning};
+use crate::support::score::assert_positive;
 
 /// Estimates of the last second and of the next, each in enough digits to distinguish any two numbers, and the calibration.
 struct FilterReadout {
@@ -43,26 +44,10 @@ const fn leaves_all_as_it_was(verdict: FusionOutcome) -> bool {
     matches!(verdict, FusionOutcome::Malformed | FusionOutcome::TooOld | FusionOutcome::Gated | FusionOutcome::Unused)
 }
 
-/// Every eigenvalue of the correlations is positive, but for rounding; rows that are certain are left out.
-fn assert_positive(what: &str, p: &DMatrix<f64>) {
-    assert!(p.iter().all(|value| value.is_finite()), "{what}: {p}");
-    assert_eq!(*p, p.transpose(), "{what}");
-    assert!(p.diagonal().min() >= 0.0, "{what}: {p}");
-    let uncertain: Vec<usize> = (0..p.nrows()).filter(|&i| p[(i, i)] > 0.0).collect();
-    let sigmas: Vec<f64> = uncertain.iter().map(|&i| p[(i, i)].sqrt()).collect();
-    let correlations = DMatrix::from_fn(uncertain.len(), uncertain.len(), |i, j| {
-        p[(uncertain[i], uncertain[j])] / (sigmas[i] * sigmas[j])
-    });
-    if !uncertain.is_empty() {
-        let lowest = correlations.symmetric_eigenvalues().min();
-        assert!(lowest > -1e-9, "{what}: eigenvalue {lowest:e} of {p}");
-    }
-}
-
 fn assert_state_sound<const N: usize>(filter: &PoseFilter<N>) {
     let state = filter.state();
     let p = DMatrix::from_iterator(N, N, state.covariance.iter().copied());
-    assert_positive("state", &p);
+    assert_positive("state", &p, 1e-9);
     assert!(state.mean.iter().all(|value| value.is_finite()));
     let heading_rad = state.pose.heading_rad;
     assert!(heading_rad > -PI && heading_rad <= PI, "{heading_rad}");
@@ -100,7 +85,7 @@ fn play_anything<const N: usize>(config: &FilterConfig, steps: &[(i64, SensorId,
         let latest = filter.latest_time().map(|latest| latest + TimeDelta::from_millis(300));
         if let Some(estimate) = latest.and_then(|latest| filter.estimate_at(latest)) {
             let published = estimate.covariance;
-            assert_positive("published", &DMatrix::from_fn(5, 5, |row, column| published[row][column]));
+            assert_positive("published", &DMatrix::from_fn(5, 5, |row, column| published[row][column]), 1e-9);
         }
     }
 }

@@ -3,23 +3,23 @@
 
 use std::ops::Range;
 
-use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::CORE_STATES;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::smoother::{
     FixArrival, FixContent, GroundTruthRun, OfflineError, SmoothedTrajectory, batch, cramer_rao_bound, rts,
 };
-use posebridge_estimator::{Filter, FilterConfig, Params};
+use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{
-    Arena, Fix, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Odom, Point2, Pose, Radians,
+    Arena, Heading, Meters, MetersPerSecond, Observation, ObservationKind, Odom, Point2, Pose, Radians,
     RadiansPerSecond, SensorId, TimeDelta, Timestamp, quantities::wrap_rad,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use crate::support::filters::without_start;
+use crate::support::observe::each_fix;
 use crate::support::robot::{DEGREE, RADIUS_M, TRACK_M, config, learning_geometry};
-use crate::support::score::{mean, nees_per_dof, play, score};
+use crate::support::score::{mean, nees_per_dof, play, played, score};
 use crate::support::simulation::{CAMERA_10_HZ, Camera, Drive, STEP_S, drive_lap, drive_on_grid, stamp};
 
 type Smooth = fn(&FilterConfig, &[Observation]) -> Result<SmoothedTrajectory, OfflineError>;
@@ -184,10 +184,7 @@ fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
 #[test]
 fn the_last_pose_of_rts_is_the_filters() {
     let drive = drive_lap(Some(CAMERA_10_HZ), 3);
-    let mut filter = PoseFilter::<CORE_STATES>::new(&config());
-    for observation in drive.observations() {
-        filter.observe(&observation);
-    }
+    let filter = played::<CORE_STATES>(&drive, &config());
     let state = filter.state();
     let last = *smoothed(rts, &drive, &config()).poses.last().expect("it moved");
     assert!((last.pose.x.0 - state.pose.x_m).abs() < 1e-9);
@@ -242,15 +239,6 @@ fn with_camera() -> Drive {
 
 fn is_fix(observation: &Observation) -> bool {
     observation.sensor == SensorId::CAMERA
-}
-
-/// Changes every fix of a run.
-fn each_fix(all: &mut [Observation], mut change: impl FnMut(&mut Fix)) {
-    for observation in all {
-        if let ObservationKind::Fix(fix) = &mut observation.measurement {
-            change(fix);
-        }
-    }
 }
 
 /// With a second fix of the same camera and a foreign odometer at the same instants; then each once more, backwards.

@@ -7,7 +7,7 @@ use super::entry::sort_key;
 use super::motion_update::{UpdateContext, has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
 use super::relocalize::{initialize_from_fix, reject_fix, reset_to_fix};
-use super::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, PositionState, RejectedFixes, linearize};
+use super::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, RejectedFixes, linearize};
 use crate::models::lie::Se2;
 use crate::numerics::covariance::symmetrise;
 use crate::observations::absolute::{self, RangeBearing};
@@ -26,7 +26,7 @@ pub(super) fn update_absolute<const N: usize>(
     state: &mut PoseState<N>,
     observation: &ObservationKind,
     stamp_sigma: TimeDelta,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
     record: &mut FusionRecord,
 ) {
     // A slip that the gyro has noticed must not make the gate refuse the fix that would show it.
@@ -39,10 +39,10 @@ pub(super) fn update_absolute<const N: usize>(
     let mut update = AbsoluteUpdate { context, kind: sort_key(observation).0, record };
     let outcome = if let ObservationKind::Fix(fix) = observation {
         update.update_fix(state, fix, stamp_sigma)
-    } else if state.position_state == PositionState::Unknown {
-        FusionOutcome::Unused
-    } else {
+    } else if state.is_located {
         update.update_other(state, observation)
+    } else {
+        FusionOutcome::Unused
     };
     record.outcome = outcome;
     if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
@@ -55,7 +55,7 @@ pub(super) fn update_absolute<const N: usize>(
 }
 
 struct AbsoluteUpdate<'a> {
-    context: &'a UpdateContext<'a>,
+    context: &'a UpdateContext,
     kind: u8,
     record: &'a mut FusionRecord,
 }
@@ -75,7 +75,7 @@ impl AbsoluteUpdate<'_> {
         let scales = [NoiseGroup::Position, NoiseGroup::Heading].map(|group| self.noise_scale(state, group));
         let noise = fix::fix_noise(fix, &self.context.config.noise, scales, &circumstances);
         let has_jumped = state.observer_frames.has_jumped(self.record.sensor, fix.reset_counter);
-        if state.position_state == PositionState::Unknown {
+        if !state.is_located {
             return initialize_from_fix(state, fix, &noise, &circumstances);
         }
         if has_jumped {
@@ -127,7 +127,7 @@ impl AbsoluteUpdate<'_> {
         };
         self.record.log_likelihood -= 0.5 * (found.nis - self.record.nis);
         self.record.nis = found.nis;
-        if found.nis > self.context.gates[M - 1] {
+        if found.nis > self.context.gate(M) {
             return FusionOutcome::Gated;
         }
         *state = found.state;
@@ -139,7 +139,7 @@ impl AbsoluteUpdate<'_> {
         let now = state.stamp.unwrap_or(Timestamp::ZERO);
         let delay = TimeDelta::from_secs_f64(state.term(StateTerm::FixDelay)).clamp(-MAX_DELAY, MAX_DELAY);
         let shown = now - delay;
-        let (track, config) = (self.context.track, self.context.config);
+        let (track, config) = (&self.context.track, &self.context.config);
         let moved_since = if delay > TimeDelta::ZERO {
             state.motion_since(shown, track, config)
         } else {
@@ -156,7 +156,7 @@ impl AbsoluteUpdate<'_> {
 
     /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.
     fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
-        let (track, config) = (self.context.track, self.context.config);
+        let (track, config) = (&self.context.track, &self.context.config);
         let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
         let earlier = state.motion_since(from, track, config);
         let until = from + SPEED_WINDOW;
@@ -174,7 +174,7 @@ impl AbsoluteUpdate<'_> {
         state: &mut PoseState<N>,
         observation: &ObservationKind,
     ) -> FusionOutcome {
-        let config = self.context.config;
+        let config = &self.context.config;
         let (noise, world) = (&config.noise, &config.arena_map);
         match *observation {
             ObservationKind::Landmark { id, range, bearing } => {
@@ -221,9 +221,7 @@ impl AbsoluteUpdate<'_> {
         model.map_or(FusionOutcome::Unused, |model| self.gate_and_apply(state, &linearize(model), groups))
     }
 
-    /// Updates the state if the innovation passes the gate.
-    ///
-    /// With `student_dof` set there is no hard gate: outliers are weighted down, as if the errors followed Student's t distribution.
+    /// Updates the state if the innovation passes the gate; with `student_dof` outliers are weighted down instead.
     fn gate_and_apply<const N: usize, const M: usize>(
         &mut self,
         state: &mut PoseState<N>,
@@ -239,7 +237,7 @@ impl AbsoluteUpdate<'_> {
         let mut weighted = *measurement;
         if params.student_dof > 0.0 {
             weighted.noise *= (params.student_dof + nis) / (params.student_dof + M as f64);
-        } else if nis > self.context.gates[M - 1] {
+        } else if nis > self.context.gate(M) {
             return FusionOutcome::Gated;
         }
         if !apply_measurement(&mut state.mean, &mut state.covariance, &weighted) {
@@ -293,8 +291,7 @@ impl AbsoluteUpdate<'_> {
 // that are certain), so xi = P y is sought by its y. The minimum is chi-square distributed like a NIS.
 // Source: Barrau and Bonnabel (2017); Bell and Cathey (1993) for the iterated update as Gauss-Newton; docs/maths/pose.md section 4.
 
-/// Above this standard deviation of the heading an update is iterated: at 0.15 rad the curvature of a circle is 1 % of
-/// its radius.
+/// Above this heading sigma an update is iterated: at 0.15 rad the curvature of a circle is 1 % of its radius.
 pub(super) const ITERATE_ABOVE_RAD: f64 = 0.15;
 /// An update that starts on the far side of the circle takes about twenty steps.
 const MAX_STEPS: usize = 60;
@@ -382,11 +379,9 @@ impl<const N: usize, const M: usize> TrialStep<N, M> {
         None
     }
 
-    /// The state moved to this trial; its covariance stays as it is in the body's frame.
-    ///
-    /// The errors in P besides the turn (of the wheels, of earlier fixes) are fixed to the body wherever it points.
-    /// Transforming them by the correction's right Jacobian would give a robot at rest information about its heading
-    /// from nothing but the noise of its fixes.
+    /// The state moved to this trial; its covariance stays as it is in the body's frame, to which the errors in P
+    /// besides the turn are fixed. The correction's right Jacobian would give a robot at rest information about its
+    /// heading from nothing but the noise of its fixes.
     fn to_update(&self, state: &PoseState<N>) -> Option<IteratedUpdate<N>> {
         let p = &state.covariance;
         let jacobian = self.measurement.jacobian;

@@ -77,7 +77,8 @@ impl HistoryEntry for PoseEntry {
 /// Number of values that distinguish two absolute observations of one instant.
 const VALUES: usize = 10;
 
-/// The number of a kind of absolute observation, which distinguishes those of one sensor, and all values of the observation.
+/// The number of a kind of absolute observation, which distinguishes those of one sensor, and all values of the
+/// observation.
 pub(super) fn sort_key(observation: &ObservationKind) -> (u8, [f64; VALUES]) {
     match *observation {
         ObservationKind::Fix(fix) => (0, fix_values(&fix)),

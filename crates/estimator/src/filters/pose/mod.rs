@@ -22,16 +22,12 @@ use posebridge_telemetry::{
 use self::entry::{PoseEntry, UpdateKind};
 use self::motion_update::UpdateContext;
 use self::relocalize::StateCommand;
-use self::state::{
-    CAMERA_STATES, CORE_STATES, FORWARD, HEADING, LEFT, PoseBlock, PoseState, PositionState, RANGE_STATES, arena_pose,
-};
+use self::state::{CAMERA_STATES, CORE_STATES, FORWARD, HEADING, LEFT, PoseBlock, PoseState, RANGE_STATES, arena_pose};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
-use crate::history::{FixedLagHistory, ReplayStep};
+use crate::history::FixedLagHistory;
 use crate::models::lie::Se2;
 use crate::models::planar_speeds::Acceleration;
-use crate::motion::{GyroTrack, InsertOutcome, MotionReading, MotionTrack};
-use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
-use crate::params::Params;
+use crate::motion::{InsertOutcome, MotionReading};
 use crate::tracking::PublishedState;
 use crate::update::preview_scalar;
 use crate::validation;
@@ -59,10 +55,7 @@ pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 pub struct PoseFilter<const N: usize> {
-    config: FilterConfig,
-    track: MotionTrack,
-    gyro: GyroTrack,
-    gates: ChiSquareGates,
+    context: UpdateContext,
     history: FixedLagHistory<PoseEntry, PoseState<N>>,
     /// Up to this instant, detected slip has been reported.
     slip_reported_at: Option<Timestamp<BrickClock>>,
@@ -71,17 +64,14 @@ pub struct PoseFilter<const N: usize> {
 impl<const N: usize> PoseFilter<N> {
     pub fn new(config: &FilterConfig) -> Self {
         Self {
-            config: config.clone(),
-            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
-            gyro: GyroTrack::default(),
-            gates: chi_square_gates(config.params.gate_probability),
+            context: UpdateContext::new(config),
             history: FixedLagHistory::new(PoseState::initial(config)),
             slip_reported_at: None,
         }
     }
 
-    /// Marks the record of a used motion observation if slip was detected since the last marked one. A fix or a late
-    /// observation may have revealed it: the first record after it reports it.
+    /// Marks the first record of a used motion observation after slip was detected, which a fix or a late one may
+    /// have revealed.
     fn report_slip(&mut self, record: &mut FusionRecord, observed: &ObservationKind) {
         let slipped_at = self.state().slipped_at;
         if record.outcome == FusionOutcome::Accepted
@@ -99,27 +89,21 @@ impl<const N: usize> PoseFilter<N> {
 
     /// Inserts an entry at its own time and replays everything after `changed_after`.
     fn insert(&mut self, entry: PoseEntry, changed_after: Option<Timestamp<BrickClock>>, record: &mut FusionRecord) {
-        let context = UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates };
-        let mut replay = self.history.insert(entry, changed_after);
-        while let Some(ReplayStep { entry, before, after, is_inserted }) = replay.next() {
+        let context = &self.context;
+        self.history.insert(entry, changed_after, |before, after, entry, is_inserted| {
             if is_inserted {
-                apply_entry(before, after, entry, &context, record);
+                apply_entry(before, after, entry, context, record);
             } else {
-                apply_entry(before, after, entry, &context, &mut scratch_record(entry));
+                apply_entry(before, after, entry, context, &mut scratch_record(entry));
             }
-        }
+        });
         self.trim_history();
     }
 
-    fn context(&self) -> UpdateContext<'_> {
-        UpdateContext { config: &self.config, track: &self.track, gyro: &self.gyro, gates: &self.gates }
-    }
-
-    /// The instant before which nothing can change when only observations from `horizon` on are accepted. A late one
-    /// changes the interpolation since the reading before it, so each sensor is settled up to its last reading before
-    /// the horizon.
+    /// The instant before which nothing can change when only observations from `horizon` on are accepted: a late one
+    /// changes the interpolation since the reading before it.
     fn settled_until(&self, horizon: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
-        [self.track.last_at_or_before(horizon), self.gyro.last_at_or_before(horizon)]
+        [self.context.track.last_at_or_before(horizon), self.context.gyro.last_at_or_before(horizon)]
             .into_iter()
             .flatten()
             .fold(horizon, Timestamp::min)
@@ -128,7 +112,7 @@ impl<const N: usize> PoseFilter<N> {
 
     fn trim_history(&mut self) {
         let Some(latest) = self.latest_time() else { return };
-        let horizon = latest - TimeDelta::from_secs_f64(self.config.params.history_s);
+        let horizon = latest - TimeDelta::from_secs_f64(self.context.config.params.history_s);
         if self.history.has_outdated(horizon) {
             self.history.discard_before(self.settled_until(horizon));
         }
@@ -137,21 +121,21 @@ impl<const N: usize> PoseFilter<N> {
             // The open gyro window may reach back behind the history.
             let needed = base.window.map_or(oldest, |window| window.start.min(oldest));
             // A late camera shows what was before that.
-            self.track.discard_before(oldest - absolute_update::MAX_LOOKBACK);
-            self.gyro.discard_before(needed);
+            self.context.track.discard_before(oldest - absolute_update::MAX_LOOKBACK);
+            self.context.gyro.discard_before(needed);
         }
     }
 
     fn observe_valid(&mut self, observation: &Observation, record: &mut FusionRecord) {
         let stamp = observation.stamp;
-        let Some(update) = update_kind(observation, &self.config.geometry) else {
+        let Some(update) = update_kind(observation, &self.context.config.geometry) else {
             record.outcome = FusionOutcome::Unused;
             return;
         };
         let entry = PoseEntry { stamp, sensor: observation.sensor, update };
         let added = match update {
-            UpdateKind::TurnRate(rate) => self.gyro.insert(stamp, rate),
-            UpdateKind::Motion(reading) => self.track.insert(stamp, &reading),
+            UpdateKind::TurnRate(rate) => self.context.gyro.insert(stamp, rate),
+            UpdateKind::Motion(reading) => self.context.track.insert(stamp, &reading),
             UpdateKind::Absolute(..) | UpdateKind::Accelerations(_) | UpdateKind::Command(_) => {
                 // In the order of time: behind the first that is older there is no other of this instant.
                 let mut recent = self.history.entries().iter().rev().take_while(|other| other.stamp >= stamp);
@@ -170,24 +154,17 @@ impl<const N: usize> PoseFilter<N> {
     /// Applies a command after all observations of its instant, or to the initial state before the first one.
     fn insert_command(&mut self, command: StateCommand) {
         let Some(stamp) = self.latest_time() else {
-            self.history.base_mut().apply_command(command, &self.config);
+            self.history.base_mut().apply_command(command, &self.context.config);
             return;
         };
         let entry = PoseEntry { stamp, sensor: SensorId(0), update: UpdateKind::Command(command) };
         self.insert(entry, None, &mut scratch_record(&entry));
     }
-
-    /// Tunables are read where they are used, except two from which something was computed.
-    fn set_params(&mut self, params: &Params) {
-        self.config.params = *params;
-        self.gates = chi_square_gates(params.gate_probability);
-        self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
-    }
 }
 
 impl<const N: usize> Filter for PoseFilter<N> {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        validation::observe_if_valid(observation, self.latest_time(), self.config.params.history_s, |record| {
+        validation::observe_if_valid(observation, self.latest_time(), self.context.config.params.history_s, |record| {
             record.outcome = FusionOutcome::Accepted;
             self.observe_valid(observation, record);
             self.report_slip(record, &observation.measurement);
@@ -204,7 +181,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
 
     fn apply_command(&mut self, adjustment: &FilterCommand) -> FusionOutcome {
         match adjustment {
-            FilterCommand::SetParams(params) => self.set_params(params),
+            FilterCommand::SetParams(params) => self.context.set_params(params),
             FilterCommand::ResetPose => self.insert_command(StateCommand::ResetPose),
             FilterCommand::SetOnlineCalibration(learning) => {
                 self.insert_command(StateCommand::SetOnlineCalibration(*learning));
@@ -216,17 +193,16 @@ impl<const N: usize> Filter for PoseFilter<N> {
 
     fn restart_clock(&mut self) {
         let mut state = *self.state();
-        state.restart_clock(&PoseState::initial(&self.config));
+        state.restart_clock(&PoseState::initial(&self.context.config));
         // The stamps of before mean nothing.
         state.slipped_at = None;
         self.slip_reported_at = None;
         self.history.reset(state);
-        self.track = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
-        self.gyro = GyroTrack::default();
+        self.context = UpdateContext::new(&self.context.config);
     }
 
     fn calibration(&self) -> Option<Calibration> {
-        Some(self.state().calibration(&self.config.calibration))
+        Some(self.state().calibration(&self.context.config.calibration))
     }
 
     fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
@@ -235,16 +211,16 @@ impl<const N: usize> Filter for PoseFilter<N> {
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
-        let context = self.context();
+        let context = &self.context;
         let (stored, unapplied) = self.history.state_at_or_before(stamp);
         let mut state = Cow::Borrowed(stored);
         for entry in unapplied {
             let mut after = *state;
-            apply_entry(&state, &mut after, entry, &context, &mut scratch_record(entry));
+            apply_entry(&state, &mut after, entry, context, &mut scratch_record(entry));
             state = Cow::Owned(after);
         }
         state.stamp.filter(|known_from| *known_from <= stamp)?;
-        Some(estimate(&state, stamp, &context))
+        Some(estimate(&state, stamp, context))
     }
 }
 
@@ -276,7 +252,7 @@ fn apply_entry<const N: usize>(
     before: &PoseState<N>,
     after: &mut PoseState<N>,
     entry: &PoseEntry,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
     record: &mut FusionRecord,
 ) {
     apply_update(after, entry, context, record);
@@ -288,7 +264,7 @@ fn apply_entry<const N: usize>(
 fn apply_update<const N: usize>(
     state: &mut PoseState<N>,
     entry: &PoseEntry,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
     record: &mut FusionRecord,
 ) {
     let stamp = entry.stamp;
@@ -296,10 +272,10 @@ fn apply_update<const N: usize>(
         // These observe speeds only: the pose goes on with the next wheel reading.
         UpdateKind::TurnRate(_) | UpdateKind::Accelerations(_) => {
             state.stamp = state.stamp.or(Some(stamp));
-            state.predict_speeds_and_bias(stamp, context.config);
+            state.predict_speeds_and_bias(stamp, &context.config);
         }
         UpdateKind::Motion(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
-            state.advance(stamp, context.track, context.config);
+            state.advance(stamp, &context.track, &context.config);
         }
     }
     match entry.update {
@@ -309,7 +285,7 @@ fn apply_update<const N: usize>(
         UpdateKind::Absolute(observation, sigma) => {
             absolute_update::update_absolute(state, &observation, sigma, context, record);
         }
-        UpdateKind::Command(revision) => state.apply_command(revision, context.config),
+        UpdateKind::Command(revision) => state.apply_command(revision, &context.config),
     }
 }
 
@@ -329,27 +305,21 @@ impl PublishedPose {
     }
 }
 
-/// The estimate for an instant, with the gyro readings of the window that is still open.
-///
-/// A window stays open in the state until it is full, so this update is computed on a copy. An estimate is requested after every
-/// observation and needs a third of the state: where nothing else changes, only that third is computed.
-fn estimate<const N: usize>(
-    from: &PoseState<N>,
-    stamp: Timestamp<BrickClock>,
-    context: &UpdateContext<'_>,
-) -> Estimate {
+/// The estimate for an instant, with the gyro readings of the open window. It is requested after every observation
+/// and needs a third of the state: where nothing else changes, only that third is computed.
+fn estimate<const N: usize>(from: &PoseState<N>, stamp: Timestamp<BrickClock>, context: &UpdateContext) -> Estimate {
     let is_there = from.stamp.is_some_and(|known| known == stamp);
     if is_there && let Some(shown) = with_open_window(from, context) {
-        return build_estimate(from, &shown, stamp, context.config);
+        return build_estimate(from, &shown, stamp, &context.config);
     }
     let mut state = *from;
-    state.advance(stamp, context.track, context.config);
+    state.advance(stamp, &context.track, &context.config);
     motion_update::update_gyro_window(&mut state, context);
-    build_estimate(&state, &PublishedPose::from_state(&state), stamp, context.config)
+    build_estimate(&state, &PublishedPose::from_state(&state), stamp, &context.config)
 }
 
 /// The pose with the gyro readings of the window so far; `None` after wheel slip, which changes more than the pose.
-fn with_open_window<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<PublishedPose> {
+fn with_open_window<const N: usize>(state: &PoseState<N>, context: &UpdateContext) -> Option<PublishedPose> {
     let Some(scalar) = motion_update::preview_gyro_window(state, context) else {
         return Some(PublishedPose::from_state(state));
     };
@@ -371,7 +341,7 @@ fn build_estimate<const N: usize>(
         pose: arena_pose(shown.pose),
         speeds: [state.forward.value, state.turn.value],
         covariance: state.covariance_in_arena(shown.pose.heading_rad, &shown.covariance),
-        has_position: state.position_state != PositionState::Unknown,
+        has_position: state.is_located,
         has_heading: state.is_heading_known_at(shown.covariance[2][2]),
     };
     state.status.estimate(stamp, &published, config.params.fix_timeout_s)

@@ -7,17 +7,43 @@ use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::{GyroTrack, MotionTrack};
-use crate::numerics::chi_square::ChiSquareGates;
+use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
 use crate::observations::gyro_window::{largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
+use crate::params::Params;
 use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
 use crate::validation::add_innovation;
 
-pub struct UpdateContext<'a> {
-    pub config: &'a FilterConfig,
-    pub track: &'a MotionTrack,
-    pub gyro: &'a GyroTrack,
-    pub gates: &'a ChiSquareGates,
+/// The configuration, and what was observed of the motion.
+#[derive(Clone, Debug)]
+pub struct UpdateContext {
+    pub config: FilterConfig,
+    pub track: MotionTrack,
+    pub gyro: GyroTrack,
+    gates: ChiSquareGates,
+}
+
+impl UpdateContext {
+    pub fn new(config: &FilterConfig) -> Self {
+        Self {
+            config: config.clone(),
+            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
+            gyro: GyroTrack::default(),
+            gates: chi_square_gates(config.params.gate_probability),
+        }
+    }
+
+    /// For an innovation of `components`.
+    pub(super) const fn gate(&self, components: usize) -> f64 {
+        self.gates[components - 1]
+    }
+
+    /// Tunables are read where they are used, except two from which something was computed.
+    pub(super) fn set_params(&mut self, params: &Params) {
+        self.config.params = *params;
+        self.gates = chi_square_gates(params.gate_probability);
+        self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
+    }
 }
 
 /// A gyro that has been silent for longer no longer takes precedence over the encoders' turn rate.
@@ -29,7 +55,7 @@ const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 pub fn update_motion<const N: usize>(
     state: &mut PoseState<N>,
     stamp: Timestamp<BrickClock>,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
     record: &mut FusionRecord,
 ) {
     let step = context.track.step_to(stamp);
@@ -70,7 +96,7 @@ pub fn update_motion<const N: usize>(
 }
 
 /// Updates the turn rate by a gyro sample; the heading follows when the window closes.
-pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &UpdateContext<'_>) {
+pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &UpdateContext) {
     let (bias_rad_per_s, bias_variance) = (state.mean[GYRO_BIAS], state.covariance[(GYRO_BIAS, GYRO_BIAS)]);
     let reading = speed::gyro_reading(rate_rad_per_s, bias_rad_per_s, bias_variance, &context.config.noise);
     state.turn.observe(reading);
@@ -80,11 +106,11 @@ pub fn update_accelerations<const N: usize>(
     state: &mut PoseState<N>,
     felt: Acceleration,
     stamp: Timestamp<BrickClock>,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
 ) {
     let since = state.last_acceleration.map(|last| stamp - last);
     if let Some(dt) = since.filter(|dt| *dt > TimeDelta::ZERO && *dt <= MAX_ACCELERATION_INTERVAL) {
-        let config = context.config;
+        let config = &context.config;
         let changes = speed::speed_changes(felt, dt.as_secs_f64(), &config.geometry, &config.noise);
         for (speed, change) in [&mut state.forward, &mut state.turn].into_iter().zip(changes) {
             speed.value += change.value;
@@ -98,12 +124,12 @@ pub fn update_accelerations<const N: usize>(
 /// disagreement is added to the variance of the encoders' turn, so that the gyro decides.
 pub fn update_gyro_window<const N: usize>(
     state: &mut PoseState<N>,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
 ) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
     let scalar = preview_gyro_window(state, context)?;
     if is_slip(state, &scalar, context) {
         let innovation_variance = scalar.innovation_variance(&state.covariance);
-        inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, context.config);
+        inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, &context.config);
         state.slipped_at = state.window.map(|window| window.until);
     }
     let outcome = match end_rounding(state, context) {
@@ -140,7 +166,7 @@ fn update_with_end_rounding<const N: usize>(
     outcome
 }
 
-pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> bool {
+pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext) -> bool {
     preview_gyro_window(state, context).is_some_and(|scalar| is_slip(state, &scalar, context))
 }
 
@@ -149,7 +175,7 @@ pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext
 pub(super) fn is_slip<const N: usize>(
     state: &PoseState<N>,
     scalar: &ScalarMeasurement<3>,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
 ) -> bool {
     let counted_rad = (scalar.innovation + scalar.jacobian[2] * state.mean[ROUNDING]).abs();
     let beyond_rad = counted_rad - largest_rounding(&context.config.geometry);
@@ -189,8 +215,9 @@ fn inflate_for_slip<const N: usize>(
     state.covariance[(LEFT, LEFT)] += across_m2;
 }
 
-/// The variance of the rounding at the window's end; `None` where it is that at the beginning, because the robot rested.
-fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_>) -> Option<f64> {
+/// The variance of the rounding at the window's end; `None` where it is that at the beginning, because the robot
+/// rested.
+fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext) -> Option<f64> {
     let rested = state.window.is_some_and(|window| state.tick_activity.is_stationary(window.start, window.until));
     (!rested).then(|| rounding_variance(&context.config.geometry))
 }
@@ -198,7 +225,7 @@ fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext<'_
 /// Evaluates the window so far without changing the state.
 pub(super) fn preview_gyro_window<const N: usize>(
     state: &PoseState<N>,
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
 ) -> Option<ScalarMeasurement<3>> {
     let window = state.window?;
     if window.until <= window.start {

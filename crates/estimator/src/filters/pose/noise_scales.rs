@@ -20,8 +20,7 @@ const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
 
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_573;
 
-/// The gain that finds a median soonest is 1 over twice the density there: for ln chi-square with one degree of freedom,
-/// 1 / (2 * 0.2143).
+/// 1 over twice the density at the median, for ln chi-square with one degree of freedom: 1 / (2 * 0.2143).
 const FIRST_GAIN: f64 = 2.33;
 
 /// One source: a group of components of one kind of observation by one sensor.
@@ -68,8 +67,7 @@ impl NoiseScales {
         self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
     }
 
-    /// Learns from the votes of a group: the mean of [`scale_vote`] over its components; `least_gain` of zero learns
-    /// nothing.
+    /// Learns from the mean of [`scale_vote`] over a group's components; `least_gain` of zero learns nothing.
     pub fn learn(&mut self, source: NoiseSource, votes: f64, least_gain: f64) {
         if least_gain <= 0.0 || !votes.is_finite() {
             return;

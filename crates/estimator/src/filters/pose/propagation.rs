@@ -22,23 +22,6 @@ use crate::motion::{MotionTrack, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQR
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
 
-/// Whether the gyro window is open: only then the turn since its start is a state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GyroWindowStatus {
-    Open,
-    Closed,
-}
-
-impl GyroWindowStatus {
-    /// 1 if a turn counts for the window, else 0.
-    fn share(self) -> f64 {
-        match self {
-            Self::Open => 1.0,
-            Self::Closed => 0.0,
-        }
-    }
-}
-
 /// The propagation of errors over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
@@ -47,8 +30,8 @@ pub struct Transition {
     pub turn_by_scales: [f64; 3],
     /// By the same errors; the track's error does not change the distance.
     pub forward_by_scales: [f64; 3],
-    /// Whether the turn counts for an open window.
-    pub window: GyroWindowStatus,
+    /// 1 if the turn counts for an open gyro window, else 0: only then the turn since its start is a state.
+    pub window_share: f64,
 }
 
 impl Transition {
@@ -65,7 +48,7 @@ impl Transition {
             step: ArcStep::new(forward_m, turn_rad),
             forward_by_scales: moved.forward_by_scales,
             turn_by_scales: moved.turn_by_scales,
-            window: state.window.map_or(GyroWindowStatus::Closed, |_| GyroWindowStatus::Open),
+            window_share: state.window.map_or(0.0, |_| 1.0),
         };
         (transition, forward_m, turn_rad)
     }
@@ -76,23 +59,11 @@ impl Transition {
             step: ArcStep::new(forward_m, turn_rad),
             forward_by_scales: [0.0; 3],
             turn_by_scales: [0.0; 3],
-            window: GyroWindowStatus::Closed,
+            window_share: 0.0,
         }
     }
 
-    pub fn matrix<const N: usize>(&self) -> SMatrix<f64, N, N> {
-        let mut f = SMatrix::identity();
-        for column in 0..N {
-            let moved = self.propagate_error(|row| if row == column { 1.0 } else { 0.0 });
-            for (row, value) in MOVED_ROWS.into_iter().zip(moved) {
-                f[(row, column)] = value;
-            }
-        }
-        f
-    }
-
-    /// Propagates errors, given row by row, into the rows that the step moves: forward, left, heading, turn since the
-    /// window began.
+    /// Propagates errors, given row by row, into the [`MOVED_ROWS`].
     #[inline]
     fn propagate_error(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
         let step = &self.step;
@@ -107,15 +78,13 @@ impl Transition {
             x * step.cos + y * step.sin + along * step.by_forward[0] + turned * step.by_turn[0],
             y * step.cos - x * step.sin + along * step.by_forward[1] + turned * step.by_turn[1],
             heading + turned,
-            error(WINDOW_TURN) + turned * self.window.share(),
+            error(WINDOW_TURN) + turned * self.window_share,
         ]
     }
 
-    /// P <- F P F' + G q G'.
-    ///
-    /// Only `MOVED` rows and columns change. F P is formed for these rows; of its product with F' only the block where they
-    /// meet is left to do, the rest follows by symmetry. A row of P is read as the column that it equals, which lies in one
-    /// piece in memory: so the compiler takes two of its numbers at a time.
+    /// P <- F P F' + G q G'. Only [`MOVED_ROWS`] and their columns change: F P is formed for these, and of its
+    /// product with F' only the block where they meet. A row of P is read as the column that it equals, which lies in
+    /// one piece in memory.
     pub fn propagate<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
         let mut rows = [[0.0; N]; 4];
         for i in 0..N {
@@ -145,7 +114,7 @@ impl Transition {
     fn noise(&self, noise: &StepNoise) -> [[f64; 4]; 4] {
         let step = &self.step;
         let along = [step.by_forward[0], step.by_forward[1], 0.0, 0.0];
-        let turned = [step.by_turn[0], step.by_turn[1], 1.0, self.window.share()];
+        let turned = [step.by_turn[0], step.by_turn[1], 1.0, self.window_share];
         let mut q = [[0.0; 4]; 4];
         for (i, row) in q.iter_mut().enumerate() {
             let by_forward = noise.forward_var_m2 * along[i] + noise.forward_turn_m_rad * turned[i];
@@ -231,8 +200,7 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// Tyres and tracks wear with the path. Added only while fixes observe the scales: without them the learned values
-    /// are kept.
+    /// Tyres and tracks wear with the path; added only while fixes observe the scales.
     fn add_scale_noise(&mut self, forward_m: f64, at: Timestamp<BrickClock>, config: &FilterConfig) {
         let timeout_s = config.params.fix_timeout_s;
         let has_recent_fix = self.status.last_fix.is_some_and(|last| (at - last).as_secs_f64() <= timeout_s);
@@ -261,9 +229,9 @@ impl<const N: usize> PoseState<N> {
         );
     }
 
-    /// Moves by the held speeds over an interval; both ends are in seconds after the last motion observation. The
-    /// speeds' errors are constant along it, so the variance grows with the square of the time, and by the speeds'
-    /// integrated random walk with its cube.
+    /// Moves by the held speeds; both ends are in seconds after the last motion observation. The speeds' errors are
+    /// constant, so the variance grows with the square of the time, and by their integrated random walk with its
+    /// cube.
     fn move_by_speeds(&mut self, start_s: f64, end_s: f64, config: &FilterConfig) {
         let dt_s = end_s - start_s;
         let transition = Transition::at_speeds(self.forward.value * dt_s, self.turn.value * dt_s);
@@ -280,8 +248,7 @@ impl<const N: usize> PoseState<N> {
         self.pose = self.pose.compose(transition.step.motion);
     }
 
-    /// The body's motion from `from` until now, as far as it is known: for fixes that were exposed before their
-    /// timestamp.
+    /// The body's motion from `from` until now, as far as it is known.
     pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();

@@ -16,9 +16,7 @@ use std::f64::consts::PI;
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, StartPose};
 
-use super::state::{
-    FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, PositionState, RejectedFixes, calibration_rows, linearize,
-};
+use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RejectedFixes, calibration_rows, linearize};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::fix::{self, FixContext, FixNoise};
@@ -76,8 +74,7 @@ pub(super) fn reset_to_fix<const N: usize>(
     FusionOutcome::PoseReset
 }
 
-/// Takes the position, and the heading if there is one, from a fix: for the tag's estimated position in the body, at
-/// the instant of the exposure.
+/// Takes the pose from a fix, for the tag's estimated position in the body and the instant of the exposure.
 pub(super) fn initialize_from_fix<const N: usize>(
     state: &mut PoseState<N>,
     fix: &Fix,
@@ -167,7 +164,7 @@ impl<const N: usize> PoseState<N> {
         self.clear_rows(&[FORWARD, LEFT, HEADING]);
         self.pose = Se2::default();
         self.close_window();
-        self.position_state = PositionState::Unknown;
+        self.is_located = false;
         self.status.last_fix = None;
         self.rejected_fixes = RejectedFixes::default();
         self.status.record_jump(before, self.arena_pose());

@@ -20,8 +20,7 @@ use super::state::{PoseState, RANGE_STATES};
 use super::{apply_update, scratch_record, update_kind};
 use crate::filter::FilterConfig;
 use crate::history::HistoryEntry;
-use crate::motion::{GyroTrack, InsertOutcome, MotionTrack};
-use crate::numerics::chi_square::chi_square_gates;
+use crate::motion::InsertOutcome;
 use crate::numerics::covariance::inverse_of_uncertain;
 use crate::validation;
 
@@ -62,9 +61,7 @@ struct ForwardStep {
 
 /// Smooths a run; an empty result means that nothing moved.
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
-    let (entries, track, gyro) = prepare_entries(config, observations);
-    let context =
-        UpdateContext { config, track: &track, gyro: &gyro, gates: &chi_square_gates(config.params.gate_probability) };
+    let (entries, context) = prepare_entries(config, observations);
     let initial = PoseState::<RANGE_STATES>::initial(config);
     let mut smoothing =
         SmootherResult { states: Vec::new(), nis: 0.0, used: 0, rejected: 0, calibration: config.calibration };
@@ -78,17 +75,16 @@ pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherRe
 }
 
 /// The usable observations in time order, with the complete motion and gyro tracks.
-fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, MotionTrack, GyroTrack) {
-    let mut track = MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s);
-    let mut gyro = GyroTrack::default();
+fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, UpdateContext) {
+    let mut context = UpdateContext::new(config);
     let mut entries = Vec::with_capacity(observations.len());
     for observation in validation::valid_in_time_order(observations) {
         let Some(action) = update_kind(observation, &config.geometry) else {
             continue;
         };
         let added = match action {
-            UpdateKind::TurnRate(rate) => gyro.insert(observation.stamp, rate),
-            UpdateKind::Motion(reading) => track.insert(observation.stamp, &reading),
+            UpdateKind::TurnRate(rate) => context.gyro.insert(observation.stamp, rate),
+            UpdateKind::Motion(reading) => context.track.insert(observation.stamp, &reading),
             UpdateKind::Accelerations(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
                 InsertOutcome::Inserted(None)
             }
@@ -100,7 +96,7 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
     entries.sort_by(PoseEntry::order);
     // Duplicates are adjacent now.
     entries.dedup_by(|later, earlier| earlier.is_duplicate_of(later));
-    (entries, track, gyro)
+    (entries, context)
 }
 
 /// The rows that are ever uncertain, all of the pose's and the gyro's among them: the others need no smoothing.
@@ -117,7 +113,7 @@ fn uncertain_rows(entries: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> V
 
 fn forward_pass(
     entries: &[PoseEntry],
-    context: &UpdateContext<'_>,
+    context: &UpdateContext,
     initial: &PoseState<RANGE_STATES>,
     rows: &[usize],
     smoothing: &mut SmootherResult,

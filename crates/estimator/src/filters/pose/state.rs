@@ -62,15 +62,6 @@ const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
 /// Covariance of the pose's error in the body: forward m, left m, turn rad.
 pub(super) type PoseBlock = [[f64; 3]; 3];
 
-/// Whether the position in the arena is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PositionState {
-    /// No absolute observation yet; the pose is relative to where the robot was switched on.
-    Unknown,
-    /// An absolute observation or a start has located the robot.
-    Known,
-}
-
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RejectedFixes {
     pub count: u32,
@@ -98,9 +89,8 @@ impl TickActivity {
         self.changed_at = Some(stamp);
     }
 
-    /// Whether the robot rested between two instants: no count changed for more than twice the last three intervals
-    /// between changes. A robot that slows down has longer and longer intervals before one is twice as long as all of
-    /// these.
+    /// Whether the robot rested: no count changed for more than twice the last three intervals between changes. One
+    /// that slows down has longer and longer intervals before one is twice as long as all of these.
     pub fn is_stationary(&self, from: Timestamp<BrickClock>, until: Timestamp<BrickClock>) -> bool {
         let longest = self.recent_intervals.into_iter().max().unwrap_or(TimeDelta::ZERO);
         longest > TimeDelta::ZERO
@@ -123,7 +113,8 @@ pub struct PoseState<const N: usize> {
     pub forward: Speed,
     pub turn: Speed,
     pub window: Option<GyroWindow>,
-    pub position_state: PositionState,
+    /// By an absolute observation or a start; until then the pose is relative to where the robot was switched on.
+    pub is_located: bool,
     pub status: TrackingStatus,
     pub tick_activity: TickActivity,
     /// The latest instant for which wheel slip was detected.
@@ -133,8 +124,8 @@ pub struct PoseState<const N: usize> {
     pub rejected_fixes: RejectedFixes,
     pub noise_scales: NoiseScales,
     pub observer_frames: ObserverFrames,
-    /// While the constants are frozen: their variances before, each in its row. Meanwhile those of the covariance are
-    /// zero, as of given constants.
+    /// While the constants are frozen: their variances before, each in its row; those of the covariance are zero
+    /// meanwhile.
     pub frozen_variances: Option<SVector<f64, N>>,
 }
 
@@ -150,7 +141,7 @@ impl<const N: usize> PoseState<N> {
             forward: Speed { value: 0.0, variance: 0.01 },
             turn: Speed { value: 0.0, variance: 1.0 },
             window: None,
-            position_state: PositionState::Unknown,
+            is_located: false,
             status: TrackingStatus::default(),
             tick_activity: TickActivity::default(),
             slipped_at: None,
@@ -182,7 +173,7 @@ impl<const N: usize> PoseState<N> {
             forward: other.forward,
             turn: other.turn,
             window: other.window,
-            position_state: other.position_state,
+            is_located: other.is_located,
             status: other.status,
             tick_activity: other.tick_activity,
             slipped_at: other.slipped_at,
@@ -195,9 +186,8 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    /// This state after an observation was rejected in `tried`, which was predicted to the observation's instant: keeps
-    /// only what the rejection itself changes. The prediction is dropped, because two steps would round differently
-    /// from one.
+    /// This state after a rejection in `tried`, which was predicted to the observation's instant. The prediction is
+    /// dropped, because two steps would round differently from one.
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
         Self {
             rejected_fixes: tried.rejected_fixes,
@@ -231,11 +221,10 @@ impl<const N: usize> PoseState<N> {
 
     /// Whether a heading with this variance is known in the arena.
     pub(super) fn is_heading_known_at(&self, heading_rad2: f64) -> bool {
-        self.position_state == PositionState::Known && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
+        self.is_located && heading_rad2 < HEADING_KNOWN_SIGMA_RAD.powi(2)
     }
 
-    /// After a restart of the brick: speeds and gyro bias are as unknown as in `fresh`, and the robot may have been
-    /// carried a little. The learned constants of wheels and tag stay.
+    /// After a restart of the brick: speeds and gyro bias are as unknown as in `fresh`; the learned constants stay.
     pub fn restart_clock(&mut self, fresh: &Self) {
         self.clear_rows(&[GYRO_BIAS]);
         self.mean[GYRO_BIAS] = fresh.mean[GYRO_BIAS];
@@ -263,7 +252,7 @@ impl<const N: usize> PoseState<N> {
         self.pose = Se2 { x_m: start.pose.x.0, y_m: start.pose.y.0, heading_rad: wrap_rad(start.pose.heading.rad()) };
         self.inflate_pose_covariance(start.position_sigma_m.powi(2), start.heading_sigma_rad.powi(2));
         self.close_window();
-        self.position_state = PositionState::Known;
+        self.is_located = true;
         self.rejected_fixes = RejectedFixes::default();
     }
 

@@ -91,11 +91,8 @@ pub fn nominal_step(
 }
 
 impl NominalStep {
-    /// The same step with another turn before the scales: without the jitter of the counts.
-    ///
-    /// The rounding of a count is in the measured turn and in the innovation as well. A derivative that follows it is
-    /// correlated with the innovation, and a robot that drives straight would learn a wrong track width from its own
-    /// counts.
+    /// The same step with another turn before the scales, without the jitter of the counts. A derivative that follows
+    /// that jitter is correlated with the innovation: a robot that drives straight would learn a wrong track width.
     pub fn with_turn(mut self, turn_rad: f64, scales: &GeometryScales, track_width_m: f64) -> Self {
         let [_, _, tb] = *scales;
         self.forward_by_scales[1] = 0.25 * turn_rad * track_width_m * (1.0 + tb);
@@ -173,8 +170,7 @@ pub fn clear_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usiz
     rows::set_independent_variance(covariance, row, 0.0);
 }
 
-/// Starts an instrument's row at the path's row: the reading is set to the nominal value, so its error is the negative
-/// of the path's, except for the rounding of the counts.
+/// Starts an instrument's row: the reading is set to the nominal value, so its error is the negative of the path's.
 pub fn start_row(errors: &mut ErrorState, covariance: &mut Covariance, row: usize, path: usize, rounding_var: f64) {
     errors[row] = -errors[path];
     rows::set_opposite(covariance, row, path, rounding_var);

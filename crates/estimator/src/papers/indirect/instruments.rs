@@ -22,8 +22,8 @@ pub(super) struct InstrumentTiming {
 }
 
 impl InstrumentTiming {
-    /// The interval that a sample ends, in seconds; zero for the first, and for the first after a silence. The error is
-    /// why the sample is not used.
+    /// The interval that a sample ends, in seconds; zero for the first one and after a silence. Errors: it is not
+    /// used.
     fn record_sample(&mut self, stamp: Timestamp<BrickClock>) -> Result<f64, FusionOutcome> {
         if let Some(verdict) = reject_repeated(self.last, stamp) {
             return Err(verdict);

@@ -17,23 +17,21 @@
 pub mod error_state;
 mod instruments;
 mod nominal_path;
+mod path_state;
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector2};
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters, Observation,
-    ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
+    BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId,
+    StartPose, TimeDelta, Timestamp,
 };
 
 use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
 pub use self::nominal_path::CorrectionMode;
 use self::nominal_path::NominalPath;
+use self::path_state::PathState;
 use crate::filter::{Filter, FilterConfig};
-use crate::models::se2::{BodyStep, StepRule, displace};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SPEED_HOLD, TimeSeries};
-use crate::numerics::covariance::symmetrise;
-use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack, TimeSeries};
 use crate::validation;
 
 #[derive(Clone, Copy, Debug)]
@@ -192,73 +190,12 @@ impl Filter for IndirectFilter {
     }
 
     fn calibration(&self) -> Option<Calibration> {
-        let known = |row| {
-            let (value, sigma) = self.path.calibration_value(row);
-            UncertainValue { value, sigma }
-        };
         Some(Calibration {
-            radius_scale: known(RADIUS_SCALE),
-            radius_difference: known(RADIUS_DIFFERENCE),
-            track_scale: known(TRACK_SCALE),
-            gyro_bias_rad_per_s: known(GYRO_BIAS),
+            radius_scale: self.path.calibration_value(RADIUS_SCALE),
+            radius_difference: self.path.calibration_value(RADIUS_DIFFERENCE),
+            track_scale: self.path.calibration_value(TRACK_SCALE),
+            gyro_bias_rad_per_s: self.path.calibration_value(GYRO_BIAS),
             ..self.config.calibration
         })
-    }
-}
-
-/// Interval over which the speed is a mean; the speed may have changed by its end.
-const TYPICAL_STEP_S: f64 = 0.05;
-
-#[derive(Clone, Copy, Debug)]
-struct PathState {
-    pose: Pose<Arena>,
-    covariance: Matrix3<f64>,
-    forward_m_per_s: f64,
-    turn_rad_per_s: f64,
-    has_pose: bool,
-    has_heading: bool,
-    status: TrackingStatus,
-}
-
-impl PathState {
-    /// The estimate for an instant at or after the state's own: the speeds are held for a while, then the robot is at rest.
-    fn estimate(&self, config: &FilterConfig, at: Timestamp<BrickClock>, stamp: Timestamp<BrickClock>) -> Estimate {
-        let held_until = self.status.last_motion.map_or(at, |moved| moved + SPEED_HOLD);
-        let dt_s = (stamp.min(held_until) - at).as_secs_f64().max(0.0);
-        let (pose, pose_covariance) = self.predict_pose(config, dt_s);
-        let params = &config.params;
-        let grown_s = dt_s + TYPICAL_STEP_S;
-        let accelerations = [params.acceleration_m_per_s2, params.turn_acceleration_rad_per_s2];
-        let published = PublishedState {
-            pose,
-            speeds: [self.forward_m_per_s, self.turn_rad_per_s],
-            covariance: with_speed_variances(&pose_covariance, accelerations.map(|sigma| sigma.powi(2) * grown_s)),
-            has_position: self.has_pose,
-            has_heading: self.has_heading,
-        };
-        self.status.estimate(stamp, &published, params.fix_timeout_s)
-    }
-
-    /// The pose after the speeds were held for `dt_s`; they may change in that time as fast as the parameters allow.
-    fn predict_pose(&self, config: &FilterConfig, dt_s: f64) -> (Pose<Arena>, Matrix3<f64>) {
-        let step = BodyStep { forward_m: self.forward_m_per_s * dt_s, turn_rad: self.turn_rad_per_s * dt_s };
-        let moved = displace(self.pose.heading.rad(), step, StepRule::Arc);
-        let pose = Pose::new(
-            Meters(self.pose.x.0 + moved.dx_m),
-            Meters(self.pose.y.0 + moved.dy_m),
-            Heading::from_rad(self.pose.heading.rad() + step.turn_rad),
-        );
-        let mut f = Matrix3::identity();
-        f[(0, 2)] = moved.by_heading[0];
-        f[(1, 2)] = moved.by_heading[1];
-        let walked_s3 = dt_s.powi(3) / 3.0;
-        let along = Vector2::from(moved.by_forward);
-        let mut q = Matrix3::zeros();
-        let along_m2 = config.params.acceleration_m_per_s2.powi(2) * walked_s3;
-        q.fixed_view_mut::<2, 2>(0, 0).copy_from(&(along * along.transpose() * along_m2));
-        q[(2, 2)] = config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s3;
-        let mut covariance = f * self.covariance * f.transpose() + q;
-        symmetrise(&mut covariance);
-        (pose, covariance)
     }
 }

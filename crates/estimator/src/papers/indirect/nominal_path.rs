@@ -2,16 +2,16 @@
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, StartPose, Timestamp,
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, StartPose, Timestamp, UncertainValue,
 };
 
-use super::PathState;
 use super::error_state::{
     ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, ErrorState,
-    FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, N, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
+    FORWARD_BIAS, GYRO_ANGLE, GYRO_BIAS, GeometryScales, HEADING, RADIUS_DIFFERENCE, RADIUS_SCALE, SampleIntervals,
     TRACK_SCALE, TURN_BIAS, X, Y, clear_row, nominal_step, process_noise, start_row, transition,
 };
 use super::instruments::{AccelerometerIntegral, GyroAngle};
+use super::path_state::PathState;
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::WheelTravel;
 use crate::models::planar_speeds::Acceleration;
@@ -19,15 +19,14 @@ use crate::motion::{MotionTrack, TravelSegment};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
 use crate::numerics::covariance::symmetrise;
 use crate::observations::fix::{FixContext, FixNoise, fix_noise, mid_axle};
-use crate::papers::rows::{self, position_in_arena, with_heading};
+use crate::papers::rows::{self, position_in_arena};
 use crate::tracking::TrackingStatus;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
 use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
 
 /// Remaining bias of an accelerometer that was set to zero at rest: a hundredth of g.
 const ACCELEROMETER_BIAS_M_PER_S2: f64 = 0.1;
-/// Uncertainty of the initial speed of the accelerometers' sums, from the wheels: a LEGO wheel's count in 50 ms is 0.01
-/// m/s.
+/// Sigma of the initial speed of the accelerometers' sums: a LEGO wheel's count in 50 ms is 0.01 m/s.
 const START_SPEED_M_PER_S: f64 = 0.02;
 /// The same for the turn rate: the difference of two such wheels over a track of a decimetre.
 const START_TURN_RAD_PER_S: f64 = 0.2;
@@ -117,17 +116,15 @@ impl NominalPath {
         path
     }
 
-    /// A learned constant and its standard deviation: the part in the nominal geometry and the part that is still an
-    /// error of it.
-    pub(super) fn calibration_value(&self, row: usize) -> (f64, f64) {
+    /// A learned constant, in the nominal geometry and still an error of it together, and its standard deviation.
+    pub(super) fn calibration_value(&self, row: usize) -> UncertainValue {
         let used = match row {
             RADIUS_SCALE => self.scales[0],
             RADIUS_DIFFERENCE => self.scales[1],
             TRACK_SCALE => self.scales[2],
             _ => 0.0,
         };
-        let sigma = self.covariance[(row, row)].max(0.0).sqrt();
-        (used + self.errors[row], sigma)
+        UncertainValue { value: used + self.errors[row], sigma: self.covariance[(row, row)].max(0.0).sqrt() }
     }
 
     /// Places the path here at this instant, without motion.
@@ -410,26 +407,17 @@ impl NominalPath {
         let noise = self.fix_noise(fix, stamp_sigma_s);
         // dz - H e: paper 4's linearisation about the nominal path.
         let path = [self.x_m, self.y_m, self.end.angle_rad];
-        let (dz, jacobian) = position_in_arena(path, [X, Y, HEADING], fix);
+        let (dz, jacobian) = position_in_arena(path, fix);
         let position =
             LinearizedMeasurement { innovation: dz - jacobian * self.errors, jacobian, noise: noise.position };
-        let verdict = if let Some(heading) = fix.heading {
+        let heading = fix.heading.map(|heading| {
             let turn_rad = wrap_rad(heading.rad() - self.end.angle_rad - self.errors[HEADING]);
-            let full = with_heading(&position, HEADING, turn_rad, noise.heading_rad2);
-            self.apply_measurement(record, &full)
-        } else {
-            self.apply_measurement(record, &position)
-        };
+            (turn_rad, noise.heading_rad2)
+        });
+        let (errors, covariance) = (&mut self.errors, &mut self.covariance);
+        let verdict = rows::gate_and_apply_fix(errors, covariance, &position, heading, &self.gates, record);
         self.apply_feedback();
         verdict
-    }
-
-    fn apply_measurement<const M: usize>(
-        &mut self,
-        record: &mut FusionRecord,
-        measurement: &LinearizedMeasurement<N, M>,
-    ) -> FusionOutcome {
-        rows::gate_and_apply(&mut self.errors, &mut self.covariance, measurement, &self.gates, record)
     }
 
     fn fix_noise(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {

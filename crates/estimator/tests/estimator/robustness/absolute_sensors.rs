@@ -1,31 +1,19 @@
 //! Landmarks, beacons, walls and a compass, beside a camera or in its place.
 
-use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::pose::state::{BEACONS, RANGE_STATES};
-use posebridge_estimator::{Filter, FilterConfig};
-use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId};
+use posebridge_telemetry::{FusionOutcome, SensorId};
 
-use crate::support::alter::{CAMERA, altered, at, error_at, step_of};
+use crate::support::alter::{CAMERA, altered, at, error_at, records, step_of};
 use crate::support::filters::started_at;
 use crate::support::robot::{DEGREE, config, unknown};
-use crate::support::score::{FilterRun, Score, mean, play, score};
+use crate::support::score::{FilterRun, Score, mean, nis_per_dof, play, played, score};
 use crate::support::simulation::{
-    Drive, STEP_S, SimulatedSensors, add, add_accelerometers, drive_lap, furnished, stamp, step_between,
+    Drive, STEP_S, SimulatedSensors, add, add_accelerometers, drive_lap, furnished, step_between,
 };
 
 fn verdicts(played: &FilterRun, kind: &str, steps: std::ops::Range<usize>) -> Vec<FusionOutcome> {
-    let during = stamp(steps.start)..stamp(steps.end);
-    let of_kind = |record: &&FusionRecord| record.kind == kind && during.contains(&record.stamp);
-    let records = played.records.iter().filter(of_kind);
-    records.map(|record| record.outcome).collect()
-}
-
-/// Normalised innovations squared of a kind that were used, over their degrees of freedom.
-fn nis_per_dof(played: &FilterRun, kind: &str) -> f64 {
-    let used = played.records.iter().filter(|record| record.kind == kind && record.outcome == FusionOutcome::Accepted);
-    let (nis, degrees) = used
-        .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
-    nis / degrees
+    records(played, kind, &steps).into_iter().map(|record| record.outcome).collect()
 }
 
 /// Scores over seeds of drives with a sensor added; the mean NIS of its kind must be near one.
@@ -79,10 +67,7 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
         let mut drive = drive_lap(None, seed);
         let mut senses = SimulatedSensors::new(&config, seed);
         add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
-        let mut filter = PoseFilter::<RANGE_STATES>::new(&config);
-        for arrival in &drive.arrivals {
-            filter.observe(&arrival.observation);
-        }
+        let filter = played::<RANGE_STATES>(&drive, &config);
         let state = filter.state();
         for (slot, (offset_m, scale)) in BEACON_ERRORS.into_iter().enumerate() {
             let row = BEACONS + 2 * slot;

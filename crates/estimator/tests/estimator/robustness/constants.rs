@@ -2,14 +2,15 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use posebridge_estimator::Filter;
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, DIFFERENCE, RADIUS, TRACK};
-use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{Calibration, SensorId, TimeDelta, UncertainValue};
 
 use crate::support::alter::{altered, with_tag_moved};
 use crate::support::filters::named;
 use crate::support::robot::{GEOMETRY_SIGMAS, NOISE, config, learning_geometry, unknown};
+use crate::support::score::played;
 use crate::support::simulation::{CAMERA_10_HZ, Camera, Drive, RobotSimulation, STEP_S, drive_lap, drive_steps, stamp};
 
 /// Two minutes of straights and turns in place, to the left and to the right.
@@ -29,14 +30,6 @@ fn drawn(seed: u64) -> (Drive, [f64; 4]) {
     let [mean, difference, track] = world.draw_geometry();
     let drive = drive_steps(&mut world, course(), Some(CAMERA_10_HZ));
     (drive, [mean, difference, track, world.bias_rad_per_s])
-}
-
-fn played<const N: usize>(config: &FilterConfig, drive: &Drive) -> PoseFilter<N> {
-    let mut filter = PoseFilter::<N>::new(config);
-    for arrival in &drive.arrivals {
-        filter.observe(&arrival.observation);
-    }
-    filter
 }
 
 fn of_robot(calibration: &Calibration) -> [UncertainValue; 4] {
@@ -77,7 +70,7 @@ fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
         [("radius_scale", radius), ("radius_difference", difference), ("track_scale", track), ("gyro_bias", f64::MAX)];
     check_learned(most, 120, &BAND_OF_120, |seed| {
         let (drive, truth) = drawn(seed);
-        let found = of_robot(&played::<CORE_STATES>(&learning_geometry(), &drive).calibration().unwrap());
+        let found = of_robot(&played::<CORE_STATES>(&drive, &learning_geometry()).calibration().unwrap());
         [0, 1, 2, 3].map(|i| (found[i], truth[i]))
     });
 }
@@ -89,7 +82,7 @@ fn constants_without_uncertainty_stay_as_configured() {
     exact.calibration.track_scale.value = -0.01;
     for seed in 0..3 {
         let (drive, _) = drawn(seed);
-        let filter = played::<CORE_STATES>(&exact, &drive);
+        let filter = played::<CORE_STATES>(&drive, &exact);
         let found = filter.calibration().unwrap();
         let exactly = |value| UncertainValue { value, sigma: 0.0 };
         assert_eq!(found.radius_scale, exactly(0.004));
@@ -134,7 +127,7 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
     let mut camera = learning_geometry();
     camera.calibration.fix_delay_s = unknown(0.1);
     camera.calibration.tag_forward_m = unknown(0.03);
-    let mut filter = played::<CAMERA_STATES>(&camera, &drive);
+    let mut filter = played::<CAMERA_STATES>(&drive, &camera);
     let before = filter.calibration().unwrap();
     filter.restart_clock();
     let after = filter.calibration().unwrap();
@@ -156,7 +149,7 @@ fn delay_and_lever_are_learned_as_well_as_is_claimed() {
         let camera = Camera { delay: 4, ..CAMERA_10_HZ };
         let drive = drive_steps(&mut RobotSimulation::new(seed), course(), Some(camera));
         let drive = with_tag_moved(drive, (forward_m, left_m), late);
-        let found = played::<CAMERA_STATES>(&configured, &drive).calibration().unwrap();
+        let found = played::<CAMERA_STATES>(&drive, &configured).calibration().unwrap();
         [(found.fix_delay_s, late.as_secs_f64()), (found.tag_forward_m, forward_m), (found.tag_left_m, left_m)]
     });
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use posebridge_telemetry::{
-    Estimate, Fix, FusionOutcome, FusionRecord, Meters, Observation, ObservationKind, Radians, SensorId, TimeDelta,
+    Estimate, Fix, FusionOutcome, FusionRecord, Meters, Observation, ObservationKind, Radians, TimeDelta,
 };
 
 use super::score::{FilterRun, error_of};
@@ -79,11 +79,14 @@ pub(crate) fn error_at(drive: &Drive, played: &FilterRun, step: usize) -> (f64, 
     (x.hypot(y), heading.abs())
 }
 
-/// What became of the fixes that were taken during some steps.
-pub(crate) fn fixes<'a>(played: &'a FilterRun, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
+/// What became of the observations of a kind that were made during some steps.
+pub(crate) fn records<'a>(played: &'a FilterRun, kind: &str, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
     let during = stamp(steps.start)..stamp(steps.end);
-    let records = played.records.iter();
-    records.filter(|record| record.sensor == SensorId::CAMERA && during.contains(&record.stamp)).collect()
+    played.records.iter().filter(|record| record.kind == kind && during.contains(&record.stamp)).collect()
+}
+
+pub(crate) fn fixes<'a>(played: &'a FilterRun, steps: &Range<usize>) -> Vec<&'a FusionRecord> {
+    records(played, "fix", steps)
 }
 
 pub(crate) fn share_accepted(records: &[&FusionRecord]) -> f64 {

@@ -44,3 +44,11 @@ pub(crate) fn fix_of(x_m: f64, y_m: f64, heading_rad: impl Into<Option<f64>>) ->
         reset_counter: 0,
     }
 }
+
+pub(crate) fn each_fix(observations: &mut [Observation], change: impl Fn(&mut Fix)) {
+    for observation in observations {
+        if let ObservationKind::Fix(fix) = &mut observation.measurement {
+            change(fix);
+        }
+    }
+}

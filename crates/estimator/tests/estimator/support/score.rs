@@ -1,7 +1,8 @@
 //! A drive through the pose filter, held against the truth at each step.
 
-use nalgebra::{Matrix3, Vector3};
-use posebridge_estimator::FilterConfig;
+use nalgebra::{DMatrix, Matrix3, Vector3};
+use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, quantities::wrap_rad};
 
 use super::filters::named;
@@ -69,15 +70,20 @@ pub(crate) fn score(drive: &Drive, played: &FilterRun, first: usize) -> Score {
         nees += nees_per_dof(error, |row, column| estimate.covariance[row][column]);
         count += 1.0;
     }
-    let used = played.records.iter().filter(|record| record.outcome == FusionOutcome::Accepted && record.kind == "fix");
-    let (nis, degrees) = used
-        .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
     Score {
         position_rms_m: f64::sqrt(squares / count),
         heading_rms_rad: f64::sqrt(heading_squares / count),
         anees: nees / count,
-        fix_nis_per_dof: nis / degrees,
+        fix_nis_per_dof: nis_per_dof(played, "fix"),
     }
+}
+
+/// Normalised innovations squared of a kind that were used, over their degrees of freedom.
+pub(crate) fn nis_per_dof(played: &FilterRun, kind: &str) -> f64 {
+    let used = played.records.iter().filter(|record| record.kind == kind && record.outcome == FusionOutcome::Accepted);
+    let (nis, degrees) = used
+        .fold((0.0, 0.0), |(nis, degrees), record| (nis + record.nis, degrees + f64::from(record.degrees_of_freedom)));
+    nis / degrees
 }
 
 /// The mean of several scores; of the root-mean-squares the root mean square.
@@ -100,4 +106,29 @@ pub(crate) fn mean_score(runs: u64, first: usize, make: impl Fn(u64) -> (Drive, 
         })
         .collect();
     mean(&scores)
+}
+
+/// Finite and symmetric, and every eigenvalue of the correlations is positive, but for rounding; certain rows are left out.
+pub(crate) fn assert_positive(what: &str, p: &DMatrix<f64>, rounding: f64) {
+    assert!(p.iter().all(|value| value.is_finite()), "{what}: {p}");
+    assert_eq!(*p, p.transpose(), "{what}");
+    assert!(p.diagonal().min() >= 0.0, "{what}: {p}");
+    let uncertain: Vec<usize> = (0..p.nrows()).filter(|&i| p[(i, i)] > 0.0).collect();
+    let sigmas: Vec<f64> = uncertain.iter().map(|&i| p[(i, i)].sqrt()).collect();
+    let correlations = DMatrix::from_fn(uncertain.len(), uncertain.len(), |i, j| {
+        p[(uncertain[i], uncertain[j])] / (sigmas[i] * sigmas[j])
+    });
+    if !uncertain.is_empty() {
+        let lowest = correlations.symmetric_eigenvalues().min();
+        assert!(lowest > -rounding, "{what}: eigenvalue {lowest:e} of {p}");
+    }
+}
+
+/// A pose filter that was given a complete drive.
+pub(crate) fn played<const N: usize>(drive: &Drive, config: &FilterConfig) -> PoseFilter<N> {
+    let mut filter = PoseFilter::new(config);
+    for arrival in &drive.arrivals {
+        filter.observe(&arrival.observation);
+    }
+    filter
 }
