@@ -19,6 +19,7 @@
 //! ```
 
 pub mod chart;
+mod markup;
 pub mod metrics;
 pub mod page;
 pub mod quantity;

@@ -3,7 +3,7 @@
 use posebridge_telemetry::{Event, HostClock, LinkHealth, LinkId, LinkState, TimeDelta, Timestamp};
 
 use super::retained_series::BoundedMap;
-use super::{View, ViewConfig, ViewInput};
+use super::view::{View, ViewConfig, ViewInput};
 use crate::model::{ClockRow, Frame, LinkRow, Number};
 
 /// A configuration has a handful.

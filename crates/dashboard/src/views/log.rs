@@ -3,8 +3,8 @@
 use posebridge_telemetry::severity::NOTICE;
 use posebridge_telemetry::{Event, HostClock, RepeatFilter, TimeDelta, Timestamp};
 
-use super::retained_series::{PointPriority, RetainedSeries, RetentionPolicy};
-use super::{FrameContent, View, ViewConfig, ViewInput};
+use super::retained_series::{PointPriority, RetainedSeries};
+use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput};
 use crate::model::{Frame, LogLine, seconds_of};
 
 /// More than a page shows.

@@ -10,83 +10,14 @@ mod retained_series;
 mod robots;
 mod status;
 mod truth;
+mod view;
 
-use posebridge_telemetry::{Address, Event, HostClock, LinkId, RobotId, Timestamp};
+use posebridge_telemetry::{HostClock, Timestamp};
 
-use crate::feed::{SimulatedTruth, StationStatus};
 use crate::model::Frame;
 
 pub(crate) use retained_series::MAX_ROBOTS;
-pub use retained_series::RetentionPolicy;
-
-/// An event, truth sample or status for a view.
-#[derive(Clone, Copy, Debug)]
-pub enum ViewInput<'a> {
-    Event(&'a Event),
-    Truth(&'a SimulatedTruth),
-    Status(&'a StationStatus),
-}
-
-/// The content of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameContent {
-    Delta,
-    /// Updates and the data that is sent once a second.
-    DeltaAndSummary,
-}
-
-/// The links and the history length of a view.
-#[derive(Clone, Debug)]
-pub struct ViewConfig {
-    pub links: Vec<String>,
-    pub retention: RetentionPolicy,
-}
-
-impl ViewConfig {
-    fn link_name(&self, link: LinkId) -> String {
-        let name = self.links.get(usize::from(link.0));
-        name.cloned().unwrap_or_else(|| format!("link {link}"))
-    }
-}
-
-/// One panel's part of the messages.
-pub trait View: Send {
-    fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>);
-
-    /// True once after a change.
-    fn take_change(&mut self) -> bool {
-        false
-    }
-
-    /// Adds the updates since the last call: unless a view does better, all that it retains, when it has changed and once a second,
-    /// because a reader that was slow may have missed the change.
-    fn add_updates(&mut self, frame: &mut Frame, content: FrameContent) {
-        if self.take_change() || content == FrameContent::DeltaAndSummary {
-            self.add_history(frame);
-        }
-    }
-
-    /// Adds the retained data.
-    fn add_history(&self, history: &mut Frame);
-
-    /// Points dropped since the start.
-    fn dropped(&self) -> u64 {
-        0
-    }
-}
-
-pub fn robot_name(robot: RobotId) -> String {
-    robot.path()
-}
-
-pub fn parse_robot_name(name: &str) -> Option<RobotId> {
-    let mut parts = name.split('/');
-    let link = LinkId(parts.next()?.parse().ok()?);
-    let address = Address::new(parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
-    let robot = RobotId { link, address };
-    // Other spellings of the numbers, such as `+1`, are no names.
-    (robot_name(robot) == name).then_some(robot)
-}
+pub use view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, parse_robot_name, robot_name};
 
 /// One of each view.
 pub(crate) struct ViewSet(Vec<Box<dyn View>>);

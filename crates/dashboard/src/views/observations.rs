@@ -8,7 +8,7 @@ use posebridge_telemetry::{
 };
 
 use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeriesMap, SeriesView};
-use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::limits::SECOND;
 use crate::model::{FixPoint, Frame, FusionPoint, Number, TallyPoint, seconds_of};
 

@@ -5,52 +5,13 @@ use std::collections::{BTreeSet, VecDeque};
 
 use posebridge_telemetry::{Event, HostClock, RobotId, TimeDelta, Timestamp};
 
-use super::{FrameContent, View, ViewInput, robot_name};
+use super::view::{FrameContent, RetentionPolicy, View, ViewInput, robot_name};
 use crate::model::{Frame, RobotFrame};
 
 /// Points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second has four.
 const MAX_PENDING: usize = 256;
 /// Robots that are shown; a class has fewer, and a sender of forged addresses must not fill the memory.
 pub(crate) const MAX_ROBOTS: usize = 64;
-/// Robots that get all the points of the policy each; more robots share as many, so that the history of a full class is a message that
-/// a browser can process.
-const ROBOTS_WITH_ALL_POINTS: usize = 8;
-
-/// Which points a time series keeps for the history.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum RetentionPolicy {
-    /// The points of the last `duration`, at most `max_points`, evenly spaced.
-    SlidingWindow { duration: TimeDelta, max_points: usize },
-    /// The whole session, at most `max_points`: when it is full every second normal point is dropped, and important
-    /// ones only if they alone fill it.
-    WholeSession { max_points: usize },
-}
-
-impl RetentionPolicy {
-    pub(super) fn map_points(self, change: impl Fn(usize) -> usize) -> Self {
-        match self {
-            Self::SlidingWindow { duration, max_points } => {
-                Self::SlidingWindow { duration, max_points: change(max_points) }
-            }
-            Self::WholeSession { max_points } => Self::WholeSession { max_points: change(max_points) },
-        }
-    }
-
-    /// For a series with one point a second: `live_points` live, one `share`-th of the points for a whole session.
-    pub(super) fn for_seconds(self, live_points: usize, share: usize) -> Self {
-        self.map_points(|points| match self {
-            Self::SlidingWindow { .. } => live_points,
-            Self::WholeSession { .. } => points / share,
-        })
-    }
-
-    pub(super) fn shared_by(self, robots: usize) -> Self {
-        self.map_points(|points| {
-            let all = points * ROBOTS_WITH_ALL_POINTS;
-            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
-        })
-    }
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PointPriority {

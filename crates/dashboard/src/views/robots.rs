@@ -3,7 +3,7 @@
 use posebridge_telemetry::{Ellipse, Estimate, Event, HostClock, RobotId, TimeDelta, Timestamp};
 
 use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeriesMap, SeriesView};
-use super::{View, ViewConfig, ViewInput, robot_name};
+use super::view::{View, ViewConfig, ViewInput, robot_name};
 use crate::model::{EstimatePoint, Frame, Number, seconds_of};
 
 /// In characters; shown beside the robot on a map.

@@ -2,8 +2,8 @@
 
 use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
 
-use super::retained_series::{BoundedMap, PointPriority, RetainedSeries, RetentionPolicy};
-use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::retained_series::{BoundedMap, PointPriority, RetainedSeries};
+use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::StationStatus;
 use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow, seconds_of};
 

@@ -6,9 +6,9 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
-use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeries, RetentionPolicy};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeries};
 use super::robots::estimate_point;
-use super::{FrameContent, View, ViewConfig, ViewInput, robot_name};
+use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
 

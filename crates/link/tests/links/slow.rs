@@ -75,12 +75,17 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
     let mut source = TrafficSource::new(CAPACITY as u32);
     let mut received = ReceivedFrames::default();
     let mut read = 0;
-    for _ in 0..3_000 {
+    // One a second. The system opens the window of the connection in steps of kilobytes and in its own time, which moves single ones.
+    let mut capacities = Vec::new();
+    for tick in 0..3_000 {
         source.tick(timer.now(), |priority, frame| {
             server.send_outgoing(&OutgoingFrame { to: Recipients::All, priority, frame });
         });
         pass_tick().await;
         assert_eq!(poll_once(&mut server).await, None);
+        if tick >= 1_000 && tick % 100 == 0 {
+            capacities.push(server.port_counts().capacity_bytes_per_s.expect("frames wait"));
+        }
         let unread = server.counters().bytes_out - read;
         let bytes = read_written(&mut reader, (CAPACITY / 100).min(unread as usize)).await;
         read += bytes.len() as u64;
@@ -108,8 +113,9 @@ async fn over_a_slow_tcp_link_estimates_stay_young_and_no_command_is_lost() {
     assert!(received.commands.iter().copied().eq(0..received.commands.len() as u32));
     let missing = source.commands as usize - received.commands.len();
     assert!(missing <= 5 * 3, "{missing} commands are still under way");
-    let capacity = counts.capacity_bytes_per_s.expect("frames wait");
-    assert!((capacity / CAPACITY as f64 - 1.0).abs() < 0.1, "{capacity}");
+    capacities.sort_by(f64::total_cmp);
+    let capacity = capacities[capacities.len() / 2];
+    assert!((capacity / CAPACITY as f64 - 1.0).abs() < 0.1, "{capacities:?}");
     assert!(counts.queued_frames >= 1 && counts.queued_bytes as usize >= FRAME_BYTES);
 }
 

@@ -22,7 +22,6 @@ use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 use posebridge_telemetry::{HostClock, Timestamp};
-use walk::RawRecord;
 
 /// The layout version that this program writes, and the newest that it reads.
 pub const FORMAT: u32 = 4;
@@ -146,17 +145,17 @@ fn metadata_record(header: &RecordingHeader, beginning: &PartHeader) -> Metadata
     }
 }
 
-/// Parses the metadata record; `None` for another one.
+/// Parses the body of the metadata record at `offset`; `None` for another one.
 ///
 /// # Errors
 /// It is damaged, lacks a key or was written by a newer program.
-fn parse_header(record: &RawRecord<'_>) -> Result<Option<(RecordingHeader, PartHeader)>, ReadError> {
+fn parse_header(offset: u64, record: &[u8]) -> Result<Option<(RecordingHeader, PartHeader)>, ReadError> {
     let entries = HeaderEntries {
-        offset: record.offset as u64,
-        values: match fields::metadata(record.body) {
+        offset,
+        values: match fields::metadata(record) {
             Some(found) if found.name == METADATA_NAME => found.entries,
             Some(_) => return Ok(None),
-            None => return Err(header_error(record.offset as u64, "a damaged metadata record")),
+            None => return Err(header_error(offset, "a damaged metadata record")),
         },
     };
     let format = entries.number("format")?;

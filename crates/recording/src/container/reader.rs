@@ -53,7 +53,7 @@ impl<'a> RecordingReader<'a> {
             let record = records.next().map_err(missing_header_error)?;
             match record.opcode {
                 op::METADATA => {
-                    if let Some(found) = parse_header(&record)? {
+                    if let Some(found) = parse_header(record.offset as u64, record.body)? {
                         break found;
                     }
                 }

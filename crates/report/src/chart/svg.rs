@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::fmt::Write as _;
 
-use crate::page::Escaped;
+use crate::markup::Escaped;
 
 pub(super) type PixelPoint = (f64, f64);
 
