@@ -1,5 +1,5 @@
-//! `docs/types.md`: every public type of the libraries with the first line of its documentation, so that the vocabulary can be read from
-//! end to end.
+//! `docs/types.md`: every public type of the libraries with the first sentence of its documentation, so that the vocabulary can be read
+//! from end to end.
 
 #![expect(clippy::expect_used, reason = "helpers outside #[test] stop when the checkout itself is broken")]
 
@@ -40,12 +40,12 @@ fn the_page_of_types_is_up_to_date() {
 }
 
 #[test]
-fn the_scan_takes_public_types_with_the_first_line_of_their_documentation() {
-    let source = "/// A clock.\n/// More.\n#[derive(Debug)]\npub struct Clock<C> {\n}\n/// Hidden.\npub(crate) struct Inner;\n\
+fn the_scan_takes_public_types_with_the_first_sentence_of_their_documentation() {
+    let source = "/// A clock\n/// of 1.5 Hz. More.\n#[derive(Debug)]\npub struct Clock<C> {\n}\n/// Hidden.\npub(crate) struct Inner;\n\
                   /// Two.\npub enum Two {}\n#[cfg(test)]\nmod tests {\n/// Test.\npub struct Fake;\n}\n";
     let found = public_types(source);
     let found: Vec<_> = found.iter().map(|one| (one.name.as_str(), one.summary.as_str())).collect();
-    assert_eq!(found, [("Clock", "A clock."), ("Two", "Two.")]);
+    assert_eq!(found, [("Clock", "A clock of 1.5 Hz."), ("Two", "Two.")]);
 }
 
 fn render_page(root: &Path) -> String {
@@ -59,8 +59,13 @@ fn render_page(root: &Path) -> String {
         }
         types.sort();
         let _ = writeln!(page, "\n## {name}\n\n| type | what it is |\n|---|---|");
-        for PublicType { name, summary } in types {
+        let (described, named): (Vec<_>, Vec<_>) = types.into_iter().partition(|one| !one.summary.is_empty());
+        for PublicType { name, summary } in described {
             let _ = writeln!(page, "| `{name}` | {} |", summary.replace('|', "\\|"));
+        }
+        if !named.is_empty() {
+            let names: Vec<_> = named.iter().map(|one| format!("`{}`", one.name)).collect();
+            let _ = writeln!(page, "\nDescribed by their names: {}.", names.join(", "));
         }
     }
     page
@@ -82,21 +87,23 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
 
 fn public_types(source: &str) -> Vec<PublicType> {
     let mut types = Vec::new();
-    let mut summary = None;
+    let mut documentation = String::new();
     for line in source.lines() {
         if line.starts_with("#[cfg(test)]") {
             break;
         }
         if let Some(text) = line.strip_prefix("///") {
-            summary.get_or_insert_with(|| text.trim().to_owned());
+            documentation += text;
             continue;
         }
         let item = line.strip_prefix("pub ").and_then(|item| item.split_once(' '));
         if let Some(("struct" | "enum" | "trait", rest)) = item {
             let name: String = rest.chars().take_while(|letter| letter.is_alphanumeric()).collect();
-            types.push(PublicType { name, summary: summary.take().unwrap_or_default() });
+            let sentence = documentation.split_inclusive(". ").next().unwrap_or_default();
+            types.push(PublicType { name, summary: sentence.trim().to_owned() });
+            documentation.clear();
         } else if !line.starts_with("#[") && !line.starts_with("    ") {
-            summary = None;
+            documentation.clear();
         }
     }
     types

@@ -21,7 +21,7 @@
 //! other      lies before the latest, which is not older than 2 s         of the clock as it runs, late; the endpoint is behind
 //! other      anything else                                               a restart; the other endpoints become stale
 //! ```
-//! A stamp follows another if it lies in [`LastStamp::plausible_range`]. An endpoint without a stamp before the restart cannot be
+//! A stamp follows another if it lies in `LastStamp::plausible_range`. An endpoint without a stamp before the restart cannot be
 //! distinguished from a late one. It counts as late while another endpoint continues the clock as it was, and for two seconds more.
 //!
 //! # What cannot be known
