@@ -82,7 +82,7 @@ impl Transition {
         ]
     }
 
-    /// P <- F P F' + G q G'. Only [`MOVED_ROWS`] and their columns change: F P is formed for these, and of its
+    /// P <- F P F' + G q G'. Only `MOVED_ROWS` and their columns change: F P is formed for these, and of its
     /// product with F' only the block where they meet. A row of P is read as the column that it equals, which lies in
     /// one piece in memory.
     pub fn propagate<const N: usize>(&self, p: &mut SMatrix<f64, N, N>, noise: &StepNoise) {
