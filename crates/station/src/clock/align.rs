@@ -342,4 +342,20 @@ mod tests {
         }
         assert_eq!(aligner.step_micros, 1_000);
     }
+
+    #[test]
+    fn without_answers_the_one_way_line_takes_over() {
+        let mut aligner = ClockAligner::<BrickClock>::default();
+        for k in 0..100_i64 {
+            aligner.observe_arrival(
+                Endpoint::default(),
+                WireStamp::Millis32((5_000 + k * 50) as u32),
+                Timestamp::from_millis(k * 50 + 10 + (k * 7) % 13),
+            );
+        }
+        let (host, uncertainty) = aligner.host_at(Timestamp::from_millis(9_000)).unwrap();
+        assert!((host.as_secs_f64() - 4.0).abs() < 2e-3, "{host:?}");
+        let bound_ms = uncertainty.as_millis_f64();
+        assert!((10.0..15.0).contains(&bound_ms), "{bound_ms}");
+    }
 }
