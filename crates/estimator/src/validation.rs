@@ -4,8 +4,7 @@ use std::cmp::Reverse;
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId, StartPose, TimeDelta,
-    Timestamp,
+    BrickClock, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, StartPose, TimeDelta, Timestamp,
 };
 
 use crate::motion::{InsertOutcome, MotionReading};
@@ -125,33 +124,14 @@ pub(crate) fn observe_if_valid(
     history_s: f64,
     apply: impl FnOnce(&mut FusionRecord),
 ) -> FusionRecord {
-    let mut record = FusionRecord {
-        kind: observation.measurement.kind(),
-        lag: latest.map_or(TimeDelta::ZERO, |latest| (latest - observation.stamp).max(TimeDelta::ZERO)),
-        outcome: FusionOutcome::Unused,
-        ..blank_record(observation.sensor, observation.stamp)
-    };
+    let Observation { sensor, stamp, .. } = *observation;
+    let mut record = FusionRecord::new(sensor, observation.measurement.kind(), stamp, FusionOutcome::Unused);
+    record.lag = latest.map_or(TimeDelta::ZERO, |latest| (latest - stamp).max(TimeDelta::ZERO));
     match reject_invalid(observation, latest, history_s) {
         Some(rejected) => record.outcome = rejected,
         None => apply(&mut record),
     }
     record
-}
-
-/// A record without a kind, for an input that is not reported.
-pub(crate) const fn blank_record(sensor: SensorId, stamp: Timestamp<BrickClock>) -> FusionRecord {
-    FusionRecord {
-        sensor,
-        kind: "",
-        stamp,
-        lag: TimeDelta::ZERO,
-        outcome: FusionOutcome::Accepted,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis: 0.0,
-        degrees_of_freedom: 0,
-        log_likelihood: 0.0,
-    }
 }
 
 pub(crate) const fn fusion_outcome(added: InsertOutcome) -> FusionOutcome {
@@ -204,11 +184,13 @@ pub(crate) fn add_innovation(record: &mut FusionRecord, innovation: f64, outcome
 
 #[cfg(test)]
 mod tests {
+    use posebridge_telemetry::SensorId;
+
     use super::*;
 
     #[test]
     fn two_innovations_in_a_row_are_as_likely_as_both_at_once() {
-        let mut record = blank_record(SensorId::THERMOMETER, Timestamp::ZERO);
+        let mut record = FusionRecord::new(SensorId::THERMOMETER, "", Timestamp::ZERO, FusionOutcome::Accepted);
         for (innovation, s) in [(0.5_f64, 4.0), (-2.0, 1.0)] {
             let outcome = ScalarOutcome {
                 innovation_variance: s,

@@ -52,7 +52,9 @@ impl Estimator {
     /// Uses an observation, late or not, unless its sensor is disabled.
     pub(crate) fn observe(&mut self, observation: &Observation) -> FusionReport {
         if self.switched_off.contains(&observation.sensor) {
-            return FusionReport { record: unused_record(observation), is_used: false, slip_began: false };
+            let Observation { sensor, stamp, .. } = *observation;
+            let record = FusionRecord::new(sensor, observation.measurement.kind(), stamp, FusionOutcome::Unused);
+            return FusionReport { record, is_used: false, slip_began: false };
         }
         let record = self.filter.observe(observation);
         let components = usize::from(record.degrees_of_freedom);
@@ -112,21 +114,6 @@ impl Estimator {
 
 fn fix_gates(params: &Params) -> [f64; MAX_FIX_COMPONENTS] {
     [1, 2, 3].map(|components| chi_square_quantile(components, params.gate_probability))
-}
-
-fn unused_record(observation: &Observation) -> FusionRecord {
-    FusionRecord {
-        sensor: observation.sensor,
-        kind: observation.measurement.kind(),
-        stamp: observation.stamp,
-        lag: TimeDelta::ZERO,
-        outcome: FusionOutcome::Unused,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis: 0.0,
-        degrees_of_freedom: 0,
-        log_likelihood: 0.0,
-    }
 }
 
 /// Time without slip after which an episode ends: ten of the gyro's usual windows of 0.2 s.

@@ -25,6 +25,29 @@ pub struct FusionRecord {
     pub log_likelihood: f64,
 }
 
+impl FusionRecord {
+    /// A record without an innovation: its lag and statistics are zero.
+    pub const fn new(
+        sensor: SensorId,
+        kind: &'static str,
+        stamp: Timestamp<BrickClock>,
+        outcome: FusionOutcome,
+    ) -> Self {
+        Self {
+            sensor,
+            kind,
+            stamp,
+            lag: TimeDelta::ZERO,
+            outcome,
+            innovation: [0.0; 3],
+            innovation_covariance: [[0.0; 3]; 3],
+            nis: 0.0,
+            degrees_of_freedom: 0,
+            log_likelihood: 0.0,
+        }
+    }
+}
+
 /// Whether an observation was used, and why not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FusionOutcome {

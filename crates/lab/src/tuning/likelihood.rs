@@ -231,16 +231,12 @@ mod tests {
     fn record(innovation: f64, s: f64) -> FusionRecord {
         let nis = innovation * innovation / s;
         FusionRecord {
-            sensor: SensorId::GYRO,
-            kind: "turn_rate",
-            stamp: Timestamp::ZERO,
-            lag: TimeDelta::ZERO,
-            outcome: FusionOutcome::Accepted,
             innovation: [innovation, 0.0, 0.0],
             innovation_covariance: [[s, 0.0, 0.0], [0.0; 3], [0.0; 3]],
             nis,
             degrees_of_freedom: 1,
             log_likelihood: -0.5 * (nis + (std::f64::consts::TAU * s).ln()),
+            ..FusionRecord::new(SensorId::GYRO, "turn_rate", Timestamp::ZERO, FusionOutcome::Accepted)
         }
     }
 

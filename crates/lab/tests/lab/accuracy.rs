@@ -4,8 +4,7 @@ use posebridge_estimator::Filter;
 use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
-    Timestamp,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, Timestamp,
 };
 
 use crate::support::wheels;
@@ -26,18 +25,9 @@ impl ToyFilter {
 impl Filter for ToyFilter {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
         self.latest = self.latest.max(Some(observation.stamp));
-        FusionRecord {
-            sensor: observation.sensor,
-            kind: observation.measurement.kind(),
-            stamp: observation.stamp,
-            lag: TimeDelta::ZERO,
-            outcome: FusionOutcome::Accepted,
-            innovation: [0.0; 3],
-            innovation_covariance: [[0.0; 3]; 3],
-            nis: 1.5,
-            degrees_of_freedom: 1,
-            log_likelihood: 0.0,
-        }
+        let kind = observation.measurement.kind();
+        let record = FusionRecord::new(observation.sensor, kind, observation.stamp, FusionOutcome::Accepted);
+        FusionRecord { nis: 1.5, degrees_of_freedom: 1, ..record }
     }
 
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {

@@ -278,20 +278,15 @@ fn write_size(f: &mut fmt::Formatter<'_>, verdict: &InnovationVerdict) -> fmt::R
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{SensorId, TimeDelta, Timestamp};
+    use posebridge_telemetry::{SensorId, Timestamp};
 
     fn record(innovation: f64, sigma: f64) -> FusionRecord {
         FusionRecord {
-            sensor: SensorId::GYRO,
-            kind: "turn_rate",
-            stamp: Timestamp::ZERO,
-            lag: TimeDelta::ZERO,
-            outcome: FusionOutcome::Accepted,
             innovation: [innovation, 0.0, 0.0],
             innovation_covariance: [[sigma * sigma, 0.0, 0.0], [0.0; 3], [0.0; 3]],
             nis: (innovation / sigma).powi(2),
             degrees_of_freedom: 1,
-            log_likelihood: 0.0,
+            ..FusionRecord::new(SensorId::GYRO, "turn_rate", Timestamp::ZERO, FusionOutcome::Accepted)
         }
     }
 

@@ -6,20 +6,9 @@ mod metrics;
 mod sample_run;
 mod tables;
 
-use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, TimeDelta, Timestamp};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, Timestamp};
 
 /// A record of two degrees of freedom.
 fn record(sensor: SensorId, outcome: FusionOutcome, nis: f64) -> FusionRecord {
-    FusionRecord {
-        sensor,
-        kind: "fix",
-        stamp: Timestamp::ZERO,
-        lag: TimeDelta::ZERO,
-        outcome,
-        innovation: [0.0; 3],
-        innovation_covariance: [[0.0; 3]; 3],
-        nis,
-        degrees_of_freedom: 2,
-        log_likelihood: 0.0,
-    }
+    FusionRecord { nis, degrees_of_freedom: 2, ..FusionRecord::new(sensor, "fix", Timestamp::ZERO, outcome) }
 }

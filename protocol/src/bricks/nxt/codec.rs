@@ -10,9 +10,8 @@ use super::estimate::{EstimateMailbox, PUSHED_INTERVAL};
 use super::framer::{TelegramFramer, TelegramPart};
 use super::gyro::AnalogGyro;
 use super::motors::{MotorReadings, PendingAccelerations, TickClock, WheelTotals};
-use super::requests::{
-    NxtRequest, PollSchedule, PortState, ReadSize, ReplyMatch, RequestFailure, RequestTracker, ScheduleChange,
-};
+use super::poll_schedule::{PollSchedule, PortState, ReadSize, RequestFailure, ScheduleChange};
+use super::requests::{NxtRequest, ReplyMatch, RequestTracker};
 use super::settings::{NxtSensor, NxtSettings, WheelSource};
 use super::telegram::{NxtReply, framed, keep_alive};
 use crate::bricks::codec::{

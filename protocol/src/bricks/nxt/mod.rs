@@ -12,6 +12,7 @@ mod framer;
 mod gyro;
 mod io_maps;
 mod motors;
+mod poll_schedule;
 mod replies;
 mod requests;
 mod settings;

@@ -291,7 +291,7 @@ fn apply_update<const N: usize>(
 
 /// A record for an entry that is applied again, which was reported when it came. Its sensor selects the noise scale.
 const fn scratch_record(entry: &PoseEntry) -> FusionRecord {
-    validation::blank_record(entry.sensor, entry.stamp)
+    FusionRecord::new(entry.sensor, "", entry.stamp, FusionOutcome::Accepted)
 }
 
 struct PublishedPose {
