@@ -2,9 +2,11 @@
 //! a value with one standard deviation. A sigma of zero fixes the value; any other lets an adaptive filter estimate it.
 
 use anyhow::{Result, ensure};
-use posebridge_telemetry::{Calibration, SensorNoise, UncertainValue};
+use posebridge_telemetry::{Calibration, MountedSensor, Mountings, SensorNoise, UncertainValue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use super::mounting::in_degrees;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -45,6 +47,7 @@ macro_rules! noise_table {
         impl RobotNoise {
             pub fn checked(&self) -> Result<SensorNoise> {
                 $(LowerBound::$least.check(stringify!($key), self.$key)?;)+
+                self.check_ranges()?;
                 Ok(SensorNoise { $($key: self.$key,)+ })
             }
         }
@@ -61,6 +64,10 @@ noise_table! {
     turn_rad_per_sqrt_rad = 0.02, Zero;
     /// Heading, by driving.
     heading_rad_per_sqrt_m = 0.03, Zero;
+    /// Distance along the track, for each second in which the wheels turn.
+    travel_m_per_sqrt_s = 0.0, Zero;
+    /// Heading, for each second in which the wheels turn.
+    heading_rad_per_sqrt_s = 0.0, Zero;
     /// Gyro, white, per sample.
     gyro_rad_per_s = DEGREE, Zero;
     /// Gyro's step; 0 if fine.
@@ -73,20 +80,46 @@ noise_table! {
     fix_position_m = 0.005, AboveZero;
     /// A fix's heading.
     fix_heading_rad = DEGREE, AboveZero;
+    /// An error that all fixes of one source share, each axis; 0 for none.
+    fix_persistent_m = 0.0, Zero;
+    /// The path after which the correlation of that error has fallen to 1/e.
+    fix_persistence_m = 1.0, AboveZero;
     /// An accelerometer at a wheel, per sample.
     accelerometer_m_per_s2 = 0.1, AboveZero;
     /// A compass heading.
     compass_rad = 5.0 * DEGREE, AboveZero;
     /// The range to a landmark.
-    landmark_range_m = 0.1, AboveZero;
+    landmark_range_m = 0.1, Zero;
+    /// The part of it that is proportional to the range.
+    landmark_range_share = 0.0, Zero;
     /// The bearing of a landmark.
     landmark_bearing_rad = 2.0 * DEGREE, AboveZero;
+    /// A landmark's position in the map, each axis; 0 takes the map as exact.
+    landmark_place_m = 0.0, Zero;
     /// The range to a beacon.
-    beacon_range_m = 0.1, AboveZero;
+    beacon_range_m = 0.1, Zero;
+    /// The part of it that is proportional to the range.
+    beacon_range_share = 0.0, Zero;
     /// The range to a wall.
     wall_range_m = 0.01, AboveZero;
     /// A thermometer.
     temperature_k = 0.1, AboveZero;
+}
+
+impl RobotNoise {
+    /// A range needs a constant part of its noise or one that is proportional to it.
+    fn check_ranges(&self) -> Result<()> {
+        for (key, constant_m, share) in [
+            ("landmark_range", self.landmark_range_m, self.landmark_range_share),
+            ("beacon_range", self.beacon_range_m, self.beacon_range_share),
+        ] {
+            ensure!(
+                constant_m > 0.0 || share > 0.0,
+                "`robot.noise.{key}_m` and `robot.noise.{key}_share` are 0, one must be more than zero"
+            );
+        }
+        Ok(())
+    }
 }
 
 /// A number with one standard deviation.
@@ -172,6 +205,7 @@ macro_rules! calibration_table {
                 Ok(Calibration {
                     $($key: MaxMagnitude::$largest.check(stringify!($key), self.$key)?,)+
                     gyro_bias_rad_per_s,
+                    mountings: Mountings::default(),
                 })
             }
         }
@@ -193,6 +227,34 @@ macro_rules! calibration_table {
     };
 }
 
+macro_rules! mounting_keys {
+    ($($sensor:ident $x_m:literal $y_m:literal $yaw_deg:literal;)+) => {
+        /// The mountings of the sensors that observe the pose, in the order of reports; keys of `[robot]`.
+        pub const MOUNTING_KEYS: &[CalibrationKey] = &[
+            $(
+                CalibrationKey { key: $x_m, read: |learned| learned.mountings[MountedSensor::$sensor].x_m },
+                CalibrationKey { key: $y_m, read: |learned| learned.mountings[MountedSensor::$sensor].y_m },
+                CalibrationKey {
+                    key: $yaw_deg,
+                    read: |learned| in_degrees(learned.mountings[MountedSensor::$sensor].yaw_rad),
+                },
+            )+
+        ];
+    };
+}
+
+mounting_keys! {
+    Landmarks "mounting.landmarks.x_m" "mounting.landmarks.y_m" "mounting.landmarks.yaw_deg";
+    Beacons "mounting.beacons.x_m" "mounting.beacons.y_m" "mounting.beacons.yaw_deg";
+    Range "mounting.range.x_m" "mounting.range.y_m" "mounting.range.yaw_deg";
+    Compass "mounting.compass.x_m" "mounting.compass.y_m" "mounting.compass.yaw_deg";
+}
+
+/// All constants that a filter may learn, in the order of reports.
+pub fn learnable_keys() -> impl Iterator<Item = &'static CalibrationKey> {
+    CALIBRATION_KEYS.iter().chain(MOUNTING_KEYS)
+}
+
 calibration_table! {
     /// Relative error of the mean wheel radius: a tyre under load rolls on less than its printed radius.
     radius_scale = 0.01, RATIO;
@@ -200,6 +262,8 @@ calibration_table! {
     radius_difference = 0.005, RATIO;
     /// Relative error of the track width: a wide tyre touches the ground somewhere across its width.
     track_scale = 0.05, RATIO;
+    /// Relative error of the gyro's rate: it reads fast where positive.
+    gyro_scale = 0.0, RATIO;
     /// How much earlier than its stamp a fix was true, in seconds.
     fix_delay_s = 0.0, DELAY;
     /// Where the tag is, forward of where the fix says, in metres.
@@ -214,6 +278,14 @@ calibration_table! {
     landmark_offset_m = 0.0, LENGTH;
     /// Relative error of the ranges to landmarks.
     landmark_scale = 0.0, RATIO;
+    /// How much earlier than its stamp a landmark was sighted, in seconds.
+    landmark_delay_s = 0.0, DELAY;
+    /// How much earlier than its stamp the range to a beacon was true, in seconds.
+    beacon_delay_s = 0.0, DELAY;
+    /// How much earlier than its stamp the range to a wall was true, in seconds.
+    range_delay_s = 0.0, DELAY;
+    /// How much earlier than its stamp a compass heading was true, in seconds.
+    compass_delay_s = 0.0, DELAY;
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ mod bricks;
 mod calibration;
 mod link;
 mod load;
+mod mounting;
 mod profile;
 mod robot;
 mod robot_blocks;
@@ -18,7 +19,9 @@ mod station;
 pub use bricks::{
     Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
 };
-pub use calibration::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise};
+pub use calibration::{
+    CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise, learnable_keys,
+};
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, config_with_overlay, load, load_text, print,

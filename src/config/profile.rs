@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 use super::Config;
 use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
+use super::mounting::RobotMounting;
 use super::robot::{RobotFile, RobotStart};
 
 /// Content of the file of `--robot FILE`: `[robot]` and `[filter]` of a robot profile, a station's configuration or a descriptor.
@@ -108,6 +109,7 @@ impl CalibratedRobot {
             start: None,
             adopt_description: false,
             calibration: RobotCalibration::from(self.profile_calibration()),
+            mounting: RobotMounting::from(&self.learned.mountings),
             ..self.robot.clone()
         }
     }
@@ -130,6 +132,7 @@ impl CalibratedRobot {
         let noise = robot.remove("noise");
         // A table inside a table would make sections of one number each.
         robot.remove("calibration");
+        let mounting = robot.remove("mounting");
         let from = &self.provenance;
         let text = |value: &str| toml::Value::String(value.to_owned());
         let mut page = String::from(
@@ -143,6 +146,9 @@ impl CalibratedRobot {
         write_section(&mut page, "robot", &robot);
         if let Some(toml::Value::Table(noise)) = noise {
             write_section(&mut page, "robot.noise", &noise);
+        }
+        if let Some(toml::Value::Table(mounting)) = mounting {
+            write_section(&mut page, "robot.mounting", &mounting);
         }
         let _ = writeln!(page, "\n[robot.calibration]");
         let profile = self.profile_calibration();

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
+use super::mounting::RobotMounting;
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -33,6 +34,9 @@ pub struct RobotFile {
     pub noise: RobotNoise,
     /// Systematic errors, and how well they are known.
     pub calibration: RobotCalibration,
+    /// Where its sensors sit.
+    #[serde(skip_serializing_if = "is_at_mid_axle")]
+    pub mounting: RobotMounting,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
     /// A LEGO NXT's motors and sensors, for a link with brick = "nxt" or "nxt-push".
@@ -65,6 +69,11 @@ pub struct RobotStart {
     pub heading_sigma_deg: f64,
 }
 
+/// All sensors, so that a file need not say it.
+fn is_at_mid_axle(mounting: &RobotMounting) -> bool {
+    *mounting == RobotMounting::default()
+}
+
 impl Default for RobotFile {
     /// The LEGO NXT of the bundled scenarios: 56 mm wheels, 112 mm track, encoders of one degree.
     fn default() -> Self {
@@ -77,6 +86,7 @@ impl Default for RobotFile {
             adopt_description: true,
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
+            mounting: RobotMounting::default(),
             start: None,
             nxt: None,
             ev3: None,
@@ -109,7 +119,8 @@ impl RobotFile {
     }
 
     pub fn calibration(&self) -> Result<Calibration> {
-        self.calibration.checked(self.noise.gyro_bias_rad_per_s)
+        let calibration = self.calibration.checked(self.noise.gyro_bias_rad_per_s)?;
+        Ok(Calibration { mountings: self.mounting.checked()?, ..calibration })
     }
 
     pub fn start(&self) -> Result<Option<StartPose>> {

@@ -9,7 +9,7 @@ use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Calibration, DriveGeometry};
 
 use super::per_robot::file_parts;
-use crate::config::{CALIBRATION_KEYS, CalibratedRobot, Config, Provenance, RobotFile};
+use crate::config::{CalibratedRobot, Config, Provenance, RobotFile, learnable_keys};
 
 /// A robot's calibration before and after a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,7 +60,7 @@ fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
 pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     let mut text = String::new();
     for learned in runs {
-        for entry in CALIBRATION_KEYS {
+        for entry in learnable_keys() {
             let (before, after) = ((entry.read)(&learned.prior), (entry.read)(&learned.calibration));
             if before.sigma <= 0.0 {
                 continue;

@@ -16,7 +16,7 @@ use super::input_file::InputFile;
 use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_bytes};
 use super::recorder::Recorder;
 use super::signing::recorded_station_config;
-use crate::config::{CALIBRATION_KEYS, Config, Overlay, config_with_overlay};
+use crate::config::{Config, Overlay, config_with_overlay, learnable_keys};
 
 /// Period of the state, as in a live session.
 const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
@@ -180,7 +180,7 @@ fn robot_status(robot: &Robot) -> RobotStatus {
 }
 
 fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
-    let rows = CALIBRATION_KEYS.iter().map(|row| {
+    let rows = learnable_keys().map(|row| {
         let known = (row.read)(learned);
         CalibrationRow {
             name: row.key.to_owned(),
@@ -195,7 +195,7 @@ fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
 
 /// Unit in the suffix of a key.
 fn unit_of(key: &str) -> &'static str {
-    let units = [("_rad_per_s", "rad/s"), ("_s", "s"), ("_m", "m")];
+    let units = [("_rad_per_s", "rad/s"), ("_deg", "deg"), ("_s", "s"), ("_m", "m")];
     let found = units.iter().find(|(ending, _)| key.ends_with(ending));
     found.map_or("", |(_, unit)| unit)
 }

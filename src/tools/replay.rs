@@ -18,7 +18,7 @@ use posebridge_telemetry::{TimeDelta, Timestamp};
 use serde::Serialize;
 
 use super::own_recording::is_own;
-use crate::config::{CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, Provenance};
+use crate::config::{CalibrationEntry, CalibrationKey, Provenance, learnable_keys};
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
@@ -230,7 +230,7 @@ fn smooth_of(run: &SmoothedRun) -> SmootherEntry<'_> {
 fn calibration(runs: &[LearnedCalibration]) -> Option<BTreeMap<&str, CalibrationEntries>> {
     let entries = |learned: &LearnedCalibration| {
         let entry = |key: &CalibrationKey| (key.key, (key.read)(&learned.calibration).into());
-        CALIBRATION_KEYS.iter().map(entry).collect()
+        learnable_keys().map(entry).collect()
     };
     let by_run = runs.iter().map(|run| (run.run.as_str(), entries(run)));
     (!runs.is_empty()).then(|| by_run.collect())

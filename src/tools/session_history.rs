@@ -13,7 +13,7 @@ use posebridge_telemetry::{
 };
 
 use super::replay::watch::EventWatcher;
-use crate::config::CALIBRATION_KEYS;
+use crate::config::learnable_keys;
 use crate::station::event_collector::{EventCollector, ThinnedSeries};
 use crate::station::per_robot::PerRobot;
 
@@ -54,8 +54,7 @@ pub struct SessionHistory {
 impl SessionHistory {
     /// Times count from `origin`, the first input.
     pub fn new(origin: Timestamp<HostClock>) -> Self {
-        let learned = CALIBRATION_KEYS
-            .iter()
+        let learned = learnable_keys()
             .map(|entry| CalibrationHistory { key: entry.key, samples: ThinnedSeries::with_capacity(MAX_SAMPLES) });
         Self {
             collector: EventCollector::default(),
@@ -188,7 +187,7 @@ impl SessionHistory {
             return;
         };
         let t_s = (now - self.origin).as_secs_f64();
-        for (entry, series) in CALIBRATION_KEYS.iter().zip(&mut self.learned) {
+        for (entry, series) in learnable_keys().zip(&mut self.learned) {
             let known = (entry.read)(&calibration);
             series.samples.push(CalibrationSample { t_s, value: known.value, sigma: known.sigma });
         }

@@ -17,7 +17,7 @@ use posebridge_telemetry::{LinkCounter, SensorId, TimeDelta, UncertainValue};
 use serde_json::{Map, Value, json};
 
 use super::session_history::SessionHistory;
-use crate::config::CALIBRATION_KEYS;
+use crate::config::learnable_keys;
 use crate::station::learned_calibration::LearnedCalibration;
 
 pub const LINK_COUNTERS: [LinkCounter; 8] = [
@@ -279,7 +279,7 @@ fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
     let Some(learned) = &run.learned else {
         return Vec::new();
     };
-    let open = CALIBRATION_KEYS.iter().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
+    let open = learnable_keys().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
     let rows: Vec<Vec<String>> = open
         .map(|entry| {
             let (unit, factor) = display_unit(entry.key);
@@ -431,7 +431,7 @@ fn source(verdict: &SourceSummary) -> Value {
 
 fn calibration(run: &RunSummary) -> Option<Value> {
     let learned = run.learned.as_ref()?;
-    let entries = CALIBRATION_KEYS.iter().map(|entry| {
+    let entries = learnable_keys().map(|entry| {
         let UncertainValue { value, sigma } = (entry.read)(&learned.calibration);
         (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
     });

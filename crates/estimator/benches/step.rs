@@ -15,8 +15,10 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use nalgebra::{Matrix5, Vector5};
-use posebridge_estimator::filters::pose::motion_update::{self, UpdateContext};
-use posebridge_estimator::filters::pose::state::{CORE_STATES, PoseState};
+use posebridge_estimator::filters::pose::context::UpdateContext;
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, StateLayout};
+use posebridge_estimator::filters::pose::motion_update;
+use posebridge_estimator::filters::pose::state::PoseState;
 use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep};
 use posebridge_estimator::motion::MotionReading;
 use posebridge_estimator::numerics::statistics::quantile;
@@ -218,8 +220,8 @@ struct FilterWithoutHistory {
 impl FilterWithoutHistory {
     fn new(config: &FilterConfig) -> Self {
         Self {
-            context: UpdateContext::new(config),
-            state: PoseState::initial(config),
+            context: UpdateContext::new(config, CORE_STATES),
+            state: PoseState::initial(config, &StateLayout::new(config, CORE_STATES)),
             record: flagship(config).observe(&wheels(0)),
             step: 0,
         }
@@ -240,7 +242,7 @@ impl FilterWithoutHistory {
         context.track.insert(now, &reading);
         self.state.predict_speeds_and_bias(now, &context.config);
         motion_update::update_turn_rate(&mut self.state, rate.0, context);
-        self.state.advance(now, &context.track, &context.config);
+        self.state.advance(now, context);
         motion_update::update_motion(&mut self.state, now, context, &mut self.record);
         context.track.discard_before(now - HISTORY);
         context.gyro.discard_before(now - HISTORY);

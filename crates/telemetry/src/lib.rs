@@ -37,6 +37,9 @@ pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
 };
 pub use repeat_filter::{RepeatDecision, RepeatFilter};
-pub use robot::{ArenaMap, Calibration, DriveGeometry, SensorNoise, StartPose, UncertainValue, Wall};
+pub use robot::{
+    ArenaMap, Calibration, DriveGeometry, MountedSensor, Mounting, Mountings, SensorNoise, StartPose, UncertainValue,
+    Wall,
+};
 pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 
 use super::path_report::{PathCalibrationResult, RunComparison};
 use super::profile::{fold_into_geometry, save_profile};
-use crate::config::{CALIBRATION_KEYS, FilterSection, RobotFile, RobotProfile, filter_config};
+use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config, learnable_keys};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
@@ -405,8 +405,7 @@ fn learn(drive: &SourceRun) -> Result<LearnedCalibration> {
 fn report(recording: &str, learned: &LearnedCalibration) -> Report {
     let mut report = Report::new("calibrate-path", format!("What the filter has learned: {recording}"));
     report.paragraph(format!("The calibration states of the filter `{FILTER}` at the end of run {}.", learned.run));
-    let entries: Vec<(&str, UncertainValue, UncertainValue)> = CALIBRATION_KEYS
-        .iter()
+    let entries: Vec<(&str, UncertainValue, UncertainValue)> = learnable_keys()
         .map(|entry| (entry.key, (entry.read)(&learned.calibration), (entry.read)(&learned.prior)))
         .collect();
     // What had no uncertainty before was not learned.

@@ -64,6 +64,12 @@ impl Se2 {
         }
     }
 
+    /// The adjoint, row by row: an error after this motion, seen before it.
+    pub fn adjoint(self) -> [[f64; 3]; 3] {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        [[cos, -sin, self.y_m], [sin, cos, -self.x_m], [0.0, 0.0, 1.0]]
+    }
+
     /// The motion from this pose to another.
     pub fn between(self, other: Self) -> Self {
         self.inverse().compose(other)

@@ -1,11 +1,10 @@
 //! A position or a pose seen from outside, of a tag that is not mid-axle, and a little earlier than its stamp says.
 //!
 //! ```text
-//! X_s = X U^-1              the pose tau before the stamp; U the motion since, from the wheels
-//! nu  = R_s' (z - p_s) - l,  wrap(z_th - th_s)                    in the body's space at X_s; l the tag in the body
-//! H   = [ 1 0 -l_y | -(v - w l_y) at tau | 1 0 at l ] Ad(U)
-//!       [ 0 1  l_x | -w l_x        at tau | 0 1 at l ]
-//!       [ 0 0  1   | -w            at tau | 0 0 at l ]
+//! S   = X U^-1 M              the tag at the exposure, see sensor_frame
+//! nu  = S^-1 (z - b)          in the tag's frame; b an error that all fixes of one source share
+//!       wrap(z_th - th_s)
+//! H   = I by zeta, R_s' at b
 //! R   = R_s' R_z R_s, plus (v sigma_t)^2 and (w sigma_t)^2 for a stamp that may be off by sigma_t
 //! ```
 //! Source: docs/maths/pose.md section 4.
@@ -13,26 +12,8 @@
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use posebridge_telemetry::{Arena, Fix, Heading, Meters, Pose, SensorNoise, quantities::wrap_rad};
 
-use super::{JacobianRow, ObservationModel, PoseView, StateTerm};
-use crate::models::lie::Se2;
-
-/// Context of a fix: motion since its exposure, timestamp uncertainty, speeds. By default the robot is at rest and the timestamp is exact.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct FixContext {
-    /// The body's motion between the exposure and the stamp.
-    pub moved_since: Se2,
-    pub stamp_sigma_s: f64,
-    /// At the exposure.
-    pub forward_m_per_s: f64,
-    pub turn_rad_per_s: f64,
-}
-
-impl FixContext {
-    /// Of a fix that is taken for one of its stamp's instant.
-    pub fn at_speeds(stamp_sigma_s: f64, forward_m_per_s: f64, turn_rad_per_s: f64) -> Self {
-        Self { moved_since: Se2::default(), stamp_sigma_s, forward_m_per_s, turn_rad_per_s }
-    }
-}
+use super::sensor_frame::{Exposure, SensorFrame};
+use super::{ArenaAxis, ObservationModel, PoseView, StateTerm};
 
 /// Variances of a fix, in the arena: xx, xy, yy in m², heading in rad².
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,10 +27,11 @@ pub fn fix_noise(
     fix: &Fix,
     configured: &SensorNoise,
     [of_position, of_heading]: [f64; 2],
-    circumstances: &FixContext,
+    exposure: &Exposure,
+    stamp_sigma_s: f64,
 ) -> FixNoise {
-    let smear_m2 = (circumstances.forward_m_per_s * circumstances.stamp_sigma_s).powi(2);
-    let smear_rad2 = (circumstances.turn_rad_per_s * circumstances.stamp_sigma_s).powi(2);
+    let smear_m2 = (exposure.forward_m_per_s * stamp_sigma_s).powi(2);
+    let smear_rad2 = (exposure.turn_rad_per_s * stamp_sigma_s).powi(2);
     let configured_heading_rad2 = configured.fix_heading_rad.powi(2);
     let (position, heading_rad2) = match fix.covariance {
         Some(own) => {
@@ -64,57 +46,63 @@ pub fn fix_noise(
     }
 }
 
-pub fn position(view: &impl PoseView, fix: &Fix, noise: &FixNoise, circumstances: &FixContext) -> ObservationModel<2> {
-    let moved = circumstances.moved_since;
-    let shown = view.pose().compose(moved.inverse());
-    let tag =
-        [fix.tag_in_body.x.0 + view.term(StateTerm::TagForward), fix.tag_in_body.y.0 + view.term(StateTerm::TagLeft)];
-    let measured = shown.point_in_body(fix.position.x.0, fix.position.y.0);
-    let (sin, cos) = moved.heading_rad.sin_cos();
-    let (v, w) = (circumstances.forward_m_per_s, circumstances.turn_rad_per_s);
-    // (rho, phi) at the instant shown is Ad(U) times that at the stamp: (R rho - phi J t, phi), J t = (-t_y, t_x).
-    let rows = [
-        JacobianRow {
-            forward: cos,
-            left: -sin,
-            heading: moved.y_m - tag[1],
-            terms: [Some((StateTerm::FixDelay, w * tag[1] - v)), Some((StateTerm::TagForward, 1.0))],
-        },
-        JacobianRow {
-            forward: sin,
-            left: cos,
-            heading: tag[0] - moved.x_m,
-            terms: [Some((StateTerm::FixDelay, -w * tag[0])), Some((StateTerm::TagLeft, 1.0))],
-        },
-    ];
-    let (sin, cos) = shown.heading_rad.sin_cos();
-    let body_from_arena = Matrix2::new(cos, sin, -sin, cos);
-    ObservationModel {
-        innovation: Vector2::new(measured[0] - tag[0], measured[1] - tag[1]),
-        rows,
-        noise: body_from_arena * noise.position * body_from_arena.transpose(),
-    }
+/// A fix as an observation: its noise, when it was made, and the number of its source among those with a shared error.
+#[derive(Clone, Copy, Debug)]
+pub struct FixMeasurement<'a> {
+    pub fix: &'a Fix,
+    pub noise: FixNoise,
+    pub exposure: Exposure,
+    pub source: Option<usize>,
 }
 
-pub fn pose(
-    view: &impl PoseView,
-    fix: &Fix,
-    heading_rad: f64,
-    noise: &FixNoise,
-    circumstances: &FixContext,
-) -> ObservationModel<3> {
-    let flat = position(view, fix, noise, circumstances);
-    let shown_rad = view.pose().heading_rad - circumstances.moved_since.heading_rad;
-    let turn_rad = wrap_rad(heading_rad - shown_rad);
-    let heading_row = JacobianRow {
-        heading: 1.0,
-        terms: [Some((StateTerm::FixDelay, -circumstances.turn_rad_per_s)), None],
-        ..JacobianRow::default()
-    };
-    ObservationModel {
-        innovation: Vector3::new(flat.innovation[0], flat.innovation[1], turn_rad),
-        rows: [flat.rows[0], flat.rows[1], heading_row],
-        noise: with_heading_variance(&flat.noise, noise.heading_rad2),
+impl FixMeasurement<'_> {
+    /// Its position, without the source's shared error, m.
+    pub fn unbiased_position(&self, view: &impl PoseView) -> [f64; 2] {
+        let bias = self
+            .source
+            .map_or([0.0; 2], |source| ArenaAxis::ALL.map(|axis| view.term(StateTerm::FixBias(source, axis))));
+        [self.fix.position.x.0 - bias[0], self.fix.position.y.0 - bias[1]]
+    }
+
+    fn frame(&self, view: &impl PoseView) -> SensorFrame {
+        SensorFrame::of_tag(view, [self.fix.tag_in_body.x.0, self.fix.tag_in_body.y.0], &self.exposure)
+    }
+
+    /// The observation model of the position alone.
+    pub fn position_model(&self, view: &impl PoseView) -> ObservationModel<2> {
+        self.position_in(&self.frame(view), view)
+    }
+
+    fn position_in(&self, frame: &SensorFrame, view: &impl PoseView) -> ObservationModel<2> {
+        let [x_m, y_m] = self.unbiased_position(view);
+        let innovation = frame.pose.point_in_body(x_m, y_m);
+        let (sin, cos) = frame.pose.heading_rad.sin_cos();
+        let tag_from_arena = Matrix2::new(cos, sin, -sin, cos);
+        let mut rows = [frame.row([1.0, 0.0, 0.0]), frame.row([0.0, 1.0, 0.0])];
+        if let Some(source) = self.source {
+            for (i, row) in rows.iter_mut().enumerate() {
+                for (column, axis) in ArenaAxis::ALL.into_iter().enumerate() {
+                    row.push(StateTerm::FixBias(source, axis), tag_from_arena[(i, column)]);
+                }
+            }
+        }
+        ObservationModel {
+            innovation: Vector2::new(innovation[0], innovation[1]),
+            rows,
+            noise: tag_from_arena * self.noise.position * tag_from_arena.transpose(),
+        }
+    }
+
+    /// The observation model of position and heading.
+    pub fn pose_model(&self, view: &impl PoseView, heading_rad: f64) -> ObservationModel<3> {
+        let frame = self.frame(view);
+        let position = self.position_in(&frame, view);
+        let turn_rad = wrap_rad(heading_rad - frame.pose.heading_rad);
+        ObservationModel {
+            innovation: Vector3::new(position.innovation[0], position.innovation[1], turn_rad),
+            rows: [position.rows[0], position.rows[1], frame.row([0.0, 0.0, 1.0])],
+            noise: with_heading_variance(&position.noise, self.noise.heading_rad2),
+        }
     }
 }
 

@@ -3,9 +3,9 @@
 //! encoders:
 //!
 //! ```text
-//! z = G                          the gyro's turn over the window, bias included
-//! h(x) = psi + b_g T + eps       T the window's length, eps the rounding of the encoders' heading at its beginning
-//! H = [.. 1 at psi, T at b_g, 1 at eps]
+//! z = G                                    the gyro's turn over the window, bias included
+//! h(x) = (psi + eps) (1 + e_g) + b_g T     T the window's length, eps the rounding of the encoders' heading at its beginning
+//! H = [.. 1 + e_g at psi and eps, T at b_g, psi + eps at e_g]        e_g the relative error of the gyro's rate
 //! R = q + (r tick / b)^2 / 6     q = sum of dt^2 (sigma_g^2 + res^2 / 12); the second part is the rounding at the end
 //! ```
 //! The rounding at the end of one window is that at the beginning of the next with the opposite sign, so it is kept as
@@ -51,13 +51,17 @@ pub fn largest_rounding(geometry: &DriveGeometry) -> f64 {
     (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0) * geometry.tick.0 / geometry.track_width.0
 }
 
-/// The gyro's turn over a window against its prediction, whose derivative by [`StateTerm::WindowTurn`] is one.
+/// The gyro's turn over a window against its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroWindowModel {
     /// z - h(x), rad.
     pub innovation: f64,
+    /// Derivative by [`StateTerm::WindowTurn`].
+    pub by_turn: f64,
     /// Derivative by [`StateTerm::GyroBias`], s.
     pub by_gyro_bias: f64,
+    /// Derivative by [`StateTerm::GyroScale`], rad.
+    pub by_gyro_scale: f64,
     /// Derivative by [`StateTerm::HeadingRounding`].
     pub by_rounding: f64,
     /// R, rad².
@@ -74,14 +78,15 @@ pub fn measurement(
     end_rounding_rad2: Option<f64>,
 ) -> GyroWindowModel {
     let length_s = (window.until - window.start).as_secs_f64();
-    let (by_rounding, rounding_rad2) = end_rounding_rad2.map_or((0.0, 0.0), |variance| (1.0, variance));
-    let predicted = view.term(StateTerm::WindowTurn)
-        + view.term(StateTerm::GyroBias) * length_s
-        + by_rounding * view.term(StateTerm::HeadingRounding);
+    let (has_rounding, rounding_rad2) = end_rounding_rad2.map_or((0.0, 0.0), |variance| (1.0, variance));
+    let factor = 1.0 + view.term(StateTerm::GyroScale);
+    let turned_rad = view.term(StateTerm::WindowTurn) + has_rounding * view.term(StateTerm::HeadingRounding);
     GyroWindowModel {
-        innovation: gyro.turn_rad - predicted,
+        innovation: gyro.turn_rad - turned_rad * factor - view.term(StateTerm::GyroBias) * length_s,
+        by_turn: factor,
         by_gyro_bias: length_s,
-        by_rounding,
+        by_gyro_scale: turned_rad,
+        by_rounding: has_rounding * factor,
         variance: gyro_variance(noise, gyro.squared_intervals_s2) + rounding_rad2,
     }
 }

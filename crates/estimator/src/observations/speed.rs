@@ -57,12 +57,13 @@ pub fn turn_reading(step: BodyStep, step_noise: &StepNoise, dt_s: f64, geometry:
     Speed { value: step.turn_rad / dt_s, variance }
 }
 
-/// The gyro's rate minus its estimated bias, with the variance of both.
-pub fn gyro_reading(rate_rad_per_s: f64, bias_rad_per_s: f64, bias_variance: f64, noise: &SensorNoise) -> Speed {
-    Speed {
-        value: rate_rad_per_s - bias_rad_per_s,
-        variance: gyro_variance(noise, 1.0) + bias_variance + MIN_TURN_VARIANCE,
-    }
+/// The gyro's rate without its estimated bias and scale, with the variance of all three. Bias and scale are given as value and
+/// variance.
+pub fn gyro_reading(rate_rad_per_s: f64, bias: Speed, scale: Speed, noise: &SensorNoise) -> Speed {
+    let factor = 1.0 + scale.value;
+    let value = (rate_rad_per_s - bias.value) / factor;
+    let of_rate = (gyro_variance(noise, 1.0) + bias.variance) / (factor * factor);
+    Speed { value, variance: of_rate + value * value * scale.variance + MIN_TURN_VARIANCE }
 }
 
 /// Changes of forward speed and turn rate, and of their variances, over an interval.

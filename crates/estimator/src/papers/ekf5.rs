@@ -23,7 +23,8 @@ use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
 use super::rows::{self, position_in_arena};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
-use crate::observations::fix::{FixContext, fix_noise};
+use crate::observations::fix::fix_noise;
+use crate::observations::sensor_frame::Exposure;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
 
 /// Variance of v_enc, (cm/s)²: paper 1, equation 26.
@@ -171,8 +172,8 @@ impl SampledFilter for FiveStateEkf {
 
     fn use_fix(&mut self, step: &FixStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let fix = &step.fix;
-        let circumstances = FixContext::at_speeds(step.stamp_sigma_s, self.mean[FORWARD], self.mean[TURN]);
-        let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
+        let exposure = Exposure::at_speeds(self.mean[FORWARD], self.mean[TURN]);
+        let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &exposure, step.stamp_sigma_s);
         let (innovation, jacobian) = position_in_arena([X, Y, HEADING].map(|row| self.mean[row]), fix);
         let position = LinearizedMeasurement { innovation, jacobian, noise: noise.position };
         let expected_rad = self.mean[HEADING];

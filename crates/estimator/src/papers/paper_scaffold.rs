@@ -22,7 +22,8 @@ use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::models::se2::BodyStep;
 use crate::motion::{SPEED_HOLD, TimeSeries};
 use crate::numerics::chi_square::chi_square_gates;
-use crate::observations::fix::{FixContext, fix_noise, mid_axle};
+use crate::observations::fix::{fix_noise, mid_axle};
+use crate::observations::sensor_frame::Exposure;
 use crate::tracking::{PublishedState, TrackingStatus};
 use crate::validation::{self, reject_repeated};
 
@@ -256,8 +257,7 @@ fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &Samp
     let Some(heading) = fix.heading else {
         return FusionOutcome::Unused;
     };
-    let circumstances = FixContext::default();
-    let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &circumstances);
+    let noise = fix_noise(fix, &context.config.noise, [1.0, 1.0], &Exposure::default(), 0.0);
     maths.initialize_pose(&StartPose {
         pose: mid_axle(fix, heading.rad()),
         position_sigma_m: (0.5 * noise.position.trace()).sqrt(),

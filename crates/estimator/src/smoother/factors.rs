@@ -19,7 +19,8 @@ use crate::models::differential_drive::{CalibratedStep, WheelTravel, calibrated_
 use crate::models::se2::{BodyStep, StepRule, displace};
 use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 use crate::numerics::elimination::Variable;
-use crate::observations::fix::{FixContext, FixNoise, fix_noise, lever_in_arena};
+use crate::observations::fix::{FixNoise, fix_noise, lever_in_arena};
+use crate::observations::sensor_frame::Exposure;
 
 /// Most unknowns in one row: two poses and three constants.
 pub(super) const MAX_ROW_ENTRIES: usize = 9;
@@ -329,8 +330,8 @@ fn with_constant(problem: &SmoothingProblem<'_>, row: WhitenedRow, constant: usi
 
 fn noise_of_fix(problem: &SmoothingProblem<'_>, associated: &AssociatedFix) -> FixNoise {
     let AssociatedFix { stamp_sigma_s, forward_m_per_s, turn_rad_per_s, .. } = *associated;
-    let circumstances = FixContext::at_speeds(stamp_sigma_s, forward_m_per_s, turn_rad_per_s);
-    let mut noise = fix_noise(&associated.fix, &problem.config.noise, [1.0, 1.0], &circumstances);
+    let exposure = Exposure::at_speeds(forward_m_per_s, turn_rad_per_s);
+    let mut noise = fix_noise(&associated.fix, &problem.config.noise, [1.0, 1.0], &exposure, stamp_sigma_s);
     noise.position += Matrix2::from_diagonal_element(MIN_VARIANCE);
     noise
 }

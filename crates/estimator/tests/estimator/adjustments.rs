@@ -1,7 +1,7 @@
 //! What a person changes about a filter that runs: tunables, the pose, what is learned.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE_STATES, RADIUS};
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, RADIUS};
 use posebridge_estimator::{FILTERS, Filter, FilterCommand, FilterConfig, PARAMS, Params};
 use posebridge_telemetry::{Calibration, FusionOutcome, OnlineCalibration, UncertainValue};
 

@@ -1,7 +1,7 @@
 //! The flagship's state does not depend on the order in which observations arrive, bit for bit.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, LARGE_STATES, SMALL_STATES};
 use posebridge_estimator::{Filter, FilterCommand, FilterConfig, Params};
 use posebridge_telemetry::{
     BrickClock, FusionOutcome, Observation, ObservationKind, PositionCovariance, Radians, SensorId, TimeDelta,
@@ -132,8 +132,8 @@ fn the_order_of_arrival_does_not_matter() {
 fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
     let config = learning_everything();
     let observations = with_everything(&config, 11);
-    assert_order_does_not_matter::<RANGE_STATES>("every sensor", &config, &observations);
-    let mut filter = PoseFilter::<RANGE_STATES>::new(&config);
+    assert_order_does_not_matter::<LARGE_STATES>("every sensor", &config, &observations);
+    let mut filter = PoseFilter::<LARGE_STATES>::new(&config);
     let records: Vec<_> = observations.iter().map(|observation| filter.observe(observation)).collect();
     for kind in ["landmark", "beacon_range", "wall_range", "compass_heading"] {
         let used = records.iter().filter(|record| record.kind == kind && record.outcome == FusionOutcome::Accepted);
@@ -143,7 +143,7 @@ fn the_order_of_arrival_does_not_matter_with_every_sensor_and_every_state() {
     assert!(gated.count() > 20, "and some are not");
     let mut students_t = config;
     students_t.params.student_dof = 4.0;
-    assert_order_does_not_matter::<RANGE_STATES>("Student's t", &students_t, &with_everything(&students_t, 13));
+    assert_order_does_not_matter::<LARGE_STATES>("Student's t", &students_t, &with_everything(&students_t, 13));
 }
 
 #[test]
@@ -155,7 +155,7 @@ fn the_order_of_arrival_does_not_matter_with_a_camera_whose_delay_is_learned() {
     for late in [TimeDelta::from_millis(150), TimeDelta::from_micros(-83_210)] {
         let mut observations = observations(14);
         shift(&mut observations, SensorId::CAMERA, late);
-        assert_order_does_not_matter::<CAMERA_STATES>("delay", &config, &observations);
+        assert_order_does_not_matter::<SMALL_STATES>("delay", &config, &observations);
     }
 }
 

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use nalgebra::DMatrix;
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, RANGE_STATES};
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, LARGE_STATES, SMALL_STATES};
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{FusionOutcome, Observation, SensorId, TimeDelta};
 use proptest::prelude::*;
@@ -102,8 +102,8 @@ proptest! {
         let mut config = learning_everything();
         config.start = config.start.filter(|_| has_start);
         config.params.student_dof = if has_students_t { 4.0 } else { 0.0 };
-        play_anything::<RANGE_STATES>(&config, &steps);
-        play_anything::<CAMERA_STATES>(&config, &steps);
+        play_anything::<LARGE_STATES>(&config, &steps);
+        play_anything::<SMALL_STATES>(&config, &steps);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use posebridge_estimator::filters::pose::state::CORE_STATES;
+use posebridge_estimator::filters::pose::layout::CORE_STATES;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::smoother::{
     FixArrival, FixContent, GroundTruthRun, OfflineError, SmoothedTrajectory, batch, cramer_rao_bound, rts,

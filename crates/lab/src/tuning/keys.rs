@@ -35,17 +35,24 @@ noise_keys! {
     travel_m_per_sqrt_m: is_motion_observation;
     turn_rad_per_sqrt_rad: is_motion_observation;
     heading_rad_per_sqrt_m: is_motion_observation;
+    travel_m_per_sqrt_s: is_motion_observation;
+    heading_rad_per_sqrt_s: is_motion_observation;
     gyro_rad_per_s: |kind| matches!(kind, ObservationKind::TurnRate(_));
     gyro_resolution_rad_per_s: |_| false;
     gyro_bias_rad_per_s: |_| false;
     gyro_bias_walk_rad_per_s_sqrt_s: |_| false;
     fix_position_m: |kind| matches!(kind, ObservationKind::Fix(fix) if fix.covariance.is_none());
     fix_heading_rad: |kind| matches!(kind, ObservationKind::Fix(fix) if fix.covariance.is_none() && fix.heading.is_some());
+    fix_persistent_m: |_| false;
+    fix_persistence_m: |_| false;
     accelerometer_m_per_s2: |_| false;
     compass_rad: |kind| matches!(kind, ObservationKind::CompassHeading(_));
     landmark_range_m: |kind| matches!(kind, ObservationKind::Landmark { .. });
+    landmark_range_share: |kind| matches!(kind, ObservationKind::Landmark { .. });
     landmark_bearing_rad: |kind| matches!(kind, ObservationKind::Landmark { .. });
+    landmark_place_m: |_| false;
     beacon_range_m: |kind| matches!(kind, ObservationKind::BeaconRange { .. });
+    beacon_range_share: |kind| matches!(kind, ObservationKind::BeaconRange { .. });
     wall_range_m: |kind| matches!(kind, ObservationKind::WallRange(_));
     temperature_k: |kind| matches!(kind, ObservationKind::Temperature(_));
 }

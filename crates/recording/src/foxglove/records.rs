@@ -4,7 +4,8 @@
 
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, Celsius, ChannelName, Command, Estimate, FusionOutcome, FusionRecord,
-    LinkCounter, LinkHealth, LinkId, RobotId, ScalarEstimate, SourceHealth, TimeDelta, Timestamp, UncertainValue,
+    LinkCounter, LinkHealth, LinkId, MountedSensor, RobotId, ScalarEstimate, SourceHealth, TimeDelta, Timestamp,
+    UncertainValue,
 };
 use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
@@ -303,6 +304,20 @@ pub(super) const CALIBRATION: Record<Calibration> = Record {
         field("beacon_scale", "Relative error of a beacon's ranges.", Read::Uncertain(|of| of.beacon_scale)),
         field("landmark_offset_m", "Offset of the ranges to landmarks, m.", Read::Uncertain(|of| of.landmark_offset_m)),
         field("landmark_scale", "Relative error of the ranges to landmarks.", Read::Uncertain(|of| of.landmark_scale)),
+        field("gyro_scale", "Relative error of the gyro's rate.", Read::Uncertain(|of| of.gyro_scale)),
+        field("landmark_delay_s", "How much earlier than its stamp a landmark was sighted, s.", Read::Uncertain(|of| of.landmark_delay_s)),
+        field("beacon_delay_s", "How much earlier than its stamp a range to a beacon was true, s.", Read::Uncertain(|of| of.beacon_delay_s)),
+        field("range_delay_s", "How much earlier than its stamp a range to a wall was true, s.", Read::Uncertain(|of| of.range_delay_s)),
+        field("compass_delay_s", "How much earlier than its stamp a compass heading was true, s.", Read::Uncertain(|of| of.compass_delay_s)),
+        field("landmarks_x_m", "Where the camera of the landmarks sits, forward of mid-axle, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Landmarks].x_m)),
+        field("landmarks_y_m", "The same to the left, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Landmarks].y_m)),
+        field("landmarks_yaw_rad", "Its direction, counter-clockwise from forward, rad.", Read::Uncertain(|of| of.mountings[MountedSensor::Landmarks].yaw_rad)),
+        field("beacons_x_m", "Where the radio tag sits, forward of mid-axle, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Beacons].x_m)),
+        field("beacons_y_m", "The same to the left, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Beacons].y_m)),
+        field("range_x_m", "Where the range finder sits, forward of mid-axle, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Range].x_m)),
+        field("range_y_m", "The same to the left, m.", Read::Uncertain(|of| of.mountings[MountedSensor::Range].y_m)),
+        field("range_yaw_rad", "Its direction, counter-clockwise from forward, rad.", Read::Uncertain(|of| of.mountings[MountedSensor::Range].yaw_rad)),
+        field("compass_yaw_rad", "The compass's direction, counter-clockwise from forward, rad.", Read::Uncertain(|of| of.mountings[MountedSensor::Compass].yaw_rad)),
     ]],
 };
 

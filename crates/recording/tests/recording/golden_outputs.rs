@@ -11,8 +11,9 @@ use posebridge_recording::event_json::to_json_line;
 use posebridge_telemetry::{
     Address, Arena, BeaconId, Calibration, Celsius, ChannelName, Command, Event, Fix, FusionOutcome, Heading, Input,
     LandmarkId, LinkCounts, LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observation, ObservationKind, Point2, Pose, PoseCorrection, PositionCovariance, Radians, RadiansPerSecond,
-    ReceiveError, RobotId, SensorId, SignatureError, SourceHealth, TimeDelta, Timestamp, UncertainValue,
+    MountedSensor, Mounting, Mountings, Observation, ObservationKind, Point2, Pose, PoseCorrection, PositionCovariance,
+    Radians, RadiansPerSecond, ReceiveError, RobotId, SensorId, SignatureError, SourceHealth, TimeDelta, Timestamp,
+    UncertainValue,
 };
 use serde_json::Value;
 
@@ -148,6 +149,11 @@ fn all_events() -> Vec<Event> {
 
 fn calibration() -> Calibration {
     let number = |value| UncertainValue { value, sigma: value + 0.5 };
+    let mut mountings = Mountings::default();
+    for (index, sensor) in MountedSensor::ALL.into_iter().enumerate() {
+        let first = 17.0 + 3.0 * index as f64;
+        mountings[sensor] = Mounting { x_m: number(first), y_m: number(first + 1.0), yaw_rad: number(first + 2.0) };
+    }
     Calibration {
         radius_scale: number(1.0),
         radius_difference: number(2.0),
@@ -160,6 +166,12 @@ fn calibration() -> Calibration {
         beacon_scale: number(9.0),
         landmark_offset_m: number(10.0),
         landmark_scale: number(11.0),
+        gyro_scale: number(12.0),
+        landmark_delay_s: number(13.0),
+        beacon_delay_s: number(14.0),
+        range_delay_s: number(15.0),
+        compass_delay_s: number(16.0),
+        mountings,
     }
 }
 

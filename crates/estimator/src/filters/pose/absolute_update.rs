@@ -1,17 +1,25 @@
 //! Updates of the pose filter's state by absolute observations: gate, weight, update.
 
-use nalgebra::{SMatrix, SVector};
-use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, FusionRecord, ObservationKind, TimeDelta, Timestamp};
+use std::collections::BTreeMap;
 
+use nalgebra::{SMatrix, SVector};
+use posebridge_telemetry::{
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, MountedSensor, ObservationKind, Point2, TimeDelta, Timestamp,
+};
+
+use super::context::UpdateContext;
 use super::entry::sort_key;
-use super::motion_update::{UpdateContext, has_slipped, update_gyro_window};
+use super::layout::{FORWARD, HEADING, LEFT};
+use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
 use super::relocalize::{initialize_from_fix, reject_fix, reset_to_fix};
-use super::state::{DELAY, FORWARD, HEADING, LEFT, PoseState, RejectedFixes, linearize};
+use super::state::{PoseState, RejectedFixes};
 use crate::models::lie::Se2;
 use crate::numerics::covariance::symmetrise;
-use crate::observations::absolute::{self, RangeBearing};
-use crate::observations::{ObservationModel, PoseView, StateTerm, fix};
+use crate::observations::absolute::{self, MeasuredPoint, RangeBearing};
+use crate::observations::fix::{self, FixMeasurement};
+use crate::observations::sensor_frame::{Exposure, SensorFrame};
+use crate::observations::{ObservationModel, StateTerm};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
@@ -71,31 +79,34 @@ impl AbsoluteUpdate<'_> {
         fix: &Fix,
         stamp_sigma: TimeDelta,
     ) -> FusionOutcome {
-        let circumstances = self.fix_context(state, stamp_sigma);
+        let layout = &self.context.layout;
+        let exposure = self.exposure(state, StateTerm::FixDelay);
         let scales = [NoiseGroup::Position, NoiseGroup::Heading].map(|group| self.noise_scale(state, group));
-        let noise = fix::fix_noise(fix, &self.context.config.noise, scales, &circumstances);
+        let noise = fix::fix_noise(fix, &self.context.config.noise, scales, &exposure, stamp_sigma.as_secs_f64());
         let has_jumped = state.observer_frames.has_jumped(self.record.sensor, fix.reset_counter);
+        let source = state.observer_frames.number_of(self.record.sensor);
+        let measured = FixMeasurement { fix, noise, exposure, source };
         if !state.is_located {
-            return initialize_from_fix(state, fix, &noise, &circumstances);
+            return initialize_from_fix(state, &measured, layout);
         }
         if has_jumped {
-            return reset_to_fix(state, fix, &noise, &circumstances);
+            return reset_to_fix(state, &measured, layout);
         }
         let verdict = match fix.heading {
             Some(heading) => {
                 let heading_rad = heading.rad();
                 self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
-                    linearize(&fix::pose(state, fix, heading_rad, &noise, &circumstances))
+                    layout.linearize(&measured.pose_model(&state.view(layout), heading_rad))
                 })
             }
             None => self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
-                linearize(&fix::position(state, fix, &noise, &circumstances))
+                layout.linearize(&measured.position_model(&state.view(layout)))
             }),
         };
-        let turned_since_rad = circumstances.moved_since.heading_rad;
+        let turned_since_rad = exposure.moved_since.heading_rad;
         let params = &self.context.config.params;
         if verdict == FusionOutcome::Gated && reject_fix(state, self.record, turned_since_rad, params) {
-            return reset_to_fix(state, fix, &noise, &circumstances);
+            return reset_to_fix(state, &measured, layout);
         }
         verdict
     }
@@ -134,33 +145,39 @@ impl AbsoluteUpdate<'_> {
         FusionOutcome::Accepted
     }
 
-    /// Motion and speeds at the exposure of a fix, which may be before its timestamp.
-    fn fix_context<const N: usize>(&self, state: &PoseState<N>, stamp_sigma: TimeDelta) -> fix::FixContext {
+    /// Motion and speeds at an exposure, which is earlier than the timestamp by the delay of this term.
+    fn exposure<const N: usize>(&self, state: &PoseState<N>, delay: StateTerm) -> Exposure {
         let now = state.stamp.unwrap_or(Timestamp::ZERO);
-        let delay = TimeDelta::from_secs_f64(state.term(StateTerm::FixDelay)).clamp(-MAX_DELAY, MAX_DELAY);
+        let row = self.context.layout.row(delay);
+        let delay = row.map_or(TimeDelta::ZERO, |row| TimeDelta::from_secs_f64(state.mean[row]));
+        let delay = delay.clamp(-MAX_DELAY, MAX_DELAY);
         let shown = now - delay;
-        let (track, config) = (&self.context.track, &self.context.config);
         let moved_since = if delay > TimeDelta::ZERO {
-            state.motion_since(shown, track, config)
+            state.motion_since(shown, self.context)
         } else {
             let ahead_s = -delay.as_secs_f64();
             Se2::exp([-state.forward.value * ahead_s, 0.0, -state.turn.value * ahead_s])
         };
-        let (forward_m_per_s, turn_rad_per_s) = if N > DELAY && state.covariance[(DELAY, DELAY)] > 0.0 {
+        let (forward_m_per_s, turn_rad_per_s) = if row.is_some_and(|row| state.covariance[(row, row)] > 0.0) {
             self.speeds_near(state, shown)
         } else {
             (state.forward.value, state.turn.value)
         };
-        fix::FixContext { moved_since, stamp_sigma_s: stamp_sigma.as_secs_f64(), forward_m_per_s, turn_rad_per_s }
+        Exposure { moved_since, forward_m_per_s, turn_rad_per_s }
+    }
+
+    /// Where a mounted sensor was at its exposure.
+    fn sensor_frame<const N: usize>(&self, state: &PoseState<N>, sensor: MountedSensor) -> SensorFrame {
+        let exposure = self.exposure(state, StateTerm::Delay(sensor));
+        SensorFrame::of_sensor(&state.view(&self.context.layout), sensor, &exposure)
     }
 
     /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.
     fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
-        let (track, config) = (&self.context.track, &self.context.config);
         let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
-        let earlier = state.motion_since(from, track, config);
+        let earlier = state.motion_since(from, self.context);
         let until = from + SPEED_WINDOW;
-        let later = state.motion_since(until, track, config);
+        let later = state.motion_since(until, self.context);
         let covered_s = state.stamp.map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
         if covered_s < 0.5 * SPEED_WINDOW.as_secs_f64() {
             return (state.forward.value, state.turn.value);
@@ -175,31 +192,43 @@ impl AbsoluteUpdate<'_> {
         observation: &ObservationKind,
     ) -> FusionOutcome {
         let config = &self.context.config;
-        let (noise, world) = (&config.noise, &config.arena_map);
+        let (noise, map) = (&config.noise, &config.arena_map);
+        let view = state.view(&self.context.layout);
         match *observation {
             ObservationKind::Landmark { id, range, bearing } => {
-                let range_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.landmark_range_m.powi(2);
-                let bearing_rad2 = self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2);
+                let own_m2 = range_variance(range.0, noise.landmark_range_m, noise.landmark_range_share);
+                let variances = [
+                    self.noise_scale(state, NoiseGroup::Range) * own_m2,
+                    self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2),
+                ];
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
-                let model = world.landmarks.get(&id);
-                let model = model.and_then(|at| absolute::landmark(state, *at, sighting, range_m2, bearing_rad2));
+                let frame = self.sensor_frame(state, MountedSensor::Landmarks);
+                let model = numbered(&map.landmarks, id).and_then(|(slot, position)| {
+                    let point = MeasuredPoint::landmark(position, slot);
+                    absolute::landmark(&view, &frame, &point, sighting, variances)
+                });
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range, NoiseGroup::Bearing])
             }
             ObservationKind::BeaconRange { id, range } => {
-                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.beacon_range_m.powi(2);
-                let known = world.beacons.iter().enumerate().find(|(_, (known, _))| **known == id);
-                let model = known
-                    .and_then(|(slot, (_, position))| absolute::beacon(state, *position, slot, range.0, variance_m2));
+                let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
+                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * own_m2;
+                let frame = self.sensor_frame(state, MountedSensor::Beacons);
+                let model = numbered(&map.beacons, id).and_then(|(slot, position)| {
+                    let point = MeasuredPoint::beacon(position, slot);
+                    absolute::beacon(&view, &frame, &point, range.0, variance_m2)
+                });
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
-                let model = absolute::wall(state, &world.walls, range.0, variance_m2);
+                let frame = self.sensor_frame(state, MountedSensor::Range);
+                let model = absolute::wall(&frame, &map.walls, range.0, variance_m2);
                 self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
             }
             ObservationKind::CompassHeading(heading) => {
                 let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
-                let model = absolute::compass(state, heading.rad(), variance_rad2);
+                let frame = self.sensor_frame(state, MountedSensor::Compass);
+                let model = absolute::compass(&frame, heading.rad(), variance_rad2);
                 self.gate_and_apply_if_some(state, Some(&model), [NoiseGroup::Heading])
             }
             ObservationKind::WheelAngles { .. }
@@ -218,7 +247,8 @@ impl AbsoluteUpdate<'_> {
         model: Option<&ObservationModel<M>>,
         groups: [NoiseGroup; M],
     ) -> FusionOutcome {
-        model.map_or(FusionOutcome::Unused, |model| self.gate_and_apply(state, &linearize(model), groups))
+        let Some(model) = model else { return FusionOutcome::Unused };
+        self.gate_and_apply(state, &self.context.layout.linearize(model), groups)
     }
 
     /// Updates the state if the innovation passes the gate; with `student_dof` outliers are weighted down instead.
@@ -278,6 +308,17 @@ impl AbsoluteUpdate<'_> {
         let s = measurement.innovation_covariance(covariance);
         write_innovation(self.record, &measurement.innovation, &s).then_some(s)
     }
+}
+
+/// Variance of a range with a constant part of its noise and one that is proportional to it.
+fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
+    constant_m.powi(2) + (share * range_m).powi(2)
+}
+
+/// A point of the map with its number there.
+fn numbered<K: Ord>(points: &BTreeMap<K, Point2<Arena>>, id: K) -> Option<(usize, Point2<Arena>)> {
+    let (slot, (_, position)) = points.iter().enumerate().find(|(_, (known, _))| **known == id)?;
+    Some((slot, *position))
 }
 
 // The update that works with an almost unknown heading: Gauss-Newton on one observation.

@@ -4,7 +4,9 @@
 //! Source: docs/maths/pose.md.
 
 mod absolute_update;
+pub mod context;
 mod entry;
+pub mod layout;
 pub mod motion_update;
 pub mod noise_scales;
 pub mod propagation;
@@ -16,13 +18,14 @@ use std::borrow::Cow;
 
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
+    SensorId, StartPose, TimeDelta, Timestamp,
 };
 
+use self::context::UpdateContext;
 use self::entry::{PoseEntry, UpdateKind};
-use self::motion_update::UpdateContext;
+use self::layout::{CORE_STATES, FORWARD, HEADING, LARGE_STATES, LEFT, MEDIUM_STATES, SMALL_STATES, StateLayout};
 use self::relocalize::StateCommand;
-use self::state::{CAMERA_STATES, CORE_STATES, FORWARD, HEADING, LEFT, PoseBlock, PoseState, RANGE_STATES, arena_pose};
+use self::state::{PoseBlock, PoseState, arena_pose};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::history::FixedLagHistory;
 use crate::models::lie::Se2;
@@ -36,21 +39,11 @@ use crate::validation;
 const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    let calibration = &config.calibration;
-    let is_estimated = |known: UncertainValue| known.sigma > 0.0 || known.value != 0.0;
-    let camera = [calibration.fix_delay_s, calibration.tag_forward_m, calibration.tag_left_m];
-    let ranges = [
-        calibration.beacon_offset_m,
-        calibration.beacon_scale,
-        calibration.landmark_offset_m,
-        calibration.landmark_scale,
-    ];
-    if ranges.into_iter().any(is_estimated) {
-        Box::new(PoseFilter::<RANGE_STATES>::new(config))
-    } else if camera.into_iter().any(is_estimated) {
-        Box::new(PoseFilter::<CAMERA_STATES>::new(config))
-    } else {
-        Box::new(PoseFilter::<CORE_STATES>::new(config))
+    match StateLayout::new(config, LARGE_STATES).states() {
+        ..=CORE_STATES => Box::new(PoseFilter::<CORE_STATES>::new(config)),
+        ..=SMALL_STATES => Box::new(PoseFilter::<SMALL_STATES>::new(config)),
+        ..=MEDIUM_STATES => Box::new(PoseFilter::<MEDIUM_STATES>::new(config)),
+        _ => Box::new(PoseFilter::<LARGE_STATES>::new(config)),
     }
 }
 
@@ -63,11 +56,9 @@ pub struct PoseFilter<const N: usize> {
 
 impl<const N: usize> PoseFilter<N> {
     pub fn new(config: &FilterConfig) -> Self {
-        Self {
-            context: UpdateContext::new(config),
-            history: FixedLagHistory::new(PoseState::initial(config)),
-            slip_reported_at: None,
-        }
+        let context = UpdateContext::new(config, N);
+        let history = FixedLagHistory::new(PoseState::initial(config, &context.layout));
+        Self { context, history, slip_reported_at: None }
     }
 
     /// Marks the first record of a used motion observation after slip was detected, which a fix or a late one may
@@ -154,7 +145,7 @@ impl<const N: usize> PoseFilter<N> {
     /// Applies a command after all observations of its instant, or to the initial state before the first one.
     fn insert_command(&mut self, command: StateCommand) {
         let Some(stamp) = self.latest_time() else {
-            self.history.base_mut().apply_command(command, &self.context.config);
+            self.history.base_mut().apply_command(command, &self.context);
             return;
         };
         let entry = PoseEntry { stamp, sensor: SensorId(0), update: UpdateKind::Command(command) };
@@ -193,16 +184,16 @@ impl<const N: usize> Filter for PoseFilter<N> {
 
     fn restart_clock(&mut self) {
         let mut state = *self.state();
-        state.restart_clock(&PoseState::initial(&self.context.config));
+        state.restart_clock(&PoseState::initial(&self.context.config, &self.context.layout));
         // The stamps of before mean nothing.
         state.slipped_at = None;
         self.slip_reported_at = None;
         self.history.reset(state);
-        self.context = UpdateContext::new(&self.context.config);
+        self.context = UpdateContext::new(&self.context.config, N);
     }
 
     fn calibration(&self) -> Option<Calibration> {
-        Some(self.state().calibration(&self.context.config.calibration))
+        Some(self.state().calibration(&self.context.config.calibration, &self.context.layout))
     }
 
     fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
@@ -275,7 +266,7 @@ fn apply_update<const N: usize>(
             state.predict_speeds_and_bias(stamp, &context.config);
         }
         UpdateKind::Motion(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
-            state.advance(stamp, &context.track, &context.config);
+            state.advance(stamp, context);
         }
     }
     match entry.update {
@@ -285,7 +276,7 @@ fn apply_update<const N: usize>(
         UpdateKind::Absolute(observation, sigma) => {
             absolute_update::update_absolute(state, &observation, sigma, context, record);
         }
-        UpdateKind::Command(revision) => state.apply_command(revision, &context.config),
+        UpdateKind::Command(revision) => state.apply_command(revision, context),
     }
 }
 
@@ -313,7 +304,7 @@ fn estimate<const N: usize>(from: &PoseState<N>, stamp: Timestamp<BrickClock>, c
         return build_estimate(from, &shown, stamp, &context.config);
     }
     let mut state = *from;
-    state.advance(stamp, &context.track, &context.config);
+    state.advance(stamp, context);
     motion_update::update_gyro_window(&mut state, context);
     build_estimate(&state, &PublishedPose::from_state(&state), stamp, &context.config)
 }

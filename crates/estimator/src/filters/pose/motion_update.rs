@@ -2,49 +2,16 @@
 
 use posebridge_telemetry::{BrickClock, FusionRecord, TimeDelta, Timestamp};
 
-use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, ROUNDING, WINDOW_TURN, linearize_gyro_window};
+use super::context::UpdateContext;
+use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
+use super::state::{PoseState, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::models::planar_speeds::Acceleration;
-use crate::motion::{GyroTrack, MotionTrack};
-use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
 use crate::observations::gyro_window::{largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
-use crate::params::Params;
 use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
 use crate::validation::add_innovation;
-
-/// The configuration, and what was observed of the motion.
-#[derive(Clone, Debug)]
-pub struct UpdateContext {
-    pub config: FilterConfig,
-    pub track: MotionTrack,
-    pub gyro: GyroTrack,
-    gates: ChiSquareGates,
-}
-
-impl UpdateContext {
-    pub fn new(config: &FilterConfig) -> Self {
-        Self {
-            config: config.clone(),
-            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
-            gyro: GyroTrack::default(),
-            gates: chi_square_gates(config.params.gate_probability),
-        }
-    }
-
-    /// For an innovation of `components`.
-    pub(super) const fn gate(&self, components: usize) -> f64 {
-        self.gates[components - 1]
-    }
-
-    /// Tunables are read where they are used, except two from which something was computed.
-    pub(super) fn set_params(&mut self, params: &Params) {
-        self.config.params = *params;
-        self.gates = chi_square_gates(params.gate_probability);
-        self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
-    }
-}
 
 /// A gyro that has been silent for longer no longer takes precedence over the encoders' turn rate.
 const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
@@ -97,8 +64,8 @@ pub fn update_motion<const N: usize>(
 
 /// Updates the turn rate by a gyro sample; the heading follows when the window closes.
 pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s: f64, context: &UpdateContext) {
-    let (bias_rad_per_s, bias_variance) = (state.mean[GYRO_BIAS], state.covariance[(GYRO_BIAS, GYRO_BIAS)]);
-    let reading = speed::gyro_reading(rate_rad_per_s, bias_rad_per_s, bias_variance, &context.config.noise);
+    let known = |row: usize| speed::Speed { value: state.mean[row], variance: state.covariance[(row, row)] };
+    let reading = speed::gyro_reading(rate_rad_per_s, known(GYRO_BIAS), known(GYRO_SCALE), &context.config.noise);
     state.turn.observe(reading);
 }
 
@@ -125,7 +92,7 @@ pub fn update_accelerations<const N: usize>(
 pub fn update_gyro_window<const N: usize>(
     state: &mut PoseState<N>,
     context: &UpdateContext,
-) -> Option<(ScalarMeasurement<3>, ScalarOutcome)> {
+) -> Option<(ScalarMeasurement<4>, ScalarOutcome)> {
     let scalar = preview_gyro_window(state, context)?;
     if is_slip(state, &scalar, context) {
         let innovation_variance = scalar.innovation_variance(&state.covariance);
@@ -148,7 +115,7 @@ pub fn update_gyro_window<const N: usize>(
 /// ```
 fn update_with_end_rounding<const N: usize>(
     state: &mut PoseState<N>,
-    scalar: &ScalarMeasurement<3>,
+    scalar: &ScalarMeasurement<4>,
     variance: f64,
 ) -> ScalarOutcome {
     let cross = scalar.cross_covariance(&state.covariance);
@@ -174,7 +141,7 @@ pub fn has_slipped<const N: usize>(state: &PoseState<N>, context: &UpdateContext
 /// a robot turns slowly, counts of both wheels that come together reach the bound again and again.
 pub(super) fn is_slip<const N: usize>(
     state: &PoseState<N>,
-    scalar: &ScalarMeasurement<3>,
+    scalar: &ScalarMeasurement<4>,
     context: &UpdateContext,
 ) -> bool {
     let counted_rad = (scalar.innovation + scalar.jacobian[2] * state.mean[ROUNDING]).abs();
@@ -184,8 +151,8 @@ pub(super) fn is_slip<const N: usize>(
     }
     let but_rounding = ScalarMeasurement {
         innovation: beyond_rad,
-        rows: [scalar.rows[0], scalar.rows[1]],
-        jacobian: [scalar.jacobian[0], scalar.jacobian[1]],
+        rows: [scalar.rows[0], scalar.rows[1], scalar.rows[3]],
+        jacobian: [scalar.jacobian[0], scalar.jacobian[1], scalar.jacobian[3]],
         variance: scalar.variance - end_rounding(state, context).unwrap_or(0.0),
     };
     let chance_rad2 = but_rounding.innovation_variance(&state.covariance);
@@ -226,14 +193,15 @@ fn end_rounding<const N: usize>(state: &PoseState<N>, context: &UpdateContext) -
 pub(super) fn preview_gyro_window<const N: usize>(
     state: &PoseState<N>,
     context: &UpdateContext,
-) -> Option<ScalarMeasurement<3>> {
+) -> Option<ScalarMeasurement<4>> {
     let window = state.window?;
     if window.until <= window.start {
         return None;
     }
     let turn = context.gyro.covered_turn(window.start, window.until)?;
     let noise = &context.config.noise;
-    let model = gyro_window::measurement(state, &window, &turn, noise, end_rounding(state, context));
+    let model =
+        gyro_window::measurement(&state.view(&context.layout), &window, &turn, noise, end_rounding(state, context));
     let scalar = linearize_gyro_window(&model);
     (scalar.innovation_variance(&state.covariance) > 0.0).then_some(scalar)
 }
@@ -242,7 +210,7 @@ pub(super) fn preview_gyro_window<const N: usize>(
 mod tests {
     use super::*;
     use crate::filter::tests::config;
-    use crate::filters::pose::state::CORE_STATES;
+    use crate::filters::pose::layout::{CORE_STATES, StateLayout};
     use crate::observations::gyro_window::GyroWindow;
 
     #[test]
@@ -250,7 +218,7 @@ mod tests {
         let config = config();
         let slip_rad2 = 0.04;
         let grown_by = |nis: f64| {
-            let mut state = PoseState::<CORE_STATES>::initial(&config);
+            let mut state = PoseState::<CORE_STATES>::initial(&config, &StateLayout::new(&config, CORE_STATES));
             state.window = Some(GyroWindow { forward_m: 0.3, ..GyroWindow::starting(Timestamp::ZERO) });
             let before = state.covariance;
             inflate_for_slip(&mut state, slip_rad2, slip_rad2 / nis, &config);

@@ -108,6 +108,11 @@ impl ObserverFrames {
         let before = slot.replace((sensor, counter));
         before.is_some_and(|(_, before)| before != counter)
     }
+
+    /// The number of an observer, in the order in which they were seen first.
+    pub fn number_of(&self, sensor: SensorId) -> Option<usize> {
+        self.counters.iter().flatten().position(|(known, _)| *known == sensor)
+    }
 }
 
 #[cfg(test)]

@@ -12,12 +12,14 @@
 use nalgebra::SMatrix;
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
-use super::state::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, TRACK, WINDOW_TURN};
+use super::context::UpdateContext;
+use super::layout::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, RADIUS, TRACK, WINDOW_TURN};
+use super::state::PoseState;
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
 use crate::models::lie::{ArcStep, Se2};
 use crate::models::se2::BodyStep;
-use crate::motion::{MotionTrack, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
+use crate::motion::{SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
@@ -131,7 +133,8 @@ const MOVED_ROWS: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
 
 impl<const N: usize> PoseState<N> {
     /// Propagates the state to `to`: by the known travel as far as it reaches, then by the held speeds.
-    pub fn advance(&mut self, to: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) {
+    pub fn advance(&mut self, to: Timestamp<BrickClock>, context: &UpdateContext) {
+        let config = &context.config;
         let Some(from) = self.stamp else {
             self.stamp = Some(to);
             self.predict_speeds_and_bias(to, config);
@@ -142,9 +145,9 @@ impl<const N: usize> PoseState<N> {
         }
         let mut at = from;
         while at < to {
-            at = match track.segment(at, to) {
+            at = match context.track.segment(at, to) {
                 TravelSegment::Known { until, travel, path_var_m2 } => {
-                    self.move_by_travel(travel, until, config);
+                    self.move_by_travel(travel, until, context);
                     self.inflate_pose_covariance(path_var_m2, 0.0);
                     until
                 }
@@ -181,7 +184,8 @@ impl<const N: usize> PoseState<N> {
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
     }
 
-    fn move_by_travel(&mut self, travel: WheelTravel, to: Timestamp<BrickClock>, config: &FilterConfig) {
+    fn move_by_travel(&mut self, travel: WheelTravel, to: Timestamp<BrickClock>, context: &UpdateContext) {
+        let config = &context.config;
         let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
         if let Some(window) = &mut self.window {
             window.until = to;
@@ -194,6 +198,7 @@ impl<const N: usize> PoseState<N> {
         transition.propagate(&mut self.covariance, &noise);
         self.pose = self.pose.compose(transition.step.motion);
         self.add_scale_noise(forward_m, to, config);
+        self.decay_fix_biases(forward_m, context);
         if let Some(window) = &mut self.window {
             window.forward_m += forward_m;
             self.mean[WINDOW_TURN] += turn_rad;
@@ -213,6 +218,29 @@ impl<const N: usize> PoseState<N> {
             if self.covariance[(row, row)] > 0.0 {
                 self.covariance[(row, row)] += walk_var;
             }
+        }
+    }
+
+    /// The errors that the fixes of a source share change with the path, and not with time: a robot at rest learns nothing new
+    /// of them however often it is seen.
+    ///
+    /// ```text
+    /// b <- k b      P_bb <- k^2 P_bb + (1 - k^2) sigma^2      k = exp(-d / L)
+    /// ```
+    fn decay_fix_biases(&mut self, forward_m: f64, context: &UpdateContext) {
+        let rows = context.layout.fix_bias_rows();
+        if rows.is_empty() {
+            return;
+        }
+        let noise = &context.config.noise;
+        let keep = (-forward_m.abs() / noise.fix_persistence_m).exp();
+        for row in rows {
+            self.mean[row] *= keep;
+            for column in 0..N {
+                self.covariance[(row, column)] *= keep;
+                self.covariance[(column, row)] *= keep;
+            }
+            self.covariance[(row, row)] += (1.0 - keep * keep) * noise.fix_persistent_m.powi(2);
         }
     }
 
@@ -249,16 +277,16 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// The body's motion from `from` until now, as far as it is known.
-    pub fn motion_since(&self, from: Timestamp<BrickClock>, track: &MotionTrack, config: &FilterConfig) -> Se2 {
+    pub fn motion_since(&self, from: Timestamp<BrickClock>, context: &UpdateContext) -> Se2 {
         let Some(now) = self.stamp else {
             return Se2::default();
         };
         let mut moved = Se2::default();
         let mut at = from;
         while at < now {
-            at = match track.segment(at, now) {
+            at = match context.track.segment(at, now) {
                 TravelSegment::Known { until, travel, .. } => {
-                    let (transition, ..) = Transition::over_travel(travel, self, &config.geometry);
+                    let (transition, ..) = Transition::over_travel(travel, self, &context.config.geometry);
                     moved = moved.compose(transition.step.motion);
                     until
                 }
@@ -277,13 +305,13 @@ impl<const N: usize> PoseState<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::filters::pose::state::CORE_STATES;
+    use crate::filters::pose::layout::{CORE_STATES, StateLayout};
 
     #[test]
     fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
         let ms = Timestamp::from_millis;
         let config = crate::filter::tests::config();
-        let mut at_once = PoseState::<CORE_STATES>::initial(&config);
+        let mut at_once = PoseState::<CORE_STATES>::initial(&config, &StateLayout::new(&config, CORE_STATES));
         at_once.predict_speeds_and_bias(ms(0), &config);
         at_once.last_acceleration = Some(ms(0));
         let mut parts = at_once;

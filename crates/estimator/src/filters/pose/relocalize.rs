@@ -14,12 +14,14 @@
 use std::f64::consts::PI;
 
 use nalgebra::{SMatrix, SVector};
-use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, StartPose};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, Point2, StartPose};
 
-use super::state::{FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RejectedFixes, calibration_rows, linearize};
+use super::context::UpdateContext;
+use super::layout::{FORWARD, GYRO_BIAS, HEADING, LEFT, StateLayout};
+use super::state::{PoseState, RejectedFixes, constant_rows};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
-use crate::observations::fix::{self, FixContext, FixNoise};
+use crate::observations::fix::{self, FixMeasurement};
 use crate::observations::{PoseView, StateTerm};
 use crate::params::Params;
 use crate::update::LinearizedMeasurement;
@@ -61,13 +63,12 @@ pub(super) fn reject_fix<const N: usize>(
 /// Moves the estimate to a fix; counts as a reset and stores the jump.
 pub(super) fn reset_to_fix<const N: usize>(
     state: &mut PoseState<N>,
-    fix: &Fix,
-    noise: &FixNoise,
-    circumstances: &FixContext,
+    measured: &FixMeasurement<'_>,
+    layout: &StateLayout,
 ) -> FusionOutcome {
     let before = state.arena_pose();
     // Without a heading in the fix the heading may be as wrong as the position was: it is estimated from scratch.
-    if initialize_from_fix(state, fix, noise, circumstances) == FusionOutcome::Malformed {
+    if initialize_from_fix(state, measured, layout) == FusionOutcome::Malformed {
         return FusionOutcome::Malformed;
     }
     state.status.record_jump(before, state.arena_pose());
@@ -77,27 +78,29 @@ pub(super) fn reset_to_fix<const N: usize>(
 /// Takes the pose from a fix, for the tag's estimated position in the body and the instant of the exposure.
 pub(super) fn initialize_from_fix<const N: usize>(
     state: &mut PoseState<N>,
-    fix: &Fix,
-    noise: &FixNoise,
-    circumstances: &FixContext,
+    measured: &FixMeasurement<'_>,
+    layout: &StateLayout,
 ) -> FusionOutcome {
-    let moved = circumstances.moved_since;
+    let fix = measured.fix;
+    let moved = measured.exposure.moved_since;
     let shown_rad = fix.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
-    let mut tagged = *fix;
-    tagged.tag_in_body.x += Meters(state.term(StateTerm::TagForward));
-    tagged.tag_in_body.y += Meters(state.term(StateTerm::TagLeft));
+    let mut corrected = *fix;
+    let [x_m, y_m] = measured.unbiased_position(&state.view(layout));
+    corrected.position = Point2::new(Meters(x_m), Meters(y_m));
+    corrected.tag_in_body.x += Meters(state.view(layout).term(StateTerm::TagForward));
+    corrected.tag_in_body.y += Meters(state.view(layout).term(StateTerm::TagLeft));
     state.initialize_pose(&StartPose {
-        pose: fix::mid_axle(&tagged, shown_rad),
+        pose: fix::mid_axle(&corrected, shown_rad),
         position_sigma_m: 0.0,
         heading_sigma_rad: 0.0,
     });
     state.pose = state.pose.compose(moved);
-    let noise = FixNoise {
-        position: noise.position,
-        heading_rad2: fix.heading.map_or(ANY_HEADING_RAD2, |_| noise.heading_rad2),
-    };
-    let measurement = linearize(&fix::pose(state, fix, shown_rad, &noise, circumstances));
-    set_covariance_from_fix(state, &measurement)
+    let mut measured = *measured;
+    if fix.heading.is_none() {
+        measured.noise.heading_rad2 = ANY_HEADING_RAD2;
+    }
+    let model = measured.pose_model(&state.view(layout), shown_rad);
+    set_covariance_from_fix(state, &layout.linearize(&model))
 }
 
 /// Sets the pose's covariance from the fix alone, with the resulting correlation with delay and tag.
@@ -144,7 +147,8 @@ pub(super) enum StateCommand {
 }
 
 impl<const N: usize> PoseState<N> {
-    pub(super) fn apply_command(&mut self, revision: StateCommand, config: &FilterConfig) {
+    pub(super) fn apply_command(&mut self, revision: StateCommand, context: &UpdateContext) {
+        let (config, layout) = (&context.config, &context.layout);
         match revision {
             StateCommand::SetPose(start) => {
                 let before = self.arena_pose();
@@ -152,9 +156,9 @@ impl<const N: usize> PoseState<N> {
                 self.status.record_jump(before, self.arena_pose());
             }
             StateCommand::ResetPose => self.reset_pose(),
-            StateCommand::SetOnlineCalibration(OnlineCalibration::Frozen) => self.freeze_calibration(config),
+            StateCommand::SetOnlineCalibration(OnlineCalibration::Frozen) => self.freeze_calibration(config, layout),
             StateCommand::SetOnlineCalibration(OnlineCalibration::Enabled) => self.resume_calibration(),
-            StateCommand::ResetCalibration => self.reset_calibration(config),
+            StateCommand::ResetCalibration => self.reset_calibration(config, layout),
         }
     }
 
@@ -170,12 +174,12 @@ impl<const N: usize> PoseState<N> {
         self.status.record_jump(before, self.arena_pose());
     }
 
-    fn freeze_calibration(&mut self, config: &FilterConfig) {
+    fn freeze_calibration(&mut self, config: &FilterConfig, layout: &StateLayout) {
         if self.frozen_variances.is_some() {
             return;
         }
         let mut variances = SVector::zeros();
-        for (row, _) in calibration_rows(&config.calibration).filter(|(row, _)| *row < N) {
+        for (row, _) in constant_rows(&config.calibration, layout) {
             variances[row] = self.covariance[(row, row)];
             self.clear_rows(&[row]);
         }
@@ -190,14 +194,14 @@ impl<const N: usize> PoseState<N> {
         }
     }
 
-    fn reset_calibration(&mut self, config: &FilterConfig) {
+    fn reset_calibration(&mut self, config: &FilterConfig, layout: &StateLayout) {
         let was_frozen = self.frozen_variances.take().is_some();
         self.set_row(GYRO_BIAS, config.gyro_bias_prior());
-        for (row, known) in calibration_rows(&config.calibration) {
+        for (row, known) in constant_rows(&config.calibration, layout) {
             self.set_row(row, known);
         }
         if was_frozen {
-            self.freeze_calibration(config);
+            self.freeze_calibration(config, layout);
         }
     }
 }

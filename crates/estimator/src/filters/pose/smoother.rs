@@ -14,9 +14,10 @@
 use nalgebra::{DMatrix, DVector};
 use posebridge_telemetry::{BrickClock, Calibration, Observation, Timestamp};
 
+use super::context::UpdateContext;
 use super::entry::{PoseEntry, UpdateKind};
-use super::motion_update::UpdateContext;
-use super::state::{PoseState, RANGE_STATES};
+use super::layout::{MEDIUM_STATES, RADIUS, ROUNDING};
+use super::state::PoseState;
 use super::{apply_update, scratch_record, update_kind};
 use crate::filter::FilterConfig;
 use crate::history::HistoryEntry;
@@ -25,14 +26,14 @@ use crate::numerics::covariance::inverse_of_uncertain;
 use crate::validation;
 
 /// Rows of the state and of its copy.
-const AUGMENTED_ROWS: usize = 2 * RANGE_STATES;
+const AUGMENTED_ROWS: usize = 2 * MEDIUM_STATES;
 
 /// A smoothed state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothedState {
     pub stamp: Timestamp<BrickClock>,
     /// The state with its smoothed covariance; its speeds are the filter's.
-    pub state: PoseState<RANGE_STATES>,
+    pub state: PoseState<MEDIUM_STATES>,
 }
 
 /// The result of a forward and a backward pass.
@@ -51,7 +52,7 @@ pub struct SmootherResult {
 /// The quantities of one observation that the backward pass needs.
 struct ForwardStep {
     stamp: Timestamp<BrickClock>,
-    after: PoseState<RANGE_STATES>,
+    after: PoseState<MEDIUM_STATES>,
     /// The state one observation ago, corrected by later observations.
     copy_correction: DVector<f64>,
     copy_covariance: DMatrix<f64>,
@@ -62,21 +63,21 @@ struct ForwardStep {
 /// Smooths a run; an empty result means that nothing moved.
 pub fn smooth(config: &FilterConfig, observations: &[Observation]) -> SmootherResult {
     let (entries, context) = prepare_entries(config, observations);
-    let initial = PoseState::<RANGE_STATES>::initial(config);
+    let initial = PoseState::<MEDIUM_STATES>::initial(config, &context.layout);
     let mut smoothing =
         SmootherResult { states: Vec::new(), nis: 0.0, used: 0, rejected: 0, calibration: config.calibration };
     let rows = uncertain_rows(&entries, &initial);
     let passed = forward_pass(&entries, &context, &initial, &rows, &mut smoothing);
     backward_pass(&passed, &rows, &mut smoothing);
     if let Some(last) = smoothing.states.last() {
-        smoothing.calibration = last.state.calibration(&config.calibration);
+        smoothing.calibration = last.state.calibration(&config.calibration, &context.layout);
     }
     smoothing
 }
 
 /// The usable observations in time order, with the complete motion and gyro tracks.
 fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<PoseEntry>, UpdateContext) {
-    let mut context = UpdateContext::new(config);
+    let mut context = UpdateContext::new(config, MEDIUM_STATES);
     let mut entries = Vec::with_capacity(observations.len());
     for observation in validation::valid_in_time_order(observations) {
         let Some(action) = update_kind(observation, &config.geometry) else {
@@ -100,12 +101,12 @@ fn prepare_entries(config: &FilterConfig, observations: &[Observation]) -> (Vec<
 }
 
 /// The rows that are ever uncertain, all of the pose's and the gyro's among them: the others need no smoothing.
-fn uncertain_rows(entries: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> Vec<usize> {
-    let always = super::state::RADIUS;
+fn uncertain_rows(entries: &[PoseEntry], initial: &PoseState<MEDIUM_STATES>) -> Vec<usize> {
+    let always = RADIUS;
     let has_gyro = entries.iter().any(|entry| matches!(entry.update, UpdateKind::TurnRate(_)));
-    (0..RANGE_STATES)
+    (0..MEDIUM_STATES)
         .filter(|&row| {
-            let is_of_gyro = row == super::state::ROUNDING;
+            let is_of_gyro = row == ROUNDING;
             row < always || (is_of_gyro && has_gyro) || (!is_of_gyro && initial.covariance[(row, row)] > 0.0)
         })
         .collect()
@@ -114,7 +115,7 @@ fn uncertain_rows(entries: &[PoseEntry], initial: &PoseState<RANGE_STATES>) -> V
 fn forward_pass(
     entries: &[PoseEntry],
     context: &UpdateContext,
-    initial: &PoseState<RANGE_STATES>,
+    initial: &PoseState<MEDIUM_STATES>,
     rows: &[usize],
     smoothing: &mut SmootherResult,
 ) -> Vec<ForwardStep> {
@@ -145,19 +146,19 @@ fn forward_pass(
 }
 
 /// The state with additional rows for its copy.
-fn augmented_state(state: &PoseState<RANGE_STATES>) -> PoseState<AUGMENTED_ROWS> {
+fn augmented_state(state: &PoseState<MEDIUM_STATES>) -> PoseState<AUGMENTED_ROWS> {
     let mut wide = PoseState::<AUGMENTED_ROWS>::resized(state);
-    wide.mean.fixed_rows_mut::<RANGE_STATES>(0).copy_from(&state.mean);
-    wide.covariance.fixed_view_mut::<RANGE_STATES, RANGE_STATES>(0, 0).copy_from(&state.covariance);
+    wide.mean.fixed_rows_mut::<MEDIUM_STATES>(0).copy_from(&state.mean);
+    wide.covariance.fixed_view_mut::<MEDIUM_STATES, MEDIUM_STATES>(0, 0).copy_from(&state.covariance);
     wide
 }
 
 /// Makes the copy: the same errors, and no correction yet.
 fn copy_rows(state: &mut PoseState<AUGMENTED_ROWS>) {
-    let covariance = state.covariance.fixed_view::<RANGE_STATES, RANGE_STATES>(0, 0).into_owned();
-    state.mean.fixed_rows_mut::<RANGE_STATES>(RANGE_STATES).fill(0.0);
-    for (row, column) in [(RANGE_STATES, 0), (0, RANGE_STATES), (RANGE_STATES, RANGE_STATES)] {
-        state.covariance.fixed_view_mut::<RANGE_STATES, RANGE_STATES>(row, column).copy_from(&covariance);
+    let covariance = state.covariance.fixed_view::<MEDIUM_STATES, MEDIUM_STATES>(0, 0).into_owned();
+    state.mean.fixed_rows_mut::<MEDIUM_STATES>(MEDIUM_STATES).fill(0.0);
+    for (row, column) in [(MEDIUM_STATES, 0), (0, MEDIUM_STATES), (MEDIUM_STATES, MEDIUM_STATES)] {
+        state.covariance.fixed_view_mut::<MEDIUM_STATES, MEDIUM_STATES>(row, column).copy_from(&covariance);
     }
 }
 
@@ -166,15 +167,15 @@ fn forward_step(state: &PoseState<AUGMENTED_ROWS>, stamp: Timestamp<BrickClock>,
     let block = |row_base: usize, column_base: usize| {
         DMatrix::from_fn(n, n, |i, j| state.covariance[(row_base + rows[i], column_base + rows[j])])
     };
-    let mut after = PoseState::<RANGE_STATES>::resized(state);
-    after.mean = state.mean.fixed_rows::<RANGE_STATES>(0).into_owned();
-    after.covariance = state.covariance.fixed_view::<RANGE_STATES, RANGE_STATES>(0, 0).into_owned();
+    let mut after = PoseState::<MEDIUM_STATES>::resized(state);
+    after.mean = state.mean.fixed_rows::<MEDIUM_STATES>(0).into_owned();
+    after.covariance = state.covariance.fixed_view::<MEDIUM_STATES, MEDIUM_STATES>(0, 0).into_owned();
     ForwardStep {
         stamp,
         after,
-        copy_correction: DVector::from_fn(n, |i, _| state.mean[RANGE_STATES + rows[i]]),
-        copy_covariance: block(RANGE_STATES, RANGE_STATES),
-        cross: block(RANGE_STATES, 0),
+        copy_correction: DVector::from_fn(n, |i, _| state.mean[MEDIUM_STATES + rows[i]]),
+        copy_covariance: block(MEDIUM_STATES, MEDIUM_STATES),
+        cross: block(MEDIUM_STATES, 0),
     }
 }
 
@@ -206,7 +207,7 @@ fn smoothed_state(
     correction: &DVector<f64>,
     smoothed: &DMatrix<f64>,
     rows: &[usize],
-) -> PoseState<RANGE_STATES> {
+) -> PoseState<MEDIUM_STATES> {
     let mut state = at.after;
     for (i, &row) in rows.iter().enumerate() {
         state.mean[row] += correction[i];

@@ -6,8 +6,8 @@
 //! b_g  gyro bias                                            psi  turn since the gyro window began, by the encoders
 //! eps  rounding of the encoders' heading where the gyro window began
 //! e_m, e_d, e_b  relative errors of mean radius, of the radii against each other, of the track
-//! tau, l_x, l_y  delay of the fixes, tag against the fix's own lever (only where they are estimated)
-//! o_i, s_i       offset and scale of the ranges to beacon i, and of those to landmarks (only where they are estimated)
+//! e_g  relative error of the gyro's rate
+//! ..   what the configuration leaves unknown besides: delays, mountings, offsets, shared errors (see layout.rs)
 //! v, w           forward speed and turn rate, beside the others: they predict, they never move the pose over known travel
 //! ```
 //! Source: docs/maths/pose.md section 1.
@@ -18,43 +18,19 @@ use posebridge_telemetry::{
     Arena, BrickClock, Calibration, Heading, Meters, Pose, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
+use super::layout::{
+    DIFFERENCE, FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, MAX_BEACONS, RADIUS, ROUNDING, StateLayout, TRACK,
+    WINDOW_TURN, calibration_field,
+};
 use super::noise_scales::{NoiseScales, ObserverFrames};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, GyroWindowModel, rounding_variance};
 use crate::observations::speed::Speed;
-use crate::observations::{ObservationModel, PoseView, StateTerm};
+use crate::observations::{PoseView, StateTerm};
 use crate::tracking::TrackingStatus;
-use crate::update::{LinearizedMeasurement, ScalarMeasurement};
+use crate::update::ScalarMeasurement;
 use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
-
-// Rows, in the order of the module's head; `StateTerm` has the units.
-
-pub const FORWARD: usize = 0;
-pub const LEFT: usize = 1;
-pub const HEADING: usize = 2;
-pub const GYRO_BIAS: usize = 3;
-pub const WINDOW_TURN: usize = 4;
-pub const RADIUS: usize = 5;
-pub const DIFFERENCE: usize = 6;
-pub const TRACK: usize = 7;
-pub const ROUNDING: usize = 8;
-/// Number of states of a robot whose fixes have no unknown delay and whose tag is where they say.
-pub const CORE_STATES: usize = 9;
-pub const DELAY: usize = 9;
-pub const TAG_FORWARD: usize = 10;
-pub const TAG_LEFT: usize = 11;
-/// Number of states when delay or lever arm are estimated.
-pub const CAMERA_STATES: usize = 12;
-/// First row of the beacons: an offset and a scale for each.
-pub const BEACONS: usize = 12;
-/// Most beacons with an offset and a scale of their own; ranges to further ones are used as measured.
-pub const MAX_BEACONS: usize = 8;
-/// Offset of the ranges to landmarks, m: they are all measured by the robot's own camera.
-pub const LANDMARK_OFFSET: usize = BEACONS + 2 * MAX_BEACONS;
-pub const LANDMARK_SCALE: usize = LANDMARK_OFFSET + 1;
-/// Number of states when the offsets and scales of ranges are estimated.
-pub const RANGE_STATES: usize = LANDMARK_OFFSET + 2;
 
 /// A heading is published as known once its sigma is below this, rad: a third of a right angle.
 const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
@@ -130,7 +106,7 @@ pub struct PoseState<const N: usize> {
 }
 
 impl<const N: usize> PoseState<N> {
-    pub fn initial(config: &FilterConfig) -> Self {
+    pub fn initial(config: &FilterConfig, layout: &StateLayout) -> Self {
         let mut state = Self {
             stamp: None,
             speeds_predicted_to: None,
@@ -153,8 +129,11 @@ impl<const N: usize> PoseState<N> {
         };
         state.set_row(GYRO_BIAS, config.gyro_bias_prior());
         state.reset_rounding(rounding_variance(&config.geometry));
-        for (row, known) in calibration_rows(&config.calibration) {
+        for (row, known) in constant_rows(&config.calibration, layout) {
             state.set_row(row, known);
+        }
+        for prior in layout.priors() {
+            state.set_row(prior.row, prior.known);
         }
         if let Some(start) = &config.start {
             state.initialize_pose(start);
@@ -204,6 +183,11 @@ impl<const N: usize> PoseState<N> {
             self.mean[row] = known.value;
             self.covariance[(row, row)] = known.sigma.powi(2);
         }
+    }
+
+    /// This state with names for its rows.
+    pub const fn view<'a>(&'a self, layout: &'a StateLayout) -> StateView<'a, N> {
+        StateView { state: self, layout }
     }
 
     pub fn arena_pose(&self) -> Pose<Arena> {
@@ -318,28 +302,40 @@ impl<const N: usize> PoseState<N> {
         self.covariance[(row, row)].max(frozen)
     }
 
-    /// The learned constants; those that are no states of this filter come from `prior`.
-    pub fn calibration(&self, prior: &Calibration) -> Calibration {
-        let known = |row: usize, prior: UncertainValue| {
-            if row < N {
-                UncertainValue { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() }
-            } else {
-                prior
+    /// The learned constants; those that are no states of this filter come from `prior`. Those of the beacons are the means of
+    /// all, each with the weight of its variance.
+    pub fn calibration(&self, prior: &Calibration, layout: &StateLayout) -> Calibration {
+        let mut learned = *prior;
+        let known = |row: usize| UncertainValue { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() };
+        for (term, row) in constant_terms(layout) {
+            if let Some(field) = calibration_field(&mut learned, term) {
+                *field = known(row);
             }
-        };
-        Calibration {
-            radius_scale: known(RADIUS, prior.radius_scale),
-            radius_difference: known(DIFFERENCE, prior.radius_difference),
-            track_scale: known(TRACK, prior.track_scale),
-            gyro_bias_rad_per_s: known(GYRO_BIAS, prior.gyro_bias_rad_per_s),
-            fix_delay_s: known(DELAY, prior.fix_delay_s),
-            tag_forward_m: known(TAG_FORWARD, prior.tag_forward_m),
-            tag_left_m: known(TAG_LEFT, prior.tag_left_m),
-            landmark_offset_m: known(LANDMARK_OFFSET, prior.landmark_offset_m),
-            landmark_scale: known(LANDMARK_SCALE, prior.landmark_scale),
-            ..*prior
         }
+        for (field, term) in [
+            (&mut learned.beacon_offset_m, StateTerm::BeaconOffset as fn(usize) -> StateTerm),
+            (&mut learned.beacon_scale, StateTerm::BeaconScale),
+        ] {
+            let rows = (0..MAX_BEACONS).filter_map(|slot| layout.row(term(slot)));
+            if let Some(mean) = weighted_mean(rows.map(known)) {
+                *field = mean;
+            }
+        }
+        [learned.radius_scale, learned.radius_difference, learned.track_scale] = [RADIUS, DIFFERENCE, TRACK].map(known);
+        learned
     }
+}
+
+/// The mean of numbers by their variances; `None` where none has a variance.
+fn weighted_mean(numbers: impl Iterator<Item = UncertainValue>) -> Option<UncertainValue> {
+    let mut sum = [0.0; 2];
+    for number in numbers.filter(|number| number.sigma > 0.0) {
+        let weight = number.sigma.powi(-2);
+        sum[0] += weight;
+        sum[1] += weight * number.value;
+    }
+    let [weight, weighted] = sum;
+    (weight > 0.0).then(|| UncertainValue { value: weighted / weight, sigma: weight.sqrt().recip() })
 }
 
 pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
@@ -347,76 +343,57 @@ pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
     Pose::new(Meters(pose.x_m), Meters(pose.y_m), heading)
 }
 
-/// The constants of a calibration with their rows.
-pub(super) fn calibration_rows(calibration: &Calibration) -> impl Iterator<Item = (usize, UncertainValue)> {
-    let of_beacons = (0..MAX_BEACONS).flat_map(|slot| {
-        [(BEACONS + 2 * slot, calibration.beacon_offset_m), (BEACONS + 2 * slot + 1, calibration.beacon_scale)]
-    });
+/// The named constants of a calibration that are states, with their rows, but for those of the beacons.
+fn constant_terms(layout: &StateLayout) -> impl Iterator<Item = (StateTerm, usize)> {
+    let of_layout = layout.priors().iter().map(|prior| (prior.term, prior.row));
+    let is_single =
+        |(term, _): &(StateTerm, usize)| !matches!(term, StateTerm::BeaconOffset(_) | StateTerm::BeaconScale(_));
+    [(StateTerm::GyroBias, GYRO_BIAS), (StateTerm::GyroScale, GYRO_SCALE)]
+        .into_iter()
+        .chain(of_layout.filter(is_single))
+}
+
+/// The priors of the constants with their rows, but for the gyro's bias, which walks.
+pub(super) fn constant_rows(
+    calibration: &Calibration,
+    layout: &StateLayout,
+) -> impl Iterator<Item = (usize, UncertainValue)> {
+    let mut with_fields = *calibration;
+    let of_layout = layout.priors().iter();
+    let of_layout = of_layout.filter(move |prior| calibration_field(&mut with_fields, prior.term).is_some());
     [
         (RADIUS, calibration.radius_scale),
         (DIFFERENCE, calibration.radius_difference),
         (TRACK, calibration.track_scale),
-        (DELAY, calibration.fix_delay_s),
-        (TAG_FORWARD, calibration.tag_forward_m),
-        (TAG_LEFT, calibration.tag_left_m),
-        (LANDMARK_OFFSET, calibration.landmark_offset_m),
-        (LANDMARK_SCALE, calibration.landmark_scale),
+        (GYRO_SCALE, calibration.gyro_scale),
     ]
     .into_iter()
-    .chain(of_beacons)
+    .chain(of_layout.map(|prior| (prior.row, prior.known)))
 }
 
-// Named states and their columns; nothing else knows both.
-
-/// The column of a named state in the largest state vector; `None` for a beacon beyond the limit.
-const fn column(term: StateTerm) -> Option<usize> {
-    match term {
-        StateTerm::GyroBias => Some(GYRO_BIAS),
-        StateTerm::WindowTurn => Some(WINDOW_TURN),
-        StateTerm::HeadingRounding => Some(ROUNDING),
-        StateTerm::FixDelay => Some(DELAY),
-        StateTerm::TagForward => Some(TAG_FORWARD),
-        StateTerm::TagLeft => Some(TAG_LEFT),
-        StateTerm::BeaconOffset(slot) if slot < MAX_BEACONS => Some(BEACONS + 2 * slot),
-        StateTerm::BeaconScale(slot) if slot < MAX_BEACONS => Some(BEACONS + 2 * slot + 1),
-        StateTerm::BeaconOffset(_) | StateTerm::BeaconScale(_) => None,
-        StateTerm::LandmarkOffset => Some(LANDMARK_OFFSET),
-        StateTerm::LandmarkScale => Some(LANDMARK_SCALE),
-    }
+/// What observation models see of a state.
+#[derive(Clone, Copy, Debug)]
+pub struct StateView<'a, const N: usize> {
+    state: &'a PoseState<N>,
+    layout: &'a StateLayout,
 }
 
-impl<const N: usize> PoseView for PoseState<N> {
+impl<const N: usize> PoseView for StateView<'_, N> {
     fn pose(&self) -> Se2 {
-        self.pose
+        self.state.pose
     }
 
     fn term(&self, term: StateTerm) -> f64 {
-        column(term).filter(|column| *column < N).map_or(0.0, |column| self.mean[column])
+        self.layout.row(term).map_or(0.0, |row| self.state.mean[row])
     }
-}
-
-/// H over the filter's columns; states that this filter does not have are left out.
-pub fn linearize<const N: usize, const M: usize>(model: &ObservationModel<M>) -> LinearizedMeasurement<N, M> {
-    let mut jacobian = SMatrix::<f64, M, N>::zeros();
-    for (index, row) in model.rows.iter().enumerate() {
-        jacobian[(index, FORWARD)] = row.forward;
-        jacobian[(index, LEFT)] = row.left;
-        jacobian[(index, HEADING)] = row.heading;
-        for (term, derivative) in row.terms.into_iter().flatten() {
-            if let Some(column) = column(term).filter(|column| *column < N) {
-                jacobian[(index, column)] = derivative;
-            }
-        }
-    }
-    LinearizedMeasurement { innovation: model.innovation, jacobian, noise: model.noise }
 }
 
 /// A gyro window over the columns, which every variant of the filter has.
-pub const fn linearize_gyro_window(model: &GyroWindowModel) -> ScalarMeasurement<3> {
+pub const fn linearize_gyro_window(model: &GyroWindowModel) -> ScalarMeasurement<4> {
     ScalarMeasurement {
         innovation: model.innovation,
-        rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING],
-        jacobian: [1.0, model.by_gyro_bias, model.by_rounding],
+        rows: [WINDOW_TURN, GYRO_BIAS, ROUNDING, GYRO_SCALE],
+        jacobian: [model.by_turn, model.by_gyro_bias, model.by_rounding, model.by_gyro_scale],
         variance: model.variance,
     }
 }

@@ -18,7 +18,8 @@ use crate::models::planar_speeds::Acceleration;
 use crate::motion::{MotionTrack, TravelSegment};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
 use crate::numerics::covariance::symmetrise;
-use crate::observations::fix::{FixContext, FixNoise, fix_noise, mid_axle};
+use crate::observations::fix::{FixNoise, fix_noise, mid_axle};
+use crate::observations::sensor_frame::Exposure;
 use crate::papers::rows::{self, position_in_arena};
 use crate::tracking::TrackingStatus;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
@@ -421,8 +422,8 @@ impl NominalPath {
     }
 
     fn fix_noise(&self, fix: &Fix, stamp_sigma_s: f64) -> FixNoise {
-        let circumstances = FixContext::at_speeds(stamp_sigma_s, self.forward_m_per_s, self.turn_rad_per_s);
-        fix_noise(fix, &self.config.noise, [1.0, 1.0], &circumstances)
+        let exposure = Exposure::at_speeds(self.forward_m_per_s, self.turn_rad_per_s);
+        fix_noise(fix, &self.config.noise, [1.0, 1.0], &exposure, stamp_sigma_s)
     }
 
     /// Places the robot at a fix: the first one, or the one that ends a long disagreement.

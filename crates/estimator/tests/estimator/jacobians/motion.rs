@@ -4,11 +4,12 @@
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::filters::pose::propagation::Transition;
-use posebridge_estimator::filters::pose::state::{
-    CORE_STATES, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, PoseState, RADIUS, RANGE_STATES, ROUNDING, TRACK,
-    WINDOW_TURN,
+use posebridge_estimator::filters::pose::context::UpdateContext;
+use posebridge_estimator::filters::pose::layout::{
+    CORE_STATES, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LARGE_STATES, LEFT, RADIUS, ROUNDING, TRACK, WINDOW_TURN,
 };
+use posebridge_estimator::filters::pose::propagation::Transition;
+use posebridge_estimator::filters::pose::state::PoseState;
 use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::motion::{MotionReading, MotionTrack};
@@ -105,7 +106,7 @@ fn check_transition<const N: usize>() {
 #[test]
 fn over_known_travel_errors_move_as_the_composed_motion_says() {
     check_transition::<CORE_STATES>();
-    check_transition::<RANGE_STATES>();
+    check_transition::<LARGE_STATES>();
 }
 
 #[test]
@@ -145,16 +146,16 @@ fn numeric_g<const N: usize>(state: &PoseState<N>, (forward_m, turn_rad): (f64, 
 fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
     let noise = StepNoise { forward_var_m2: 0.3, turn_var_rad2: 0.7, forward_turn_m_rad: -0.2 };
     let q = Matrix2::new(0.3, -0.2, -0.2, 0.7);
-    for state in odd_states::<RANGE_STATES>() {
+    for state in odd_states::<LARGE_STATES>() {
         for travel in TRAVELS {
             let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
             let g = numeric_g(&state, (forward_m, turn_rad));
-            let mut alone = SMatrix::<f64, RANGE_STATES, RANGE_STATES>::zeros();
+            let mut alone = SMatrix::<f64, LARGE_STATES, LARGE_STATES>::zeros();
             transition.propagate(&mut alone, &noise);
             assert_near(&alone, &(g * q * g.transpose()), "the noise alone");
 
             let f = numeric(&state, |state| composed(state, travel));
-            let p = correlated::<RANGE_STATES>();
+            let p = correlated::<LARGE_STATES>();
             let mut carried = p;
             transition.propagate(&mut carried, &noise);
             let expected = f * p * f.transpose() + g * q * g.transpose();
@@ -174,8 +175,10 @@ fn track_of(travel: WheelTravel) -> MotionTrack {
     track
 }
 
-fn advanced<const N: usize>(mut state: PoseState<N>, track: &MotionTrack, config: &FilterConfig) -> PoseState<N> {
-    state.advance(ms(100), track, config);
+fn advanced<const N: usize>(mut state: PoseState<N>, track: MotionTrack, config: &FilterConfig) -> PoseState<N> {
+    let mut context = UpdateContext::new(config, N);
+    context.track = track;
+    state.advance(ms(100), &context);
     state
 }
 
@@ -189,10 +192,10 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
                 state.mean[row] = 0.0;
             }
             state.covariance = SMatrix::zeros();
-            let end = advanced(state, &track_of(travel), &config);
+            let end = advanced(state, track_of(travel), &config);
             let by_wheel = |left_m: f64, right_m: f64| {
                 let other = WheelTravel { left_m: travel.left_m + left_m, right_m: travel.right_m + right_m };
-                error_between(&end, &advanced(state, &track_of(other), &config))
+                error_between(&end, &advanced(state, track_of(other), &config))
             };
             let by_left = (by_wheel(H, 0.0) - by_wheel(-H, 0.0)) / (2.0 * H);
             let by_right = (by_wheel(0.0, H) - by_wheel(0.0, -H)) / (2.0 * H);
@@ -210,13 +213,13 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
 #[test]
 fn the_variance_of_held_speeds_enters_the_pose_as_the_speeds_do() {
     let config = config(SensorNoise::EXACT);
-    let nothing_read_since = MotionTrack::new(GEOMETRY, 1e6);
+    let context = UpdateContext::new(&config, CORE_STATES);
     for mut state in odd_states::<CORE_STATES>() {
         state.covariance = correlated();
         (state.forward.variance, state.turn.variance) = (0.04, 0.5);
         let moved = |start: &PoseState<CORE_STATES>| {
             let mut moved = *start;
-            moved.advance(ms(250), &nothing_read_since, &config);
+            moved.advance(ms(250), &context);
             moved
         };
         let end = moved(&state);

@@ -1,7 +1,8 @@
 //! Landmarks, beacons, walls and a compass, beside a camera or in its place.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::filters::pose::state::{BEACONS, RANGE_STATES};
+use posebridge_estimator::filters::pose::layout::{LARGE_STATES, StateLayout};
+use posebridge_estimator::observations::StateTerm;
 use posebridge_telemetry::{FusionOutcome, SensorId};
 
 use crate::support::alter::{CAMERA, altered, at, error_at, records, step_of};
@@ -62,15 +63,16 @@ fn beacons_with_errors_of_their_own_locate_and_their_errors_are_learned() {
     assert!(mean.position_rms_m < 0.04, "{mean:?}");
     assert!((0.55..1.6).contains(&mean.anees), "{mean:?}");
 
+    let layout = StateLayout::new(&config, LARGE_STATES);
     let mut nees = 0.0;
     for seed in 0..20 {
         let mut drive = drive_lap(None, seed);
         let mut senses = SimulatedSensors::new(&config, seed);
         add(&mut drive, SensorId::BEACONS, 4, |_, truth| senses.beacons(truth, &BEACON_ERRORS));
-        let filter = played::<RANGE_STATES>(&drive, &config);
+        let filter = played::<LARGE_STATES>(&drive, &config);
         let state = filter.state();
         for (slot, (offset_m, scale)) in BEACON_ERRORS.into_iter().enumerate() {
-            let row = BEACONS + 2 * slot;
+            let row = layout.row(StateTerm::BeaconOffset(slot)).unwrap();
             // At a middle range the two are observed together; the range that they predict is what counts.
             let middle_m = 3.5;
             let p = &state.covariance;

@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CAMERA_STATES, CORE_STATES, DIFFERENCE, RADIUS, TRACK};
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, DIFFERENCE, RADIUS, SMALL_STATES, TRACK};
 use posebridge_telemetry::{Calibration, SensorId, TimeDelta, UncertainValue};
 
 use crate::support::alter::{altered, with_tag_moved};
@@ -127,7 +127,7 @@ fn a_restart_of_the_bricks_clock_keeps_what_was_learned_about_the_robot() {
     let mut camera = learning_geometry();
     camera.calibration.fix_delay_s = unknown(0.1);
     camera.calibration.tag_forward_m = unknown(0.03);
-    let mut filter = played::<CAMERA_STATES>(&drive, &camera);
+    let mut filter = played::<SMALL_STATES>(&drive, &camera);
     let before = filter.calibration().unwrap();
     filter.restart_clock();
     let after = filter.calibration().unwrap();
@@ -149,7 +149,7 @@ fn delay_and_lever_are_learned_as_well_as_is_claimed() {
         let camera = Camera { delay: 4, ..CAMERA_10_HZ };
         let drive = drive_steps(&mut RobotSimulation::new(seed), course(), Some(camera));
         let drive = with_tag_moved(drive, (forward_m, left_m), late);
-        let found = played::<CAMERA_STATES>(&drive, &configured).calibration().unwrap();
+        let found = played::<SMALL_STATES>(&drive, &configured).calibration().unwrap();
         [(found.fix_delay_s, late.as_secs_f64()), (found.tag_forward_m, forward_m), (found.tag_left_m, left_m)]
     });
 }

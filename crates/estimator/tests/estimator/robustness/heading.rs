@@ -1,7 +1,7 @@
 //! Headings of which nothing is known, found by positions alone.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::CORE_STATES;
+use posebridge_estimator::filters::pose::layout::CORE_STATES;
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{

@@ -1,8 +1,10 @@
 //! A pose that is initialized by a fix, at first or after a reset, while tag and delay are not what the fix says.
 
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CAMERA_STATES, DELAY, TAG_FORWARD, TAG_LEFT, linearize};
-use posebridge_estimator::observations::fix::{self, FixContext};
+use posebridge_estimator::filters::pose::layout::{SMALL_STATES, StateLayout};
+use posebridge_estimator::observations::StateTerm;
+use posebridge_estimator::observations::fix::{FixMeasurement, fix_noise};
+use posebridge_estimator::observations::sensor_frame::Exposure;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::{
     Fix, FusionOutcome, Heading, Meters, Point2, PositionCovariance, TimeDelta, UncertainValue,
@@ -79,13 +81,16 @@ fn one_reset_is_enough_for_a_robot_whose_tag_is_known_to_be_elsewhere() {
     }
 }
 
-fn initialized_from(first_fix: Fix) -> PoseFilter<CAMERA_STATES> {
+fn with_unknown_tag() -> FilterConfig {
     let unknown = |sigma| UncertainValue { value: 0.03, sigma };
     let mut config = without_start();
     config.calibration.tag_forward_m = unknown(0.02);
     config.calibration.tag_left_m = unknown(0.01);
-    config.calibration.fix_delay_s = exactly(0.0);
-    let mut filter = PoseFilter::new(&config);
+    config
+}
+
+fn initialized_from(first_fix: Fix) -> PoseFilter<SMALL_STATES> {
+    let mut filter = PoseFilter::new(&with_unknown_tag());
     assert_eq!(filter.observe(&fix_at(0, first_fix)).outcome, FusionOutcome::Accepted);
     filter
 }
@@ -107,17 +112,19 @@ fn after_initialization_the_predicted_fix_has_the_covariance_of_the_observed_one
         let first_fix = lopsided(heading);
         let filter = initialized_from(first_fix);
         let state = filter.state();
-        let noise = fix::fix_noise(&first_fix, &config().noise, [1.0, 1.0], &FixContext::default());
-        let found = linearize::<CAMERA_STATES, 2>(&fix::position(state, &first_fix, &noise, &FixContext::default()));
+        let layout = StateLayout::new(&with_unknown_tag(), SMALL_STATES);
+        let noise = fix_noise(&first_fix, &config().noise, [1.0, 1.0], &Exposure::default(), 0.0);
+        let measured = FixMeasurement { fix: &first_fix, noise, exposure: Exposure::default(), source: None };
+        let found = layout.linearize::<SMALL_STATES, 2>(&measured.position_model(&state.view(&layout)));
         assert!(found.innovation.amax() < 1e-12, "{heading:?}");
         let predicted = found.jacobian * state.covariance * found.jacobian.transpose();
         let off = (predicted - found.noise).amax();
         assert!(off < 1e-12, "{heading:?}: {off:e}");
+        let [forward, left] = [StateTerm::TagForward, StateTerm::TagLeft].map(|of| layout.row(of).unwrap());
         // Nothing was learned about the tag, and where the robot is hangs on where the tag is.
-        assert!((state.covariance[(TAG_FORWARD, TAG_FORWARD)] - 4e-4).abs() < 1e-15);
-        assert!((state.covariance[(TAG_LEFT, TAG_LEFT)] - 1e-4).abs() < 1e-15);
-        assert!((state.covariance[(0, TAG_FORWARD)] + 4e-4).abs() < 1e-15);
-        assert_eq!(state.covariance.row(DELAY).amax(), 0.0);
+        assert!((state.covariance[(forward, forward)] - 4e-4).abs() < 1e-15);
+        assert!((state.covariance[(left, left)] - 1e-4).abs() < 1e-15);
+        assert!((state.covariance[(0, forward)] + 4e-4).abs() < 1e-15);
     }
 }
 

@@ -1,8 +1,8 @@
 //! Noise that is not the configured one: the scale of its source follows, and the gate opens by itself.
 
 use posebridge_estimator::filters::pose::PoseFilter;
+use posebridge_estimator::filters::pose::layout::CORE_STATES;
 use posebridge_estimator::filters::pose::noise_scales::{NoiseGroup, NoiseSource};
-use posebridge_estimator::filters::pose::state::CORE_STATES;
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_telemetry::SensorId;
 

@@ -2,7 +2,8 @@
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::pose::PoseFilter;
-use posebridge_estimator::filters::pose::state::{CORE_STATES, GYRO_BIAS, ROUNDING, TickActivity, WINDOW_TURN};
+use posebridge_estimator::filters::pose::layout::{CORE_STATES, GYRO_BIAS, ROUNDING, WINDOW_TURN};
+use posebridge_estimator::filters::pose::state::TickActivity;
 use posebridge_telemetry::quantities::wrap_rad;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;

@@ -5,8 +5,8 @@ use std::f64::consts::PI;
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{
     BeaconId, Calibration, Celsius, Fix, Heading, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared,
-    Observation, ObservationKind, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, SensorId, TimeDelta,
-    Timestamp,
+    MountedSensor, Mounting, Mountings, Observation, ObservationKind, Point2, Pose, PositionCovariance, Radians,
+    RadiansPerSecond, SensorId, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -41,14 +41,26 @@ pub(crate) fn learning_everything() -> FilterConfig {
     FilterConfig { calibration: all_unknown(), ..without_learning() }
 }
 
-/// Every constant but those of the ranges to landmarks, with the spread of a kit that was measured with a ruler.
+/// Every constant, with the spread of a kit that was measured with a ruler.
 pub(crate) fn all_unknown() -> Calibration {
+    let mut mountings = Mountings::default();
+    for sensor in MountedSensor::ALL.into_iter().filter(|sensor| *sensor != MountedSensor::Imu) {
+        mountings[sensor] = Mounting { x_m: unknown(0.02), y_m: unknown(0.02), yaw_rad: unknown(0.05) };
+    }
     Calibration {
+        gyro_scale: unknown(0.01),
         fix_delay_s: unknown(0.1),
         tag_forward_m: unknown(0.02),
         tag_left_m: unknown(0.02),
         beacon_offset_m: unknown(0.3),
         beacon_scale: unknown(0.02),
+        landmark_offset_m: unknown(0.1),
+        landmark_scale: unknown(0.02),
+        landmark_delay_s: unknown(0.1),
+        beacon_delay_s: unknown(0.1),
+        range_delay_s: unknown(0.1),
+        compass_delay_s: unknown(0.1),
+        mountings,
         ..learning_geometry().calibration
     }
 }

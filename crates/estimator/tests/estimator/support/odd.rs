@@ -1,11 +1,16 @@
 //! States of the pose filter at which signs, wraps and levers show, and errors of a state as the filter counts them.
 
-use posebridge_estimator::filters::pose::state::{
-    BEACONS, DELAY, DIFFERENCE, GYRO_BIAS, PoseState, RADIUS, ROUNDING, TAG_FORWARD, TAG_LEFT, TRACK, WINDOW_TURN,
+use std::sync::Arc;
+
+use posebridge_estimator::filters::pose::layout::{
+    DIFFERENCE, GYRO_BIAS, GYRO_SCALE, RADIUS, ROUNDING, StateLayout, TRACK, WINDOW_TURN,
 };
+use posebridge_estimator::filters::pose::state::PoseState;
 use posebridge_estimator::models::lie::Se2;
 use posebridge_estimator::{FilterConfig, Params};
-use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Radians, SensorNoise};
+use posebridge_telemetry::{
+    ArenaMap, BeaconId, Calibration, DriveGeometry, LandmarkId, Meters, Point2, Radians, SensorNoise,
+};
 
 use super::observe::ms;
 
@@ -37,7 +42,7 @@ pub(crate) const H: f64 = 1e-6;
 pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
     FilterConfig {
         calibration: Calibration::default(),
-        arena_map: std::sync::Arc::default(),
+        arena_map: Arc::default(),
         geometry: GEOMETRY,
         noise,
         start: None,
@@ -45,40 +50,54 @@ pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
     }
 }
 
+/// A configuration that leaves everything unknown that a filter can learn.
+pub(crate) fn config_with_every_state(noise: SensorNoise) -> FilterConfig {
+    let place = |id: u32| Point2::new(Meters(f64::from(id)), Meters(-1.0));
+    FilterConfig {
+        calibration: super::any::all_unknown(),
+        arena_map: Arc::new(ArenaMap {
+            landmarks: (0..3).map(|id| (LandmarkId(id), place(id))).collect(),
+            beacons: (0..4).map(|id| (BeaconId(id), place(id))).collect(),
+            walls: Vec::new(),
+        }),
+        noise: SensorNoise { fix_persistent_m: 0.02, landmark_place_m: 0.03, ..noise },
+        ..config(noise)
+    }
+}
+
+/// The layout of the states below.
+pub(crate) fn layout<const N: usize>() -> StateLayout {
+    StateLayout::new(&config_with_every_state(SensorNoise::EXACT), N)
+}
+
 /// The states at 0 ms, with a window that is open and constants that are far from nominal.
 pub(crate) fn odd_states<const N: usize>() -> [PoseState<N>; 6] {
     POSES.map(|[x_m, y_m, heading_rad, forward, turn]| {
-        let mut state = PoseState::<N>::initial(&config(SensorNoise::EXACT));
+        let layout = layout::<N>();
+        let mut state = PoseState::<N>::initial(&config_with_every_state(SensorNoise::EXACT), &layout);
         state.restart_window(ms(0));
         state.stamp = Some(ms(0));
         state.status.last_motion = Some(ms(0));
         state.pose = Se2 { x_m, y_m, heading_rad };
         state.forward.value = forward;
         state.turn.value = turn;
-        for (row, value) in CONSTANTS {
-            if row < N {
-                // Other values in every state.
-                state.mean[row] = value * (1.0 + 0.1 * x_m);
-            }
+        let beyond_the_core = layout.priors().iter().map(|prior| (prior.row, 0.2 * (prior.row as f64).sin()));
+        for (row, value) in CONSTANTS.into_iter().chain(beyond_the_core) {
+            // Other values in every state.
+            state.mean[row] = value * (1.0 + 0.1 * x_m);
         }
         state
     })
 }
 
-const CONSTANTS: [(usize, f64); 13] = [
+const CONSTANTS: [(usize, f64); 7] = [
     (GYRO_BIAS, 0.013),
     (WINDOW_TURN, -0.04),
     (RADIUS, 0.02),
     (DIFFERENCE, -0.03),
     (TRACK, 0.05),
     (ROUNDING, 0.002),
-    (DELAY, 0.07),
-    (TAG_FORWARD, 0.011),
-    (TAG_LEFT, -0.023),
-    (BEACONS, 0.31),
-    (BEACONS + 1, 0.04),
-    (BEACONS + 6, -0.12),
-    (BEACONS + 7, -0.03),
+    (GYRO_SCALE, -0.015),
 ];
 
 /// The state with an error of `by` in one row: X exp(by e) for the pose's rows, a sum for the others.

@@ -146,6 +146,8 @@ pub fn display_unit(key: &str) -> (&'static str, f64) {
         ("deg/s", 1f64.to_degrees())
     } else if key.ends_with("_rad") {
         ("deg", 1f64.to_degrees())
+    } else if key.ends_with("_deg") {
+        ("deg", 1.0)
     } else if key.ends_with("_m") {
         ("mm", 1e3)
     } else if key.ends_with("_s") {
