@@ -230,7 +230,7 @@ macro_rules! calibration_table {
 macro_rules! mounting_keys {
     ($($sensor:ident $x_m:literal $y_m:literal $yaw_deg:literal;)+) => {
         /// The mountings of the sensors that observe the pose, in the order of reports; keys of `[robot]`.
-        pub const MOUNTING_KEYS: &[CalibrationKey] = &[
+        const MOUNTING_KEYS: &[CalibrationKey] = &[
             $(
                 CalibrationKey { key: $x_m, read: |learned| learned.mountings[MountedSensor::$sensor].x_m },
                 CalibrationKey { key: $y_m, read: |learned| learned.mountings[MountedSensor::$sensor].y_m },
@@ -264,6 +264,8 @@ calibration_table! {
     track_scale = 0.05, RATIO;
     /// Relative error of the gyro's rate: it reads fast where positive.
     gyro_scale = 0.0, RATIO;
+    /// How much earlier than its stamp the motion of an odometer happened, in seconds; negative for commands.
+    odometry_delay_s = 0.0, DELAY;
     /// How much earlier than its stamp a fix was true, in seconds.
     fix_delay_s = 0.0, DELAY;
     /// Where the tag is, forward of where the fix says, in metres.

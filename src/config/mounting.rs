@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 const MAX_LEVER_M: f64 = 100.0;
 /// Any direction.
 const MAX_YAW_DEG: f64 = 180.0;
+/// An accelerometer that measures hardly anything of the forward acceleration is another sensor.
+const MAX_IMU_YAW_DEG: f64 = 60.0;
 
 /// A number that is known, or a table of value and sigma.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -97,7 +99,8 @@ impl RobotMounting {
         let mut mountings = Mountings::default();
         for sensor in MountedSensor::ALL {
             let entry = self.of(sensor);
-            let yaw_deg = entry.yaw_deg.checked(sensor, "yaw_deg", MAX_YAW_DEG)?;
+            let max_deg = if sensor == MountedSensor::Imu { MAX_IMU_YAW_DEG } else { MAX_YAW_DEG };
+            let yaw_deg = entry.yaw_deg.checked(sensor, "yaw_deg", max_deg)?;
             mountings[sensor] = Mounting {
                 x_m: entry.x_m.checked(sensor, "x_m", MAX_LEVER_M)?,
                 y_m: entry.y_m.checked(sensor, "y_m", MAX_LEVER_M)?,

@@ -60,6 +60,18 @@ pub fn step_noise(travel: WheelTravel, geometry: &DriveGeometry, noise: &SensorN
     }
 }
 
+impl StepNoise {
+    /// Adds the noise of wheels that turned for a time: commands that are not followed at once, wheels that wobble.
+    #[must_use]
+    pub fn with_time(self, moving_s: f64, noise: &SensorNoise) -> Self {
+        Self {
+            forward_var_m2: self.forward_var_m2 + noise.travel_m_per_sqrt_s.powi(2) * moving_s,
+            turn_var_rad2: self.turn_var_rad2 + noise.heading_rad_per_sqrt_s.powi(2) * moving_s,
+            ..self
+        }
+    }
+}
+
 /// A step corrected for relative errors of mean radius, of the difference of radii (right minus left) and of the track
 /// width, with its derivatives by these.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

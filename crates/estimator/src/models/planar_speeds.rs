@@ -39,6 +39,19 @@ impl Acceleration {
             turn_rad_per_s2: (right_m_per_s2 - left_m_per_s2) / geometry.track_width.0,
         }
     }
+
+    /// The acceleration of mid-axle, from one that was measured `x_m` ahead of it by a sensor that points `yaw_rad` to the left:
+    ///
+    /// ```text
+    /// f = (a - x w^2) cos(yaw) + (v w + x alpha) sin(yaw)      f measured, v and w the speeds
+    /// ```
+    #[must_use]
+    pub fn at_mid_axle(self, [x_m, yaw_rad]: [f64; 2], forward_m_per_s: f64, turn_rad_per_s: f64) -> Self {
+        let (sin, cos) = yaw_rad.sin_cos();
+        let sideways = forward_m_per_s * turn_rad_per_s + x_m * self.turn_rad_per_s2;
+        let along = self.forward_m_per_s2 - sideways * sin;
+        Self { forward_m_per_s2: along / cos + x_m * turn_rad_per_s.powi(2), ..self }
+    }
 }
 
 /// One step of the motion, for mean and covariance together.

@@ -21,6 +21,8 @@ pub enum StateTerm {
     WindowTurn,
     /// By how much the encoders' heading was rounded where the gyro window began, rad.
     HeadingRounding,
+    /// Delay of the odometer, s: the motion of the pose belongs to earlier instants by it.
+    OdometryDelay,
     /// Delay of the fixes, s.
     FixDelay,
     /// Error of the tag's configured position, forward, m.
@@ -78,9 +80,9 @@ pub trait PoseView {
     fn term(&self, term: StateTerm) -> f64;
 }
 
-/// No component of an observation depends on more states besides the pose: a range to a landmark does on the delay, on
+/// No component of an observation depends on more states besides the pose: a range to a landmark does on two delays, on
 /// position and yaw of its sensor, on an offset, a scale, and on the position of the landmark.
-const MAX_TERMS: usize = 8;
+const MAX_TERMS: usize = 9;
 
 /// A row of H by name, for the left-invariant error of the pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

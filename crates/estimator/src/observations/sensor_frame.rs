@@ -4,6 +4,8 @@
 //! S      = X U^-1 M       X the body at the timestamp, U its motion since the exposure, M the mounting (l, yaw)
 //! S_true = S exp(zeta)    zeta = Ad(M^-1 U) xi - Ad(M^-1) (v, 0, w) dtau + (R(yaw)' dl, dyaw)
 //! ```
+//! The motion itself may be reported late by tau_o ([`StateTerm::OdometryDelay`]): U is the motion since tau - tau_o before the timestamp.
+//!
 //! An observation model derives its prediction by zeta, which [`SensorFrame::row`] turns into derivatives by the pose's error xi, the
 //! delay tau and the mounting. v and w are the speeds at the exposure.
 //!
@@ -85,11 +87,12 @@ impl SensorFrame {
     /// A row of H from the derivatives of a component's prediction by zeta: forward, left and turn of the sensor.
     pub fn row(&self, by_sensor: [f64; 3]) -> JacobianRow {
         let along = |column: usize| (0..3).map(|i| by_sensor[i] * self.by_body[i][column]).sum();
-        let by_delay = (0..3).map(|i| by_sensor[i] * self.by_delay[i]).sum();
+        let by_delay = (0..3).map(|i| by_sensor[i] * self.by_delay[i]).sum::<f64>();
         let [cos, sin] = self.yaw;
         let by_x = by_sensor[0] * cos - by_sensor[1] * sin;
         let by_y = by_sensor[0] * sin + by_sensor[1] * cos;
         let mut row = JacobianRow { forward: along(0), left: along(1), heading: along(2), ..JacobianRow::default() };
+        row.push(StateTerm::OdometryDelay, -by_delay);
         match self.sensor {
             FrameSensor::Tag => {
                 row.push(StateTerm::FixDelay, by_delay);

@@ -171,6 +171,7 @@ fn calibration() -> Calibration {
         beacon_delay_s: number(14.0),
         range_delay_s: number(15.0),
         compass_delay_s: number(16.0),
+        odometry_delay_s: number(40.0),
         mountings,
     }
 }

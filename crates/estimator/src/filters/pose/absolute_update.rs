@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, MountedSensor, ObservationKind, Point2, TimeDelta, Timestamp,
+    Arena, Fix, FusionOutcome, FusionRecord, MountedSensor, ObservationKind, Point2, TimeDelta, Timestamp,
 };
 
 use super::context::UpdateContext;
@@ -23,10 +23,8 @@ use crate::observations::{ObservationModel, StateTerm};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
-/// Speeds at an earlier instant are means over this interval around it: two readings of a 20 Hz brick.
-const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 /// Limit of the estimated delay of fixes, either way.
-const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
+pub(super) const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
 /// How far before the state's instant the motion track is queried.
 pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
 
@@ -145,21 +143,18 @@ impl AbsoluteUpdate<'_> {
         FusionOutcome::Accepted
     }
 
-    /// Motion and speeds at an exposure, which is earlier than the timestamp by the delay of this term.
+    /// Motion and speeds at an exposure, which is earlier than the timestamp by the delay of this term, and later by that of the
+    /// odometer.
     fn exposure<const N: usize>(&self, state: &PoseState<N>, delay: StateTerm) -> Exposure {
-        let now = state.stamp.unwrap_or(Timestamp::ZERO);
-        let row = self.context.layout.row(delay);
-        let delay = row.map_or(TimeDelta::ZERO, |row| TimeDelta::from_secs_f64(state.mean[row]));
-        let delay = delay.clamp(-MAX_DELAY, MAX_DELAY);
-        let shown = now - delay;
-        let moved_since = if delay > TimeDelta::ZERO {
-            state.motion_since(shown, self.context)
-        } else {
-            let ahead_s = -delay.as_secs_f64();
-            Se2::exp([-state.forward.value * ahead_s, 0.0, -state.turn.value * ahead_s])
-        };
-        let (forward_m_per_s, turn_rad_per_s) = if row.is_some_and(|row| state.covariance[(row, row)] > 0.0) {
-            self.speeds_near(state, shown)
+        let layout = &self.context.layout;
+        let rows = [layout.row(delay), layout.row(StateTerm::OdometryDelay)];
+        let [delay_s, odometry_s] = rows.map(|row| row.map_or(0.0, |row| state.mean[row]));
+        let delay = TimeDelta::from_secs_f64(delay_s - odometry_s).clamp(-MAX_DELAY, MAX_DELAY);
+        let moved_since = state.motion_over_delay(delay, self.context);
+        let is_learned = rows.into_iter().flatten().any(|row| state.covariance[(row, row)] > 0.0);
+        let (forward_m_per_s, turn_rad_per_s) = if is_learned {
+            let shown = state.stamp.unwrap_or(Timestamp::ZERO) - delay;
+            state.speeds_near(shown, self.context)
         } else {
             (state.forward.value, state.turn.value)
         };
@@ -170,20 +165,6 @@ impl AbsoluteUpdate<'_> {
     fn sensor_frame<const N: usize>(&self, state: &PoseState<N>, sensor: MountedSensor) -> SensorFrame {
         let exposure = self.exposure(state, StateTerm::Delay(sensor));
         SensorFrame::of_sensor(&state.view(&self.context.layout), sensor, &exposure)
-    }
-
-    /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.
-    fn speeds_near<const N: usize>(&self, state: &PoseState<N>, shown: Timestamp<BrickClock>) -> (f64, f64) {
-        let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
-        let earlier = state.motion_since(from, self.context);
-        let until = from + SPEED_WINDOW;
-        let later = state.motion_since(until, self.context);
-        let covered_s = state.stamp.map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
-        if covered_s < 0.5 * SPEED_WINDOW.as_secs_f64() {
-            return (state.forward.value, state.turn.value);
-        }
-        let [forward_m, _, turn_rad] = earlier.compose(later.inverse()).log();
-        (forward_m / covered_s, turn_rad / covered_s)
     }
 
     fn update_other<const N: usize>(
@@ -294,7 +275,7 @@ impl AbsoluteUpdate<'_> {
             if members > 0.0 {
                 let gain = self.context.config.params.adapt_gain;
                 let source = self.noise_source(group);
-                state.noise_scales.learn(source, votes / members, gain);
+                state.noise_scales.learn(source, votes / members, gain, state.wheel_path_m);
             }
         }
     }

@@ -126,7 +126,7 @@ impl StateLayout {
 
 // The order of the terms in the table of rows.
 const FIX: usize = 0;
-const RANGES: usize = FIX + 3;
+const RANGES: usize = FIX + 4;
 const DELAYS: usize = RANGES + 2;
 const MOUNTINGS: usize = DELAYS + MountedSensor::ALL.len();
 const BEACONS: usize = MOUNTINGS + 3 * MountedSensor::ALL.len();
@@ -140,6 +140,7 @@ const fn index(term: StateTerm) -> Option<usize> {
         StateTerm::FixDelay => Some(FIX),
         StateTerm::TagForward => Some(FIX + 1),
         StateTerm::TagLeft => Some(FIX + 2),
+        StateTerm::OdometryDelay => Some(FIX + 3),
         StateTerm::LandmarkOffset => Some(RANGES),
         StateTerm::LandmarkScale => Some(RANGES + 1),
         StateTerm::Delay(sensor) => Some(DELAYS + sensor as usize),
@@ -187,6 +188,7 @@ fn calibration_terms(beacons: usize) -> impl Iterator<Item = StateTerm> {
     });
     let of_beacons = (0..beacons).flat_map(|slot| [StateTerm::BeaconOffset(slot), StateTerm::BeaconScale(slot)]);
     [
+        StateTerm::OdometryDelay,
         StateTerm::FixDelay,
         StateTerm::TagForward,
         StateTerm::TagLeft,
@@ -203,6 +205,7 @@ pub(super) fn calibration_field(calibration: &mut Calibration, term: StateTerm) 
     let field = match term {
         StateTerm::GyroBias => &mut calibration.gyro_bias_rad_per_s,
         StateTerm::GyroScale => &mut calibration.gyro_scale,
+        StateTerm::OdometryDelay => &mut calibration.odometry_delay_s,
         StateTerm::FixDelay => &mut calibration.fix_delay_s,
         StateTerm::TagForward => &mut calibration.tag_forward_m,
         StateTerm::TagLeft => &mut calibration.tag_left_m,

@@ -16,11 +16,13 @@ pub mod state;
 
 use std::borrow::Cow;
 
+use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
     SensorId, StartPose, TimeDelta, Timestamp,
 };
 
+use self::absolute_update::MAX_DELAY;
 use self::context::UpdateContext;
 use self::entry::{PoseEntry, UpdateKind};
 use self::layout::{CORE_STATES, FORWARD, HEADING, LARGE_STATES, LEFT, MEDIUM_STATES, SMALL_STATES, StateLayout};
@@ -31,6 +33,7 @@ use crate::history::FixedLagHistory;
 use crate::models::lie::Se2;
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::{InsertOutcome, MotionReading};
+use crate::observations::StateTerm;
 use crate::tracking::PublishedState;
 use crate::update::preview_scalar;
 use crate::validation;
@@ -294,6 +297,32 @@ impl PublishedPose {
     fn from_state<const N: usize>(state: &PoseState<N>) -> Self {
         Self { pose: state.pose, covariance: state.pose_covariance() }
     }
+
+    /// The pose at its timestamp, where the odometer reports late, or early as one that reports commands:
+    ///
+    /// ```text
+    /// X' = X U^-1      xi' = Ad(U) xi + (v, 0, w) dtau_o      U the motion over -tau_o, v and w the speeds then
+    /// ```
+    fn without_odometry_delay<const N: usize>(self, state: &PoseState<N>, context: &UpdateContext) -> Self {
+        let Some(row) = context.layout.row(StateTerm::OdometryDelay) else {
+            return self;
+        };
+        let delay = TimeDelta::from_secs_f64(-state.mean[row]).clamp(-MAX_DELAY, MAX_DELAY);
+        let moved = state.motion_over_delay(delay, context);
+        let shown = state.stamp.unwrap_or(Timestamp::ZERO) - delay;
+        let (forward_m_per_s, turn_rad_per_s) = state.speeds_near(shown, context);
+        let twist = Vector3::new(forward_m_per_s, 0.0, turn_rad_per_s);
+        let adjoint = Matrix3::from_fn(|i, j| moved.adjoint()[i][j]);
+        let p = Matrix3::from_fn(|i, j| self.covariance[i][j]);
+        let with_delay = Vector3::new(FORWARD, LEFT, HEADING).map(|of_pose| state.covariance[(of_pose, row)]);
+        let cross = adjoint * with_delay * twist.transpose();
+        let variance = twist * twist.transpose() * state.covariance[(row, row)];
+        let moved_back = adjoint * p * adjoint.transpose() + cross + cross.transpose() + variance;
+        Self {
+            pose: self.pose.compose(moved.inverse()),
+            covariance: std::array::from_fn(|i| std::array::from_fn(|j| moved_back[(i, j)])),
+        }
+    }
 }
 
 /// The estimate for an instant, with the gyro readings of the open window. It is requested after every observation
@@ -301,12 +330,13 @@ impl PublishedPose {
 fn estimate<const N: usize>(from: &PoseState<N>, stamp: Timestamp<BrickClock>, context: &UpdateContext) -> Estimate {
     let is_there = from.stamp.is_some_and(|known| known == stamp);
     if is_there && let Some(shown) = with_open_window(from, context) {
-        return build_estimate(from, &shown, stamp, &context.config);
+        return build_estimate(from, &shown.without_odometry_delay(from, context), stamp, &context.config);
     }
     let mut state = *from;
     state.advance(stamp, context);
     motion_update::update_gyro_window(&mut state, context);
-    build_estimate(&state, &PublishedPose::from_state(&state), stamp, &context.config)
+    let shown = PublishedPose::from_state(&state).without_odometry_delay(&state, context);
+    build_estimate(&state, &shown, stamp, &context.config)
 }
 
 /// The pose with the gyro readings of the window so far; `None` after wheel slip, which changes more than the pose.

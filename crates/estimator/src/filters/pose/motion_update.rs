@@ -1,6 +1,6 @@
 //! Updates of the pose filter's state by motion observations: speeds, gyro windows, slip.
 
-use posebridge_telemetry::{BrickClock, FusionRecord, TimeDelta, Timestamp};
+use posebridge_telemetry::{BrickClock, FusionRecord, MountedSensor, TimeDelta, Timestamp};
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
@@ -78,6 +78,8 @@ pub fn update_accelerations<const N: usize>(
     let since = state.last_acceleration.map(|last| stamp - last);
     if let Some(dt) = since.filter(|dt| *dt > TimeDelta::ZERO && *dt <= MAX_ACCELERATION_INTERVAL) {
         let config = &context.config;
+        let imu = &config.calibration.mountings[MountedSensor::Imu];
+        let felt = felt.at_mid_axle([imu.x_m.value, imu.yaw_rad.value], state.forward.value, state.turn.value);
         let changes = speed::speed_changes(felt, dt.as_secs_f64(), &config.geometry, &config.noise);
         for (speed, change) in [&mut state.forward, &mut state.turn].into_iter().zip(changes) {
             speed.value += change.value;

@@ -18,6 +18,9 @@ const MAX_SOURCES: usize = 8;
 /// Variances are scaled by no more than this, either way: ten times the standard deviation.
 const LARGEST_LN_SCALE: f64 = 4.605_170_185_988_092;
 
+/// Two looks within this path of a wheel are looks from one place: half a degree of turn of a small robot.
+const SAME_PLACE_M: f64 = 0.001;
+
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_573;
 
 /// 1 over twice the density at the median, for ln chi-square with one degree of freedom: 1 / (2 * 0.2143).
@@ -53,6 +56,8 @@ struct NoiseScale {
     source: NoiseSource,
     ln_factor: f64,
     count: u32,
+    /// The path of the wheels at the last look that counted.
+    counted_at_m: f64,
 }
 
 /// The scales of all sources.
@@ -67,14 +72,20 @@ impl NoiseScales {
         self.slots.iter().flatten().find(|scale| scale.source == source).map_or(1.0, |scale| scale.ln_factor.exp())
     }
 
-    /// Learns from the mean of [`scale_vote`] over a group's components; `least_gain` of zero learns nothing.
-    pub fn learn(&mut self, source: NoiseSource, votes: f64, least_gain: f64) {
+    /// Learns from the mean of [`scale_vote`] over a group's components; `least_gain` of zero learns nothing. `path_m` is the path
+    /// of the wheels: what a sensor says again from one place is wrong by the same amount, which is no proof of precision.
+    pub fn learn(&mut self, source: NoiseSource, votes: f64, least_gain: f64, path_m: f64) {
         if least_gain <= 0.0 || !votes.is_finite() {
             return;
         }
         let slot = self.slots.iter_mut().find(|slot| slot.is_none_or(|scale| scale.source == source));
         let Some(slot) = slot else { return };
-        let scale = slot.get_or_insert(NoiseScale { source, ln_factor: 0.0, count: 0 });
+        let first = NoiseScale { source, ln_factor: 0.0, count: 0, counted_at_m: f64::NEG_INFINITY };
+        let scale = slot.get_or_insert(first);
+        if path_m - scale.counted_at_m < SAME_PLACE_M {
+            return;
+        }
+        scale.counted_at_m = path_m;
         let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
         scale.ln_factor = (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);

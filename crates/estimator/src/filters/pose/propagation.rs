@@ -23,6 +23,8 @@ use crate::motion::{SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERV
 
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
+/// Speeds at an earlier instant are means over this interval around it: two readings of a 20 Hz brick.
+const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 
 /// The propagation of errors over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,7 +149,7 @@ impl<const N: usize> PoseState<N> {
         while at < to {
             at = match context.track.segment(at, to) {
                 TravelSegment::Known { until, travel, path_var_m2 } => {
-                    self.move_by_travel(travel, until, context);
+                    self.move_by_travel(travel, (at, until), context);
                     self.inflate_pose_covariance(path_var_m2, 0.0);
                     until
                 }
@@ -184,7 +186,12 @@ impl<const N: usize> PoseState<N> {
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
     }
 
-    fn move_by_travel(&mut self, travel: WheelTravel, to: Timestamp<BrickClock>, context: &UpdateContext) {
+    fn move_by_travel(
+        &mut self,
+        travel: WheelTravel,
+        (from, to): (Timestamp<BrickClock>, Timestamp<BrickClock>),
+        context: &UpdateContext,
+    ) {
         let config = &context.config;
         let moved = travel.left_m != 0.0 || travel.right_m != 0.0;
         if let Some(window) = &mut self.window {
@@ -194,7 +201,9 @@ impl<const N: usize> PoseState<N> {
             return;
         }
         let (transition, forward_m, turn_rad) = Transition::over_travel(travel, self, &config.geometry);
-        let noise = step_noise(travel, &config.geometry, &config.noise);
+        let moving_s = (to - from).as_secs_f64();
+        let noise = step_noise(travel, &config.geometry, &config.noise).with_time(moving_s, &config.noise);
+        self.wheel_path_m += travel.left_m.abs().max(travel.right_m.abs());
         transition.propagate(&mut self.covariance, &noise);
         self.pose = self.pose.compose(transition.step.motion);
         self.add_scale_noise(forward_m, to, config);
@@ -299,6 +308,29 @@ impl<const N: usize> PoseState<N> {
             };
         }
         moved
+    }
+
+    /// The body's motion since an instant that is earlier by `delay`; for one that is later, back to it at the held speeds.
+    pub fn motion_over_delay(&self, delay: TimeDelta, context: &UpdateContext) -> Se2 {
+        if delay > TimeDelta::ZERO {
+            return self.motion_since(self.stamp.unwrap_or(Timestamp::ZERO) - delay, context);
+        }
+        let ahead_s = -delay.as_secs_f64();
+        Se2::exp([-self.forward.value * ahead_s, 0.0, -self.turn.value * ahead_s])
+    }
+
+    /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.
+    pub fn speeds_near(&self, shown: Timestamp<BrickClock>, context: &UpdateContext) -> (f64, f64) {
+        let from = shown - TimeDelta::from_secs_f64(0.5 * SPEED_WINDOW.as_secs_f64());
+        let earlier = self.motion_since(from, context);
+        let until = from + SPEED_WINDOW;
+        let later = self.motion_since(until, context);
+        let covered_s = self.stamp.map_or(0.0, |now| (now.min(until) - from).as_secs_f64());
+        if covered_s < 0.5 * SPEED_WINDOW.as_secs_f64() {
+            return (self.forward.value, self.turn.value);
+        }
+        let [forward_m, _, turn_rad] = earlier.compose(later.inverse()).log();
+        (forward_m / covered_s, turn_rad / covered_s)
     }
 }
 

@@ -96,6 +96,8 @@ pub struct PoseState<const N: usize> {
     /// The latest instant for which wheel slip was detected.
     pub slipped_at: Option<Timestamp<BrickClock>>,
     pub last_acceleration: Option<Timestamp<BrickClock>>,
+    /// The path of the faster wheel since power-up.
+    pub wheel_path_m: f64,
     /// Since the last fix that was used.
     pub rejected_fixes: RejectedFixes,
     pub noise_scales: NoiseScales,
@@ -122,6 +124,7 @@ impl<const N: usize> PoseState<N> {
             tick_activity: TickActivity::default(),
             slipped_at: None,
             last_acceleration: None,
+            wheel_path_m: 0.0,
             rejected_fixes: RejectedFixes::default(),
             noise_scales: NoiseScales::default(),
             observer_frames: ObserverFrames::default(),
@@ -157,6 +160,7 @@ impl<const N: usize> PoseState<N> {
             tick_activity: other.tick_activity,
             slipped_at: other.slipped_at,
             last_acceleration: other.last_acceleration,
+            wheel_path_m: other.wheel_path_m,
             rejected_fixes: other.rejected_fixes,
             noise_scales: other.noise_scales,
             observer_frames: other.observer_frames,
