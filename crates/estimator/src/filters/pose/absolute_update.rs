@@ -12,19 +12,25 @@ use super::entry::sort_key;
 use super::layout::{FORWARD, HEADING, LEFT};
 use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
-use super::relocalize::{initialize_from_fix, reject_fix, reset_to_fix};
-use super::state::{PoseState, RejectedFixes};
+use super::recovery::{Alternative, Evidence, OwnPose, ln_anywhere};
+use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
+use super::sightings::Sighting;
+use super::state::{PoseState, StateView};
 use crate::models::lie::Se2;
 use crate::numerics::covariance::symmetrise;
 use crate::observations::absolute::{self, MeasuredPoint, RangeBearing};
 use crate::observations::fix::{self, FixMeasurement};
 use crate::observations::sensor_frame::{Exposure, SensorFrame};
-use crate::observations::{ObservationModel, StateTerm};
+use crate::observations::{MountingAxis, ObservationModel, PoseView, StateTerm};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
 /// Limit of the estimated delay of fixes, either way.
 pub(super) const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
+/// A robot that was carried stands on the floor again this long after its gyro has turned last.
+const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
+/// A pose after a robot was carried has proved right when observations agree with it after this time.
+const PROBATION: TimeDelta = TimeDelta::from_millis(10_000);
 /// How far before the state's instant the motion track is queried.
 pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
 
@@ -45,18 +51,12 @@ pub(super) fn update_absolute<const N: usize>(
     let mut update = AbsoluteUpdate { context, kind: sort_key(observation).0, record };
     let outcome = if let ObservationKind::Fix(fix) = observation {
         update.update_fix(state, fix, stamp_sigma)
-    } else if state.is_located {
-        update.update_other(state, observation)
     } else {
-        FusionOutcome::Unused
+        update.update_other(state, observation)
     };
     record.outcome = outcome;
     if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
         state.status.last_fix = state.stamp;
-        // Agreement of a compass, a wall or a range does not prove that the position is right: only a fix answers for the fixes.
-        if matches!(observation, ObservationKind::Fix(_)) {
-            state.rejected_fixes = RejectedFixes::default();
-        }
     }
 }
 
@@ -90,23 +90,38 @@ impl AbsoluteUpdate<'_> {
         if has_jumped {
             return reset_to_fix(state, &measured, layout);
         }
-        let verdict = match fix.heading {
+        let view = *state;
+        let view = view.view(layout);
+        let own = || {
+            let (pose, model) = pose_of_fix(&view, &measured);
+            Some(OwnPose { pose, covariance: covariance_of_fix(&model)?, is_heading_known: fix.heading.is_some() })
+        };
+        let (verdict, winner) = match fix.heading {
             Some(heading) => {
                 let heading_rad = heading.rad();
-                self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
+                let model = |view: &StateView<'_, N>| Some(measured.pose_model(view, heading_rad));
+                let verdict = self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
                     layout.linearize(&measured.pose_model(&state.view(layout), heading_rad))
-                })
+                });
+                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 1), model, own))
             }
-            None => self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
-                layout.linearize(&measured.position_model(&state.view(layout)))
-            }),
+            None => {
+                let model = |view: &StateView<'_, N>| Some(measured.position_model(view));
+                let verdict = self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
+                    layout.linearize(&measured.position_model(&state.view(layout)))
+                });
+                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 0), model, own))
+            }
         };
-        let turned_since_rad = exposure.moved_since.heading_rad;
-        let params = &self.context.config.params;
-        if verdict == FusionOutcome::Gated && reject_fix(state, self.record, turned_since_rad, params) {
-            return reset_to_fix(state, &measured, layout);
+        match winner {
+            Some(winner) if winner.is_heading_known => {
+                state.adopt(&winner, view.pose());
+                FusionOutcome::PoseReset
+            }
+            // Without a heading in the fixes the heading may be as wrong as the position was: it is estimated from scratch.
+            Some(_) => reset_to_fix(state, &measured, layout),
+            None => verdict,
         }
-        verdict
     }
 
     const fn noise_source(&self, group: NoiseGroup) -> NoiseSource {
@@ -161,12 +176,6 @@ impl AbsoluteUpdate<'_> {
         Exposure { moved_since, forward_m_per_s, turn_rad_per_s }
     }
 
-    /// Where a mounted sensor was at its exposure.
-    fn sensor_frame<const N: usize>(&self, state: &PoseState<N>, sensor: MountedSensor) -> SensorFrame {
-        let exposure = self.exposure(state, StateTerm::Delay(sensor));
-        SensorFrame::of_sensor(&state.view(&self.context.layout), sensor, &exposure)
-    }
-
     fn update_other<const N: usize>(
         &mut self,
         state: &mut PoseState<N>,
@@ -174,7 +183,6 @@ impl AbsoluteUpdate<'_> {
     ) -> FusionOutcome {
         let config = &self.context.config;
         let (noise, map) = (&config.noise, &config.arena_map);
-        let view = state.view(&self.context.layout);
         match *observation {
             ObservationKind::Landmark { id, range, bearing } => {
                 let own_m2 = range_variance(range.0, noise.landmark_range_m, noise.landmark_range_share);
@@ -183,34 +191,51 @@ impl AbsoluteUpdate<'_> {
                     self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2),
                 ];
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
-                let frame = self.sensor_frame(state, MountedSensor::Landmarks);
-                let model = numbered(&map.landmarks, id).and_then(|(slot, position)| {
+                let Some((slot, position)) = numbered(&map.landmarks, id) else { return FusionOutcome::Unused };
+                let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Landmarks));
+                let model = |view: &StateView<'_, N>| {
+                    let frame = SensorFrame::of_sensor(view, MountedSensor::Landmarks, &exposure);
                     let point = MeasuredPoint::landmark(position, slot);
-                    absolute::landmark(&view, &frame, &point, sighting, variances)
-                });
-                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range, NoiseGroup::Bearing])
+                    absolute::landmark(view, &frame, &point, sighting, variances)
+                };
+                let groups = [NoiseGroup::Range, NoiseGroup::Bearing];
+                let seen = believed_place(&state.view(&self.context.layout), &exposure, sighting);
+                let sighting = Sighting {
+                    landmark: [position.x.0, position.y.0],
+                    seen,
+                    variance_m2: variances[0] + range.0.powi(2) * variances[1],
+                    stamp: state.stamp.unwrap_or(Timestamp::ZERO),
+                };
+                self.update_or_recover(state, groups, ln_anywhere(1, 1), model, Some(&sighting))
             }
             ObservationKind::BeaconRange { id, range } => {
                 let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * own_m2;
-                let frame = self.sensor_frame(state, MountedSensor::Beacons);
-                let model = numbered(&map.beacons, id).and_then(|(slot, position)| {
-                    let point = MeasuredPoint::beacon(position, slot);
-                    absolute::beacon(&view, &frame, &point, range.0, variance_m2)
-                });
-                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
+                let Some((slot, position)) = numbered(&map.beacons, id) else { return FusionOutcome::Unused };
+                let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Beacons));
+                let model = |view: &StateView<'_, N>| {
+                    let frame = SensorFrame::of_sensor(view, MountedSensor::Beacons, &exposure);
+                    absolute::beacon(view, &frame, &MeasuredPoint::beacon(position, slot), range.0, variance_m2)
+                };
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0), model, None)
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
-                let frame = self.sensor_frame(state, MountedSensor::Range);
-                let model = absolute::wall(&frame, &map.walls, range.0, variance_m2);
-                self.gate_and_apply_if_some(state, model.as_ref(), [NoiseGroup::Range])
+                let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Range));
+                let model = |view: &StateView<'_, N>| {
+                    let frame = SensorFrame::of_sensor(view, MountedSensor::Range, &exposure);
+                    absolute::wall(&frame, &map.walls, range.0, variance_m2)
+                };
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0), model, None)
             }
             ObservationKind::CompassHeading(heading) => {
                 let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
-                let frame = self.sensor_frame(state, MountedSensor::Compass);
-                let model = absolute::compass(&frame, heading.rad(), variance_rad2);
-                self.gate_and_apply_if_some(state, Some(&model), [NoiseGroup::Heading])
+                let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Compass));
+                let model = |view: &StateView<'_, N>| {
+                    let frame = SensorFrame::of_sensor(view, MountedSensor::Compass, &exposure);
+                    Some(absolute::compass(&frame, heading.rad(), variance_rad2))
+                };
+                self.update_or_recover(state, [NoiseGroup::Heading], ln_anywhere(0, 1), model, None)
             }
             ObservationKind::WheelAngles { .. }
             | ObservationKind::OdometerPose(_)
@@ -222,14 +247,84 @@ impl AbsoluteUpdate<'_> {
         }
     }
 
-    fn gate_and_apply_if_some<const N: usize, const M: usize>(
+    /// Updates a located state, and lets the alternatives to its pose answer for the observation, too.
+    fn update_or_recover<const N: usize, const M: usize>(
         &mut self,
         state: &mut PoseState<N>,
-        model: Option<&ObservationModel<M>>,
         groups: [NoiseGroup; M],
+        ln_anything: f64,
+        model: impl Fn(&StateView<'_, N>) -> Option<ObservationModel<M>>,
+        sighting: Option<&Sighting>,
     ) -> FusionOutcome {
-        let Some(model) = model else { return FusionOutcome::Unused };
-        self.gate_and_apply(state, &self.context.layout.linearize(model), groups)
+        let before = *state;
+        let view = before.view(&self.context.layout);
+        let verdict = if state.is_located {
+            let Some(own) = model(&view) else { return FusionOutcome::Unused };
+            self.gate_and_apply(state, &self.context.layout.linearize(&own), groups)
+        } else {
+            FusionOutcome::Unused
+        };
+        let by_landmarks = || {
+            let (pose, covariance) = sighting.and_then(|sighting| before.sightings.pose_with(sighting, before.pose))?;
+            Some(OwnPose { pose, covariance, is_heading_known: true })
+        };
+        let winner = self.ask_alternatives(state, &view, verdict, ln_anything, model, by_landmarks);
+        if let Some(sighting) = sighting
+            && self.is_refused(state, verdict, M)
+        {
+            state.sightings.push(*sighting);
+        }
+        let Some(winner) = winner else { return verdict };
+        state.adopt(&winner, view.pose());
+        FusionOutcome::PoseReset
+    }
+
+    /// Whether the believed pose does not explain an observation of `components`.
+    fn is_refused<const N: usize>(&self, state: &PoseState<N>, verdict: FusionOutcome, components: usize) -> bool {
+        !state.is_located || verdict == FusionOutcome::Gated || self.record.nis > self.context.gate(components)
+    }
+
+    /// Lets the alternatives answer for an observation, and returns one that becomes the pose. `own` is the pose that the observation
+    /// speaks for.
+    fn ask_alternatives<const N: usize, const M: usize>(
+        &self,
+        state: &mut PoseState<N>,
+        view: &StateView<'_, N>,
+        verdict: FusionOutcome,
+        ln_anything: f64,
+        model: impl Fn(&StateView<'_, N>) -> Option<ObservationModel<M>>,
+        own: impl FnOnce() -> Option<OwnPose>,
+    ) -> Option<Alternative> {
+        let stamp = state.stamp?;
+        let is_refused = self.is_refused(state, verdict, M);
+        if !is_refused && state.alternatives.is_empty() {
+            state.carried_at = state.carried_at.filter(|last| stamp - *last < PROBATION);
+            return None;
+        }
+        // What is seen in the hands of a person belongs to no place on the floor.
+        if state.carried_at.is_some_and(|last| stamp - last < PUT_DOWN) {
+            return None;
+        }
+        let params = &self.context.config.params;
+        let evidence = Evidence {
+            believed: view.pose(),
+            stamp,
+            sensor: self.record.sensor,
+            gate: self.context.gate(M),
+            ln_likelihood: state.is_located.then_some(self.record.log_likelihood),
+            is_refused,
+            is_pose_doubtful: !state.is_located || state.carried_at.is_some(),
+            ln_anything,
+            reset_after_s: params.reset_after_s,
+            reset_after_fixes: params.reset_after_fixes,
+        };
+        let own = if is_refused { own() } else { None };
+        let moved_since = |from| state.noisy_motion_since(from, self.context);
+        let mut alternatives = state.alternatives;
+        let winner = alternatives.observe(&evidence, moved_since, |pose| model(&view.at(pose)), own);
+        alternatives.rebase(view.pose(), state.pose);
+        state.alternatives = alternatives;
+        winner
     }
 
     /// Updates the state if the innovation passes the gate; with `student_dof` outliers are weighted down instead.
@@ -289,6 +384,16 @@ impl AbsoluteUpdate<'_> {
         let s = measurement.innovation_covariance(covariance);
         write_innovation(self.record, &measurement.innovation, &s).then_some(s)
     }
+}
+
+/// Where a sighted landmark would be if the believed pose were right, m.
+fn believed_place(view: &impl PoseView, exposure: &Exposure, sighting: RangeBearing) -> [f64; 2] {
+    let [x_m, y_m, yaw_rad] =
+        MountingAxis::ALL.map(|axis| view.term(StateTerm::Mounting(MountedSensor::Landmarks, axis)));
+    let (sin, cos) = (yaw_rad + sighting.bearing_rad).sin_cos();
+    let seen = Se2 { x_m: x_m + sighting.range_m * cos, y_m: y_m + sighting.range_m * sin, heading_rad: 0.0 };
+    let place = view.pose().compose(exposure.moved_since.inverse()).compose(seen);
+    [place.x_m, place.y_m]
 }
 
 /// Variance of a range with a constant part of its noise and one that is proportional to it.

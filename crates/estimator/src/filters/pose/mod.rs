@@ -10,7 +10,9 @@ pub mod layout;
 pub mod motion_update;
 pub mod noise_scales;
 pub mod propagation;
+pub mod recovery;
 mod relocalize;
+pub mod sightings;
 pub mod smoother;
 pub mod state;
 

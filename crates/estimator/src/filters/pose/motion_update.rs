@@ -15,6 +15,10 @@ use crate::validation::add_innovation;
 
 /// A gyro that has been silent for longer no longer takes precedence over the encoders' turn rate.
 const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
+/// Wheels whose counts have not changed for this time stand.
+const STANDING: TimeDelta = TimeDelta::from_millis(200);
+/// A robot that turns faster on wheels that stand is carried, or turned by hand: 17 degrees per second.
+const CARRIED_RAD_PER_S: f64 = 0.3;
 /// The acceleration between two samples further apart than this is unknown.
 const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 
@@ -67,6 +71,12 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
     let known = |row: usize| speed::Speed { value: state.mean[row], variance: state.covariance[(row, row)] };
     let reading = speed::gyro_reading(rate_rad_per_s, known(GYRO_BIAS), known(GYRO_SCALE), &context.config.noise);
     state.turn.observe(reading);
+    let stamp = state.speeds_predicted_to.unwrap_or(Timestamp::ZERO);
+    let stands = state.tick_activity.changed_at.is_some_and(|last| stamp - last >= STANDING)
+        && state.status.last_motion.is_some_and(|last| stamp - last < STANDING);
+    if stands && reading.value.abs() > CARRIED_RAD_PER_S {
+        state.carried_at = Some(stamp);
+    }
 }
 
 pub fn update_accelerations<const N: usize>(

@@ -3,7 +3,7 @@
 //! ```text
 //! R_i = s_g R_0i           s_g the scale of the group of component i: position, heading, range, bearing
 //! ln s_g <- ln s_g + gain * mean over the group of  u_i sign(nu_i^2 / S_ii - m)
-//! gain = max(g_min, 2.33 / (3 + k))       k observations so far         m = 0.4549, the median of chi-square with one degree
+//! gain = max(g_min, 2.33 / (6 + k))       k observations so far         m = 0.4549, the median of chi-square with one degree
 //! u_i = sqrt(R_i / S_ii)                  how much of the innovation's spread is the sensor's own
 //! ```
 //! Gross outliers do not move the median, and a gate that was set too narrow opens by itself, because what it refuses
@@ -86,7 +86,7 @@ impl NoiseScales {
             return;
         }
         scale.counted_at_m = path_m;
-        let gain = least_gain.max(FIRST_GAIN / (3.0 + f64::from(scale.count)));
+        let gain = least_gain.max(FIRST_GAIN / (6.0 + f64::from(scale.count)));
         scale.ln_factor = (scale.ln_factor + gain * votes).clamp(-LARGEST_LN_SCALE, LARGEST_LN_SCALE);
         scale.count = scale.count.saturating_add(1);
     }

@@ -9,11 +9,12 @@
 //!
 //! Source: docs/maths/pose.md section 2; Barrau and Bonnabel (2017).
 
-use nalgebra::SMatrix;
+use nalgebra::{Matrix3, SMatrix};
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
 use super::context::UpdateContext;
 use super::layout::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, RADIUS, TRACK, WINDOW_TURN};
+use super::recovery::BodyMotion;
 use super::state::PoseState;
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
@@ -317,6 +318,19 @@ impl<const N: usize> PoseState<N> {
         }
         let ahead_s = -delay.as_secs_f64();
         Se2::exp([-self.forward.value * ahead_s, 0.0, -self.turn.value * ahead_s])
+    }
+
+    /// The body's motion from `from` until now with its noise, as of one arc: an alternative to the pose needs no better.
+    pub fn noisy_motion_since(&self, from: Timestamp<BrickClock>, context: &UpdateContext) -> BodyMotion {
+        let moved = self.motion_since(from, context);
+        let [forward_m, _, turn_rad] = moved.log();
+        let config = &context.config;
+        let half_turn_m = 0.5 * turn_rad * config.geometry.track_width.0;
+        let travel = WheelTravel { left_m: forward_m - half_turn_m, right_m: forward_m + half_turn_m };
+        let duration_s = self.stamp.map_or(0.0, |now| (now - from).as_secs_f64());
+        let noise = step_noise(travel, &config.geometry, &config.noise).with_time(duration_s, &config.noise);
+        let q = Transition::at_speeds(forward_m, turn_rad).noise(&noise);
+        BodyMotion { moved, noise: Matrix3::from_fn(|i, j| q[i][j]) }
     }
 
     /// Forward speed and turn rate around an instant: from the wheels where there are readings, else the held ones.

@@ -1,5 +1,4 @@
-//! Initialisation and relocalisation of the pose filter: by the first fix, or after the gate has rejected fixes for too
-//! long.
+//! Initialisation of the pose filter by a fix, and the operator's commands.
 //!
 //! With H_x the derivatives of a fix's prediction by the pose's rows and H_o those by all others (delay, tag):
 //! ```text
@@ -13,52 +12,20 @@
 
 use std::f64::consts::PI;
 
-use nalgebra::{SMatrix, SVector};
-use posebridge_telemetry::{FusionOutcome, FusionRecord, Heading, Meters, OnlineCalibration, Point2, StartPose};
+use nalgebra::{Matrix3, SMatrix, SVector};
+use posebridge_telemetry::{FusionOutcome, Heading, Meters, OnlineCalibration, Point2, StartPose};
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, HEADING, LEFT, StateLayout};
-use super::state::{PoseState, RejectedFixes, constant_rows};
+use super::state::{PoseState, StateView, arena_pose, constant_rows};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::fix::{self, FixMeasurement};
-use crate::observations::{PoseView, StateTerm};
-use crate::params::Params;
+use crate::observations::{ObservationModel, PoseView, StateTerm};
 use crate::update::LinearizedMeasurement;
 
-/// Refused fixes agree with each other when their innovations differ by less than this many standard deviations.
-const AGREEMENT_SIGMAS: f64 = 5.0;
 /// Variance of an unknown heading, uniform on the circle, rad².
 const ANY_HEADING_RAD2: f64 = PI * PI / 3.0;
-
-/// Counts a rejected fix; the body has turned by `turned_since_rad` since its instant. True when enough rejected fixes
-/// agree with each other for long enough that the estimate must be wrong.
-pub(super) fn reject_fix<const N: usize>(
-    state: &mut PoseState<N>,
-    record: &FusionRecord,
-    turned_since_rad: f64,
-    params: &Params,
-) -> bool {
-    // In the arena, where fixes that stay at one place agree although the robot turns.
-    let (sin, cos) = (state.pose.heading_rad - turned_since_rad).sin_cos();
-    let [forward_m, left_m, _] = record.innovation;
-    let innovation_m = [cos * forward_m - sin * left_m, sin * forward_m + cos * left_m];
-    let last = state.rejected_fixes.innovation_m;
-    let sigma_m = (record.innovation_covariance[0][0] + record.innovation_covariance[1][1]).max(0.0).sqrt();
-    let apart_m = (innovation_m[0] - last[0]).hypot(innovation_m[1] - last[1]);
-    let agrees = state.rejected_fixes.count == 0 || apart_m < AGREEMENT_SIGMAS * sigma_m;
-    if !agrees {
-        state.rejected_fixes = RejectedFixes::default();
-    }
-    state.rejected_fixes.count = state.rejected_fixes.count.saturating_add(1);
-    state.rejected_fixes.since = state.rejected_fixes.since.or(state.stamp);
-    state.rejected_fixes.innovation_m = innovation_m;
-    let lasted_s = match (state.rejected_fixes.since, state.stamp) {
-        (Some(since), Some(stamp)) => (stamp - since).as_secs_f64(),
-        _ => 0.0,
-    };
-    lasted_s >= params.reset_after_s && f64::from(state.rejected_fixes.count) >= params.reset_after_fixes
-}
 
 /// Moves the estimate to a fix; counts as a reset and stores the jump.
 pub(super) fn reset_to_fix<const N: usize>(
@@ -81,26 +48,41 @@ pub(super) fn initialize_from_fix<const N: usize>(
     measured: &FixMeasurement<'_>,
     layout: &StateLayout,
 ) -> FusionOutcome {
+    let (pose, model) = pose_of_fix(&state.view(layout), measured);
+    state.initialize_pose(&StartPose { pose: arena_pose(pose), position_sigma_m: 0.0, heading_sigma_rad: 0.0 });
+    state.pose = pose;
+    set_covariance_from_fix(state, &layout.linearize(&model))
+}
+
+/// The pose that a fix speaks for, and the fix's model there. Without a heading the pose has that of the state, with the variance of
+/// an unknown one.
+pub(super) fn pose_of_fix<const N: usize>(
+    view: &StateView<'_, N>,
+    measured: &FixMeasurement<'_>,
+) -> (Se2, ObservationModel<3>) {
     let fix = measured.fix;
     let moved = measured.exposure.moved_since;
-    let shown_rad = fix.heading.map_or(state.pose.heading_rad - moved.heading_rad, Heading::rad);
+    let shown_rad = fix.heading.map_or(view.pose().heading_rad - moved.heading_rad, Heading::rad);
     let mut corrected = *fix;
-    let [x_m, y_m] = measured.unbiased_position(&state.view(layout));
+    let [x_m, y_m] = measured.unbiased_position(view);
     corrected.position = Point2::new(Meters(x_m), Meters(y_m));
-    corrected.tag_in_body.x += Meters(state.view(layout).term(StateTerm::TagForward));
-    corrected.tag_in_body.y += Meters(state.view(layout).term(StateTerm::TagLeft));
-    state.initialize_pose(&StartPose {
-        pose: fix::mid_axle(&corrected, shown_rad),
-        position_sigma_m: 0.0,
-        heading_sigma_rad: 0.0,
-    });
-    state.pose = state.pose.compose(moved);
+    corrected.tag_in_body.x += Meters(view.term(StateTerm::TagForward));
+    corrected.tag_in_body.y += Meters(view.term(StateTerm::TagLeft));
+    let shown = fix::mid_axle(&corrected, shown_rad);
+    let shown = Se2 { x_m: shown.x.0, y_m: shown.y.0, heading_rad: shown.heading.rad() };
+    let pose = shown.compose(moved);
     let mut measured = *measured;
     if fix.heading.is_none() {
         measured.noise.heading_rad2 = ANY_HEADING_RAD2;
     }
-    let model = measured.pose_model(&state.view(layout), shown_rad);
-    set_covariance_from_fix(state, &layout.linearize(&model))
+    (pose, measured.pose_model(&view.at(pose), shown_rad))
+}
+
+/// The covariance of a pose that was taken from a fix, in the body, with the constants as certain.
+pub(super) fn covariance_of_fix(model: &ObservationModel<3>) -> Option<Matrix3<f64>> {
+    let by_pose = Matrix3::from_fn(|i, j| [model.rows[i].forward, model.rows[i].left, model.rows[i].heading][j]);
+    let inverse = by_pose.try_inverse()?;
+    Some(inverse * model.noise * inverse.transpose())
 }
 
 /// Sets the pose's covariance from the fix alone, with the resulting correlation with delay and tag.
@@ -170,7 +152,7 @@ impl<const N: usize> PoseState<N> {
         self.close_window();
         self.is_located = false;
         self.status.last_fix = None;
-        self.rejected_fixes = RejectedFixes::default();
+        self.forget_alternatives();
         self.status.record_jump(before, self.arena_pose());
     }
 

@@ -23,6 +23,8 @@ use super::layout::{
     WINDOW_TURN, calibration_field,
 };
 use super::noise_scales::{NoiseScales, ObserverFrames};
+use super::recovery::{Alternative, AlternativeBank};
+use super::sightings::RecentSightings;
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, GyroWindowModel, rounding_variance};
@@ -37,15 +39,6 @@ const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
 
 /// Covariance of the pose's error in the body: forward m, left m, turn rad.
 pub(super) type PoseBlock = [[f64; 3]; 3];
-
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RejectedFixes {
-    pub count: u32,
-    /// The stamp of the first of them.
-    pub since: Option<Timestamp<BrickClock>>,
-    /// Innovation of the last of them, in the arena.
-    pub innovation_m: [f64; 2],
-}
 
 /// When the encoder counts changed, and the intervals between: distinguishes a robot at rest from one that creeps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -98,8 +91,10 @@ pub struct PoseState<const N: usize> {
     pub last_acceleration: Option<Timestamp<BrickClock>>,
     /// The path of the faster wheel since power-up.
     pub wheel_path_m: f64,
-    /// Since the last fix that was used.
-    pub rejected_fixes: RejectedFixes,
+    /// The latest instant at which the robot was carried: its gyro turned while its wheels stood.
+    pub carried_at: Option<Timestamp<BrickClock>>,
+    pub alternatives: AlternativeBank,
+    pub sightings: RecentSightings,
     pub noise_scales: NoiseScales,
     pub observer_frames: ObserverFrames,
     /// While the constants are frozen: their variances before, each in its row; those of the covariance are zero
@@ -125,7 +120,9 @@ impl<const N: usize> PoseState<N> {
             slipped_at: None,
             last_acceleration: None,
             wheel_path_m: 0.0,
-            rejected_fixes: RejectedFixes::default(),
+            carried_at: None,
+            alternatives: AlternativeBank::default(),
+            sightings: RecentSightings::default(),
             noise_scales: NoiseScales::default(),
             observer_frames: ObserverFrames::default(),
             frozen_variances: None,
@@ -161,7 +158,9 @@ impl<const N: usize> PoseState<N> {
             slipped_at: other.slipped_at,
             last_acceleration: other.last_acceleration,
             wheel_path_m: other.wheel_path_m,
-            rejected_fixes: other.rejected_fixes,
+            carried_at: other.carried_at,
+            alternatives: other.alternatives,
+            sightings: other.sightings,
             noise_scales: other.noise_scales,
             observer_frames: other.observer_frames,
             // They have rows of their own; a resize begins with the learned constants.
@@ -173,7 +172,9 @@ impl<const N: usize> PoseState<N> {
     /// dropped, because two steps would round differently from one.
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
         Self {
-            rejected_fixes: tried.rejected_fixes,
+            carried_at: tried.carried_at,
+            alternatives: tried.alternatives,
+            sightings: tried.sightings,
             noise_scales: tried.noise_scales,
             observer_frames: tried.observer_frames,
             ..*self
@@ -191,7 +192,7 @@ impl<const N: usize> PoseState<N> {
 
     /// This state with names for its rows.
     pub const fn view<'a>(&'a self, layout: &'a StateLayout) -> StateView<'a, N> {
-        StateView { state: self, layout }
+        StateView { mean: &self.mean, pose: self.pose, layout }
     }
 
     pub fn arena_pose(&self) -> Pose<Arena> {
@@ -226,7 +227,7 @@ impl<const N: usize> PoseState<N> {
         self.status.forget_stamps();
         self.tick_activity = TickActivity::default();
         self.last_acceleration = None;
-        self.rejected_fixes = RejectedFixes::default();
+        self.forget_alternatives();
     }
 
     pub fn inflate_pose_covariance(&mut self, position_m2: f64, heading_rad2: f64) {
@@ -241,7 +242,33 @@ impl<const N: usize> PoseState<N> {
         self.inflate_pose_covariance(start.position_sigma_m.powi(2), start.heading_sigma_rad.powi(2));
         self.close_window();
         self.is_located = true;
-        self.rejected_fixes = RejectedFixes::default();
+        self.forget_alternatives();
+    }
+
+    /// The pose was set, or its clock: what spoke against the last one says nothing of this one.
+    pub fn forget_alternatives(&mut self) {
+        self.alternatives.clear();
+        self.sightings = RecentSightings::default();
+        self.carried_at = None;
+    }
+
+    /// Makes an alternative to the pose `believed` the pose; counts as a reset and stores the jump. The constants stay.
+    pub(super) fn adopt(&mut self, alternative: &Alternative, believed: Se2) {
+        let before = self.arena_pose();
+        let carried_at = self.carried_at;
+        self.initialize_pose(&StartPose {
+            pose: arena_pose(alternative.pose(believed)),
+            position_sigma_m: 0.0,
+            heading_sigma_rad: 0.0,
+        });
+        // It may be a fault: until the pose has proved right for a while, another alternative may win as fast.
+        self.carried_at = carried_at;
+        for (i, row) in [FORWARD, LEFT, HEADING].into_iter().enumerate() {
+            for (j, column) in [FORWARD, LEFT, HEADING].into_iter().enumerate() {
+                self.covariance[(row, column)] = alternative.covariance()[(i, j)];
+            }
+        }
+        self.status.record_jump(before, self.arena_pose());
     }
 
     /// Makes rows certain and independent of all others.
@@ -378,17 +405,25 @@ pub(super) fn constant_rows(
 /// What observation models see of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct StateView<'a, const N: usize> {
-    state: &'a PoseState<N>,
+    mean: &'a SVector<f64, N>,
+    pose: Se2,
     layout: &'a StateLayout,
+}
+
+impl<const N: usize> StateView<'_, N> {
+    /// The same constants at another pose.
+    pub const fn at(self, pose: Se2) -> Self {
+        Self { pose, ..self }
+    }
 }
 
 impl<const N: usize> PoseView for StateView<'_, N> {
     fn pose(&self) -> Se2 {
-        self.state.pose
+        self.pose
     }
 
     fn term(&self, term: StateTerm) -> f64 {
-        self.layout.row(term).map_or(0.0, |row| self.state.mean[row])
+        self.layout.row(term).map_or(0.0, |row| self.mean[row])
     }
 }
 

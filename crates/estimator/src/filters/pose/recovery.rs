@@ -1,0 +1,289 @@
+//! Alternatives to the believed pose, from the observations that it refuses, and from those that find no pose yet.
+//!
+//! An alternative A moves by the same wheels as the believed pose X, so that T = A X^-1 does not change: T is stored. Each
+//! observation changes the odds of the alternative against the believed pose:
+//!
+//! ```text
+//! ln o <- ln o + ln p(z | alternative) - ln p(z | believed)       p = (1 - e) N(nu; 0, S) + e / volume
+//! ln o <- ln o + dt / 1 s                                         for what may be a fault that lasts
+//! ```
+//! The second line is for the sensor that speaks for the alternative while the believed pose refuses it. If the believed pose is right,
+//! that sensor has a fault which agrees with itself, and only its duration speaks against it: such faults last for a second or so.
+//! What the believed pose explains of that sensor, or the alternative does not, speaks against the alternative.
+//! Odds begin at exp(-`reset_after_s`), or at one where the robot was carried: its gyro turned while its wheels stood. An alternative
+//! with odds above one that several observations agree on becomes the pose.
+//!
+//! Source: docs/maths/pose.md section 4; Bar-Shalom, Li and Kirubarajan (2001), section 11.6, for hypotheses by likelihood.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+use posebridge_telemetry::{BrickClock, SensorId, Timestamp};
+
+use crate::models::lie::Se2;
+use crate::observations::ObservationModel;
+use crate::update::nis_and_log_likelihood;
+
+/// Most alternatives beside the believed pose.
+const MAX_ALTERNATIVES: usize = 3;
+/// Share of observations that are anything.
+const OUTLIER_SHARE: f64 = 0.01;
+/// Where an observation that is anything may be, m.
+const ARENA_M: f64 = 10.0;
+/// No single observation changes the odds by more than this factor, as a logarithm.
+const MAX_EVIDENCE: f64 = 5.0;
+/// What an observation of the alternative's sensor takes off the odds that the believed pose explains, or the alternative does not; as a
+/// logarithm.
+const REFUTATION: f64 = 2.0;
+/// Silence of a sensor counts for its fault's duration no longer than this.
+const MAX_SILENCE_S: f64 = 2.0;
+/// An alternative whose odds have fallen this far below their beginning is dropped, as a logarithm.
+const DROP_BELOW: f64 = 4.0;
+/// A pose that observations speak for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alternative {
+    /// T: the alternative's arena from the believed one.
+    from_believed: Se2,
+    /// Of the pose's error in the body at the last observation that agreed: forward, left, turn.
+    covariance: Matrix3<f64>,
+    /// Unknown where fixes tell positions only: the heading of `from_believed` means nothing then.
+    pub is_heading_known: bool,
+    /// The sensor that spoke for it first.
+    pub sensor: SensorId,
+    pub ln_odds: f64,
+    /// Number of observations that agree with it.
+    pub agreements: u32,
+    first_ln_odds: f64,
+    latest: Timestamp<BrickClock>,
+}
+
+impl Alternative {
+    pub fn pose(&self, believed: Se2) -> Se2 {
+        self.from_believed.compose(believed)
+    }
+
+    pub const fn covariance(&self) -> &Matrix3<f64> {
+        &self.covariance
+    }
+}
+
+/// The pose that an observation speaks for by itself.
+#[derive(Clone, Copy, Debug)]
+pub struct OwnPose {
+    pub pose: Se2,
+    /// Of the pose's error in the body.
+    pub covariance: Matrix3<f64>,
+    pub is_heading_known: bool,
+}
+
+/// The body's motion over some time, with its noise.
+#[derive(Clone, Copy, Debug)]
+pub struct BodyMotion {
+    pub moved: Se2,
+    /// Of the pose's error in the body at the end.
+    pub noise: Matrix3<f64>,
+}
+
+/// What an observation says of the believed pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Evidence {
+    pub believed: Se2,
+    pub stamp: Timestamp<BrickClock>,
+    pub sensor: SensorId,
+    /// The gate of its components.
+    pub gate: f64,
+    /// ln p(z | believed) without outliers; `None` without a pose.
+    pub ln_likelihood: Option<f64>,
+    pub is_refused: bool,
+    /// Whether the robot was carried lately, or has no pose: nothing speaks against an alternative then.
+    pub is_pose_doubtful: bool,
+    /// ln of the density of an observation that is anything.
+    pub ln_anything: f64,
+    /// Seconds for which a fault must last to be no fault, and the observations that must agree.
+    pub reset_after_s: f64,
+    pub reset_after_fixes: f64,
+}
+
+/// ln of the density of something anywhere in the arena, and of any direction.
+pub fn ln_anywhere(lengths: u32, angles: u32) -> f64 {
+    -f64::from(lengths) * ARENA_M.ln() - f64::from(angles) * TAU.ln()
+}
+
+/// ln of a density with outliers.
+fn with_outliers(ln_density: f64, ln_anything: f64) -> f64 {
+    let (own, other) = ((1.0 - OUTLIER_SHARE).ln() + ln_density, OUTLIER_SHARE.ln() + ln_anything);
+    let larger = own.max(other);
+    larger + ((own - larger).exp() + (other - larger).exp()).ln()
+}
+
+/// The alternatives to the believed pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct AlternativeBank {
+    alternatives: [Option<Alternative>; MAX_ALTERNATIVES],
+}
+
+impl AlternativeBank {
+    pub fn is_empty(&self) -> bool {
+        self.alternatives.iter().all(Option::is_none)
+    }
+
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Leaves the alternatives where they are while the believed pose is corrected.
+    pub fn rebase(&mut self, before: Se2, after: Se2) {
+        for alternative in self.alternatives.iter_mut().flatten() {
+            alternative.from_believed = alternative.pose(before).compose(after.inverse());
+        }
+    }
+
+    /// Lets the alternatives answer for an observation whose model at any pose is `model`, and returns one that becomes the pose.
+    /// `own` is the pose that the observation itself speaks for, if it does.
+    pub fn observe<const M: usize>(
+        &mut self,
+        evidence: &Evidence,
+        moved_since: impl Fn(Timestamp<BrickClock>) -> BodyMotion,
+        model: impl Fn(Se2) -> Option<ObservationModel<M>>,
+        own: Option<OwnPose>,
+    ) -> Option<Alternative> {
+        let mut is_explained = false;
+        for slot in &mut self.alternatives {
+            let Some(alternative) = slot else { continue };
+            let moved = moved_since(alternative.latest);
+            is_explained |= alternative.observe(evidence, &moved, model(alternative.pose(evidence.believed)).as_ref());
+            if alternative.ln_odds < alternative.first_ln_odds - DROP_BELOW {
+                *slot = None;
+            }
+        }
+        if evidence.is_refused
+            && !is_explained
+            && let Some(own) = own
+        {
+            self.insert(evidence, &own);
+        }
+        let needed = if evidence.is_pose_doubtful { 2.0 } else { evidence.reset_after_fixes };
+        let is_best = |one: &&Alternative| one.ln_odds >= 0.0 && f64::from(one.agreements) >= needed;
+        let best = self.alternatives.iter().flatten().filter(is_best).max_by(|a, b| a.ln_odds.total_cmp(&b.ln_odds));
+        best.copied().filter(|_| evidence.is_refused)
+    }
+
+    fn insert(&mut self, evidence: &Evidence, own: &OwnPose) {
+        let ln_odds = if evidence.is_pose_doubtful { 0.0 } else { -evidence.reset_after_s };
+        let alternative = Alternative {
+            from_believed: own.pose.compose(evidence.believed.inverse()),
+            covariance: own.covariance,
+            is_heading_known: own.is_heading_known,
+            sensor: evidence.sensor,
+            ln_odds,
+            first_ln_odds: ln_odds,
+            agreements: 1,
+            latest: evidence.stamp,
+        };
+        let odds = |slot: &Option<Alternative>| slot.map_or(f64::NEG_INFINITY, |one| one.ln_odds);
+        if let Some(slot) = self.alternatives.iter_mut().min_by(|a, b| odds(a).total_cmp(&odds(b))) {
+            *slot = Some(alternative);
+        }
+    }
+}
+
+impl Alternative {
+    /// Updates pose and odds; returns whether the alternative explains the observation.
+    fn observe<const M: usize>(
+        &mut self,
+        evidence: &Evidence,
+        moved: &BodyMotion,
+        model: Option<&ObservationModel<M>>,
+    ) -> bool {
+        let Some(model) = model else { return false };
+        let explanation = if self.is_heading_known {
+            self.explain(evidence, moved, model)
+        } else {
+            self.explain_distance(evidence, moved, model)
+        };
+        let Some(explanation) = explanation else { return false };
+        let explains = explanation.nis <= evidence.gate;
+        let silent_s = (evidence.stamp - self.latest).as_secs_f64().clamp(0.0, MAX_SILENCE_S);
+        let is_own_sensor = evidence.sensor == self.sensor;
+        if explains && evidence.is_refused && is_own_sensor {
+            self.ln_odds += silent_s;
+        } else if let Some(ln_likelihood) = explanation.ln_likelihood {
+            let believed =
+                evidence.ln_likelihood.map_or(evidence.ln_anything, |ln| with_outliers(ln, evidence.ln_anything));
+            let change = with_outliers(ln_likelihood, evidence.ln_anything) - believed;
+            let most = if is_own_sensor { 0.0 } else { MAX_EVIDENCE };
+            self.ln_odds += change.clamp(-MAX_EVIDENCE, most);
+        }
+        if is_own_sensor && (!evidence.is_refused || !explains) {
+            self.ln_odds -= REFUTATION;
+        }
+        if explains {
+            self.agreements += 1;
+            self.latest = evidence.stamp;
+            self.from_believed = explanation.pose.compose(evidence.believed.inverse());
+            self.covariance = explanation.covariance;
+        }
+        explains
+    }
+
+    /// By a linear update of the pose; `None` when S is not positive definite.
+    fn explain<const M: usize>(
+        &self,
+        evidence: &Evidence,
+        moved: &BodyMotion,
+        model: &ObservationModel<M>,
+    ) -> Option<Explanation> {
+        let adjoint = moved.moved.inverse().adjoint();
+        let by_motion = Matrix3::from_fn(|i, j| adjoint[i][j]);
+        let covariance = by_motion * self.covariance * by_motion.transpose() + moved.noise;
+        let jacobian =
+            SMatrix::<f64, M, 3>::from_fn(|i, j| [model.rows[i].forward, model.rows[i].left, model.rows[i].heading][j]);
+        let s = jacobian * covariance * jacobian.transpose() + model.noise;
+        let (nis, ln_likelihood) = nis_and_log_likelihood(&model.innovation, &s)?;
+        let gain = covariance * jacobian.transpose() * s.try_inverse()?;
+        let correction: Vector3<f64> = gain * model.innovation;
+        let updated = covariance - gain * jacobian * covariance;
+        Some(Explanation {
+            nis,
+            ln_likelihood: Some(ln_likelihood),
+            pose: self.pose(evidence.believed).compose(Se2::exp([correction[0], correction[1], correction[2]])),
+            covariance: 0.5 * (updated + updated.transpose()),
+        })
+    }
+
+    /// Without a heading: two positions are as far apart as the body has moved; `None` for what is no position.
+    fn explain_distance<const M: usize>(
+        &self,
+        evidence: &Evidence,
+        moved: &BodyMotion,
+        model: &ObservationModel<M>,
+    ) -> Option<Explanation> {
+        if M != 2 {
+            return None;
+        }
+        let predicted = self.pose(evidence.believed);
+        let before = predicted.compose(moved.moved.inverse());
+        let seen = Se2 { x_m: model.innovation[0], y_m: model.innovation[1], heading_rad: 0.0 };
+        let here = predicted.compose(seen);
+        let apart_m = (here.x_m - before.x_m).hypot(here.y_m - before.y_m);
+        let mismatch_m = apart_m - moved.moved.x_m.hypot(moved.moved.y_m);
+        // The tag's lever turns with the unknown heading.
+        let lever_m2 = model.rows[0].heading.powi(2) + model.rows[1].heading.powi(2);
+        let variance_m2 = model.noise[(0, 0)] + model.noise[(1, 1)] + moved.noise[(0, 0)] + lever_m2;
+        Some(Explanation {
+            nis: mismatch_m * mismatch_m / variance_m2,
+            ln_likelihood: None,
+            pose: Se2 { heading_rad: predicted.heading_rad, ..here },
+            covariance: self.covariance,
+        })
+    }
+}
+
+/// What an alternative says of an observation, and where it is after it.
+struct Explanation {
+    nis: f64,
+    /// ln p(z | alternative) without outliers; `None` where it says too little.
+    ln_likelihood: Option<f64>,
+    pose: Se2,
+    covariance: Matrix3<f64>,
+}
