@@ -79,9 +79,9 @@ pub const PARAMS: &[Param] = &[
         "a wheel cannot turn faster: a larger jump of the counters re-bases them"),
     param!(fix_timeout_s: "fix_timeout_s" ["s"], 2.0 in 0.1..=600.0;
         "without a fix for longer than this the estimate is flagged as dead reckoning"),
-    param!(reset_after_s: "reset_after_s" ["s"], 1.5 in 0.1..=600.0;
+    param!(reset_after_s: "reset_after_s" ["s"], 5.0 in 0.1..=600.0;
         "fixes that agree with each other but not with the estimate for this long move the estimate"),
-    param!(reset_after_fixes: "reset_after_n" [""], 5.0 in 2.0..=1_000.0;
+    param!(reset_after_fixes: "reset_after_n" [""], 3.0 in 2.0..=1_000.0;
         "and at least this many of them"),
     // 3 %: about fifty observations are remembered, so that the scale follows a camera that is moved within seconds.
     param!(adapt_gain: "adapt_gain" [""], 0.03 in 0.0..=0.5;

@@ -182,7 +182,9 @@ fn a_fix_of_a_tag_with_a_lever_turns_the_robot_in_the_right_direction() {
 #[test]
 fn fixes_that_are_gated_for_long_enough_move_the_robot_and_silence_is_dead_reckoning() {
     for name in BOTH {
-        let mut filter = named(name, &started(1e-3, 1e-3, 1e-3));
+        let mut config = started(1e-3, 1e-3, 1e-3);
+        (config.params.reset_after_s, config.params.reset_after_fixes) = (1.5, 5.0);
+        let mut filter = named(name, &config);
         let mut outcome = |millis, x_m| {
             filter.observe(&wheels(millis, 0.0, 0.0));
             let outcome = filter.observe(&fix(millis, fix_of(x_m, 0.0, None))).outcome;

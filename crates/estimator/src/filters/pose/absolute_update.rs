@@ -271,6 +271,7 @@ impl AbsoluteUpdate<'_> {
         let winner = self.ask_alternatives(state, &view, verdict, ln_anything, model, by_landmarks);
         if let Some(sighting) = sighting
             && self.is_refused(state, verdict, M)
+            && !is_in_hands(state)
         {
             state.sightings.push(*sighting);
         }
@@ -301,8 +302,7 @@ impl AbsoluteUpdate<'_> {
             state.carried_at = state.carried_at.filter(|last| stamp - *last < PROBATION);
             return None;
         }
-        // What is seen in the hands of a person belongs to no place on the floor.
-        if state.carried_at.is_some_and(|last| stamp - last < PUT_DOWN) {
+        if is_in_hands(state) {
             return None;
         }
         let params = &self.context.config.params;
@@ -384,6 +384,11 @@ impl AbsoluteUpdate<'_> {
         let s = measurement.innovation_covariance(covariance);
         write_innovation(self.record, &measurement.innovation, &s).then_some(s)
     }
+}
+
+/// Whether the robot is carried: what is seen then belongs to no place on the floor.
+fn is_in_hands<const N: usize>(state: &PoseState<N>) -> bool {
+    state.stamp.zip(state.carried_at).is_some_and(|(stamp, last)| stamp - last < PUT_DOWN)
 }
 
 /// Where a sighted landmark would be if the believed pose were right, m.

@@ -4,6 +4,7 @@ use posebridge_telemetry::{BrickClock, FusionRecord, MountedSensor, TimeDelta, T
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
+use super::sightings::RecentSightings;
 use super::state::{PoseState, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
@@ -76,6 +77,9 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
         && state.status.last_motion.is_some_and(|last| stamp - last < STANDING);
     if stands && reading.value.abs() > CARRIED_RAD_PER_S {
         state.carried_at = Some(stamp);
+        // What was seen before, and what is seen in the hands of a person, says nothing of where it will stand.
+        state.alternatives.clear();
+        state.sightings = RecentSightings::default();
     }
 }
 

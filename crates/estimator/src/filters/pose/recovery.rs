@@ -214,7 +214,8 @@ impl Alternative {
             let most = if is_own_sensor { 0.0 } else { MAX_EVIDENCE };
             self.ln_odds += change.clamp(-MAX_EVIDENCE, most);
         }
-        if is_own_sensor && (!evidence.is_refused || !explains) {
+        // What neither explains is an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
+        if is_own_sensor && (!evidence.is_refused || !(explains || evidence.is_pose_doubtful)) {
             self.ln_odds -= REFUTATION;
         }
         if explains {

@@ -155,8 +155,8 @@ fn a_compass_and_a_wall_that_agree_do_not_silence_the_camera_that_disagrees() {
         let played = play(&drive, &config);
         let agreed = verdicts(&played, kind, 2..30);
         assert!(agreed.contains(&FusionOutcome::Accepted), "{kind}: {agreed:?}");
-        assert_eq!(at(&played, 60).reset_counter, 1, "{kind}");
-        assert!(error_at(&drive, &played, 60).0 < 0.03, "{kind}");
+        assert_eq!(at(&played, 120).reset_counter, 1, "{kind}");
+        assert!(error_at(&drive, &played, 120).0 < 0.03, "{kind}");
     }
 }
 

@@ -53,6 +53,42 @@ pub(crate) fn drive_lap(camera: Option<Camera>, seed: u64) -> Drive {
     drive_steps(&mut RobotSimulation::new(seed), commands(), camera)
 }
 
+/// A robot that is lifted off its lap and put down elsewhere.
+#[derive(Clone, Copy)]
+pub(crate) struct Carry {
+    /// The step before which it is lifted.
+    pub(crate) from: usize,
+    pub(crate) steps: usize,
+    /// x, y and heading.
+    pub(crate) by: (f64, f64, f64),
+}
+
+impl Carry {
+    /// The first step on the floor again.
+    pub(crate) const fn end(&self) -> usize {
+        self.from + self.steps
+    }
+}
+
+/// Drives one lap of the square, and is carried on the way: its wheels stand meanwhile, and its gyro turns.
+pub(crate) fn drive_carried_lap(camera: Option<Camera>, carry: &Carry, seed: u64) -> Drive {
+    let mut world = RobotSimulation::new(seed);
+    let mut drive = Drive { poses: vec![], arrivals: vec![] };
+    for (index, step) in commands().into_iter().enumerate() {
+        for _ in (0..carry.steps).filter(|_| index + 1 == carry.from) {
+            let share = 1.0 / carry.steps as f64;
+            let (x_m, y_m, turn_rad) = carry.by;
+            world.x_m += share * x_m;
+            world.y_m += share * y_m;
+            world.heading_rad = wrap_rad(world.heading_rad + share * turn_rad);
+            drive.record(&mut world, share * turn_rad, camera);
+        }
+        drive.append(&mut world, step, camera);
+    }
+    drive.arrivals.sort_by_key(|arrival| arrival.step);
+    drive
+}
+
 /// A drive with steps of one's own, (distance, turn) each, in a world of one's own.
 pub(crate) fn drive_steps(
     world: &mut RobotSimulation,
@@ -75,8 +111,13 @@ impl Drive {
 
     /// Moves the world by one step of (distance, turn) and takes down what happened.
     fn append(&mut self, world: &mut RobotSimulation, (distance_m, turn_rad): (f64, f64), camera: Option<Camera>) {
-        let step = self.poses.len() + 1;
         let moved_rad = world.move_by(distance_m, turn_rad);
+        self.record(world, moved_rad, camera);
+    }
+
+    /// Takes down a step in which the world has turned by `moved_rad`.
+    fn record(&mut self, world: &mut RobotSimulation, moved_rad: f64, camera: Option<Camera>) {
+        let step = self.poses.len() + 1;
         self.poses.push((world.x_m, world.y_m, world.heading_rad));
         let wheels = world.wheels();
         self.arrivals.push(arrival(step, step, SensorId::WHEELS, wheels));
