@@ -83,6 +83,7 @@ impl AbsoluteUpdate<'_> {
         let noise = fix::fix_noise(fix, &self.context.config.noise, scales, &exposure, stamp_sigma.as_secs_f64());
         let has_jumped = state.observer_frames.has_jumped(self.record.sensor, fix.reset_counter);
         let source = state.observer_frames.number_of(self.record.sensor);
+        let sigma_m = (0.5 * noise.position.trace()).sqrt();
         let measured = FixMeasurement { fix, noise, exposure, source };
         if !state.is_located {
             return initialize_from_fix(state, &measured, layout);
@@ -103,14 +104,14 @@ impl AbsoluteUpdate<'_> {
                 let verdict = self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
                     layout.linearize(&measured.pose_model(&state.view(layout), heading_rad))
                 });
-                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 1), model, own))
+                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 1, sigma_m), model, own))
             }
             None => {
                 let model = |view: &StateView<'_, N>| Some(measured.position_model(view));
                 let verdict = self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
                     layout.linearize(&measured.position_model(&state.view(layout)))
                 });
-                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 0), model, own))
+                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 0, sigma_m), model, own))
             }
         };
         match winner {
@@ -206,7 +207,7 @@ impl AbsoluteUpdate<'_> {
                     variance_m2: variances[0] + range.0.powi(2) * variances[1],
                     stamp: state.stamp.unwrap_or(Timestamp::ZERO),
                 };
-                self.update_or_recover(state, groups, ln_anywhere(1, 1), model, Some(&sighting))
+                self.update_or_recover(state, groups, ln_anywhere(1, 1, variances[0].sqrt()), model, Some(&sighting))
             }
             ObservationKind::BeaconRange { id, range } => {
                 let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
@@ -217,7 +218,7 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Beacons, &exposure);
                     absolute::beacon(view, &frame, &MeasuredPoint::beacon(position, slot), range.0, variance_m2)
                 };
-                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0), model, None)
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, None)
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
@@ -226,7 +227,7 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Range, &exposure);
                     absolute::wall(&frame, &map.walls, range.0, variance_m2)
                 };
-                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0), model, None)
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, None)
             }
             ObservationKind::CompassHeading(heading) => {
                 let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
@@ -235,7 +236,7 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Compass, &exposure);
                     Some(absolute::compass(&frame, heading.rad(), variance_rad2))
                 };
-                self.update_or_recover(state, [NoiseGroup::Heading], ln_anywhere(0, 1), model, None)
+                self.update_or_recover(state, [NoiseGroup::Heading], ln_anywhere(0, 1, 0.0), model, None)
             }
             ObservationKind::WheelAngles { .. }
             | ObservationKind::OdometerPose(_)
@@ -313,6 +314,8 @@ impl AbsoluteUpdate<'_> {
             gate: self.context.gate(M),
             ln_likelihood: state.is_located.then_some(self.record.log_likelihood),
             is_refused,
+            nis: self.record.nis,
+            components: M,
             is_pose_doubtful: !state.is_located || state.carried_at.is_some(),
             ln_anything,
             reset_after_s: params.reset_after_s,

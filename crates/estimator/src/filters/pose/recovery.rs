@@ -10,7 +10,13 @@
 //! The second line is for the sensor that speaks for the alternative while the believed pose refuses it. If the believed pose is right,
 //! that sensor has a fault which agrees with itself, and only its duration speaks against it: such faults last for a second or so.
 //! What the believed pose explains of that sensor, or the alternative does not, speaks against the alternative.
-//! Odds begin at exp(-`reset_after_s`), or at one where the robot was carried: its gyro turned while its wheels stood. An alternative
+//! Odds begin at exp(-`reset_after_s`); higher, where the observation is no further off than motion noise that is some times larger than
+//! told would explain, because a fault may be anywhere:
+//!
+//! ```text
+//! ln o = -reset_after_s + ln N(nu; 0, 9 S) + ln volume          at most -1.5
+//! ```
+//! or at one where the robot was carried: its gyro turned while its wheels stood. An alternative
 //! with odds above one that several observations agree on becomes the pose.
 //!
 //! Source: docs/maths/pose.md section 4; Bar-Shalom, Li and Kirubarajan (2001), section 11.6, for hypotheses by likelihood.
@@ -30,6 +36,12 @@ const MAX_ALTERNATIVES: usize = 3;
 const OUTLIER_SHARE: f64 = 0.01;
 /// Where an observation that is anything may be, m.
 const ARENA_M: f64 = 10.0;
+/// The same in sigmas of the sensor.
+const ARENA_SIGMAS: f64 = 100.0;
+/// How many times larger than told the noise of the motion may be.
+const MOTION_NOISE_FACTOR: f64 = 3.0;
+/// Seconds for which observations of one sensor must agree in any case, without a sign that the robot was carried.
+const LEAST_RESET_AFTER_S: f64 = 1.5;
 /// No single observation changes the odds by more than this factor, as a logarithm.
 const MAX_EVIDENCE: f64 = 5.0;
 /// What an observation of the alternative's sensor takes off the odds that the believed pose explains, or the alternative does not; as a
@@ -95,6 +107,9 @@ pub struct Evidence {
     /// ln p(z | believed) without outliers; `None` without a pose.
     pub ln_likelihood: Option<f64>,
     pub is_refused: bool,
+    /// NIS and number of components under the believed pose.
+    pub nis: f64,
+    pub components: usize,
     /// Whether the robot was carried lately, or has no pose: nothing speaks against an alternative then.
     pub is_pose_doubtful: bool,
     /// ln of the density of an observation that is anything.
@@ -104,9 +119,22 @@ pub struct Evidence {
     pub reset_after_fixes: f64,
 }
 
-/// ln of the density of something anywhere in the arena, and of any direction.
-pub fn ln_anywhere(lengths: u32, angles: u32) -> f64 {
-    -f64::from(lengths) * ARENA_M.ln() - f64::from(angles) * TAU.ln()
+impl Evidence {
+    /// The odds of an alternative that begins with this observation, as a logarithm.
+    fn first_ln_odds(&self) -> f64 {
+        let square = MOTION_NOISE_FACTOR.powi(2);
+        let ln_motion_error = self.ln_likelihood.map_or(f64::NEG_INFINITY, |ln| {
+            ln + 0.5 * self.nis * (1.0 - 1.0 / square) - self.components as f64 * MOTION_NOISE_FACTOR.ln()
+        });
+        let gain = (ln_motion_error - self.ln_anything).max(0.0);
+        (gain - self.reset_after_s).min(-LEAST_RESET_AFTER_S).max(-self.reset_after_s)
+    }
+}
+
+/// ln of the density of something anywhere in the arena, and of any direction. The arena is large for what measures it roughly, by
+/// `sigma_m`.
+pub fn ln_anywhere(lengths: u32, angles: u32, sigma_m: f64) -> f64 {
+    -f64::from(lengths) * (ARENA_SIGMAS * sigma_m).max(ARENA_M).ln() - f64::from(angles) * TAU.ln()
 }
 
 /// ln of a density with outliers.
@@ -169,7 +197,7 @@ impl AlternativeBank {
     }
 
     fn insert(&mut self, evidence: &Evidence, own: &OwnPose) {
-        let ln_odds = if evidence.is_pose_doubtful { 0.0 } else { -evidence.reset_after_s };
+        let ln_odds = if evidence.is_pose_doubtful { 0.0 } else { evidence.first_ln_odds() };
         let alternative = Alternative {
             from_believed: own.pose.compose(evidence.believed.inverse()),
             covariance: own.covariance,
