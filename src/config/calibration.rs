@@ -262,8 +262,8 @@ calibration_table! {
     radius_difference = 0.005, RATIO;
     /// Relative error of the track width: a wide tyre touches the ground somewhere across its width.
     track_scale = 0.05, RATIO;
-    /// Relative error of the gyro's rate: it reads fast where positive.
-    gyro_scale = 0.0, RATIO;
+    /// Relative error of the gyro's rate: it reads fast where positive. Cheap gyros are specified to a per cent or so.
+    gyro_scale = 0.01, RATIO;
     /// How much earlier than its stamp the motion of an odometer happened, in seconds; negative for commands.
     odometry_delay_s = 0.0, DELAY;
     /// How much earlier than its stamp a fix was true, in seconds.
@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn each_key_of_a_file_is_what_the_report_reads_under_that_key() {
-        let value_of = |row: usize| 0.05 * (row + 1) as f64;
+        let value_of = |row: usize| 0.02 * (row + 1) as f64;
         let lines = CALIBRATION_KEYS.iter().enumerate().map(|(row, entry)| {
             let value = value_of(row);
             format!("{} = {{ value = {value}, sigma = 0.25 }}\n", entry.key)

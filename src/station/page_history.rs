@@ -180,15 +180,14 @@ fn robot_status(robot: &Robot) -> RobotStatus {
 }
 
 fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
-    let rows = learnable_keys().map(|row| {
-        let known = (row.read)(learned);
-        CalibrationRow {
-            name: row.key.to_owned(),
-            value: known.value,
-            sigma: known.sigma,
-            unit: unit_of(row.key).to_owned(),
-            ..CalibrationRow::default()
-        }
+    // What is taken as zero for certain was not learned, and nobody set it.
+    let rows = learnable_keys().map(|row| (row, (row.read)(learned)));
+    let rows = rows.filter(|(_, known)| known.sigma > 0.0 || known.value != 0.0).map(|(row, known)| CalibrationRow {
+        name: row.key.to_owned(),
+        value: known.value,
+        sigma: known.sigma,
+        unit: unit_of(row.key).to_owned(),
+        ..CalibrationRow::default()
     });
     rows.collect()
 }

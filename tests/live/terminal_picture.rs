@@ -20,7 +20,7 @@ use ratatui::layout::Rect;
 use ratatui::style::{Color, Modifier};
 
 /// Larger than the usual 80 by 24, so that every panel fits.
-const SIZE: Rect = Rect::new(0, 0, 112, 34);
+const SIZE: Rect = Rect::new(0, 0, 112, 36);
 
 fn model() -> Model {
     let folder = tempfile::tempdir().unwrap();

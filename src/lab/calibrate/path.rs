@@ -237,7 +237,7 @@ fn build_result(material: PathDataset, found: PathCalibration) -> Result<PathCal
     base.left_wheel_radius_m *= hypothesis.travel_factor;
     base.right_wheel_radius_m *= hypothesis.travel_factor;
     base.track_width_m *= hypothesis.track_factor;
-    let (calibrated, left) = fold_into_geometry(&base, to_calibration(config, &found)).while_running()?;
+    let (calibrated, left) = fold_into_geometry(&base, &to_calibration(config, &found)).while_running()?;
     let try_on = |path: &FreePath, heading_rad: Option<f64>| {
         let before = start_heading(config, &found.before, path);
         let undone = path.with_hypothesis(&hypothesis);
@@ -368,7 +368,7 @@ fn execute_online(args: &PathArgs, timer: &HostTimer) -> Result<(), Failure> {
     let learned = learn(drive).while_running()?;
     let report = report(&drives.recording, &learned);
     if let Some(path) = &args.save {
-        let robot = fold_into_geometry(&learned.robot, learned.calibration).while_running()?;
+        let robot = fold_into_geometry(&learned.robot, &learned.calibration).while_running()?;
         let source = format!("{}, {}", drives.recording, drive.name);
         save_profile(path, timer, &report, "calibrate path --online", source, robot).while_running()?;
     }

@@ -34,7 +34,7 @@ fn profile_text(remarks: &str, calibrated: &CalibratedRobot) -> Result<String> {
 }
 
 /// Moves the calibration into the robot's geometry; the remaining calibration has the same sigmas about zero.
-pub(super) fn fold_into_geometry(robot: &RobotFile, found: Calibration) -> Result<(RobotFile, Calibration)> {
+pub(super) fn fold_into_geometry(robot: &RobotFile, found: &Calibration) -> Result<(RobotFile, Calibration)> {
     let (scale, difference) = (found.radius_scale, found.radius_difference);
     let robot = RobotFile {
         left_wheel_radius_m: robot.left_wheel_radius_m * (1.0 + scale.value - 0.5 * difference.value),
@@ -54,7 +54,7 @@ pub(super) fn fold_into_geometry(robot: &RobotFile, found: Calibration) -> Resul
         radius_scale: about_zero(scale),
         radius_difference: UncertainValue { value: 0.0, ..difference },
         track_scale: about_zero(found.track_scale),
-        ..found
+        ..*found
     };
     Ok((robot, left))
 }
@@ -73,7 +73,7 @@ mod tests {
             track_scale: known(-0.5, 0.01),
             ..Calibration::default()
         };
-        let (robot, learned) = fold_into_geometry(&RobotFile::default(), found).unwrap();
+        let (robot, learned) = fold_into_geometry(&RobotFile::default(), &found).unwrap();
         let provenance = Provenance { utc_micros: 0, source: "here".to_owned(), filter: "calibrate path".to_owned() };
         let text = profile_text("rms 3 mm\nof 2 runs", &CalibratedRobot { robot, learned, provenance }).unwrap();
         assert!(text.starts_with("# rms 3 mm\n# of 2 runs\n"), "{text}");
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn what_is_no_robot_is_not_written() {
         let found = Calibration { track_scale: UncertainValue { value: -1.5, sigma: 0.1 }, ..Calibration::default() };
-        let error = fold_into_geometry(&RobotFile::default(), found).unwrap_err().to_string();
+        let error = fold_into_geometry(&RobotFile::default(), &found).unwrap_err().to_string();
         assert!(error.contains("track_width_m"), "{error}");
     }
 }

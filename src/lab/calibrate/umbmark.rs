@@ -96,7 +96,7 @@ pub(super) fn execute(args: &UmbmarkArgs) -> Result<(), Failure> {
     let result = compute(args)?;
     let report = result.report();
     if let Some(path) = &args.save {
-        let robot = fold_into_geometry(&result.robot, result.calibration()).while_running()?;
+        let robot = fold_into_geometry(&result.robot, &result.calibration()).while_running()?;
         save_profile(path, &timer, &report, "calibrate umbmark", result.source, robot).while_running()?;
     }
     args.output.write_outcome(&folder, &report)

@@ -156,7 +156,7 @@ mod tests {
             let mut noise = SensorNoise::EXACT;
             (row.write)(&mut noise, 2.0);
             for (other_index, other) in NOISE_KEYS.iter().enumerate() {
-                let expected = if index == other_index { 2.0 } else { 0.0 };
+                let expected = if index == other_index { 2.0 } else { (other.read)(&SensorNoise::EXACT) };
                 assert_eq!((other.read)(&noise), expected, "{} {}", row.key, other.key);
             }
         }

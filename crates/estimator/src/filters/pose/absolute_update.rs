@@ -97,22 +97,19 @@ impl AbsoluteUpdate<'_> {
             let (pose, model) = pose_of_fix(&view, &measured);
             Some(OwnPose { pose, covariance: covariance_of_fix(&model)?, is_heading_known: fix.heading.is_some() })
         };
-        let (verdict, winner) = match fix.heading {
-            Some(heading) => {
-                let heading_rad = heading.rad();
-                let model = |view: &StateView<'_, N>| Some(measured.pose_model(view, heading_rad));
-                let verdict = self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
-                    layout.linearize(&measured.pose_model(&state.view(layout), heading_rad))
-                });
-                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 1, sigma_m), model, own))
-            }
-            None => {
-                let model = |view: &StateView<'_, N>| Some(measured.position_model(view));
-                let verdict = self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
-                    layout.linearize(&measured.position_model(&state.view(layout)))
-                });
-                (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 0, sigma_m), model, own))
-            }
+        let (verdict, winner) = if let Some(heading) = fix.heading {
+            let heading_rad = heading.rad();
+            let model = |view: &StateView<'_, N>| Some(measured.pose_model(view, heading_rad));
+            let verdict = self.apply_fix(state, POSE_GROUPS, &|state: &PoseState<N>| {
+                layout.linearize(&measured.pose_model(&state.view(layout), heading_rad))
+            });
+            (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 1, sigma_m), model, own))
+        } else {
+            let model = |view: &StateView<'_, N>| Some(measured.position_model(view));
+            let verdict = self.apply_fix(state, POSITION_GROUPS, &|state: &PoseState<N>| {
+                layout.linearize(&measured.position_model(&state.view(layout)))
+            });
+            (verdict, self.ask_alternatives(state, &view, verdict, ln_anywhere(2, 0, sigma_m), model, own))
         };
         match winner {
             Some(winner) if winner.is_heading_known => {
@@ -192,7 +189,7 @@ impl AbsoluteUpdate<'_> {
                     self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2),
                 ];
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
-                let Some((slot, position)) = numbered(&map.landmarks, id) else { return FusionOutcome::Unused };
+                let Some((slot, position)) = numbered(&map.landmarks, &id) else { return FusionOutcome::Unused };
                 let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Landmarks));
                 let model = |view: &StateView<'_, N>| {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Landmarks, &exposure);
@@ -212,7 +209,7 @@ impl AbsoluteUpdate<'_> {
             ObservationKind::BeaconRange { id, range } => {
                 let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * own_m2;
-                let Some((slot, position)) = numbered(&map.beacons, id) else { return FusionOutcome::Unused };
+                let Some((slot, position)) = numbered(&map.beacons, &id) else { return FusionOutcome::Unused };
                 let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Beacons));
                 let model = |view: &StateView<'_, N>| {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Beacons, &exposure);
@@ -410,8 +407,8 @@ fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
 }
 
 /// A point of the map with its number there.
-fn numbered<K: Ord>(points: &BTreeMap<K, Point2<Arena>>, id: K) -> Option<(usize, Point2<Arena>)> {
-    let (slot, (_, position)) = points.iter().enumerate().find(|(_, (known, _))| **known == id)?;
+fn numbered<K: Ord>(points: &BTreeMap<K, Point2<Arena>>, id: &K) -> Option<(usize, Point2<Arena>)> {
+    let (slot, (_, position)) = points.iter().enumerate().find(|(_, (known, _))| *known == id)?;
     Some((slot, *position))
 }
 

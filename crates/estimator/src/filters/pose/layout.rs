@@ -100,7 +100,18 @@ impl StateLayout {
             StateTerm::GyroScale => Some(GYRO_SCALE),
             StateTerm::WindowTurn => Some(WINDOW_TURN),
             StateTerm::HeadingRounding => Some(ROUNDING),
-            _ => index(term).map(|index| usize::from(self.rows[index])).filter(|row| *row > 0),
+            StateTerm::OdometryDelay
+            | StateTerm::FixDelay
+            | StateTerm::TagForward
+            | StateTerm::TagLeft
+            | StateTerm::BeaconOffset(_)
+            | StateTerm::BeaconScale(_)
+            | StateTerm::LandmarkOffset
+            | StateTerm::LandmarkScale
+            | StateTerm::Delay(_)
+            | StateTerm::Mounting(..)
+            | StateTerm::LandmarkPlace(..)
+            | StateTerm::FixBias(..) => index(term).map(|index| usize::from(self.rows[index])).filter(|row| *row > 0),
         }
     }
 

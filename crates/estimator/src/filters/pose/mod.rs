@@ -44,11 +44,15 @@ use crate::validation;
 const MAX_HOLE: TimeDelta = TimeDelta::from_millis(10_000);
 
 pub fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    match StateLayout::new(config, LARGE_STATES).states() {
-        ..=CORE_STATES => Box::new(PoseFilter::<CORE_STATES>::new(config)),
-        ..=SMALL_STATES => Box::new(PoseFilter::<SMALL_STATES>::new(config)),
-        ..=MEDIUM_STATES => Box::new(PoseFilter::<MEDIUM_STATES>::new(config)),
-        _ => Box::new(PoseFilter::<LARGE_STATES>::new(config)),
+    let states = StateLayout::new(config, LARGE_STATES).states();
+    if states <= CORE_STATES {
+        Box::new(PoseFilter::<CORE_STATES>::new(config))
+    } else if states <= SMALL_STATES {
+        Box::new(PoseFilter::<SMALL_STATES>::new(config))
+    } else if states <= MEDIUM_STATES {
+        Box::new(PoseFilter::<MEDIUM_STATES>::new(config))
+    } else {
+        Box::new(PoseFilter::<LARGE_STATES>::new(config))
     }
 }
 

@@ -4,7 +4,6 @@ use posebridge_telemetry::{BrickClock, FusionRecord, MountedSensor, TimeDelta, T
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
-use super::sightings::RecentSightings;
 use super::state::{PoseState, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
@@ -18,7 +17,7 @@ use crate::validation::add_innovation;
 const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
 /// Wheels whose counts have not changed for this time stand.
 const STANDING: TimeDelta = TimeDelta::from_millis(200);
-/// A robot that turns faster on wheels that stand is carried, or turned by hand: 17 degrees per second.
+/// A robot that turns faster than its wheels say by this is carried, or turned by hand: 17 degrees per second.
 const CARRIED_RAD_PER_S: f64 = 0.3;
 /// The acceleration between two samples further apart than this is unknown.
 const MAX_ACCELERATION_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
@@ -76,10 +75,7 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
     let stands = state.tick_activity.changed_at.is_some_and(|last| stamp - last >= STANDING)
         && state.status.last_motion.is_some_and(|last| stamp - last < STANDING);
     if stands && reading.value.abs() > CARRIED_RAD_PER_S {
-        state.carried_at = Some(stamp);
-        // What was seen before, and what is seen in the hands of a person, says nothing of where it will stand.
-        state.alternatives.clear();
-        state.sightings = RecentSightings::default();
+        state.note_carried(stamp);
     }
 }
 
@@ -114,6 +110,12 @@ pub fn update_gyro_window<const N: usize>(
         let innovation_variance = scalar.innovation_variance(&state.covariance);
         inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, &context.config);
         state.slipped_at = state.window.map(|window| window.until);
+        // A robot in the air whose wheels go on turning looks like one that slips, but it turns faster.
+        if let Some(window) = state.window
+            && scalar.innovation.abs() > CARRIED_RAD_PER_S * (window.until - window.start).as_secs_f64()
+        {
+            state.note_carried(window.until);
+        }
     }
     let outcome = match end_rounding(state, context) {
         Some(variance_rad2) => update_with_end_rounding(state, &scalar, variance_rad2),

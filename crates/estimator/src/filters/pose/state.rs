@@ -252,6 +252,13 @@ impl<const N: usize> PoseState<N> {
         self.carried_at = None;
     }
 
+    /// The robot is carried: what was seen before, and what is seen in the hands of a person, says nothing of where it will stand.
+    pub(super) fn note_carried(&mut self, stamp: Timestamp<BrickClock>) {
+        self.carried_at = Some(stamp);
+        self.alternatives.clear();
+        self.sightings = RecentSightings::default();
+    }
+
     /// Makes an alternative to the pose `believed` the pose; counts as a reset and stores the jump. The constants stay.
     pub(super) fn adopt(&mut self, alternative: &Alternative, believed: Se2) {
         let before = self.arena_pose();
