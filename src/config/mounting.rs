@@ -1,6 +1,7 @@
 //! `[robot.mounting]`: where each sensor sits on the robot, and how well that is known.
 
 use anyhow::{Result, ensure};
+use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{MountedSensor, Mounting, Mountings, UncertainValue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -132,7 +133,7 @@ impl From<&Mountings> for RobotMounting {
 }
 
 pub(super) fn in_degrees(angle_rad: UncertainValue) -> UncertainValue {
-    UncertainValue { value: angle_rad.value.to_degrees(), sigma: angle_rad.sigma.to_degrees() }
+    UncertainValue { value: wrap_rad(angle_rad.value).to_degrees(), sigma: angle_rad.sigma.to_degrees() }
 }
 
 #[cfg(test)]

@@ -40,17 +40,20 @@ impl Acceleration {
         }
     }
 
-    /// The acceleration of mid-axle, from one that was measured `x_m` ahead of it by a sensor that points `yaw_rad` to the left:
+    /// The acceleration of mid-axle, from that of a pair of sensors at (x, y) that point `yaw_rad` to the left:
     ///
     /// ```text
-    /// f = (a - x w^2) cos(yaw) + (v w + x alpha) sin(yaw)      f measured, v and w the speeds
+    /// f       = (a - x w^2 - y alpha) cos(yaw) + (v w + x alpha - y w^2) sin(yaw)      f measured, v and w the speeds
+    /// alpha_f = alpha cos(yaw) - w^2 sin(yaw)                                          alpha_f from their difference
     /// ```
     #[must_use]
-    pub fn at_mid_axle(self, [x_m, yaw_rad]: [f64; 2], forward_m_per_s: f64, turn_rad_per_s: f64) -> Self {
+    pub fn at_mid_axle(self, [x_m, y_m, yaw_rad]: [f64; 3], forward_m_per_s: f64, turn_rad_per_s: f64) -> Self {
         let (sin, cos) = yaw_rad.sin_cos();
-        let sideways = forward_m_per_s * turn_rad_per_s + x_m * self.turn_rad_per_s2;
-        let along = self.forward_m_per_s2 - sideways * sin;
-        Self { forward_m_per_s2: along / cos + x_m * turn_rad_per_s.powi(2), ..self }
+        let turn_rad2 = turn_rad_per_s.powi(2);
+        let alpha = (self.turn_rad_per_s2 + turn_rad2 * sin) / cos;
+        let sideways = forward_m_per_s * turn_rad_per_s + x_m * alpha - y_m * turn_rad2;
+        let forward_m_per_s2 = (self.forward_m_per_s2 - sideways * sin) / cos + x_m * turn_rad2 + y_m * alpha;
+        Self { forward_m_per_s2, turn_rad_per_s2: alpha }
     }
 }
 

@@ -9,10 +9,10 @@ use posebridge_telemetry::{
 
 use super::context::UpdateContext;
 use super::entry::sort_key;
-use super::layout::{FORWARD, HEADING, LEFT};
+use super::layout::{FORWARD, HEADING, LEFT, MAX_BEACONS, MAX_LANDMARKS};
 use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
-use super::recovery::{Alternative, Evidence, OwnPose, ln_anywhere};
+use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, ln_anywhere};
 use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
 use super::sightings::Sighting;
 use super::state::{PoseState, StateView};
@@ -21,7 +21,7 @@ use crate::numerics::covariance::symmetrise;
 use crate::observations::absolute::{self, MeasuredPoint, RangeBearing};
 use crate::observations::fix::{self, FixMeasurement};
 use crate::observations::sensor_frame::{Exposure, SensorFrame};
-use crate::observations::{MountingAxis, ObservationModel, PoseView, StateTerm};
+use crate::observations::{ArenaAxis, MountingAxis, ObservationModel, PoseView, StateTerm};
 use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
@@ -31,8 +31,10 @@ pub(super) const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
 const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
 /// A pose after a robot was carried has proved right when observations agree with it after this time.
 const PROBATION: TimeDelta = TimeDelta::from_millis(10_000);
+/// Nearer than a decimetre an error of the map says nothing of a direction, m².
+const MIN_RANGE_M2: f64 = 0.01;
 /// How far before the state's instant the motion track is queried.
-pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_millis(2_100);
+pub(super) const MAX_LOOKBACK: TimeDelta = TimeDelta::from_nanos(MAX_AGE.as_nanos() + MAX_DELAY.as_nanos());
 
 pub(super) fn update_absolute<const N: usize>(
     state: &mut PoseState<N>,
@@ -91,10 +93,12 @@ impl AbsoluteUpdate<'_> {
         if has_jumped {
             return reset_to_fix(state, &measured, layout);
         }
-        let view = *state;
-        let view = view.view(layout);
-        let own = || {
+        let (mean, pose) = (state.mean, state.pose);
+        let view = StateView::new(&mean, pose, layout);
+        let context = self.context;
+        let own = |state: &PoseState<N>| {
             let (pose, model) = pose_of_fix(&view, &measured);
+            let model = with_uncertain_constants(state, context, model);
             Some(OwnPose { pose, covariance: covariance_of_fix(&model)?, is_heading_known: fix.heading.is_some() })
         };
         let (verdict, winner) = if let Some(heading) = fix.heading {
@@ -183,13 +187,18 @@ impl AbsoluteUpdate<'_> {
         let (noise, map) = (&config.noise, &config.arena_map);
         match *observation {
             ObservationKind::Landmark { id, range, bearing } => {
+                let Some((slot, position)) = numbered(&map.landmarks, &id) else { return FusionOutcome::Unused };
                 let own_m2 = range_variance(range.0, noise.landmark_range_m, noise.landmark_range_share);
+                let layout = &self.context.layout;
+                // An error of the map that is no state is noise of the sighting.
+                let has_state = layout.row(StateTerm::LandmarkPlace(slot, ArenaAxis::X)).is_some();
+                let map_m2 = if has_state { 0.0 } else { noise.landmark_place_m.powi(2) };
                 let variances = [
-                    self.noise_scale(state, NoiseGroup::Range) * own_m2,
-                    self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2),
+                    self.noise_scale(state, NoiseGroup::Range) * own_m2 + map_m2,
+                    self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2)
+                        + map_m2 / range.0.powi(2).max(map_m2).max(MIN_RANGE_M2),
                 ];
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
-                let Some((slot, position)) = numbered(&map.landmarks, &id) else { return FusionOutcome::Unused };
                 let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Landmarks));
                 let model = |view: &StateView<'_, N>| {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Landmarks, &exposure);
@@ -197,11 +206,18 @@ impl AbsoluteUpdate<'_> {
                     absolute::landmark(view, &frame, &point, sighting, variances)
                 };
                 let groups = [NoiseGroup::Range, NoiseGroup::Bearing];
-                let seen = believed_place(&state.view(&self.context.layout), &exposure, sighting);
+                let view = state.view(layout);
+                let [scale, offset_m] = [StateTerm::LandmarkScale, StateTerm::LandmarkOffset].map(|of| view.term(of));
+                let [x_m, y_m] = ArenaAxis::ALL.map(|axis| view.term(StateTerm::LandmarkPlace(slot, axis)));
+                let corrected = RangeBearing { range_m: (range.0 - offset_m) / (1.0 + scale), ..sighting };
+                let variance_of = |term| layout.row(term).map_or(0.0, |row| state.covariance[(row, row)]);
+                let of_constants = variance_of(StateTerm::LandmarkOffset)
+                    + range.0.powi(2) * variance_of(StateTerm::LandmarkScale)
+                    + variance_of(StateTerm::LandmarkPlace(slot, ArenaAxis::X));
                 let sighting = Sighting {
-                    landmark: [position.x.0, position.y.0],
-                    seen,
-                    variance_m2: variances[0] + range.0.powi(2) * variances[1],
+                    landmark: [position.x.0 + x_m, position.y.0 + y_m],
+                    seen: believed_place(&view, &exposure, corrected),
+                    variance_m2: variances[0] + range.0.powi(2) * variances[1] + of_constants,
                     stamp: state.stamp.unwrap_or(Timestamp::ZERO),
                 };
                 self.update_or_recover(state, groups, ln_anywhere(1, 1, variances[0].sqrt()), model, Some(&sighting))
@@ -254,22 +270,22 @@ impl AbsoluteUpdate<'_> {
         model: impl Fn(&StateView<'_, N>) -> Option<ObservationModel<M>>,
         sighting: Option<&Sighting>,
     ) -> FusionOutcome {
-        let before = *state;
-        let view = before.view(&self.context.layout);
+        let (mean, pose, sightings) = (state.mean, state.pose, state.sightings);
+        let view = StateView::new(&mean, pose, &self.context.layout);
         let verdict = if state.is_located {
             let Some(own) = model(&view) else { return FusionOutcome::Unused };
             self.gate_and_apply(state, &self.context.layout.linearize(&own), groups)
         } else {
             FusionOutcome::Unused
         };
-        let by_landmarks = || {
-            let (pose, covariance) = sighting.and_then(|sighting| before.sightings.pose_with(sighting, before.pose))?;
+        let by_landmarks = |_: &PoseState<N>| {
+            let (pose, covariance) = sighting.and_then(|sighting| sightings.pose_with(sighting, pose))?;
             Some(OwnPose { pose, covariance, is_heading_known: true })
         };
         let winner = self.ask_alternatives(state, &view, verdict, ln_anything, model, by_landmarks);
         if let Some(sighting) = sighting
             && self.is_refused(state, verdict, M)
-            && !is_in_hands(state)
+            && !is_being_carried(state)
         {
             state.sightings.push(*sighting);
         }
@@ -283,7 +299,7 @@ impl AbsoluteUpdate<'_> {
         !state.is_located || verdict == FusionOutcome::Gated || self.record.nis > self.context.gate(components)
     }
 
-    /// Lets the alternatives answer for an observation, and returns one that becomes the pose. `own` is the pose that the observation
+    /// Compares the alternatives with an observation, and returns one that becomes the pose. `own` is the pose that the observation
     /// speaks for.
     fn ask_alternatives<const N: usize, const M: usize>(
         &self,
@@ -292,15 +308,17 @@ impl AbsoluteUpdate<'_> {
         verdict: FusionOutcome,
         ln_anything: f64,
         model: impl Fn(&StateView<'_, N>) -> Option<ObservationModel<M>>,
-        own: impl FnOnce() -> Option<OwnPose>,
+        own: impl FnOnce(&PoseState<N>) -> Option<OwnPose>,
     ) -> Option<Alternative> {
         let stamp = state.stamp?;
         let is_refused = self.is_refused(state, verdict, M);
-        if !is_refused && state.alternatives.is_empty() {
+        if !is_refused {
             state.carried_at = state.carried_at.filter(|last| stamp - *last < PROBATION);
-            return None;
+            if state.alternatives.is_empty() {
+                return None;
+            }
         }
-        if is_in_hands(state) {
+        if is_being_carried(state) {
             return None;
         }
         let params = &self.context.config.params;
@@ -318,12 +336,14 @@ impl AbsoluteUpdate<'_> {
             reset_after_s: params.reset_after_s,
             reset_after_fixes: params.reset_after_fixes,
         };
-        let own = if is_refused { own() } else { None };
+        let own = if is_refused { own(state) } else { None };
         let moved_since = |from| state.noisy_motion_since(from, self.context);
         let mut alternatives = state.alternatives;
-        let winner = alternatives.observe(&evidence, moved_since, |pose| model(&view.at(pose)), own);
+        let model = |pose| model(&view.at(pose)).map(|model| with_uncertain_constants(state, self.context, model));
+        let winner = alternatives.observe(&evidence, moved_since, model, own);
         alternatives.rebase(view.pose(), state.pose);
         state.alternatives = alternatives;
+        state.sightings.rebase(view.pose(), state.pose);
         winner
     }
 
@@ -386,8 +406,22 @@ impl AbsoluteUpdate<'_> {
     }
 }
 
+/// A model whose noise includes what is unknown of all other states: alternatives have none of their own.
+fn with_uncertain_constants<const N: usize, const M: usize>(
+    state: &PoseState<N>,
+    context: &UpdateContext,
+    mut model: ObservationModel<M>,
+) -> ObservationModel<M> {
+    let mut jacobian = context.layout.linearize::<N, M>(&model).jacobian;
+    for row in [FORWARD, LEFT, HEADING] {
+        jacobian.column_mut(row).fill(0.0);
+    }
+    model.noise += jacobian * state.covariance * jacobian.transpose();
+    model
+}
+
 /// Whether the robot is carried: what is seen then belongs to no place on the floor.
-fn is_in_hands<const N: usize>(state: &PoseState<N>) -> bool {
+fn is_being_carried<const N: usize>(state: &PoseState<N>) -> bool {
     state.stamp.zip(state.carried_at).is_some_and(|(stamp, last)| stamp - last < PUT_DOWN)
 }
 
@@ -406,10 +440,11 @@ fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
     constant_m.powi(2) + (share * range_m).powi(2)
 }
 
-/// A point of the map with its number there.
+/// A point of the map with its number there, which is none beyond those that may have states.
 fn numbered<K: Ord>(points: &BTreeMap<K, Point2<Arena>>, id: &K) -> Option<(usize, Point2<Arena>)> {
-    let (slot, (_, position)) = points.iter().enumerate().find(|(_, (known, _))| *known == id)?;
-    Some((slot, *position))
+    let position = points.get(id)?;
+    let slot = points.keys().take(MAX_LANDMARKS.max(MAX_BEACONS)).position(|known| known == id);
+    Some((slot.unwrap_or(usize::MAX), *position))
 }
 
 // The update that works with an almost unknown heading: Gauss-Newton on one observation.

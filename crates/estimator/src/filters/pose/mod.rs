@@ -335,8 +335,12 @@ impl PublishedPose {
 /// and needs a third of the state: where nothing else changes, only that third is computed.
 fn estimate<const N: usize>(from: &PoseState<N>, stamp: Timestamp<BrickClock>, context: &UpdateContext) -> Estimate {
     let is_there = from.stamp.is_some_and(|known| known == stamp);
-    if is_there && let Some(shown) = with_open_window(from, context) {
-        return build_estimate(from, &shown.without_odometry_delay(from, context), stamp, &context.config);
+    let has_delay = context.layout.row(StateTerm::OdometryDelay).is_some();
+    if is_there
+        && !has_delay
+        && let Some(shown) = with_open_window(from, context)
+    {
+        return build_estimate(from, &shown, stamp, &context.config);
     }
     let mut state = *from;
     state.advance(stamp, context);

@@ -74,9 +74,12 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
     let stamp = state.speeds_predicted_to.unwrap_or(Timestamp::ZERO);
     let stands = state.tick_activity.changed_at.is_some_and(|last| stamp - last >= STANDING)
         && state.status.last_motion.is_some_and(|last| stamp - last < STANDING);
-    if stands && reading.value.abs() > CARRIED_RAD_PER_S {
+    let turns = stands && reading.value.abs() > CARRIED_RAD_PER_S && reading.value.powi(2) > 9.0 * reading.variance;
+    // One reading may be a fault.
+    if turns && state.turned_at_rest {
         state.note_carried(stamp);
     }
+    state.turned_at_rest = turns;
 }
 
 pub fn update_accelerations<const N: usize>(
@@ -89,7 +92,8 @@ pub fn update_accelerations<const N: usize>(
     if let Some(dt) = since.filter(|dt| *dt > TimeDelta::ZERO && *dt <= MAX_ACCELERATION_INTERVAL) {
         let config = &context.config;
         let imu = &config.calibration.mountings[MountedSensor::Imu];
-        let felt = felt.at_mid_axle([imu.x_m.value, imu.yaw_rad.value], state.forward.value, state.turn.value);
+        let felt =
+            felt.at_mid_axle([imu.x_m.value, imu.y_m.value, imu.yaw_rad.value], state.forward.value, state.turn.value);
         let changes = speed::speed_changes(felt, dt.as_secs_f64(), &config.geometry, &config.noise);
         for (speed, change) in [&mut state.forward, &mut state.turn].into_iter().zip(changes) {
             speed.value += change.value;
@@ -110,11 +114,14 @@ pub fn update_gyro_window<const N: usize>(
         let innovation_variance = scalar.innovation_variance(&state.covariance);
         inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, &context.config);
         state.slipped_at = state.window.map(|window| window.until);
-        // A robot in the air whose wheels go on turning looks like one that slips, but it turns faster.
-        if let Some(window) = state.window
-            && scalar.innovation.abs() > CARRIED_RAD_PER_S * (window.until - window.start).as_secs_f64()
-        {
-            state.note_carried(window.until);
+        // A robot in the air whose wheels go on turning looks like one that slips, but its gyro turns more than its wheels.
+        if let Some(window) = state.window {
+            let wheels_rad = state.mean[WINDOW_TURN];
+            let length_s = (window.until - window.start).as_secs_f64();
+            let gyro_rad = scalar.innovation + wheels_rad;
+            if gyro_rad.abs() > wheels_rad.abs() + CARRIED_RAD_PER_S * length_s {
+                state.note_carried(window.until);
+            }
         }
     }
     let outcome = match end_rounding(state, context) {

@@ -24,6 +24,8 @@ use crate::motion::{SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERV
 
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
+/// The path that counts for a robot whose motion is not observed: a slow walk.
+const UNSEEN_PATH_M_PER_S: f64 = 0.1;
 /// Speeds at an earlier instant are means over this interval around it: two readings of a 20 Hz brick.
 const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 
@@ -261,6 +263,8 @@ impl<const N: usize> PoseState<N> {
             self.move_by_speeds((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64(), config);
         }
         let unseen_s = (to - held_to).as_secs_f64();
+        // For all that is known it may have driven.
+        self.wheel_path_m += UNSEEN_PATH_M_PER_S * unseen_s;
         self.inflate_pose_covariance(
             UNOBSERVED_M_PER_SQRT_S.powi(2) * unseen_s,
             UNOBSERVED_RAD_PER_SQRT_S.powi(2) * unseen_s,
@@ -284,6 +288,7 @@ impl<const N: usize> PoseState<N> {
         };
         transition.propagate(&mut self.covariance, &noise);
         self.pose = self.pose.compose(transition.step.motion);
+        self.wheel_path_m += self.forward.value.abs() * dt_s;
     }
 
     /// The body's motion from `from` until now, as far as it is known.

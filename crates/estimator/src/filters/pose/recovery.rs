@@ -11,7 +11,7 @@
 //! that sensor has a fault which agrees with itself, and only its duration speaks against it: such faults last for a second or so.
 //! What the believed pose explains of that sensor, or the alternative does not, speaks against the alternative.
 //! Odds begin at exp(-`reset_after_s`); higher, where the observation is no further off than motion noise that is some times larger than
-//! told would explain, because a fault may be anywhere:
+//! configured would explain, because a fault may be anywhere:
 //!
 //! ```text
 //! ln o = -reset_after_s + ln N(nu; 0, 9 S) + ln volume          at most -1.5
@@ -24,7 +24,7 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
-use posebridge_telemetry::{BrickClock, SensorId, Timestamp};
+use posebridge_telemetry::{BrickClock, SensorId, TimeDelta, Timestamp};
 
 use crate::models::lie::Se2;
 use crate::observations::ObservationModel;
@@ -38,7 +38,7 @@ const OUTLIER_SHARE: f64 = 0.01;
 const ARENA_M: f64 = 10.0;
 /// The same in sigmas of the sensor.
 const ARENA_SIGMAS: f64 = 100.0;
-/// How many times larger than told the noise of the motion may be.
+/// How many times larger than configured the noise of the motion may be.
 const MOTION_NOISE_FACTOR: f64 = 3.0;
 /// Seconds for which observations of one sensor must agree in any case, without a sign that the robot was carried.
 const LEAST_RESET_AFTER_S: f64 = 1.5;
@@ -49,12 +49,14 @@ const MAX_EVIDENCE: f64 = 5.0;
 const REFUTATION: f64 = 2.0;
 /// Silence of a sensor counts for its fault's duration no longer than this.
 const MAX_SILENCE_S: f64 = 2.0;
+/// An alternative that nothing has agreed with for longer is dropped: its way since then is not kept.
+pub const MAX_AGE: TimeDelta = TimeDelta::from_millis(10_000);
 /// An alternative whose odds have fallen this far below their beginning is dropped, as a logarithm.
-const DROP_BELOW: f64 = 4.0;
+const DROP_MARGIN: f64 = 4.0;
 /// A pose that observations speak for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alternative {
-    /// T: the alternative's arena from the believed one.
+    /// T: the alternative pose is T X.
     from_believed: Se2,
     /// Of the pose's error in the body at the last observation that agreed: forward, left, turn.
     covariance: Matrix3<f64>,
@@ -166,7 +168,7 @@ impl AlternativeBank {
         }
     }
 
-    /// Lets the alternatives answer for an observation whose model at any pose is `model`, and returns one that becomes the pose.
+    /// Compares the alternatives with an observation whose model at any pose is `model`, and returns one that becomes the pose.
     /// `own` is the pose that the observation itself speaks for, if it does.
     pub fn observe<const M: usize>(
         &mut self,
@@ -178,9 +180,13 @@ impl AlternativeBank {
         let mut is_explained = false;
         for slot in &mut self.alternatives {
             let Some(alternative) = slot else { continue };
+            if evidence.stamp - alternative.latest > MAX_AGE {
+                *slot = None;
+                continue;
+            }
             let moved = moved_since(alternative.latest);
             is_explained |= alternative.observe(evidence, &moved, model(alternative.pose(evidence.believed)).as_ref());
-            if alternative.ln_odds < alternative.first_ln_odds - DROP_BELOW {
+            if alternative.ln_odds < alternative.first_ln_odds - DROP_MARGIN {
                 *slot = None;
             }
         }
@@ -191,7 +197,9 @@ impl AlternativeBank {
             self.insert(evidence, &own);
         }
         let needed = if evidence.is_pose_doubtful { 2.0 } else { evidence.reset_after_fixes };
-        let is_best = |one: &&Alternative| one.ln_odds >= 0.0 && f64::from(one.agreements) >= needed;
+        let is_best = |one: &&Alternative| {
+            one.ln_odds >= 0.0 && f64::from(one.agreements) >= needed && one.latest == evidence.stamp
+        };
         let best = self.alternatives.iter().flatten().filter(is_best).max_by(|a, b| a.ln_odds.total_cmp(&b.ln_odds));
         best.copied().filter(|_| evidence.is_refused)
     }
@@ -243,11 +251,15 @@ impl Alternative {
             self.ln_odds += change.clamp(-MAX_EVIDENCE, most);
         }
         // What neither explains is an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
-        if is_own_sensor && (!evidence.is_refused || !(explains || evidence.is_pose_doubtful)) {
+        if is_own_sensor && !evidence.is_refused {
             self.ln_odds -= REFUTATION;
+        } else if is_own_sensor && !explains && !evidence.is_pose_doubtful {
+            // No more than the time since the last agreement has brought: scattered outliers must not hide a pose for good.
+            self.ln_odds -= REFUTATION.min(silent_s);
         }
         if explains {
-            self.agreements += 1;
+            // A direction or a distance alone agrees with too many poses.
+            self.agreements += u32::from(is_own_sensor || M >= 2);
             self.latest = evidence.stamp;
             self.from_believed = explanation.pose.compose(evidence.believed.inverse());
             self.covariance = explanation.covariance;

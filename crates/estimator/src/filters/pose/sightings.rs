@@ -20,7 +20,7 @@ const MAX_MISMATCH_SIGMAS: f64 = 3.5;
 pub struct Sighting {
     /// In the map, m.
     pub landmark: [f64; 2],
-    /// Where it would be if the believed pose were right, m: that does not change while the body moves.
+    /// Where it would be if the believed pose were right, m: that does not change while the body moves, only while the pose is corrected.
     pub seen: [f64; 2],
     /// Variance of each coordinate of `seen`.
     pub variance_m2: f64,
@@ -33,6 +33,17 @@ pub struct RecentSightings {
 }
 
 impl RecentSightings {
+    /// Leaves the sightings where they are from the body while the believed pose is corrected.
+    pub fn rebase(&mut self, before: Se2, after: Se2) {
+        if before != after {
+            for sighting in self.kept.iter_mut().flatten() {
+                let [x_m, y_m] = before.point_in_body(sighting.seen[0], sighting.seen[1]);
+                let moved = after.compose(Se2 { x_m, y_m, heading_rad: 0.0 });
+                sighting.seen = [moved.x_m, moved.y_m];
+            }
+        }
+    }
+
     /// Keeps a sighting in the place of an older one of its landmark, or of the oldest.
     pub fn push(&mut self, sighting: Sighting) {
         let same = self.kept.iter().position(|slot| slot.is_some_and(|known| known.landmark == sighting.landmark));

@@ -93,6 +93,8 @@ pub struct PoseState<const N: usize> {
     pub wheel_path_m: f64,
     /// The latest instant at which the robot was carried: its gyro turned while its wheels stood.
     pub carried_at: Option<Timestamp<BrickClock>>,
+    /// Whether the last gyro reading turned while the wheels stood.
+    pub turned_at_rest: bool,
     pub alternatives: AlternativeBank,
     pub sightings: RecentSightings,
     pub noise_scales: NoiseScales,
@@ -121,6 +123,7 @@ impl<const N: usize> PoseState<N> {
             last_acceleration: None,
             wheel_path_m: 0.0,
             carried_at: None,
+            turned_at_rest: false,
             alternatives: AlternativeBank::default(),
             sightings: RecentSightings::default(),
             noise_scales: NoiseScales::default(),
@@ -159,6 +162,7 @@ impl<const N: usize> PoseState<N> {
             last_acceleration: other.last_acceleration,
             wheel_path_m: other.wheel_path_m,
             carried_at: other.carried_at,
+            turned_at_rest: other.turned_at_rest,
             alternatives: other.alternatives,
             sightings: other.sightings,
             noise_scales: other.noise_scales,
@@ -341,7 +345,7 @@ impl<const N: usize> PoseState<N> {
     }
 
     /// The learned constants; those that are no states of this filter come from `prior`. Those of the beacons are the means of
-    /// all, each with the weight of its variance.
+    /// all, each with the weight of its variance, and with the sigma of a beacon about the mean.
     pub fn calibration(&self, prior: &Calibration, layout: &StateLayout) -> Calibration {
         let mut learned = *prior;
         let known = |row: usize| UncertainValue { value: self.mean[row], sigma: self.variance(row).max(0.0).sqrt() };
@@ -364,16 +368,18 @@ impl<const N: usize> PoseState<N> {
     }
 }
 
-/// The mean of numbers by their variances; `None` where none has a variance.
+/// The mean of numbers by their variances, and the sigma of any one of them about it; `None` where none has a variance.
 fn weighted_mean(numbers: impl Iterator<Item = UncertainValue>) -> Option<UncertainValue> {
-    let mut sum = [0.0; 2];
+    let mut sums = [0.0; 4];
     for number in numbers.filter(|number| number.sigma > 0.0) {
         let weight = number.sigma.powi(-2);
-        sum[0] += weight;
-        sum[1] += weight * number.value;
+        let terms = [weight, weight * number.value, weight * number.value.powi(2), 1.0];
+        sums = std::array::from_fn(|i| sums[i] + terms[i]);
     }
-    let [weight, weighted] = sum;
-    (weight > 0.0).then(|| UncertainValue { value: weighted / weight, sigma: weight.sqrt().recip() })
+    let [weight, weighted, squared, count] = sums;
+    let mean = weighted / weight;
+    let spread = (squared / weight - mean * mean).max(0.0);
+    (weight > 0.0).then(|| UncertainValue { value: mean, sigma: (count / weight + spread).sqrt() })
 }
 
 pub(super) fn arena_pose(pose: Se2) -> Pose<Arena> {
@@ -417,7 +423,11 @@ pub struct StateView<'a, const N: usize> {
     layout: &'a StateLayout,
 }
 
-impl<const N: usize> StateView<'_, N> {
+impl<'a, const N: usize> StateView<'a, N> {
+    pub const fn new(mean: &'a SVector<f64, N>, pose: Se2, layout: &'a StateLayout) -> Self {
+        Self { mean, pose, layout }
+    }
+
     /// The same constants at another pose.
     pub const fn at(self, pose: Se2) -> Self {
         Self { pose, ..self }

@@ -147,6 +147,6 @@ fn late_fixes_that_agree_are_accepted_while_the_robot_turns_now_and_then() {
             .find(|record| record.outcome == FusionOutcome::PoseReset)
             .map(|record| record.stamp - stamp(12));
         let waited = reset.unwrap_or(TimeDelta::from_millis(i64::MAX));
-        assert!(waited < TimeDelta::from_millis(1_700), "seed {seed}: {reset:?}");
+        assert!(waited < TimeDelta::from_millis(5_300), "seed {seed}: {reset:?}");
     }
 }
