@@ -1,4 +1,4 @@
-//! Exit codes of commands, deferred errors, signals, and the runtime of a command.
+//! Exit codes of commands, deferred errors, and signals.
 
 use anyhow::{Result, anyhow};
 
@@ -75,14 +75,6 @@ impl DeferredErrors {
         }
         Err(anyhow!(words.join("; ")))
     }
-}
-
-/// Runs a future on this thread. An attempt to open a device that hangs does not keep the program alive.
-pub(crate) fn run_in_runtime<T>(work: impl Future<Output = T>) -> std::io::Result<T> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let result = runtime.block_on(work);
-    runtime.shutdown_background();
-    Ok(result)
 }
 
 /// Handlers of Ctrl-C and SIGTERM, installed at the start so that no signal is lost while links open.

@@ -9,6 +9,7 @@ pub mod exit;
 pub mod flags;
 #[cfg(feature = "lab")]
 pub mod lab;
+mod runtime;
 pub mod station;
 pub mod tools;
 pub mod virtual_station;

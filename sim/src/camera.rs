@@ -25,8 +25,6 @@ use crate::scenario::{CameraImages, CameraOrder, CameraSettings};
 
 /// The camera's address on the link, unless its scenario gives the brick another system: MAV_COMP_ID_CAMERA (minimal.xml).
 pub const CAMERA: Address = Address::new(1, 100);
-/// MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
-const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 30, autopilot: 8, base_mode: 0, system_status: 4 };
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFix {
@@ -68,7 +66,8 @@ const MAX_IMAGES: usize = 64;
 impl Camera {
     pub(crate) fn new(settings: CameraSettings, own: Address, seed: u64) -> Self {
         let clock = SkewedClock::new(settings.clock_start_micros, settings.clock_skew_ppm, 1);
-        let node = MavlinkNode::new(own, HEARTBEAT, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
+        let node =
+            MavlinkNode::new(own, Heartbeat::CAMERA, clock.reading(TimeDelta::ZERO), &[ids::VISION_POSITION_ESTIMATE]);
         Self {
             interval: match settings.images {
                 CameraImages::Steady => Some(TimeDelta::from_secs_f64(1.0 / settings.rate_hz)),

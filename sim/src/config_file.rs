@@ -17,10 +17,21 @@ pub const MAX_RUNS: u32 = 100_000;
 pub(crate) const LONGEST_MS: f64 = 600_000.0;
 const LARGEST_BUFFER: f64 = 16.0 * 1024.0 * 1024.0;
 
-/// Lowest and highest number of the keys that are not within 0 to a million. A key has the same range in all files.
+/// Lowest and highest number of every key of a number. A key has the same range in all files.
 ///
 /// The ranges are wide: they keep the physics finite and the memory bounded, they do not assess a design.
 const RANGES: &[(f64, f64, &str)] = &[
+    (
+        0.0,
+        LARGEST,
+        "backlash_deg battery_drop_v_per_min bias_sigma_deg_per_s bias_sigma_m_per_s2 bias_walk_deg_per_s_sqrt_s
+         dipped_at_s friction_n_m from_s heading_gain heading_sigma_deg integral_most_m_s jitter_ms kicks_per_min
+         latency_ms lateral_gain_rad_per_m least_deg mass_kg most_deg most_turn_rad outlier_sigma_deg outlier_sigma_m
+         pause_s position_sigma_m quantum_deg_per_s quantum_m_per_s2 resolution_deg_per_s resolution_k
+         rest_after_lap_s rest_after_side_s rest_after_turn_s rest_s score_from_s sigma_deg_per_s sigma_k sigma_m
+         sigma_m_per_s2 sigma_m_rad sigma_share slip_events_per_min start_heading_off_deg start_heading_sigma_rad
+         start_position_sigma_m to_s true_noise_factor turn_rad_per_sqrt_rad wheel_travel_m_per_sqrt_m",
+    ),
     // Any seed; what has a check of its own.
     (f64::NEG_INFINITY, f64::INFINITY, "seed points_m lags_s shares"),
     (
@@ -68,8 +79,8 @@ const RANGES: &[(f64, f64, &str)] = &[
     (1.0, LARGEST_BUFFER, "buffer_bytes"),
     (0.0, LARGEST_BUFFER, "burst_bytes"),
     (1.0, 65_535.0, "most_bytes"),
-    (1.0, 1e5, "runs"),
-    (1.0, 1e4, "laps"),
+    (1.0, MAX_RUNS as f64, "runs"),
+    (1.0, MAX_LAPS as f64, "laps"),
     (1.0, 100_000.0, "every_steps spread_steps"),
     // All fixes in transit are kept in memory.
     (0.0, 1_000.0, "delay_spread_steps delay_steps ramp_steps"),
@@ -77,11 +88,12 @@ const RANGES: &[(f64, f64, &str)] = &[
     // 48 bits, so that nanoseconds fit into 64.
     (0.0, ((1_u64 << 48) - 1) as f64, "clock_start_micros"),
     (1.0, 1e6, "clock_tick_micros"),
-    (1.0, 250.0, "system"),
+    (1.0, LAST_VEHICLE_SYSTEM as f64, "system"),
     // Large enough for every documented telegram, no larger than the buffer of any NXT firmware.
     (64.0, 128.0, "telegram_bytes"),
 ];
 
+/// The range of another key, such as that of a table, is never used: the numbers below it have keys of their own.
 fn range_of(key: &str) -> (f64, f64) {
     let found = RANGES.iter().find(|(_, _, keys)| keys.split_whitespace().any(|ranged| ranged == key));
     found.map_or((0.0, LARGEST), |(low, high, _)| (*low, *high))
@@ -235,8 +247,18 @@ pub(crate) fn line_of(text: &str, offset: usize) -> usize {
 mod tests {
     use super::*;
 
+    /// The fields of numbers, one in a line as rustfmt writes them.
+    fn numeric_keys(types: &str) -> impl Iterator<Item = &str> {
+        const NUMBERS: [&str; 10] = ["f32", "f64", "u8", "u16", "u32", "u64", "usize", "i16", "i32", "i64"];
+        let fields = types.lines().take_while(|line| *line != "#[cfg(test)]").filter_map(|line| {
+            let field = line.trim().strip_suffix(',')?;
+            field.strip_prefix("pub ").unwrap_or(field).split_once(": ")
+        });
+        fields.filter(|(_, kind)| NUMBERS.iter().any(|number| kind.contains(number))).map(|(key, _)| key)
+    }
+
     #[test]
-    fn each_range_is_that_of_a_key_and_of_no_other_range() {
+    fn each_range_is_that_of_a_key_and_of_no_other_range_and_each_key_has_one() {
         let files = [
             include_str!("scenario/mod.rs"),
             include_str!("scenario/robot.rs"),
@@ -250,6 +272,10 @@ mod tests {
                 assert!(files.iter().any(|text| text.contains(&format!(" {key}: "))), "{key}");
                 assert_eq!(range_of(key), (*low, *high), "{key} in range {range}");
             }
+        }
+        let ranged: Vec<&str> = RANGES.iter().flat_map(|(_, _, keys)| keys.split_whitespace()).collect();
+        for key in files.into_iter().flat_map(numeric_keys) {
+            assert!(ranged.contains(&key), "`{key}` is in no range: choose one");
         }
     }
 

@@ -273,7 +273,8 @@ impl Config {
     pub fn validate(&self) -> Result<()> {
         self.targets()?;
         self.station_config()?;
-        self.dashboard.checked().map(drop)
+        self.dashboard.checked()?;
+        self.plotjuggler.checked().map(drop)
     }
 
     pub fn targets(&self) -> Result<Vec<(LinkTarget, ConnectRole)>> {

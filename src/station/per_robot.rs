@@ -111,7 +111,6 @@ impl<T> PerRobot<T> {
 }
 
 /// The robot of an event. Events about senders are excluded: these may also be cameras and ground stations.
-#[expect(clippy::wildcard_enum_match_arm, reason = "the other events are about links and senders")]
 const fn robot_of(event: &Event) -> Option<RobotId> {
     match event {
         Event::RobotNamed { robot, .. }
@@ -120,7 +119,14 @@ const fn robot_of(event: &Event) -> Option<RobotId> {
         | Event::ObservationFused { robot, .. }
         | Event::EstimateUpdated { robot, .. }
         | Event::BrickClockAligned { robot, .. } => Some(*robot),
-        _ => None,
+        Event::RobotDetected { .. }
+        | Event::RobotLost { .. }
+        | Event::Temperature { .. }
+        | Event::CameraClockAligned { .. }
+        | Event::Link { .. }
+        | Event::Health { .. }
+        | Event::ReceiveError { .. }
+        | Event::Text { .. } => None,
     }
 }
 

@@ -13,7 +13,8 @@ use super::session::session;
 use super::tui::tty::ensure_terminal;
 use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
 use crate::console::print_line;
-use crate::exit::{DeferredErrors, ExitStage, Failure, run_in_runtime};
+use crate::exit::{DeferredErrors, ExitStage, Failure};
+use crate::runtime::run_in_runtime;
 
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let config = configuration(args).before_start()?;
@@ -92,6 +93,5 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
         }
     }
     config.validate()?;
-    config.plotjuggler.checked()?;
     Ok(config)
 }

@@ -13,8 +13,9 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use super::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{DataFlags, StationLink, positive};
+use crate::runtime::run_in_runtime;
 
 /// Flags of `play`.
 #[derive(Args, Clone, Debug)]

@@ -19,8 +19,9 @@ use serde::Serialize;
 
 use crate::config::{Config, LinkSection, RecordingLimits, load_link_profile};
 use crate::console::{print_line, print_result};
-use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{LinkFlag, links_in_order, positive};
+use crate::runtime::run_in_runtime;
 use crate::station::recorder::{Recorder, RecordingTotals};
 use crate::station::recording_files::header;
 

@@ -14,8 +14,9 @@ use tokio_util::sync::CancellationToken;
 use super::ground_truth::write_truth_file;
 use crate::config::load_scenario;
 use crate::console::print_line;
-use crate::exit::{ExitStage, Failure, Signals, run_in_runtime};
+use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{LinkFlag, StationLink};
+use crate::runtime::run_in_runtime;
 use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
 
 /// Placeholder for a robot's system in a URL or file name.

@@ -143,6 +143,15 @@ fn a_folder_that_is_moved_ends_the_recording_and_its_file_is_whole_where_it_went
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn a_device_that_is_full_fails_when_the_header_is_written() {
+    let full = std::fs::File::options().write(true).open("/dev/full");
+    let writer = posebridge_recording::container::RecordingWriter::create(full.unwrap(), &header());
+    let error = anyhow::Error::from(writer.err().unwrap());
+    assert!(format!("{error:#}").contains("No space left"), "{error:#}");
+}
+
+#[test]
 fn a_recording_that_begins_in_the_session_says_so_and_numbers_its_inputs_by_the_session() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("later.mcap");

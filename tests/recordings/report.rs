@@ -55,6 +55,19 @@ fn check_page(page: &str) {
 }
 
 #[test]
+fn the_page_of_a_run_holds_its_pictures() {
+    let folder = recorded_lap();
+    let folder = folder.path();
+    let (page, _) = report(folder, &["lap.mcap"], "first");
+    for name in ["path", "errors", "innovations-camera", "innovations-wheels", "learned", "link-0", "clock"] {
+        let svg = read_text(folder, &format!("first/report-run1-{name}.svg"));
+        assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{name}");
+        // In the page without what only a file needs.
+        assert!(page.contains(svg.rsplit("<text").next().unwrap()), "{name} is not in the page");
+    }
+}
+
+#[test]
 fn a_changed_filter_a_cut_recording_and_a_log_without_truth_are_said() {
     let folder = recorded_lap();
     let folder = folder.path();

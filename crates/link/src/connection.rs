@@ -32,17 +32,21 @@ pub struct OutgoingFrame<'a> {
     pub frame: &'a [u8],
 }
 
+/// Received bytes: one read of a stream, or one datagram.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReceivedBytes {
+    /// Each peer is a stream of its own.
+    pub peer: PeerId,
+    pub arrival: Timestamp<HostClock>,
+    /// At least one.
+    pub bytes: Vec<u8>,
+}
+
 /// An event of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkEvent {
-    /// Bytes came in: one read of a stream, or one datagram.
-    Bytes {
-        /// Each peer is a stream of its own.
-        peer: PeerId,
-        arrival: Timestamp<HostClock>,
-        /// At least one.
-        bytes: Vec<u8>,
-    },
+    /// Bytes came in, as in [`ReceivedBytes`].
+    Bytes { peer: PeerId, arrival: Timestamp<HostClock>, bytes: Vec<u8> },
     Up {
         at: Timestamp<HostClock>,
         /// What was opened, for people.
@@ -103,9 +107,13 @@ pub trait Connection: Send {
     /// [`Connection::poll`] write them, and report failures.
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters);
 
-    /// Writes queued frames and returns received bytes, or the end of a file. An error means that the link is lost; the
-    /// connection is unusable then.
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>>;
+    /// Writes queued frames and returns received bytes, or `None` at the end of a file. An error means that the link is lost;
+    /// the connection is unusable then.
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>>;
 
     fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus;
 }

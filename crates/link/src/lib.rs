@@ -47,7 +47,7 @@ pub mod url;
 extern crate self as posebridge_link;
 
 pub use capacity::{Backlog, CapacityMeter};
-pub use connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+pub use connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus, ReceivedBytes};
 pub use error::{LinkError, OpenError};
 pub use host_timer::{DeadlineTimer, HostTimer};
 pub use link::{Link, LinkOpenConfig};

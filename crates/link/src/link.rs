@@ -15,7 +15,7 @@ use posebridge_telemetry::{HostClock, LinkCounts, LinkId, Priority, Recipients, 
 use tokio::time::Sleep;
 
 use crate::backoff::{Backoff, SessionSeed};
-use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus, ReceivedBytes};
 use crate::error::OpenError;
 use crate::host_timer::HostTimer;
 use crate::pacer::Pacer;
@@ -185,13 +185,13 @@ impl Link {
                         pacer.poll(cx, connection.as_mut(), &mut self.counters);
                     }
                     match ready!(connection.poll(cx, &mut self.counters)) {
-                        Ok(event) => {
-                            if let LinkEvent::Bytes { bytes, .. } = &event {
-                                self.counters.bytes_in += bytes.len() as u64;
-                            } else {
-                                self.state = ConnectionState::Finished;
-                            }
-                            return Poll::Ready(event);
+                        Ok(Some(ReceivedBytes { peer, arrival, bytes })) => {
+                            self.counters.bytes_in += bytes.len() as u64;
+                            return Poll::Ready(LinkEvent::Bytes { peer, arrival, bytes });
+                        }
+                        Ok(None) => {
+                            self.state = ConnectionState::Finished;
+                            return Poll::Ready(LinkEvent::Finished { at: self.timer.now() });
                         }
                         Err(loss) => {
                             self.close();

@@ -18,7 +18,7 @@ use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
 use crate::capacity::{COARSE_WRITE_GAP, CapacityMeter};
-use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedBytes};
 use crate::error::LinkError;
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -233,16 +233,20 @@ impl<S: ByteStream> Connection for StreamConnection<S> {
         self.record_write(taken);
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         self.flush(cx, counters);
         let mut buffer = ReadBuf::new(&mut self.buffer);
         match Pin::new(&mut self.stream).poll_read(cx, &mut buffer) {
             Poll::Ready(Ok(())) if buffer.filled().is_empty() => Poll::Ready(Err(LinkError::HungUp)),
-            Poll::Ready(Ok(())) => Poll::Ready(Ok(LinkEvent::Bytes {
+            Poll::Ready(Ok(())) => Poll::Ready(Ok(Some(ReceivedBytes {
                 peer: self.label.peer,
                 arrival: self.timer.now(),
                 bytes: buffer.filled().to_vec(),
-            })),
+            }))),
             Poll::Ready(Err(error)) => Poll::Ready(Err(error.into())),
             Poll::Pending => match self.write_failure.take() {
                 Some(error) => Poll::Ready(Err(error.into())),

@@ -252,7 +252,7 @@ impl Station {
 
     fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> CommandOutcome {
         self.robots.changed.insert(index);
-        if self.robots.get_mut(index).estimator.filter.set_pose(start) == FusionOutcome::Malformed {
+        if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
         self.robots.keep_first_pose(Some(*start));

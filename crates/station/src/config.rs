@@ -132,7 +132,7 @@ pub struct ThermometerConfig {
 }
 
 /// The blocks by the system that they match, so that in a class with one block per robot only a few are tested.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct RobotBlockIndex {
     /// Indices of blocks, in their order; the key `None` has those that match any system.
     by_system: BTreeMap<Option<SystemId>, Vec<usize>>,

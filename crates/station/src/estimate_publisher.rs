@@ -158,7 +158,7 @@ fn estimate_message(
         OutputInstant::Observed => None,
         OutputInstant::Arrival => clocks.at_host_time(arrival, TimeDelta::ZERO).map(|(time, _)| time),
     };
-    let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.filter.estimate_at(time));
+    let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
     let is_predicted = predicted.is_some();
     let host = if is_predicted { arrival } else { clocks.to_host(observed.stamp).unwrap_or(now) };
     let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, announced_as };

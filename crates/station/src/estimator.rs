@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
-    BrickClock, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind, OnlineCalibration,
-    SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
+    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
+    OnlineCalibration, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
 };
 
 /// Most components of a fix: x, y and heading.
@@ -17,7 +17,8 @@ pub(crate) struct Estimator {
     pub(crate) entry: &'static FilterEntry,
     /// With the geometry that the robot has described, if it has.
     pub(crate) config: FilterConfig,
-    pub(crate) filter: Box<dyn Filter>,
+    /// Private, so that no observation bypasses the disabled sensors and the monitoring.
+    filter: Box<dyn Filter>,
     pub(crate) switched_off: BTreeSet<SensorId>,
     online_calibration: OnlineCalibration,
     slip_watch: SlipWatch,
@@ -63,6 +64,30 @@ impl Estimator {
         }
         let slip_began = record.outcome == FusionOutcome::Slip && self.slip_watch.observe(record.stamp);
         FusionReport { record, is_used: true, slip_began }
+    }
+
+    pub(crate) fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.filter.estimate_at(time)
+    }
+
+    /// The latest instant of any observation.
+    pub(crate) fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.filter.latest_time()
+    }
+
+    /// The learned constants, relative to the geometry of `config`.
+    pub(crate) fn calibration(&self) -> Option<Calibration> {
+        self.filter.calibration()
+    }
+
+    /// [`FusionOutcome::Malformed`] and no change if a number is not finite or a sigma is negative.
+    pub(crate) fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        self.filter.set_pose(start)
+    }
+
+    /// After a reset of the brick's clock.
+    pub(crate) fn restart_clock(&mut self) {
+        self.filter.restart_clock();
     }
 
     /// At the latest instant of any observation.

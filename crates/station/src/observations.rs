@@ -548,7 +548,7 @@ impl Station {
         let now = self.time.now;
         let robot = self.robots.get_mut(index);
         let (id, wire_address) = (robot.id, robot.wire_address);
-        robot.estimator.filter.restart_clock();
+        robot.estimator.restart_clock();
         self.restart_thermometers(id);
         self.robots.get_mut(index).clocks.forget_gyro_turn();
         for link in self.links.keys() {

@@ -84,17 +84,17 @@ impl Robot {
     }
 
     pub fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.estimator.filter.estimate_at(time)
+        self.estimator.estimate_at(time)
     }
 
     /// The latest instant of any observation.
     pub fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
-        self.estimator.filter.latest_time()
+        self.estimator.latest_time()
     }
 
     /// The learned constants, relative to [`Self::geometry`].
     pub fn calibration(&self) -> Option<Calibration> {
-        self.estimator.filter.calibration()
+        self.estimator.calibration()
     }
 
     /// The filter's nominal geometry: the configured one, or the one that the robot has described.

@@ -21,7 +21,6 @@ use crate::vehicle_proxy::VEHICLE_COMPONENT;
 const LAST_VEHICLE_SYSTEM: u8 = 250;
 
 /// All robots. There is always a first one: before any is detected it takes the input of a replay or a person.
-#[derive(Default)]
 pub(crate) struct RobotTable {
     robots: Vec<Robot>,
     by_id: BTreeMap<RobotId, RobotIndex>,
@@ -69,7 +68,7 @@ impl CommonSettings {
             estimator.switch_sensor(*sensor, *switch);
         }
         if let Some(pose) = self.first_pose.take() {
-            estimator.filter.set_pose(&pose);
+            estimator.set_pose(&pose);
         }
     }
 }
@@ -78,8 +77,21 @@ impl RobotTable {
     pub(crate) fn new(entry: &'static FilterEntry, config: &StationConfig) -> Self {
         Self {
             robots: vec![Robot::new(entry, &config.robot, &config.links)],
+            by_id: BTreeMap::new(),
+            identities: SenderIdentities::default(),
+            contested: ContestedMessages::default(),
             blocks: RobotBlockIndex::new(&config.robots),
-            ..Self::default()
+            used_systems: BTreeSet::new(),
+            renamed: BTreeMap::new(),
+            by_link: BTreeMap::new(),
+            robots_with_shared_address: BTreeMap::new(),
+            has_refused: false,
+            has_reported_refusal: false,
+            settings: CommonSettings::default(),
+            changed: OrderedQueue::default(),
+            pending: OrderedQueue::default(),
+            intervals: Vec::new(),
+            presence_until: None,
         }
     }
 

@@ -26,8 +26,6 @@ const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-/// MAV_TYPE_GROUND_ROVER, no known autopilot, active.
-const ROVER: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: ACTIVE };
 
 /// Commands that are handled also when they are for all components: operator commands, and requests for messages, to
 /// which any component that supports them may reply.
@@ -73,7 +71,7 @@ impl Sessions {
         });
         let links: BTreeMap<LinkId, LinkSessions> = links.collect();
         let vehicle = SessionConfig {
-            heartbeat: ROVER,
+            heartbeat: Heartbeat::ROVER,
             timesync_period: None,
             requested_messages: Vec::new(),
             ..station_session_config(config)

@@ -59,22 +59,25 @@ pub enum VerifiedFrame<'a> {
 /// Verifies bytes that were framed by something else, such as a record of a file: they must be exactly one frame.
 /// Includes the foreign dialects, as [`super::Framer::with_all_dialects`].
 pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
-    match classify(raw, &FULL_CATALOGUE) {
-        FrameCandidate::Supported { header, crc_extra } if header.total == raw.len() => {
-            let (covered, found) = header.covered(raw);
-            if checksum(covered, crc_extra) == found {
-                VerifiedFrame::Frame(header.frame(raw))
-            } else {
-                VerifiedFrame::Invalid
-            }
+    let candidate = classify(raw, &FULL_CATALOGUE);
+    if let FrameCandidate::Unknown { header } = candidate
+        && header.total == raw.len()
+    {
+        return VerifiedFrame::UnknownFrame(header.frame(raw));
+    }
+    candidate.verified_frame(raw).map_or(VerifiedFrame::Invalid, VerifiedFrame::Frame)
+}
+
+impl FrameCandidate {
+    /// The frame of a supported message; `None` unless `raw`, which was classified as this, holds exactly that frame and
+    /// its checksum matches.
+    pub(crate) fn verified_frame(self, raw: &[u8]) -> Option<FrameRef<'_>> {
+        let Self::Supported { header, crc_extra } = self else { return None };
+        if header.total != raw.len() {
+            return None;
         }
-        FrameCandidate::Unknown { header } if header.total == raw.len() => {
-            VerifiedFrame::UnknownFrame(header.frame(raw))
-        }
-        FrameCandidate::Supported { .. }
-        | FrameCandidate::Unknown { .. }
-        | FrameCandidate::Incomplete
-        | FrameCandidate::Impossible { .. } => VerifiedFrame::Invalid,
+        let (covered, found) = header.covered(raw);
+        (checksum(covered, crc_extra) == found).then(|| header.frame(raw))
     }
 }
 

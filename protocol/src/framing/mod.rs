@@ -8,7 +8,7 @@ mod checksum;
 mod framer;
 mod sequence;
 
-pub(crate) use candidate::{FrameCandidate, FrameHeader, classify};
+pub(crate) use candidate::{FrameHeader, classify};
 pub use candidate::{VerifiedFrame, parse_verified, verify};
 pub use checksum::checksum;
 pub(crate) use checksum::crc_extra_of;

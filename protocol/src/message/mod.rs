@@ -20,6 +20,7 @@ pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
 /// A message in either direction between station, brick and camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
+    /// HEARTBEAT (0).
     Heartbeat(Heartbeat),
     /// SYSTEM_TIME (2): a fall of the time since boot means a restart.
     SystemTime {
@@ -27,6 +28,7 @@ pub enum Message {
         unix_micros: u64,
         since_boot: WireStamp,
     },
+    /// TIMESYNC (111).
     TimeSync(TimeSync),
     /// COMMAND_LONG (76) with MAV_CMD_SET_MESSAGE_INTERVAL (511).
     SetMessageInterval(SetMessageInterval),
@@ -34,6 +36,7 @@ pub enum Message {
     Command(CommandLong),
     /// COMMAND_INT (75) with any command.
     CommandInt(CommandInt),
+    /// COMMAND_ACK (77).
     CommandAck(CommandAck),
     /// STATUSTEXT (253), one chunk.
     StatusText {
@@ -43,12 +46,17 @@ pub enum Message {
         text: String,
         part: TextPart,
     },
+    /// AUTOPILOT_VERSION (148).
     AutopilotVersion(AutopilotVersion),
+    /// PROTOCOL_VERSION (300).
     ProtocolVersion(ProtocolVersion),
+    /// COMPONENT_INFORMATION_BASIC (396).
     ComponentInformation(ComponentInformation),
+    /// MESSAGE_INTERVAL (244).
     MessageInterval(MessageInterval),
     /// NAMED_VALUE_FLOAT (251), except temperatures: those are [`Self::Thermometer`].
     NamedValue(NamedValue),
+    /// DEBUG_FLOAT_ARRAY (350).
     FloatArray(FloatArray),
     WheelTicks(WheelTicks),
     Inertial(Inertial),
@@ -91,6 +99,7 @@ pub enum Message {
     VisionPosition(VisionFix),
     /// ATT_POS_MOCAP (138): a fix from outside, of the body's origin.
     MocapPosition(VisionFix),
+    /// ODOMETRY (331).
     Odometry(Odometry),
     /// LOCAL_POSITION_NED (32), the planar parts.
     LocalPosition {
@@ -109,10 +118,13 @@ pub enum Message {
         /// Counter-clockwise positive.
         turn_rate: RadiansPerSecond,
     },
+    /// ESTIMATOR_STATUS (230).
     EstimatorStatus(EstimatorStatus),
+    /// PARAM_REQUEST_LIST (21).
     ParamRequestList {
         target: Address,
     },
+    /// PARAM_REQUEST_READ (20).
     ParamRequestRead {
         target: Address,
         /// At most 16 bytes; empty in a request by index.
@@ -207,9 +219,9 @@ pub struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// An active robot.
+    /// An active robot: MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
     pub const ROVER: Self = Self { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
-    /// An active camera.
+    /// An active camera: MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
     pub const CAMERA: Self = Self { vehicle_type: 30, autopilot: 8, ..Self::ROVER };
 }
 

@@ -41,7 +41,8 @@ pub enum ShutdownKind {
 pub struct SigningState {
     /// The computer's date at that instant.
     pub written_at: SigningTime,
-    /// Signature time at that instant; ahead of the date if a peer was.
+    /// Signature time at that instant; ahead of the date if a peer was. [`LinkSigner`](super::LinkSigner) counts it on: our
+    /// timestamps are never behind it, and a new stream is rejected if it is more than a minute behind.
     pub clock: SigningTime,
     pub last_sent: SigningTime,
     /// Unlisted streams with this timestamp or an earlier one are rejected: a stream that was dropped to make room had

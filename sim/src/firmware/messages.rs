@@ -19,8 +19,6 @@ use crate::wheels::PerWheel;
 
 /// The brick's address on the link, unless its scenario gives it another system.
 pub const BRICK: Address = Address::new(1, 1);
-/// MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
-const HEARTBEAT: Heartbeat = Heartbeat { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
 const NAME: &str = "simulated brick";
 
 #[derive(Debug)]
@@ -246,7 +244,7 @@ fn node(
     now: Timestamp<BrickClock>,
 ) -> MavlinkNode<BrickClock> {
     let offered: Vec<u32> = schedule.iter().map(|message| message.message_id).collect();
-    MavlinkNode::new(settings.address_of(BRICK), HEARTBEAT, register_time(settings.wire, now), &offered)
+    MavlinkNode::new(settings.address_of(BRICK), Heartbeat::ROVER, register_time(settings.wire, now), &offered)
 }
 
 const TURN_RATE_UNIT_RAD_PER_S: f64 = 0.5e-3;

@@ -103,14 +103,18 @@ impl Default for ErrorSettings {
 
 impl ErrorSettings {
     /// No deviations: the encoders' readings are exact.
-    pub fn none() -> Self {
+    pub const fn none() -> Self {
         Self {
+            radius_error: 0.0,
             radius_error_sigma: 0.0,
+            radius_mismatch: 0.0,
             radius_mismatch_sigma: 0.0,
+            track_error: 0.0,
             track_error_sigma: 0.0,
             wheel_travel_m_per_sqrt_m: 0.0,
             turn_rad_per_sqrt_rad: 0.0,
-            ..Self::default()
+            slip_events_per_min: 0.0,
+            kicks_per_min: 0.0,
         }
     }
 }

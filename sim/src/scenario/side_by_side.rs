@@ -28,7 +28,7 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError::TooManyRobots`] if there are not enough systems for vehicles.
     pub fn side_by_side(&self, count: u8) -> Result<Vec<Self>, ScenarioError> {
-        let systems = LAST_VEHICLE_SYSTEM - self.brick.system + 1;
+        let systems = (LAST_VEHICLE_SYSTEM + 1).saturating_sub(self.brick.system);
         if count > systems {
             return Err(ScenarioError::TooManyRobots { count, first: self.brick.system, most: systems });
         }
@@ -92,5 +92,9 @@ mod tests {
         scenario.brick.system = 240;
         let message = scenario.side_by_side(12).unwrap_err().to_string();
         assert!(message.contains("12 robots") && message.contains("at most 11"), "{message}");
+        // Of ground stations; no file may give it.
+        scenario.brick.system = 255;
+        let message = scenario.side_by_side(1).unwrap_err().to_string();
+        assert!(message.contains("at most 0"), "{message}");
     }
 }

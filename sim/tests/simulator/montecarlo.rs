@@ -386,6 +386,12 @@ fn the_camera_has_the_files_rate_noise_and_delay() {
         assert!((share(steps) - expected).abs() < 0.02, "{late:?} of {count}");
     }
     assert_eq!(late[5], overtaken, "a fix is overtaken where it waits");
+    // Slower cameras are later: their shortest and their longest delay.
+    for (name, least, most) in [("camera-1hz", 4, 8), ("kicks-camera-1hz", 5, 7)] {
+        let fixes: Vec<_> = (0..10).flat_map(|run| fixes(&bundled(name).drive(run))).collect();
+        let late: Vec<usize> = fixes.iter().map(|(arrived, taken, _)| arrived - taken).collect();
+        assert_eq!((late.iter().min(), late.iter().max()), (Some(&least), Some(&most)), "{name}");
+    }
 }
 
 #[test]

@@ -89,11 +89,10 @@ impl PathDataset {
         };
         let robots = drives.runs.iter().chain(others);
         source::check_same_robot(robots.map(|drive| (drive.name.as_str(), &drive.config.geometry)))?;
-        let reference = positions(args, first)?.0;
-        let by_truth = |drive: &SourceRun| Ok(positions(args, drive)?.0 == CalibrationReference::Truth);
-        let by_truth: Vec<bool> = drives.runs.iter().map(by_truth).collect::<Result<_>>()?;
+        let compared = reference_positions(args, &drives.runs)?;
+        let reference = compared[0].reference;
         ensure!(
-            args.truth_sigma_m.is_none() || by_truth.contains(&true),
+            args.truth_sigma_m.is_none() || compared.iter().any(|run| run.reference == CalibrationReference::Truth),
             "--truth-sigma-m is the sigma of a truth, but `{}` is compared with fixes, whose sigma is noise.fix_position_m",
             drives.recording
         );
@@ -105,8 +104,8 @@ impl PathDataset {
                 CalibrationReference::Fixes => "fixes",
                 CalibrationReference::Truth => "truth",
             },
-            paths: free_paths(args, &drives.runs)?,
-            validation_paths: free_paths(args, others)?,
+            paths: free_paths(args, &drives.runs, compared)?,
+            validation_paths: free_paths(args, others, reference_positions(args, others)?)?,
             recording: drives.recording,
             robot,
             config,
@@ -134,10 +133,22 @@ fn load_drives(args: &PathArgs, data: &DataFlags) -> Result<SourceRuns, Failure>
     source::load(recording, data).before_start()
 }
 
-fn positions(args: &PathArgs, drive: &SourceRun) -> Result<(CalibrationReference, Vec<PositionFix>)> {
+/// What one run is compared with.
+struct ReferencePositions {
+    reference: CalibrationReference,
+    positions: Vec<PositionFix>,
+}
+
+/// Of each run, in their order.
+fn reference_positions(args: &PathArgs, drives: &[SourceRun]) -> Result<Vec<ReferencePositions>> {
     let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
-    let reference = args.against.or(is_ours.then_some(CalibrationReference::Fixes));
-    Ok(drive.positions(reference, truth_sigma_m(args, TRUTH_SIGMA_M)?))
+    let wanted = args.against.or(is_ours.then_some(CalibrationReference::Fixes));
+    let truth_sigma_m = truth_sigma_m(args, TRUTH_SIGMA_M)?;
+    let compared = drives.iter().map(|drive| {
+        let (reference, positions) = drive.positions(wanted, truth_sigma_m);
+        ReferencePositions { reference, positions }
+    });
+    Ok(compared.collect())
 }
 
 /// The runs of `--try-on`, without duplicates.
@@ -160,10 +171,9 @@ fn load_validation_drives(args: &PathArgs) -> Result<Vec<SourceRun>, Failure> {
     Ok(others)
 }
 
-fn free_paths(args: &PathArgs, drives: &[SourceRun]) -> Result<Vec<FreePath>> {
+fn free_paths(args: &PathArgs, drives: &[SourceRun], compared: Vec<ReferencePositions>) -> Result<Vec<FreePath>> {
     let is_ours = args.recording.as_deref().is_some_and(own_recording::is_own);
-    let paths = drives.iter().map(|drive| {
-        let (reference, positions) = positions(args, drive)?;
+    let paths = drives.iter().zip(compared).map(|(drive, ReferencePositions { reference, positions })| {
         ensure!(
             !positions.is_empty(),
             "run `{}` has no {}: nothing says where the robot was",

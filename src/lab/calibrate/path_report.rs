@@ -143,7 +143,7 @@ impl PathCalibrationResult {
         let sanity = self.fit.hypothesis_test.as_ref().map(|sanity| {
             json!({
                 "is_sound": sanity.is_sound(),
-                "wiring": format!("{:?}", sanity.found.wiring),
+                "wiring": sanity.found.wiring,
                 "track_factor": sanity.found.track_factor,
                 "travel_factor": sanity.found.travel_factor,
                 "described_rms_m": sanity.described_rms_m,

@@ -13,7 +13,7 @@ use tokio::sync::watch;
 use tokio::task::LocalSet;
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::run_in_runtime;
+use crate::runtime::run_in_runtime;
 
 pub use self::controls::{
     COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatedCable, SimulatorControls, TimedTruthSample, TruthTap,

@@ -15,7 +15,7 @@ use posebridge_telemetry::{LinkId, TimeDelta};
 use super::context::{CheckResult, DiagnosticContext};
 use crate::config::{self, Config, LinkTarget, load_scenario};
 use crate::console::print_line;
-use crate::exit::run_in_runtime;
+use crate::runtime::run_in_runtime;
 
 /// Loads the configuration, then opens and closes each link of a given file.
 pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResult> {

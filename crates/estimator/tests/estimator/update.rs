@@ -1,7 +1,11 @@
 //! What must hold for every measurement update, for any state, observation and order, and the update against the textbook's.
 
-use nalgebra::{Matrix1, Matrix2, Matrix3, Matrix5, RowVector5, SMatrix, Vector1, Vector2, Vector3, Vector5};
+use nalgebra::{
+    Matrix1, Matrix2, Matrix2x4, Matrix3, Matrix4, Matrix5, RowVector4, RowVector5, SMatrix, Vector1, Vector2, Vector3,
+    Vector4, Vector5,
+};
 use posebridge_estimator::models::planar_speeds::{self, Acceleration};
+use posebridge_estimator::numerics::covariance::symmetrise;
 use posebridge_estimator::update::{
     LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, preview_scalar, use_scalar,
 };
@@ -187,6 +191,46 @@ proptest! {
         let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
         prop_assert_eq!(outcome.outcome, UpdateOutcome::Indefinite, "{:?}", outcome);
         prop_assert_eq!((mean, covariance), (Vector5::from(at), start));
+    }
+}
+
+#[test]
+fn two_hundred_steps_of_a_linear_system_equal_the_textbooks() {
+    // Two positions, each before its speed, a tenth of a second on.
+    let mut transition = Matrix4::<f64>::identity();
+    transition[(0, 1)] = 0.1;
+    transition[(2, 3)] = 0.1;
+    let drift = Matrix4::from_diagonal(&Vector4::<f64>::new(1e-4, 1e-2, 1e-4, 1e-2));
+    let (mut mean, mut covariance) = (Vector4::<f64>::new(1.0, -0.5, 0.2, 2.0), Matrix4::<f64>::identity());
+    let (mut expected, mut expected_covariance) = (mean, covariance);
+    for step in 0..200_u32 {
+        mean = transition * mean;
+        covariance = transition * covariance * transition.transpose() + drift;
+        symmetrise(&mut covariance);
+        expected = transition * expected;
+        expected_covariance = transition * expected_covariance * transition.transpose() + drift;
+        let at_s = 0.1 * f64::from(step);
+        if step.is_multiple_of(2) {
+            // Both positions, with correlated noise.
+            let jacobian = Matrix2x4::<f64>::new(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0);
+            let noise = Matrix2::<f64>::new(0.02, 0.01, 0.01, 0.03);
+            let z = Vector2::new(at_s.sin(), 2.0 * at_s.cos());
+            let measurement = LinearizedMeasurement { innovation: z - jacobian * mean, jacobian, noise };
+            assert!(apply_measurement(&mut mean, &mut covariance, &measurement), "step {step}");
+            textbook::update(&mut expected, &mut expected_covariance, &jacobian, &noise, &z);
+        } else {
+            // A sum of both speeds.
+            let jacobian = RowVector4::<f64>::new(0.0, 0.5, 0.0, 1.0);
+            let z = Vector1::new(0.5 * at_s.cos() - 2.0 * at_s.sin());
+            let innovation = (z - jacobian * mean)[0];
+            let scalar = ScalarMeasurement { innovation, rows: [1, 3], jacobian: [0.5, 1.0], variance: 0.04 };
+            let outcome = use_scalar(&mut mean, &mut covariance, &scalar, f64::INFINITY);
+            assert_eq!(outcome.outcome, UpdateOutcome::Used, "step {step}");
+            textbook::update(&mut expected, &mut expected_covariance, &jacobian, &Matrix1::new(0.04), &z);
+        }
+        assert_eq!(covariance, covariance.transpose(), "step {step}");
+        assert!((mean - expected).amax() < AGREEMENT, "step {step}: {mean} {expected}");
+        assert!((covariance - expected_covariance).amax() < AGREEMENT, "step {step}: {covariance}");
     }
 }
 

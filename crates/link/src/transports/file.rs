@@ -12,7 +12,7 @@ use std::task::{Context, Poll, ready};
 
 use posebridge_telemetry::{HostClock, PeerId, Timestamp};
 
-use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedBytes};
 use crate::error::{FileKind, LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::transport::{CHUNK, MODE};
@@ -91,14 +91,18 @@ impl Connection for FilePlayback {
     /// Frames sent to a played file are discarded.
     fn send(&mut self, _out: &OutgoingFrame<'_>, _counters: &mut LinkCounters) {}
 
-    fn poll(&mut self, cx: &mut Context<'_>, _counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        _counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         ready!(self.poll_yield(cx));
         self.must_yield = true;
         let mut bytes = Vec::with_capacity(self.chunk_bytes);
         let chunk = (&mut self.file).take(self.chunk_bytes as u64).read_to_end(&mut bytes);
         Poll::Ready(match chunk {
-            Ok(0) => Ok(LinkEvent::Finished { at: self.timer.now() }),
-            Ok(_) => Ok(LinkEvent::Bytes { peer: PeerId(0), arrival: self.timer.now(), bytes }),
+            Ok(0) => Ok(None),
+            Ok(_) => Ok(Some(ReceivedBytes { peer: PeerId(0), arrival: self.timer.now(), bytes })),
             Err(error) => Err(error.into()),
         })
     }
@@ -130,7 +134,11 @@ impl Connection for FileAppender {
         }
     }
 
-    fn poll(&mut self, _cx: &mut Context<'_>, _counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
+    fn poll(
+        &mut self,
+        _cx: &mut Context<'_>,
+        _counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         match self.failure.take() {
             Some(error) => Poll::Ready(Err(error.into())),
             // A failure is noted by `send`, whose caller polls next; nothing else can happen here.

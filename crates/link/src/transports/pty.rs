@@ -127,7 +127,7 @@ struct DeviceSymlink {
 }
 
 impl DeviceSymlink {
-    /// Names `device`, whose slave side is [marked](mark_held), `path`.
+    /// Names `device`, whose slave side is [marked](lock_terminal), `path`.
     ///
     /// # Errors
     /// There is no such directory, or `path` exists and must not be replaced.

@@ -24,7 +24,7 @@ use socket2::{SockRef, TcpKeepalive};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::Sleep;
 
-use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedBytes};
 use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::stream::{StreamConnection, StreamLabel};
@@ -157,7 +157,7 @@ impl TcpServer {
         &mut self,
         cx: &mut Context<'_>,
         counters: &mut LinkCounters,
-    ) -> Poll<Result<LinkEvent, LinkError>> {
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         let mut polled = 0;
         while polled < self.clients.len() {
             let index = self.next_index % self.clients.len();
@@ -205,7 +205,11 @@ impl Connection for TcpServer {
         }
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         if let Err(loss) = self.accept(cx) {
             return Poll::Ready(Err(loss));
         }

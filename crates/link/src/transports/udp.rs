@@ -17,7 +17,7 @@ use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 use tokio::net::UdpSocket;
 
 use crate::capacity::CapacityMeter;
-use crate::connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus};
+use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedBytes};
 use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
@@ -88,17 +88,17 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
 /// Datagrams that were read and not delivered yet, by peer.
 #[derive(Default)]
 struct FairInbox {
-    by_peer: BTreeMap<PeerId, VecDeque<LinkEvent>>,
+    by_peer: BTreeMap<PeerId, VecDeque<ReceivedBytes>>,
     last_served: PeerId,
 }
 
 impl FairInbox {
-    fn push(&mut self, peer: PeerId, incoming: LinkEvent) {
-        self.by_peer.entry(peer).or_default().push_back(incoming);
+    fn push(&mut self, incoming: ReceivedBytes) {
+        self.by_peer.entry(incoming.peer).or_default().push_back(incoming);
     }
 
     /// The oldest datagram of the next peer in turn.
-    fn pop(&mut self) -> Option<LinkEvent> {
+    fn pop(&mut self) -> Option<ReceivedBytes> {
         let after = (Bound::Excluded(self.last_served), Bound::Unbounded);
         let next = self.by_peer.range(after).next();
         let (peer, _) = next.or_else(|| self.by_peer.iter().next())?;
@@ -166,7 +166,7 @@ impl UdpConnection {
     }
 
     /// The first datagram after a pause. It bypasses the inbox: the socket is read again after it has been answered.
-    fn receive_first(&mut self) -> Option<LinkEvent> {
+    fn receive_first(&mut self) -> Option<ReceivedBytes> {
         match self.socket.try_recv_from(&mut self.buffer) {
             Ok((length, from)) => self.received_datagram(length, from),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
@@ -260,19 +260,17 @@ impl UdpConnection {
     }
 
     fn deliver(&mut self, length: usize, from: SocketAddr) {
-        if let Some(incoming) = self.received_datagram(length, from)
-            && let LinkEvent::Bytes { peer, .. } = incoming
-        {
-            self.inbox.push(peer, incoming);
+        if let Some(incoming) = self.received_datagram(length, from) {
+            self.inbox.push(incoming);
         }
     }
 
     /// The datagram in the buffer; `None` for an empty one, which only makes the peer known.
-    fn received_datagram(&mut self, length: usize, from: SocketAddr) -> Option<LinkEvent> {
+    fn received_datagram(&mut self, length: usize, from: SocketAddr) -> Option<ReceivedBytes> {
         let arrival = self.timer.now();
         let peer = self.peers.record_activity(from, arrival);
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
-        (!bytes.is_empty()).then_some(LinkEvent::Bytes { peer, arrival, bytes })
+        (!bytes.is_empty()).then_some(ReceivedBytes { peer, arrival, bytes })
     }
 }
 
@@ -305,11 +303,15 @@ impl Connection for UdpConnection {
         self.record_write(0);
     }
 
-    fn poll(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) -> Poll<Result<LinkEvent, LinkError>> {
+    fn poll(
+        &mut self,
+        cx: &mut Context<'_>,
+        counters: &mut LinkCounters,
+    ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         self.flush(cx, counters);
         loop {
             if let Some(incoming) = self.inbox.pop() {
-                return Poll::Ready(Ok(incoming));
+                return Poll::Ready(Ok(Some(incoming)));
             }
             if let Some(error) = self.loss.take() {
                 return Poll::Ready(Err(error.into()));
@@ -320,7 +322,7 @@ impl Connection for UdpConnection {
                     if std::mem::take(&mut self.was_idle)
                         && let Some(first) = self.receive_first()
                     {
-                        return Poll::Ready(Ok(first));
+                        return Poll::Ready(Ok(Some(first)));
                     }
                     self.drain();
                 }

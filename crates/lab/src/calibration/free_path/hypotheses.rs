@@ -17,23 +17,31 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_telemetry::UncertainValue;
 use posebridge_telemetry::quantities::wrap_rad;
+use serde::Serialize;
 
 use super::drive::{FreePath, TravelStep};
 use super::predict::PathPredictor;
 use crate::statistics::{PairedVectors, centroid, correlated_variance};
 
-/// Wiring errors of the two counters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Wiring errors of the two counters. Their names in results stay when a variant is renamed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Wiring {
+    #[serde(rename = "AsGiven")]
     AsGiven,
     /// Left and right exchanged, or the track has the wrong sign.
+    #[serde(rename = "Swapped")]
     Swapped,
+    #[serde(rename = "BothReversed")]
     BothReversed,
+    #[serde(rename = "LeftReversed")]
     LeftReversed,
+    #[serde(rename = "RightReversed")]
     RightReversed,
     /// Exchanged, and the counter called left counts backwards.
+    #[serde(rename = "SwappedLeftReversed")]
     SwappedLeftReversed,
     /// Exchanged, and the counter called right counts backwards.
+    #[serde(rename = "SwappedRightReversed")]
     SwappedRightReversed,
 }
 
