@@ -1,6 +1,6 @@
 //! Which states a filter has, and in which row each is: the core of every robot, and what its configuration leaves unknown.
 //!
-//! Rows beyond the core follow each other without gaps, in the order of [`priors`], so that a robot pays only for what it
+//! Rows beyond the core follow each other without gaps, in the order of the priors, so that a robot pays only for what it
 //! estimates. Only this file knows both names and rows.
 
 use std::ops::Range;
