@@ -10,7 +10,7 @@ use syn::{BinOp, Expr, UnOp};
 
 use crate::Id;
 
-pub(crate) enum Kind {
+pub(crate) enum EditKind {
     Fn,
     Arm,
     Guard,
@@ -21,7 +21,7 @@ pub(crate) enum Kind {
 
 pub(crate) struct Edit {
     pub(crate) range: Range<usize>,
-    pub(crate) kind: Kind,
+    pub(crate) kind: EditKind,
     /// With the replacement, or for a field of a struct the range that goes.
     pub(crate) mutants: Vec<(Id, String, Range<usize>)>,
     pub(crate) children: Vec<Edit>,
@@ -30,8 +30,8 @@ pub(crate) struct Edit {
 impl Edit {
     pub(crate) fn rank(&self) -> u8 {
         match self.kind {
-            Kind::Fn | Kind::Arm => 0,
-            Kind::Guard => 1,
+            EditKind::Fn | EditKind::Arm => 0,
+            EditKind::Guard => 1,
             _ => 2,
         }
     }
@@ -103,7 +103,7 @@ impl Finder<'_> {
         }
         !found.is_empty() && reason.is_none()
     }
-    pub(crate) fn push(&mut self, range: Range<usize>, kind: Kind, found: Vec<(Id, String)>) {
+    pub(crate) fn push(&mut self, range: Range<usize>, kind: EditKind, found: Vec<(Id, String)>) {
         let mutants = found.into_iter().map(|(id, replacement)| (id, replacement, 0..0)).collect();
         self.edits.push(Edit { range, kind, mutants, children: vec![] });
     }
@@ -138,7 +138,7 @@ impl Finder<'_> {
                 let refusal = returns_impl(&signature.output).then_some("returns impl Trait");
                 let start = first.span().byte_range().start;
                 if this.note(&found, "", refusal) {
-                    this.push(start..start, Kind::Fn, found);
+                    this.push(start..start, EditKind::Fn, found);
                 }
             }
             this.functions.push(block.span().byte_range());
@@ -219,7 +219,7 @@ impl<'a> Visit<'a> for Finder<'_> {
         let text = self.text;
         if self.note(&found, &text[left.start..right.end], refusal) {
             let operator = i.op.span().byte_range();
-            self.push(left.start..right.end, Kind::Binary { left, operator, right }, found);
+            self.push(left.start..right.end, EditKind::Binary { left, operator, right }, found);
         }
         visit::visit_expr_binary(self, i);
     }
@@ -229,7 +229,7 @@ impl<'a> Visit<'a> for Finder<'_> {
             let (operator, operand) = (i.op.span().byte_range(), i.expr.span().byte_range());
             let text = self.text;
             if self.note(&found, &text[operator.start..operand.end], None) {
-                self.push(operator.start..operand.end, Kind::Unary { operator, operand }, found);
+                self.push(operator.start..operand.end, EditKind::Unary { operator, operand }, found);
             }
         }
         visit::visit_expr_unary(self, i);
@@ -239,14 +239,14 @@ impl<'a> Visit<'a> for Finder<'_> {
         let found = self.take("MatchArm", i.span());
         let pat = i.pat.span().byte_range();
         if self.note(&found, &text[pat.clone()], None) {
-            self.push(pat.end..pat.end, Kind::Arm, found);
+            self.push(pat.end..pat.end, EditKind::Arm, found);
         }
         if let Some((_, guard)) = &i.guard {
             let found = self.take("MatchArmGuard", guard.span());
             let range = guard.span().byte_range();
             let refusal = has_let(guard).then_some("let guard");
             if self.note(&found, &text[range.clone()], refusal) {
-                self.push(range, Kind::Guard, found);
+                self.push(range, EditKind::Guard, found);
             }
         }
         visit::visit_arm(self, i);
@@ -273,7 +273,7 @@ impl<'a> Visit<'a> for Finder<'_> {
                     .start
                     .min(i.qself.as_ref().map_or(usize::MAX, |q| q.lt_token.span.byte_range().start));
                 let range = from..i.brace_token.span.close().byte_range().end;
-                self.edits.push(Edit { range, kind: Kind::Struct, mutants, children: vec![] });
+                self.edits.push(Edit { range, kind: EditKind::Struct, mutants, children: vec![] });
             }
         }
         visit::visit_expr_struct(self, i);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::Id;
-use crate::mutant_finder::{Edit, Kind};
+use crate::mutant_finder::{Edit, EditKind};
 
 const SWITCH: &str = "::posebridge_mutant_switch::on";
 
@@ -53,12 +53,12 @@ impl Output {
     pub(crate) fn edit(&mut self, source: &str, edit: &Edit) {
         let begun = self.text.len();
         match &edit.kind {
-            Kind::Fn => {
+            EditKind::Fn => {
                 for (id, replacement, _) in &edit.mutants {
                     self.branch(*id, &format!("if {SWITCH}({id}) {{ return {replacement}; }} "));
                 }
             }
-            Kind::Arm => {
+            EditKind::Arm => {
                 let on: Vec<String> = edit.mutants.iter().map(|(id, ..)| format!("!{SWITCH}({id})")).collect();
                 let text = format!(" if {}", on.join(" && "));
                 for (id, ..) in &edit.mutants {
@@ -66,12 +66,12 @@ impl Output {
                 }
                 self.text.push_str(&text);
             }
-            Kind::Guard => {
+            EditKind::Guard => {
                 self.switch(edit, |_, replacement, _| replacement.to_owned());
                 self.render(source, edit.range.clone(), &edit.children);
                 self.text.push_str(" })");
             }
-            Kind::Binary { left, operator, right } => {
+            EditKind::Binary { left, operator, right } => {
                 let (l, r) = (&source[left.clone()], &source[right.clone()]);
                 self.switch(edit, |_, replacement, _| format!("({l}) {replacement} ({r})"));
                 self.text.push('(');
@@ -84,7 +84,7 @@ impl Output {
                 self.render(source, right.clone(), &edit.children);
                 self.text.push_str(") })");
             }
-            Kind::Unary { operator, operand } => {
+            EditKind::Unary { operator, operand } => {
                 let inner = &source[operand.clone()];
                 self.switch(edit, |_, _, _| format!("({inner})"));
                 self.text.push_str(&source[operator.clone()]);
@@ -92,7 +92,7 @@ impl Output {
                 self.render(source, operand.clone(), &edit.children);
                 self.text.push_str(" })");
             }
-            Kind::Struct => {
+            EditKind::Struct => {
                 let all = edit.range.clone();
                 self.switch(edit, |_, _, gone| {
                     format!("{}{}", &source[all.start..gone.start], &source[gone.end..all.end])
