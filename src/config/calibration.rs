@@ -155,6 +155,8 @@ impl MaxMagnitude {
     const TURN_RATE: Self = Self(1.0);
     /// Longer than any camera's delay, and the filter's longest history.
     const DELAY: Self = Self(60.0);
+    /// Half a turn: more is no play.
+    const ANGLE: Self = Self(std::f64::consts::PI);
     /// The filters' limit of a lever arm, and more than any radio's offset.
     const LENGTH: Self = Self(1e3);
 
@@ -264,6 +266,8 @@ calibration_table! {
     track_scale = 0.05, RATIO;
     /// Relative error of the gyro's rate: it reads fast where positive. Cheap gyros are specified to a per cent or so.
     gyro_scale = 0.01, RATIO;
+    /// Total play between each encoder and its wheel, in radians of the wheel.
+    backlash_rad = 0.0, ANGLE;
     /// How much earlier than its stamp the motion of an odometer happened, in seconds; negative for commands.
     odometry_delay_s = 0.0, DELAY;
     /// How much earlier than its stamp a fix was true, in seconds.

@@ -115,6 +115,8 @@ pub struct Calibration {
     pub gyro_bias_rad_per_s: UncertainValue,
     /// Relative error of the gyro's rate; positive reads fast.
     pub gyro_scale: UncertainValue,
+    /// Total play between each encoder and its wheel.
+    pub backlash_rad: UncertainValue,
     /// How much earlier than its timestamp the motion of an odometer happened. Negative for commands, which are carried out later.
     pub odometry_delay_s: UncertainValue,
     /// How much earlier than its timestamp a fix was measured.

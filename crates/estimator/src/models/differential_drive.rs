@@ -70,6 +70,17 @@ impl StepNoise {
             ..self
         }
     }
+
+    /// Adds independent errors of the left and the right wheel's travel, m².
+    #[must_use]
+    pub fn with_wheel_variances(self, [left_m2, right_m2]: [f64; 2], geometry: &DriveGeometry) -> Self {
+        let b = geometry.track_width.0;
+        Self {
+            forward_var_m2: self.forward_var_m2 + 0.25 * (left_m2 + right_m2),
+            turn_var_rad2: self.turn_var_rad2 + (left_m2 + right_m2) / (b * b),
+            forward_turn_m_rad: self.forward_turn_m_rad + (right_m2 - left_m2) / (2.0 * b),
+        }
+    }
 }
 
 /// A step corrected for relative errors of mean radius, of the difference of radii (right minus left) and of the track

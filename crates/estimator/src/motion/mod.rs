@@ -1,6 +1,7 @@
 //! Wheel travel and gyro rate over time, independent of any filter state. The travel of a track depends on the readings
 //! that it holds, linear between two, and not on the order in which they came.
 
+mod backlash;
 mod gyro;
 mod reading;
 mod track;
@@ -9,6 +10,7 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
 
+pub use backlash::BacklashCrossing;
 pub use gyro::{GyroTrack, GyroTurn};
 pub use reading::{InsertOutcome, MotionReading, MotionSource};
 pub use track::{MotionTrack, TravelSegment};

@@ -2,6 +2,7 @@
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
+use super::backlash::{BacklashCrossing, GearPosition};
 use super::reading::{InsertOutcome, MotionReading, MotionSource};
 use super::{TimeSeries, count_before};
 use crate::models::differential_drive::{WheelTravel, body_step};
@@ -16,6 +17,9 @@ struct MotionSample {
     cumulative_travel: WheelTravel,
     /// From the previous sample to this one; `None` when unknown, as for the first.
     step: Option<WheelTravel>,
+    /// Of the left and the right gear over that step, and their positions after it.
+    crossings: [BacklashCrossing; 2],
+    gears: [GearPosition; 2],
 }
 
 /// A part of the time between two instants, with what is known of the motion.
@@ -24,6 +28,8 @@ pub enum TravelSegment {
     Known {
         until: Timestamp<BrickClock>,
         travel: WheelTravel,
+        /// Of the left and the right gear.
+        crossings: [BacklashCrossing; 2],
         /// Variance of each coordinate of the end, where the order of distance and turn is unknown; zero over short
         /// intervals.
         path_var_m2: f64,
@@ -38,6 +44,8 @@ pub enum TravelSegment {
 pub struct MotionTrack {
     geometry: DriveGeometry,
     max_wheel_rad_per_s: f64,
+    /// The configured play, but no less than a count.
+    backlash_rad: f64,
     source: Option<MotionSource>,
     samples: TimeSeries<MotionSample>,
 }
@@ -45,7 +53,14 @@ pub struct MotionTrack {
 impl MotionTrack {
     /// An empty track for a robot of this geometry whose wheels cannot turn faster than the limit.
     pub fn new(geometry: DriveGeometry, max_wheel_rad_per_s: f64) -> Self {
-        Self { geometry, max_wheel_rad_per_s, source: None, samples: TimeSeries::default() }
+        let backlash_rad = geometry.tick.0;
+        Self { geometry, max_wheel_rad_per_s, backlash_rad, source: None, samples: TimeSeries::default() }
+    }
+
+    /// With this play between encoders and wheels, rad.
+    #[must_use]
+    pub fn with_backlash(self, backlash_rad: f64) -> Self {
+        Self { backlash_rad: backlash_rad.max(self.geometry.tick.0), ..self }
     }
 
     /// A larger jump than this re-bases the counters from now on.
@@ -67,7 +82,13 @@ impl MotionTrack {
             return InsertOutcome::TooOld;
         }
         self.source = Some(source);
-        let sample = MotionSample { reading: *reading, cumulative_travel: WheelTravel::default(), step: None };
+        let sample = MotionSample {
+            reading: *reading,
+            cumulative_travel: WheelTravel::default(),
+            step: None,
+            crossings: Default::default(),
+            gears: Default::default(),
+        };
         samples.insert(index, (stamp, sample));
         self.sum_from(index);
         match before {
@@ -85,6 +106,7 @@ impl MotionTrack {
                 sample.step = self.step(&before.reading, &sample.reading, (to - from).as_secs_f64());
             }
             sample.cumulative_travel = sum(before.cumulative_travel, sample.step.unwrap_or_default());
+            (sample.gears, sample.crossings) = self.turn_gears(&before, &sample);
             self.samples.entries[i].1 = sample;
         }
     }
@@ -93,6 +115,22 @@ impl MotionTrack {
         let step = from.travel_to(to, dt_s, &self.geometry)?;
         let is_held = matches!(from, MotionReading::Velocity { .. });
         (is_held || self.is_possible(step, dt_s)).then_some(step)
+    }
+
+    /// The gears' positions after a step, and how they got there; unknown again where the step is.
+    fn turn_gears(&self, before: &MotionSample, after: &MotionSample) -> ([GearPosition; 2], [BacklashCrossing; 2]) {
+        let (MotionReading::Wheels { left_rad: left, right_rad: right }, MotionReading::Wheels { left_rad, right_rad }) =
+            (before.reading, after.reading)
+        else {
+            return Default::default();
+        };
+        if after.step.is_none() {
+            return Default::default();
+        }
+        let mut gears = before.gears;
+        let crossings =
+            [gears[0].turn(left_rad - left, self.backlash_rad), gears[1].turn(right_rad - right, self.backlash_rad)];
+        (gears, crossings)
     }
 
     fn is_possible(&self, step: WheelTravel, dt_s: f64) -> bool {
@@ -121,6 +159,7 @@ impl MotionTrack {
         TravelSegment::Known {
             until,
             travel: if is_complete { step } else { self.travel_between(from, until) },
+            crossings: if is_complete { after.crossings } else { after.crossings.map(|crossing| crossing.part(share)) },
             path_var_m2,
         }
     }

@@ -39,6 +39,8 @@ pub enum StateTerm {
     LandmarkScale,
     /// Relative error of the gyro's rate.
     GyroScale,
+    /// Play between each encoder and its wheel, rad.
+    Backlash,
     /// Delay of a sensor's observations, s.
     Delay(MountedSensor),
     /// Where a sensor sits in the body's frame, m or rad.

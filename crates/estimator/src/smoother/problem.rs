@@ -152,7 +152,7 @@ impl<'a> RunData<'a> {
         let mut at = from;
         while at < to {
             at = match self.track.segment(at, to) {
-                TravelSegment::Known { until, travel, path_var_m2 } => {
+                TravelSegment::Known { until, travel, path_var_m2, .. } => {
                     problem.append_travel(travel, path_var_m2);
                     until
                 }

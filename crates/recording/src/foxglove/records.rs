@@ -305,6 +305,7 @@ pub(super) const CALIBRATION: Record<Calibration> = Record {
         field("landmark_offset_m", "Offset of the ranges to landmarks, m.", Read::Uncertain(|of| of.landmark_offset_m)),
         field("landmark_scale", "Relative error of the ranges to landmarks.", Read::Uncertain(|of| of.landmark_scale)),
         field("gyro_scale", "Relative error of the gyro's rate.", Read::Uncertain(|of| of.gyro_scale)),
+        field("backlash_rad", "Total play between each encoder and its wheel, rad.", Read::Uncertain(|of| of.backlash_rad)),
         field("odometry_delay_s", "How much earlier than its stamp the motion of an odometer happened, s.", Read::Uncertain(|of| of.odometry_delay_s)),
         field("landmark_delay_s", "How much earlier than its stamp a landmark was sighted, s.", Read::Uncertain(|of| of.landmark_delay_s)),
         field("beacon_delay_s", "How much earlier than its stamp a range to a beacon was true, s.", Read::Uncertain(|of| of.beacon_delay_s)),

@@ -172,6 +172,7 @@ fn calibration() -> Calibration {
         range_delay_s: number(15.0),
         compass_delay_s: number(16.0),
         odometry_delay_s: number(40.0),
+        backlash_rad: number(41.0),
         mountings,
     }
 }

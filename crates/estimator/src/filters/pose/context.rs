@@ -22,7 +22,8 @@ impl UpdateContext {
         Self {
             config: config.clone(),
             layout: StateLayout::new(config, max_states),
-            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s),
+            track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s)
+                .with_backlash(config.calibration.backlash_rad.value),
             gyro: GyroTrack::default(),
             gates: chi_square_gates(config.params.gate_probability),
         }

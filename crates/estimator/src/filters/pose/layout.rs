@@ -24,8 +24,9 @@ pub const DIFFERENCE: usize = 6;
 pub const TRACK: usize = 7;
 pub const ROUNDING: usize = 8;
 pub const GYRO_SCALE: usize = 9;
+pub const BACKLASH: usize = 10;
 /// Number of states that every filter has.
-pub const CORE_STATES: usize = 10;
+pub const CORE_STATES: usize = 11;
 
 /// Rows of the smallest filter that has more than the core.
 pub const SMALL_STATES: usize = 16;
@@ -98,6 +99,7 @@ impl StateLayout {
         match term {
             StateTerm::GyroBias => Some(GYRO_BIAS),
             StateTerm::GyroScale => Some(GYRO_SCALE),
+            StateTerm::Backlash => Some(BACKLASH),
             StateTerm::WindowTurn => Some(WINDOW_TURN),
             StateTerm::HeadingRounding => Some(ROUNDING),
             StateTerm::OdometryDelay
@@ -166,6 +168,7 @@ const fn index(term: StateTerm) -> Option<usize> {
         | StateTerm::LandmarkPlace(..)
         | StateTerm::GyroBias
         | StateTerm::GyroScale
+        | StateTerm::Backlash
         | StateTerm::WindowTurn
         | StateTerm::HeadingRounding => None,
     }
@@ -216,6 +219,7 @@ pub(super) fn calibration_field(calibration: &mut Calibration, term: StateTerm) 
     let field = match term {
         StateTerm::GyroBias => &mut calibration.gyro_bias_rad_per_s,
         StateTerm::GyroScale => &mut calibration.gyro_scale,
+        StateTerm::Backlash => &mut calibration.backlash_rad,
         StateTerm::OdometryDelay => &mut calibration.odometry_delay_s,
         StateTerm::FixDelay => &mut calibration.fix_delay_s,
         StateTerm::TagForward => &mut calibration.tag_forward_m,

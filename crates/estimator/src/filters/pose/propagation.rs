@@ -13,14 +13,14 @@ use nalgebra::{Matrix3, SMatrix};
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
 
 use super::context::UpdateContext;
-use super::layout::{DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, RADIUS, TRACK, WINDOW_TURN};
+use super::layout::{BACKLASH, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LEFT, RADIUS, TRACK, WINDOW_TURN};
 use super::recovery::BodyMotion;
 use super::state::PoseState;
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{StepNoise, WheelTravel, calibrated_step, step_noise};
 use crate::models::lie::{ArcStep, Se2};
 use crate::models::se2::BodyStep;
-use crate::motion::{SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
+use crate::motion::{BacklashCrossing, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
 
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
@@ -33,28 +33,40 @@ const SPEED_WINDOW: TimeDelta = TimeDelta::from_millis(100);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
     pub step: ArcStep,
-    /// Derivatives by the errors of mean radius, of the difference of radii and of the track.
-    pub turn_by_scales: [f64; 3],
-    /// By the same errors; the track's error does not change the distance.
-    pub forward_by_scales: [f64; 3],
+    /// Derivatives by the errors of mean radius, of the difference of radii and of the track, and by the backlash.
+    pub turn_by_constants: [f64; 4],
+    /// By the same; the track's error does not change the distance.
+    pub forward_by_constants: [f64; 4],
     /// 1 if the turn counts for an open gyro window, else 0: only then the turn since its start is a state.
     pub window_share: f64,
 }
 
 impl Transition {
-    /// A step over known travel with the learned radii and track: its distance, its turn, and what they depend on.
+    /// A step over known travel with the learned radii, track and backlash: its distance, its turn, and what they depend on.
+    /// `crossings` are those of the left and the right gear.
     pub fn over_travel<const N: usize>(
         travel: WheelTravel,
+        crossings: [BacklashCrossing; 2],
         state: &PoseState<N>,
         geometry: &DriveGeometry,
     ) -> (Self, f64, f64) {
         let scales = [RADIUS, DIFFERENCE, TRACK].map(|row| state.mean[row]);
+        let [left, right] = wheel_radii_m(geometry);
+        let by_backlash = [left * crossings[0].share, right * crossings[1].share];
+        let backlash_rad = state.mean[BACKLASH];
+        let travel = WheelTravel {
+            left_m: travel.left_m - backlash_rad * by_backlash[0],
+            right_m: travel.right_m - backlash_rad * by_backlash[1],
+        };
         let moved = calibrated_step(travel, geometry, scales);
+        let lost = WheelTravel { left_m: -by_backlash[0], right_m: -by_backlash[1] };
+        let crossed = calibrated_step(lost, geometry, scales).step;
+        let with_backlash = |[mean, difference, track]: [f64; 3], backlash: f64| [mean, difference, track, backlash];
         let BodyStep { forward_m, turn_rad } = moved.step;
         let transition = Self {
             step: ArcStep::new(forward_m, turn_rad),
-            forward_by_scales: moved.forward_by_scales,
-            turn_by_scales: moved.turn_by_scales,
+            forward_by_constants: with_backlash(moved.forward_by_scales, crossed.forward_m),
+            turn_by_constants: with_backlash(moved.turn_by_scales, crossed.turn_rad),
             window_share: state.window.map_or(0.0, |_| 1.0),
         };
         (transition, forward_m, turn_rad)
@@ -64,8 +76,8 @@ impl Transition {
     pub fn at_speeds(forward_m: f64, turn_rad: f64) -> Self {
         Self {
             step: ArcStep::new(forward_m, turn_rad),
-            forward_by_scales: [0.0; 3],
-            turn_by_scales: [0.0; 3],
+            forward_by_constants: [0.0; 4],
+            turn_by_constants: [0.0; 4],
             window_share: 0.0,
         }
     }
@@ -74,10 +86,11 @@ impl Transition {
     #[inline]
     fn propagate_error(&self, error: impl Fn(usize) -> f64) -> [f64; 4] {
         let step = &self.step;
-        let (mean, difference) = (error(RADIUS), error(DIFFERENCE));
-        let along = mean * self.forward_by_scales[0] + difference * self.forward_by_scales[1];
-        let turned =
-            mean * self.turn_by_scales[0] + difference * self.turn_by_scales[1] + error(TRACK) * self.turn_by_scales[2];
+        let (mean, difference, backlash) = (error(RADIUS), error(DIFFERENCE), error(BACKLASH));
+        let by_forward = &self.forward_by_constants;
+        let along = mean * by_forward[0] + difference * by_forward[1] + backlash * by_forward[3];
+        let by_turn = &self.turn_by_constants;
+        let turned = mean * by_turn[0] + difference * by_turn[1] + error(TRACK) * by_turn[2] + backlash * by_turn[3];
         let heading = error(HEADING);
         let x = error(FORWARD) - heading * step.motion.y_m;
         let y = error(LEFT) + heading * step.motion.x_m;
@@ -134,6 +147,11 @@ impl Transition {
     }
 }
 
+/// Nominal, left first.
+const fn wheel_radii_m(geometry: &DriveGeometry) -> [f64; 2] {
+    [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0]
+}
+
 const MOVED_ROWS: [usize; 4] = [FORWARD, LEFT, HEADING, WINDOW_TURN];
 
 impl<const N: usize> PoseState<N> {
@@ -151,8 +169,8 @@ impl<const N: usize> PoseState<N> {
         let mut at = from;
         while at < to {
             at = match context.track.segment(at, to) {
-                TravelSegment::Known { until, travel, path_var_m2 } => {
-                    self.move_by_travel(travel, (at, until), context);
+                TravelSegment::Known { until, travel, crossings, path_var_m2 } => {
+                    self.move_by_travel(travel, crossings, (at, until), context);
                     self.inflate_pose_covariance(path_var_m2, 0.0);
                     until
                 }
@@ -192,6 +210,7 @@ impl<const N: usize> PoseState<N> {
     fn move_by_travel(
         &mut self,
         travel: WheelTravel,
+        crossings: [BacklashCrossing; 2],
         (from, to): (Timestamp<BrickClock>, Timestamp<BrickClock>),
         context: &UpdateContext,
     ) {
@@ -203,9 +222,14 @@ impl<const N: usize> PoseState<N> {
         if !moved {
             return;
         }
-        let (transition, forward_m, turn_rad) = Transition::over_travel(travel, self, &config.geometry);
+        let (transition, forward_m, turn_rad) = Transition::over_travel(travel, crossings, self, &config.geometry);
         let moving_s = (to - from).as_secs_f64();
-        let noise = step_noise(travel, &config.geometry, &config.noise).with_time(moving_s, &config.noise);
+        let backlash_rad2 = self.mean[BACKLASH].powi(2) + self.covariance[(BACKLASH, BACKLASH)];
+        let radii_m = wheel_radii_m(&config.geometry);
+        let unknown_m2 = [0, 1].map(|wheel| radii_m[wheel].powi(2) * backlash_rad2 * crossings[wheel].variance);
+        let noise = step_noise(travel, &config.geometry, &config.noise)
+            .with_time(moving_s, &config.noise)
+            .with_wheel_variances(unknown_m2, &config.geometry);
         self.wheel_path_m += travel.left_m.abs().max(travel.right_m.abs());
         transition.propagate(&mut self.covariance, &noise);
         self.pose = self.pose.compose(transition.step.motion);
@@ -300,8 +324,8 @@ impl<const N: usize> PoseState<N> {
         let mut at = from;
         while at < now {
             at = match context.track.segment(at, now) {
-                TravelSegment::Known { until, travel, .. } => {
-                    let (transition, ..) = Transition::over_travel(travel, self, &context.config.geometry);
+                TravelSegment::Known { until, travel, crossings, .. } => {
+                    let (transition, ..) = Transition::over_travel(travel, crossings, self, &context.config.geometry);
                     moved = moved.compose(transition.step.motion);
                     until
                 }

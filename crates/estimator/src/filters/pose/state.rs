@@ -6,7 +6,7 @@
 //! b_g  gyro bias                                            psi  turn since the gyro window began, by the encoders
 //! eps  rounding of the encoders' heading where the gyro window began
 //! e_m, e_d, e_b  relative errors of mean radius, of the radii against each other, of the track
-//! e_g  relative error of the gyro's rate
+//! e_g  relative error of the gyro's rate                 beta  play between encoders and wheels
 //! ..   what the configuration leaves unknown besides: delays, mountings, offsets, shared errors (see layout.rs)
 //! v, w           forward speed and turn rate, beside the others: they predict, they never move the pose over known travel
 //! ```
@@ -19,8 +19,8 @@ use posebridge_telemetry::{
 };
 
 use super::layout::{
-    DIFFERENCE, FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, MAX_BEACONS, RADIUS, ROUNDING, StateLayout, TRACK,
-    WINDOW_TURN, calibration_field,
+    BACKLASH, DIFFERENCE, FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, MAX_BEACONS, RADIUS, ROUNDING, StateLayout,
+    TRACK, WINDOW_TURN, calibration_field,
 };
 use super::noise_scales::{NoiseScales, ObserverFrames};
 use super::recovery::{Alternative, AlternativeBank};
@@ -392,7 +392,7 @@ fn constant_terms(layout: &StateLayout) -> impl Iterator<Item = (StateTerm, usiz
     let of_layout = layout.priors().iter().map(|prior| (prior.term, prior.row));
     let is_single =
         |(term, _): &(StateTerm, usize)| !matches!(term, StateTerm::BeaconOffset(_) | StateTerm::BeaconScale(_));
-    [(StateTerm::GyroBias, GYRO_BIAS), (StateTerm::GyroScale, GYRO_SCALE)]
+    [(StateTerm::GyroBias, GYRO_BIAS), (StateTerm::GyroScale, GYRO_SCALE), (StateTerm::Backlash, BACKLASH)]
         .into_iter()
         .chain(of_layout.filter(is_single))
 }
@@ -410,6 +410,7 @@ pub(super) fn constant_rows(
         (DIFFERENCE, calibration.radius_difference),
         (TRACK, calibration.track_scale),
         (GYRO_SCALE, calibration.gyro_scale),
+        (BACKLASH, calibration.backlash_rad),
     ]
     .into_iter()
     .chain(of_layout.map(|prior| (prior.row, prior.known)))

@@ -147,7 +147,7 @@ impl NominalPath {
         let (start, length_s) = (from, (to - from).as_secs_f64());
         while from < to {
             let until = match track.segment(from, to) {
-                TravelSegment::Known { until, travel, path_var_m2 } => {
+                TravelSegment::Known { until, travel, path_var_m2, .. } => {
                     self.step((until - from).as_secs_f64(), travel, path_var_m2);
                     until
                 }

@@ -6,14 +6,15 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use posebridge_estimator::FilterConfig;
 use posebridge_estimator::filters::pose::context::UpdateContext;
 use posebridge_estimator::filters::pose::layout::{
-    CORE_STATES, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LARGE_STATES, LEFT, RADIUS, ROUNDING, TRACK, WINDOW_TURN,
+    BACKLASH, CORE_STATES, DIFFERENCE, FORWARD, GYRO_BIAS, HEADING, LARGE_STATES, LEFT, RADIUS, ROUNDING, TRACK,
+    WINDOW_TURN,
 };
 use posebridge_estimator::filters::pose::propagation::Transition;
 use posebridge_estimator::filters::pose::state::PoseState;
 use posebridge_estimator::models::differential_drive::{StepNoise, WheelTravel};
 use posebridge_estimator::models::lie::Se2;
-use posebridge_estimator::motion::{MotionReading, MotionTrack};
-use posebridge_telemetry::SensorNoise;
+use posebridge_estimator::motion::{BacklashCrossing, MotionReading, MotionTrack};
+use posebridge_telemetry::{Meters, SensorNoise};
 
 use crate::support::observe::ms;
 use crate::support::odd::{GEOMETRY, H, config, odd_states, with_error};
@@ -24,6 +25,10 @@ const TRAVELS: [WheelTravel; 4] = [
     WheelTravel { left_m: -0.05, right_m: 0.06 },
     WheelTravel { left_m: -0.2, right_m: -0.03 },
 ];
+
+/// The left gear crosses a part of its play backwards, the right one all of it.
+const CROSSINGS: [BacklashCrossing; 2] =
+    [BacklashCrossing { share: -0.3, variance: 0.0 }, BacklashCrossing { share: 1.0, variance: 0.0 }];
 
 /// What leads from one state to another, row by row.
 fn error_between<const N: usize>(from: &PoseState<N>, to: &PoseState<N>) -> SVector<f64, N> {
@@ -36,10 +41,15 @@ fn error_between<const N: usize>(from: &PoseState<N>, to: &PoseState<N>) -> SVec
 }
 
 /// How the state moves over wheel travel, in other words than the filter's: true radii and track, then an arc of the group.
-fn composed<const N: usize>(state: &PoseState<N>, travel: WheelTravel) -> PoseState<N> {
+fn composed<const N: usize>(
+    state: &PoseState<N>,
+    travel: WheelTravel,
+    crossings: [BacklashCrossing; 2],
+) -> PoseState<N> {
     let of = |row: usize| state.mean[row];
-    let left_m = travel.left_m * (1.0 + of(RADIUS) - of(DIFFERENCE) / 2.0);
-    let right_m = travel.right_m * (1.0 + of(RADIUS) + of(DIFFERENCE) / 2.0);
+    let lost = |wheel: usize, radius: Meters| radius.0 * of(BACKLASH) * crossings[wheel].share;
+    let left_m = (travel.left_m - lost(0, GEOMETRY.left_wheel_radius)) * (1.0 + of(RADIUS) - of(DIFFERENCE) / 2.0);
+    let right_m = (travel.right_m - lost(1, GEOMETRY.right_wheel_radius)) * (1.0 + of(RADIUS) + of(DIFFERENCE) / 2.0);
     let turn_rad = (right_m - left_m) / (GEOMETRY.track_width.0 * (1.0 + of(TRACK)));
     let mut moved = *state;
     moved.pose = state.pose.compose(Se2::exp([f64::midpoint(left_m, right_m), 0.0, turn_rad]));
@@ -90,11 +100,11 @@ fn check_transition<const N: usize>() {
                 if !is_open {
                     state.close_window();
                 }
-                let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
+                let (transition, forward_m, turn_rad) = Transition::over_travel(travel, CROSSINGS, &state, &GEOMETRY);
                 let what = format!("{travel:?} from {:?}", state.pose);
-                let by_differences = numeric(&state, |state| composed(state, travel));
+                let by_differences = numeric(&state, |state| composed(state, travel, CROSSINGS));
                 assert_propagates(&transition, &by_differences, &what);
-                let end = composed(&state, travel);
+                let end = composed(&state, travel, CROSSINGS);
                 let [expected_m, _, expected_rad] = state.pose.between(end.pose).log();
                 assert!((forward_m - expected_m).abs() < 1e-12, "{what}");
                 assert!((turn_rad - expected_rad).abs() < 1e-12, "{what}");
@@ -148,13 +158,13 @@ fn a_step_carries_the_covariance_by_f_and_adds_the_noise_by_g() {
     let q = Matrix2::new(0.3, -0.2, -0.2, 0.7);
     for state in odd_states::<LARGE_STATES>() {
         for travel in TRAVELS {
-            let (transition, forward_m, turn_rad) = Transition::over_travel(travel, &state, &GEOMETRY);
+            let (transition, forward_m, turn_rad) = Transition::over_travel(travel, CROSSINGS, &state, &GEOMETRY);
             let g = numeric_g(&state, (forward_m, turn_rad));
             let mut alone = SMatrix::<f64, LARGE_STATES, LARGE_STATES>::zeros();
             transition.propagate(&mut alone, &noise);
             assert_near(&alone, &(g * q * g.transpose()), "the noise alone");
 
-            let f = numeric(&state, |state| composed(state, travel));
+            let f = numeric(&state, |state| composed(state, travel, CROSSINGS));
             let p = correlated::<LARGE_STATES>();
             let mut carried = p;
             transition.propagate(&mut carried, &noise);
@@ -188,7 +198,7 @@ fn the_noise_of_each_wheel_enters_pose_and_window_as_its_travel_does() {
     for travel in TRAVELS {
         for mut state in odd_states::<CORE_STATES>() {
             // How noisy a step is follows from the nominal geometry.
-            for row in [RADIUS, DIFFERENCE, TRACK] {
+            for row in [RADIUS, DIFFERENCE, TRACK, BACKLASH] {
                 state.mean[row] = 0.0;
             }
             state.covariance = SMatrix::zeros();

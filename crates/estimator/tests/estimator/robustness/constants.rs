@@ -9,14 +9,18 @@ use posebridge_telemetry::{Calibration, SensorId, TimeDelta, UncertainValue};
 
 use crate::support::alter::{altered, with_tag_moved};
 use crate::support::filters::named;
-use crate::support::robot::{GEOMETRY_SIGMAS, NOISE, config, learning_geometry, unknown};
+use crate::support::robot::{DEGREE, GEOMETRY_SIGMAS, NOISE, config, learning_geometry, unknown};
 use crate::support::score::played;
 use crate::support::simulation::{CAMERA_10_HZ, Camera, Drive, RobotSimulation, STEP_S, drive_lap, drive_steps, stamp};
 
 /// Two minutes of straights and turns in place, to the left and to the right.
 fn course() -> Vec<(f64, f64)> {
+    course_of(12)
+}
+
+fn course_of(legs: usize) -> Vec<(f64, f64)> {
     let mut steps = vec![(0.0, 0.0); 40];
-    for leg in 0..12 {
+    for leg in 0..legs {
         let quarter = if leg % 3 == 2 { -FRAC_PI_2 } else { FRAC_PI_2 };
         steps.extend([(0.2 * STEP_S, 0.0); 140]);
         steps.extend([(0.0, quarter / 40.0); 40]);
@@ -73,6 +77,35 @@ fn with_a_camera_the_constants_are_learned_as_well_as_is_claimed() {
         let found = of_robot(&played::<CORE_STATES>(&drive, &learning_geometry()).calibration().unwrap());
         [0, 1, 2, 3].map(|i| (found[i], truth[i]))
     });
+}
+
+#[test]
+fn play_is_not_taken_for_geometry() {
+    let mut configured = learning_geometry();
+    configured.calibration.backlash_rad = unknown(3.0 * DEGREE);
+    let names = ["radius_scale", "radius_difference", "track_scale", "backlash_rad"];
+    for (case, camera, has_gyro) in
+        [("gyro and camera", Some(CAMERA_10_HZ), true), ("camera", Some(CAMERA_10_HZ), false), ("gyro", None, true)]
+    {
+        let (mut within, mut track_sigma) = ([0; 4], 0.0);
+        for seed in 0..200 {
+            let mut world = RobotSimulation::new(seed).with_backlash(4.0 * DEGREE);
+            let [mean, difference, track] = world.draw_geometry();
+            let drive = altered(drive_steps(&mut world, course_of(20), camera), |observation| {
+                (has_gyro || observation.sensor != SensorId::GYRO).then_some(observation)
+            });
+            let found = played::<CORE_STATES>(&drive, &configured).calibration().unwrap();
+            let found = [found.radius_scale, found.radius_difference, found.track_scale, found.backlash_rad];
+            for (i, truth) in [mean, difference, track, 4.0 * DEGREE].into_iter().enumerate() {
+                within[i] += i32::from((found[i].value - truth).abs() < 2.0 * found[i].sigma);
+            }
+            track_sigma = found[2].sigma;
+        }
+        println!("{case}: {within:?} of 200 within two sigmas, track known to {:.2} %", 100.0 * track_sigma);
+        for (name, within) in names.into_iter().zip(within) {
+            assert!(within >= 186, "{case}: {name} within two sigmas in {within} of 200 seeds");
+        }
+    }
 }
 
 #[test]

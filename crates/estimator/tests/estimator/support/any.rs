@@ -49,6 +49,7 @@ pub(crate) fn all_unknown() -> Calibration {
     }
     Calibration {
         gyro_scale: unknown(0.01),
+        backlash_rad: unknown(0.03),
         odometry_delay_s: unknown(0.1),
         fix_delay_s: unknown(0.1),
         tag_forward_m: unknown(0.02),

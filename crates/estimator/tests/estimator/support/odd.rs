@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use posebridge_estimator::filters::pose::layout::{
-    DIFFERENCE, GYRO_BIAS, GYRO_SCALE, RADIUS, ROUNDING, StateLayout, TRACK, WINDOW_TURN,
+    BACKLASH, DIFFERENCE, GYRO_BIAS, GYRO_SCALE, RADIUS, ROUNDING, StateLayout, TRACK, WINDOW_TURN,
 };
 use posebridge_estimator::filters::pose::state::PoseState;
 use posebridge_estimator::models::lie::Se2;
@@ -90,7 +90,7 @@ pub(crate) fn odd_states<const N: usize>() -> [PoseState<N>; 6] {
     })
 }
 
-const CONSTANTS: [(usize, f64); 7] = [
+const CONSTANTS: [(usize, f64); 8] = [
     (GYRO_BIAS, 0.013),
     (WINDOW_TURN, -0.04),
     (RADIUS, 0.02),
@@ -98,6 +98,7 @@ const CONSTANTS: [(usize, f64); 7] = [
     (TRACK, 0.05),
     (ROUNDING, 0.002),
     (GYRO_SCALE, -0.015),
+    (BACKLASH, 0.04),
 ];
 
 /// The state with an error of `by` in one row: X exp(by e) for the pose's rows, a sum for the others.

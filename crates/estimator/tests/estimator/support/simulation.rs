@@ -163,6 +163,10 @@ pub(crate) struct RobotSimulation {
     left_rad: f64,
     right_rad: f64,
     pub(crate) bias_rad_per_s: f64,
+    /// Play between each encoder and its wheel.
+    pub(crate) backlash_rad: f64,
+    /// By how much of the play each encoder is ahead of its wheel, -1/2 to 1/2: left, right.
+    leads: [f64; 2],
 }
 
 impl RobotSimulation {
@@ -177,6 +181,8 @@ impl RobotSimulation {
             left_rad: 0.0,
             right_rad: 0.0,
             bias_rad_per_s: 0.0,
+            backlash_rad: 0.0,
+            leads: [0.0; 2],
         };
         world.bias_rad_per_s = NOISE.gyro_bias_rad_per_s * world.normal();
         world
@@ -199,11 +205,21 @@ impl RobotSimulation {
     }
 
     /// Moves as commanded, with the noise of the motion, and returns the true turn.
+    /// With this play, in which the gears stand anywhere at the start.
+    pub(crate) fn with_backlash(mut self, backlash_rad: f64) -> Self {
+        self.backlash_rad = backlash_rad;
+        self.leads = [(); 2].map(|()| self.uniforms.random::<f64>() - 0.5);
+        self
+    }
+
     fn move_by(&mut self, distance_m: f64, turn_rad: f64) -> f64 {
         let (left_m, right_m) = (
             distance_m - 0.5 * turn_rad * self.geometry.track_width.0,
             distance_m + 0.5 * turn_rad * self.geometry.track_width.0,
         );
+        for (lead, travel_m) in self.leads.iter_mut().zip([left_m, right_m]).filter(|(_, travel_m)| *travel_m != 0.0) {
+            *lead = 0.5 * travel_m.signum();
+        }
         self.left_rad += left_m / self.geometry.left_wheel_radius.0;
         self.right_rad += right_m / self.geometry.right_wheel_radius.0;
         let left_m = self.travelled(left_m);
@@ -225,7 +241,11 @@ impl RobotSimulation {
 
     fn wheels(&self) -> ObservationKind {
         let floored = |rad: f64| Radians((rad / DEGREE).floor() * DEGREE);
-        ObservationKind::WheelAngles { left: floored(self.left_rad), right: floored(self.right_rad) }
+        let [left_rad, right_rad] = self.leads.map(|lead| lead * self.backlash_rad);
+        ObservationKind::WheelAngles {
+            left: floored(self.left_rad + left_rad),
+            right: floored(self.right_rad + right_rad),
+        }
     }
 
     fn gyro(&mut self, moved_rad: f64) -> ObservationKind {
