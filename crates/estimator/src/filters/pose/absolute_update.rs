@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector};
 use posebridge_telemetry::{
     Arena, Fix, FusionOutcome, FusionRecord, MountedSensor, ObservationKind, Point2, TimeDelta, Timestamp,
 };
@@ -12,6 +12,7 @@ use super::entry::sort_key;
 use super::layout::{FORWARD, HEADING, LEFT, MAX_BEACONS, MAX_LANDMARKS};
 use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
+use super::ranging::pose_from_ranges;
 use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, ln_anywhere};
 use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
 use super::sightings::Sighting;
@@ -28,7 +29,7 @@ use crate::validation::write_innovation;
 /// Limit of the estimated delay of fixes, either way.
 pub(super) const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
 /// A robot that was carried stands on the floor again this long after its gyro has turned last.
-const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
+pub(super) const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
 /// A pose after a robot was carried has proved right when observations agree with it after this time.
 const PROBATION: TimeDelta = TimeDelta::from_millis(10_000);
 /// Nearer than a decimetre an error of the map says nothing of a direction, m².
@@ -220,7 +221,14 @@ impl AbsoluteUpdate<'_> {
                     variance_m2: variances[0] + range.0.powi(2) * variances[1] + of_constants,
                     stamp: state.stamp.unwrap_or(Timestamp::ZERO),
                 };
-                self.update_or_recover(state, groups, ln_anywhere(1, 1, variances[0].sqrt()), model, Some(&sighting))
+                let (pose, sightings) = (state.pose, state.sightings);
+                let own = |_: &PoseState<N>| sightings.pose_with(&sighting, pose);
+                let verdict = self.update_or_recover(state, groups, ln_anywhere(1, 1, variances[0].sqrt()), model, own);
+                let is_adopted = verdict == FusionOutcome::PoseReset;
+                if !is_adopted && self.is_refused(state, verdict, 2) && !is_being_carried(state) {
+                    state.sightings.push(sighting);
+                }
+                verdict
             }
             ObservationKind::BeaconRange { id, range } => {
                 let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
@@ -231,7 +239,8 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Beacons, &exposure);
                     absolute::beacon(view, &frame, &MeasuredPoint::beacon(position, slot), range.0, variance_m2)
                 };
-                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, None)
+                let own = |state: &PoseState<N>| pose_from_ranges(state, self.context);
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, own)
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);
@@ -240,7 +249,9 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Range, &exposure);
                     absolute::wall(&frame, &map.walls, range.0, variance_m2)
                 };
-                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, None)
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, |_| {
+                    None
+                })
             }
             ObservationKind::CompassHeading(heading) => {
                 let variance_rad2 = self.noise_scale(state, NoiseGroup::Heading) * noise.compass_rad.powi(2);
@@ -249,7 +260,7 @@ impl AbsoluteUpdate<'_> {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Compass, &exposure);
                     Some(absolute::compass(&frame, heading.rad(), variance_rad2))
                 };
-                self.update_or_recover(state, [NoiseGroup::Heading], ln_anywhere(0, 1, 0.0), model, None)
+                self.update_or_recover(state, [NoiseGroup::Heading], ln_anywhere(0, 1, 0.0), model, |_| None)
             }
             ObservationKind::WheelAngles { .. }
             | ObservationKind::OdometerPose(_)
@@ -268,9 +279,9 @@ impl AbsoluteUpdate<'_> {
         groups: [NoiseGroup; M],
         ln_anything: f64,
         model: impl Fn(&StateView<'_, N>) -> Option<ObservationModel<M>>,
-        sighting: Option<&Sighting>,
+        own: impl FnOnce(&PoseState<N>) -> Option<(Se2, Matrix3<f64>)>,
     ) -> FusionOutcome {
-        let (mean, pose, sightings) = (state.mean, state.pose, state.sightings);
+        let (mean, pose) = (state.mean, state.pose);
         let view = StateView::new(&mean, pose, &self.context.layout);
         let verdict = if state.is_located {
             let Some(own) = model(&view) else { return FusionOutcome::Unused };
@@ -278,17 +289,11 @@ impl AbsoluteUpdate<'_> {
         } else {
             FusionOutcome::Unused
         };
-        let by_landmarks = |_: &PoseState<N>| {
-            let (pose, covariance) = sighting.and_then(|sighting| sightings.pose_with(sighting, pose))?;
+        let own = |state: &PoseState<N>| {
+            let (pose, covariance) = own(state)?;
             Some(OwnPose { pose, covariance, is_heading_known: true })
         };
-        let winner = self.ask_alternatives(state, &view, verdict, ln_anything, model, by_landmarks);
-        if let Some(sighting) = sighting
-            && self.is_refused(state, verdict, M)
-            && !is_being_carried(state)
-        {
-            state.sightings.push(*sighting);
-        }
+        let winner = self.ask_alternatives(state, &view, verdict, ln_anything, model, own);
         let Some(winner) = winner else { return verdict };
         state.adopt(&winner, view.pose());
         FusionOutcome::PoseReset
@@ -436,7 +441,7 @@ fn believed_place(view: &impl PoseView, exposure: &Exposure, sighting: RangeBear
 }
 
 /// Variance of a range with a constant part of its noise and one that is proportional to it.
-fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
+pub(super) fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
     constant_m.powi(2) + (share * range_m).powi(2)
 }
 

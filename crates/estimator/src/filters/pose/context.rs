@@ -1,6 +1,7 @@
 //! What the updates of a pose filter need besides its state.
 
 use super::layout::StateLayout;
+use super::ranging::RecentRanges;
 use crate::filter::FilterConfig;
 use crate::motion::{GyroTrack, MotionTrack};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};
@@ -13,6 +14,7 @@ pub struct UpdateContext {
     pub layout: StateLayout,
     pub track: MotionTrack,
     pub gyro: GyroTrack,
+    pub ranges: RecentRanges,
     gates: ChiSquareGates,
 }
 
@@ -25,6 +27,7 @@ impl UpdateContext {
             track: MotionTrack::new(config.geometry, config.params.max_wheel_rad_per_s)
                 .with_backlash(config.calibration.backlash_rad.value),
             gyro: GyroTrack::default(),
+            ranges: RecentRanges::default(),
             gates: chi_square_gates(config.params.gate_probability),
         }
     }

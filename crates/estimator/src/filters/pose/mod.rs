@@ -10,6 +10,7 @@ pub mod layout;
 pub mod motion_update;
 pub mod noise_scales;
 pub mod propagation;
+pub mod ranging;
 pub mod recovery;
 mod relocalize;
 pub mod sightings;
@@ -28,6 +29,7 @@ use self::absolute_update::MAX_DELAY;
 use self::context::UpdateContext;
 use self::entry::{PoseEntry, UpdateKind};
 use self::layout::{CORE_STATES, FORWARD, HEADING, LARGE_STATES, LEFT, MEDIUM_STATES, SMALL_STATES, StateLayout};
+use self::ranging::{BeaconRange, WINDOWS};
 use self::relocalize::StateCommand;
 use self::state::{PoseBlock, PoseState, arena_pose};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
@@ -123,6 +125,7 @@ impl<const N: usize> PoseFilter<N> {
             // A late camera shows what was before that.
             self.context.track.discard_before(oldest - absolute_update::MAX_LOOKBACK);
             self.context.gyro.discard_before(needed);
+            self.context.ranges.discard_before(oldest - WINDOWS[1]);
         }
     }
 
@@ -144,6 +147,11 @@ impl<const N: usize> PoseFilter<N> {
             }
         };
         record.outcome = validation::fusion_outcome(added);
+        if let (InsertOutcome::Inserted(_), ObservationKind::BeaconRange { id, range }) =
+            (added, observation.measurement)
+        {
+            self.context.ranges.insert(BeaconRange { stamp, beacon: id, range_m: range.0 });
+        }
         match added {
             InsertOutcome::Inserted(changed_after) => self.insert(entry, changed_after, record),
             InsertOutcome::Rebased(changed_after) => self.insert(entry, Some(changed_after), record),

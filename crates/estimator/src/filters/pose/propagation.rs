@@ -317,13 +317,20 @@ impl<const N: usize> PoseState<N> {
 
     /// The body's motion from `from` until now, as far as it is known.
     pub fn motion_since(&self, from: Timestamp<BrickClock>, context: &UpdateContext) -> Se2 {
-        let Some(now) = self.stamp else {
-            return Se2::default();
-        };
+        self.stamp.map_or_else(Se2::default, |now| self.motion_between(from, now, context))
+    }
+
+    /// The body's motion between two instants, as far as it is known, with what is learned by now.
+    pub fn motion_between(
+        &self,
+        from: Timestamp<BrickClock>,
+        until: Timestamp<BrickClock>,
+        context: &UpdateContext,
+    ) -> Se2 {
         let mut moved = Se2::default();
         let mut at = from;
-        while at < now {
-            at = match context.track.segment(at, now) {
+        while at < until {
+            at = match context.track.segment(at, until) {
                 TravelSegment::Known { until, travel, crossings, .. } => {
                     let (transition, ..) = Transition::over_travel(travel, crossings, self, &context.config.geometry);
                     moved = moved.compose(transition.step.motion);

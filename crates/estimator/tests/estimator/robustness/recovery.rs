@@ -7,7 +7,7 @@ use crate::support::alter::{CAMERA, altered, altered_fixes, at, error_at, withou
 use crate::support::robot::config;
 use crate::support::score::{FilterRun, play};
 use crate::support::simulation::{
-    Camera, Carry, Drive, SimulatedSensors, add, drive_carried_lap, drive_lap, furnished,
+    Camera, Carry, Drive, SimulatedSensors, add, drive_carried_lap, drive_lap, drive_lap_from_elsewhere, furnished,
 };
 
 const SEEDS: u64 = 200;
@@ -25,7 +25,7 @@ fn students_t(config: &FilterConfig) -> FilterConfig {
 fn recovered_at(drive: &Drive, played: &FilterRun, from: usize) -> Option<usize> {
     let is_good = |step: usize| {
         let (position_m, heading_rad) = error_at(drive, played, step);
-        position_m < 0.05 && heading_rad < 0.1
+        position_m < 0.05 && heading_rad < 0.1 && at(played, step).validity.position
     };
     (from..drive.poses.len() - 20).find(|step| (*step..*step + 20).all(is_good))
 }
@@ -104,7 +104,7 @@ fn without_a_start_the_pose_is_found_from_two_landmarks() {
     uncertain.noise.landmark_place_m = 0.02;
     for (config, within_steps) in [(exact, 100), (uncertain, 400)] {
         for seed in 0..SEEDS {
-            let drive = with_landmarks(drive_lap(None, seed), &config, seed);
+            let drive = with_landmarks(drive_lap_from_elsewhere(seed), &config, seed);
             let played = play(&drive, &config);
             assert!(!at(&played, 5).validity.position, "seed {seed}");
             let found = recovered_at(&drive, &played, 10).unwrap();
@@ -160,4 +160,30 @@ fn a_burst_after_a_kidnap_delays_the_recovery_and_no_more() {
         let resets = played.records.iter().filter(|record| record.outcome == FusionOutcome::PoseReset);
         assert!(resets.count() <= 2, "seed {seed}: to the burst, and back");
     }
+}
+
+/// Ranges to every beacon twice a second, and no camera.
+fn with_beacons(mut drive: Drive, config: &FilterConfig, seed: u64) -> Drive {
+    let mut sensors = SimulatedSensors::new(config, seed);
+    add(&mut drive, SensorId::BEACONS, 10, |_, truth| sensors.beacons(truth, &[(0.0, 0.0); 4]));
+    drive
+}
+
+#[test]
+fn by_beacons_alone_a_pose_is_found_without_a_start_and_after_a_kidnap() {
+    let config = furnished(&config());
+    let carry = Carry { by: (-0.6, 1.2, 2.0), ..CARRY };
+    let drive = |seed| with_beacons(drive_carried_lap(None, &carry, seed), &config, seed);
+    assert_recovers("beacons", &config, drive, 160);
+    let without_start = FilterConfig { start: None, ..config.clone() };
+    let mut found: Vec<usize> = (0..SEEDS)
+        .map(|seed| {
+            let drive = with_beacons(drive_lap_from_elsewhere(seed), &config, seed);
+            let played = play(&drive, &without_start);
+            recovered_at(&drive, &played, 10).unwrap_or(usize::MAX)
+        })
+        .collect();
+    found.sort_unstable();
+    println!("start by beacons: {} to {} steps", found[0], found[found.len() - 1]);
+    assert!(found[found.len() - 1] < 200, "{found:?}");
 }
