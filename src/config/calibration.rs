@@ -267,7 +267,7 @@ calibration_table! {
     /// Relative error of the gyro's rate: it reads fast where positive. Cheap gyros are specified to a per cent or so.
     gyro_scale = 0.01, RATIO;
     /// Total play between each encoder and its wheel, in radians of the wheel.
-    backlash_rad = 0.0, ANGLE;
+    backlash_rad = 0.05, ANGLE;
     /// How much earlier than its stamp the motion of an odometer happened, in seconds; negative for commands.
     odometry_delay_s = 0.0, DELAY;
     /// How much earlier than its stamp a fix was true, in seconds.

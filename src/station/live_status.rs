@@ -286,7 +286,11 @@ fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settle
 }
 
 fn pose_line(name: &str, estimate: &Estimate) -> String {
-    let flag = if estimate.is_dead_reckoning { "  dead reckoning" } else { "" };
+    let flag = match estimate.missing {
+        Some(missing) => format!("  not located: {}", missing.describe()),
+        None if estimate.is_dead_reckoning => "  dead reckoning".to_owned(),
+        None => String::new(),
+    };
     format!(
         "\n  {name}  x {:.3} ± {:.3} m   y {:.3} ± {:.3} m   heading {:.1} ± {:.1} deg{flag}",
         estimate.pose.x.0,

@@ -66,6 +66,7 @@ impl TrackingStatus {
             fix_age,
             reset_counter: self.reset_counter,
             last_correction: self.last_jump,
+            missing: None,
         }
     }
 }

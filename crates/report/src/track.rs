@@ -32,6 +32,7 @@ impl TimedPose {
             fix_age: None,
             reset_counter: 0,
             last_correction: None,
+            missing: None,
         }
     }
 

@@ -38,6 +38,32 @@ pub struct Estimate {
     /// Counts jumps of the estimate that are not motion.
     pub reset_counter: u8,
     pub last_correction: Option<PoseCorrection>,
+    /// `None` while the pose is known, and from a filter that does not say.
+    pub missing: Option<MissingObservation>,
+}
+
+/// What a robot whose pose is not known must observe next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MissingObservation {
+    /// Nothing that tells a position was observed.
+    Position,
+    /// One landmark was sighted, or two too close to each other.
+    SecondLandmark,
+    /// Fewer than three beacons were in reach.
+    ThirdBeacon,
+    /// What was observed fits any heading: the robot has to drive.
+    Motion,
+}
+
+impl MissingObservation {
+    pub const fn describe(self) -> &'static str {
+        match self {
+            Self::Position => "needs a fix, two landmarks or three beacons",
+            Self::SecondLandmark => "needs a second landmark, 0.3 m or more from the first",
+            Self::ThirdBeacon => "needs ranges to three beacons that are not in line",
+            Self::Motion => "needs to drive, for its heading",
+        }
+    }
 }
 
 impl Estimate {

@@ -60,6 +60,7 @@ pub(crate) fn estimate() -> Estimate {
         fix_age: Some(TimeDelta::from_millis(300)),
         reset_counter: 2,
         last_correction: None,
+        missing: None,
     }
 }
 

@@ -30,6 +30,7 @@ pub(crate) fn estimate(brick_millis: i64) -> Estimate {
         fix_age: Some(TimeDelta::from_millis(300)),
         reset_counter: 2,
         last_correction: None,
+        missing: None,
     }
 }
 

@@ -21,8 +21,8 @@ use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
-    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    SensorId, StartPose, TimeDelta, Timestamp,
+    BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, MissingObservation, Observation,
+    ObservationKind, SensorId, StartPose, TimeDelta, Timestamp,
 };
 
 use self::absolute_update::MAX_DELAY;
@@ -348,13 +348,13 @@ fn estimate<const N: usize>(from: &PoseState<N>, stamp: Timestamp<BrickClock>, c
         && !has_delay
         && let Some(shown) = with_open_window(from, context)
     {
-        return build_estimate(from, &shown, stamp, &context.config);
+        return build_estimate(from, &shown, stamp, context);
     }
     let mut state = *from;
     state.advance(stamp, context);
     motion_update::update_gyro_window(&mut state, context);
     let shown = PublishedPose::from_state(&state).without_odometry_delay(&state, context);
-    build_estimate(&state, &shown, stamp, &context.config)
+    build_estimate(&state, &shown, stamp, context)
 }
 
 /// The pose with the gyro readings of the window so far; `None` after wheel slip, which changes more than the pose.
@@ -374,7 +374,7 @@ fn build_estimate<const N: usize>(
     state: &PoseState<N>,
     shown: &PublishedPose,
     stamp: Timestamp<BrickClock>,
-    config: &FilterConfig,
+    context: &UpdateContext,
 ) -> Estimate {
     let published = PublishedState {
         pose: arena_pose(shown.pose),
@@ -383,5 +383,20 @@ fn build_estimate<const N: usize>(
         has_position: state.is_located,
         has_heading: state.is_heading_known_at(shown.covariance[2][2]),
     };
-    state.status.estimate(stamp, &published, config.params.fix_timeout_s)
+    let estimate = state.status.estimate(stamp, &published, context.config.params.fix_timeout_s);
+    let is_known = estimate.validity.position && estimate.validity.heading;
+    Estimate { missing: if is_known { None } else { Some(missing_observation(state, context)) }, ..estimate }
+}
+
+fn missing_observation<const N: usize>(state: &PoseState<N>, context: &UpdateContext) -> MissingObservation {
+    let beacons = state.stamp.map_or(0, |now| context.ranges.beacons_between(now - WINDOWS[1], now));
+    if state.is_located || beacons > 2 {
+        MissingObservation::Motion
+    } else if beacons > 0 {
+        MissingObservation::ThirdBeacon
+    } else if state.sightings.is_empty() {
+        MissingObservation::Position
+    } else {
+        MissingObservation::SecondLandmark
+    }
 }

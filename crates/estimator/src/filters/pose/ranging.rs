@@ -77,6 +77,20 @@ impl RecentRanges {
         }
     }
 
+    /// Number of beacons, three at most, whose ranges were measured between two instants.
+    pub fn beacons_between(&self, from: Timestamp<BrickClock>, until: Timestamp<BrickClock>) -> usize {
+        let mut seen = [None; 3];
+        let end = count_before(&self.ranges, |range| range.stamp <= until);
+        for range in self.ranges.range(..end).rev().take_while(|range| range.stamp >= from) {
+            if !seen.contains(&Some(range.beacon))
+                && let Some(slot) = seen.iter_mut().find(|slot| slot.is_none())
+            {
+                *slot = Some(range.beacon);
+            }
+        }
+        seen.into_iter().flatten().count()
+    }
+
     /// Ranges between two instants, the latest first, without those that follow another of their beacon closely.
     pub fn spread_between(
         &self,

@@ -33,6 +33,10 @@ pub struct RecentSightings {
 }
 
 impl RecentSightings {
+    pub fn is_empty(&self) -> bool {
+        self.kept.iter().all(Option::is_none)
+    }
+
     /// Leaves the sightings where they are from the body while the believed pose is corrected.
     pub fn rebase(&mut self, before: Se2, after: Se2) {
         if before != after {

@@ -1,7 +1,7 @@
 //! Kidnaps, bursts of wrong fixes that agree with each other, and starts without a pose.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_telemetry::{Fix, FusionOutcome, Heading, Meters, SensorId};
+use posebridge_telemetry::{Fix, FusionOutcome, Heading, Meters, MissingObservation, ObservationKind, SensorId};
 
 use crate::support::alter::{CAMERA, altered, altered_fixes, at, error_at, without_headings};
 use crate::support::robot::config;
@@ -167,6 +167,33 @@ fn with_beacons(mut drive: Drive, config: &FilterConfig, seed: u64) -> Drive {
     let mut sensors = SimulatedSensors::new(config, seed);
     add(&mut drive, SensorId::BEACONS, 10, |_, truth| sensors.beacons(truth, &[(0.0, 0.0); 4]));
     drive
+}
+
+#[test]
+fn a_robot_without_a_pose_says_what_is_missing() {
+    let config = FilterConfig { start: None, ..furnished(&config()) };
+    let nothing = drive_lap_from_elsewhere(0);
+    let with_beacons = with_beacons(nothing.clone(), &config, 0);
+    let only = |drive: &Drive, is_seen: fn(&ObservationKind) -> bool| {
+        altered(drive.clone(), |observation| {
+            let is_motion = [SensorId::WHEELS, SensorId::GYRO].contains(&observation.sensor);
+            (is_motion || is_seen(&observation.measurement)).then_some(observation)
+        })
+    };
+    let two_beacons = |seen: &ObservationKind| matches!(seen, ObservationKind::BeaconRange { id, .. } if id.0 < 12);
+    let one_landmark = |seen: &ObservationKind| matches!(seen, ObservationKind::Landmark { id, .. } if id.0 == 2);
+    let with_landmarks = with_landmarks(nothing.clone(), &config, 0);
+    let at_rest = 30;
+    for (drive, missing) in [
+        (&nothing, MissingObservation::Position),
+        (&with_beacons, MissingObservation::Motion),
+        (&only(&with_beacons, two_beacons), MissingObservation::ThirdBeacon),
+        (&only(&with_landmarks, one_landmark), MissingObservation::SecondLandmark),
+    ] {
+        assert_eq!(at(&play(drive, &config), at_rest).missing, Some(missing));
+    }
+    let played = play(&with_beacons, &config);
+    assert_eq!(at(&played, with_beacons.poses.len()).missing, None);
 }
 
 #[test]
