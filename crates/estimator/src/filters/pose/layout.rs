@@ -57,12 +57,13 @@ pub struct StateLayout {
     /// The row of each term by its [`index`]; zero, which is a row of the core, for none.
     rows: [u8; INDEXES],
     fix_bias_rows: Range<usize>,
+    delay_rows: Vec<usize>,
 }
 
 impl StateLayout {
     /// The states of a configuration, of which the filter has no more than `max_states`. The last ones are left out.
     pub fn new(config: &FilterConfig, max_states: usize) -> Self {
-        let mut layout = Self { priors: Vec::new(), rows: [0; INDEXES], fix_bias_rows: 0..0 };
+        let mut layout = Self { priors: Vec::new(), rows: [0; INDEXES], fix_bias_rows: 0..0, delay_rows: Vec::new() };
         for (term, known) in priors(config) {
             let row = CORE_STATES + layout.priors.len();
             if row >= max_states.min(LARGE_STATES) {
@@ -71,6 +72,9 @@ impl StateLayout {
             if let Some(index) = index(term) {
                 layout.rows[index] = row as u8;
                 layout.priors.push(StatePrior { term, row, known });
+                if matches!(term, StateTerm::FixDelay | StateTerm::Delay(_)) {
+                    layout.delay_rows.push(row);
+                }
                 if matches!(term, StateTerm::FixBias(..)) {
                     let first = if layout.fix_bias_rows.is_empty() { row } else { layout.fix_bias_rows.start };
                     layout.fix_bias_rows = first..row + 1;
@@ -92,6 +96,11 @@ impl StateLayout {
     /// The rows of the errors that fixes share.
     pub fn fix_bias_rows(&self) -> Range<usize> {
         self.fix_bias_rows.clone()
+    }
+
+    /// The rows of delays by other clocks than the brick's.
+    pub fn delay_rows(&self) -> &[usize] {
+        &self.delay_rows
     }
 
     /// The row of a named state; `None` for one that this filter does not have.

@@ -75,7 +75,7 @@ impl<const N: usize> PoseFilter<N> {
     /// Marks the first record of a used motion observation after slip was detected, which a fix or a late one may
     /// have revealed.
     fn report_slip(&mut self, record: &mut FusionRecord, observed: &ObservationKind) {
-        let slipped_at = self.state().slipped_at;
+        let slipped_at = self.state().slip.map(|slip| slip.until);
         if record.outcome == FusionOutcome::Accepted
             && MotionReading::from_observation(observed).is_some()
             && slipped_at > self.slip_reported_at
@@ -203,7 +203,7 @@ impl<const N: usize> Filter for PoseFilter<N> {
         let mut state = *self.state();
         state.restart_clock(&PoseState::initial(&self.context.config, &self.context.layout));
         // The stamps of before mean nothing.
-        state.slipped_at = None;
+        state.slip = None;
         self.slip_reported_at = None;
         self.history.reset(state);
         self.context = UpdateContext::new(&self.context.config, N);
@@ -280,7 +280,7 @@ fn apply_update<const N: usize>(
         // These observe speeds only: the pose goes on with the next wheel reading.
         UpdateKind::TurnRate(_) | UpdateKind::Accelerations(_) => {
             state.stamp = state.stamp.or(Some(stamp));
-            state.predict_speeds_and_bias(stamp, &context.config);
+            state.predict_speeds_and_bias(stamp, context);
         }
         UpdateKind::Motion(_) | UpdateKind::Absolute(..) | UpdateKind::Command(_) => {
             state.advance(stamp, context);

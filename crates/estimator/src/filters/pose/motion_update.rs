@@ -4,11 +4,11 @@ use posebridge_telemetry::{BrickClock, FusionRecord, MountedSensor, TimeDelta, T
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
-use super::state::{PoseState, linearize_gyro_window};
+use super::state::{PoseState, Slip, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::models::planar_speeds::Acceleration;
-use crate::observations::gyro_window::{largest_rounding, rounding_variance};
+use crate::observations::gyro_window::{GyroWindow, largest_rounding, rounding_variance};
 use crate::observations::{gyro_window, speed};
 use crate::update::{ScalarMeasurement, ScalarOutcome, UpdateOutcome, use_scalar};
 use crate::validation::add_innovation;
@@ -17,6 +17,8 @@ use crate::validation::add_innovation;
 const GYRO_TIMEOUT: TimeDelta = TimeDelta::from_millis(500);
 /// Wheels whose counts have not changed for this time stand.
 const STANDING: TimeDelta = TimeDelta::from_millis(200);
+/// A robot that has turned by this while its wheels stood is carried, however slowly: six degrees, more than the play of its gears allows.
+const CARRIED_RAD: f64 = 0.1;
 /// A robot that turns faster than its wheels say by this is carried, or turned by hand: 17 degrees per second.
 const CARRIED_RAD_PER_S: f64 = 0.3;
 /// The acceleration between two samples further apart than this is unknown.
@@ -112,16 +114,8 @@ pub fn update_gyro_window<const N: usize>(
     let scalar = preview_gyro_window(state, context)?;
     if is_slip(state, &scalar, context) {
         let innovation_variance = scalar.innovation_variance(&state.covariance);
-        inflate_for_slip(state, scalar.innovation.powi(2), innovation_variance, &context.config);
-        state.slipped_at = state.window.map(|window| window.until);
-        // A robot in the air whose wheels go on turning looks like one that slips, but its gyro turns more than its wheels.
         if let Some(window) = state.window {
-            let wheels_rad = state.mean[WINDOW_TURN];
-            let length_s = (window.until - window.start).as_secs_f64();
-            let gyro_rad = scalar.innovation + wheels_rad;
-            if gyro_rad.abs() > wheels_rad.abs() + CARRIED_RAD_PER_S * length_s {
-                state.note_carried(window.until);
-            }
+            record_slip(state, &window, scalar.innovation, innovation_variance, &context.config);
         }
     }
     let outcome = match end_rounding(state, context) {
@@ -184,25 +178,60 @@ pub(super) fn is_slip<const N: usize>(
     beyond_rad.powi(2) > context.config.params.slip_nis * chance_rad2
 }
 
-/// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance
-/// is wrong by something between minus and plus half of it, uniformly, and the window's path was integrated in a wrong
-/// direction. Position variance excludes the share that chance explains: a false alarm must not cost position.
-fn inflate_for_slip<const N: usize>(
+/// Notes a slip of this window and adds its variance. A robot that is carried looks like one that slips.
+fn record_slip<const N: usize>(
     state: &mut PoseState<N>,
-    slip_rad2: f64,
+    window: &GyroWindow,
+    innovation_rad: f64,
     innovation_variance: f64,
     config: &FilterConfig,
 ) {
+    let wheels_rad = state.mean[WINDOW_TURN];
+    let before = state.slip.filter(|slip| slip.until >= window.start);
+    let beyond_chance_rad = beyond_chance_rad(innovation_rad, innovation_variance, config);
+    let slip = Slip {
+        until: window.until,
+        turned_rad: before.map_or(0.0, |slip| slip.turned_rad) + beyond_chance_rad,
+        wheels_stood: wheels_rad == 0.0 && window.forward_m == 0.0 && before.is_none_or(|slip| slip.wheels_stood),
+    };
+    inflate_for_slip(state, innovation_rad, before.map_or(0.0, |slip| slip.turned_rad), beyond_chance_rad, config);
+    state.slip = Some(slip);
+    let length_s = (window.until - window.start).as_secs_f64();
+    // One whose wheels go on turning in the air turns more than its wheels.
+    let turns_in_the_air = (innovation_rad + wheels_rad).abs() > wheels_rad.abs() + CARRIED_RAD_PER_S * length_s;
+    if turns_in_the_air || (slip.wheels_stood && slip.turned_rad.abs() > CARRIED_RAD) {
+        state.note_carried(window.until);
+    }
+}
+
+/// The part of a disagreement that chance does not explain. A rounding that is known to be large can hide a slip in a small innovation:
+/// then none of it is beyond chance.
+fn beyond_chance_rad(innovation_rad: f64, innovation_variance: f64, config: &FilterConfig) -> f64 {
+    let nis = innovation_rad.powi(2) / innovation_variance;
+    innovation_rad * (1.0 - config.params.slip_nis / nis).max(0.0).sqrt()
+}
+
+/// Adds the variance of a slip, which may be the whole disagreement. One wheel may have slipped alone, or both by half: the distance
+/// is wrong by up to half of the slip's total, and the window's path was integrated in a wrong direction. Position variance excludes
+/// the share that chance explains: a false alarm must not cost position.
+fn inflate_for_slip<const N: usize>(
+    state: &mut PoseState<N>,
+    innovation_rad: f64,
+    before_rad: f64,
+    beyond_chance_rad: f64,
+    config: &FilterConfig,
+) {
     let forward_m = state.window.map_or(0.0, |window| window.forward_m);
+    let slip_rad2 = innovation_rad.powi(2);
     for row in [HEADING, WINDOW_TURN] {
         for column in [HEADING, WINDOW_TURN] {
             state.covariance[(row, column)] += slip_rad2;
         }
     }
-    // A rounding that is known to be large can hide a slip in a small innovation: then none of it is beyond chance.
-    let beyond_chance_rad2 = slip_rad2 * (1.0 - config.params.slip_nis / (slip_rad2 / innovation_variance)).max(0.0);
-    let along_m2 = beyond_chance_rad2 * config.geometry.track_width.0.powi(2) / 12.0;
-    let across_m2 = 0.25 * beyond_chance_rad2 * forward_m * forward_m;
+    // Of one slip over several windows the total counts: its windows are wrong in the same way.
+    let total_rad2 = ((before_rad + beyond_chance_rad).powi(2) - before_rad.powi(2)).max(0.0);
+    let along_m2 = total_rad2 * config.geometry.track_width.0.powi(2) / 4.0;
+    let across_m2 = 0.25 * beyond_chance_rad.powi(2) * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
     state.covariance[(LEFT, LEFT)] += across_m2;
 }
@@ -236,25 +265,25 @@ mod tests {
     use super::*;
     use crate::filter::tests::config;
     use crate::filters::pose::layout::{CORE_STATES, StateLayout};
-    use crate::observations::gyro_window::GyroWindow;
 
     #[test]
     fn a_slip_costs_position_only_as_far_as_chance_does_not_explain_it() {
         let config = config();
-        let slip_rad2 = 0.04;
+        let slip_rad2: f64 = 0.04;
         let grown_by = |nis: f64| {
             let mut state = PoseState::<CORE_STATES>::initial(&config, &StateLayout::new(&config, CORE_STATES));
             state.window = Some(GyroWindow { forward_m: 0.3, ..GyroWindow::starting(Timestamp::ZERO) });
             let before = state.covariance;
-            inflate_for_slip(&mut state, slip_rad2, slip_rad2 / nis, &config);
+            let beyond_rad = beyond_chance_rad(slip_rad2.sqrt(), slip_rad2 / nis, &config);
+            inflate_for_slip(&mut state, slip_rad2.sqrt(), 0.0, beyond_rad, &config);
             state.covariance - before
         };
-        // Half of the disagreement is beyond chance: the distance is uniform over half of the track times it either way,
-        // and the path of 0.3 m was integrated in a direction that is wrong by half of it.
+        // Half of the disagreement's square is beyond chance: the distance is wrong by half of the track times it, and the path of
+        // 0.3 m was integrated in a direction that is wrong by half of it.
         let grown = grown_by(2.0 * config.params.slip_nis);
         let track_m = config.geometry.track_width.0;
         for (row, expected) in [
-            (FORWARD, 0.02 * track_m * track_m / 12.0),
+            (FORWARD, 0.02 * track_m * track_m / 4.0),
             (LEFT, 0.02 * 0.15 * 0.15),
             (HEADING, 0.04),
             (WINDOW_TURN, 0.04),

@@ -24,6 +24,8 @@ use crate::motion::{BacklashCrossing, SPEED_HOLD, TravelSegment, UNOBSERVED_M_PE
 
 /// Accelerations measured longer ago than this do not predict the speeds.
 const ACCELERATION_HOLD: TimeDelta = TimeDelta::from_millis(200);
+/// How a delay changes, s per sqrt(s): quartz clocks run apart by up to 100 us in a second.
+const DELAY_WALK_S_PER_SQRT_S: f64 = 3e-4;
 /// The path that counts for a robot whose motion is not observed: a slow walk.
 const UNSEEN_PATH_M_PER_S: f64 = 0.1;
 /// Speeds at an earlier instant are means over this interval around it: two readings of a 20 Hz brick.
@@ -160,7 +162,7 @@ impl<const N: usize> PoseState<N> {
         let config = &context.config;
         let Some(from) = self.stamp else {
             self.stamp = Some(to);
-            self.predict_speeds_and_bias(to, config);
+            self.predict_speeds_and_bias(to, context);
             return;
         };
         if to <= from {
@@ -186,12 +188,13 @@ impl<const N: usize> PoseState<N> {
                 }
             };
         }
-        self.predict_speeds_and_bias(to, config);
+        self.predict_speeds_and_bias(to, context);
         self.stamp = Some(to);
     }
 
-    /// Ages speeds and gyro bias up to an instant, which may lie ahead of the pose's.
-    pub fn predict_speeds_and_bias(&mut self, to: Timestamp<BrickClock>, config: &FilterConfig) {
+    /// Ages speeds, gyro bias and delays up to an instant, which may lie ahead of the pose's.
+    pub fn predict_speeds_and_bias(&mut self, to: Timestamp<BrickClock>, context: &UpdateContext) {
+        let config = &context.config;
         let from = self.speeds_predicted_to.unwrap_or(to);
         self.speeds_predicted_to = Some(from.max(to));
         let dt_s = (to - from).as_secs_f64();
@@ -205,6 +208,12 @@ impl<const N: usize> PoseState<N> {
         self.turn.variance += config.params.turn_acceleration_rad_per_s2.powi(2) * walked_s;
         let walk = config.noise.gyro_bias_walk_rad_per_s_sqrt_s;
         self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * dt_s;
+        for &row in context.layout.delay_rows() {
+            // A delay that was given for certain stays so.
+            if self.covariance[(row, row)] > 0.0 {
+                self.covariance[(row, row)] += DELAY_WALK_S_PER_SQRT_S.powi(2) * dt_s;
+            }
+        }
     }
 
     fn move_by_travel(
@@ -387,19 +396,20 @@ impl<const N: usize> PoseState<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::filters::pose::layout::{CORE_STATES, StateLayout};
+    use crate::filters::pose::layout::CORE_STATES;
 
     #[test]
     fn speeds_that_are_not_felt_any_longer_walk_as_far_in_parts_as_in_one() {
         let ms = Timestamp::from_millis;
         let config = crate::filter::tests::config();
-        let mut at_once = PoseState::<CORE_STATES>::initial(&config, &StateLayout::new(&config, CORE_STATES));
-        at_once.predict_speeds_and_bias(ms(0), &config);
+        let context = UpdateContext::new(&config, CORE_STATES);
+        let mut at_once = PoseState::<CORE_STATES>::initial(&config, &context.layout);
+        at_once.predict_speeds_and_bias(ms(0), &context);
         at_once.last_acceleration = Some(ms(0));
         let mut parts = at_once;
-        at_once.predict_speeds_and_bias(ms(300), &config);
+        at_once.predict_speeds_and_bias(ms(300), &context);
         for millis in [50, 150, 190, 230, 300] {
-            parts.predict_speeds_and_bias(ms(millis), &config);
+            parts.predict_speeds_and_bias(ms(millis), &context);
         }
         // For 0.2 s they are felt, and for 0.1 s the speed walks at 1 m/s per root of a second.
         assert!((at_once.forward.variance - 0.01 - 0.1).abs() < 1e-12);

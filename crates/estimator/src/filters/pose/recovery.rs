@@ -14,7 +14,7 @@
 //! configured would explain, because a fault may be anywhere:
 //!
 //! ```text
-//! ln o = -reset_after_s + ln N(nu; 0, 9 S) + ln volume          at most -1.5
+//! ln o = -reset_after_s + ln N(nu; 0, 9 H P H' + R) + ln volume          at most -2.5
 //! ```
 //! or at one where the robot was carried: its gyro turned while its wheels stood. An alternative
 //! with odds above one that several observations agree on becomes the pose.
@@ -39,9 +39,10 @@ const ARENA_M: f64 = 10.0;
 /// The same in sigmas of the sensor.
 const ARENA_SIGMAS: f64 = 100.0;
 /// How many times larger than configured the noise of the motion may be.
-const MOTION_NOISE_FACTOR: f64 = 3.0;
-/// Seconds for which observations of one sensor must agree in any case, without a sign that the robot was carried.
-const LEAST_RESET_AFTER_S: f64 = 1.5;
+pub const MOTION_NOISE_FACTOR: f64 = 3.0;
+/// Seconds for which observations of one sensor must agree in any case, without a sign that the robot was carried: a tag that is mistaken
+/// for another is so for two seconds.
+const LEAST_RESET_AFTER_S: f64 = 2.5;
 /// No single observation changes the odds by more than this factor, as a logarithm.
 const MAX_EVIDENCE: f64 = 5.0;
 /// What an observation of the alternative's sensor takes off the odds that the believed pose explains, or the alternative does not; as a
@@ -108,10 +109,9 @@ pub struct Evidence {
     pub gate: f64,
     /// ln p(z | believed) without outliers; `None` without a pose.
     pub ln_likelihood: Option<f64>,
+    /// The same if the noise of the motion were larger by [`MOTION_NOISE_FACTOR`]; `None` for what is not refused.
+    pub ln_motion_error: Option<f64>,
     pub is_refused: bool,
-    /// NIS and number of components under the believed pose.
-    pub nis: f64,
-    pub components: usize,
     /// Whether the robot was carried lately, or has no pose: nothing speaks against an alternative then.
     pub is_pose_doubtful: bool,
     /// ln of the density of an observation that is anything.
@@ -124,11 +124,7 @@ pub struct Evidence {
 impl Evidence {
     /// The odds of an alternative that begins with this observation, as a logarithm.
     fn first_ln_odds(&self) -> f64 {
-        let square = MOTION_NOISE_FACTOR.powi(2);
-        let ln_motion_error = self.ln_likelihood.map_or(f64::NEG_INFINITY, |ln| {
-            ln + 0.5 * self.nis * (1.0 - 1.0 / square) - self.components as f64 * MOTION_NOISE_FACTOR.ln()
-        });
-        let gain = (ln_motion_error - self.ln_anything).max(0.0);
+        let gain = self.ln_motion_error.map_or(0.0, |ln| (ln - self.ln_anything).max(0.0));
         (gain - self.reset_after_s).min(-LEAST_RESET_AFTER_S).max(-self.reset_after_s)
     }
 }

@@ -67,6 +67,17 @@ impl TickActivity {
     }
 }
 
+/// Gyro windows one after the other in which gyro and wheels contradict each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slip {
+    /// The end of the last one.
+    pub until: Timestamp<BrickClock>,
+    /// By how much the gyro turned more than the wheels in all of them, beyond chance, rad.
+    pub turned_rad: f64,
+    /// Whether both wheels stood all the time.
+    pub wheels_stood: bool,
+}
+
 /// Everything that a replay must restore.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseState<const N: usize> {
@@ -86,8 +97,8 @@ pub struct PoseState<const N: usize> {
     pub is_located: bool,
     pub status: TrackingStatus,
     pub tick_activity: TickActivity,
-    /// The latest instant for which wheel slip was detected.
-    pub slipped_at: Option<Timestamp<BrickClock>>,
+    /// The latest slip of the wheels.
+    pub slip: Option<Slip>,
     pub last_acceleration: Option<Timestamp<BrickClock>>,
     /// The path of the faster wheel since power-up.
     pub wheel_path_m: f64,
@@ -119,7 +130,7 @@ impl<const N: usize> PoseState<N> {
             is_located: false,
             status: TrackingStatus::default(),
             tick_activity: TickActivity::default(),
-            slipped_at: None,
+            slip: None,
             last_acceleration: None,
             wheel_path_m: 0.0,
             carried_at: None,
@@ -158,7 +169,7 @@ impl<const N: usize> PoseState<N> {
             is_located: other.is_located,
             status: other.status,
             tick_activity: other.tick_activity,
-            slipped_at: other.slipped_at,
+            slip: other.slip,
             last_acceleration: other.last_acceleration,
             wheel_path_m: other.wheel_path_m,
             carried_at: other.carried_at,
