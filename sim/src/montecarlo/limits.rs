@@ -18,6 +18,6 @@ pub struct Limits {
     pub recovery_s: Option<f64>,
     /// Over all runs.
     pub resets: Option<u32>,
-    /// Good fixes that are refused after a slip, its first one not counted; over all runs.
-    pub fixes_gated_after_slips: Option<u32>,
+    /// Good fixes that are refused in the five seconds after a slip, its first one not counted; on average over runs.
+    pub fixes_gated_after_slips: Option<f64>,
 }

@@ -65,8 +65,9 @@ fn at_rest() -> ReferenceDrive {
     let truth = (0..=10).map(|step| TimedPose { time: stamp(step), pose: pose(0.0, 0.0, 3.1) });
     ReferenceDrive {
         truth: truth.collect(),
-        arrivals: vec![ObservationArrival { step: 3, observation: wheels(100, 0.0, 0.0) }],
+        arrivals: vec![ObservationArrival { step: 3, measured_step: 3, observation: wheels(100, 0.0, 0.0) }],
         scored_from: 1,
+        ..ReferenceDrive::default()
     }
 }
 

@@ -40,7 +40,7 @@ pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
 }
 
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
-    let told = drives::filter_config(&scenario.drive(0).prior);
+    let told = drives::drawn_config(&scenario.drive(0).prior);
     let mut noise = told.noise;
     noise.compass_rad = COMPASS_SIGMA_DEG.to_radians();
     let calibration =
