@@ -20,7 +20,11 @@ const SHORTEST_LEG_M: f64 = 1e-3;
 /// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/accuracy/` and its name here.
 pub const SCENARIOS: &[(&str, &str)] = bundle!("scenarios/accuracy":
     "camera-10hz", "camera-1hz", "outliers-3pct", "outliers-10pct", "noise-x4", "noise-quarter", "noise-x4-outliers",
-    "blackout", "no-camera", "kicks", "kicks-camera-1hz", "unknown-heading", "wpilib", "paper-square"
+    "blackout", "no-camera", "kicks", "kicks-camera-1hz", "unknown-heading", "wpilib", "paper-square",
+    "gyro-scale-10hz", "gyro-scale-1hz", "mounting-landmarks", "mounting-beacons", "late-landmarks", "clock-skew",
+    "landmark-map-errors", "range-share", "biased-camera", "patches-with-rests", "backlash", "outlier-burst",
+    "outlier-burst-elsewhere", "slip-bursts-1hz", "kidnap-10hz", "kidnap-1hz", "kidnap-landmarks", "kidnap-student",
+    "kidnap-landmarks-student", "kidnap-unnoticed", "global-start-landmarks",
 );
 
 /// Ten times the steps of the longest bundled drive.

@@ -189,10 +189,10 @@ impl BoundKind {
 #[cfg(test)]
 mod tests {
     use posebridge_sim::montecarlo::SCENARIOS;
-    use posebridge_telemetry::Radians;
+    use posebridge_telemetry::{MountedSensor, Radians};
 
     use super::*;
-    use crate::lab::drives::known_drive;
+    use crate::lab::drives::{filter_config, known_drive};
 
     #[test]
     fn every_bundled_scenario_says_what_its_bound_leaves_out() {
@@ -205,9 +205,45 @@ mod tests {
                 "kicks" | "kicks-camera-1hz" => Some("without the kicks"),
                 "paper-square" => Some("without what the accelerometers tell"),
                 "wpilib" => Some("the noise of the motion is not what a filter is told"),
+                "outlier-burst" | "outlier-burst-elsewhere" => Some("without the bursts"),
+                "patches-with-rests" => Some("without the edges of the patches"),
+                "clock-skew" => Some("without the skew of the clock"),
+                "slip-bursts-1hz" => Some("without the slip bursts"),
+                "backlash" => Some("without the play of the gears"),
+                _ if name.starts_with("kidnap") => Some("the robot is moved by hand"),
                 _ => None,
             };
             assert_eq!(note.as_deref(), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn every_bundled_scenario_configures_a_filter_and_a_wrong_key_is_named() {
+        for (name, _) in SCENARIOS {
+            let drive = Scenario::bundled(name).unwrap().drive(0);
+            assert!(filter_config(&drive.prior).is_ok(), "{name}");
+        }
+        let prior = |profile: &str| {
+            let mut prior = Scenario::bundled("kidnap-landmarks").unwrap().drive(0).prior;
+            prior.profile = std::sync::Arc::new(toml::from_str(profile).unwrap());
+            prior
+        };
+        let told = filter_config(&prior(
+            "[filter]\nstudent_dof = 4\n[robot.mounting.landmarks]\nyaw_deg = { value = 90.0, sigma = 1.0 }",
+        ));
+        let drawn = drawn_config(&prior(""));
+        let told = told.unwrap();
+        assert_eq!((told.params.student_dof, told.noise, told.start), (4.0, drawn.noise, drawn.start));
+        let yaw = told.calibration.mountings[MountedSensor::Landmarks].yaw_rad;
+        assert!((yaw.value - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        assert_eq!(told.calibration.gyro_scale, drawn.calibration.gyro_scale);
+        for (wrong, part) in [
+            ("[robot.calibration]\ngyro_scal = { value = 0.0, sigma = 0.1 }", "unknown field `gyro_scal`"),
+            ("[filter]\nstudent_dof = 4000", "must lie in 0 to 100"),
+            ("[station]\nmax_robots = 1", "unknown table `station`"),
+        ] {
+            let error = format!("{:#}", filter_config(&prior(wrong)).unwrap_err());
+            assert!(error.starts_with("[profile]: ") && error.contains(part), "{error}");
         }
     }
 
