@@ -58,6 +58,7 @@ impl FrameAccelerometers {
                     .map(|(felt, bias)| felt + bias + self.sigma_m_per_s2 * noise.normal());
                 Arrival {
                     step: step + 1,
+                    measured_step: step + 1,
                     observation: Observation {
                         sensor: SensorId::ACCELEROMETER,
                         stamp: drive.time_at(step) + half_a_step,

@@ -51,6 +51,12 @@ macro_rules! noise_table {
                 Ok(SensorNoise { $($key: self.$key,)+ })
             }
         }
+
+        impl From<SensorNoise> for RobotNoise {
+            fn from(noise: SensorNoise) -> Self {
+                Self { $($key: noise.$key,)+ }
+            }
+        }
     };
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::{self, Write as _};
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow, bail};
 
 use super::profile::RobotProfile;
 use super::robot_blocks::split_robot_list;
@@ -72,6 +72,28 @@ fn with_overrides(config: &Config, settings: &[&Setting]) -> Result<Config, Stri
     }
     let laid = table.try_into();
     laid.map_err(|error: toml::de::Error| error.message().to_owned())
+}
+
+/// Replaces keys and tables of the robot and the filter by those of a profile.
+pub fn apply_profile(config: &Config, profile: &toml::Table) -> Result<Config> {
+    const TABLES: [&str; 2] = ["robot", "filter"];
+    if let Some(key) = profile.keys().find(|key| !TABLES.contains(&key.as_str())) {
+        bail!("unknown table `{key}`, expected one of `{}`", TABLES.join("`, `"));
+    }
+    let mut table = toml::Table::try_from(config)?;
+    merge(&mut table, profile);
+    table.try_into().map_err(|error: toml::de::Error| anyhow!("{}", error.message()))
+}
+
+fn merge(into: &mut toml::Table, from: &toml::Table) {
+    for (key, value) in from {
+        match (into.get_mut(key), value) {
+            (Some(toml::Value::Table(into)), toml::Value::Table(from)) => merge(into, from),
+            _ => {
+                into.insert(key.clone(), value.clone());
+            }
+        }
+    }
 }
 
 /// The setting without which the others are valid; else the one whose key the error names; else all.

@@ -24,8 +24,10 @@ pub use calibration::{
 };
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_link_profile, load_scenario};
 pub use load::{
-    ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, config_with_overlay, load, load_text, print,
+    ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,
+    load_text, print,
 };
+pub use mounting::RobotMounting;
 pub use profile::{CalibratedRobot, ProfileFilter, Provenance, RobotProfile, utc_date};
 pub use robot::{RobotFile, RobotStart, RobotThermometer};
 pub use robot_blocks::{RobotBlockSection, RobotMatchSection};

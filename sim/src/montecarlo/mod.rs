@@ -11,24 +11,39 @@
 //! (x, y) <- the chord of an exact arc of length (s_L + s_R) / 2 and turn dth
 //! n   standard normal, drawn anew each time
 //! ```
-//! Encoders measure `dphi_i`, without slip and kicks; the gyro measures the true turn. Every run has its own seed and every sensor its own
+//! Encoders measure `dphi_i`, without slip and kicks; the gyro measures the true turn. With play in the gears the commanded rotation is
+//! the encoder's, and the wheel follows it through a dead zone. Every run has its own seed and every sensor its own
 //! random stream, so a run can be repeated alone, and scenarios with the same seed, path and robot share their truth.
 
+mod arena_sensors;
+mod camera;
+mod disturbances;
+mod kidnapper;
+mod limits;
+mod observers;
 mod plan;
+mod prior;
 mod robot;
 mod scenario;
+mod schedule;
+mod slips;
 
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, DriveGeometry, Observation, ObservationKind, Pose, SensorId, SensorNoise,
-    TimeDelta, Timestamp, UncertainValue,
+    Arena, BrickClock, DriveGeometry, Observation, ObservationKind, Pose, SensorId, TimeDelta, Timestamp,
 };
 
-use self::plan::{DrivePlan, PlanarPose, first_step_from};
-use self::robot::{Accelerometers, CameraSensor, GyroSensor, Robot, nominal_geometry, true_geometry};
-use crate::random::RandomStream;
+use self::arena_sensors::ArenaSensor;
+use self::camera::CameraSensor;
+use self::kidnapper::Kidnapper;
+use self::plan::{DrivePlan, first_step_from};
+use self::robot::{Accelerometers, GyroSensor, Robot, true_geometry};
 
 pub use crate::config_file::{ConfigFileError as ScenarioError, MAX_RUNS};
 pub use crate::scenario::Blackout;
+pub use disturbances::{FixBursts, Kidnaps, Patches, SlipBursts};
+pub use limits::Limits;
+pub use observers::{Beacons, Compass, DrawnValue, Landmarks, SensorPlace, StampErrors};
+pub use prior::FilterPrior;
 pub use robot::WheelTurn;
 pub use scenario::{
     Accelerometer, Camera, CameraSees, Course, GeometryErrors, Gyro, Kicks, Laps, MotionNoise, NominalRobot, Outliers,
@@ -47,6 +62,10 @@ pub struct Drive {
     /// The first step whose error counts, 1 or later.
     pub scored_from: usize,
     pub true_geometry: DriveGeometry,
+    /// The steps after which the robot is at a pose that a filter does not know: after a kidnap, and the start if it is unknown.
+    pub landings: Vec<usize>,
+    /// The first step of each slip burst.
+    pub slip_bursts: Vec<usize>,
     pub prior: FilterPrior,
 }
 
@@ -55,18 +74,9 @@ pub struct Drive {
 pub struct Arrival {
     /// 0 is the start.
     pub step: usize,
+    /// The step at whose end it was measured; its timestamp may differ.
+    pub measured_step: usize,
     pub observation: Observation,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FilterPrior {
-    pub geometry: DriveGeometry,
-    pub noise: SensorNoise,
-    pub start: Pose<Arena>,
-    pub start_position_sigma_m: f64,
-    pub start_heading_sigma_rad: f64,
-    /// Uncertainty of the geometry; that of the gyro's bias is in `noise`.
-    pub calibration: Calibration,
 }
 
 impl Drive {
@@ -75,10 +85,22 @@ impl Drive {
         Timestamp::from_nanos(self.step.as_nanos().saturating_mul(step as i64))
     }
 
-    fn push(&mut self, step: usize, taken: usize, sensor: SensorId, observed: ObservationKind) {
-        let stamp = self.time_at(taken);
+    fn push(&mut self, step: usize, sensor: SensorId, observed: ObservationKind) {
+        self.push_late(step, step, sensor, observed, TimeDelta::ZERO);
+    }
+
+    /// `stamp_late_by` is how much later than the measurement its timestamp is.
+    fn push_late(
+        &mut self,
+        step: usize,
+        measured_step: usize,
+        sensor: SensorId,
+        observed: ObservationKind,
+        stamp_late_by: TimeDelta,
+    ) {
+        let stamp = self.time_at(measured_step) + stamp_late_by;
         let observation = Observation { sensor, stamp, stamp_sigma: TimeDelta::ZERO, measurement: observed };
-        self.arrivals.push(Arrival { step, observation });
+        self.arrivals.push(Arrival { step, measured_step, observation });
     }
 }
 
@@ -98,12 +120,24 @@ impl Scenario {
     pub fn drive(&self, run: u32) -> Drive {
         let seed = run_seed(self.seed, run);
         let step_s = self.step_s;
-        let plan = DrivePlan::new(&self.path, step_s);
+        let mut plan = DrivePlan::new(&self.path, step_s);
+        let kidnapper = self.kidnaps.map(|kidnaps| Kidnapper::new(&kidnaps, self, seed));
+        if let Some(kidnapper) = &kidnapper {
+            kidnapper.pause(&mut plan.commands);
+        }
         let true_geometry = true_geometry(self, seed);
         let mut robot = Robot::new(self, true_geometry, plan.start, seed);
         let mut gyro = GyroSensor::new(self.gyro, step_s, seed);
         let mut accelerometers = self.accelerometer.map(|settings| Accelerometers::new(settings, step_s, seed));
-        let mut camera = self.camera.map(|camera| CameraSensor::new(camera, step_s, seed));
+        let cameras = [(self.camera, "camera"), (self.second_camera, "second camera")];
+        let cameras = (0..).zip(cameras).filter_map(|(index, (camera, name))| {
+            Some((SensorId::camera(index), CameraSensor::new(camera?, name, self, seed)))
+        });
+        let mut cameras: Vec<(SensorId, CameraSensor)> = cameras.collect();
+        let mut arena_sensors = ArenaSensor::all(self, seed);
+        let steps = plan.commands.len();
+        let unknown_start = self.told.start_is_unknown.then_some(0);
+        let kidnaps = kidnapper.as_ref().map(|kidnapper| kidnapper.landings(steps));
         let mut drive = Drive {
             step: TimeDelta::from_secs_f64(step_s),
             truth: vec![plan.start.into()],
@@ -111,75 +145,38 @@ impl Scenario {
             arrivals: Vec::new(),
             scored_from: first_step_from(self.score_from_s, step_s).max(1),
             true_geometry,
-            prior: filter_prior(self, plan.start, true_geometry, seed),
+            landings: unknown_start.into_iter().chain(kidnaps.into_iter().flatten()).collect(),
+            slip_bursts: robot.slip_bursts(steps),
+            prior: FilterPrior::new(self, plan.start, true_geometry, seed),
         };
         // The counters are zeroed at the start, and the filter gets that reading: motion may begin with the first step.
-        drive.push(0, 0, SensorId::WHEELS, robot.wheel_angles());
+        drive.push(0, SensorId::WHEELS, robot.wheel_angles());
         for (index, command) in plan.commands.iter().enumerate() {
             let step = index + 1;
-            let moved = robot.advance(command);
+            let carried = kidnapper.as_ref().and_then(|kidnapper| kidnapper.carry(step, &mut robot));
+            let moved = carried.unwrap_or_else(|| robot.advance(step, command));
             drive.truth.push(robot.pose.into());
             drive.wheel_turns.push(moved.wheels);
-            drive.push(step, step, SensorId::WHEELS, robot.wheel_angles());
+            drive.push(step, SensorId::WHEELS, robot.wheel_angles());
             if let Some(sensors) = &mut accelerometers {
-                drive.push(step, step, SensorId::ACCELEROMETER, sensors.observe(&moved));
+                drive.push(step, SensorId::ACCELEROMETER, sensors.observe(&moved));
             }
-            drive.push(step, step, SensorId::GYRO, gyro.observe(moved.turn_rad));
-            if let Some(camera) = &mut camera {
+            drive.push(step, SensorId::GYRO, gyro.observe(moved.turn_rad));
+            for (id, camera) in &mut cameras {
                 camera.observe(step, &robot.pose);
                 if let Some(fix) = camera.next_arrival(step) {
-                    drive.push(step, fix.taken_step, SensorId::CAMERA, fix.observed);
+                    let late_by = camera.stamps.late_by(fix.taken_step as f64 * step_s);
+                    drive.push_late(step, fix.taken_step, *id, fix.observed, late_by);
+                }
+            }
+            for sensor in &mut arena_sensors {
+                sensor.observe(step, &robot.pose);
+                for measured in sensor.arrivals(step) {
+                    let late_by = sensor.stamps.late_by(measured.taken_step as f64 * step_s);
+                    drive.push_late(step, measured.taken_step, sensor.id, measured.observed, late_by);
                 }
             }
         }
         drive
-    }
-}
-
-fn filter_prior(scenario: &Scenario, start: PlanarPose, true_geometry: DriveGeometry, seed: u64) -> FilterPrior {
-    let prior = &scenario.told;
-    let off = RandomStream::new(seed, "start").uniform(-1.0, 1.0);
-    let off_rad = off * prior.start_heading_off_deg.to_radians();
-    let known = |sigma| UncertainValue { value: 0.0, sigma };
-    FilterPrior {
-        geometry: match prior.geometry {
-            PriorGeometry::Nominal => nominal_geometry(&scenario.robot),
-            PriorGeometry::True => true_geometry,
-        },
-        noise: prior_noise(scenario),
-        start: PlanarPose { heading_rad: start.heading_rad + off_rad, ..start }.into(),
-        start_position_sigma_m: prior.start_position_sigma_m,
-        start_heading_sigma_rad: prior.start_heading_sigma_rad,
-        calibration: Calibration {
-            radius_scale: known(prior.radius_scale_sigma),
-            radius_difference: known(prior.radius_difference_sigma),
-            track_scale: known(prior.track_scale_sigma),
-            ..Calibration::default()
-        },
-    }
-}
-
-// A robot's file gives the noise of a camera and of accelerometers whether or not there is one, so a filter is never configured
-// with a sensor without noise. These are the values of the scenarios that have them.
-const DEFAULT_FIX_SIGMA_M: f64 = 0.005;
-const DEFAULT_FIX_SIGMA_DEG: f64 = 1.0;
-const DEFAULT_ACCELEROMETER_SIGMA_M_PER_S2: f64 = 0.05;
-
-fn prior_noise(scenario: &Scenario) -> SensorNoise {
-    let gyro = &scenario.gyro;
-    let camera = scenario.camera;
-    SensorNoise {
-        wheel_travel_m_per_sqrt_m: scenario.told.wheel_travel_m_per_sqrt_m,
-        turn_rad_per_sqrt_rad: scenario.told.turn_rad_per_sqrt_rad,
-        gyro_rad_per_s: gyro.sigma_deg_per_s.to_radians(),
-        gyro_resolution_rad_per_s: gyro.resolution_deg_per_s.to_radians(),
-        gyro_bias_rad_per_s: gyro.bias_sigma_deg_per_s.to_radians(),
-        gyro_bias_walk_rad_per_s_sqrt_s: gyro.bias_walk_deg_per_s_sqrt_s.to_radians(),
-        fix_position_m: camera.map_or(DEFAULT_FIX_SIGMA_M, |camera| camera.position_sigma_m),
-        fix_heading_rad: camera.map_or(DEFAULT_FIX_SIGMA_DEG, |camera| camera.heading_sigma_deg).to_radians(),
-        accelerometer_m_per_s2: scenario
-            .accelerometer
-            .map_or(DEFAULT_ACCELEROMETER_SIGMA_M_PER_S2, |settings| settings.sigma_m_per_s2),
-        ..SensorNoise::EXACT
     }
 }

@@ -20,6 +20,23 @@ pub(super) struct PlanarPose {
     pub(super) heading_rad: f64,
 }
 
+impl PlanarPose {
+    /// The pose `step` seen from this one, in the frame of this one.
+    pub(super) fn compose(self, step: Self) -> Self {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        Self {
+            x_m: self.x_m + cos * step.x_m - sin * step.y_m,
+            y_m: self.y_m + sin * step.x_m + cos * step.y_m,
+            heading_rad: wrap_rad(self.heading_rad + step.heading_rad),
+        }
+    }
+
+    pub(super) fn inverse(self) -> Self {
+        let back = Self { heading_rad: -self.heading_rad, ..Self::default() };
+        back.compose(Self { x_m: -self.x_m, y_m: -self.y_m, heading_rad: 0.0 })
+    }
+}
+
 impl From<PlanarPose> for Pose<Arena> {
     fn from(pose: PlanarPose) -> Self {
         Self::new(Meters(pose.x_m), Meters(pose.y_m), Heading::from_rad(pose.heading_rad))

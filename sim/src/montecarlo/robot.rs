@@ -1,16 +1,11 @@
-//! The true robot of one run: its geometry, motion and sensors, the overhead camera included.
-//!
-//! Fixes arrive late, at most one per step. If two are due at the same step, the newer one arrives first and the older one
-//! at the next free step. So a fix may be overtaken, and then arrives a step later than the file's delay.
+//! The true robot of one run: its geometry, its motion, and the sensors of its motion.
 
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{
-    Arena, DriveGeometry, Fix, Heading, Meters, MetersPerSecondSquared, ObservationKind, Point2, Radians,
-    RadiansPerSecond,
-};
+use posebridge_telemetry::{DriveGeometry, Meters, MetersPerSecondSquared, ObservationKind, Radians, RadiansPerSecond};
 
-use super::plan::{PlanarPose, StepCommand, first_step_from, last_step_until};
-use super::scenario::{Accelerometer, Camera, CameraSees, Gyro, Kicks, MotionNoise, NominalRobot, Scenario};
+use super::plan::{PlanarPose, StepCommand};
+use super::scenario::{Accelerometer, Gyro, Kicks, MotionNoise, NominalRobot, Scenario};
+use super::slips::{GearPlay, WheelSpinner};
 use crate::random::RandomStream;
 use crate::robot_body::draw_geometry;
 use crate::scenario::ErrorSettings;
@@ -47,13 +42,17 @@ pub(super) struct Robot {
     geometry: DriveGeometry,
     motion: MotionNoise,
     pub(super) pose: PlanarPose,
+    /// Where the plan's origin lies since the robot was kidnapped.
+    plan_origin: Option<PlanarPose>,
     left_rad: f64,
     right_rad: f64,
+    play: Option<PerWheel<GearPlay>>,
+    spinner: Option<WheelSpinner>,
     kicker: Option<KickSource>,
     slip: RandomStream,
 }
 
-/// Rotation of both wheels over one step, as ideal encoders would measure it: without rounding, blind to slip.
+/// Rotation of both wheels over one step, as ideal encoders would measure it: without rounding and play, blind to slip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WheelTurn {
     pub left: Radians,
@@ -75,25 +74,42 @@ impl Robot {
             geometry,
             motion: scenario.motion,
             pose: start,
+            plan_origin: None,
             left_rad: 0.0,
             right_rad: 0.0,
+            play: (scenario.robot.backlash_deg > 0.0).then(|| GearPlay::of_wheels(scenario.robot.backlash_deg, seed)),
+            spinner: scenario.slip_bursts.map(|bursts| WheelSpinner::new(bursts, scenario, seed)),
             kicker: scenario.kicks.map(|kicks| KickSource::new(kicks, scenario.step_s, seed)),
             slip: RandomStream::new(seed, "slip"),
         }
     }
 
-    pub(super) fn advance(&mut self, command: &StepCommand) -> RobotMotion {
+    /// `step` counts from 1.
+    pub(super) fn advance(&mut self, step: usize, command: &StepCommand) -> RobotMotion {
         let side = command.side.as_ref();
-        let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(&self.pose));
+        let commanded_rad = command.turn_rad + side.map_or(0.0, |side| side.correction_rad(&self.pose_in_plan()));
         let track_m = self.geometry.track_width.0;
-        let left_m = command.forward_m - 0.5 * commanded_rad * track_m;
-        let right_m = command.forward_m + 0.5 * commanded_rad * track_m;
-        let wheels = WheelTurn {
+        let mut left_m = command.forward_m - 0.5 * commanded_rad * track_m;
+        let mut right_m = command.forward_m + 0.5 * commanded_rad * track_m;
+        let mut wheels = WheelTurn {
             left: Radians(left_m / self.geometry.left_wheel_radius.0),
             right: Radians(right_m / self.geometry.right_wheel_radius.0),
         };
         self.left_rad += wheels.left.0;
         self.right_rad += wheels.right.0;
+        if let Some(play) = &mut self.play {
+            wheels = WheelTurn {
+                left: Radians(play.left.follow(wheels.left.0)),
+                right: Radians(play.right.follow(wheels.right.0)),
+            };
+            left_m = wheels.left.0 * self.geometry.left_wheel_radius.0;
+            right_m = wheels.right.0 * self.geometry.right_wheel_radius.0;
+        }
+        if let Some(spinner) = &mut self.spinner {
+            let spin_rad = spinner.spin_rad(step, self.geometry.tick.0);
+            self.left_rad += spin_rad.left;
+            self.right_rad += spin_rad.right;
+        }
         let left_m = self.draw_slip(left_m);
         let right_m = self.draw_slip(right_m);
         let rolled_rad = (right_m - left_m) / track_m;
@@ -103,6 +119,29 @@ impl Robot {
             RobotMotion { turn_rad: rolled_rad + noise_rad * self.slip.normal() + kick_rad, left_m, right_m, wheels };
         self.displace(&moved);
         moved
+    }
+
+    /// Moves the robot by hand by so much of the arena; its wheels stand. Returns the motion that its gyro feels.
+    pub(super) fn carry(&mut self, shift_m: (f64, f64), turn_rad: f64) -> RobotMotion {
+        let in_plan = self.pose_in_plan();
+        self.pose = PlanarPose {
+            x_m: self.pose.x_m + shift_m.0,
+            y_m: self.pose.y_m + shift_m.1,
+            heading_rad: wrap_rad(self.pose.heading_rad + turn_rad),
+        };
+        self.plan_origin = Some(self.pose.compose(in_plan.inverse()));
+        RobotMotion { turn_rad, ..RobotMotion::default() }
+    }
+
+    /// The first step of each slip burst in a drive of so many steps.
+    pub(super) fn slip_bursts(&self, steps: usize) -> Vec<usize> {
+        let firsts = self.spinner.iter().flat_map(|spinner| &spinner.firsts);
+        firsts.map(|(first, _)| *first).filter(|first| *first <= steps).collect()
+    }
+
+    /// Where the controller believes the robot to be.
+    fn pose_in_plan(&self) -> PlanarPose {
+        self.plan_origin.map_or(self.pose, |origin| origin.inverse().compose(self.pose))
     }
 
     fn draw_slip(&mut self, travel_m: f64) -> f64 {
@@ -168,6 +207,8 @@ pub(super) struct GyroSensor {
     gyro: Gyro,
     step_s: f64,
     bias_deg_per_s: f64,
+    /// What it shows per true rate.
+    factor: f64,
     noise: RandomStream,
     walk: RandomStream,
 }
@@ -179,14 +220,16 @@ impl GyroSensor {
             gyro,
             step_s,
             bias_deg_per_s: gyro.bias_sigma_deg_per_s * walk.normal(),
+            factor: 1.0 + gyro.scale_sigma * RandomStream::new(seed, "gyro scale").normal(),
             noise: RandomStream::new(seed, "gyro"),
             walk,
         }
     }
 
     pub(super) fn observe(&mut self, turn_rad: f64) -> ObservationKind {
-        let rate_deg_per_s =
-            turn_rad.to_degrees() / self.step_s + self.bias_deg_per_s + self.gyro.sigma_deg_per_s * self.noise.normal();
+        let rate_deg_per_s = self.factor * turn_rad.to_degrees() / self.step_s
+            + self.bias_deg_per_s
+            + self.gyro.sigma_deg_per_s * self.noise.normal();
         self.bias_deg_per_s += self.gyro.bias_walk_deg_per_s_sqrt_s * self.step_s.sqrt() * self.walk.normal();
         let rounded = quantise(rate_deg_per_s, self.gyro.resolution_deg_per_s);
         ObservationKind::TurnRate(RadiansPerSecond(rounded.to_radians()))
@@ -222,93 +265,5 @@ impl Accelerometers {
         };
         self.before = *moved;
         observed
-    }
-}
-
-pub(super) struct CameraSensor {
-    camera: Camera,
-    step_s: f64,
-    noise: RandomStream,
-    delay: RandomStream,
-    outliers: RandomStream,
-    /// In transit, oldest first.
-    pending: Vec<PendingFix>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PendingFix {
-    pub(super) taken_step: usize,
-    pub(super) observed: ObservationKind,
-    due_step: usize,
-}
-
-impl CameraSensor {
-    pub(super) fn new(camera: Camera, step_s: f64, seed: u64) -> Self {
-        Self {
-            camera,
-            step_s,
-            noise: RandomStream::new(seed, "camera"),
-            delay: RandomStream::new(seed, "camera delay"),
-            outliers: RandomStream::new(seed, "camera outliers"),
-            pending: Vec::new(),
-        }
-    }
-
-    pub(super) fn observe(&mut self, step: usize, robot: &PlanarPose) {
-        if !step.is_multiple_of(self.camera.every_steps as usize) {
-            return;
-        }
-        let [dx_m, dy_m, turn_rad] = self.error();
-        let due = step + self.draw_delay();
-        if self.is_dark(step) {
-            return;
-        }
-        let fix = Fix {
-            position: Point2::<Arena>::new(Meters(robot.x_m + dx_m), Meters(robot.y_m + dy_m)),
-            heading: match self.camera.sees {
-                CameraSees::Pose => Some(Heading::from_rad(robot.heading_rad + turn_rad)),
-                CameraSees::Position => None,
-            },
-            covariance: None,
-            tag_in_body: Point2::ORIGIN,
-            reset_counter: 0,
-        };
-        self.pending.push(PendingFix { taken_step: step, observed: ObservationKind::Fix(fix), due_step: due });
-    }
-
-    pub(super) fn next_arrival(&mut self, step: usize) -> Option<PendingFix> {
-        let newest_due = self.pending.iter().rposition(|fix| fix.due_step <= step)?;
-        Some(self.pending.remove(newest_due))
-    }
-
-    /// Error of a fix: x and y in metres, heading in radians. Always the same number of draws.
-    fn error(&mut self) -> [f64; 3] {
-        let position_m = self.camera.true_noise_factor * self.camera.position_sigma_m;
-        let heading_rad = self.camera.true_noise_factor * self.camera.heading_sigma_deg.to_radians();
-        let mut error = [position_m, position_m, heading_rad].map(|sigma| sigma * self.noise.normal());
-        if let Some(outliers) = self.camera.outliers {
-            let is_outlier = self.outliers.bernoulli(outliers.probability);
-            for value in &mut error {
-                let more = outliers.sigma_m_rad * self.outliers.normal();
-                if is_outlier {
-                    *value += more;
-                }
-            }
-        }
-        error
-    }
-
-    fn draw_delay(&mut self) -> usize {
-        let spread = self.camera.delay_spread_steps;
-        let least = self.camera.delay_steps - spread;
-        let more = self.delay.uniform(0.0, f64::from(2 * spread + 1)).floor() as u32;
-        (least + more.min(2 * spread)) as usize
-    }
-
-    fn is_dark(&self, step: usize) -> bool {
-        self.camera.blackout.is_some_and(|dark| {
-            let from = first_step_from(dark.from_s, self.step_s);
-            (from..=last_step_until(dark.to_s, self.step_s)).contains(&step)
-        })
     }
 }

@@ -1,13 +1,16 @@
 //! The TOML format of a Monte-Carlo scenario.
 //!
-//! Numbers have no defaults: a file describes the whole experiment. Only the tables `[camera]`, `[kicks]` and `[accelerometer]` are
-//! optional; each is off when missing.
+//! A file describes the whole experiment: the numbers of sensors and motion have no defaults. What is off when missing is marked so below:
+//! whole tables, and errors that are zero. A filter is told the distributions from which a run draws, unless `[profile]` says otherwise.
 
 use std::f64::consts::FRAC_PI_2;
 
 use serde::Deserialize;
 use serde::de::{Deserializer, Error};
 
+use super::disturbances::{FixBursts, Kidnaps, Patches, SlipBursts};
+use super::limits::Limits;
+use super::observers::{Beacons, Compass, Landmarks, StampErrors};
 use crate::config_file::{ConfigFileError, SMALLEST, bundle, bundled_text, from_toml};
 use crate::scenario::Blackout;
 
@@ -17,7 +20,11 @@ const SHORTEST_LEG_M: f64 = 1e-3;
 /// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/accuracy/` and its name here.
 pub const SCENARIOS: &[(&str, &str)] = bundle!("scenarios/accuracy":
     "camera-10hz", "camera-1hz", "outliers-3pct", "outliers-10pct", "noise-x4", "noise-quarter", "noise-x4-outliers",
-    "blackout", "no-camera", "kicks", "kicks-camera-1hz", "unknown-heading", "wpilib", "paper-square"
+    "blackout", "no-camera", "kicks", "kicks-camera-1hz", "unknown-heading", "wpilib", "paper-square",
+    "gyro-scale-10hz", "gyro-scale-1hz", "mounting-landmarks", "mounting-beacons", "late-landmarks", "clock-skew",
+    "landmark-map-errors", "range-share", "biased-camera", "patches-with-rests", "backlash", "outlier-burst",
+    "outlier-burst-elsewhere", "slip-bursts-1hz", "kidnap-10hz", "kidnap-1hz", "kidnap-landmarks", "kidnap-student",
+    "kidnap-landmarks-student", "kidnap-unnoticed", "global-start-landmarks",
 );
 
 /// Ten times the steps of the longest bundled drive.
@@ -41,10 +48,21 @@ pub struct Scenario {
     pub motion: MotionNoise,
     pub gyro: Gyro,
     pub camera: Option<Camera>,
+    pub second_camera: Option<Camera>,
+    pub landmarks: Option<Landmarks>,
+    pub beacons: Option<Beacons>,
+    pub compass: Option<Compass>,
     /// Turns that the encoders do not measure.
     pub kicks: Option<Kicks>,
+    pub kidnaps: Option<Kidnaps>,
+    pub slip_bursts: Option<SlipBursts>,
     pub accelerometer: Option<Accelerometer>,
     pub told: PriorSettings,
+    /// Tables and keys of a robot profile that replace what a filter is told otherwise. The caller checks them.
+    #[serde(default)]
+    pub profile: toml::Table,
+    /// What the scenario requires of the main filter.
+    pub limits: Option<Limits>,
 }
 
 /// The nominal geometry of the robot.
@@ -55,6 +73,9 @@ pub struct NominalRobot {
     pub track_width_m: f64,
     /// Resolution of the encoders; rotation is rounded down to it.
     pub tick_deg: f64,
+    /// Play of each wheel's gear: the encoder turns through it before the wheel follows.
+    #[serde(default)]
+    pub backlash_deg: f64,
 }
 
 /// Standard deviations of the relative errors of the geometry, drawn once per run.
@@ -86,6 +107,9 @@ pub struct Gyro {
     /// Bias at the start.
     pub bias_sigma_deg_per_s: f64,
     pub bias_walk_deg_per_s_sqrt_s: f64,
+    /// Of the relative error of its rate.
+    #[serde(default)]
+    pub scale_sigma: f64,
 }
 
 /// Whether a camera measures the heading.
@@ -115,6 +139,13 @@ pub struct Camera {
     pub outliers: Option<Outliers>,
     /// An interval of timestamps without fixes, both ends included.
     pub blackout: Option<Blackout>,
+    /// Of an error that all its fixes share, each axis.
+    #[serde(default)]
+    pub bias_sigma_m: f64,
+    pub patches: Option<Patches>,
+    pub bursts: Option<FixBursts>,
+    #[serde(default)]
+    pub stamps: StampErrors,
 }
 
 /// Probability and spread of false fixes.
@@ -149,7 +180,7 @@ pub struct Accelerometer {
 }
 
 /// Not zero, because filters are configured with it.
-fn sigma_of_filters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+pub(super) fn sigma_of_filters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let sigma = f64::deserialize(deserializer)?;
     let complaint =
         || D::Error::custom(format!("{sigma} is less than {SMALLEST}; give more, filters are configured with it"));
@@ -183,6 +214,9 @@ pub struct PriorSettings {
     pub start_heading_sigma_rad: f64,
     /// Bound of the uniform error of the configured start heading.
     pub start_heading_off_deg: f64,
+    /// Without a start a filter has to find its pose.
+    #[serde(default)]
+    pub start_is_unknown: bool,
 }
 
 impl Scenario {
@@ -200,6 +234,18 @@ impl Scenario {
     pub const fn with_seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
+    }
+
+    /// The same drives without bursts of wrong fixes.
+    pub fn without_bursts(mut self) -> Self {
+        for camera in [&mut self.camera, &mut self.second_camera].into_iter().flatten() {
+            camera.bursts = None;
+        }
+        self
+    }
+
+    pub fn has_bursts(&self) -> bool {
+        [&self.camera, &self.second_camera].into_iter().flatten().any(|camera| camera.bursts.is_some())
     }
 
     fn contradiction(&self) -> Option<String> {
@@ -222,18 +268,38 @@ impl Scenario {
         if score_from_s >= end_s {
             return Some(format!("score_from_s {score_from_s} lies behind the end of [path], about {end_s:.1} s"));
         }
-        if let Some(Camera { delay_steps, delay_spread_steps, .. }) = self.camera
-            && delay_spread_steps > delay_steps
-        {
-            return Some(format!(
-                "[camera] delay_spread_steps {delay_spread_steps} exceeds delay_steps {delay_steps}: a fix cannot arrive before it is \
-                 made"
-            ));
+        for (table, camera) in [("camera", self.camera), ("second_camera", self.second_camera)] {
+            if let Some(Camera { delay_steps, delay_spread_steps, .. }) = camera
+                && delay_spread_steps > delay_steps
+            {
+                return Some(format!(
+                    "[{table}] delay_spread_steps {delay_spread_steps} exceeds delay_steps {delay_steps}: a fix cannot arrive before it \
+                     is made"
+                ));
+            }
         }
         if let Some(Kicks { least_deg, most_deg, .. }) = self.kicks
             && least_deg > most_deg
         {
             return Some(format!("[kicks] least_deg {least_deg} exceeds most_deg {most_deg}"));
+        }
+        if let Some(Kidnaps { least_m, most_m, least_deg, most_deg, .. }) = self.kidnaps
+            && (least_m > most_m || least_deg > most_deg)
+        {
+            return Some(format!(
+                "[kidnaps] {least_m} m to {most_m} m and {least_deg} deg to {most_deg} deg: the first of each must not be larger"
+            ));
+        }
+        let ranges = [
+            ("landmarks", self.landmarks.as_ref().map(|sensor| (sensor.range_sigma_m, sensor.range_share))),
+            ("beacons", self.beacons.as_ref().map(|sensor| (sensor.range_sigma_m, sensor.range_share))),
+        ];
+        for (table, sensor) in ranges {
+            if sensor == Some((0.0, 0.0)) {
+                return Some(format!(
+                    "[{table}] range_sigma_m and range_share are both 0; give one of them, filters are configured with it"
+                ));
+            }
         }
         None
     }

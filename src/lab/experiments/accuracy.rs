@@ -2,25 +2,25 @@
 //!
 //! Scenarios are files (`config/scenarios/accuracy/`); docs/lab/accuracy.md explains them.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use posebridge_estimator::smoother::OfflineError;
-use posebridge_lab::accuracy::{DriveScore, FilterScore, bound_text};
+use posebridge_lab::accuracy::{DriveScore, FilterScore, ReferenceDrive, Requirement, Verdict, bound_text};
 use posebridge_lab::statistics::RunningMean;
 use posebridge_link::HostTimer;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use posebridge_report::{ConsistencyBand, SourceTally};
-use posebridge_sim::montecarlo::{SCENARIOS, Scenario};
+use posebridge_sim::montecarlo::{Drive, Limits, SCENARIOS, Scenario};
 use posebridge_telemetry::TimeDelta;
 use serde_json::{Value, json};
 
 use super::Estimator;
-use super::estimators::BoundKind;
+use super::estimators::{BoundKind, MAIN_FILTER};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::drives::{known_drive, load_scenario};
+use crate::lab::drives::{filter_config, known_drive, load_scenario};
 use crate::lab::parallel::run_cases;
 use crate::tools::experiment_output::OutputArgs;
 
@@ -108,6 +108,7 @@ fn report(scored: &[ScenarioScores], estimators: &[Estimator]) -> Report {
          an honest claim.",
     );
     let names = names(estimators);
+    add_verdicts(&mut report, scored, &names);
     let scenarios = scored.iter().map(|scored| add_scenario(&mut report, scored, &names)).collect();
     report.data("scenarios", scenarios);
     report.figure(render_accuracy_chart(&chart), "Errors (discs) and claims of the estimators, per scenario");
@@ -118,16 +119,102 @@ struct EstimatorRow<'a> {
     name: &'a str,
     bound_m: Option<f64>,
     scores: &'a EstimatorScores,
+    runs: u32,
+    limits: Option<Limits>,
+}
+
+impl EstimatorRow<'_> {
+    /// `None` without limits, and for another filter than the main one.
+    fn verdict(&self) -> Option<Verdict> {
+        let limits = self.limits.filter(|_| self.name == MAIN_FILTER)?;
+        let score = &self.scores.score;
+        let (mm, number) = (Format::three_digits(Unit::Millimetres), Format::three_digits(Unit::None));
+        let seconds = Format::new(Unit::Named("s"), 2);
+        let require = |name, measured, most, format| Requirement { name, measured, least: None, most, format };
+        let disturbances = &score.disturbances;
+        Some(Verdict::new(&[
+            require("rms", score.position_rms_m(), limits.rms_m, mm),
+            require("rms/bound", score.ratio_to_bound(self.bound_m), limits.rms_per_bound, number),
+            require("rms/undisturbed", self.rms_per_undisturbed(), limits.rms_per_undisturbed, number),
+            Requirement { least: limits.anees_least, ..require("ANEES", score.anees(), limits.anees_most, number) },
+            require("recovery", self.recovery_s(1.0), limits.recovery_s, seconds),
+            require(
+                "resets",
+                Some(disturbances.resets as f64),
+                limits.resets.map(f64::from),
+                Format::new(Unit::None, 0),
+            ),
+            require(
+                "fixes gated after slips, of a run,",
+                self.fixes_gated_after_slips(),
+                limits.fixes_gated_after_slips,
+                Format::new(Unit::None, 2),
+            ),
+        ]))
+    }
+
+    /// `None` in a scenario without bursts of wrong fixes.
+    fn rms_per_undisturbed(&self) -> Option<f64> {
+        self.scores.score.ratio_to_bound(self.scores.undisturbed.position_rms_m())
+    }
+
+    /// What this share of the recoveries does not exceed.
+    fn recovery_s(&self, share: f64) -> Option<f64> {
+        self.scores.score.disturbances.recovery_s(share)
+    }
+
+    /// Of a run.
+    fn fixes_gated_after_slips(&self) -> Option<f64> {
+        Some(self.scores.score.disturbances.fixes_gated_after_slips as f64 / f64::from(self.runs))
+    }
+}
+
+fn rows<'a>(scored: &'a ScenarioScores, names: &'a [String]) -> Vec<EstimatorRow<'a>> {
+    let rows = names.iter().zip(&scored.results).map(|(name, scores)| EstimatorRow {
+        name,
+        bound_m: scored.bound_rms_m(),
+        scores,
+        runs: scored.planned.runs,
+        limits: scored.planned.scenario.limits,
+    });
+    rows.collect()
+}
+
+/// The scenarios with limits and how the main filter keeps them.
+fn add_verdicts(report: &mut Report, scored: &[ScenarioScores], names: &[String]) {
+    let of_scenario = scored.iter().flat_map(|scored| {
+        let row = rows(scored, names).into_iter().find_map(|row| Some((row.verdict()?, row)));
+        row.map(|(verdict, row)| (scored.planned.name.as_str(), row, verdict))
+    });
+    let judged: Vec<(&str, EstimatorRow<'_>, Verdict)> = of_scenario.collect();
+    if judged.is_empty() {
+        return;
+    }
+    let three = Format::three_digits(Unit::None);
+    let table = Table::of(&judged)
+        .text("", format!("`{MAIN_FILTER}` in"), |(name, ..)| (*name).to_owned())
+        .number("", "rms", Format::three_digits(Unit::Millimetres), |(_, row, _)| row.scores.score.position_rms_m())
+        .number("", "rms/bound", three, |(_, row, _)| row.scores.score.ratio_to_bound(row.bound_m))
+        .number("", "ANEES", three, |(_, row, _)| row.scores.score.anees())
+        .number("", "recovery", Format::new(Unit::Named("s"), 2), |(_, row, _)| row.recovery_s(1.0))
+        .text("", "limits", |(_, _, verdict)| verdict.as_text().to_owned());
+    report.table("", &table);
+    for (name, _, verdict) in judged.iter().filter(|(_, _, verdict)| !verdict.failures.is_empty()) {
+        report.verdict(verdict.tone(), format!("{name}:"), verdict.failures.join("; "));
+    }
 }
 
 /// Adds the text of a scenario to the report and returns its JSON object.
 fn add_scenario(report: &mut Report, scored: &ScenarioScores, names: &[String]) -> Value {
     let (bound_m, bound_note) = (scored.bound_rms_m(), scored.bound_kind.note());
-    let rows = names.iter().zip(&scored.results).map(|(name, scores)| EstimatorRow { name, bound_m, scores });
-    let rows: Vec<EstimatorRow<'_>> = rows.collect();
+    let rows = rows(scored, names);
     let table = estimator_table(&rows);
     report.heading(headline(scored));
     report.table("", &table);
+    if let Some(table) = disturbance_table(&scored.planned.scenario, &rows) {
+        report.table("", &table);
+    }
+    report.list(rows.iter().map(|row| format!("{}: {}", row.name, row.scores.score.sources_text())));
     report.paragraph(bound_text(bound_m, bound_note.as_deref()));
     report.list(rows.iter().flat_map(|row| row.scores.score.footnotes(row.name)));
     report.list(rows.iter().filter_map(refusal_summary));
@@ -157,8 +244,12 @@ fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'
         .number("anees", "ANEES", three, |row| row.scores.score.anees())
         .data("anees_band", |row| json!(row.scores.score.band().map(|ConsistencyBand { low, high }| [low, high])))
         .text("consistency", "its claims are", |row| row.scores.score.consistency().as_text().to_owned())
-        .text("", "NIS/dof of what it used", |row| row.scores.score.sources_text())
         .data("sources", |row| row.scores.score.sources.iter().map(source_json).collect())
+        .data("recoveries_s", |row| json!(row.scores.score.disturbances.recoveries_s))
+        .data("resets", |row| json!(row.scores.score.disturbances.resets))
+        .data("fixes_gated_after_slips", |row| json!(row.scores.score.disturbances.fixes_gated_after_slips))
+        .data("rms_per_undisturbed", |row| json!(row.rms_per_undisturbed()))
+        .data("limits_missed", |row| json!(row.verdict().map(|verdict| verdict.failures)))
         .data("steps", |row| json!(row.scores.score.steps()))
         .data("steps_without_estimate", |row| json!(row.scores.score.steps_without_estimate))
         .data("steps_not_finite", |row| json!(row.scores.score.steps_not_finite))
@@ -168,6 +259,29 @@ fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'
             let refusals = row.scores.refusals.iter();
             refusals.map(|(run, refusal)| json!({ "run": run, "reason": refusal.to_string() })).collect()
         })
+}
+
+/// How the estimators get over what happens to the robot; `None` where nothing does.
+fn disturbance_table<'a>(scenario: &Scenario, rows: &'a [EstimatorRow<'a>]) -> Option<Table<'a, EstimatorRow<'a>>> {
+    let mut table = Table::of(rows).text("", "estimator", |row| row.name.to_owned());
+    let (has_landings, has_bursts) =
+        (scenario.kidnaps.is_some() || scenario.told.start_is_unknown, scenario.has_bursts());
+    if has_landings {
+        let seconds = Format::new(Unit::Named("s"), 2);
+        for (name, share) in [("recovery: median", 0.5), ("90 %", 0.9), ("worst", 1.0)] {
+            table = table.number("", name, seconds, move |row| row.recovery_s(share));
+        }
+    }
+    if has_bursts {
+        let three = Format::three_digits(Unit::None);
+        table = table.number("", "rms/undisturbed", three, EstimatorRow::rms_per_undisturbed);
+    }
+    if scenario.slip_bursts.is_some() {
+        let two = Format::new(Unit::None, 2);
+        table = table.number("", "gated after slips/run", two, EstimatorRow::fixes_gated_after_slips);
+    }
+    let is_disturbed = has_landings || has_bursts || scenario.slip_bursts.is_some();
+    is_disturbed.then(|| table.count("", "resets", |row| row.scores.score.disturbances.resets as usize))
 }
 
 fn source_json(tally: &SourceTally) -> Value {
@@ -240,12 +354,15 @@ struct ScenarioScores {
 #[derive(Clone, Default)]
 struct EstimatorScores {
     score: FilterScore,
+    /// Over the same drives without bursts of wrong fixes; empty in a scenario without them.
+    undisturbed: FilterScore,
     /// The runs without a result, and why.
     refusals: Vec<(u32, OfflineError)>,
 }
 
 struct DriveScores {
     results: Vec<DriveScore>,
+    undisturbed: Vec<DriveScore>,
     bound: Option<RunningMean>,
     bound_duration: TimeDelta,
 }
@@ -266,24 +383,36 @@ fn score_all(
             bound_duration: TimeDelta::ZERO,
         };
         for (run, drive) in (0..).zip(drives) {
-            scored.add(run, drive);
+            scored.add(run, drive.with_context(|| format!("scenario `{}`", scored.planned.name))?);
         }
-        scored
+        Ok(scored)
     });
-    Ok(scored.collect())
+    scored.collect()
 }
 
-fn score_drive(planned: &PlannedScenario, run: u32, estimators: &[Estimator], timer: &HostTimer) -> DriveScores {
-    let drive = planned.scenario.drive(run);
+fn score_drive(
+    planned: &PlannedScenario,
+    run: u32,
+    estimators: &[Estimator],
+    timer: &HostTimer,
+) -> Result<DriveScores> {
+    let scenario = &planned.scenario;
+    let score_all = |drive: &Drive, known: &ReferenceDrive| -> Result<Vec<DriveScore>> {
+        let config = filter_config(&drive.prior)?;
+        Ok(estimators.iter().map(|estimator| estimator.score(drive, known, &config)).collect())
+    };
+    let drive = scenario.drive(run);
     let known = known_drive(&drive);
     let before = timer.now();
-    let bound = BoundKind::for_scenario(&planned.scenario).compute(&drive, &known);
+    let bound = BoundKind::for_scenario(scenario).compute(&drive, &known);
     let bound_took = timer.now() - before;
-    DriveScores {
-        results: estimators.iter().map(|estimator| estimator.score(&drive, &known)).collect(),
+    let undisturbed = scenario.has_bursts().then(|| scenario.clone().without_bursts().drive(run));
+    Ok(DriveScores {
+        results: score_all(&drive, &known)?,
+        undisturbed: undisturbed.map_or(Ok(Vec::new()), |drive| score_all(&drive, &known_drive(&drive)))?,
         bound,
         bound_duration: bound_took,
-    }
+    })
 }
 
 impl ScenarioScores {
@@ -291,6 +420,9 @@ impl ScenarioScores {
         for (sum, verdict) in self.results.iter_mut().zip(driven.results) {
             sum.score.merge(&verdict.score);
             sum.refusals.extend(verdict.refusal.map(|refusal| (run, refusal)));
+        }
+        for (sum, drive) in self.results.iter_mut().zip(driven.undisturbed) {
+            sum.undisturbed.merge(&drive.score);
         }
         if let Some(bound) = driven.bound {
             self.bound.get_or_insert_with(RunningMean::default).merge(&bound);

@@ -4,13 +4,13 @@ use posebridge_estimator::smoother::{batch, rts};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
 use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, error_bound, score, score_smoother};
 use posebridge_lab::statistics::RunningMean;
-use posebridge_sim::montecarlo::{Drive, GeometryErrors, PriorGeometry, Scenario};
-use posebridge_telemetry::Calibration;
+use posebridge_sim::montecarlo::{Camera, DrawnValue, Drive, GeometryErrors, PriorGeometry, Scenario};
+use posebridge_telemetry::{Calibration, UncertainValue};
 
-use crate::lab::drives::filter_config;
+use crate::lab::drives::drawn_config;
 
 /// The filter that also runs with the true geometry, as a reference.
-const MAIN_FILTER: &str = "pose";
+pub(super) const MAIN_FILTER: &str = "pose";
 /// Name suffix of a filter with the true geometry.
 const CLAIRVOYANT: &str = "-true-geometry";
 const SMOOTH: &str = "smooth";
@@ -76,20 +76,26 @@ impl Estimator {
     }
 
     /// `known` is the same drive in the form of the score.
-    pub fn score(&self, drive: &Drive, known: &ReferenceDrive) -> DriveScore {
-        let config = filter_config(&drive.prior);
+    pub fn score(&self, drive: &Drive, known: &ReferenceDrive, config: &FilterConfig) -> DriveScore {
         let score_filter = |entry: &FilterEntry, config: &FilterConfig| DriveScore {
             score: score(known, (entry.build)(config).as_mut()),
             refusal: None,
         };
         match self {
-            Self::Filter(entry) => score_filter(entry, &config),
+            Self::Filter(entry) => score_filter(entry, config),
             Self::TrueGeometry(entry) => {
-                let (geometry, calibration) = (drive.true_geometry, Calibration::default());
-                score_filter(entry, &FilterConfig { geometry, calibration, ..config })
+                let fixed = UncertainValue::default();
+                let calibration = Calibration {
+                    radius_scale: fixed,
+                    radius_difference: fixed,
+                    track_scale: fixed,
+                    ..config.calibration
+                };
+                let geometry = drive.true_geometry;
+                score_filter(entry, &FilterConfig { geometry, calibration, ..config.clone() })
             }
-            Self::Rts => score_smoother(known, &config, rts),
-            Self::Smooth => score_smoother(known, &config, batch),
+            Self::Rts => score_smoother(known, config, rts),
+            Self::Smooth => score_smoother(known, config, batch),
         }
     }
 }
@@ -115,6 +121,9 @@ pub(super) enum BoundKind {
 impl BoundKind {
     pub(super) fn for_scenario(scenario: &Scenario) -> Self {
         let (motion, prior) = (&scenario.motion, &scenario.told);
+        if scenario.kidnaps.is_some() {
+            return Self::Unavailable("the robot is moved by hand");
+        }
         if motion.wheel_travel_m_per_sqrt_m != prior.wheel_travel_m_per_sqrt_m
             || motion.turn_rad_per_sqrt_rad != prior.turn_rad_per_sqrt_rad
         {
@@ -134,11 +143,24 @@ impl BoundKind {
         if drawn != known {
             return Self::Unavailable("the spread of the geometry is not what a filter is told");
         }
-        let camera = scenario.camera.as_ref();
+        let has_camera = |is_such: fn(&Camera) -> bool| {
+            [&scenario.camera, &scenario.second_camera].into_iter().flatten().any(is_such)
+        };
+        let of_camera = scenario.camera.iter().chain(&scenario.second_camera).map(|camera| camera.stamps);
+        let stamps = of_camera
+            .chain(scenario.landmarks.iter().map(|sensor| sensor.stamps))
+            .chain(scenario.beacons.iter().map(|sensor| sensor.stamps))
+            .chain(scenario.compass.iter().map(|sensor| sensor.stamps));
+        let has_skew = stamps.into_iter().any(|stamps| stamps.skew_ppm != DrawnValue::default());
         let left_out = [
-            (camera.is_some_and(|camera| camera.true_noise_factor != 1.0), "the camera's noise is taken as told"),
-            (camera.is_some_and(|camera| camera.outliers.is_some()), "without the outliers"),
+            (has_camera(|camera| camera.true_noise_factor != 1.0), "the camera's noise is taken as told"),
+            (has_camera(|camera| camera.outliers.is_some()), "without the outliers"),
+            (has_camera(|camera| camera.bursts.is_some()), "without the bursts"),
+            (has_camera(|camera| camera.patches.is_some()), "without the edges of the patches"),
+            (has_skew, "without the skew of the clock"),
             (scenario.kicks.is_some(), "without the kicks"),
+            (scenario.slip_bursts.is_some(), "without the slip bursts"),
+            (scenario.robot.backlash_deg > 0.0, "without the play of the gears"),
             (scenario.accelerometer.is_some(), "without what the accelerometers tell"),
         ];
         Self::Excluding(left_out.into_iter().filter_map(|(is_there, what)| is_there.then_some(what)).collect())
@@ -149,7 +171,7 @@ impl BoundKind {
             Self::Unavailable(_) => None,
             Self::Excluding(_) => {
                 let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, turn.right]).collect();
-                error_bound(&filter_config(&drive.prior), known, &turns)
+                error_bound(&drawn_config(&drive.prior), known, &turns)
             }
         }
     }
@@ -167,10 +189,10 @@ impl BoundKind {
 #[cfg(test)]
 mod tests {
     use posebridge_sim::montecarlo::SCENARIOS;
-    use posebridge_telemetry::Radians;
+    use posebridge_telemetry::{MountedSensor, Radians};
 
     use super::*;
-    use crate::lab::drives::known_drive;
+    use crate::lab::drives::{filter_config, known_drive};
 
     #[test]
     fn every_bundled_scenario_says_what_its_bound_leaves_out() {
@@ -183,9 +205,45 @@ mod tests {
                 "kicks" | "kicks-camera-1hz" => Some("without the kicks"),
                 "paper-square" => Some("without what the accelerometers tell"),
                 "wpilib" => Some("the noise of the motion is not what a filter is told"),
+                "outlier-burst" | "outlier-burst-elsewhere" => Some("without the bursts"),
+                "patches-with-rests" => Some("without the edges of the patches"),
+                "clock-skew" => Some("without the skew of the clock"),
+                "slip-bursts-1hz" => Some("without the slip bursts"),
+                "backlash" => Some("without the play of the gears"),
+                _ if name.starts_with("kidnap") => Some("the robot is moved by hand"),
                 _ => None,
             };
             assert_eq!(note.as_deref(), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn every_bundled_scenario_configures_a_filter_and_a_wrong_key_is_named() {
+        for (name, _) in SCENARIOS {
+            let drive = Scenario::bundled(name).unwrap().drive(0);
+            assert!(filter_config(&drive.prior).is_ok(), "{name}");
+        }
+        let prior = |profile: &str| {
+            let mut prior = Scenario::bundled("kidnap-landmarks").unwrap().drive(0).prior;
+            prior.profile = std::sync::Arc::new(toml::from_str(profile).unwrap());
+            prior
+        };
+        let told = filter_config(&prior(
+            "[filter]\nstudent_dof = 4\n[robot.mounting.landmarks]\nyaw_deg = { value = 90.0, sigma = 1.0 }",
+        ));
+        let drawn = drawn_config(&prior(""));
+        let told = told.unwrap();
+        assert_eq!((told.params.student_dof, told.noise, told.start), (4.0, drawn.noise, drawn.start));
+        let yaw = told.calibration.mountings[MountedSensor::Landmarks].yaw_rad;
+        assert!((yaw.value - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        assert_eq!(told.calibration.gyro_scale, drawn.calibration.gyro_scale);
+        for (wrong, part) in [
+            ("[robot.calibration]\ngyro_scal = { value = 0.0, sigma = 0.1 }", "unknown field `gyro_scal`"),
+            ("[filter]\nstudent_dof = 4000", "must lie in 0 to 100"),
+            ("[station]\nmax_robots = 1", "unknown table `station`"),
+        ] {
+            let error = format!("{:#}", filter_config(&prior(wrong)).unwrap_err());
+            assert!(error.starts_with("[profile]: ") && error.contains(part), "{error}");
         }
     }
 
@@ -208,7 +266,7 @@ mod tests {
         }
         let known = known_drive(&drive);
         let turns: Vec<_> = drive.wheel_turns.iter().map(|turn| [turn.left, Radians(0.0)]).collect();
-        let expected = error_bound(&filter_config(&drive.prior), &known, &turns);
+        let expected = error_bound(&drawn_config(&drive.prior), &known, &turns);
         assert!(expected.is_some());
         assert_eq!(BoundKind::for_scenario(&scenario).compute(&drive, &known), expected);
     }

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use super::recorded::{self, RecordedArgs, RobotDrive, RobotDrives};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
-use crate::lab::drives::{self, filter_config};
+use crate::lab::drives::{self, drawn_config};
 use crate::lab::parallel::run_with_bar;
 use crate::tools::experiment_output::OutputArgs;
 
@@ -233,7 +233,7 @@ fn draw_drive(scenario: &Scenario, run: u32) -> Drive {
 
 fn round(scenario: &Scenario, run: u32) -> Vec<FilteredDrive> {
     let drive = draw_drive(scenario, run);
-    let config = filter_config(&drive.prior);
+    let config = drawn_config(&drive.prior);
     let Some(truth) = drive.truth.last().copied() else {
         return Vec::new();
     };

@@ -200,21 +200,21 @@ fn simulated(args: &TuneArgs, requested: &str) -> Result<TuneDataset> {
         let set = if run < args.runs { RunSet::Training } else { RunSet::HeldOut };
         run_from_drive(&scenario.drive(run), format!("run {run}"), set)
     });
-    let runs: Vec<TuneRun> = drives.collect();
+    let runs: Vec<TuneRun> = drives.collect::<Result<_>>()?;
     let used_geometry = runs.first().map(|run| run.config.geometry);
     let robot = used_geometry.map_or(robot.clone(), |geometry| robot.with_geometry(&geometry));
     Ok(TuneDataset { runs, robot, source: format!("sim {requested}, seed {}", args.seed) })
 }
 
-fn run_from_drive(drive: &Drive, name: String, set: RunSet) -> TuneRun {
+fn run_from_drive(drive: &Drive, name: String, set: RunSet) -> Result<TuneRun> {
     let arrivals = drive.arrivals.iter();
-    TuneRun {
+    Ok(TuneRun {
         name,
         set,
         observations: arrivals.map(|arrival| arrival.observation).collect(),
-        config: filter_config(&drive.prior),
+        config: filter_config(&drive.prior)?,
         reference: RunReference::Simulated(Box::new(known_drive(drive))),
-    }
+    })
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -283,8 +283,8 @@ impl TuneRun {
                 run_drive(
                     known,
                     live.as_mut(),
-                    |_| (),
-                    |truth, estimate| {
+                    |_, _| (),
+                    |_, truth, estimate| {
                         if let Some(estimate) = estimate.filter(|estimate| estimate.validity.position) {
                             add(truth.time, &PoseError::of_estimate(estimate, truth.pose));
                         }

@@ -15,7 +15,7 @@ mod trajectory;
 use posebridge_telemetry::{Observation, ObservationKind};
 
 pub use self::batch::batch;
-pub use self::cramer_rao::{FixArrival, FixContent, GroundTruthRun, cramer_rao_bound};
+pub use self::cramer_rao::{ArrivedObservation, GroundTruthRun, cramer_rao_bound};
 pub use self::trajectory::{OfflineError, SmoothedPose, SmoothedTrajectory};
 use crate::filter::FilterConfig;
 use crate::filters::pose::smoother::{SmoothedState, smooth};

@@ -6,7 +6,7 @@ use std::ops::Range;
 use posebridge_estimator::filters::pose::layout::CORE_STATES;
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::smoother::{
-    FixArrival, FixContent, GroundTruthRun, OfflineError, SmoothedTrajectory, batch, cramer_rao_bound, rts,
+    ArrivedObservation, GroundTruthRun, OfflineError, SmoothedTrajectory, batch, cramer_rao_bound, rts,
 };
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{
@@ -167,7 +167,7 @@ fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
         .extend(drive.poses.iter().map(|&(x, y, heading)| Pose::new(Meters(x), Meters(y), Heading::from_rad(heading))));
     let mut travel = vec![];
     let mut last = (0.0, 0.0);
-    let mut fixes = vec![];
+    let mut observations = vec![];
     for arrival in &drive.arrivals {
         let observation = &arrival.observation;
         if let ObservationKind::WheelAngles { left, right } = observation.measurement {
@@ -175,10 +175,18 @@ fn bound_of(drive: &Drive, config: &FilterConfig) -> Vec<f64> {
             last = (left.0, right.0);
         } else if observation.sensor == SensorId::CAMERA {
             let exposure_step = (observation.stamp.as_secs_f64() / STEP_S).round() as usize;
-            fixes.push(FixArrival { exposure_step, arrival_step: arrival.step, content: FixContent::Pose });
+            observations.push(ArrivedObservation {
+                exposure_step,
+                arrival_step: arrival.step,
+                sensor: SensorId::CAMERA,
+                measurement: observation.measurement,
+            });
         }
     }
-    cramer_rao_bound(config, &GroundTruthRun { poses: &poses, travel: &travel, step_s: STEP_S, fixes: &fixes })
+    cramer_rao_bound(
+        config,
+        &GroundTruthRun { poses: &poses, travel: &travel, step_s: STEP_S, observations: &observations },
+    )
 }
 
 #[test]

@@ -12,9 +12,12 @@
 //! Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001),
 //! section 5.4.
 
+mod disturbances;
+mod verdict;
+
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::smoother::{
-    FixArrival, FixContent, GroundTruthRun, OfflineError, SmoothedTrajectory, cramer_rao_bound,
+    ArrivedObservation, GroundTruthRun, OfflineError, SmoothedTrajectory, cramer_rao_bound,
 };
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_report::metrics::consistency::nees;
@@ -27,6 +30,9 @@ use posebridge_report::track::{SmoothedPath, TimedPose};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Arena, Estimate, FusionRecord, Observation, ObservationKind, Pose, Radians};
 
+pub use self::disturbances::DisturbanceScore;
+use self::disturbances::DisturbanceScorer;
+pub use self::verdict::{Requirement, Verdict};
 use crate::statistics::RunningMean;
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,6 +42,10 @@ pub struct ReferenceDrive {
     pub arrivals: Vec<ObservationArrival>,
     /// Index into `truth` from which errors count.
     pub scored_from: usize,
+    /// Indexes into `truth` at which the robot stands where no filter knows it to be.
+    pub landings: Vec<usize>,
+    /// Indexes into `truth` at which a wheel begins to spin.
+    pub slip_bursts: Vec<usize>,
 }
 
 /// An observation and its arrival; its own timestamp may be earlier.
@@ -43,24 +53,27 @@ pub struct ReferenceDrive {
 pub struct ObservationArrival {
     /// Index into [`ReferenceDrive::truth`]: it arrives before that step is scored.
     pub step: usize,
+    /// Index of the true pose that it measures.
+    pub measured_step: usize,
     pub observation: Observation,
 }
 
 /// Passes a drive to a filter in the order of arrival; calls `on_record` for each observation, and `on_step` at the end of each scored
-/// step with its truth and the estimate that is there then.
+/// step with its truth and the estimate that is there then. Where the robot is put somewhere else all steps are scored.
 pub fn run_drive(
     drive: &ReferenceDrive,
     filter: &mut dyn Filter,
-    mut on_record: impl FnMut(&FusionRecord),
-    mut on_step: impl FnMut(&TimedPose, Option<&Estimate>),
+    mut on_record: impl FnMut(&ObservationArrival, &FusionRecord),
+    mut on_step: impl FnMut(usize, &TimedPose, Option<&Estimate>),
 ) {
+    let first = if drive.landings.is_empty() { drive.scored_from } else { 0 };
     let mut arrivals = drive.arrivals.iter().peekable();
     for (step, truth) in drive.truth.iter().enumerate() {
         while let Some(arrival) = arrivals.next_if(|arrival| arrival.step <= step) {
-            on_record(&filter.observe(&arrival.observation));
+            on_record(arrival, &filter.observe(&arrival.observation));
         }
-        if step >= drive.scored_from {
-            on_step(truth, filter.estimate_at(truth.time).as_ref());
+        if step >= first {
+            on_step(step, truth, filter.estimate_at(truth.time).as_ref());
         }
     }
 }
@@ -68,9 +81,19 @@ pub fn run_drive(
 pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     let mut score = FilterScore::default();
     let mut sources = Vec::new();
-    let on_record = |record: &FusionRecord| add_to_tallies(&mut sources, record);
-    run_drive(drive, filter, on_record, |truth, estimate| score.add_step(truth.pose, estimate));
+    let disturbances = std::cell::RefCell::new(DisturbanceScorer::new(drive));
+    let on_record = |arrival: &ObservationArrival, record: &FusionRecord| {
+        add_to_tallies(&mut sources, record);
+        disturbances.borrow_mut().add_record(arrival, record);
+    };
+    run_drive(drive, filter, on_record, |step, truth, estimate| {
+        disturbances.borrow_mut().add_step(step, truth, estimate);
+        if step >= drive.scored_from {
+            score.add_step(truth.pose, estimate);
+        }
+    });
     score.sources = sources;
+    score.disturbances = disturbances.into_inner().end();
     score.end_run();
     score
 }
@@ -110,6 +133,7 @@ pub struct FilterScore {
     pub refused_covariances: u64,
     /// Fusion outcomes of each sensor over all runs, in the order of first arrival.
     pub sources: Vec<SourceTally>,
+    pub disturbances: DisturbanceScore,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -189,6 +213,7 @@ impl FilterScore {
         for theirs in &other.sources {
             merge_tally(&mut self.sources, theirs);
         }
+        self.disturbances.merge(&other.disturbances);
     }
 
     /// `None` without a bound of the root mean square position error.
@@ -310,7 +335,7 @@ fn fixes_of(smoothed: &SmoothedTrajectory, observations: &[Observation]) -> Opti
 /// bound of the root mean square error.
 ///
 /// `wheel_turns` are the true rotations of the left and the right wheel over each step, before rounding and without slip. `None` where
-/// the bound does not apply: another number of entries, a fix timestamp between steps, or a non-finite bound.
+/// the bound does not apply: another number of entries, or a non-finite bound.
 pub fn error_bound(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &[[Radians; 2]]) -> Option<RunningMean> {
     let [first, second, ..] = drive.truth.as_slice() else {
         return None;
@@ -322,33 +347,24 @@ pub fn error_bound(config: &FilterConfig, drive: &ReferenceDrive, wheel_turns: &
     let (left_m, right_m) = (config.geometry.left_wheel_radius.0, config.geometry.right_wheel_radius.0);
     let travel = |[left, right]: &[Radians; 2]| WheelTravel { left_m: left.0 * left_m, right_m: right.0 * right_m };
     let travel: Vec<WheelTravel> = wheel_turns.iter().map(travel).collect();
+    let arrived = drive.arrivals.iter().map(|arrival| ArrivedObservation {
+        exposure_step: arrival.measured_step,
+        arrival_step: arrival.step,
+        sensor: arrival.observation.sensor,
+        measurement: arrival.observation.measurement,
+    });
+    let observations: Vec<ArrivedObservation> = arrived.collect();
     let run = GroundTruthRun {
         poses: &poses,
         travel: &travel,
         step_s: (second.time - first.time).as_secs_f64(),
-        fixes: &fixes(drive)?,
+        observations: &observations,
     };
     let mut bound = RunningMean::default();
     for variance_m2 in cramer_rao_bound(config, &run).into_iter().skip(drive.scored_from.saturating_sub(1)) {
         bound.add(variance_m2);
     }
     bound.mean().is_none_or(f64::is_finite).then_some(bound)
-}
-
-fn fixes(drive: &ReferenceDrive) -> Option<Vec<FixArrival>> {
-    let of_fix = |arrival: &ObservationArrival| {
-        let ObservationKind::Fix(fix) = arrival.observation.measurement else {
-            return None;
-        };
-        let stamp = arrival.observation.stamp;
-        let taken = drive.truth.binary_search_by_key(&stamp, |truth| truth.time);
-        Some(taken.ok().map(|taken| FixArrival {
-            exposure_step: taken,
-            arrival_step: arrival.step,
-            content: if fix.heading.is_some() { FixContent::Pose } else { FixContent::Position },
-        }))
-    };
-    drive.arrivals.iter().filter_map(of_fix).collect()
 }
 
 #[cfg(test)]

@@ -4,10 +4,11 @@ use posebridge_estimator::Filter;
 use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, Timestamp,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, ObservationKind, Pose,
+    StartPose, Timestamp,
 };
 
-use crate::support::wheels;
+use crate::support::{fix, wheels};
 
 /// Believes to be at a fixed pose, with a fixed covariance, from the first observation on.
 struct ToyFilter {
@@ -65,8 +66,9 @@ fn at_rest() -> ReferenceDrive {
     let truth = (0..=10).map(|step| TimedPose { time: stamp(step), pose: pose(0.0, 0.0, 3.1) });
     ReferenceDrive {
         truth: truth.collect(),
-        arrivals: vec![ObservationArrival { step: 3, observation: wheels(100, 0.0, 0.0) }],
+        arrivals: vec![ObservationArrival { step: 3, measured_step: 3, observation: wheels(100, 0.0, 0.0) }],
         scored_from: 1,
+        ..ReferenceDrive::default()
     }
 }
 
@@ -146,4 +148,76 @@ fn the_error_is_told_as_a_multiple_of_the_bound() {
     let score = score(&at_rest(), &mut ToyFilter::at(3.0, 4.0, 3.1, 1.0));
     let ratios = [Some(4.0), None, Some(0.0)].map(|bound_m| score.ratio_to_bound(bound_m));
     assert_eq!(ratios, [Some(1.25), None, None]);
+}
+
+/// Takes fixes but refuses those from `refuses_from` until `resets_at`, which moves it.
+struct StubbornFilter {
+    toy: ToyFilter,
+    refuses_from: usize,
+    resets_at: usize,
+}
+
+impl Filter for StubbornFilter {
+    fn observe(&mut self, observation: &Observation) -> FusionRecord {
+        let record = self.toy.observe(observation);
+        let ObservationKind::Fix(fix) = observation.measurement else { return record };
+        let outcome = if observation.stamp == stamp(self.resets_at) {
+            FusionOutcome::PoseReset
+        } else if (stamp(self.refuses_from)..stamp(self.resets_at)).contains(&observation.stamp) {
+            return FusionRecord { outcome: FusionOutcome::Gated, ..record };
+        } else {
+            FusionOutcome::Accepted
+        };
+        self.toy.pose = pose(fix.position.x.0, 0.0, 3.1);
+        FusionRecord { outcome, ..record }
+    }
+
+    fn restart_clock(&mut self) {}
+
+    fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+        self.toy.latest
+    }
+
+    fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+        self.toy.estimate_at(stamp)
+    }
+}
+
+/// 8 s at rest, but for a jump of 5 m at 2 s; a fix every half second.
+fn kidnapped() -> ReferenceDrive {
+    let x_m = |step: usize| if step < 40 { 0.0 } else { 5.0 };
+    let truth = (0..=160).map(|step| TimedPose { time: stamp(step), pose: pose(x_m(step), 0.0, 3.1) });
+    let arrivals = (0..=16).map(|number| {
+        let step = 10 * number;
+        let observation = fix(50 * step as i64, x_m(step), 0.0, None);
+        ObservationArrival { step, measured_step: step, observation }
+    });
+    ReferenceDrive {
+        truth: truth.collect(),
+        arrivals: arrivals.collect(),
+        scored_from: 150,
+        landings: vec![40],
+        ..ReferenceDrive::default()
+    }
+}
+
+#[test]
+fn recovery_lasts_from_the_landing_until_the_pose_is_right_and_stays_so() {
+    let disturbed = |drive: &ReferenceDrive, refuses_from, resets_at| {
+        let toy = ToyFilter::at(0.0, 0.0, 3.1, 1.0);
+        score(drive, &mut StubbornFilter { toy, refuses_from, resets_at }).disturbances
+    };
+    let found = disturbed(&kidnapped(), 40, 70);
+    assert_eq!((found.recoveries_s, found.resets), (vec![1.5], 1));
+    // Never, and only the last half second.
+    let lost = disturbed(&kidnapped(), 40, 1_000);
+    assert_eq!((lost.recovery_s(1.0), lost.resets), (Some(f64::INFINITY), 0));
+    assert_eq!(disturbed(&kidnapped(), 40, 150).recovery_s(0.5), Some(5.5));
+    // Of a second landing the first one was not recovered from.
+    let twice = ReferenceDrive { landings: vec![40, 60], ..kidnapped() };
+    assert_eq!(disturbed(&twice, 40, 70).recoveries_s, [f64::INFINITY, 0.5]);
+    // After a slip at 2.05 s the fixes from 3 s on are refused but for the one that is first.
+    let slipped = ReferenceDrive { landings: Vec::new(), slip_bursts: vec![41], ..kidnapped() };
+    assert_eq!(disturbed(&slipped, 50, 1_000).fixes_gated_after_slips, 9);
+    assert_eq!(disturbed(&slipped, 20, 60).fixes_gated_after_slips, 0);
 }

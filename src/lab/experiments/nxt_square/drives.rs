@@ -6,7 +6,7 @@ use posebridge_lab::square::{
     ErrorMetric, MeasuredPose, Method, PathErrors, SensorRow, SensorTable, WheelMatrices, add_compass, add_jitter,
     align_accelerations, delay_reference, path_errors, prepare_config, printed_methods, swapped_methods,
 };
-use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError};
+use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError, StampErrors};
 use posebridge_telemetry::Calibration;
 
 use crate::lab::drives;
@@ -25,6 +25,10 @@ const CAMERA: Camera = Camera {
     true_noise_factor: 1.0,
     outliers: None,
     blackout: None,
+    bias_sigma_m: 0.0,
+    patches: None,
+    bursts: None,
+    stamps: StampErrors::NONE,
 };
 /// The compass sigma in the filter's configuration: noise and deviation together, see docs/lab/square.md.
 const COMPASS_SIGMA_DEG: f64 = 5.0;
@@ -36,7 +40,7 @@ pub(super) fn scenario(seed: u64) -> Result<Scenario, ScenarioError> {
 }
 
 pub(super) fn filter_config(scenario: &Scenario) -> FilterConfig {
-    let told = drives::filter_config(&scenario.drive(0).prior);
+    let told = drives::drawn_config(&scenario.drive(0).prior);
     let mut noise = told.noise;
     noise.compass_rad = COMPASS_SIGMA_DEG.to_radians();
     let calibration =
