@@ -29,7 +29,7 @@ const RANGES: &[(f64, f64, &str)] = &[
         "backlash_deg battery_drop_v_per_min bias_sigma_deg_per_s bias_sigma_m_per_s2 bias_walk_deg_per_s_sqrt_s
          dipped_at_s friction_n_m from_s heading_gain heading_sigma_deg integral_most_m_s jitter_ms kicks_per_min
          latency_ms lateral_gain_rad_per_m least_deg mass_kg most_deg most_turn_rad outlier_sigma_deg outlier_sigma_m
-         pause_s position_sigma_m quantum_deg_per_s quantum_m_per_s2 resolution_deg_per_s resolution_k
+         patch_sigma_m pause_s position_sigma_m quantum_deg_per_s quantum_m_per_s2 resolution_deg_per_s resolution_k
          rest_after_lap_s rest_after_side_s rest_after_turn_s rest_s score_from_s sigma_deg_per_s sigma_k sigma_m
          sigma_m_per_s2 sigma_m_rad sigma_share slip_events_per_min start_heading_off_deg start_heading_sigma_rad
          start_position_sigma_m to_s true_noise_factor turn_rad_per_sqrt_rad wheel_travel_m_per_sqrt_m",
@@ -49,7 +49,8 @@ const RANGES: &[(f64, f64, &str)] = &[
     (
         SMALLEST,
         LARGEST,
-        "acceleration_m_per_s2 back_emf_v_s_per_rad battery_v cutoff_m duration_s fast_pwm inertia_kg_m2 longest_s most_pwm period_s
+        "acceleration_m_per_s2 back_emf_v_s_per_rad battery_v cutoff_m duration_s fast_pwm inertia_kg_m2 longest_s most_pwm patch_size_m
+         period_s
          pwm radius_m range_deg_per_s reference_pwm rise_90_s side_m speed_m_per_s stale_after_s start_m steady_m_per_s step_s
          still_m_per_s tangent_scale target_m tick_deg torque_n_m_per_v track_width_m tuned_kp_pwm_per_m turn_rate_rad_per_s
          wheel_radius_m",
@@ -67,13 +68,13 @@ const RANGES: &[(f64, f64, &str)] = &[
     ),
     // Where a bit carries no information; relative errors; so that every period is positive.
     (0.0, 0.5, "bit_error_rate"),
-    (-0.5, 0.5, "radius_error radius_mismatch track_error"),
+    (-0.5, 0.5, "radius_error radius_mismatch scale_error track_error"),
     (0.0, 0.5, "period_spread"),
     // So that a draw keeps every length positive.
     (
         0.0,
         0.1,
-        "radius_difference_sigma radius_error_sigma radius_mismatch_sigma radius_scale_sigma scale_sigma
+        "radius_difference_sigma radius_error_sigma radius_mismatch_sigma radius_scale_sigma scale_error_sigma scale_sigma
          track_error_sigma track_scale_sigma",
     ),
     // A tenth, in parts per million.

@@ -122,7 +122,7 @@ pub(crate) struct Path {
     pub(crate) legs: Vec<PathLeg>,
     lap: Vec<Segment>,
     /// Legs per lap; a path without a stop has a single leg for all of its laps.
-    lap_legs: usize,
+    pub(crate) lap_legs: usize,
     pub(crate) is_closed: bool,
 }
 

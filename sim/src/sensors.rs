@@ -36,7 +36,7 @@ impl SensorBoard {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         Self {
             encoders: PerWheel::default(),
-            gyro: Gyro::new(scenario.gyro, RandomStream::new(scenario.seed, "gyro")),
+            gyro: Gyro::new(scenario.gyro, scenario.seed, "gyro"),
             accelerometers: Accelerometers::new(
                 scenario.accelerometer,
                 RandomStream::new(scenario.seed, "accelerometers"),
@@ -132,12 +132,17 @@ impl Encoder {
 pub(crate) struct Gyro {
     settings: GyroSettings,
     stream: RandomStream,
+    /// Reading over rate.
+    scale: f64,
     bias_deg_per_s: f64,
 }
 
 impl Gyro {
-    pub(crate) fn new(settings: GyroSettings, stream: RandomStream) -> Self {
-        let mut gyro = Self { settings, stream, bias_deg_per_s: 0.0 };
+    /// Noise and bias are drawn from the stream `name`; all gyros of a seed have the same scale.
+    pub(crate) fn new(settings: GyroSettings, seed: u64, name: &str) -> Self {
+        let error = settings.scale_error + settings.scale_error_sigma * RandomStream::new(seed, "gyro scale").normal();
+        let stream = RandomStream::new(seed, name);
+        let mut gyro = Self { settings, stream, scale: 1.0 + error, bias_deg_per_s: 0.0 };
         gyro.power_up();
         gyro
     }
@@ -156,7 +161,7 @@ impl Gyro {
         let walk = self.settings.bias_walk_deg_per_s_sqrt_s * interval_s.sqrt();
         self.bias_deg_per_s += walk * self.stream.normal();
         let noise = self.settings.sigma_deg_per_s * self.stream.normal();
-        let felt = turn_deg_per_s + self.bias_deg_per_s + noise;
+        let felt = self.scale * turn_deg_per_s + self.bias_deg_per_s + noise;
         let range = self.settings.range_deg_per_s;
         quantise(felt, self.settings.quantum_deg_per_s).clamp(-range, range)
     }
@@ -258,8 +263,13 @@ mod tests {
     use crate::random::rms;
 
     fn gyro(bias_sigma_deg_per_s: f64, bias_walk_deg_per_s_sqrt_s: f64, seed: u64) -> Gyro {
-        let settings = GyroSettings { bias_sigma_deg_per_s, bias_walk_deg_per_s_sqrt_s, ..GyroSettings::default() };
-        Gyro::new(settings, RandomStream::new(seed, "gyro"))
+        let settings = GyroSettings {
+            bias_sigma_deg_per_s,
+            bias_walk_deg_per_s_sqrt_s,
+            scale_error_sigma: 0.0,
+            ..GyroSettings::default()
+        };
+        Gyro::new(settings, seed, "gyro")
     }
 
     #[test]
@@ -300,6 +310,20 @@ mod tests {
     }
 
     #[test]
+    fn a_scale_error_has_its_fixed_part_and_its_sigma_leaves_noise_and_bias_as_they_were_and_survives_a_power_cycle() {
+        let settings = GyroSettings { quantum_deg_per_s: 0.0, ..GyroSettings::default() };
+        let read = |scale_error, scale_error_sigma, seed| {
+            let mut gyro = Gyro::new(GyroSettings { scale_error, scale_error_sigma, ..settings }, seed, "gyro");
+            gyro.power_up();
+            gyro.read(100.0, 0.05)
+        };
+        assert!((read(0.02, 0.0, 7) - read(0.0, 0.0, 7) - 2.0).abs() < 1e-9);
+        // The relative error of a sigma from 2000 draws is 1.6 %.
+        let drawn = rms((0..2_000_u32).map(|seed| read(0.0, 0.01, seed.into()) - read(0.0, 0.0, seed.into())));
+        assert!((drawn - 1.0).abs() < 0.06, "{drawn}");
+    }
+
+    #[test]
     fn accelerometers_have_their_quantum_and_noise() {
         let settings = AccelerometerSettings { bias_sigma_m_per_s2: 0.0, ..AccelerometerSettings::default() };
         let mut both = Accelerometers::new(settings, RandomStream::new(5, "accelerometers"));
@@ -318,6 +342,7 @@ mod tests {
             quantum_deg_per_s: 0.0,
             bias_sigma_deg_per_s: 0.0,
             bias_walk_deg_per_s_sqrt_s: 0.0,
+            scale_error_sigma: 0.0,
             ..scenario.gyro
         };
         scenario.accelerometer =

@@ -237,11 +237,18 @@ impl Config {
         })
     }
 
-    /// Takes the tag position from the scenario unless the configuration has one.
-    pub fn with_tag_of(mut self, scenario: &Scenario) -> Self {
+    /// Takes what is known of the scenario's camera, as far as the configuration does not say it: the position of the tag, and the error
+    /// that fixes from one place share.
+    pub fn with_camera_of(mut self, scenario: &Scenario) -> Self {
+        let camera = &scenario.camera;
         if (self.camera.tag_x_m, self.camera.tag_y_m) == (0.0, 0.0) {
-            self.camera.tag_x_m = scenario.camera.tag_x_m;
-            self.camera.tag_y_m = scenario.camera.tag_y_m;
+            self.camera.tag_x_m = camera.tag_x_m;
+            self.camera.tag_y_m = camera.tag_y_m;
+        }
+        let noise = &mut self.robot.noise;
+        if camera.patch_sigma_m > 0.0 && noise.fix_persistent_m == 0.0 {
+            noise.fix_persistent_m = camera.patch_sigma_m;
+            noise.fix_persistence_m = 0.5 * camera.patch_size_m;
         }
         self
     }

@@ -89,7 +89,7 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     }
     for (target, _) in config.targets()? {
         if let LinkTarget::Sim(name) = target {
-            config = config.with_tag_of(&load_scenario(&name)?);
+            config = config.with_camera_of(&load_scenario(&name)?);
         }
     }
     config.validate()?;

@@ -11,7 +11,7 @@ use posebridge_telemetry::{Event, SensorId, TimeDelta};
 
 fn drive(name: &str, seed: u64, steering: Steering, link: &VirtualLink) -> VirtualRun {
     let scenario = Scenario::bundled(name).unwrap().with_seed(seed).with_steering(steering);
-    let config = Config::default().with_tag_of(&scenario);
+    let config = Config::default().with_camera_of(&scenario);
     virtual_station::run_over_link(scenario, config.station_config().unwrap(), link).unwrap()
 }
 
@@ -149,7 +149,7 @@ fn fixes_and_worst_m(camera: &str, ask_above_m: Option<f64>) -> (u64, f64) {
     let text =
         format!("seed = 3\n[path.square]\nside_m = 1.0\n[drive]\npause_s = 8.0\n[camera]\ndropout = 0.0\n{camera}");
     let scenario = Scenario::from_toml(&text).unwrap();
-    let mut config = Config::default().with_tag_of(&scenario);
+    let mut config = Config::default().with_camera_of(&scenario);
     config.links = vec![LinkSection::new("pty:brick.tty")];
     config.camera.ask_above_m = ask_above_m;
     let run = virtual_station::run(scenario, config.station_config().unwrap()).unwrap();
@@ -195,7 +195,7 @@ struct TemperatureReport {
 /// The reports of the bundled scenario up to twenty seconds after the dip.
 fn reports(seed: u64) -> Vec<TemperatureReport> {
     let scenario = Scenario::bundled("thermometer").unwrap().with_seed(seed);
-    let config = Config::default().with_tag_of(&scenario).station_config().unwrap();
+    let config = Config::default().with_camera_of(&scenario).station_config().unwrap();
     let mut reports = Vec::new();
     let script = RunScript {
         commands: &[],

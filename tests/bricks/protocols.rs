@@ -18,7 +18,7 @@ fn square(brick: &str, laps: u32, seed: u64) -> Scenario {
 
 /// A station for the brick, and for its camera where that has a link of its own.
 fn station(brick: &str, scenario: &Scenario) -> Config {
-    let mut config = Config::default().with_tag_of(scenario);
+    let mut config = Config::default().with_camera_of(scenario);
     config.links = vec![LinkSection::new("pty:brick.tty")];
     if brick != "mavlink" {
         config.links[0].brick = Some(brick.to_owned());

@@ -69,7 +69,7 @@ fn at(secs: f64, command: SimulatorCommand) -> (TimeDelta, Command) {
 }
 
 fn station_config_of(scenario: &Scenario) -> StationConfig {
-    Config::default().with_tag_of(scenario).station_config().unwrap()
+    Config::default().with_camera_of(scenario).station_config().unwrap()
 }
 
 /// The bundled scenario, driven without an end for so long.

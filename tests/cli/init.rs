@@ -53,7 +53,7 @@ fn a_robot_of_each_kind_drives_a_lap_with_its_file() {
         let text = read_text(folder.path(), "posebridge.toml");
         let text = text.replace("ticks_per_turn = 1440.0", "ticks_per_turn = 360.0");
         let scenario = scenario(BundledRobot::from_name(name).unwrap(), personality);
-        let mut config = load_text("posebridge.toml", &text, &[]).unwrap().config.with_tag_of(&scenario);
+        let mut config = load_text("posebridge.toml", &text, &[]).unwrap().config.with_camera_of(&scenario);
         if personality != "mavlink" {
             // A camera beside the robot is one block more in the file.
             config.links.push(LinkSection::new("tcp://camera:5760"));

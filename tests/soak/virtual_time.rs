@@ -131,7 +131,7 @@ struct OutageCounts {
 impl Soak {
     fn new(profile: &LinkProfile, seed: u64) -> Self {
         let scenario = Scenario::bundled("square").expect("it is bundled").with_laps(10_000);
-        let mut config = Config::default().with_tag_of(&scenario).station_config().expect("the default makes sense");
+        let mut config = Config::default().with_camera_of(&scenario).station_config().expect("the default makes sense");
         if let Some(link) = config.links.first_mut() {
             link.framing = match profile.kind {
                 LinkKind::Stream => TransportKind::Stream,

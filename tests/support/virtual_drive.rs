@@ -41,7 +41,7 @@ pub(crate) fn record_configured_drive(path: &Path, config: &Config, scenario: Sc
 }
 
 fn drive(path: &Path, config: &Config, scenario: Scenario, rest: TimeDelta) -> (RecordingWriter<File>, Simulation) {
-    let config = config.clone().with_tag_of(&scenario);
+    let config = config.clone().with_camera_of(&scenario);
     let header = RecordingHeader {
         format: FORMAT,
         program_version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -227,7 +227,8 @@ const fn leg_of(manoeuvre: &Manoeuvre) -> Option<usize> {
 
 /// Rests, legs and the turns between them; a closed path ends as it began.
 fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
-    let pause = Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.pause_s));
+    let [pause, rest_after_lap] =
+        [settings.pause_s, settings.rest_after_lap_s].map(|rest_s| Manoeuvre::Rest(TimeDelta::from_secs_f64(rest_s)));
     let mut program = vec![Manoeuvre::Rest(TimeDelta::from_secs_f64(settings.rest_s))];
     let legs = &path.legs;
     for (index, _) in legs.iter().enumerate() {
@@ -236,6 +237,11 @@ fn program(settings: &DriveSettings, path: &Path) -> Vec<Manoeuvre> {
         let turns = legs.len() > 1;
         if let Some(heading) = next.filter(|_| turns).map(|leg: &PathLeg| leg.start().heading) {
             program.extend([Manoeuvre::Turn(heading), pause]);
+        }
+        let driven = index + 1;
+        let ends_lap = driven == legs.len() || driven.is_multiple_of(path.lap_legs.max(1));
+        if ends_lap && settings.rest_after_lap_s > 0.0 {
+            program.push(rest_after_lap);
         }
     }
     program
@@ -247,7 +253,7 @@ fn slew(from: f64, to: f64, step: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use crate::scenario::{Course, Scenario};
+    use crate::scenario::{Course, Direction, Scenario};
     use posebridge_telemetry::{Meters, Transform2};
 
     use super::*;
@@ -274,6 +280,27 @@ mod tests {
         assert!(follower.is_finished());
         assert!((follower.progress() - 1.0).abs() < 1e-12);
         assert!((pose.x.0 - 3.0).abs() < 0.01, "{pose:?}");
+    }
+
+    #[test]
+    fn the_robot_rests_at_the_end_of_each_lap() {
+        let drive = DriveSettings { laps: 2, rest_after_lap_s: 7.0, ..DriveSettings::default() };
+        let long = |program: &[Manoeuvre]| {
+            let is_long = |one: &&Manoeuvre| matches!(one, Manoeuvre::Rest(rest) if rest.as_secs_f64() == 7.0);
+            program.iter().filter(is_long).count()
+        };
+        for path in [Course::default(), Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] }] {
+            let scenario = Scenario { drive, path, ..Scenario::default() };
+            let follower = Follower::new(drive, Path::new(&scenario));
+            assert_eq!(long(&follower.program), 2, "{:?}", scenario.path);
+            assert!(matches!(follower.program.last(), Some(Manoeuvre::Rest(rest)) if rest.as_secs_f64() == 7.0));
+        }
+        let circles = Scenario {
+            drive,
+            path: Course::Circle { radius_m: 0.5, direction: Direction::Left },
+            ..Scenario::default()
+        };
+        assert_eq!(long(&Follower::new(drive, Path::new(&circles)).program), 1);
     }
 
     #[test]

@@ -56,7 +56,11 @@ impl PluggedSensors {
         Self {
             // What a reading is rounded to depends on the brick.
             gyro: PluggedGyro {
-                gyro: Gyro::new(GyroSettings { quantum_deg_per_s: 0.0, ..scenario.gyro }, stream("plugged gyro")),
+                gyro: Gyro::new(
+                    GyroSettings { quantum_deg_per_s: 0.0, ..scenario.gyro },
+                    scenario.seed,
+                    "plugged gyro",
+                ),
                 turned_rad: 0.0,
                 rate_deg_per_s: 0.0,
                 angle_deg: 0.0,
@@ -168,6 +172,7 @@ mod tests {
         scenario.gyro.sigma_deg_per_s = 0.0;
         scenario.gyro.bias_sigma_deg_per_s = 0.0;
         scenario.gyro.bias_walk_deg_per_s_sqrt_s = 0.0;
+        scenario.gyro.scale_error_sigma = 0.0;
         scenario.accelerometer.sigma_m_per_s2 = 0.0;
         scenario.accelerometer.bias_sigma_m_per_s2 = 0.0;
         scenario.robot.backlash_deg = 0.0;

@@ -243,6 +243,8 @@ pub struct DriveSettings {
     pub rest_s: f64,
     /// Rest before and after each turn in place.
     pub pause_s: f64,
+    /// Rest at the end of each lap; of all laps on a path without a stop.
+    pub rest_after_lap_s: f64,
 }
 
 impl Default for DriveSettings {
@@ -254,6 +256,7 @@ impl Default for DriveSettings {
             turn_rate_rad_per_s: 1.2,
             rest_s: 2.0,
             pause_s: 0.25,
+            rest_after_lap_s: 0.0,
         }
     }
 }

@@ -13,6 +13,9 @@ pub struct GyroSettings {
     pub quantum_deg_per_s: f64,
     /// Saturation, either sign.
     pub range_deg_per_s: f64,
+    /// Relative, positive reads fast: a fixed part plus a sigma times a draw. The sensor keeps it when it is switched off.
+    pub scale_error: f64,
+    pub scale_error_sigma: f64,
     /// At power-up.
     pub bias_sigma_deg_per_s: f64,
     pub bias_walk_deg_per_s_sqrt_s: f64,
@@ -24,6 +27,9 @@ impl Default for GyroSettings {
             sigma_deg_per_s: 0.6,
             quantum_deg_per_s: 1.0,
             range_deg_per_s: 360.0,
+            scale_error: 0.0,
+            // +-3 % at most (MPU-6050 data sheet), taken as three sigmas.
+            scale_error_sigma: 0.01,
             bias_sigma_deg_per_s: 1.0,
             bias_walk_deg_per_s_sqrt_s: 0.01,
         }
@@ -88,6 +94,10 @@ pub struct CameraSettings {
     /// Of each axis.
     pub position_sigma_m: f64,
     pub heading_sigma_deg: f64,
+    /// Error of the camera's calibration: constant on each square patch of the floor, of each axis. Fixes do not report it.
+    pub patch_sigma_m: f64,
+    /// Side of a patch; the arena's origin is the centre of one.
+    pub patch_size_m: f64,
     pub sees_heading: bool,
     /// Whether a fix carries its standard deviations as covariance.
     pub reports_covariance: bool,
@@ -121,6 +131,9 @@ impl Default for CameraSettings {
             rate_hz: 10.0,
             position_sigma_m: 0.005,
             heading_sigma_deg: 1.0,
+            // Four cameras over a room of robots are right to 1 cm (Mobile Emulab), taken as three sigmas.
+            patch_sigma_m: 0.003,
+            patch_size_m: 0.5,
             sees_heading: true,
             reports_covariance: true,
             latency_ms: 80.0,

@@ -4,10 +4,11 @@ use crate::support::run;
 use posebridge_sim::scenario::{Blackout, CameraOrder, CameraSettings};
 use posebridge_sim::{CameraFix, Scenario, Simulation};
 
-/// What is seen in ten minutes, at 10 Hz in 6000 images, of a robot that stands at the origin.
+/// What is seen in ten minutes, at 10 Hz in 6000 images, of a robot that stands at the origin; without an error of the calibration.
 fn camera_fixes(change: impl FnOnce(&mut CameraSettings)) -> Vec<CameraFix> {
     let mut scenario = Scenario::default().with_seed(21);
     scenario.drive.rest_s = 1_200.0;
+    scenario.camera.patch_sigma_m = 0.0;
     change(&mut scenario.camera);
     let mut simulation = Simulation::new(scenario);
     run(&mut simulation, 600_000);
@@ -32,6 +33,18 @@ fn position_heading_and_latency_have_their_spread() {
     assert!(latencies_ms.clone().any(|latency| latency < 51.0) && latencies_ms.clone().any(|latency| latency > 109.0));
     let mean_ms = latencies_ms.sum::<f64>() / count;
     assert!((mean_ms - 80.0).abs() < 1.5, "{mean_ms} ms");
+}
+
+#[test]
+fn an_error_of_the_calibration_shifts_all_fixes_from_one_place_alike_and_changes_nothing_else() {
+    let (exact, wrong) = (camera_fixes(|_| ()), camera_fixes(|camera| camera.patch_sigma_m = 0.01));
+    let shift_m = wrong[0].position.distance(exact[0].position).0;
+    assert!((1e-4..0.06).contains(&shift_m), "{shift_m}");
+    for (exact, mut wrong) in exact.into_iter().zip(wrong) {
+        assert!((wrong.position.distance(exact.position).0 - shift_m).abs() < 1e-9);
+        wrong.position = exact.position;
+        assert_eq!(wrong, exact);
+    }
 }
 
 #[test]

@@ -11,9 +11,10 @@ pub(crate) fn bundled(name: &str) -> Scenario {
     Scenario::bundled(name).unwrap()
 }
 
-/// The same scenario without errors, play or clock skew.
+/// The same scenario without errors of motion, gyro scale, play or clock skew.
 pub(crate) fn exact(mut scenario: Scenario) -> Scenario {
     scenario.errors = ErrorSettings::none();
+    (scenario.gyro.scale_error, scenario.gyro.scale_error_sigma) = (0.0, 0.0);
     scenario.robot.backlash_deg = 0.0;
     scenario.brick.clock_skew_ppm = 0.0;
     scenario

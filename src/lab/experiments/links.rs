@@ -179,7 +179,7 @@ struct PoseRow {
 fn drive_lap(case: &LinkCase, run: u32) -> Result<LapResult> {
     let seed = case.seed.wrapping_add(u64::from(run));
     let scenario = Scenario::bundled(SCENARIO)?.with_seed(seed).with_steering(Steering::Estimate);
-    let config = Config::default().with_tag_of(&scenario);
+    let config = Config::default().with_camera_of(&scenario);
     let link = VirtualLink {
         profile: case.profile.clone(),
         seed,
