@@ -112,6 +112,8 @@ struct SharedErrors {
     name: &'static str,
     seed: u64,
     bias_m: [f64; 2],
+    /// A corner of the patches, m.
+    patch_corner_m: [f64; 2],
     bursts: Vec<FixBurst>,
 }
 
@@ -138,7 +140,16 @@ impl SharedErrors {
                 });
                 bursts.collect()
             });
-        Self { camera: *camera, name, seed, bias_m: [0, 1].map(|_| camera.bias_sigma_m * bias.normal()), bursts }
+        let mut corner = RandomStream::new(seed, &format!("{name} patches"));
+        let size_m = camera.patches.map_or(0.0, |patches| patches.size_m);
+        Self {
+            camera: *camera,
+            name,
+            seed,
+            bias_m: [0, 1].map(|_| camera.bias_sigma_m * bias.normal()),
+            patch_corner_m: [0, 1].map(|_| corner.uniform(0.0, size_m)),
+            bursts,
+        }
     }
 
     /// Where the camera would see the robot without noise, m.
@@ -156,7 +167,8 @@ impl SharedErrors {
 
     fn patch_error_m(&self, robot: &PlanarPose) -> [f64; 2] {
         let Some(patches) = self.camera.patches else { return [0.0; 2] };
-        let [column, row] = [robot.x_m, robot.y_m].map(|along_m| (along_m / patches.size_m).floor() as i64);
+        let [x_m, y_m] = self.patch_corner_m;
+        let [column, row] = [robot.x_m - x_m, robot.y_m - y_m].map(|along_m| (along_m / patches.size_m).floor() as i64);
         let mut stream = RandomStream::new(self.seed, &format!("{} patch {column} {row}", self.name));
         [0, 1].map(|_| patches.sigma_m * stream.normal())
     }

@@ -23,8 +23,8 @@ pub const SCENARIOS: &[(&str, &str)] = bundle!("scenarios/accuracy":
     "blackout", "no-camera", "kicks", "kicks-camera-1hz", "unknown-heading", "wpilib", "paper-square",
     "gyro-scale-10hz", "gyro-scale-1hz", "mounting-landmarks", "mounting-beacons", "late-landmarks", "clock-skew",
     "landmark-map-errors", "range-share", "biased-camera", "patches-with-rests", "backlash", "outlier-burst",
-    "outlier-burst-elsewhere", "slip-bursts-1hz", "kidnap-10hz", "kidnap-1hz", "kidnap-landmarks", "kidnap-student",
-    "kidnap-landmarks-student", "kidnap-unnoticed", "global-start-landmarks",
+    "outlier-burst-elsewhere", "outlier-burst-near", "slip-bursts-1hz", "kidnap-10hz", "kidnap-1hz", "kidnap-landmarks", "kidnap-student",
+    "kidnap-landmarks-student", "kidnap-unnoticed", "kidnap-unnoticed-landmarks", "kidnap-and-burst", "global-start-landmarks",
 );
 
 /// Ten times the steps of the longest bundled drive.

@@ -594,15 +594,11 @@ fn a_burst_of_fixes_is_off_together_and_patches_and_bias_stay() {
     let bias: Vec<f64> = (0..100).map(|run| errors("bias_sigma_m = 0.02", run).1[0].1.0).collect();
     assert_sigma(rms(bias.iter().copied()), 0.02, 100, "bias");
     let (drive, patches) = errors("patches = { size_m = 0.5, sigma_m = 0.02 }", 0);
-    let mut of_patch = std::collections::BTreeMap::new();
-    for (taken, error) in patches {
-        let truth = drive.truth[taken];
-        let patch = ((truth.x.0 / 0.5).floor() as i64, (truth.y.0 / 0.5).floor() as i64);
-        let known = *of_patch.entry(patch).or_insert(error.0);
-        assert!((known - error.0).abs() < 1e-4, "{patch:?}");
-    }
-    assert!(of_patch.len() > 20);
-    assert_sigma(rms(of_patch.values().copied()), 0.02, of_patch.len(), "patches");
+    // Wherever the edges lie, most neighbours have the same error, and a lap of 12 m meets many errors.
+    let along: Vec<f64> = patches.iter().map(|(_, error)| error.0).collect();
+    let steps = along.windows(2).filter(|pair| (pair[1] - pair[0]).abs() > 1e-4).count();
+    assert!((15..along.len() / 4).contains(&steps), "{steps} of {}", along.len());
+    assert!((drive.truth.len() > 1_000) && (0.01..0.03).contains(&rms(along)));
 }
 
 #[test]

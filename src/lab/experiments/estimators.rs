@@ -205,7 +205,7 @@ mod tests {
                 "kicks" | "kicks-camera-1hz" => Some("without the kicks"),
                 "paper-square" => Some("without what the accelerometers tell"),
                 "wpilib" => Some("the noise of the motion is not what a filter is told"),
-                "outlier-burst" | "outlier-burst-elsewhere" => Some("without the bursts"),
+                _ if name.starts_with("outlier-burst") => Some("without the bursts"),
                 "patches-with-rests" => Some("without the edges of the patches"),
                 "clock-skew" => Some("without the skew of the clock"),
                 "slip-bursts-1hz" => Some("without the slip bursts"),

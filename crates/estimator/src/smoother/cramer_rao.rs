@@ -235,9 +235,9 @@ fn observe(covariance: &mut DMatrix<f64>, scalar: &ObservedScalar) {
     let s = scalar.entries.iter().map(|(row, by_row)| by_row * cross[*row]).sum::<f64>() + scalar.variance;
     // Without noise, what is known exactly already cannot be known better.
     if s > 0.0 {
-        for column in 0..covariance.ncols() {
-            let across = cross[column];
-            for (value, along) in covariance.column_mut(column).iter_mut().zip(&cross) {
+        let rows = covariance.nrows();
+        for (column, across) in covariance.as_mut_slice().chunks_exact_mut(rows).zip(cross.as_slice()) {
+            for (value, along) in column.iter_mut().zip(cross.as_slice()) {
                 *value -= along * across / s;
             }
         }

@@ -22,7 +22,7 @@ const RIGHT_FOR_S: f64 = 1.0;
 /// A slip has its effect on the fixes within this time.
 const SLIP_EFFECT_S: f64 = 5.0;
 
-/// Over all runs.
+/// How an estimator got over what happened to its robot, over all runs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DisturbanceScore {
     /// Of each landing, s; infinite where the pose never became right.

@@ -6,7 +6,7 @@ use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive, error_bound, 
 use posebridge_lab::statistics::RunningMean;
 use posebridge_report::TimedPose;
 use posebridge_telemetry::{
-    Arena, BrickClock, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, TimeDelta, Timestamp,
+    Arena, BrickClock, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, Timestamp,
 };
 
 use crate::support;
