@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::layout::{CORE_STATES, LARGE_STATES, SMALL_STATES};
 use posebridge_estimator::{Filter, FilterConfig};
-use posebridge_telemetry::{FusionOutcome, Observation, SensorId, TimeDelta};
+use posebridge_telemetry::{Estimate, FusionOutcome, Observation, SensorId, TimeDelta};
 use proptest::prelude::*;
 
 use crate::support::any::{AnyMeasurement, any_observation, cases, damages, learning_everything, of, without_learning};
@@ -22,7 +22,10 @@ struct FilterReadout {
 fn readout<const N: usize>(filter: &PoseFilter<N>, about: &Observation) -> FilterReadout {
     let instants = (-10..=10).map(|k| about.stamp + TimeDelta::from_millis(k * 100));
     FilterReadout {
-        estimates: instants.map(|stamp| filter.estimate_at(stamp).map(|found| format!("{found:?}"))).collect(),
+        // What is missing for a pose may change by what is not used.
+        estimates: instants
+            .map(|stamp| filter.estimate_at(stamp).map(|found| format!("{:?}", Estimate { missing: None, ..found })))
+            .collect(),
         learned: format!("{:?}", filter.calibration()),
     }
 }

@@ -23,6 +23,7 @@ use super::layout::{
     TRACK, WINDOW_TURN, calibration_field,
 };
 use super::noise_scales::{NoiseScales, ObserverFrames};
+use super::persistence::LastLooks;
 use super::recovery::{Alternative, AlternativeBank};
 use super::sightings::RecentSightings;
 use crate::filter::FilterConfig;
@@ -108,6 +109,7 @@ pub struct PoseState<const N: usize> {
     pub turned_at_rest: bool,
     pub alternatives: AlternativeBank,
     pub sightings: RecentSightings,
+    pub last_looks: LastLooks,
     pub noise_scales: NoiseScales,
     pub observer_frames: ObserverFrames,
     /// While the constants are frozen: their variances before, each in its row; those of the covariance are zero
@@ -137,6 +139,7 @@ impl<const N: usize> PoseState<N> {
             turned_at_rest: false,
             alternatives: AlternativeBank::default(),
             sightings: RecentSightings::default(),
+            last_looks: LastLooks::default(),
             noise_scales: NoiseScales::default(),
             observer_frames: ObserverFrames::default(),
             frozen_variances: None,
@@ -176,6 +179,7 @@ impl<const N: usize> PoseState<N> {
             turned_at_rest: other.turned_at_rest,
             alternatives: other.alternatives,
             sightings: other.sightings,
+            last_looks: other.last_looks,
             noise_scales: other.noise_scales,
             observer_frames: other.observer_frames,
             // They have rows of their own; a resize begins with the learned constants.
