@@ -221,7 +221,8 @@ struct CalibrationPatches {
 impl CalibrationPatches {
     /// Along x and y.
     fn error_m(self, tag: Point2<Arena>) -> [f64; 2] {
-        let [column, row] = [tag.x, tag.y].map(|along| (along.0 / self.size_m).round());
+        // Whole numbers: as a float, zero would have two names.
+        let [column, row] = [tag.x, tag.y].map(|along| (along.0 / self.size_m).round() as i64);
         let mut stream = RandomStream::new(self.seed, &format!("camera patch {column} {row}"));
         [(); 2].map(|()| self.sigma_m * stream.normal())
     }
