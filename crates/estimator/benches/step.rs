@@ -240,7 +240,7 @@ impl FilterWithoutHistory {
         context.gyro.insert(now, rate.0);
         let reading = MotionReading::Wheels { left_rad: left.0, right_rad: right.0 };
         context.track.insert(now, &reading);
-        self.state.predict_speeds_and_bias(now, &context.config);
+        self.state.predict_speeds_and_bias(now, context);
         motion_update::update_turn_rate(&mut self.state, rate.0, context);
         self.state.advance(now, context);
         motion_update::update_motion(&mut self.state, now, context, &mut self.record);
