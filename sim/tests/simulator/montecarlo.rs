@@ -2,7 +2,7 @@
 
 use posebridge_sim::montecarlo::{Drive, SCENARIOS, Scenario};
 use posebridge_telemetry::quantities::wrap_rad;
-use posebridge_telemetry::{Fix, ObservationKind, SensorId};
+use posebridge_telemetry::{Fix, LandmarkId, ObservationKind, SensorId};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -487,28 +487,25 @@ fn a_sensor_measures_from_where_it_sits_what_truly_stands_in_the_arena() {
             let truth = drive.truth[arrival.measured_step];
             let (sin, cos) = truth.heading.rad().sin_cos();
             let late_s = (arrival.observation.stamp - drive.time_at(arrival.measured_step)).as_secs_f64();
-            match arrival.observation.measurement {
-                ObservationKind::Landmark { id, range, bearing } if id.0 == 0 => {
-                    assert_eq!(arrival.step, arrival.measured_step + 3);
-                    let measured_s = arrival.measured_step as f64 * 0.05;
-                    assert!((late_s - 0.1 - 1e-3 * measured_s).abs() < 1e-6);
-                    assert!(bearing.0.abs() <= 90.0 * DEGREE + 1e-3 && range.0 < 4.2);
-                    // Back from the sensor, which looks to the left, to the post.
-                    let direction = truth.heading.rad() + 90.0 * DEGREE + bearing.0;
-                    let seen = (
-                        truth.x.0 + 0.3 * cos + range.0 * direction.cos(),
-                        truth.y.0 + 0.3 * sin + range.0 * direction.sin(),
-                    );
-                    let first = *place.get_or_insert(seen);
-                    relative.push(f64::hypot(seen.0 - first.0, seen.1 - first.1) / range.0);
-                    places.extend((relative.len() % 50 == 1).then_some(seen.0 - 4.0));
-                }
-                ObservationKind::BeaconRange { range, .. } => {
-                    let expected_m = f64::hypot(5.0 - truth.x.0, 5.0 - truth.y.0);
-                    offsets.push(range.0 - expected_m);
-                }
-                ObservationKind::CompassHeading(heading) => yaws.push((heading - truth.heading).0 / DEGREE),
-                _ => {}
+            let measurement = arrival.observation.measurement;
+            if let ObservationKind::Landmark { id: LandmarkId(0), range, bearing } = measurement {
+                assert_eq!(arrival.step, arrival.measured_step + 3);
+                let measured_s = arrival.measured_step as f64 * 0.05;
+                assert!((late_s - 0.1 - 1e-3 * measured_s).abs() < 1e-6);
+                assert!(bearing.0.abs() <= 90.0 * DEGREE + 1e-3 && range.0 < 4.2);
+                // Back from the sensor, which looks to the left, to the post.
+                let direction = truth.heading.rad() + 90.0 * DEGREE + bearing.0;
+                let seen = (
+                    truth.x.0 + 0.3 * cos + range.0 * direction.cos(),
+                    truth.y.0 + 0.3 * sin + range.0 * direction.sin(),
+                );
+                let first = *place.get_or_insert(seen);
+                relative.push(f64::hypot(seen.0 - first.0, seen.1 - first.1) / range.0);
+                places.extend((relative.len() % 50 == 1).then_some(seen.0 - 4.0));
+            } else if let ObservationKind::BeaconRange { range, .. } = measurement {
+                offsets.push(range.0 - f64::hypot(5.0 - truth.x.0, 5.0 - truth.y.0));
+            } else if let ObservationKind::CompassHeading(heading) = measurement {
+                yaws.push((heading - truth.heading).0 / DEGREE);
             }
         }
     }

@@ -146,7 +146,7 @@ impl EstimatorRow<'_> {
             ),
             require(
                 "fixes gated after slips, of a run,",
-                self.fixes_gated_after_slips(),
+                Some(self.fixes_gated_after_slips()),
                 limits.fixes_gated_after_slips,
                 Format::new(Unit::None, 2),
             ),
@@ -164,8 +164,8 @@ impl EstimatorRow<'_> {
     }
 
     /// Of a run.
-    fn fixes_gated_after_slips(&self) -> Option<f64> {
-        Some(self.scores.score.disturbances.fixes_gated_after_slips as f64 / f64::from(self.runs))
+    fn fixes_gated_after_slips(&self) -> f64 {
+        self.scores.score.disturbances.fixes_gated_after_slips as f64 / f64::from(self.runs)
     }
 }
 
@@ -278,7 +278,7 @@ fn disturbance_table<'a>(scenario: &Scenario, rows: &'a [EstimatorRow<'a>]) -> O
     }
     if scenario.slip_bursts.is_some() {
         let two = Format::new(Unit::None, 2);
-        table = table.number("", "gated after slips/run", two, EstimatorRow::fixes_gated_after_slips);
+        table = table.number("", "gated after slips/run", two, |row| Some(row.fixes_gated_after_slips()));
     }
     let is_disturbed = has_landings || has_bursts || scenario.slip_bursts.is_some();
     is_disturbed.then(|| table.count("", "resets", |row| row.scores.score.disturbances.resets as usize))

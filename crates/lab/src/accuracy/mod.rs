@@ -15,6 +15,8 @@
 mod disturbances;
 mod verdict;
 
+use std::cell::RefCell;
+
 use posebridge_estimator::models::differential_drive::WheelTravel;
 use posebridge_estimator::smoother::{
     ArrivedObservation, GroundTruthRun, OfflineError, SmoothedTrajectory, cramer_rao_bound,
@@ -81,7 +83,7 @@ pub fn run_drive(
 pub fn score(drive: &ReferenceDrive, filter: &mut dyn Filter) -> FilterScore {
     let mut score = FilterScore::default();
     let mut sources = Vec::new();
-    let disturbances = std::cell::RefCell::new(DisturbanceScorer::new(drive));
+    let disturbances = RefCell::new(DisturbanceScorer::new(drive));
     let on_record = |arrival: &ObservationArrival, record: &FusionRecord| {
         add_to_tallies(&mut sources, record);
         disturbances.borrow_mut().add_record(arrival, record);

@@ -7,7 +7,7 @@
 //! dh/dx = cos(th) h_f - sin(th) h_l        dh/dy = sin(th) h_f + cos(th) h_l
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_telemetry::{Calibration, MountedSensor, ObservationKind, SensorId, UncertainValue};
 
@@ -198,6 +198,6 @@ impl PoseView for TrueState<'_> {
 }
 
 /// The number of a point among those of the map, and its position.
-fn position_of<K: Ord, P: Copy>(points: &std::collections::BTreeMap<K, P>, id: &K) -> Option<(usize, P)> {
+fn position_of<K: Ord, P: Copy>(points: &BTreeMap<K, P>, id: &K) -> Option<(usize, P)> {
     points.iter().enumerate().find(|(_, (known, _))| *known == id).map(|(slot, (_, position))| (slot, *position))
 }
