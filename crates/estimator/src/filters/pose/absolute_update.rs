@@ -14,7 +14,7 @@ use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
 use super::persistence::LookedAt;
 use super::ranging::pose_from_ranges;
-use super::recovery::{Alternative, Evidence, MAX_AGE, MOTION_NOISE_FACTOR, OwnPose, ln_anywhere};
+use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, ln_anywhere};
 use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
 use super::sightings::Sighting;
 use super::state::{PoseState, StateView};
@@ -24,7 +24,7 @@ use crate::observations::absolute::{self, MeasuredPoint, RangeBearing};
 use crate::observations::fix::{self, FixMeasurement};
 use crate::observations::sensor_frame::{Exposure, SensorFrame};
 use crate::observations::{ArenaAxis, MountingAxis, ObservationModel, PoseView, StateTerm};
-use crate::update::{LinearizedMeasurement, apply_measurement, nis_and_log_likelihood};
+use crate::update::{LinearizedMeasurement, apply_measurement};
 use crate::validation::write_innovation;
 
 /// Limit of the estimated delay of fixes, either way.
@@ -340,8 +340,6 @@ impl AbsoluteUpdate<'_> {
         if is_being_carried(state) {
             return None;
         }
-        let at_believed = if is_refused && state.is_located { model(view) } else { None };
-        let ln_motion_error = at_believed.and_then(|model| self.ln_motion_error(&model));
         let params = &self.context.config.params;
         let evidence = Evidence {
             believed: view.pose(),
@@ -349,8 +347,9 @@ impl AbsoluteUpdate<'_> {
             sensor: self.record.sensor,
             gate: self.context.gate(M),
             ln_likelihood: state.is_located.then_some(self.record.log_likelihood),
-            ln_motion_error,
             is_refused,
+            nis: self.record.nis,
+            components: M,
             is_pose_doubtful: !state.is_located || state.carried_at.is_some(),
             ln_anything,
             reset_after_s: params.reset_after_s,
@@ -365,13 +364,6 @@ impl AbsoluteUpdate<'_> {
         state.alternatives = alternatives;
         state.sightings.rebase(view.pose(), state.pose);
         winner
-    }
-
-    /// ln p(z | believed) if the pose were as uncertain as after motion with larger noise.
-    fn ln_motion_error<const M: usize>(&self, at_believed: &ObservationModel<M>) -> Option<f64> {
-        let s = SMatrix::<f64, M, M>::from_fn(|i, j| self.record.innovation_covariance[i][j]);
-        let larger = (s - at_believed.noise) * MOTION_NOISE_FACTOR.powi(2) + at_believed.noise;
-        nis_and_log_likelihood(&at_believed.innovation, &larger).map(|(_, ln_likelihood)| ln_likelihood)
     }
 
     /// Updates the state if the innovation passes the gate; with `student_dof` outliers are weighted down instead.

@@ -211,8 +211,8 @@ fn beyond_chance_rad(innovation_rad: f64, innovation_variance: f64, config: &Fil
     innovation_rad * (1.0 - config.params.slip_nis / nis).max(0.0).sqrt()
 }
 
-/// Adds the variance of a slip, which may be the whole disagreement. One wheel may have slipped alone, or both by half: the distance
-/// is wrong by up to half of the slip's total, and the window's path was integrated in a wrong direction. Position variance excludes
+/// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance is wrong by
+/// something between minus and plus half of the slip's total, uniformly, and the window's path was integrated in a wrong direction. Position variance excludes
 /// the share that chance explains: a false alarm must not cost position.
 fn inflate_for_slip<const N: usize>(
     state: &mut PoseState<N>,
@@ -230,7 +230,7 @@ fn inflate_for_slip<const N: usize>(
     }
     // Of one slip over several windows the total counts: its windows are wrong in the same way.
     let total_rad2 = ((before_rad + beyond_chance_rad).powi(2) - before_rad.powi(2)).max(0.0);
-    let along_m2 = total_rad2 * config.geometry.track_width.0.powi(2) / 4.0;
+    let along_m2 = total_rad2 * config.geometry.track_width.0.powi(2) / 12.0;
     let across_m2 = 0.25 * beyond_chance_rad.powi(2) * forward_m * forward_m;
     state.covariance[(FORWARD, FORWARD)] += along_m2;
     state.covariance[(LEFT, LEFT)] += across_m2;
@@ -278,12 +278,12 @@ mod tests {
             inflate_for_slip(&mut state, slip_rad2.sqrt(), 0.0, beyond_rad, &config);
             state.covariance - before
         };
-        // Half of the disagreement's square is beyond chance: the distance is wrong by half of the track times it, and the path of
-        // 0.3 m was integrated in a direction that is wrong by half of it.
+        // Half of the disagreement's square is beyond chance: the distance is uniform over half of the track times it either way, and
+        // the path of 0.3 m was integrated in a direction that is wrong by half of it.
         let grown = grown_by(2.0 * config.params.slip_nis);
         let track_m = config.geometry.track_width.0;
         for (row, expected) in [
-            (FORWARD, 0.02 * track_m * track_m / 4.0),
+            (FORWARD, 0.02 * track_m * track_m / 12.0),
             (LEFT, 0.02 * 0.15 * 0.15),
             (HEADING, 0.04),
             (WINDOW_TURN, 0.04),

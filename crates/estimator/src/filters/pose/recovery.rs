@@ -10,11 +10,11 @@
 //! The second line is for the sensor that speaks for the alternative while the believed pose refuses it. If the believed pose is right,
 //! that sensor has a fault which agrees with itself, and only its duration speaks against it: such faults last for a second or so.
 //! What the believed pose explains of that sensor, or the alternative does not, speaks against the alternative.
-//! Odds begin at exp(-`reset_after_s`); higher, where the observation is no further off than motion noise that is some times larger than
+//! Odds begin at exp(-`reset_after_s`); higher, where the observation is no further off than noise that is some times larger than
 //! configured would explain, because a fault may be anywhere:
 //!
 //! ```text
-//! ln o = -reset_after_s + ln N(nu; 0, 9 H P H' + R) + ln volume          at most -2.5
+//! ln o = -reset_after_s + ln N(nu; 0, 9 S) + ln volume          at most -2.5
 //! ```
 //! or at one where the robot was carried: its gyro turned while its wheels stood. An alternative
 //! with odds above one that several observations agree on becomes the pose.
@@ -38,8 +38,8 @@ const OUTLIER_SHARE: f64 = 0.01;
 const ARENA_M: f64 = 10.0;
 /// The same in sigmas of the sensor.
 const ARENA_SIGMAS: f64 = 100.0;
-/// How many times larger than configured the noise of the motion may be.
-pub const MOTION_NOISE_FACTOR: f64 = 3.0;
+/// How many times larger than configured the noise may be.
+const NOISE_FACTOR: f64 = 3.0;
 /// Seconds for which observations of one sensor must agree in any case, without a sign that the robot was carried: a tag that is mistaken
 /// for another is so for two seconds.
 const LEAST_RESET_AFTER_S: f64 = 2.5;
@@ -109,9 +109,10 @@ pub struct Evidence {
     pub gate: f64,
     /// ln p(z | believed) without outliers; `None` without a pose.
     pub ln_likelihood: Option<f64>,
-    /// The same if the noise of the motion were larger by [`MOTION_NOISE_FACTOR`]; `None` for what is not refused.
-    pub ln_motion_error: Option<f64>,
     pub is_refused: bool,
+    /// NIS and number of components under the believed pose.
+    pub nis: f64,
+    pub components: usize,
     /// Whether the robot was carried lately, or has no pose: nothing speaks against an alternative then.
     pub is_pose_doubtful: bool,
     /// ln of the density of an observation that is anything.
@@ -124,7 +125,11 @@ pub struct Evidence {
 impl Evidence {
     /// The odds of an alternative that begins with this observation, as a logarithm.
     fn first_ln_odds(&self) -> f64 {
-        let gain = self.ln_motion_error.map_or(0.0, |ln| (ln - self.ln_anything).max(0.0));
+        let square = NOISE_FACTOR.powi(2);
+        let ln_larger_noise = self.ln_likelihood.map_or(f64::NEG_INFINITY, |ln| {
+            ln + 0.5 * self.nis * (1.0 - 1.0 / square) - self.components as f64 * NOISE_FACTOR.ln()
+        });
+        let gain = (ln_larger_noise - self.ln_anything).max(0.0);
         (gain - self.reset_after_s).min(-LEAST_RESET_AFTER_S).max(-self.reset_after_s)
     }
 }
