@@ -182,7 +182,7 @@ fn rows<'a>(scored: &'a ScenarioScores, names: &'a [String]) -> Vec<EstimatorRow
 
 /// The scenarios with limits and how the main filter keeps them.
 fn add_verdicts(report: &mut Report, scored: &[ScenarioScores], names: &[String]) {
-    let of_scenario = scored.iter().flat_map(|scored| {
+    let of_scenario = scored.iter().filter_map(|scored| {
         let row = rows(scored, names).into_iter().find_map(|row| Some((row.verdict()?, row)));
         row.map(|(verdict, row)| (scored.planned.name.as_str(), row, verdict))
     });
