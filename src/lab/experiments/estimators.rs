@@ -1,6 +1,6 @@
 //! Estimators of the experiments: every filter that estimates a pose, and idealised references.
 
-use posebridge_estimator::smoother::{batch, rts};
+use posebridge_estimator::smoother::{batch, smooth};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
 use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, error_bound, score, score_smoother};
 use posebridge_lab::statistics::RunningMean;
@@ -88,7 +88,7 @@ impl Estimator {
                 let (geometry, calibration) = (drive.true_geometry, Calibration::default());
                 score_filter(entry, &FilterConfig { geometry, calibration, ..config })
             }
-            Self::Rts => score_smoother(known, &config, rts),
+            Self::Rts => score_smoother(known, &config, smooth),
             Self::Smooth => score_smoother(known, &config, batch),
         }
     }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::smoother::{OfflineError, batch};
+use posebridge_estimator::smoother::{OfflineError, smooth};
 use posebridge_link::HostTimer;
 use posebridge_recording::dataset::DatasetRun;
 use posebridge_report::metrics::summarise;
@@ -130,7 +130,7 @@ impl SmoothedRun {
     pub fn new(run: &str, config: &FilterConfig, observations: &[Observation]) -> Self {
         let timer = HostTimer::start();
         let before = timer.now();
-        let found = batch(config, observations).map(|smoothed| SmoothedResult {
+        let found = smooth(config, observations).map(|smoothed| SmoothedResult {
             path: SmoothedPath::new(smoothed.poses),
             calibration: smoothed.calibration,
             fixes_used: smoothed.fixes_used,
