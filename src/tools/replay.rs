@@ -242,10 +242,7 @@ fn smooth_of(run: &SmoothedRun) -> SmootherEntry<'_> {
         calibration: run.learned.as_ref().map(calibration_entries),
         seconds: run.elapsed.as_secs_f64(),
         not_read: &run.ignored,
-        reason: match &run.result {
-            Ok(found) => found.shortfall(),
-            Err(error) => Some(error.to_string()),
-        },
+        reason: run.reason(),
     }
 }
 

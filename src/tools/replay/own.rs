@@ -159,7 +159,7 @@ pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSum
 }
 
 /// Smooths the whole recording; scores the path at the truth's timestamps like the filter's estimates.
-fn smoothed(
+pub fn smoothed(
     (run, robot): (&str, &RobotFile),
     config: &FilterConfig,
     collector: &EventCollector,

@@ -115,7 +115,7 @@ pub struct SmoothedResult {
     calibration: Calibration,
     /// Absolute observations.
     pub fixes_used: usize,
-    /// Those that contradict the rest, or say nothing.
+    /// Those that contradict the rest.
     pub fixes_skipped: usize,
     pub iterations: u32,
     pub cost: f64,
@@ -243,6 +243,14 @@ impl SmoothedRun {
     pub fn track(&self) -> Option<PoseTrack> {
         let found = self.result.as_ref().ok()?;
         Some(PoseTrack::new(found.path.poses(), MAX_INTERPOLATION_GAP))
+    }
+
+    /// Why there is no path, or not a final one.
+    pub fn reason(&self) -> Option<String> {
+        match &self.result {
+            Ok(found) => found.shortfall(),
+            Err(error) => Some(error.to_string()),
+        }
     }
 
     pub fn row(&self) -> SmoothRow<'_> {

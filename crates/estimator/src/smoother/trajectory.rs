@@ -15,7 +15,7 @@ pub struct SmoothedTrajectory {
     pub iterations: u32,
     /// Absolute observations of any kind.
     pub fixes_used: usize,
-    /// Those that contradict all others, or say nothing.
+    /// Those that contradict all others.
     pub fixes_rejected: usize,
     pub convergence: Convergence,
 }

@@ -195,8 +195,8 @@ impl<const N: usize> Pass<N> {
                     self.used += 1;
                     last_used = Some(index);
                 }
+                Some(FusionOutcome::Unused) | None => {}
                 Some(_) => self.rejected += 1,
-                None => {}
             }
             self.filtered.push(step.state.pose);
             self.entries.push(step.entry);
@@ -350,8 +350,8 @@ fn lagged<const N: usize>(run: &RecordedRun, config: &FilterConfig, lag: TimeDel
     while let Some(step) = forward.next_step() {
         match step.outcome {
             Some(FusionOutcome::Accepted | FusionOutcome::PoseReset) => smoothing.used += 1,
+            Some(FusionOutcome::Unused) | None => {}
             Some(_) => smoothing.rejected += 1,
-            None => {}
         }
         smoothing.calibration = step.state.calibration(&config.calibration, &run.context.layout);
         let now = run.entries[step.entry].stamp;
