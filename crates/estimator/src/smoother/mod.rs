@@ -5,6 +5,7 @@
 //! Source: docs/maths/pose.md sections 11 and B5.
 
 pub mod cramer_rao;
+mod nominal;
 mod trajectory;
 
 use posebridge_telemetry::{Observation, ObservationKind, TimeDelta};
@@ -74,14 +75,7 @@ fn checked(
 fn is_valid_config(config: &FilterConfig) -> bool {
     let (geometry, calibration) = (&config.geometry, &config.calibration);
     let lengths = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0];
-    let known = [
-        calibration.radius_scale,
-        calibration.radius_difference,
-        calibration.track_scale,
-        calibration.fix_delay_s,
-        calibration.tag_forward_m,
-        calibration.tag_left_m,
-    ];
+    let known = nominal::constants_of(calibration);
     lengths.iter().all(|length| length.is_finite() && *length > 0.0)
         && config.start.is_none_or(|start| validation::is_valid_start(&start))
         && known.iter().all(|known| known.value.is_finite() && known.sigma.is_finite() && known.sigma >= 0.0)
