@@ -203,11 +203,12 @@ fn in_hindsight(smoothed: &SmoothedRun) -> String {
     let mut text = String::new();
     if let (Some(rms_m), Some(max_m)) = (smoothed.errors.position_rms_m, smoothed.errors.position_max_m) {
         let (rms, max) = (millimetres(rms_m), millimetres(max_m));
-        text += &format!(" Given the whole run it is {rms} mm off (root mean square), at most {max} mm.");
+        // Writing to a String cannot fail.
+        let _ = write!(text, " Given the whole run it is {rms} mm off (root mean square), at most {max} mm.");
     }
-    match &smoothed.result {
-        Err(error) => text += &format!(" There is no smoothed path: {error}."),
-        Ok(found) => text += &found.shortfall().map_or_else(String::new, |why| format!(" The smoothed path: {why}.")),
+    if let Some(reason) = smoothed.reason() {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " The smoothed path: {reason}.");
     }
     text
 }
