@@ -40,8 +40,8 @@ fn squares(smoothed: &SmoothedTrajectory, drive: &Drive) -> [f64; 3] {
     let mut count = 0.0;
     for at in &smoothed.poses {
         let step = (at.stamp - stamp(0)).as_secs_f64() / STEP_S;
-        let Some(before) = (step.round() as usize).checked_sub(1) else { continue };
-        let (x, y, heading) = drive.poses[before];
+        let before = (step.round() as usize).checked_sub(1).and_then(|before| drive.poses.get(before));
+        let Some(&(x, y, heading)) = before.filter(|_| (step - step.round()).abs() < 1e-6) else { continue };
         let error = [at.pose.x.0 - x, at.pose.y.0 - y, wrap_rad(at.pose.heading.rad() - heading)];
         sums[0] += error[0] * error[0] + error[1] * error[1];
         sums[1] += error[2] * error[2];

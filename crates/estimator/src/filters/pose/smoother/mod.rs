@@ -98,7 +98,7 @@ fn smooth_with_rows<const N: usize>(mut run: RecordedRun, config: &FilterConfig,
     let mut best = pass.smoothing(1);
     plan.resets = pass.resets(&run, &jumps);
     if config.start.is_none()
-        && let Some(start) = pass.start(&run)
+        && let Some(start) = pass.start()
     {
         plan.initial.initialize_pose(&start);
     }
@@ -137,8 +137,9 @@ struct PoseJump {
     step: usize,
     /// As believed before, at the instant of the jump.
     believed: Se2,
-    /// The step after which the new pose counts.
+    /// The step after which the new pose counts; `None` for the whole run until then.
     since: Option<usize>,
+    was_located: bool,
 }
 
 /// The result of one pass forwards and back.
@@ -221,7 +222,13 @@ impl<const N: usize> Pass<N> {
             later.filter(|_| before.is_located)
         });
         let since = if before.is_located { last_used.max(put_down) } else { None };
-        self.jumps.push(PoseJump { entry: step.entry, step: self.filtered.len(), believed: believed.pose, since });
+        self.jumps.push(PoseJump {
+            entry: step.entry,
+            step: self.filtered.len(),
+            believed: believed.pose,
+            since,
+            was_located: before.is_located,
+        });
     }
 
     fn backwards(&mut self, run: &RecordedRun, segments: Vec<ForwardPass<'_, N>>, gates: [f64; 3]) {
@@ -285,8 +292,8 @@ impl<const N: usize> Pass<N> {
     }
 
     /// The start of a run that began without a pose, by the first one that was found.
-    fn start(&self, _run: &RecordedRun) -> Option<StartPose> {
-        self.moved_back(self.jumps.first().filter(|jump| jump.since.is_none())?, 0)
+    fn start(&self) -> Option<StartPose> {
+        self.moved_back(self.jumps.first().filter(|jump| !jump.was_located)?, 0)
     }
 
     /// Where the pose is set in later passes: before the first observation that belongs to the new one.
@@ -294,10 +301,13 @@ impl<const N: usize> Pass<N> {
         let mut resets = BTreeMap::new();
         for jump in &self.jumps {
             let since = if observer_jumps.contains(&jump.entry) { jump.step.checked_sub(1) } else { jump.since };
-            if let Some(since) = since
-                && let Some(start) = self.moved_back(jump, since)
-            {
-                let next = self.entries.get(since + 1).copied().unwrap_or(run.entries.len());
+            let next = match since {
+                Some(since) => self.entries.get(since + 1).copied().unwrap_or(run.entries.len()),
+                // The start that was given is wrong.
+                None if jump.was_located => 0,
+                None => continue,
+            };
+            if let Some(start) = self.moved_back(jump, since.unwrap_or(0)) {
                 resets.insert(next, start);
             }
         }
