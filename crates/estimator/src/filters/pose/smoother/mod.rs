@@ -6,7 +6,7 @@
 //! P_k^s = Cov(c_k) + C (P_(k+1)^s - Cov(x_(k+1))) C'
 //! ```
 //! It needs no Jacobian of what lies between, and takes every observation and every state of the filter. The first pass is the
-//! filter's. Later ones are linearised at the smoothed states, and leave out the observations that contradict all others.
+//! filter's. Later ones leave out the observations that contradict all others, and set the pose where it jumped.
 //!
 //! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; Bell (1994) for the iteration as
 //! Gauss-Newton; docs/maths/pose.md section 11.
@@ -108,12 +108,13 @@ fn smooth_with_rows<const N: usize>(mut run: RecordedRun, config: &FilterConfig,
     run.context.set_params(&Params { adapt_gain: 0.0, gate_probability: 1.0, ..config.params });
     for passes in 2..=max_passes {
         let has_changed = pass.choose(&mut plan.is_used, gates, config, passes);
-        plan.references = std::mem::take(&mut pass.references);
+        // Not the references of the next pass: linearised there, paths with long blind stretches are over-confident.
+        let before = std::mem::take(&mut pass.references);
         let next = Pass::run(&run, &plan, config, gates);
         if !next.is_finite() {
             break;
         }
-        let moved_sigmas = next.largest_move(&plan.references);
+        let moved_sigmas = next.largest_move(&before);
         let is_settled = !has_changed && moved_sigmas < CONVERGED_SIGMAS;
         pass = next;
         let mut found = pass.smoothing(passes);
