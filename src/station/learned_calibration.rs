@@ -51,7 +51,7 @@ impl LearnedCalibration {
 }
 
 /// Replaces the file's geometry by the one in use, which a robot may have described: the calibration is relative to it.
-fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
+pub fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
     let is_own = robot.geometry().is_ok_and(|own| own == used);
     if is_own { robot.clone() } else { robot.with_geometry(&used) }
 }

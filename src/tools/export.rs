@@ -2,6 +2,8 @@
 //! Reads posebridge recordings, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the
 //! files.
 
+mod hindsight;
+
 use std::fs::File;
 use std::io::{BufWriter, Cursor};
 use std::path::{Path, PathBuf};
@@ -13,17 +15,19 @@ use posebridge_recording::csv::CsvWriter;
 use posebridge_recording::tlog::TlogWriter;
 use posebridge_recording::tum;
 use posebridge_report::{PoseTrack, TimedPose};
-use posebridge_station::Station;
-use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp};
+use posebridge_station::{Robot, Station};
+use posebridge_telemetry::{Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
-use super::dataset::DataSet;
+use self::hindsight::{HindsightPath, hindsight_paths, hindsights, write_hindsight};
+use super::dataset::{DataSet, RobotRun};
 use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
+use super::replay::SmoothError;
 use super::score::{PosePair, Scorer};
 use crate::config::{Config, Overlay, config_with_overlay};
 use crate::console::{print_line, print_lines};
 use crate::exit::{ExitStage, Failure};
-use crate::flags::DataFlags;
+use crate::flags::{DataFlags, not_negative};
 use crate::station::input_file::{InputFile, InputKind};
 use crate::station::per_robot::{PerRobot, file_parts};
 use crate::station::recorded_session::{for_each_input, missing_start};
@@ -50,6 +54,12 @@ pub struct ExportArgs {
     /// Robot profile to use instead of the recording's robot. --set overrides it.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
+    /// Also write the path given the whole run, as `smooth.tum` and `smooth.csv`.
+    #[arg(long)]
+    pub smooth: bool,
+    /// Also write the path given the observations up to so many seconds later, as `fixed-lag.tum` and `fixed-lag.csv`.
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
+    pub fixed_lag: Option<f64>,
     /// Ground truth from `posebridge sim --truth`. Default: the ground truth in the recording.
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
@@ -101,6 +111,7 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
     if engine_formats.contains(&Format::Tum) {
         write_trajectories(args, &run).while_running()?;
     }
+    write_hindsight(args, &run.robots).while_running()?;
     Ok(())
 }
 
@@ -109,6 +120,10 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
     let name = args.recording.display();
     let kind = InputFile::open(&args.recording)?.kind;
     let is_requested = |format| args.formats.contains(&format);
+    ensure!(
+        hindsights(args).next().is_none() || is_requested(Format::Csv) || is_requested(Format::Tum),
+        "--smooth and --fixed-lag write --format csv and tum"
+    );
     match kind {
         InputKind::Bytes => {
             bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
@@ -160,7 +175,31 @@ struct ExportSession {
     bytes: Vec<u8>,
     config: Config,
     scorer: Option<Scorer>,
+    /// A descriptor's run.
+    data: Option<RobotRun>,
     truth: Option<PoseTrack>,
+}
+
+/// What is kept of a robot's events.
+#[derive(Default)]
+struct CollectedPoses {
+    estimates: Vec<TimedPose>,
+    observations: Vec<Observation>,
+    retains_observations: bool,
+    restarts: u64,
+}
+
+impl CollectedPoses {
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the other events change nothing here")]
+    fn on_event(&mut self, event: &Event) {
+        match event {
+            Event::ObservationAligned { observation, .. } if self.retains_observations => {
+                self.observations.push(*observation);
+            }
+            Event::BrickRestarted { .. } => self.restarts += 1,
+            _ => self.estimates.extend(valid_pose(event)),
+        }
+    }
 }
 
 struct ExportedRun {
@@ -173,6 +212,7 @@ struct ExportedRun {
 struct RobotPoses {
     /// `None` with a single robot.
     label: Option<String>,
+    hindsight: Vec<HindsightPath>,
     /// With valid position and heading, in the order of publication.
     estimates: Vec<TimedPose>,
     truth: Option<PoseTrack>,
@@ -186,11 +226,11 @@ struct ExportFiles {
 impl ExportSession {
     fn open(args: &ExportArgs, kind: InputKind) -> Result<Self> {
         let name = args.recording.display().to_string();
-        let (bytes, scorer) = if kind == InputKind::Descriptor {
+        let (bytes, data) = if kind == InputKind::Descriptor {
             let bytes = Cursor::new(Vec::new());
             let (bytes, account) = import::import(&args.recording, &args.data, station(args), bytes)?;
             print_lines(&account.notes);
-            (bytes.into_inner(), Some(scorer_of(args)?))
+            (bytes.into_inner(), Some(single_run(args)?))
         } else {
             let (bytes, notes) = import::recording_bytes(&args.recording, station(args))?;
             print_lines(&notes);
@@ -216,7 +256,8 @@ impl ExportSession {
         } else {
             GroundTruth::default()
         };
-        Ok(Self { name, bytes, config, scorer, truth: known.truth })
+        let scorer = data.as_ref().map(|data| Scorer::new(&data.run, &data.filter_config.calibration));
+        Ok(Self { name, bytes, config, scorer, data, truth: known.truth })
     }
 
     /// Runs the engine and writes the files of all requested formats except TUM, which needs the whole run.
@@ -235,7 +276,8 @@ impl ExportSession {
         };
         let mut station = Station::new(station_config, Timestamp::ZERO)?;
         let mut scorer = self.scorer;
-        let mut estimates = PerRobot::new(Vec::new);
+        let retains_observations = hindsights(args).next().is_some();
+        let mut estimates = PerRobot::new(move || CollectedPoses { retains_observations, ..CollectedPoses::default() });
         for_each_input(&self.name, &mut reader, |now, input| {
             files.record_input(now, input)?;
             station.handle(now, input);
@@ -249,7 +291,17 @@ impl ExportSession {
             scorer.finish(&station);
         }
         files.finish(args, fresh)?;
-        let robots = robot_poses(args, &self.name, &self.bytes, estimates, self.truth)?;
+        let hindsight = |label: &str, id: Option<RobotId>, collected: &CollectedPoses| {
+            let robot = station.robots().iter().find(|robot| Some(robot.id()) == id);
+            let mut filter_config = self.config.filter_config_of(self.config.robot_file(robot))?;
+            filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
+            let data = self.data.as_ref();
+            if collected.restarts > 0 && hindsights(args).next().is_some() {
+                bail!("{label}: {}", SmoothError::Restarted(collected.restarts));
+            }
+            hindsight_paths(args, label, &filter_config, &collected.observations, data)
+        };
+        let robots = robot_poses(args, &self.name, &self.bytes, estimates, self.truth, hindsight)?;
         Ok(ExportedRun { robots, pairs: scorer.map(|scorer| scorer.pairs) })
     }
 }
@@ -259,26 +311,29 @@ fn robot_poses(
     args: &ExportArgs,
     name: &str,
     recording: &[u8],
-    estimates: PerRobot<Vec<TimedPose>>,
+    estimates: PerRobot<CollectedPoses>,
     truth: Option<PoseTrack>,
+    hindsight: impl Fn(&str, Option<RobotId>, &CollectedPoses) -> Result<Vec<HindsightPath>>,
 ) -> Result<Vec<RobotPoses>> {
     let mut robots = estimates.into_entries();
     if robots.len() == 1
         && let Some(only) = robots.pop()
     {
-        return Ok(vec![RobotPoses { label: None, estimates: only.value, truth }]);
+        let hindsight = hindsight(name, only.robot, &only.value)?;
+        return Ok(vec![RobotPoses { label: None, hindsight, estimates: only.value.estimates, truth }]);
     }
     let needs_truth = args.formats.contains(&Format::Tum);
     let robots = robots.into_iter().map(|robot| {
         let known = needs_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
         let truth = known.transpose()?.and_then(|known| known.truth);
-        Ok(RobotPoses { label: Some(robot.label), estimates: robot.value, truth })
+        let hindsight = hindsight(&robot.label, robot.robot, &robot.value)?;
+        Ok(RobotPoses { label: Some(robot.label), hindsight, estimates: robot.value.estimates, truth })
     });
     robots.collect()
 }
 
-/// The reference of the one selected run: truth or withheld fixes.
-fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
+/// The one selected run, with its reference: truth or withheld fixes.
+fn single_run(args: &ExportArgs) -> Result<RobotRun> {
     let data = DataSet::open(&args.recording, &args.data)?;
     let [run] = data.runs.as_slice() else { anyhow::bail!("choose one run with --run: {}", data.runs.join(", ")) };
     let robot_run = data.load(run, &args.data)?;
@@ -287,7 +342,7 @@ fn scorer_of(args: &ExportArgs) -> Result<Scorer> {
             "there is no truth: the withheld fixes stand in its place, and the estimates are of the point that they saw",
         );
     }
-    Ok(Scorer::new(&robot_run.run, &robot_run.filter_config.calibration))
+    Ok(robot_run)
 }
 
 /// Opens streams in a folder; overwrites those of an earlier export.
@@ -308,7 +363,7 @@ impl ExportFiles {
         &mut self,
         now: Timestamp<HostClock>,
         station: &mut Station,
-        estimates: &mut PerRobot<Vec<TimedPose>>,
+        estimates: &mut PerRobot<CollectedPoses>,
     ) -> Result<()> {
         while let Some(output) = station.poll() {
             match output {
@@ -316,7 +371,7 @@ impl ExportFiles {
                     if let Some(csv) = &mut self.csv {
                         csv.record(now, &event).context("writing CSV")?;
                     }
-                    estimates.push(&event, |estimates, event| estimates.extend(valid_pose(event)));
+                    estimates.push(&event, CollectedPoses::on_event);
                 }
                 Output::Transmit { link, priority, bytes, .. } => {
                     if let Some(tlog) = &mut self.tlog {

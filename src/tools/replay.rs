@@ -23,7 +23,7 @@ use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
 
-pub use self::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun};
+pub use self::result::{FilterResult, Hindsight, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun};
 
 pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
@@ -32,11 +32,17 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     save_calibration(args, &replayed, timer.utc_start()).while_running()
 }
 
-/// Writes the robot as calibrated by the last adaptive estimator.
+/// Writes the robot as calibrated by the smoother if there was one, else by the last adaptive estimator.
 fn save_calibration(args: &ReplayArgs, replayed: &ReplayResult, utc_micros: u64) -> Result<()> {
     let Some(path) = &args.save_calibration else {
         return Ok(());
     };
+    let smoothed: Vec<LearnedCalibration> = replayed.smoothed.iter().filter_map(|run| run.learned.clone()).collect();
+    if !smoothed.is_empty() {
+        let run = smoothed.first().map_or("", |learned| learned.run.as_str());
+        let source = format!("{}, {run}", replayed.recording);
+        return save_all(path, &smoothed, &Provenance { utc_micros, source, filter: "pose, smoothed".to_owned() });
+    }
     let mut learners = replayed.outcomes.iter().rev();
     let Some(filter) = learners.find_map(|outcome| (!outcome.learned.is_empty()).then_some(&outcome.name)) else {
         let names: Vec<_> = replayed.outcomes.iter().map(|o| o.name.as_str()).collect();
@@ -86,10 +92,13 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
         // Writing to a String cannot fail.
         let _ = write!(text, "\n{label}\n{}{}", source_table(&outcome.sources), learned_table(&outcome.learned));
     }
-    if !replayed.smoothed.is_empty() {
-        let rows: Vec<SmoothRow<'_>> = replayed.smoothed.iter().map(SmoothedRun::row).collect();
-        text += "\n";
-        text += &smooth_table(&rows);
+    for (name, runs) in [("smooth", &replayed.smoothed), ("fixed lag", &replayed.lagged)] {
+        if !runs.is_empty() {
+            let rows: Vec<SmoothRow<'_>> = runs.iter().map(SmoothedRun::row).collect();
+            let learned: Vec<LearnedCalibration> = runs.iter().filter_map(|run| run.learned.clone()).collect();
+            // Writing to a String cannot fail.
+            let _ = write!(text, "\n{}{}", smooth_table(name, &rows), learned_table(&learned));
+        }
     }
     if replayed.bad_rows > 0 {
         print_line(&format!("{} rows could not be used", replayed.bad_rows));
@@ -119,6 +128,7 @@ struct Report<'a> {
     runs: &'a [String],
     bad_rows: u64,
     smooth: Option<BTreeMap<&'a str, SmootherEntry<'a>>>,
+    fixed_lag: Option<BTreeMap<&'a str, SmootherEntry<'a>>>,
 }
 
 #[derive(Serialize)]
@@ -130,6 +140,11 @@ struct SmootherEntry<'a> {
     fixes_used: Option<usize>,
     fixes_left_out: Option<usize>,
     iterations: Option<u32>,
+    /// `None` without a path, and with a fixed lag.
+    converged: Option<bool>,
+    cost: Option<f64>,
+    anees: Option<f64>,
+    calibration: Option<CalibrationEntries>,
     seconds: f64,
     not_read: &'a BTreeMap<&'static str, u64>,
     reason: Option<String>,
@@ -183,6 +198,7 @@ fn json_text(replayed: &ReplayResult, wall: TimeDelta, cpu: TimeDelta) -> Result
         runs: &replayed.runs,
         bad_rows: replayed.bad_rows,
         smooth: smooth(&replayed.smoothed),
+        fixed_lag: smooth(&replayed.lagged),
     };
     Ok(serde_json::to_string(&report)?)
 }
@@ -220,20 +236,25 @@ fn smooth_of(run: &SmoothedRun) -> SmootherEntry<'_> {
         fixes_used: of_found(|found| found.fixes_used),
         fixes_left_out: of_found(|found| found.fixes_skipped),
         iterations: found.map(|found| found.iterations),
+        converged: found.and_then(|found| found.convergence).map(|convergence| convergence.shortfall().is_none()),
+        cost: found.filter(|found| found.convergence.is_some()).map(|found| found.cost),
+        anees: run.errors.anees,
+        calibration: run.learned.as_ref().map(calibration_entries),
         seconds: run.elapsed.as_secs_f64(),
         not_read: &run.ignored,
-        reason: run.result.as_ref().err().map(ToString::to_string),
+        reason: run.reason(),
     }
 }
 
 /// Calibration of each run; `None` for an estimator that is not adaptive.
 fn calibration(runs: &[LearnedCalibration]) -> Option<BTreeMap<&str, CalibrationEntries>> {
-    let entries = |learned: &LearnedCalibration| {
-        let entry = |key: &CalibrationKey| (key.key, (key.read)(&learned.calibration).into());
-        learnable_keys().map(entry).collect()
-    };
-    let by_run = runs.iter().map(|run| (run.run.as_str(), entries(run)));
+    let by_run = runs.iter().map(|run| (run.run.as_str(), calibration_entries(run)));
     (!runs.is_empty()).then(|| by_run.collect())
+}
+
+fn calibration_entries(learned: &LearnedCalibration) -> CalibrationEntries {
+    let entry = |key: &CalibrationKey| (key.key, (key.read)(&learned.calibration).into());
+    learnable_keys().map(entry).collect()
 }
 
 pub(super) fn source(tally: &SourceTally) -> SourceEntry {

@@ -7,12 +7,14 @@ use std::path::PathBuf;
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 use posebridge_report::PoseTrack;
+use posebridge_station::Robot;
 use posebridge_telemetry::Timestamp;
 
 use super::dataset::report_bad_rows;
 use super::experiment_output::OutputArgs;
 use super::own_recording::is_own;
-use super::replay::foreign::{ForeignRecording, check_filter, replay_run, truth_of};
+use super::replay::Hindsight;
+use super::replay::foreign::{self, ForeignRecording, check_filter, replay_run, truth_of};
 use super::replay::own::{self, OwnRecording, WHOLE_RUN, changed_settings};
 use super::replay::watch::{ReplayLane, Window};
 use super::session_history::SessionHistory;
@@ -43,6 +45,9 @@ pub struct ReportArgs {
     /// Show only this robot of a recording with several, by name or as link/system/component. Can be repeated.
     #[arg(long, value_name = "ROBOT")]
     pub only: Vec<String>,
+    /// Also show the path given the whole run, and what it has taught.
+    #[arg(long, conflicts_with_all = ["from", "to"])]
+    pub smooth: bool,
     /// Where the page goes, and what is printed.
     #[command(flatten)]
     pub output: OutputArgs,
@@ -74,7 +79,14 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let alone = recording.config(flags, Some(DEAD_RECKONING)).before_start()?;
     let alone = OwnRecording::station(flags, &alone).before_start()?;
     let origin = recording.origin();
-    let mut histories = PerRobot::new(move || SessionHistory::new(origin));
+    let retains_observations = args.smooth;
+    let mut histories = PerRobot::new(move || {
+        let mut history = SessionHistory::new(origin);
+        if retains_observations {
+            history.collector = EventCollector::with_observations();
+        }
+        history
+    });
     let mut dead_reckoning = PerRobot::new(EventCollector::default);
     let mut lanes =
         [ReplayLane { station, watcher: &mut histories }, ReplayLane { station: alone, watcher: &mut dead_reckoning }];
@@ -90,7 +102,14 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         let reference = known.truth.as_ref().map_or(ScoreReference::None, |_| ScoreReference::Truth);
         let engine = station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
         let file = config.robot_file(engine);
-        let prior = config.filter_config_of(file).before_start()?.calibration;
+        let mut filter_config = config.filter_config_of(file).before_start()?;
+        let prior = filter_config.calibration;
+        filter_config.geometry = engine.map_or(filter_config.geometry, Robot::geometry);
+        let collector = &robot.value.collector;
+        let smoothed = args.smooth.then(|| {
+            let truth = known.truth.as_ref();
+            own::smoothed((WHOLE_RUN, file), &filter_config, collector, truth, Hindsight::WholeRun)
+        });
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
             name: if robots.are_several { robot.label } else { title_of(file) },
@@ -99,6 +118,7 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
             truth: known.truth,
             odometry: known.odometry.or_else(|| track_of(&of_wheels?.value)),
             learned: engine.and_then(|engine| LearnedCalibration::of_robot(engine, WHOLE_RUN, file, &prior)),
+            smoothed,
             history: robot.value,
         });
     }
@@ -204,6 +224,7 @@ fn summarize_foreign(args: &ReportArgs, window: Window) -> Result<SessionSummary
             truth,
             odometry: track_of(&dead_reckoning),
             learned: scored.learned,
+            smoothed: args.smooth.then(|| foreign::smoothed(&robot_run, Hindsight::WholeRun)),
             history,
         });
     }

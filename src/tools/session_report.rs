@@ -13,12 +13,13 @@ use posebridge_report::page::{ReportBlock, ReportFigure};
 use posebridge_report::report::Report;
 use posebridge_report::tables::{EstimatorRow, NO_VALUE, runs_table};
 use posebridge_report::{ErrorSummary, PoseTrack, RunLayers, SourceTally};
-use posebridge_telemetry::{LinkCounter, SensorId, TimeDelta, UncertainValue};
+use posebridge_telemetry::{Calibration, LinkCounter, SensorId, TimeDelta, UncertainValue};
 use serde_json::{Map, Value, json};
 
 use super::session_history::SessionHistory;
 use crate::config::learnable_keys;
 use crate::station::learned_calibration::LearnedCalibration;
+use crate::tools::replay::SmoothedRun;
 
 pub const LINK_COUNTERS: [LinkCounter; 8] = [
     LinkCounter::FRAMES_IN,
@@ -59,6 +60,8 @@ pub struct RunSummary {
     /// By the brick's own odometry, or by the wheels alone.
     pub odometry: Option<PoseTrack>,
     pub learned: Option<LearnedCalibration>,
+    /// Given the whole run, if that was asked for.
+    pub smoothed: Option<SmoothedRun>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -187,8 +190,25 @@ fn in_figures(run: &RunSummary) -> String {
     if let Some(anees) = errors.anees {
         let _ = write!(text, " ANEES {anees:.2}: 1 is honest, more is too sure.");
     }
+    if let Some(smoothed) = &run.smoothed {
+        text += &in_hindsight(smoothed);
+    }
     if run.reference == ScoreReference::None {
         text += " No truth is known: errors cannot be told.";
+    }
+    text
+}
+
+fn in_hindsight(smoothed: &SmoothedRun) -> String {
+    let mut text = String::new();
+    if let (Some(rms_m), Some(max_m)) = (smoothed.errors.position_rms_m, smoothed.errors.position_max_m) {
+        let (rms, max) = (millimetres(rms_m), millimetres(max_m));
+        // Writing to a String cannot fail.
+        let _ = write!(text, " Given the whole run it is {rms} mm off (root mean square), at most {max} mm.");
+    }
+    if let Some(reason) = smoothed.reason() {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " The smoothed path: {reason}.");
     }
     text
 }
@@ -204,11 +224,13 @@ fn picture(index: usize, name: &str, svg: String, caption: &str) -> ReportFigure
 fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
     let collector = &run.history.collector;
     let estimates = run.history.estimates();
+    let smoothed = run.smoothed.as_ref().and_then(SmoothedRun::track);
     let layers = RunLayers {
         title: &run.name,
         truth: run.truth.as_ref(),
         odometry: run.odometry.as_ref(),
         estimates: &estimates,
+        smoothed: smoothed.as_ref(),
         fixes: collector.fixes.items(),
         ..RunLayers::default()
     };
@@ -279,24 +301,26 @@ fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
     let Some(learned) = &run.learned else {
         return Vec::new();
     };
+    let smoothed = run.smoothed.as_ref().and_then(|smoothed| Some(&smoothed.learned.as_ref()?.calibration));
+    let mut header = vec!["entry", "unit", "before", "after"];
+    header.extend(smoothed.map(|_| "given the whole run"));
     let open = learnable_keys().filter(|entry| (entry.read)(&learned.prior).sigma > 0.0);
     let rows: Vec<Vec<String>> = open
         .map(|entry| {
             let (unit, factor) = display_unit(entry.key);
-            let [before, after] = [&learned.prior, &learned.calibration].map(|calibration| {
+            let text = |calibration: &Calibration| {
                 let known = (entry.read)(calibration);
                 format!("{:.3} ± {:.3}", known.value * factor, known.sigma * factor)
-            });
-            vec![entry.key.to_owned(), unit.to_owned(), before, after]
+            };
+            let known = [&learned.prior, &learned.calibration].into_iter().chain(smoothed);
+            [entry.key.to_owned(), unit.to_owned()].into_iter().chain(known.map(text)).collect()
         })
         .collect();
     if rows.is_empty() {
         return Vec::new();
     }
-    let mut parts = vec![
-        ReportBlock::Subheading("What was learned of the robot".to_owned()),
-        ReportBlock::table(&["entry", "unit", "before", "after"], rows),
-    ];
+    let mut parts =
+        vec![ReportBlock::Subheading("What was learned of the robot".to_owned()), ReportBlock::table(&header, rows)];
     let series: Vec<CalibrationSeries<'_>> = run
         .history
         .learned()
@@ -404,7 +428,8 @@ fn run(run: &RunSummary) -> Value {
         "heading_rms_rad": errors.heading_rms_rad,
         "anees": errors.anees,
         "sources": run.source_summaries().iter().map(source).collect::<Vec<_>>(),
-        "calibration": calibration(run),
+        "calibration": run.learned.as_ref().map(calibration),
+        "smooth": run.smoothed.as_ref().map(smooth),
         "links": links(run),
         "happenings": entries.map(|one| json!({ "t_s": one.t_s, "what": one.text })).collect::<Vec<_>>(),
         "further_happenings": history.timeline.omitted,
@@ -429,13 +454,24 @@ fn source(verdict: &SourceSummary) -> Value {
     })
 }
 
-fn calibration(run: &RunSummary) -> Option<Value> {
-    let learned = run.learned.as_ref()?;
+fn smooth(smoothed: &SmoothedRun) -> Value {
+    let errors = &smoothed.errors;
+    json!({
+        "position_rms_m": errors.position_rms_m,
+        "position_max_m": errors.position_max_m,
+        "heading_rms_rad": errors.heading_rms_rad,
+        "anees": errors.anees,
+        "reason": smoothed.reason(),
+        "calibration": smoothed.learned.as_ref().map(calibration),
+    })
+}
+
+fn calibration(learned: &LearnedCalibration) -> Value {
     let entries = learnable_keys().map(|entry| {
         let UncertainValue { value, sigma } = (entry.read)(&learned.calibration);
         (entry.key.to_owned(), json!({ "value": value, "sigma": sigma }))
     });
-    Some(Value::Object(entries.collect::<Map<String, Value>>()))
+    Value::Object(entries.collect::<Map<String, Value>>())
 }
 
 fn links(run: &RunSummary) -> Value {

@@ -210,7 +210,7 @@ fn what_cannot_be_done_is_said_with_what_to_do() {
             (&format!("calibrate path {optiodom} --free tag=1"), 2, &["wheel-radius"]),
             (&format!("calibrate path {optiodom} --run {run} --try-on {run}"), 2, &["--try-on takes them all"]),
             (&format!("calibrate path {optiodom} --online"), 2, &["choose one with --run"]),
-            (&format!("calibrate path {optiodom} --online --run {run}"), 1, &["has no fixes"]),
+            (&format!("calibrate path {optiodom} --online --run {run}"), 1, &["has no fixes, landmarks"]),
             (&format!("calibrate rest {optiodom}"), 1, &["record a minute of rest"]),
             ("calibrate umbmark own.toml wide.toml --data .", 2, &["`rest` and `wide`", "different robots"]),
             ("tune --recording own.toml --recording wide.toml --data .", 2, &["different robots"]),

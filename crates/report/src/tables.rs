@@ -248,24 +248,17 @@ pub struct SmoothRow<'a> {
     pub fixes_left_out: Option<usize>,
     pub iterations: Option<u32>,
     pub duration: TimeDelta,
-    /// Observations that the smoother does not use, by sensor.
+    /// Observations that say nothing of a pose, by sensor.
     pub unused_observations: &'a BTreeMap<&'static str, u64>,
     pub reason: Option<String>,
+    /// Why a path is not final.
+    pub shortfall: Option<String>,
 }
 
 /// Accuracy in millimetres and degrees; below, the runs without a path and the unused sources.
-pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
-    let mut table = TextTable::new([
-        "smooth",
-        "samples",
-        "rms mm",
-        "max mm",
-        "heading rms deg",
-        "fixes used",
-        "left out",
-        "iterations",
-        "s",
-    ]);
+pub fn smooth_table(name: &str, rows: &[SmoothRow<'_>]) -> String {
+    let mut table =
+        TextTable::new([name, "samples", "rms mm", "max mm", "heading rms deg", "used", "left out", "iterations", "s"]);
     for row in rows {
         let errors = row.errors;
         table.push([
@@ -286,15 +279,13 @@ pub fn smooth_table(rows: &[SmoothRow<'_>]) -> String {
         if let Some(reason) = &row.reason {
             let _ = writeln!(text, "{}: no smoothed path: {reason}", row.run);
         }
+        if let Some(shortfall) = &row.shortfall {
+            let _ = writeln!(text, "{}: not converged: {shortfall}", row.run);
+        }
         if !row.unused_observations.is_empty() {
             let sources: Vec<String> =
                 row.unused_observations.iter().map(|(sensor, count)| format!("{sensor} ({count})")).collect();
-            let _ = writeln!(
-                text,
-                "{}: the smoother reads wheels, gyro and fixes only, not: {}",
-                row.run,
-                sources.join(", ")
-            );
+            let _ = writeln!(text, "{}: of no use to the smoother: {}", row.run, sources.join(", "));
         }
     }
     text
@@ -323,32 +314,38 @@ mod tests {
         };
         let nothing = ErrorSummary::default();
         let (none, unused) = (BTreeMap::new(), BTreeMap::from([("compass", 3), ("range", 20)]));
-        let table = smooth_table(&[
-            SmoothRow {
-                run: "one",
-                errors: &errors,
-                fixes_used: Some(40),
-                fixes_left_out: Some(2),
-                iterations: Some(6),
-                duration: TimeDelta::from_millis(1_234),
-                unused_observations: &unused,
-                reason: None,
-            },
-            SmoothRow {
-                run: "two",
-                errors: &nothing,
-                fixes_used: None,
-                fixes_left_out: None,
-                iterations: None,
-                duration: TimeDelta::ZERO,
-                unused_observations: &none,
-                reason: Some("it is empty".to_owned()),
-            },
-        ]);
+        let table = smooth_table(
+            "smooth",
+            &[
+                SmoothRow {
+                    run: "one",
+                    errors: &errors,
+                    fixes_used: Some(40),
+                    fixes_left_out: Some(2),
+                    iterations: Some(6),
+                    duration: TimeDelta::from_millis(1_234),
+                    unused_observations: &unused,
+                    reason: None,
+                    shortfall: Some("it still moves".to_owned()),
+                },
+                SmoothRow {
+                    run: "two",
+                    errors: &nothing,
+                    fixes_used: None,
+                    fixes_left_out: None,
+                    iterations: None,
+                    duration: TimeDelta::ZERO,
+                    unused_observations: &none,
+                    reason: Some("it is empty".to_owned()),
+                    shortfall: None,
+                },
+            ],
+        );
         let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(lines[1], ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
         assert_eq!(lines[2], ["two", "0", "-", "-", "-", "-", "-", "-", "0.00"]);
-        let expected = "one: the smoother reads wheels, gyro and fixes only, not: compass (3), range (20)\n\
+        let expected = "one: not converged: it still moves\n\
+                    one: of no use to the smoother: compass (3), range (20)\n\
                     two: no smoothed path: it is empty\n";
         assert!(table.ends_with(expected), "{table}");
     }

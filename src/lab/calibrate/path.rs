@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
+use posebridge_estimator::FilterConfig;
 use posebridge_estimator::models::differential_drive::WheelTravel;
-use posebridge_estimator::{FilterConfig, find_filter};
+use posebridge_estimator::smoother::smooth;
 use posebridge_lab::calibration::free_path::{
     AS_GIVEN, FreePath, PathCalibration, PathStart, PositionFix, TravelStep, UNKNOWNS, calibrate_path, dead_reckon,
     start_heading,
@@ -19,6 +20,7 @@ use serde_json::{Value, json};
 use super::path_report::{PathCalibrationResult, RunComparison};
 use super::profile::{fold_into_geometry, save_profile};
 use crate::config::{FilterSection, RobotFile, RobotProfile, filter_config, learnable_keys};
+use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::experiments::live::LiveArgs;
@@ -323,7 +325,7 @@ pub struct PathArgs {
     /// Validate the result on the runs whose names begin with this text; they are not used for calibration. Can be repeated.
     #[arg(long = "try-on", value_name = "PREFIX", conflicts_with_all = ["segments", "link", "listen"])]
     pub try_on: Vec<String>,
-    /// Use the online calibration of the filter `pose` on one run instead.
+    /// Use the calibration states of the filter `pose` over the whole of one run instead.
     #[arg(long, conflicts_with_all = ["segments", "try_on", "unknown_start", "held", "freed", "against", "truth_sigma_m"])]
     pub online: bool,
     /// Write a robot profile, for `run --robot` and `replay --robot`.
@@ -394,27 +396,36 @@ fn single_drive(drives: &[SourceRun]) -> Result<&SourceRun> {
 
 fn learn(drive: &SourceRun) -> Result<LearnedCalibration> {
     ensure!(
-        drive.observations.iter().any(|one| matches!(one.measurement, ObservationKind::Fix(_))),
-        "run `{}` has no fixes: on line the filter learns from them alone",
+        drive.observations.iter().any(|one| is_absolute(&one.measurement)),
+        "run `{}` has no fixes, landmarks, beacons, walls or compass: nothing tells the filter where it is",
         drive.name
     );
-    let entry = find_filter(FILTER).with_context(|| format!("there is no filter `{FILTER}`"))?;
-    let mut filter = (entry.build)(&drive.config);
-    for observation in &drive.observations {
-        filter.observe(observation);
+    let smoothed = smooth(&drive.config, &drive.observations).with_context(|| format!("run `{}`", drive.name))?;
+    if let Some(shortfall) = smoothed.convergence.shortfall() {
+        print_line(&format!("run {}: not converged: {shortfall}", drive.name));
     }
-    let calibration = filter.calibration().with_context(|| format!("the filter `{FILTER}` has learned nothing"))?;
     Ok(LearnedCalibration {
         run: drive.name.clone(),
         robot: drive.robot.clone(),
         prior: drive.config.calibration,
-        calibration,
+        calibration: smoothed.calibration,
     })
+}
+
+const fn is_absolute(measurement: &ObservationKind) -> bool {
+    matches!(
+        measurement,
+        ObservationKind::Fix(_)
+            | ObservationKind::Landmark { .. }
+            | ObservationKind::BeaconRange { .. }
+            | ObservationKind::WallRange(_)
+            | ObservationKind::CompassHeading(_)
+    )
 }
 
 fn report(recording: &str, learned: &LearnedCalibration) -> Report {
     let mut report = Report::new("calibrate-path", format!("What the filter has learned: {recording}"));
-    report.paragraph(format!("The calibration states of the filter `{FILTER}` at the end of run {}.", learned.run));
+    report.paragraph(format!("The calibration states of the filter `{FILTER}`, smoothed over run {}.", learned.run));
     let entries: Vec<(&str, UncertainValue, UncertainValue)> = learnable_keys()
         .map(|entry| (entry.key, (entry.read)(&learned.calibration), (entry.read)(&learned.prior)))
         .collect();

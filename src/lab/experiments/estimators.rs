@@ -1,6 +1,6 @@
 //! Estimators of the experiments: every filter that estimates a pose, and idealised references.
 
-use posebridge_estimator::smoother::{batch, rts};
+use posebridge_estimator::smoother::smooth;
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, find_filter};
 use posebridge_lab::accuracy::{DriveScore, ReferenceDrive, error_bound, score, score_smoother};
 use posebridge_lab::statistics::RunningMean;
@@ -14,7 +14,6 @@ pub(super) const MAIN_FILTER: &str = "pose";
 /// Name suffix of a filter with the true geometry.
 const CLAIRVOYANT: &str = "-true-geometry";
 const SMOOTH: &str = "smooth";
-const RTS: &str = "rts";
 
 /// An estimator for a drive.
 ///
@@ -26,8 +25,7 @@ pub enum Estimator {
     Filter(&'static FilterEntry),
     /// With the true geometry of the run: the bound for every filter that estimates the geometry.
     TrueGeometry(&'static FilterEntry),
-    /// The main filter run forwards and backwards.
-    Rts,
+    /// The main filter run forwards and backwards until that changes nothing.
     Smooth,
 }
 
@@ -36,7 +34,7 @@ impl Estimator {
     pub fn all() -> Vec<Self> {
         let filters = FILTERS.iter().filter(|entry| entry.quantity == EstimatedQuantity::Pose).map(Self::Filter);
         let clairvoyant = find_filter(MAIN_FILTER).map(Self::TrueGeometry);
-        filters.chain(clairvoyant).chain([Self::Rts, Self::Smooth]).collect()
+        filters.chain(clairvoyant).chain([Self::Smooth]).collect()
     }
 
     pub fn from_name(name: &str) -> Result<Self, UnknownEstimator> {
@@ -54,7 +52,6 @@ impl Estimator {
         match self {
             Self::Filter(entry) => entry.name.to_owned(),
             Self::TrueGeometry(entry) => format!("{}{CLAIRVOYANT}", entry.name),
-            Self::Rts => RTS.to_owned(),
             Self::Smooth => SMOOTH.to_owned(),
         }
     }
@@ -65,12 +62,9 @@ impl Estimator {
             Self::TrueGeometry(entry) => {
                 format!("`{}` told the true geometry of each run: what no filter can know", entry.name)
             }
-            Self::Rts => {
+            Self::Smooth => {
                 "`pose` run forwards and back over the whole run: what it would have believed, had it known the rest"
                     .to_owned()
-            }
-            Self::Smooth => {
-                "the most likely path of the whole run, found afterwards: what no filter can know in time".to_owned()
             }
         }
     }
@@ -94,8 +88,7 @@ impl Estimator {
                 let geometry = drive.true_geometry;
                 score_filter(entry, &FilterConfig { geometry, calibration, ..config.clone() })
             }
-            Self::Rts => score_smoother(known, config, rts),
-            Self::Smooth => score_smoother(known, config, batch),
+            Self::Smooth => score_smoother(known, config, smooth),
         }
     }
 }

@@ -12,11 +12,11 @@ use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{HostClock, Input, RobotId, TimeDelta, Timestamp};
 
-use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedRun};
+use super::result::{FilterResult, Hindsight, ReplayArgs, ReplayResult, SmoothError, SmoothedRun};
 use super::watch::{
     ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
 };
-use crate::config::{self, Config, RobotProfile, Setting};
+use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
 use crate::console::{print_line, progress_bar};
 use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
@@ -85,7 +85,11 @@ fn create_watchers<'e>(
     let mut all = Vec::new();
     for index in 0..count {
         let is_last = index + 1 == count;
-        let make = if args.smooth && is_last { EventCollector::with_observations } else { EventCollector::default };
+        let make = if (args.smooth || args.fixed_lag.is_some()) && is_last {
+            EventCollector::with_observations
+        } else {
+            EventCollector::default
+        };
         let mut replay_watcher = ReplayWatcher::new(PerRobot::new(make));
         if is_last {
             replay_watcher.events = events.take();
@@ -125,7 +129,9 @@ fn summarize<'m>(
             if index + 1 == configs.len() {
                 filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
                 let run = label.as_deref().unwrap_or(WHOLE_RUN);
-                let smoothed = args.smooth.then(|| smoothed(run, &filter_config, &collector, truth));
+                let smooth = |hindsight| smoothed((run, file), &filter_config, &collector, truth, hindsight);
+                let smoothed = args.smooth.then(|| smooth(Hindsight::WholeRun));
+                result.lagged.extend(args.lag().map(|lag| smooth(Hindsight::Lag(lag))));
                 if position == 0 {
                     let path = smoothed.as_ref().and_then(SmoothedRun::track);
                     let tracks = ReferenceTracks { truth, odometry: known.odometry.as_ref(), smoothed: path.as_ref() };
@@ -153,11 +159,17 @@ pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSum
 }
 
 /// Smooths the whole recording; scores the path at the truth's timestamps like the filter's estimates.
-fn smoothed(run: &str, config: &FilterConfig, collector: &EventCollector, truth: Option<&PoseTrack>) -> SmoothedRun {
+pub fn smoothed(
+    (run, robot): (&str, &RobotFile),
+    config: &FilterConfig,
+    collector: &EventCollector,
+    truth: Option<&PoseTrack>,
+    hindsight: Hindsight,
+) -> SmoothedRun {
     if collector.restarts > 0 {
         return SmoothedRun::failed(run, SmoothError::Restarted(collector.restarts));
     }
-    let mut smoothed = SmoothedRun::new(run, config, &collector.retained_observations);
+    let mut smoothed = SmoothedRun::new(run, robot, config, &collector.retained_observations, hindsight);
     if let Some(truth) = truth {
         smoothed.errors = summarise(&errors_of_estimates(&smoothed.estimates(), truth));
     }

@@ -1,12 +1,12 @@
-//! Flags and results of a replay. The smoother of `--smooth` gets the observations and the configuration of the filters, and is scored
-//! against the same reference. It uses wheels, gyro and fixes; other observations are counted by sensor.
+//! Flags and results of a replay. The smoothers of `--smooth` and `--fixed-lag` get the observations and the configuration of the
+//! filters, and are scored against the same reference.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::smoother::{OfflineError, batch};
+use posebridge_estimator::smoother::{Convergence, OfflineError, smooth, smooth_fixed_lag};
 use posebridge_link::HostTimer;
 use posebridge_recording::dataset::DatasetRun;
 use posebridge_report::metrics::summarise;
@@ -14,9 +14,10 @@ use posebridge_report::tables::SmoothRow;
 use posebridge_report::{ErrorSummary, PoseTrack, SmoothedPath, SourceTally};
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
-use crate::flags::{SessionFlags, positive};
+use crate::config::RobotFile;
+use crate::flags::{SessionFlags, not_negative, positive};
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
-use crate::station::learned_calibration::LearnedCalibration;
+use crate::station::learned_calibration::{LearnedCalibration, with_geometry};
 use crate::tools::score::{EstimateSource, Scorer};
 
 /// Flags of `replay`.
@@ -37,15 +38,24 @@ pub struct ReplayArgs {
     /// Write a robot profile with the calibration that the last learning filter found, for `run --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
-    /// Also compute the most likely path of each run from wheels, gyro and fixes. Slow for long runs.
+    /// Also compute the path of each run from all of it: the pose at each instant given what came later as well.
     #[arg(long, conflicts_with_all = ["from", "to"])]
     pub smooth: bool,
+    /// Also compute the path with a lag: the pose at each instant given the observations up to so many seconds later.
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative, conflicts_with_all = ["from", "to"])]
+    pub fixed_lag: Option<f64>,
     /// Write the picture of the last run and the last filter to this file.
     #[arg(long, value_name = "FILE.svg")]
     pub figure: Option<PathBuf>,
     /// Print one JSON object instead of tables (docs/reports.md).
     #[arg(long)]
     pub json: bool,
+}
+
+impl ReplayArgs {
+    pub fn lag(&self) -> Option<TimeDelta> {
+        self.fixed_lag.map(TimeDelta::from_secs_f64)
+    }
 }
 
 pub struct FilterResult {
@@ -79,6 +89,8 @@ pub struct ReplayResult {
     pub outcomes: Vec<FilterResult>,
     /// One per run; empty unless requested.
     pub smoothed: Vec<SmoothedRun>,
+    /// With a fixed lag; likewise.
+    pub lagged: Vec<SmoothedRun>,
     /// Replayed time over all runs, counted once and not for each estimator.
     pub duration: TimeDelta,
     pub changed_settings: Vec<String>,
@@ -92,17 +104,62 @@ pub struct SmoothedRun {
     pub uncorrected: ErrorSummary,
     pub result: Result<SmoothedResult, SmoothError>,
     pub elapsed: TimeDelta,
-    /// Observations that the smoother does not use, by sensor.
+    /// Observations that say nothing of a pose, by sensor.
     pub ignored: BTreeMap<&'static str, u64>,
+    /// `None` without a path.
+    pub learned: Option<LearnedCalibration>,
 }
 
 pub struct SmoothedResult {
     path: SmoothedPath,
     calibration: Calibration,
+    /// Absolute observations.
     pub fixes_used: usize,
-    /// Fixes that contradict the rest, or lie outside the motion.
+    /// Those that contradict the rest.
     pub fixes_skipped: usize,
     pub iterations: u32,
+    pub cost: f64,
+    /// `None` with a fixed lag, which takes one pass.
+    pub convergence: Option<Convergence>,
+}
+
+/// How much of what came later a pose of a path knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Hindsight {
+    WholeRun,
+    Lag(TimeDelta),
+}
+
+impl SmoothedResult {
+    pub fn new(
+        config: &FilterConfig,
+        observations: &[Observation],
+        hindsight: Hindsight,
+    ) -> Result<Self, OfflineError> {
+        let smoothed = match hindsight {
+            Hindsight::WholeRun => smooth(config, observations),
+            Hindsight::Lag(lag) => smooth_fixed_lag(config, observations, lag),
+        }?;
+        Ok(Self {
+            path: SmoothedPath::new(smoothed.poses),
+            calibration: smoothed.calibration,
+            fixes_used: smoothed.fixes_used,
+            fixes_skipped: smoothed.fixes_rejected,
+            iterations: smoothed.iterations,
+            cost: smoothed.cost,
+            convergence: (hindsight == Hindsight::WholeRun).then_some(smoothed.convergence),
+        })
+    }
+
+    /// At its own timestamps.
+    pub fn estimates(&self) -> impl Iterator<Item = Estimate> {
+        self.path.estimates()
+    }
+
+    /// Why the path is not final; `None` where it is.
+    pub fn shortfall(&self) -> Option<String> {
+        self.convergence.and_then(|convergence| convergence.shortfall())
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -127,17 +184,24 @@ impl EstimateSource for SmoothedResult {
 }
 
 impl SmoothedRun {
-    pub fn new(run: &str, config: &FilterConfig, observations: &[Observation]) -> Self {
+    pub fn new(
+        run: &str,
+        robot: &RobotFile,
+        config: &FilterConfig,
+        observations: &[Observation],
+        hindsight: Hindsight,
+    ) -> Self {
         let timer = HostTimer::start();
         let before = timer.now();
-        let found = batch(config, observations).map(|smoothed| SmoothedResult {
-            path: SmoothedPath::new(smoothed.poses),
-            calibration: smoothed.calibration,
-            fixes_used: smoothed.fixes_used,
-            fixes_skipped: smoothed.fixes_rejected,
-            iterations: smoothed.iterations,
+        let found = SmoothedResult::new(config, observations, hindsight);
+        let learned = found.as_ref().ok().map(|found| LearnedCalibration {
+            run: run.to_owned(),
+            robot: with_geometry(robot, config.geometry),
+            prior: config.calibration,
+            calibration: found.calibration,
         });
         Self {
+            learned,
             run: run.to_owned(),
             errors: ErrorSummary::default(),
             uncorrected: ErrorSummary::default(),
@@ -155,6 +219,7 @@ impl SmoothedRun {
             result: Err(reason),
             elapsed: TimeDelta::ZERO,
             ignored: BTreeMap::new(),
+            learned: None,
         }
     }
 
@@ -172,12 +237,20 @@ impl SmoothedRun {
     /// At its own timestamps; empty without a path.
     pub fn estimates(&self) -> Vec<Estimate> {
         let found = self.result.as_ref().ok();
-        found.map_or_else(Vec::new, |found| found.path.estimates().collect())
+        found.map_or_else(Vec::new, |found| found.estimates().collect())
     }
 
     pub fn track(&self) -> Option<PoseTrack> {
         let found = self.result.as_ref().ok()?;
         Some(PoseTrack::new(found.path.poses(), MAX_INTERPOLATION_GAP))
+    }
+
+    /// Why there is no path, or not a final one.
+    pub fn reason(&self) -> Option<String> {
+        match &self.result {
+            Ok(found) => found.shortfall(),
+            Err(error) => Some(error.to_string()),
+        }
     }
 
     pub fn row(&self) -> SmoothRow<'_> {
@@ -191,6 +264,7 @@ impl SmoothedRun {
             duration: self.elapsed,
             unused_observations: &self.ignored,
             reason: self.result.as_ref().err().map(ToString::to_string),
+            shortfall: found.and_then(SmoothedResult::shortfall),
         }
     }
 }
@@ -198,15 +272,7 @@ impl SmoothedRun {
 fn count_ignored(observations: &[Observation]) -> BTreeMap<&'static str, u64> {
     let mut counts = BTreeMap::new();
     for observation in observations {
-        let is_used = matches!(
-            observation.measurement,
-            ObservationKind::WheelAngles { .. }
-                | ObservationKind::OdometerPose(_)
-                | ObservationKind::BodyVelocity { .. }
-                | ObservationKind::TurnRate(_)
-                | ObservationKind::Fix(_)
-        );
-        if !is_used {
+        if matches!(observation.measurement, ObservationKind::Temperature(_)) {
             *counts.entry(observation.sensor.name()).or_default() += 1;
         }
     }

@@ -3,5 +3,4 @@
 pub mod chi_square;
 pub mod cholesky;
 pub mod covariance;
-pub(crate) mod elimination;
 pub mod statistics;

@@ -19,8 +19,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector};
 use posebridge_telemetry::{Arena, Calibration, ObservationKind, Pose, SensorId};
 
 use self::states::{ExtraStates, ObservedScalar};
-use super::factors::{UNKNOWN_POSITION_SIGMA_M, bias_prior, calibrated_motion, true_geometry};
-use super::problem::{CONSTANTS, constants_of};
+use super::nominal::{CONSTANTS, UNKNOWN_POSITION_SIGMA_M, bias_prior, calibrated_motion, constants_of, true_geometry};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, step_noise};
 use crate::models::lie::Se2;

@@ -293,7 +293,7 @@ pub struct DriveScore {
     pub refusal: Option<OfflineError>,
 }
 
-/// A smoother of a whole run: [`posebridge_estimator::smoother::batch()`] or [`posebridge_estimator::smoother::rts()`].
+/// A smoother of a whole run, such as [`posebridge_estimator::smoother::smooth()`].
 pub type SmootherFn = fn(&FilterConfig, &[Observation]) -> Result<SmoothedTrajectory, OfflineError>;
 
 /// Smooths a whole drive and scores the path at the same steps as a filter.

@@ -1,7 +1,7 @@
 //! The path in hindsight and the bound, on a straight way where both are known by hand.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::smoother::{OfflineError, batch};
+use posebridge_estimator::smoother::{OfflineError, smooth};
 use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive, error_bound, score_smoother};
 use posebridge_lab::statistics::RunningMean;
 use posebridge_report::TimedPose;
@@ -123,7 +123,7 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
         ..config()
     };
     let drive = straight(60, &[(10, 0.0), (20, 0.0), (30, 0.0), (40, 0.5), (50, 0.0), (55, 0.0)]);
-    let result = score_smoother(&drive, &assumed, batch);
+    let result = score_smoother(&drive, &assumed, smooth);
     assert_eq!(result.refusal, None);
     let score = result.score;
     assert_eq!((score.runs, score.steps(), score.steps_without_estimate), (1, 60, 0));
@@ -136,7 +136,7 @@ fn in_hindsight_the_first_step_knows_the_last_fix() {
 #[test]
 fn without_a_path_no_step_has_an_estimate_and_the_reason_is_told() {
     let nowhere = FilterConfig { start: None, ..config() };
-    let result = score_smoother(&straight(20, &[]), &nowhere, batch);
+    let result = score_smoother(&straight(20, &[]), &nowhere, smooth);
     let refusal = result.refusal.unwrap();
     assert!(matches!(refusal, OfflineError::NothingObserved { .. }));
     assert_eq!((result.score.runs, result.score.steps(), result.score.steps_without_estimate), (1, 0, 20));

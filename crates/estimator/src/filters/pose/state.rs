@@ -158,35 +158,6 @@ impl<const N: usize> PoseState<N> {
         state
     }
 
-    /// A state with another number of rows: copies all but mean and covariance, which are zero.
-    pub(super) fn resized<const M: usize>(other: &PoseState<M>) -> Self {
-        Self {
-            stamp: other.stamp,
-            speeds_predicted_to: other.speeds_predicted_to,
-            pose: other.pose,
-            mean: SVector::zeros(),
-            covariance: SMatrix::zeros(),
-            forward: other.forward,
-            turn: other.turn,
-            window: other.window,
-            is_located: other.is_located,
-            status: other.status,
-            tick_activity: other.tick_activity,
-            slip: other.slip,
-            last_acceleration: other.last_acceleration,
-            wheel_path_m: other.wheel_path_m,
-            carried_at: other.carried_at,
-            turned_at_rest: other.turned_at_rest,
-            alternatives: other.alternatives,
-            sightings: other.sightings,
-            last_looks: other.last_looks,
-            noise_scales: other.noise_scales,
-            observer_frames: other.observer_frames,
-            // They have rows of their own; a resize begins with the learned constants.
-            frozen_variances: None,
-        }
-    }
-
     /// This state after a rejection in `tried`, which was predicted to the observation's instant. The prediction is
     /// dropped, because two steps would round differently from one.
     pub(super) fn after_rejection(&self, tried: &Self) -> Self {
