@@ -282,7 +282,8 @@ fn a_dense_solution_with_numerical_derivatives_agrees() {
         let found = [pose.pose.x.0, pose.pose.y.0, pose.pose.heading.rad()];
         for (row, (found, expected)) in found.into_iter().zip(expected).enumerate() {
             let sigma = pose.covariance[row][row].sqrt();
-            assert!((found - expected).abs() < 0.01 * sigma, "reading {k}: {found} against {expected}, sigma {sigma}");
+            // It is linearised at what the filter believed, and not at the solution.
+            assert!((found - expected).abs() < 0.02 * sigma, "reading {k}: {found} against {expected}, sigma {sigma}");
         }
     }
     check_constants(&dense, &smoothed, &unknowns);

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::super::PublishedPose;
 use super::super::context::UpdateContext;
 use super::super::state::PoseState;
-use super::forward::{AugmentedRows, Reference};
+use super::forward::AugmentedRows;
 use crate::numerics::covariance::times_inverse;
 use crate::observations::gyro_window::rounding_variance;
 use crate::smoother::SmoothedPose;
@@ -79,10 +79,6 @@ pub(super) fn smoother_gain<const N: usize>(state: &PoseState<N>, rows: &Augment
 
 fn filtered<const N: usize>(state: &PoseState<N>, rows: &AugmentedRows) -> DMatrix<f64> {
     DMatrix::from_fn(rows.states, rows.states, |row, column| state.covariance[(row, column)])
-}
-
-pub(super) fn reference<const N: usize>(smoothed: &PoseState<N>, rows: &AugmentedRows) -> Reference {
-    Reference { pose: smoothed.pose, mean: smoothed.mean.iter().take(rows.states).copied().collect() }
 }
 
 /// The pose of a smoothed state at its timestamp. To the filter the encoders' rounding is no error of a heading, because it is gone

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Matrix3;
 use posebridge_telemetry::{FusionOutcome, Observation, ObservationKind, SensorId, StartPose};
 
 use super::super::context::UpdateContext;
@@ -12,18 +11,11 @@ use super::super::state::PoseState;
 use super::super::{apply_update, scratch_record, update_kind};
 use crate::filter::FilterConfig;
 use crate::history::HistoryEntry;
-use crate::models::lie::Se2;
 use crate::motion::InsertOutcome;
-use crate::numerics::covariance::symmetrise;
 use crate::observations::StateTerm;
 use crate::validation;
 
-/// A reference that turns the pose by more is no linearisation of it, rad.
-const MAX_SHIFT_RAD: f64 = 0.5;
-/// Below this variance the observations alone decide how far the reference is off.
-const MIN_OFFSET_VARIANCE: f64 = 1e-12;
-
-/// The rows of an augmented state: the filter's, then a copy of those that change, then the offset of the reference.
+/// The rows of an augmented state: the filter's, then a copy of those that change.
 #[derive(Clone, Debug)]
 pub(super) struct AugmentedRows {
     pub(super) states: usize,
@@ -42,12 +34,8 @@ impl AugmentedRows {
         self.states + index
     }
 
-    fn offset(&self) -> usize {
-        self.states + self.copied.len()
-    }
-
     pub(super) fn count(&self) -> usize {
-        self.offset() + 1
+        self.states + self.copied.len()
     }
 }
 
@@ -135,13 +123,6 @@ impl RecordedRun {
     }
 }
 
-/// A smoothed state of the pass before, at which the next one linearises.
-#[derive(Clone, Debug)]
-pub(super) struct Reference {
-    pub(super) pose: Se2,
-    pub(super) mean: Vec<f64>,
-}
-
 /// What a pass takes as decided.
 pub(super) struct PassPlan<const N: usize> {
     pub(super) initial: PoseState<N>,
@@ -149,8 +130,6 @@ pub(super) struct PassPlan<const N: usize> {
     pub(super) is_used: Vec<bool>,
     /// Poses that are set before an entry.
     pub(super) resets: BTreeMap<usize, StartPose>,
-    /// Of each step; empty to linearise at the filter's own states.
-    pub(super) references: Vec<Reference>,
 }
 
 /// A state after an entry that is a step, with the copy of the state after the step before.
@@ -226,8 +205,7 @@ impl<'a, const N: usize> ForwardPass<'a, N> {
     fn apply(&mut self, index: usize) -> Option<FusionOutcome> {
         let (entry, context) = (&self.run.entries[index], &self.run.context);
         let state = &mut *self.state;
-        let reset = self.plan.resets.get(&index);
-        if let Some(start) = reset {
+        if let Some(start) = self.plan.resets.get(&index) {
             state.initialize_pose(start);
         }
         let is_absolute = matches!(entry.update, UpdateKind::Absolute(..));
@@ -236,15 +214,8 @@ impl<'a, const N: usize> ForwardPass<'a, N> {
             return Some(FusionOutcome::Gated);
         }
         let before = *state;
-        let reference = self.steps.checked_sub(1).and_then(|step| self.plan.references.get(step));
-        let is_shifted = reset.is_none()
-            && self.run.is_step(index)
-            && reference.is_some_and(|reference| shift(state, reference, &self.run.rows));
         let mut record = scratch_record(entry);
         apply_update(state, entry, context, &mut record);
-        if is_shifted {
-            remove_offset(state, &self.run.rows);
-        }
         if entry.is_without_effect(record.outcome) {
             *state = before.after_rejection(state);
             // The path has a pose there all the same.
@@ -252,63 +223,4 @@ impl<'a, const N: usize> ForwardPass<'a, N> {
         }
         is_absolute.then_some(record.outcome)
     }
-}
-
-/// Describes the same belief about another reference, so that the next update is linearised there. With X and m the state's pose and
-/// mean and X_r and m_r those of the reference, a row u that is known to be one carries the offset:
-///
-/// ```text
-/// delta = (log(X_r^-1 X), m - m_r)        e_r = delta u + J e        J the inverse of the right Jacobian in the rows of the pose
-/// P_r   = J P J' + delta delta'           Cov(e_r, u) = delta        var u = 1
-/// ```
-/// Returns whether it did.
-fn shift<const N: usize>(state: &mut PoseState<N>, reference: &Reference, rows: &AugmentedRows) -> bool {
-    let of_pose = reference.pose.between(state.pose).log();
-    let Some(inverse) = Se2::right_jacobian(of_pose).try_inverse() else { return false };
-    if of_pose[2].abs() > MAX_SHIFT_RAD || !of_pose.iter().sum::<f64>().is_finite() {
-        return false;
-    }
-    transform_pose_rows(state, &inverse);
-    let offset = rows.offset();
-    state.clear_rows(&[offset]);
-    let mut delta = [0.0; N];
-    delta[..3].copy_from_slice(&of_pose);
-    for row in 3..rows.states {
-        delta[row] = state.mean[row] - reference.mean[row];
-        state.mean[row] = reference.mean[row];
-    }
-    state.pose = reference.pose;
-    for row in 0..rows.states {
-        for column in 0..rows.states {
-            state.covariance[(row, column)] += delta[row] * delta[column];
-        }
-        state.covariance[(row, offset)] = delta[row];
-        state.covariance[(offset, row)] = delta[row];
-    }
-    state.mean[offset] = 0.0;
-    state.covariance[(offset, offset)] = 1.0;
-    true
-}
-
-fn transform_pose_rows<const N: usize>(state: &mut PoseState<N>, by: &Matrix3<f64>) {
-    let moved = by * state.covariance.fixed_view::<3, N>(0, 0);
-    state.covariance.fixed_view_mut::<3, N>(0, 0).copy_from(&moved);
-    let moved = state.covariance.fixed_view::<N, 3>(0, 0) * by.transpose();
-    state.covariance.fixed_view_mut::<N, 3>(0, 0).copy_from(&moved);
-}
-
-/// Conditions on u = 1, after which it is forgotten.
-fn remove_offset<const N: usize>(state: &mut PoseState<N>, rows: &AugmentedRows) {
-    let offset = rows.offset();
-    let variance = state.covariance[(offset, offset)];
-    if variance > MIN_OFFSET_VARIANCE {
-        let with_offset = state.covariance.column(offset).into_owned();
-        let missing = 1.0 - state.mean[offset];
-        state.mean += with_offset * (missing / variance);
-        state.covariance.ger(-1.0 / variance, &with_offset, &with_offset, 1.0);
-        symmetrise(&mut state.covariance);
-    }
-    state.clear_rows(&[offset]);
-    state.mean[offset] = 0.0;
-    state.inject();
 }

@@ -8,8 +8,7 @@
 //! It needs no Jacobian of what lies between, and takes every observation and every state of the filter. The first pass is the
 //! filter's. Later ones leave out the observations that contradict all others, and set the pose where it jumped.
 //!
-//! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; Bell (1994) for the iteration as
-//! Gauss-Newton; docs/maths/pose.md section 11.
+//! Source: Rauch, Tung, Striebel (1965); Roumeliotis and Burdick (2002) for the copied state; docs/maths/pose.md section 11.
 
 mod backward;
 mod forward;
@@ -21,8 +20,8 @@ use std::f64::consts::PI;
 use nalgebra::DMatrix;
 use posebridge_telemetry::{Calibration, FusionOutcome, Observation, StartPose, TimeDelta};
 
-use self::backward::{SmoothedStep, published, reference, smoother_gain};
-use self::forward::{ForwardPass, ForwardStep, PassPlan, RecordedRun, Reference};
+use self::backward::{SmoothedStep, published, smoother_gain};
+use self::forward::{ForwardPass, ForwardStep, PassPlan, RecordedRun};
 use self::verdict::judge;
 use super::layout::{FORWARD, HEADING, LEFT};
 use super::state::{PoseState, arena_pose};
@@ -86,7 +85,6 @@ fn first_plan<const N: usize>(run: &RecordedRun, config: &FilterConfig) -> PassP
         initial: PoseState::initial(config, &run.context.layout),
         is_used: vec![true; run.entries.len()],
         resets: BTreeMap::new(),
-        references: Vec::new(),
     }
 }
 
@@ -108,8 +106,7 @@ fn smooth_with_rows<const N: usize>(mut run: RecordedRun, config: &FilterConfig,
     run.context.set_params(&Params { adapt_gain: 0.0, gate_probability: 1.0, ..config.params });
     for passes in 2..=max_passes {
         let has_changed = pass.choose(&mut plan.is_used, gates, config, passes);
-        // Not the references of the next pass: linearised there, paths with long blind stretches are over-confident.
-        let before = std::mem::take(&mut pass.references);
+        let before = std::mem::take(&mut pass.smoothed);
         let next = Pass::run(&run, &plan, config, gates);
         if !next.is_finite() {
             break;
@@ -147,7 +144,8 @@ struct PoseJump {
 struct Pass<const N: usize> {
     poses: Vec<SmoothedPose>,
     calibration: Calibration,
-    references: Vec<Reference>,
+    /// The smoothed poses of mid-axle.
+    smoothed: Vec<Se2>,
     /// The smoothed sigmas of the pose: forward, left, turn.
     sigmas: Vec<[f64; 3]>,
     /// The filter's poses.
@@ -167,7 +165,7 @@ impl<const N: usize> Pass<N> {
         let mut pass = Self {
             poses: Vec::new(),
             calibration: config.calibration,
-            references: Vec::new(),
+            smoothed: Vec::new(),
             sigmas: Vec::new(),
             filtered: Vec::new(),
             jumps: Vec::new(),
@@ -248,16 +246,16 @@ impl<const N: usize> Pass<N> {
             }
         }
         self.poses.reverse();
-        self.references.reverse();
+        self.smoothed.reverse();
         self.sigmas.reverse();
     }
 
     /// Adds a smoothed state; the first one is the last of the run.
     fn add(&mut self, run: &RecordedRun, step: &ForwardStep<N>, smoothed: &PoseState<N>, gates: [f64; 3]) {
-        if self.references.is_empty() {
+        if self.smoothed.is_empty() {
             self.calibration = smoothed.calibration(&self.calibration, &run.context.layout);
         }
-        self.references.push(reference(smoothed, &run.rows));
+        self.smoothed.push(smoothed.pose);
         self.sigmas.push([FORWARD, LEFT, HEADING].map(|row| smoothed.covariance[(row, row)].max(0.0).sqrt()));
         self.poses.extend(published(smoothed, &run.context));
         let Some(outcome) = step.outcome else { return };
@@ -283,7 +281,7 @@ impl<const N: usize> Pass<N> {
 
     /// The smoothed pose before a jump, at a step.
     fn moved_back(&self, jump: &PoseJump, step: usize) -> Option<StartPose> {
-        let found = self.references.get(jump.step)?.pose;
+        let found = *self.smoothed.get(jump.step)?;
         let pose = found.compose(jump.believed.inverse()).compose(*self.filtered.get(step)?);
         Some(StartPose {
             pose: arena_pose(pose),
@@ -315,11 +313,11 @@ impl<const N: usize> Pass<N> {
         resets
     }
 
-    /// The largest move of a pose against the references, in sigmas.
-    fn largest_move(&self, references: &[Reference]) -> f64 {
-        let pairs = self.references.iter().zip(references).zip(&self.sigmas);
+    /// The largest move of a pose since another pass, in sigmas.
+    fn largest_move(&self, others: &[Se2]) -> f64 {
+        let pairs = self.smoothed.iter().zip(others).zip(&self.sigmas);
         pairs.fold(0.0, |largest, ((now, before), sigmas)| {
-            let moved = before.pose.between(now.pose).log();
+            let moved = before.between(*now).log();
             let in_sigmas =
                 moved.iter().zip(sigmas).map(|(moved, sigma)| if *sigma > 0.0 { moved.abs() / sigma } else { 0.0 });
             in_sigmas.fold(largest, f64::max)
