@@ -39,7 +39,7 @@ PARTS = {
     "persistence": ["noise.landmark_persistence_m=0", "noise.beacon_persistence_m=0", "noise.fix_persistent_m=0"],
     "noise per time": ["noise.travel_m_per_sqrt_s=0", "noise.heading_rad_per_sqrt_s=0"],
     "learned noise": ["filter.adapt_gain=0"],
-    "alternatives": ["filter.reset_after_s=1e6"],
+    "alternatives": ["filter.reset_after_s=600"],
 }
 
 
