@@ -102,14 +102,10 @@ noise_table! {
     landmark_bearing_rad = 2.0 * DEGREE, AboveZero;
     /// A landmark's position in the map, each axis; 0 takes the map as exact.
     landmark_place_m = 0.0, Zero;
-    /// The path over which what is wrong with the sightings of a landmark stays so; 0 for none.
-    landmark_persistence_m = 0.0, Zero;
     /// The range to a beacon.
     beacon_range_m = 0.1, Zero;
     /// The part of it that is proportional to the range.
     beacon_range_share = 0.0, Zero;
-    /// The path over which what is wrong with the ranges to a beacon stays so; 0 for none.
-    beacon_persistence_m = 0.0, Zero;
     /// The range to a wall.
     wall_range_m = 0.01, AboveZero;
     /// A thermometer.

@@ -36,7 +36,7 @@ PARTS = {
     ],
     "range share": ["noise.landmark_range_share=0", "noise.beacon_range_share=0"],
     "map errors": ["noise.landmark_place_m=0"],
-    "persistence": ["noise.landmark_persistence_m=0", "noise.beacon_persistence_m=0", "noise.fix_persistent_m=0"],
+    "errors that fixes share": ["noise.fix_persistent_m=0"],
     "noise per time": ["noise.travel_m_per_sqrt_s=0", "noise.heading_rad_per_sqrt_s=0"],
     "learned noise": ["filter.adapt_gain=0"],
     "alternatives": ["filter.reset_after_s=600"],

@@ -57,13 +57,9 @@ pub struct SensorNoise {
     pub landmark_bearing_rad: f64,
     /// Each axis of a landmark's position in the map.
     pub landmark_place_m: f64,
-    /// The path over which the error of a landmark's sightings persists; 0 for independent errors.
-    pub landmark_persistence_m: f64,
     pub beacon_range_m: f64,
     /// The part of the range's noise that is proportional to the range.
     pub beacon_range_share: f64,
-    /// The path over which the error of the ranges to a beacon persists; 0 for independent errors.
-    pub beacon_persistence_m: f64,
     pub wall_range_m: f64,
     pub temperature_k: f64,
 }
@@ -91,10 +87,8 @@ impl SensorNoise {
         landmark_range_share: 0.0,
         landmark_bearing_rad: 0.0,
         landmark_place_m: 0.0,
-        landmark_persistence_m: 0.0,
         beacon_range_m: 0.0,
         beacon_range_share: 0.0,
-        beacon_persistence_m: 0.0,
         wall_range_m: 0.0,
         temperature_k: 0.0,
     };

@@ -51,10 +51,8 @@ noise_keys! {
     landmark_range_share: |kind| matches!(kind, ObservationKind::Landmark { .. });
     landmark_bearing_rad: |kind| matches!(kind, ObservationKind::Landmark { .. });
     landmark_place_m: |_| false;
-    landmark_persistence_m: |_| false;
     beacon_range_m: |kind| matches!(kind, ObservationKind::BeaconRange { .. });
     beacon_range_share: |kind| matches!(kind, ObservationKind::BeaconRange { .. });
-    beacon_persistence_m: |_| false;
     wall_range_m: |kind| matches!(kind, ObservationKind::WallRange(_));
     temperature_k: |kind| matches!(kind, ObservationKind::Temperature(_));
 }

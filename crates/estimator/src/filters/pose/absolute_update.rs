@@ -12,7 +12,6 @@ use super::entry::sort_key;
 use super::layout::{FORWARD, HEADING, LEFT, MAX_BEACONS, MAX_LANDMARKS};
 use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
-use super::persistence::LookedAt;
 use super::ranging::pose_from_ranges;
 use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, ln_anywhere};
 use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
@@ -195,12 +194,9 @@ impl AbsoluteUpdate<'_> {
                 // An error of the map that is no state is noise of the sighting.
                 let has_state = layout.row(StateTerm::LandmarkPlace(slot, ArenaAxis::X)).is_some();
                 let map_m2 = if has_state { 0.0 } else { noise.landmark_place_m.powi(2) };
-                let point = LookedAt::Landmark(slot);
-                let persists =
-                    state.last_looks.variance_factor(point, state.wheel_path_m, noise.landmark_persistence_m);
                 let variances = [
-                    self.noise_scale(state, NoiseGroup::Range) * persists * own_m2 + map_m2,
-                    self.noise_scale(state, NoiseGroup::Bearing) * persists * noise.landmark_bearing_rad.powi(2)
+                    self.noise_scale(state, NoiseGroup::Range) * own_m2 + map_m2,
+                    self.noise_scale(state, NoiseGroup::Bearing) * noise.landmark_bearing_rad.powi(2)
                         + map_m2 / range.0.powi(2).max(map_m2).max(MIN_RANGE_M2),
                 ];
                 let sighting = RangeBearing { range_m: range.0, bearing_rad: bearing.0 };
@@ -228,9 +224,6 @@ impl AbsoluteUpdate<'_> {
                 let (pose, sightings) = (state.pose, state.sightings);
                 let own = |_: &PoseState<N>| sightings.pose_with(&sighting, pose);
                 let verdict = self.update_or_recover(state, groups, ln_anywhere(1, 1, variances[0].sqrt()), model, own);
-                if verdict == FusionOutcome::Accepted {
-                    state.last_looks.record(point, state.wheel_path_m);
-                }
                 let is_adopted = verdict == FusionOutcome::PoseReset;
                 if !is_adopted && self.is_refused(state, verdict, 2) && !is_being_carried(state) {
                     state.sightings.push(sighting);
@@ -239,22 +232,15 @@ impl AbsoluteUpdate<'_> {
             }
             ObservationKind::BeaconRange { id, range } => {
                 let own_m2 = range_variance(range.0, noise.beacon_range_m, noise.beacon_range_share);
+                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * own_m2;
                 let Some((slot, position)) = numbered(&map.beacons, &id) else { return FusionOutcome::Unused };
-                let point = LookedAt::Beacon(slot);
-                let persists = state.last_looks.variance_factor(point, state.wheel_path_m, noise.beacon_persistence_m);
-                let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * persists * own_m2;
                 let exposure = self.exposure(state, StateTerm::Delay(MountedSensor::Beacons));
                 let model = |view: &StateView<'_, N>| {
                     let frame = SensorFrame::of_sensor(view, MountedSensor::Beacons, &exposure);
                     absolute::beacon(view, &frame, &MeasuredPoint::beacon(position, slot), range.0, variance_m2)
                 };
                 let own = |state: &PoseState<N>| pose_from_ranges(state, self.context);
-                let groups = [NoiseGroup::Range];
-                let verdict = self.update_or_recover(state, groups, ln_anywhere(1, 0, variance_m2.sqrt()), model, own);
-                if verdict == FusionOutcome::Accepted {
-                    state.last_looks.record(point, state.wheel_path_m);
-                }
-                verdict
+                self.update_or_recover(state, [NoiseGroup::Range], ln_anywhere(1, 0, variance_m2.sqrt()), model, own)
             }
             ObservationKind::WallRange(range) => {
                 let variance_m2 = self.noise_scale(state, NoiseGroup::Range) * noise.wall_range_m.powi(2);

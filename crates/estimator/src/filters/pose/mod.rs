@@ -9,7 +9,6 @@ mod entry;
 pub mod layout;
 pub mod motion_update;
 pub mod noise_scales;
-pub mod persistence;
 pub mod propagation;
 pub mod ranging;
 pub mod recovery;

@@ -194,7 +194,11 @@ fn record_slip<const N: usize>(
         turned_rad: before.map_or(0.0, |slip| slip.turned_rad) + beyond_chance_rad,
         wheels_stood: wheels_rad == 0.0 && window.forward_m == 0.0 && before.is_none_or(|slip| slip.wheels_stood),
     };
-    inflate_for_slip(state, innovation_rad, before.map_or(0.0, |slip| slip.turned_rad), beyond_chance_rad, config);
+    inflate_heading(state, innovation_rad.powi(2));
+    // Wheels that stood have not measured any travel that could be wrong.
+    if !slip.wheels_stood {
+        inflate_position(state, before.map_or(0.0, |slip| slip.turned_rad), beyond_chance_rad, config);
+    }
     state.slip = Some(slip);
     let length_s = (window.until - window.start).as_secs_f64();
     // One whose wheels go on turning in the air turns more than its wheels.
@@ -211,23 +215,25 @@ fn beyond_chance_rad(innovation_rad: f64, innovation_variance: f64, config: &Fil
     innovation_rad * (1.0 - config.params.slip_nis / nis).max(0.0).sqrt()
 }
 
-/// Adds the variance of a slip, which may be the whole disagreement. The share of each wheel is unknown: the distance is wrong by
-/// something between minus and plus half of the slip's total, uniformly, and the window's path was integrated in a wrong direction. Position variance excludes
-/// the share that chance explains: a false alarm must not cost position.
-fn inflate_for_slip<const N: usize>(
-    state: &mut PoseState<N>,
-    innovation_rad: f64,
-    before_rad: f64,
-    beyond_chance_rad: f64,
-    config: &FilterConfig,
-) {
-    let forward_m = state.window.map_or(0.0, |window| window.forward_m);
-    let slip_rad2 = innovation_rad.powi(2);
+/// Adds the variance of a slip to the turns by the wheels, which may be the whole disagreement.
+fn inflate_heading<const N: usize>(state: &mut PoseState<N>, slip_rad2: f64) {
     for row in [HEADING, WINDOW_TURN] {
         for column in [HEADING, WINDOW_TURN] {
             state.covariance[(row, column)] += slip_rad2;
         }
     }
+}
+
+/// Adds the variance of a slip to the position. The share of each wheel is unknown: the distance is wrong by something between minus
+/// and plus half of the slip's total, uniformly, and the window's path was integrated in a wrong direction. The share that chance
+/// explains is left out: a false alarm must not cost position.
+fn inflate_position<const N: usize>(
+    state: &mut PoseState<N>,
+    before_rad: f64,
+    beyond_chance_rad: f64,
+    config: &FilterConfig,
+) {
+    let forward_m = state.window.map_or(0.0, |window| window.forward_m);
     // Of one slip over several windows the total counts: its windows are wrong in the same way.
     let total_rad2 = ((before_rad + beyond_chance_rad).powi(2) - before_rad.powi(2)).max(0.0);
     let along_m2 = total_rad2 * config.geometry.track_width.0.powi(2) / 12.0;
@@ -275,7 +281,8 @@ mod tests {
             state.window = Some(GyroWindow { forward_m: 0.3, ..GyroWindow::starting(Timestamp::ZERO) });
             let before = state.covariance;
             let beyond_rad = beyond_chance_rad(slip_rad2.sqrt(), slip_rad2 / nis, &config);
-            inflate_for_slip(&mut state, slip_rad2.sqrt(), 0.0, beyond_rad, &config);
+            inflate_heading(&mut state, slip_rad2);
+            inflate_position(&mut state, 0.0, beyond_rad, &config);
             state.covariance - before
         };
         // Half of the disagreement's square is beyond chance: the distance is uniform over half of the track times it either way, and

@@ -23,7 +23,6 @@ use super::layout::{
     TRACK, WINDOW_TURN, calibration_field,
 };
 use super::noise_scales::{NoiseScales, ObserverFrames};
-use super::persistence::LastLooks;
 use super::recovery::{Alternative, AlternativeBank};
 use super::sightings::RecentSightings;
 use crate::filter::FilterConfig;
@@ -109,7 +108,6 @@ pub struct PoseState<const N: usize> {
     pub turned_at_rest: bool,
     pub alternatives: AlternativeBank,
     pub sightings: RecentSightings,
-    pub last_looks: LastLooks,
     pub noise_scales: NoiseScales,
     pub observer_frames: ObserverFrames,
     /// While the constants are frozen: their variances before, each in its row; those of the covariance are zero
@@ -139,7 +137,6 @@ impl<const N: usize> PoseState<N> {
             turned_at_rest: false,
             alternatives: AlternativeBank::default(),
             sightings: RecentSightings::default(),
-            last_looks: LastLooks::default(),
             noise_scales: NoiseScales::default(),
             observer_frames: ObserverFrames::default(),
             frozen_variances: None,
