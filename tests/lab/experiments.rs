@@ -45,27 +45,25 @@ fn accuracy_scores_filters_against_the_bound_and_the_smoother() {
     assert_ne!(first(&["--runs", "1"]), first(&["--runs", "1", "--seed", "2"]));
 }
 
-/// Wheels that slip by a thousand kilometres per metre lead the smoother to numbers that are none.
+/// Without a start and without a camera there is no pose to smooth.
 #[test]
 fn accuracy_takes_a_file_and_names_the_runs_of_which_the_smoother_says_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let text = read_text(&root(), "config/scenarios/accuracy/no-camera.toml");
-    let slippery = text
-        .replace("laps = 4", "laps = 1")
-        .replace("wheel_travel_m_per_sqrt_m = 0.0008", "wheel_travel_m_per_sqrt_m = 1e6");
-    write_text(folder, "slippery.toml", &slippery);
-    let args = ["accuracy", "--scenario", "slippery.toml", "--estimator", "smooth", "--runs", "2", "--out", "pictures"];
+    let lost = text.replace("laps = 4", "laps = 1").replace("[told]", "[told]\nstart_is_unknown = true");
+    write_text(folder, "lost.toml", &lost);
+    let args = ["accuracy", "--scenario", "lost.toml", "--estimator", "smooth", "--runs", "2", "--out", "pictures"];
     let smooth = &lab(folder, &args)["scenarios"][0]["estimators"][0];
     assert_eq!((&smooth["refused_runs"][0]["run"], &smooth["refused_runs"][1]["run"]), (&0.into(), &1.into()));
     assert!(smooth["position_rms_m"].is_null());
     let reason = smooth["refused_runs"][0]["reason"].as_str().unwrap();
     let table = run(folder, &[&["lab"], &args[..]].concat());
-    assert!(table.contains("\nslippery: 2 runs, seed 1\nestimator"), "{table}");
+    assert!(table.contains("\nlost: 2 runs, seed 1\nestimator"), "{table}");
     // A long line breaks between words.
     let note = format!("smooth: says nothing of 2 runs; of run 0: {reason}");
     assert!(table.replace('\n', " ").contains(&note), "{table}");
-    assert!(read_text(folder, "pictures/lab-accuracy.svg").contains("slippery: 2 runs"));
+    assert!(read_text(folder, "pictures/lab-accuracy.svg").contains("lost: 2 runs"));
 }
 
 #[test]

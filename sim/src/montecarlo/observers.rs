@@ -2,8 +2,17 @@
 
 use posebridge_telemetry::{Mounting, UncertainValue};
 use serde::Deserialize;
+use serde::de::{Deserializer, Error};
 
-use super::scenario::sigma_of_filters;
+use crate::config_file::SMALLEST;
+
+/// Not zero, because filters are configured with it.
+pub(super) fn sigma_of_filters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let sigma = f64::deserialize(deserializer)?;
+    let complaint =
+        || D::Error::custom(format!("{sigma} is less than {SMALLEST}; give more, filters are configured with it"));
+    if sigma >= SMALLEST { Ok(sigma) } else { Err(complaint()) }
+}
 
 /// A number that each run draws from a normal distribution; a sigma of zero fixes it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]

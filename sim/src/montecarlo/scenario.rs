@@ -6,12 +6,11 @@
 use std::f64::consts::FRAC_PI_2;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, Error};
 
 use super::disturbances::{FixBursts, Kidnaps, Patches, SlipBursts};
 use super::limits::Limits;
-use super::observers::{Beacons, Compass, Landmarks, StampErrors};
-use crate::config_file::{ConfigFileError, SMALLEST, bundle, bundled_text, from_toml};
+use super::observers::{Beacons, Compass, Landmarks, StampErrors, sigma_of_filters};
+use crate::config_file::{ConfigFileError, bundle, bundled_text, from_toml};
 use crate::scenario::Blackout;
 
 /// Closer poses define no direction.
@@ -177,14 +176,6 @@ pub struct Accelerometer {
     /// White noise of one observation.
     #[serde(deserialize_with = "sigma_of_filters")]
     pub sigma_m_per_s2: f64,
-}
-
-/// Not zero, because filters are configured with it.
-pub(super) fn sigma_of_filters<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    let sigma = f64::deserialize(deserializer)?;
-    let complaint =
-        || D::Error::custom(format!("{sigma} is less than {SMALLEST}; give more, filters are configured with it"));
-    if sigma >= SMALLEST { Ok(sigma) } else { Err(complaint()) }
 }
 
 /// The geometry in the filter's configuration.

@@ -96,6 +96,11 @@ fn push_place(row: &mut JacobianRow, frame: &SensorFrame, point: &MeasuredPoint,
     }
 }
 
+/// Variance of a range with a constant part of its noise and one that is proportional to it.
+pub fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
+    constant_m.powi(2) + (share * range_m).powi(2)
+}
+
 /// A measured range and bearing: range in m, bearing in rad counter-clockwise from the sensor's x axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeBearing {

@@ -14,7 +14,7 @@ use posebridge_report::track::TimedPose;
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Estimate, FusionOutcome, FusionRecord, LandmarkId, ObservationKind};
 
-use super::{ObservationArrival, ReferenceDrive};
+use super::drive::{ObservationArrival, ReferenceDrive};
 
 const RIGHT_M: f64 = 0.2;
 const RIGHT_RAD: f64 = 15.0 * std::f64::consts::PI / 180.0;

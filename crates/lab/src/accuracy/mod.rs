@@ -13,6 +13,7 @@
 //! section 5.4.
 
 mod disturbances;
+mod drive;
 mod verdict;
 
 use std::cell::RefCell;
@@ -34,31 +35,9 @@ use posebridge_telemetry::{Arena, Estimate, FusionRecord, Observation, Observati
 
 pub use self::disturbances::DisturbanceScore;
 use self::disturbances::DisturbanceScorer;
+pub use self::drive::{ObservationArrival, ReferenceDrive};
 pub use self::verdict::{Requirement, Verdict};
 use crate::statistics::RunningMean;
-
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ReferenceDrive {
-    /// At the start and at the end of each step, in time order.
-    pub truth: Vec<TimedPose>,
-    pub arrivals: Vec<ObservationArrival>,
-    /// Index into `truth` from which errors count.
-    pub scored_from: usize,
-    /// Indexes into `truth` at which the robot stands where no filter knows it to be.
-    pub landings: Vec<usize>,
-    /// Indexes into `truth` at which a wheel begins to spin.
-    pub slip_bursts: Vec<usize>,
-}
-
-/// An observation and its arrival; its own timestamp may be earlier.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObservationArrival {
-    /// Index into [`ReferenceDrive::truth`]: it arrives before that step is scored.
-    pub step: usize,
-    /// Index of the true pose that it measures.
-    pub measured_step: usize,
-    pub observation: Observation,
-}
 
 /// Passes a drive to a filter in the order of arrival; calls `on_record` for each observation, and `on_step` at the end of each scored
 /// step with its truth and the estimate that is there then. Where the robot is put somewhere else all steps are scored.

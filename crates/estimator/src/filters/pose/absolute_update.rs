@@ -13,13 +13,13 @@ use super::layout::{FORWARD, HEADING, LEFT, MAX_BEACONS, MAX_LANDMARKS};
 use super::motion_update::{has_slipped, update_gyro_window};
 use super::noise_scales::{NoiseGroup, NoiseSource, scale_vote};
 use super::ranging::pose_from_ranges;
-use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, ln_anywhere};
+use super::recovery::{Alternative, Evidence, MAX_AGE, OwnPose, PUT_DOWN, ln_anywhere};
 use super::relocalize::{covariance_of_fix, initialize_from_fix, pose_of_fix, reset_to_fix};
 use super::sightings::Sighting;
 use super::state::{PoseState, StateView};
 use crate::models::lie::Se2;
 use crate::numerics::covariance::symmetrise;
-use crate::observations::absolute::{self, MeasuredPoint, RangeBearing};
+use crate::observations::absolute::{self, MeasuredPoint, RangeBearing, range_variance};
 use crate::observations::fix::{self, FixMeasurement};
 use crate::observations::sensor_frame::{Exposure, SensorFrame};
 use crate::observations::{ArenaAxis, MountingAxis, ObservationModel, PoseView, StateTerm};
@@ -28,8 +28,6 @@ use crate::validation::write_innovation;
 
 /// Limit of the estimated delay of fixes, either way.
 pub(super) const MAX_DELAY: TimeDelta = TimeDelta::from_millis(2_000);
-/// A robot that was carried stands on the floor again this long after its gyro has turned last.
-pub(super) const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
 /// A pose after a robot was carried has proved right when observations agree with it after this time.
 const PROBATION: TimeDelta = TimeDelta::from_millis(10_000);
 /// Nearer than a decimetre an error of the map says nothing of a direction, m².
@@ -438,11 +436,6 @@ fn believed_place(view: &impl PoseView, exposure: &Exposure, sighting: RangeBear
     let seen = Se2 { x_m: x_m + sighting.range_m * cos, y_m: y_m + sighting.range_m * sin, heading_rad: 0.0 };
     let place = view.pose().compose(exposure.moved_since.inverse()).compose(seen);
     [place.x_m, place.y_m]
-}
-
-/// Variance of a range with a constant part of its noise and one that is proportional to it.
-pub(super) fn range_variance(range_m: f64, constant_m: f64, share: f64) -> f64 {
-    constant_m.powi(2) + (share * range_m).powi(2)
 }
 
 /// A point of the map with its number there, which is none beyond those that may have states.

@@ -1,7 +1,7 @@
 //! What the updates of a pose filter need besides its state.
 
 use super::layout::StateLayout;
-use super::ranging::RecentRanges;
+use super::recent_ranges::RecentRanges;
 use crate::filter::FilterConfig;
 use crate::motion::{GyroTrack, MotionTrack};
 use crate::numerics::chi_square::{ChiSquareGates, chi_square_gates};

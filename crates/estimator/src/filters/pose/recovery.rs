@@ -54,6 +54,9 @@ const MAX_SILENCE_S: f64 = 2.0;
 pub const MAX_AGE: TimeDelta = TimeDelta::from_millis(10_000);
 /// An alternative whose odds have fallen this far below their beginning is dropped, as a logarithm.
 const DROP_MARGIN: f64 = 4.0;
+/// A robot that was carried stands on the floor again this long after its gyro has turned last.
+pub const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
+
 /// A pose that observations speak for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alternative {
