@@ -260,7 +260,7 @@ impl<const N: usize> Pass<N> {
         self.poses.extend(published(smoothed, &run.context));
         let Some(outcome) = step.outcome else { return };
         let was_used = matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset);
-        if let Some(verdict) = judge(smoothed, &run.entries[step.entry], was_used, &run.context) {
+        if let Some(verdict) = judge(smoothed, &run.entries[step.entry], outcome, &run.context) {
             self.nis.insert(step.entry, (verdict.components, verdict.left_out_nis));
             self.cost += if was_used { verdict.residual } else { gates[verdict.components - 1] };
         }

@@ -6,7 +6,7 @@
 //! ```
 
 use nalgebra::{Matrix3, Vector3};
-use posebridge_telemetry::FusionRecord;
+use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
 use super::super::absolute_update::update_absolute;
 use super::super::context::UpdateContext;
@@ -24,11 +24,11 @@ pub(super) struct Verdict {
     pub(super) residual: f64,
 }
 
-/// `None` for what is no absolute observation, and for one that says nothing there.
+/// Judges an observation that had this outcome; `None` for what is no absolute observation, and for one that says nothing there.
 pub(super) fn judge<const N: usize>(
     smoothed: &PoseState<N>,
     entry: &PoseEntry,
-    was_used: bool,
+    outcome: FusionOutcome,
     context: &UpdateContext,
 ) -> Option<Verdict> {
     if !smoothed.is_located {
@@ -39,6 +39,7 @@ pub(super) fn judge<const N: usize>(
     let with_state = innovation(*smoothed, entry, context)?;
     let own = innovation(certain, entry, context)?;
     let components = usize::from(with_state.degrees_of_freedom);
+    let was_used = matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset);
     let sign = if was_used { -1.0 } else { 1.0 };
     let left_out = own.s + (with_state.s - own.s) * sign;
     Some(Verdict {
