@@ -20,7 +20,7 @@ use posebridge_telemetry::{Event, HostClock, Input, Observation, Output, RobotId
 use super::dataset::{DataSet, RobotRun};
 use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
-use super::replay::{Hindsight, SmoothError, SmoothedResult};
+use super::replay::{SmoothError, SmoothedResult, SmoothingSpan};
 use super::score::{PosePair, Scorer};
 use crate::config::{Config, Overlay, config_with_overlay};
 use crate::console::{print_line, print_lines};
@@ -540,9 +540,9 @@ fn print_written(path: &Path, count: u64, what: &str) {
 }
 
 /// The paths in hindsight that were asked for, with the names of their files.
-fn hindsights(args: &ExportArgs) -> impl Iterator<Item = (&'static str, Hindsight)> {
-    let lag = args.fixed_lag.map(|lag_s| ("fixed-lag", Hindsight::Lag(TimeDelta::from_secs_f64(lag_s))));
-    args.smooth.then_some(("smooth", Hindsight::WholeRun)).into_iter().chain(lag)
+fn hindsights(args: &ExportArgs) -> impl Iterator<Item = (&'static str, SmoothingSpan)> {
+    let lag = args.fixed_lag.map(|lag_s| ("fixed-lag", SmoothingSpan::Lag(TimeDelta::from_secs_f64(lag_s))));
+    args.smooth.then_some(("smooth", SmoothingSpan::WholeRun)).into_iter().chain(lag)
 }
 
 /// A path in hindsight of one robot.

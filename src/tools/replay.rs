@@ -23,7 +23,9 @@ use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
 
-pub use self::result::{FilterResult, Hindsight, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun};
+pub use self::result::{
+    FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun, SmoothingSpan,
+};
 
 pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();

@@ -13,7 +13,7 @@ use posebridge_telemetry::Timestamp;
 use super::dataset::report_bad_rows;
 use super::experiment_output::OutputArgs;
 use super::own_recording::is_own;
-use super::replay::Hindsight;
+use super::replay::SmoothingSpan;
 use super::replay::foreign::{self, ForeignRecording, check_filter, replay_run, truth_of};
 use super::replay::own::{self, OwnRecording, WHOLE_RUN, changed_settings};
 use super::replay::watch::{ReplayLane, Window};
@@ -108,7 +108,7 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         let collector = &robot.value.collector;
         let smoothed = args.smooth.then(|| {
             let truth = known.truth.as_ref();
-            own::smoothed((WHOLE_RUN, file), &filter_config, collector, truth, Hindsight::WholeRun)
+            own::smoothed((WHOLE_RUN, file), &filter_config, collector, truth, SmoothingSpan::WholeRun)
         });
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
@@ -224,7 +224,7 @@ fn summarize_foreign(args: &ReportArgs, window: Window) -> Result<SessionSummary
             truth,
             odometry: track_of(&dead_reckoning),
             learned: scored.learned,
-            smoothed: args.smooth.then(|| foreign::smoothed(&robot_run, Hindsight::WholeRun)),
+            smoothed: args.smooth.then(|| foreign::smoothed(&robot_run, SmoothingSpan::WholeRun)),
             history,
         });
     }

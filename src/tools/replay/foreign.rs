@@ -7,7 +7,7 @@ use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Stati
 use posebridge_telemetry::{Address, Input, Observation, Point2, TimeDelta};
 
 use super::own::{changed_settings, profile_settings};
-use super::result::{FilterResult, Hindsight, ReplayArgs, ReplayResult, SmoothedRun};
+use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothedRun, SmoothingSpan};
 use super::watch::{
     EventWatcher, ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events,
     write_charts,
@@ -67,8 +67,8 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     for name in &foreign.data.runs {
         let robot_run = foreign.load(name).before_start()?;
         replayed.bad_rows += report_bad_rows(&robot_run);
-        replayed.smoothed.extend(args.smooth.then(|| smoothed(&robot_run, Hindsight::WholeRun)));
-        replayed.lagged.extend(args.lag().map(|lag| smoothed(&robot_run, Hindsight::Lag(lag))));
+        replayed.smoothed.extend(args.smooth.then(|| smoothed(&robot_run, SmoothingSpan::WholeRun)));
+        replayed.lagged.extend(args.lag().map(|lag| smoothed(&robot_run, SmoothingSpan::Lag(lag))));
         let mut scored = None;
         for (filter, gathered) in filters.iter().zip(&mut per_filter) {
             let mut replay_watcher = ReplayWatcher::new(PerRobot::new(EventCollector::default));
@@ -98,7 +98,7 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
 }
 
 /// Smooths a run and scores the path like the filter's estimates.
-pub fn smoothed(robot_run: &RobotRun, hindsight: Hindsight) -> SmoothedRun {
+pub fn smoothed(robot_run: &RobotRun, hindsight: SmoothingSpan) -> SmoothedRun {
     let (run, config) = (&robot_run.run, &robot_run.filter_config);
     let observations: Vec<Observation> = run.observations.iter().map(|timed| timed.observation).collect();
     let smoothed = SmoothedRun::new(&run.name, &robot_run.robot, config, &observations, hindsight);

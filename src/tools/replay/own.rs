@@ -12,7 +12,7 @@ use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{HostClock, Input, RobotId, TimeDelta, Timestamp};
 
-use super::result::{FilterResult, Hindsight, ReplayArgs, ReplayResult, SmoothError, SmoothedRun};
+use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedRun, SmoothingSpan};
 use super::watch::{
     ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
 };
@@ -130,8 +130,8 @@ fn summarize<'m>(
                 filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
                 let run = label.as_deref().unwrap_or(WHOLE_RUN);
                 let smooth = |hindsight| smoothed((run, file), &filter_config, &collector, truth, hindsight);
-                let smoothed = args.smooth.then(|| smooth(Hindsight::WholeRun));
-                result.lagged.extend(args.lag().map(|lag| smooth(Hindsight::Lag(lag))));
+                let smoothed = args.smooth.then(|| smooth(SmoothingSpan::WholeRun));
+                result.lagged.extend(args.lag().map(|lag| smooth(SmoothingSpan::Lag(lag))));
                 if position == 0 {
                     let path = smoothed.as_ref().and_then(SmoothedRun::track);
                     let tracks = ReferenceTracks { truth, odometry: known.odometry.as_ref(), smoothed: path.as_ref() };
@@ -164,7 +164,7 @@ pub fn smoothed(
     config: &FilterConfig,
     collector: &EventCollector,
     truth: Option<&PoseTrack>,
-    hindsight: Hindsight,
+    hindsight: SmoothingSpan,
 ) -> SmoothedRun {
     if collector.restarts > 0 {
         return SmoothedRun::failed(run, SmoothError::Restarted(collector.restarts));

@@ -125,7 +125,7 @@ pub struct SmoothedResult {
 
 /// How much of what came later a pose of a path knows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Hindsight {
+pub enum SmoothingSpan {
     WholeRun,
     Lag(TimeDelta),
 }
@@ -134,11 +134,11 @@ impl SmoothedResult {
     pub fn new(
         config: &FilterConfig,
         observations: &[Observation],
-        hindsight: Hindsight,
+        hindsight: SmoothingSpan,
     ) -> Result<Self, OfflineError> {
         let smoothed = match hindsight {
-            Hindsight::WholeRun => smooth(config, observations),
-            Hindsight::Lag(lag) => smooth_fixed_lag(config, observations, lag),
+            SmoothingSpan::WholeRun => smooth(config, observations),
+            SmoothingSpan::Lag(lag) => smooth_fixed_lag(config, observations, lag),
         }?;
         Ok(Self {
             path: SmoothedPath::new(smoothed.poses),
@@ -147,7 +147,7 @@ impl SmoothedResult {
             fixes_skipped: smoothed.fixes_rejected,
             iterations: smoothed.iterations,
             cost: smoothed.cost,
-            convergence: (hindsight == Hindsight::WholeRun).then_some(smoothed.convergence),
+            convergence: (hindsight == SmoothingSpan::WholeRun).then_some(smoothed.convergence),
         })
     }
 
@@ -189,7 +189,7 @@ impl SmoothedRun {
         robot: &RobotFile,
         config: &FilterConfig,
         observations: &[Observation],
-        hindsight: Hindsight,
+        hindsight: SmoothingSpan,
     ) -> Self {
         let timer = HostTimer::start();
         let before = timer.now();
