@@ -2,6 +2,9 @@
 //! Reads posebridge recordings, telemetry logs and descriptors; the engine is that of a live run. docs/recordings.md describes the
 //! files.
 
+mod atomic_file;
+mod path_csv;
+
 use std::fs::File;
 use std::io::{BufWriter, Cursor};
 use std::path::{Path, PathBuf};
@@ -17,6 +20,8 @@ use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
+use self::atomic_file::AtomicFile;
+use self::path_csv::write_path_csv;
 use super::dataset::{DataSet, RobotRun};
 use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
@@ -479,49 +484,6 @@ fn write_one(args: &ExportArgs, name: &str, poses: &[TimedPose]) -> Result<()> {
     Ok(())
 }
 
-/// A temporary file beside its target; dropping it before [`AtomicFile::finish`] removes it.
-struct AtomicFile {
-    path: PathBuf,
-    temporary: PathBuf,
-    is_complete: bool,
-}
-
-impl AtomicFile {
-    /// Never overwrites `path`, but a temporary file that a killed export left.
-    fn create(path: PathBuf) -> Result<(File, Self)> {
-        ensure!(
-            !path.exists(),
-            "creating `{}`: the file is there already; move it or choose another folder with --out",
-            path.display()
-        );
-        let mut name = path.clone().into_os_string();
-        name.push(".part");
-        let beside = PathBuf::from(name);
-        let file = File::create(&beside).with_context(|| format!("creating `{}`", beside.display()))?;
-        let fresh = Self { path, temporary: beside, is_complete: false };
-        Ok((file, fresh))
-    }
-
-    fn path(&self) -> &Path {
-        &self.path
-    }
-
-    fn finish(mut self) -> Result<()> {
-        std::fs::rename(&self.temporary, &self.path).with_context(|| format!("naming `{}`", self.path.display()))?;
-        self.is_complete = true;
-        Ok(())
-    }
-}
-
-impl Drop for AtomicFile {
-    fn drop(&mut self) {
-        if !self.is_complete {
-            // The caller that drops it reports why there is no file.
-            drop(std::fs::remove_file(&self.temporary));
-        }
-    }
-}
-
 /// Creates a file named after the recording in the folder; never overwrites a file.
 fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, AtomicFile)> {
     let name = format!("{}.{extension}", stem(&args.recording));
@@ -587,7 +549,8 @@ fn write_hindsight(args: &ExportArgs, robots: &[RobotPoses]) -> Result<()> {
         for HindsightPath { name, path, pairs } in &robot.hindsight {
             let name = format!("{name}{suffix}");
             if args.formats.contains(&Format::Csv) {
-                write_hindsight_csv(args, &name, path)?;
+                let file = args.out.join(format!("{name}.csv"));
+                print_written(&file, write_path_csv(&file, path)?, "lines");
             }
             if args.formats.contains(&Format::Tum) {
                 let own = path.estimates().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
@@ -602,35 +565,6 @@ fn write_hindsight(args: &ExportArgs, robots: &[RobotPoses]) -> Result<()> {
             }
         }
     }
-    Ok(())
-}
-
-/// The covariance is that of x, y and heading.
-fn write_hindsight_csv(args: &ExportArgs, name: &str, path: &SmoothedResult) -> Result<()> {
-    let file = args.out.join(format!("{name}.csv"));
-    let mut table = csv::Writer::from_path(&file).with_context(|| format!("creating `{}`", file.display()))?;
-    table.write_record([
-        "t_s",
-        "x_m",
-        "y_m",
-        "heading_rad",
-        "var_x_m2",
-        "cov_x_y_m2",
-        "cov_x_heading_m_rad",
-        "var_y_m2",
-        "cov_y_heading_m_rad",
-        "var_heading_rad2",
-    ])?;
-    let mut lines = 0;
-    for estimate in path.estimates() {
-        let (pose, p) = (estimate.pose, &estimate.covariance);
-        let numbers = [pose.x.0, pose.y.0, pose.heading.rad(), p[0][0], p[0][1], p[0][2], p[1][1], p[1][2], p[2][2]];
-        let stamp = format!("{:.9}", estimate.stamp.as_secs_f64());
-        table.write_record(std::iter::once(stamp).chain(numbers.map(|number| number.to_string())))?;
-        lines += 1;
-    }
-    table.flush().with_context(|| format!("writing `{}`", file.display()))?;
-    print_written(&file, lines, "lines");
     Ok(())
 }
 

@@ -16,9 +16,10 @@
 mod states;
 
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector};
-use posebridge_telemetry::{Arena, Calibration, ObservationKind, Pose, SensorId};
+use posebridge_telemetry::{Arena, Calibration, Pose};
 
-use self::states::{ExtraStates, ObservedScalar};
+pub use self::states::ArrivedObservation;
+use self::states::{CORE, ExtraStates, FIRST_CONSTANT, GYRO_BIAS, HEADING, ObservedScalar, STEP_ERROR, X, Y};
 use super::nominal::{CONSTANTS, UNKNOWN_POSITION_SIGMA_M, bias_prior, calibrated_motion, constants_of, true_geometry};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, step_noise};
@@ -28,17 +29,6 @@ use crate::numerics::covariance::symmetrise;
 use crate::observations::StateTerm;
 use crate::observations::gyro_window::gyro_variance;
 use crate::observations::sensor_frame::Exposure;
-
-const X: usize = 0;
-const Y: usize = 1;
-const HEADING: usize = 2;
-const GYRO_BIAS: usize = 3;
-/// Row of the gyro's turn of the last step beyond that of the wheels.
-const STEP_ERROR: usize = 4;
-/// First of three rows: radius scale, radius difference, track scale.
-const FIRST_CONSTANT: usize = 5;
-/// Rows that every bound has; the motion changes no others.
-const CORE: usize = 8;
 
 type Core = SMatrix<f64, CORE, CORE>;
 
@@ -53,17 +43,6 @@ pub struct GroundTruthRun<'a> {
     pub step_s: f64,
     /// In any order; of other kinds than fixes, landmarks, beacons and compass headings nothing is taken.
     pub observations: &'a [ArrivedObservation],
-}
-
-/// An observation after step `exposure_step`, available from step `arrival_step` on. Both count steps from 1.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ArrivedObservation {
-    pub exposure_step: usize,
-    /// Not before `exposure_step`.
-    pub arrival_step: usize,
-    pub sensor: SensorId,
-    /// Only its kind, its subject and the size of a range matter.
-    pub measurement: ObservationKind,
 }
 
 /// The least mean squared position error after each step with a pose before and after, m².
@@ -248,7 +227,8 @@ mod tests {
     use std::sync::Arc;
 
     use posebridge_telemetry::{
-        ArenaMap, BeaconId, Fix, Heading, LandmarkId, Meters, MountedSensor, Point2, Radians, StartPose, UncertainValue,
+        ArenaMap, BeaconId, Fix, Heading, LandmarkId, Meters, MountedSensor, ObservationKind, Point2, Radians,
+        SensorId, StartPose, UncertainValue,
     };
 
     use super::*;

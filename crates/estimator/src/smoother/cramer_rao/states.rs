@@ -11,12 +11,33 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_telemetry::{Calibration, MountedSensor, ObservationKind, SensorId, UncertainValue};
 
-use super::{ArrivedObservation, CORE, HEADING, X, Y};
 use crate::filter::FilterConfig;
 use crate::models::lie::Se2;
 use crate::observations::absolute::{MeasuredPoint, RangeBearing, beacon, compass, landmark};
 use crate::observations::sensor_frame::{Exposure, SensorFrame};
 use crate::observations::{ArenaAxis, JacobianRow, MountingAxis, PoseView, StateTerm};
+
+pub(super) const X: usize = 0;
+pub(super) const Y: usize = 1;
+pub(super) const HEADING: usize = 2;
+pub(super) const GYRO_BIAS: usize = 3;
+/// Row of the gyro's turn of the last step beyond that of the wheels.
+pub(super) const STEP_ERROR: usize = 4;
+/// First of three rows: radius scale, radius difference, track scale.
+pub(super) const FIRST_CONSTANT: usize = 5;
+/// Rows that every bound has; the motion changes no others.
+pub(super) const CORE: usize = 8;
+
+/// An observation after step `exposure_step`, available from step `arrival_step` on. Both count steps from 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArrivedObservation {
+    pub exposure_step: usize,
+    /// Not before `exposure_step`.
+    pub arrival_step: usize,
+    pub sensor: SensorId,
+    /// Only its kind, its subject and the size of a range matter.
+    pub measurement: ObservationKind,
+}
 
 /// One scalar of an observation: its derivatives by the rows of the bound, and its variance.
 #[derive(Clone, Debug, PartialEq)]
