@@ -290,7 +290,7 @@ mod tests {
             program.iter().filter(is_long).count()
         };
         for path in [Course::default(), Course::Waypoints { points_m: vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]] }] {
-            let scenario = Scenario { drive, path, ..Scenario::default() };
+            let scenario = Scenario { path, drive, ..Scenario::default() };
             let follower = Follower::new(drive, Path::new(&scenario));
             assert_eq!(long(&follower.program), 2, "{:?}", scenario.path);
             assert!(matches!(follower.program.last(), Some(Manoeuvre::Rest(rest)) if rest.as_secs_f64() == 7.0));
