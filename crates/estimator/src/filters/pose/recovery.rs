@@ -9,7 +9,7 @@
 //! ```
 //! The second line is for the sensor that speaks for the alternative while the believed pose refuses it. If the believed pose is right,
 //! that sensor has a fault which agrees with itself, and only its duration speaks against it: such faults last for a second or so.
-//! What the believed pose explains of that sensor, or the alternative does not, speaks against the alternative.
+//! What the alternative does not explain of that sensor speaks against it, and more so if the believed pose does.
 //! Odds begin at exp(-`reset_after_s`); higher, where the observation is no further off than noise that is some times larger than
 //! configured would explain, because a fault may be anywhere:
 //!
@@ -45,8 +45,7 @@ const NOISE_FACTOR: f64 = 3.0;
 const LEAST_RESET_AFTER_S: f64 = 2.5;
 /// No single observation changes the odds by more than this factor, as a logarithm.
 const MAX_EVIDENCE: f64 = 5.0;
-/// What an observation of the alternative's sensor takes off the odds that the believed pose explains, or the alternative does not; as a
-/// logarithm.
+/// What an observation of the alternative's sensor takes off the odds that the alternative does not explain; as a logarithm.
 const REFUTATION: f64 = 2.0;
 /// Silence of a sensor counts for its fault's duration no longer than this.
 const MAX_SILENCE_S: f64 = 2.0;
@@ -254,8 +253,9 @@ impl Alternative {
             let most = if is_own_sensor { 0.0 } else { MAX_EVIDENCE };
             self.ln_odds += change.clamp(-MAX_EVIDENCE, most);
         }
-        // What neither explains is an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
-        if is_own_sensor && !evidence.is_refused {
+        // A landmark may look much the same from both poses, so what both explain counts by its likelihoods alone. What neither explains is
+        // an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
+        if is_own_sensor && !explains && !evidence.is_refused {
             self.ln_odds -= REFUTATION;
         } else if is_own_sensor && !explains && !evidence.is_pose_doubtful {
             // No more than the time since the last agreement has brought: scattered outliers must not hide a pose for good.
