@@ -71,7 +71,10 @@ pub struct Alternative {
     /// Number of observations that agree with it.
     pub agreements: u32,
     first_ln_odds: f64,
+    /// Of the last observation that agreed.
     latest: Timestamp<BrickClock>,
+    /// Until when the duration of its sensor's fault is counted.
+    counted_until: Timestamp<BrickClock>,
 }
 
 impl Alternative {
@@ -218,6 +221,7 @@ impl AlternativeBank {
             first_ln_odds: ln_odds,
             agreements: 1,
             latest: evidence.stamp,
+            counted_until: evidence.stamp,
         };
         let odds = |slot: &Option<Alternative>| slot.map_or(f64::NEG_INFINITY, |one| one.ln_odds);
         if let Some(slot) = self.alternatives.iter_mut().min_by(|a, b| odds(a).total_cmp(&odds(b))) {
@@ -242,10 +246,12 @@ impl Alternative {
         };
         let Some(explanation) = explanation else { return false };
         let explains = explanation.nis <= evidence.gate;
-        let silent_s = (evidence.stamp - self.latest).as_secs_f64().clamp(0.0, MAX_SILENCE_S);
+        let seconds_since =
+            |then: Timestamp<BrickClock>| (evidence.stamp - then).as_secs_f64().clamp(0.0, MAX_SILENCE_S);
         let is_own_sensor = evidence.sensor == self.sensor;
         if explains && evidence.is_refused && is_own_sensor {
-            self.ln_odds += silent_s;
+            self.ln_odds += seconds_since(self.counted_until);
+            self.counted_until = evidence.stamp;
         } else if let Some(ln_likelihood) = explanation.ln_likelihood {
             let believed =
                 evidence.ln_likelihood.map_or(evidence.ln_anything, |ln| with_outliers(ln, evidence.ln_anything));
@@ -259,7 +265,7 @@ impl Alternative {
             self.ln_odds -= REFUTATION;
         } else if is_own_sensor && !explains && !evidence.is_pose_doubtful {
             // No more than the time since the last agreement has brought: scattered outliers must not hide a pose for good.
-            self.ln_odds -= REFUTATION.min(silent_s);
+            self.ln_odds -= REFUTATION.min(seconds_since(self.latest));
         }
         if explains {
             // A direction or a distance alone agrees with too many poses.
