@@ -339,11 +339,10 @@ impl AbsoluteUpdate<'_> {
             reset_after_s: params.reset_after_s,
             reset_after_fixes: params.reset_after_fixes,
         };
-        let own = if is_refused { own(state) } else { None };
         let moved_since = |from| state.noisy_motion_since(from, self.context);
         let mut alternatives = state.alternatives;
         let model = |pose| model(&view.at(pose)).map(|model| with_uncertain_constants(state, self.context, model));
-        let winner = alternatives.observe(&evidence, moved_since, model, own);
+        let winner = alternatives.observe(&evidence, moved_since, model, || own(state));
         alternatives.rebase(view.pose(), state.pose);
         state.alternatives = alternatives;
         state.sightings.rebase(view.pose(), state.pose);
@@ -415,11 +414,14 @@ fn with_uncertain_constants<const N: usize, const M: usize>(
     context: &UpdateContext,
     mut model: ObservationModel<M>,
 ) -> ObservationModel<M> {
-    let mut jacobian = context.layout.linearize::<N, M>(&model).jacobian;
-    for row in [FORWARD, LEFT, HEADING] {
-        jacobian.column_mut(row).fill(0.0);
+    let has_row = |&(term, _): &(StateTerm, f64)| context.layout.row(term).is_some();
+    if model.rows.iter().any(|row| row.terms.iter().flatten().any(has_row)) {
+        let mut jacobian = context.layout.linearize::<N, M>(&model).jacobian;
+        for row in [FORWARD, LEFT, HEADING] {
+            jacobian.column_mut(row).fill(0.0);
+        }
+        model.noise += jacobian * state.covariance * jacobian.transpose();
     }
-    model.noise += jacobian * state.covariance * jacobian.transpose();
     model
 }
 

@@ -169,19 +169,21 @@ impl AlternativeBank {
 
     /// Leaves the alternatives where they are while the believed pose is corrected.
     pub fn rebase(&mut self, before: Se2, after: Se2) {
-        for alternative in self.alternatives.iter_mut().flatten() {
-            alternative.from_believed = alternative.pose(before).compose(after.inverse());
+        if before != after {
+            for alternative in self.alternatives.iter_mut().flatten() {
+                alternative.from_believed = alternative.pose(before).compose(after.inverse());
+            }
         }
     }
 
     /// Compares the alternatives with an observation whose model at any pose is `model`, and returns one that becomes the pose.
-    /// `own` is the pose that the observation itself speaks for, if it does.
+    /// `own` finds the pose that the observation itself speaks for, if it does.
     pub fn observe<const M: usize>(
         &mut self,
         evidence: &Evidence,
         moved_since: impl Fn(Timestamp<BrickClock>) -> BodyMotion,
         model: impl Fn(Se2) -> Option<ObservationModel<M>>,
-        own: Option<OwnPose>,
+        own: impl FnOnce() -> Option<OwnPose>,
     ) -> Option<Alternative> {
         let mut is_explained = false;
         for slot in &mut self.alternatives {
@@ -198,7 +200,7 @@ impl AlternativeBank {
         }
         if evidence.is_refused
             && !is_explained
-            && let Some(own) = own
+            && let Some(own) = own()
         {
             self.insert(evidence, &own);
         }
