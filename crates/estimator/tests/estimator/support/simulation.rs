@@ -211,7 +211,6 @@ impl RobotSimulation {
         [mean, difference, track]
     }
 
-    /// Moves as commanded, with the noise of the motion, and returns the true turn.
     /// With this play, in which the gears stand anywhere at the start.
     pub(crate) fn with_backlash(mut self, backlash_rad: f64) -> Self {
         self.backlash_rad = backlash_rad;
@@ -219,6 +218,7 @@ impl RobotSimulation {
         self
     }
 
+    /// Moves as commanded, with the noise of the motion, and returns the true turn.
     fn move_by(&mut self, distance_m: f64, turn_rad: f64) -> f64 {
         let (left_m, right_m) = (
             distance_m - 0.5 * turn_rad * self.geometry.track_width.0,
