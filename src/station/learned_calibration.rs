@@ -56,13 +56,21 @@ pub fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
     if is_own { robot.clone() } else { robot.with_geometry(&used) }
 }
 
-/// One line for each estimated constant; empty without any.
+/// A constant whose sigma did not shrink below this share of its prior's was not learned.
+const LEARNED_SHARE: f64 = 0.99;
+
+/// One line for each constant that was learned, and one with the names of those that were not; empty without any.
 pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     let mut text = String::new();
     for learned in runs {
+        let mut unlearned = Vec::new();
         for entry in learnable_keys() {
             let (before, after) = ((entry.read)(&learned.prior), (entry.read)(&learned.calibration));
             if before.sigma <= 0.0 {
+                continue;
+            }
+            if after.sigma > LEARNED_SHARE * before.sigma {
+                unlearned.push(entry.key);
                 continue;
             }
             // Writing to a String cannot fail.
@@ -71,6 +79,9 @@ pub fn learned_table(runs: &[LearnedCalibration]) -> String {
                 "learned  {:<20} {:+.5} ± {:.5}   before {:+.5} ± {:.5}   {}",
                 entry.key, after.value, after.sigma, before.value, before.sigma, learned.run
             );
+        }
+        if !unlearned.is_empty() {
+            let _ = writeln!(text, "still as configured, because the run does not show them: {}", unlearned.join(", "));
         }
     }
     text
@@ -114,6 +125,18 @@ mod tests {
                 ..Calibration::default()
             },
         }
+    }
+
+    #[test]
+    fn a_prior_is_not_reported_as_learned() {
+        let known = |value, sigma| UncertainValue { value, sigma };
+        let mut learned = learned();
+        learned.prior.gyro_scale = known(0.0, 0.01);
+        learned.calibration.gyro_scale = known(0.0, 0.01);
+        let table = learned_table(&[learned]);
+        assert_eq!(table.matches("learned  ").count(), 1, "{table}");
+        assert!(table.contains("track_scale          +0.11610 ± 0.00420"), "{table}");
+        assert!(table.ends_with("still as configured, because the run does not show them: gyro_scale\n"), "{table}");
     }
 
     #[test]
