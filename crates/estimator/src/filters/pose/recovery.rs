@@ -261,9 +261,10 @@ impl Alternative {
             let most = if is_own_sensor { 0.0 } else { MAX_EVIDENCE };
             self.ln_odds += change.clamp(-MAX_EVIDENCE, most);
         }
-        // A landmark may look much the same from both poses, so what both explain counts by its likelihoods alone. What neither explains is
-        // an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
-        if is_own_sensor && !explains && !evidence.is_refused {
+        // A landmark may look much the same from both poses, so what both explain counts by its likelihoods, where there are any. What
+        // neither explains is an outlier; without a reason to doubt the pose it is one more sign of noise that is larger than told.
+        let counts_by_likelihood = explains && explanation.ln_likelihood.is_some();
+        if is_own_sensor && !evidence.is_refused && !counts_by_likelihood {
             self.ln_odds -= REFUTATION;
         } else if is_own_sensor && !explains && !evidence.is_pose_doubtful {
             // No more than the time since the last agreement has brought: scattered outliers must not hide a pose for good.
