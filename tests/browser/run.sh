@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # A browser on the page of the real program, over loopback. Needs cargo, Node 20 or newer with npm, Chromium and Firefox or apt, and once the
-# network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..).
+# network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..);
+# --install-only stops before the tests.
 #
 # POSEBRIDGE names another program to test than the one that is built here, CHROMIUM and FIREFOX other browsers. BROWSER_SCREENSHOTS=1 writes the
 # pictures of the README anew, BROWSER_SOAK_S=600 with BROWSER_TIMEOUT_MS=900000 lets the
@@ -18,6 +19,9 @@ source "$here/install.sh"
 install_node_modules
 install_browser CHROMIUM chromium
 install_browser FIREFOX firefox-esr
+if [[ "${1:-}" == --install-only ]]; then
+    exit
+fi
 
 if [[ -z "${POSEBRIDGE:-}" ]]; then
     (cd "$root" && cargo build --quiet --locked --package posebridge)

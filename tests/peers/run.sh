@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Foreign programs against the real program, over loopback. Needs cargo, Python 3 with venv, Node with npm, tshark or apt, and once the
 # network: install.sh gets the rest. Everything that it makes lies under target/peers; arguments go to Python's unittest (a test's name,
-# -f, -k PATTERN). POSEBRIDGE names another program to test than the one that is built here.
+# -f, -k PATTERN; --install-only stops before the tests). POSEBRIDGE names another program to test than the one that is built here.
 set -euo pipefail
 
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
@@ -20,6 +20,9 @@ install_venv examples "$root/examples/python/requirements.txt"
 examples="$venv"
 install_node_modules
 install_tshark
+if [[ "${1:-}" == --install-only ]]; then
+    exit
+fi
 
 if [[ -z "${POSEBRIDGE:-}" ]]; then
     (cd "$root" && cargo build --quiet --locked --package posebridge)

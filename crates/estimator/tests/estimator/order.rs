@@ -58,7 +58,7 @@ fn final_state_text<const N: usize>(config: &FilterConfig, observations: &[Obser
 
 fn assert_order_does_not_matter<const N: usize>(case: &str, config: &FilterConfig, observations: &[Observation]) {
     let expected = final_state_text::<N>(config, observations);
-    for seed in 0..6 {
+    for seed in 0..3 {
         let found = final_state_text::<N>(config, &shuffled(observations, seed));
         assert!(found == expected, "{case}: another belief with the order of seed {seed}");
     }
