@@ -341,3 +341,52 @@ struct Explanation {
     pose: Se2,
     covariance: Matrix3<f64>,
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Vector2};
+
+    use super::*;
+    use crate::observations::JacobianRow;
+
+    #[test]
+    fn what_both_poses_explain_takes_nothing_off_the_one_that_explains_it_better() {
+        // The believed pose is at the origin; a sensor with a sigma of 1 cm says where the robot is.
+        let observe = |bank: &mut AlternativeBank, millis, x_m: f64, is_refused| {
+            let noise = Matrix2::from_diagonal_element(1e-4);
+            let model = |pose: Se2| {
+                let axis = |forward, left| JacobianRow { forward, left, ..JacobianRow::default() };
+                let innovation = Vector2::new(x_m - pose.x_m, -pose.y_m);
+                Some(ObservationModel { innovation, rows: [axis(1.0, 0.0), axis(0.0, 1.0)], noise })
+            };
+            let (nis, ln_likelihood) = nis_and_log_likelihood(&Vector2::new(x_m, 0.0), &noise).unwrap();
+            let evidence = Evidence {
+                believed: Se2::default(),
+                stamp: Timestamp::from_millis(millis),
+                sensor: SensorId::LANDMARKS,
+                gate: 13.8,
+                ln_likelihood: Some(ln_likelihood),
+                is_refused,
+                nis,
+                components: 2,
+                is_pose_doubtful: false,
+                ln_anything: ln_anywhere(1, 1, 0.01),
+                reset_after_s: 5.0,
+                reset_after_fixes: 3.0,
+            };
+            let pose = Se2 { x_m, ..Se2::default() };
+            let own = OwnPose { pose, covariance: Matrix3::from_diagonal_element(1e-4), is_heading_known: true };
+            let still = BodyMotion { moved: Se2::default(), noise: Matrix3::zeros() };
+            bank.observe(&evidence, |_| still, model, || Some(own))
+        };
+        let mut bank = AlternativeBank::default();
+        // The odds begin at -2.5 and gain one in each second, also over the one observation that both explain.
+        let resets: Vec<bool> = (0..=10)
+            .map(|k| {
+                let is_refused = k != 1;
+                observe(&mut bank, 500 * k, if is_refused { 0.04 } else { 0.03 }, is_refused).is_some()
+            })
+            .collect();
+        assert_eq!(resets.iter().position(|is_reset| *is_reset), Some(5), "{resets:?}");
+    }
+}
