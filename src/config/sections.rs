@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_dashboard::ListenAddress;
-use posebridge_estimator::{FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter};
 use posebridge_telemetry::{Arena, ArenaMap, BeaconId, LandmarkId, Meters, Point2, TimeDelta, Wall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,6 +19,9 @@ use super::robot::RobotFile;
 pub struct FilterSection {
     /// Name of a filter.
     pub name: String,
+    /// Filters that follow each robot beside it, to compare them; their estimates are shown and recorded, not sent.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub compare: Vec<String>,
     /// Its tunables, by key.
     #[serde(flatten)]
     pub params: BTreeMap<String, f64>,
@@ -26,7 +29,7 @@ pub struct FilterSection {
 
 impl Default for FilterSection {
     fn default() -> Self {
-        Self { name: "pose".to_owned(), params: BTreeMap::new() }
+        Self { name: "pose".to_owned(), compare: Vec::new(), params: BTreeMap::new() }
     }
 }
 
@@ -34,6 +37,23 @@ impl FilterSection {
     pub fn entry(&self) -> Result<&'static FilterEntry> {
         find_filter(&self.name)
             .ok_or_else(|| anyhow!("`filter.name` is `{}`; there are: {}", self.name, names_of_filters()))
+    }
+
+    /// The filters to compare, without the one whose estimates are sent.
+    pub fn compared(&self) -> Result<Vec<String>> {
+        let mut compared: Vec<String> = Vec::new();
+        for name in &self.compare {
+            let entry = find_filter(name)
+                .ok_or_else(|| anyhow!("`filter.compare` has `{name}`; there are: {}", names_of_filters()))?;
+            ensure!(
+                entry.quantity == EstimatedQuantity::Pose,
+                "`filter.compare` has `{name}`, which estimates one quantity and no pose: leave it out"
+            );
+            if *name != self.name && !compared.contains(name) {
+                compared.push(name.clone());
+            }
+        }
+        Ok(compared)
     }
 
     /// Warns if this filter can never produce a pose, with a remedy.

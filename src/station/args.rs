@@ -30,6 +30,10 @@ pub struct RunArgs {
     /// Filter; `posebridge config schema` lists them.
     #[arg(long, value_name = "NAME")]
     pub filter: Option<String>,
+    /// Filters that follow each robot beside the one that sends, separated by commas: their paths, errors and NIS are shown
+    /// and recorded.
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    pub compare: Vec<String>,
     /// Seed of the simulated robot. Default: the seed of its scenario.
     #[arg(long)]
     pub seed: Option<u64>,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_report::{FixMark, PoseTrack, SourceTally, TimedPose};
+use posebridge_report::{ComparedTrack, FixMark, PoseTrack, SourceTally, TimedPose};
 use posebridge_sim::HISTORY_DURATION;
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, ObservationKind, Point2, TimeDelta,
@@ -26,6 +26,8 @@ pub struct EventCollector {
     pub estimates: ThinnedSeries<Estimate>,
     pub fixes: ThinnedSeries<FixMark>,
     pub sources: Vec<SourceTally>,
+    /// Filters that ran beside the robot's own, in the order of the configuration.
+    pub compared: Vec<ComparedFilter>,
     pub observations: u64,
     pub links: BTreeMap<LinkId, LinkReport>,
     pub restarts: u64,
@@ -33,14 +35,25 @@ pub struct EventCollector {
     pub retained_observations: Vec<Observation>,
     /// False in live runs, which would fill the memory.
     retains_observations: bool,
+    is_live: bool,
     last_fix: Option<Point2<Arena>>,
+}
+
+/// Results of a filter that ran beside the robot's own.
+#[derive(Debug)]
+pub struct ComparedFilter {
+    pub name: &'static str,
+    /// Only those with a valid position and heading.
+    pub estimates: ThinnedSeries<Estimate>,
+    pub sources: Vec<SourceTally>,
 }
 
 impl EventCollector {
     /// For a live run without a known end: allocates all of its memory at once.
     pub fn live() -> Self {
         Self {
-            estimates: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp),
+            estimates: estimates_of_live_run(),
+            is_live: true,
             fixes: ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |fix| fix.time),
             ..Self::default()
         }
@@ -66,6 +79,14 @@ impl EventCollector {
             Event::EstimateUpdated { estimate, .. } if estimate.validity.position && estimate.validity.heading => {
                 self.estimates.push(*estimate);
             }
+            Event::EstimateCompared { filter, estimate, .. }
+                if estimate.validity.position && estimate.validity.heading =>
+            {
+                self.compared(filter).estimates.push(*estimate);
+            }
+            Event::ObservationCompared { filter, record, .. } => {
+                posebridge_report::metrics::add_to_tallies(&mut self.compared(filter).sources, record);
+            }
             Event::Health { link, health, sources } => {
                 let report = LinkReport { health: *health, sources: sources.clone() };
                 self.links.insert(*link, report);
@@ -73,6 +94,16 @@ impl EventCollector {
             Event::BrickRestarted { .. } => self.restarts += 1,
             _ => {}
         }
+    }
+
+    fn compared(&mut self, name: &'static str) -> &mut ComparedFilter {
+        let known = self.compared.iter().position(|compared| compared.name == name);
+        let index = known.unwrap_or_else(|| {
+            let estimates = if self.is_live { estimates_of_live_run() } else { ThinnedSeries::default() };
+            self.compared.push(ComparedFilter { name, estimates, sources: Vec::new() });
+            self.compared.len() - 1
+        });
+        &mut self.compared[index]
     }
 
     fn on_fusion(&mut self, record: &FusionRecord) {
@@ -83,10 +114,24 @@ impl EventCollector {
     }
 
     pub fn track(&self) -> PoseTrack {
-        let samples =
-            self.estimates.items().iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
-        PoseTrack::new(samples, MAX_INTERPOLATION_GAP)
+        track_of(self.estimates.items())
     }
+
+    pub fn compared_tracks(&self) -> Vec<ComparedTrack> {
+        let compared = self.compared.iter();
+        compared
+            .map(|compared| ComparedTrack { filter: compared.name, track: track_of(compared.estimates.items()) })
+            .collect()
+    }
+}
+
+fn track_of(estimates: &[Estimate]) -> PoseTrack {
+    let samples = estimates.iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
+    PoseTrack::new(samples, MAX_INTERPOLATION_GAP)
+}
+
+fn estimates_of_live_run() -> ThinnedSeries<Estimate> {
+    ThinnedSeries::with_window(MAX_ESTIMATES_LIVE, HISTORY_LIVE, |estimate| estimate.stamp)
 }
 
 /// A bounded list that keeps every item, then every second, then every fourth. With a window it stops thinning once the items cover it,

@@ -118,6 +118,8 @@ const fn robot_of(event: &Event) -> Option<RobotId> {
         | Event::ObservationAligned { robot, .. }
         | Event::ObservationFused { robot, .. }
         | Event::EstimateUpdated { robot, .. }
+        | Event::ObservationCompared { robot, .. }
+        | Event::EstimateCompared { robot, .. }
         | Event::BrickClockAligned { robot, .. } => Some(*robot),
         Event::RobotDetected { .. }
         | Event::RobotLost { .. }

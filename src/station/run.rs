@@ -87,6 +87,9 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);
     }
+    if !args.compare.is_empty() {
+        config.filter.compare.clone_from(&args.compare);
+    }
     for (target, _) in config.targets()? {
         if let LinkTarget::Sim(name) = target {
             config = config.with_camera_of(&load_scenario(&name)?);

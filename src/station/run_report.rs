@@ -60,10 +60,17 @@ pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSumm
 /// The error table of a run with known truth; `other` is the same world with the other steering.
 fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
-    let mut text = run_table(&[
+    let compared: Vec<(&str, ErrorSummary)> = collector
+        .compared
+        .iter()
+        .map(|compared| (compared.name, summarise(&errors_of_estimates(compared.estimates.items(), &truth.track))))
+        .collect();
+    let mut rows = vec![
         RunRow { name: "brick's own odometry", errors: &odometry },
         RunRow { name: "estimate", errors: &estimate },
-    ]);
+    ];
+    rows.extend(compared.iter().map(|(name, errors)| RunRow { name, errors }));
+    let mut text = run_table(&rows);
     // Writing to a String cannot fail.
     let _ = writeln!(text, "\npath error when steering by     rms mm    max mm");
     for run in other.into_iter().chain([truth]) {
@@ -196,7 +203,9 @@ fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
         title = format!("{title}, robot {label}");
     }
     let truth = truth.as_ref();
+    let compared = collector.compared_tracks();
     let layers = RunLayers {
+        compared: &compared,
         title: &title,
         ideal: truth.map_or(&[], |truth| &truth.path),
         truth: truth.map(|truth| &truth.track),

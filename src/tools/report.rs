@@ -113,7 +113,7 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         let of_wheels = dead_reckoning.entries().iter().find(|wheels| wheels.robot == robot.robot);
         runs.push(RunSummary {
             name: if robots.are_several { robot.label } else { title_of(file) },
-            errors: own::errors(&robot.value.collector, known.truth.as_ref()),
+            errors: own::errors_of(robot.value.collector.estimates.items(), known.truth.as_ref()),
             reference,
             truth: known.truth,
             odometry: known.odometry.or_else(|| track_of(&of_wheels?.value)),

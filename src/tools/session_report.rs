@@ -225,7 +225,9 @@ fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
     let collector = &run.history.collector;
     let estimates = run.history.estimates();
     let smoothed = run.smoothed.as_ref().and_then(SmoothedRun::track);
+    let compared = collector.compared_tracks();
     let layers = RunLayers {
+        compared: &compared,
         title: &run.name,
         truth: run.truth.as_ref(),
         odometry: run.odometry.as_ref(),

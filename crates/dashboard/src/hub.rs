@@ -172,6 +172,8 @@ impl Hub {
             | Event::RobotLost { .. }
             | Event::BrickRestarted { .. }
             | Event::ObservationAligned { .. }
+            | Event::ObservationCompared { .. }
+            | Event::EstimateCompared { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }

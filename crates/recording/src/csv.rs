@@ -7,6 +7,7 @@
 //! ```text
 //! estimates.csv      the filter's estimates, with covariance                  t_s: the brick's clock
 //! fusion.csv         the outcome of each observation: innovation, S, NIS
+//! compared_estimates.csv, compared_fusion.csv   the same of filters that ran beside, with the column `filter`
 //! <kind>.csv         the observations of a kind: wheel_angles, fix, ..
 //! clock.csv          alignments of the brick's clock
 //! temperature.csv    live thermometers; the observations of recorded ones are in temperature_observations.csv
@@ -191,6 +192,12 @@ fn rows_of(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
         Event::ObservationAligned { robot, arrival, observation, .. } => observation_row(*robot, *arrival, observation),
         Event::ObservationFused { robot, record } => fusion_row(*robot, now, record),
         Event::EstimateUpdated { robot, estimate } => estimate_row(*robot, now, estimate),
+        Event::ObservationCompared { robot, filter, record } => {
+            compared_row("compared_fusion", filter, fusion_row(*robot, now, record))
+        }
+        Event::EstimateCompared { robot, filter, estimate } => {
+            compared_row("compared_estimates", filter, estimate_row(*robot, now, estimate))
+        }
         Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } => CsvRow {
             stream: "temperature",
             robot: Some(*brick),
@@ -345,6 +352,12 @@ fn fusion_row(robot: RobotId, now: Timestamp<HostClock>, record: &FusionRecord) 
     columns.extend(INNOVATION_COLUMNS.into_iter().zip(numbers.chain(upper_triangle(&record.innovation_covariance))));
     columns.push(("host_s", now.into()));
     CsvRow { stream: "fusion", columns, robot: Some(robot) }
+}
+
+/// The row of a filter that ran beside the robot's own.
+fn compared_row(stream: &'static str, filter: &str, mut row: CsvRow) -> CsvRow {
+    row.columns.push(("filter", filter.into()));
+    CsvRow { stream, ..row }
 }
 
 fn upper_triangle<const N: usize>(matrix: &[[f64; N]; N]) -> impl Iterator<Item = CsvField> {

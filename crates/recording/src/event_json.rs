@@ -29,6 +29,12 @@ pub fn to_json_line(event: &Event) -> String {
         }
         Event::ObservationFused { robot, record } => ("fused", with_robot(*robot, fusion_of(record))),
         Event::EstimateUpdated { robot, estimate } => ("estimated", with_robot(*robot, estimate_of(estimate))),
+        Event::ObservationCompared { robot, filter, record } => {
+            ("compared_fused", with_filter(filter, with_robot(*robot, fusion_of(record))))
+        }
+        Event::EstimateCompared { robot, filter, estimate } => {
+            ("compared_estimated", with_filter(filter, with_robot(*robot, estimate_of(estimate))))
+        }
         Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } => (
             "temperature",
             json!({
@@ -95,6 +101,11 @@ fn source_of(source: Address) -> Value {
 
 fn with_robot(robot: RobotId, mut fields: Value) -> Value {
     fields["robot"] = robot_of(robot);
+    fields
+}
+
+fn with_filter(filter: &str, mut fields: Value) -> Value {
+    fields["filter"] = json!(filter);
     fields
 }
 

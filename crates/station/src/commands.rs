@@ -252,7 +252,7 @@ impl Station {
 
     fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> CommandOutcome {
         self.robots.changed.insert(index);
-        if self.robots.get_mut(index).estimator.set_pose(start) == FusionOutcome::Malformed {
+        if self.robots.get_mut(index).set_pose(start) == FusionOutcome::Malformed {
             return Err("the pose was not set: a number is not finite or a sigma is negative".to_owned());
         }
         self.robots.keep_first_pose(Some(*start));
@@ -264,9 +264,9 @@ impl Station {
         if let Some(start) = self.robots.get(index).estimator.config.start {
             return self.set_pose(index, &start);
         }
-        let estimator = &mut self.robots.get_mut(index).estimator;
-        if !estimator.apply(&FilterCommand::ResetPose) {
-            return Err(format!("the filter {} cannot forget its pose", estimator.entry.name));
+        let robot = self.robots.get_mut(index);
+        if !robot.apply(&FilterCommand::ResetPose) {
+            return Err(format!("the filter {} cannot forget its pose", robot.estimator.entry.name));
         }
         self.robots.keep_first_pose(None);
         self.robots.changed.insert(index);
@@ -340,7 +340,7 @@ impl Station {
     ) -> Result<(), String> {
         let mut refused = None;
         for robot in self.targeted_robots(target) {
-            if !robot.estimator.apply(command) {
+            if !robot.apply(command) {
                 refused.get_or_insert(robot.estimator.entry.name);
             }
         }
@@ -356,7 +356,7 @@ impl Station {
 
     fn switch_sensor(&mut self, target: CommandTarget, sensor: SensorId, to: SensorSwitch) -> String {
         for robot in self.targeted_robots(target) {
-            robot.estimator.switch_sensor(sensor, to);
+            robot.switch_sensor(sensor, to);
         }
         if target == CommandTarget::Station {
             self.robots.settings.sensors.insert(sensor, to);

@@ -39,6 +39,8 @@ pub struct RobotConfig {
     pub name: Option<String>,
     /// Name of a row of [`posebridge_estimator::FILTERS`].
     pub filter: String,
+    /// Filters that run beside it; their estimates are not sent.
+    pub compared_filters: Vec<String>,
     /// Geometry, noise, start and tunables of the filter.
     pub filter_config: FilterConfig,
     /// Whether the robot's own description replaces the configured geometry.

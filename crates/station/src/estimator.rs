@@ -122,14 +122,8 @@ impl Estimator {
     pub(crate) fn set_geometry(&mut self, geometry: DriveGeometry) {
         self.config.geometry = geometry;
         let mut config = self.config.clone();
-        let estimate =
-            self.latest_estimate().filter(|estimate| estimate.validity.position && estimate.validity.heading);
-        if let Some(estimate) = estimate {
-            config.start = Some(StartPose {
-                pose: estimate.pose,
-                position_sigma_m: estimate.x_sigma_m().max(estimate.y_sigma_m()),
-                heading_sigma_rad: estimate.heading_sigma_rad(),
-            });
+        if let Some(start) = self.latest_estimate().and_then(|estimate| estimate.start_pose()) {
+            config.start = Some(start);
         }
         self.filter = (self.entry.build)(&config);
         // A frozen calibration stays frozen; a filter that does not calibrate refuses, and nothing is lost.

@@ -10,6 +10,7 @@
 pub mod clock;
 mod clock_alignment;
 mod commands;
+mod compared_estimators;
 pub mod config;
 mod decoder;
 mod egress;

@@ -405,7 +405,7 @@ impl Station {
         let now = self.time.now;
         let robot = self.robots.get(index).id;
         self.emit(Event::ObservationAligned { robot, source, arrival, observation });
-        let report = self.robots.get_mut(index).estimator.observe(&observation);
+        let report = self.robots.get_mut(index).observe(&observation);
         if report.is_used {
             self.robots.changed.insert(index);
         }
@@ -548,7 +548,7 @@ impl Station {
         let now = self.time.now;
         let robot = self.robots.get_mut(index);
         let (id, wire_address) = (robot.id, robot.wire_address);
-        robot.estimator.restart_clock();
+        robot.restart_clock();
         self.restart_thermometers(id);
         self.robots.get_mut(index).clocks.forget_gyro_turn();
         for link in self.links.keys() {

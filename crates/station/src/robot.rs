@@ -1,20 +1,42 @@
 //! One robot: its clock, its estimator, and its publisher.
 
-use posebridge_estimator::FilterEntry;
+use posebridge_estimator::{FILTERS, FilterCommand, FilterEntry, find_filter};
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, HostClock, Radians, RobotId, SensorId, Timestamp,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, HostClock, Observation, Radians, RobotId,
+    SensorId, SensorSwitch, StartPose, Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;
-use crate::config::{DescriptionPolicy, LinkConfig, RobotConfig};
+use crate::compared_estimators::{ComparedEstimators, EstimatorInput};
+use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
-use crate::estimator::Estimator;
+use crate::estimator::{Estimator, FusionReport};
 use crate::fix_requests::MAX_CAMERAS;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
+
+/// The filters of a robot, found in the table of filters.
+pub(crate) struct RobotFilters {
+    own: &'static FilterEntry,
+    /// Those that run beside it.
+    compared: Vec<&'static FilterEntry>,
+}
+
+impl RobotFilters {
+    pub(crate) fn find(config: &RobotConfig) -> Result<Self, BuildError> {
+        let find = |name: &String| {
+            find_filter(name).ok_or_else(|| BuildError::UnknownFilter {
+                name: name.clone(),
+                known: FILTERS.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
+            })
+        };
+        let compared = config.compared_filters.iter().map(find).collect::<Result<_, _>>()?;
+        Ok(Self { own: find(&config.filter)?, compared })
+    }
+}
 
 /// The state of one robot.
 pub struct Robot {
@@ -31,6 +53,7 @@ pub struct Robot {
     pub(crate) extractor: ObservationExtractor,
     pub(crate) clocks: ClockAlignment,
     pub(crate) estimator: Estimator,
+    pub(crate) compared: ComparedEstimators,
     pub(crate) publisher: EstimatePublisher,
     /// The endpoint and the instant of its last message.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
@@ -43,7 +66,7 @@ pub struct Robot {
 
 impl Robot {
     /// A robot without messages yet; `links` are those of the station.
-    pub(crate) fn new(entry: &'static FilterEntry, config: &RobotConfig, links: &[LinkConfig]) -> Self {
+    pub(crate) fn new(filters: &RobotFilters, config: &RobotConfig, links: &[LinkConfig]) -> Self {
         Self {
             id: RobotId::default(),
             block: None,
@@ -53,7 +76,8 @@ impl Robot {
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config),
             clocks: ClockAlignment::default(),
-            estimator: Estimator::new(entry, &config.filter_config),
+            estimator: Estimator::new(filters.own, &config.filter_config),
+            compared: ComparedEstimators::new(&filters.compared, &config.filter_config),
             publisher: EstimatePublisher::new(links),
             last_seen: None,
             cameras: Vec::new(),
@@ -145,7 +169,37 @@ impl Robot {
         if geometry != self.estimator.config.geometry {
             self.extractor.geometry = geometry;
             self.estimator.set_geometry(geometry);
+            self.compared.push(EstimatorInput::SetGeometry(geometry));
         }
+    }
+
+    /// Uses an observation, late or not, unless its sensor is disabled.
+    pub(crate) fn observe(&mut self, observation: &Observation) -> FusionReport {
+        self.compared.push(EstimatorInput::Observation(*observation));
+        self.estimator.observe(observation)
+    }
+
+    /// [`FusionOutcome::Malformed`] and no change if a number is not finite or a sigma is negative.
+    pub(crate) fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
+        self.compared.push(EstimatorInput::SetPose(*start));
+        self.estimator.set_pose(start)
+    }
+
+    /// False if the robot's own filter does not support the command.
+    pub(crate) fn apply(&mut self, command: &FilterCommand) -> bool {
+        self.compared.push(EstimatorInput::Command(Box::new(*command)));
+        self.estimator.apply(command)
+    }
+
+    pub(crate) fn switch_sensor(&mut self, sensor: SensorId, to: SensorSwitch) {
+        self.compared.push(EstimatorInput::SwitchSensor(sensor, to));
+        self.estimator.switch_sensor(sensor, to);
+    }
+
+    /// After a reset of the brick's clock.
+    pub(crate) fn restart_clock(&mut self) {
+        self.compared.push(EstimatorInput::RestartClock);
+        self.estimator.restart_clock();
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use posebridge_estimator::{FilterCommand, FilterEntry, find_filter};
+use posebridge_estimator::FilterCommand;
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{
     Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
@@ -10,10 +10,9 @@ use posebridge_telemetry::{
 };
 
 use crate::clock_alignment::ClockAlignment;
-use crate::config::{OutputKind, RobotBlockIndex, RobotConfig, StationConfig};
-use crate::estimator::Estimator;
+use crate::config::{BuildError, OutputKind, RobotBlockIndex, RobotConfig, StationConfig};
 use crate::observers::{ObserverAddress, Observers};
-use crate::robot::Robot;
+use crate::robot::{Robot, RobotFilters};
 use crate::sender_identity::{ContestedMessages, MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities, only_one};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
 
@@ -60,23 +59,24 @@ pub(crate) struct CommonSettings {
 }
 
 impl CommonSettings {
-    fn apply(&mut self, estimator: &mut Estimator) {
+    fn apply(&mut self, robot: &mut Robot) {
         if let Some(online_calibration) = self.online_calibration {
-            estimator.apply(&FilterCommand::SetOnlineCalibration(online_calibration));
+            robot.apply(&FilterCommand::SetOnlineCalibration(online_calibration));
         }
         for (sensor, switch) in &self.sensors {
-            estimator.switch_sensor(*sensor, *switch);
+            robot.switch_sensor(*sensor, *switch);
         }
         if let Some(pose) = self.first_pose.take() {
-            estimator.set_pose(&pose);
+            robot.set_pose(&pose);
         }
     }
 }
 
 impl RobotTable {
-    pub(crate) fn new(entry: &'static FilterEntry, config: &StationConfig) -> Self {
-        Self {
-            robots: vec![Robot::new(entry, &config.robot, &config.links)],
+    /// Fails if a filter is unknown.
+    pub(crate) fn new(config: &StationConfig) -> Result<Self, BuildError> {
+        Ok(Self {
+            robots: vec![Robot::new(&RobotFilters::find(&config.robot)?, &config.robot, &config.links)],
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
             contested: ContestedMessages::default(),
@@ -92,7 +92,7 @@ impl RobotTable {
             pending: OrderedQueue::default(),
             intervals: Vec::new(),
             presence_until: None,
-        }
+        })
     }
 
     /// Before any robot is detected, the configured one.
@@ -219,10 +219,10 @@ impl RobotTable {
         let robot_config = config.robot_config(block);
         // The first robot replaces the configured one, with what that was given before the detection.
         if index == self.robots.len() || *robot_config != config.robot {
-            let entry = find_filter(&robot_config.filter)?;
-            let mut robot = Robot::new(entry, robot_config, &config.links);
-            robot.estimator.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
-            self.settings.apply(&mut robot.estimator);
+            let filters = RobotFilters::find(robot_config).ok()?;
+            let mut robot = Robot::new(&filters, robot_config, &config.links);
+            robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
+            self.settings.apply(&mut robot);
             for (link, message_id, interval) in &self.intervals {
                 robot.publisher.set_interval(*link, *message_id, *interval);
             }
@@ -404,8 +404,7 @@ mod tests {
 
     /// A table whose robots have sent in this order, each from a peer of its own.
     fn table_of(config: &StationConfig, addresses: &[Address]) -> RobotTable {
-        let entry = find_filter(&config.robot.filter).unwrap();
-        let mut table = RobotTable::new(entry, config);
+        let mut table = RobotTable::new(config).unwrap();
         for (peer, address) in (0..).zip(addresses) {
             let endpoint = Endpoint { link: HOME, peer: PeerId(peer) };
             let origin = MessageOrigin { endpoint, home: HOME, address: *address, is_new: true, is_telemetry: true };

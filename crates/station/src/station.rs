@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_estimator::{FILTERS, Params, find_filter};
+use posebridge_estimator::Params;
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
@@ -67,10 +67,6 @@ impl Station {
     ///
     /// Fails if the filter is unknown, or two links share an id.
     pub fn new(mut config: StationConfig, now: Timestamp<HostClock>) -> Result<Self, BuildError> {
-        let entry = find_filter(&config.robot.filter).ok_or_else(|| BuildError::UnknownFilter {
-            name: config.robot.filter.clone(),
-            known: FILTERS.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
-        })?;
         let mut links = BTreeMap::new();
         for link in &config.links {
             if links.insert(link.id, LinkContext::new(link)).is_some() {
@@ -87,7 +83,7 @@ impl Station {
             router,
             sessions: Sessions::new(&config, now),
             observers: Observers::default(),
-            robots: RobotTable::new(entry, &config),
+            robots: RobotTable::new(&config)?,
             thermometers: ThermometerBank::default(),
             operator: OperatorState::new(config.robot.filter_config.params),
             status_texts: StatusTextQueue::default(),
@@ -151,6 +147,7 @@ impl Station {
         self.publish_to_others();
         self.transmitter().forward_frames();
         self.process_temperatures();
+        self.process_comparisons();
         self.send_status_texts();
     }
 
@@ -391,6 +388,7 @@ impl Station {
             };
             let robot = self.robots.get(index).id;
             self.emit(Event::EstimateUpdated { robot, estimate: *estimate });
+            self.robots.get_mut(index).compared.push_published(estimate);
             self.publish_estimate(index, robot.link, estimate);
             if self.links.len() > 1 || !self.links.contains_key(&robot.link) {
                 self.robots.get_mut(index).publisher.pending = Some(*estimate);
@@ -412,6 +410,13 @@ impl Station {
                     self.publish_estimate(index, id, &estimate);
                 }
             }
+        }
+    }
+
+    /// Runs the compared filters, as deferred work.
+    fn process_comparisons(&mut self) {
+        for robot in self.robots.all_mut().iter_mut().filter(|robot| robot.compared.has_pending()) {
+            robot.compared.process(robot.id, |event| self.outputs.emit(event));
         }
     }
 

@@ -226,6 +226,8 @@ impl StatusTextQueue {
                 Some((Topic::SenderText(sender), *severity, text.clone()))
             }
             Event::ObservationAligned { .. }
+            | Event::ObservationCompared { .. }
+            | Event::EstimateCompared { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }

@@ -2,6 +2,7 @@
 
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ellipse::Ellipse;
+use crate::robot::StartPose;
 use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
 use crate::spaces::{Arena, Pose};
 
@@ -67,6 +68,15 @@ impl MissingObservation {
 }
 
 impl Estimate {
+    /// A start at this pose with its uncertainty; `None` unless position and heading are valid.
+    pub fn start_pose(&self) -> Option<StartPose> {
+        (self.validity.position && self.validity.heading).then(|| StartPose {
+            pose: self.pose,
+            position_sigma_m: self.x_sigma_m().max(self.y_sigma_m()),
+            heading_sigma_rad: self.heading_sigma_rad(),
+        })
+    }
+
     pub fn describe_reset(&self) -> String {
         match self.last_correction {
             Some(PoseCorrection { dx_m, dy_m, turn }) => {

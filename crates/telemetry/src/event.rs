@@ -48,6 +48,20 @@ pub enum Event {
         robot: RobotId,
         estimate: Estimate,
     },
+    /// A filter that runs beside the robot's own tried to use an observation.
+    ObservationCompared {
+        robot: RobotId,
+        /// The filter's name.
+        filter: &'static str,
+        record: FusionRecord,
+    },
+    /// The estimate of a filter that runs beside the robot's own, at the instant of an `EstimateUpdated`.
+    EstimateCompared {
+        robot: RobotId,
+        /// The filter's name.
+        filter: &'static str,
+        estimate: Estimate,
+    },
     /// A thermometer's reading, and the final value that its own filter predicts.
     Temperature {
         /// The sender, the robot or any other brick.
@@ -128,6 +142,8 @@ impl Event {
             | Self::BrickRestarted { .. }
             | Self::ObservationFused { .. }
             | Self::EstimateUpdated { .. }
+            | Self::ObservationCompared { .. }
+            | Self::EstimateCompared { .. }
             | Self::Temperature { .. }
             | Self::BrickClockAligned { .. }
             | Self::CameraClockAligned { .. }
@@ -152,6 +168,8 @@ impl Event {
             Self::ObservationAligned { .. }
             | Self::ObservationFused { .. }
             | Self::EstimateUpdated { .. }
+            | Self::ObservationCompared { .. }
+            | Self::EstimateCompared { .. }
             | Self::Temperature { .. }
             | Self::BrickClockAligned { .. }
             | Self::CameraClockAligned { .. }

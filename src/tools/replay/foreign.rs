@@ -183,6 +183,7 @@ pub fn replay_run(
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            compared_filters: vec![],
             thermometers: vec![],
         },
         robots: vec![],

@@ -10,7 +10,7 @@ use posebridge_recording::container::{RecordingHeader, RecordingReader};
 use posebridge_report::metrics::{errors_of_estimates, summarise};
 use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
-use posebridge_telemetry::{HostClock, Input, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Estimate, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedRun, SmoothingSpan};
 use super::watch::{
@@ -141,21 +141,28 @@ fn summarize<'m>(
             }
             result.outcomes.push(FilterResult {
                 name: config.filter.name.clone(),
-                robot: label,
-                errors: errors(&collector, truth),
+                robot: label.clone(),
+                errors: errors_of(collector.estimates.items(), truth),
                 position_rms_uncorrected_m: None,
                 learned: learned.into_iter().collect(),
                 sources: collector.sources,
             });
+            result.outcomes.extend(collector.compared.into_iter().map(|compared| FilterResult {
+                name: compared.name.to_owned(),
+                robot: label.clone(),
+                errors: errors_of(compared.estimates.items(), truth),
+                position_rms_uncorrected_m: None,
+                learned: Vec::new(),
+                sources: compared.sources,
+            }));
         }
     }
     Ok(result)
 }
 
 /// Errors of every published estimate at its own timestamp.
-pub fn errors(collector: &EventCollector, truth: Option<&PoseTrack>) -> ErrorSummary {
-    truth
-        .map_or_else(ErrorSummary::default, |truth| summarise(&errors_of_estimates(collector.estimates.items(), truth)))
+pub fn errors_of(estimates: &[Estimate], truth: Option<&PoseTrack>) -> ErrorSummary {
+    truth.map_or_else(ErrorSummary::default, |truth| summarise(&errors_of_estimates(estimates, truth)))
 }
 
 /// Smooths the whole recording; scores the path at the truth's timestamps like the filter's estimates.
@@ -239,6 +246,8 @@ impl OwnRecording {
         let mut config = config::load_text(origin, &self.header().config_toml, &settings)?.config;
         if let Some(filter) = filter {
             filter.clone_into(&mut config.filter.name);
+            // Each named filter has a run of its own.
+            config.filter.compare.clear();
         }
         Ok(config)
     }

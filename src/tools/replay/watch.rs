@@ -204,8 +204,10 @@ pub(super) fn write_charts(
         return Ok(());
     };
     let ReferenceTracks { truth, odometry, smoothed } = tracks;
+    let compared = collector.compared_tracks();
     let layers = RunLayers {
         title,
+        compared: &compared,
         truth,
         odometry,
         estimates: collector.estimates.items(),

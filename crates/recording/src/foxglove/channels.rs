@@ -23,6 +23,8 @@ pub(crate) struct EncodedMessage {
     pub(crate) channel: Channel,
     /// The robot's name in the topic; `None` for the first.
     pub(crate) robot: Option<Arc<str>>,
+    /// The last part of the topic, for messages of a filter that runs beside the robot's own.
+    pub(crate) filter: Option<&'static str>,
     pub(crate) data: Vec<u8>,
 }
 
@@ -30,18 +32,23 @@ pub(crate) struct EncodedMessage {
 pub(crate) struct ChannelKey {
     topic: &'static str,
     robot: Option<Arc<str>>,
+    filter: Option<&'static str>,
 }
 
 impl EncodedMessage {
     pub(crate) fn key(&self) -> ChannelKey {
         let robot = self.channel.robot_topic.and_then(|_| self.robot.clone());
-        ChannelKey { topic: self.channel.topic, robot }
+        ChannelKey { topic: self.channel.topic, robot, filter: self.filter }
     }
 
     pub(crate) fn topic(&self) -> Cow<'static, str> {
-        match (&self.robot, self.channel.robot_topic) {
+        let topic = match (&self.robot, self.channel.robot_topic) {
             (Some(robot), Some(topic)) => Cow::Owned(format!("/robots/{robot}/{topic}")),
             (None, _) | (_, None) => Cow::Borrowed(self.channel.topic),
+        };
+        match self.filter {
+            Some(filter) => Cow::Owned(format!("{topic}/{filter}")),
+            None => topic,
         }
     }
 }
@@ -97,6 +104,13 @@ pub(super) const ESTIMATE: Channel =
     json("posebridge/estimate", Some("estimate"), "posebridge.Estimate", || records::ESTIMATE.schema());
 pub(super) const FUSION: Channel =
     json("posebridge/fusion", Some("fusion"), "posebridge.Fusion", || records::FUSION.schema());
+/// The name of the filter is the last part of the topic.
+pub(super) const COMPARED_ESTIMATE: Channel =
+    json("posebridge/compared_estimate", Some("compared_estimate"), "posebridge.Estimate", || {
+        records::ESTIMATE.schema()
+    });
+pub(super) const COMPARED_FUSION: Channel =
+    json("posebridge/compared_fusion", Some("compared_fusion"), "posebridge.Fusion", || records::FUSION.schema());
 pub(super) const LINK_HEALTH: Channel =
     json("posebridge/link_health", None, "posebridge.LinkHealth", || records::LINK_HEALTH.schema());
 pub(super) const CLOCK: Channel =
@@ -123,6 +137,8 @@ pub const CHANNELS: &[Channel] = &[
     TRUE_POSE,
     ESTIMATE,
     FUSION,
+    COMPARED_ESTIMATE,
+    COMPARED_FUSION,
     LINK_HEALTH,
     CLOCK,
     CALIBRATION,

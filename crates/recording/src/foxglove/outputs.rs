@@ -54,6 +54,8 @@ impl OutputEncoder {
         match event {
             Event::EstimateUpdated { robot, estimate } => self.estimate_messages(*robot, now, estimate),
             Event::ObservationFused { robot, record } => self.fusion_messages(*robot, now, record),
+            Event::ObservationCompared { robot, filter, record } => self.compared_fusion(*robot, now, filter, record),
+            Event::EstimateCompared { robot, filter, estimate } => self.compared_estimate(*robot, now, filter, estimate),
             Event::ObservationAligned { robot, observation, .. } => self.fix_messages(*robot, now, observation),
             Event::BrickClockAligned { .. } => self.brick_clock_messages(event),
             Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } => {
@@ -202,6 +204,48 @@ impl OutputEncoder {
         messages
     }
 
+    fn compared_estimate(
+        &mut self,
+        robot: RobotId,
+        now: Timestamp<HostClock>,
+        filter: &'static str,
+        estimate: &Estimate,
+    ) -> Vec<EncodedMessage> {
+        let spacing = self.spacing;
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
+        };
+        if !is_due(outputs.last_compared_estimates.entry(filter).or_default(), now, spacing) {
+            return Vec::new();
+        }
+        let message = json_message(channels::COMPARED_ESTIMATE, &records::ESTIMATE, estimate);
+        let mut messages = vec![EncodedMessage { filter: Some(filter), ..message }];
+        outputs.assign(&mut messages);
+        messages
+    }
+
+    /// Of observations that were compared with a prediction.
+    fn compared_fusion(
+        &mut self,
+        robot: RobotId,
+        now: Timestamp<HostClock>,
+        filter: &'static str,
+        record: &FusionRecord,
+    ) -> Vec<EncodedMessage> {
+        let spacing = self.spacing;
+        let Some(outputs) = self.robots.get_or_add(Some(robot)).filter(|_| record.degrees_of_freedom > 0) else {
+            return Vec::new();
+        };
+        let last = outputs.last_compared_fusions.entry((filter, record.sensor, record.kind));
+        if !is_due(last.or_default(), now, spacing) {
+            return Vec::new();
+        }
+        let message = json_message(channels::COMPARED_FUSION, &records::FUSION, record);
+        let mut messages = vec![EncodedMessage { filter: Some(filter), ..message }];
+        outputs.assign(&mut messages);
+        messages
+    }
+
     fn fix_messages(
         &mut self,
         robot: RobotId,
@@ -280,9 +324,9 @@ fn is_due(last: &mut Option<Timestamp<HostClock>>, now: Timestamp<HostClock>, sp
 }
 
 fn protobuf_message(channel: Channel, message: wire::Message) -> EncodedMessage {
-    EncodedMessage { channel, robot: None, data: message.into_bytes() }
+    EncodedMessage { channel, robot: None, filter: None, data: message.into_bytes() }
 }
 
 fn json_message<T>(channel: Channel, record: &Record<T>, of: &T) -> EncodedMessage {
-    EncodedMessage { channel, robot: None, data: record.message(of) }
+    EncodedMessage { channel, robot: None, filter: None, data: record.message(of) }
 }

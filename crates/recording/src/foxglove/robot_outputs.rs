@@ -36,6 +36,9 @@ pub(super) struct RobotOutputs {
     pub(super) alignment: Option<ClockAlignmentPoint>,
     pub(super) last_estimate: Option<Timestamp<HostClock>>,
     pub(super) last_fusions: BTreeMap<(SensorId, &'static str), Option<Timestamp<HostClock>>>,
+    /// By filter.
+    pub(super) last_compared_estimates: BTreeMap<&'static str, Option<Timestamp<HostClock>>>,
+    pub(super) last_compared_fusions: BTreeMap<(&'static str, SensorId, &'static str), Option<Timestamp<HostClock>>>,
     pub(super) path: PathHistory,
 }
 
@@ -146,6 +149,8 @@ impl Default for RobotOutputs {
             alignment: None,
             last_estimate: None,
             last_fusions: BTreeMap::new(),
+            last_compared_estimates: BTreeMap::new(),
+            last_compared_fusions: BTreeMap::new(),
             path: PathHistory::default(),
         }
     }

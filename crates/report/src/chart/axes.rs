@@ -279,6 +279,22 @@ pub(super) const TRUTH: Stroke = Stroke::solid(BLACK, 2.6);
 pub(super) const ODOMETRY: Stroke = Stroke::dashed(VERMILLION, 1.8, "9 2.5");
 pub(super) const ESTIMATE: Stroke = Stroke::solid(BLUE, 1.5);
 pub(super) const SMOOTHED: Stroke = Stroke::dashed(ORANGE, 1.8, "3 2.5");
+/// Of compared filters, in their order; the ninth is like the first.
+const COMPARED: [Stroke; 8] = [
+    Stroke::solid(ORANGE, 1.4),
+    Stroke::solid(BLUISH_GREEN, 1.4),
+    Stroke::solid(REDDISH_PURPLE, 1.4),
+    Stroke::solid(SKY_BLUE, 1.4),
+    Stroke::dashed(ORANGE, 1.4, "6 3"),
+    Stroke::dashed(BLUISH_GREEN, 1.4, "6 3"),
+    Stroke::dashed(REDDISH_PURPLE, 1.4, "6 3"),
+    Stroke::dashed(SKY_BLUE, 1.4, "6 3"),
+];
+
+pub(super) const fn compared_stroke(index: usize) -> &'static Stroke {
+    &COMPARED[index % COMPARED.len()]
+}
+
 pub(super) const ELLIPSE: Stroke = Stroke::solid(SKY_BLUE, 0.9);
 pub(super) const CLAIM: Stroke = Stroke::solid(SKY_BLUE, 1.1);
 pub(super) const REJECTED: Stroke = Stroke::solid(REDDISH_PURPLE, 1.6);

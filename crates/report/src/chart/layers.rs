@@ -19,6 +19,13 @@ pub struct FixMark {
     pub verdict: FusionOutcome,
 }
 
+/// The path of a filter that ran beside the one whose estimates were sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ComparedTrack {
+    pub filter: &'static str,
+    pub track: PoseTrack,
+}
+
 /// The data of a run for figures; every layer may be empty or `None`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RunLayers<'a> {
@@ -31,6 +38,7 @@ pub struct RunLayers<'a> {
     pub estimates: &'a [Estimate],
     /// The smoothed path: estimated from all observations, earlier and later.
     pub smoothed: Option<&'a PoseTrack>,
+    pub compared: &'a [ComparedTrack],
     pub fixes: &'a [FixMark],
 }
 
@@ -89,6 +97,8 @@ pub(super) struct DrawableLayers {
     pub(super) odometry: Polylines,
     pub(super) estimate: Polylines,
     pub(super) smoothed: Polylines,
+    /// By filter.
+    pub(super) compared: Vec<(&'static str, Polylines)>,
     pub(super) ellipses: Vec<Vec<Point2<Arena>>>,
     pub(super) used_fixes: Vec<Point2<Arena>>,
     pub(super) rejected_fixes: Vec<Point2<Arena>>,
@@ -105,6 +115,8 @@ impl DrawableLayers {
         drawable.odometry = drawable.track(layers.odometry);
         drawable.estimate = drawable.estimate_lines(layers.estimates);
         drawable.smoothed = drawable.track(layers.smoothed);
+        let compared = layers.compared.iter();
+        drawable.compared = compared.map(|one| (one.filter, drawable.track(Some(&one.track)))).collect();
         drawable.ellipses = drawable.ellipses_of(layers.estimates);
         let (used, unused): (Vec<FixMark>, Vec<FixMark>) = layers.fixes.iter().partition(|fix| was_used(fix.verdict));
         let (late, refused): (Vec<FixMark>, Vec<FixMark>) =
@@ -123,8 +135,9 @@ impl DrawableLayers {
     /// The x and y ranges of the panel. Rejected fixes may be anywhere and are not included.
     pub(super) fn bounds(&self) -> (ValueRange, ValueRange) {
         let lines = [&self.truth, &self.odometry, &self.estimate, &self.smoothed];
+        let compared = self.compared.iter().map(|(_, lines)| lines);
         let points: Vec<Point2<Arena>> =
-            lines.into_iter().flatten().chain([&self.ideal, &self.used_fixes]).flatten().copied().collect();
+            lines.into_iter().chain(compared).flatten().chain([&self.ideal, &self.used_fixes]).flatten().copied().collect();
         let unit = ValueRange { low: 0.0, high: 1.0 };
         (
             ValueRange::of(points.iter().map(|point| point.x.0)).unwrap_or(unit),

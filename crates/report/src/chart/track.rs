@@ -6,7 +6,7 @@ use posebridge_telemetry::{Arena, Estimate, Point2};
 
 use super::axes::{
     BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE, LegendEntry,
-    LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange, draw_start,
+    LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange, compared_stroke, draw_start,
     round_ticks,
 };
 use super::layers::{DrawableLayers, Polylines, RunLayers, downsample_path, ellipse_of, is_drawable, open_figure};
@@ -72,6 +72,9 @@ fn draw_layers(svg: &mut Svg, panel: &PlotPanel, drawable: &DrawableLayers) {
     lines(&drawable.truth, &TRUTH, svg);
     lines(&drawable.odometry, &ODOMETRY, svg);
     draw_fixes(svg, panel, drawable);
+    for (index, (_, compared)) in drawable.compared.iter().enumerate() {
+        lines(compared, compared_stroke(index), svg);
+    }
     lines(&drawable.estimate, &ESTIMATE, svg);
     lines(&drawable.smoothed, &SMOOTHED, svg);
     draw_start_and_end(svg, panel, drawable);
@@ -130,7 +133,9 @@ fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
         (refused > 0, LegendEntry::new(LegendMark::Cross(&REJECTED), format!("fix, refused ({refused})"))),
         (late > 0, LegendEntry::new(LegendMark::Ring(&LATE), format!("fix, too late ({late})"))),
     ];
-    rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).collect()
+    let compared = drawable.compared.iter().enumerate().filter(|(_, (_, lines))| !lines.is_empty());
+    let compared = compared.map(|(index, (filter, _))| LegendEntry::new(LegendMark::Line(compared_stroke(index)), *filter));
+    rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).chain(compared).collect()
 }
 
 // The magnified detail beside the map: on a map of metres, ellipses of millimetres are dots.

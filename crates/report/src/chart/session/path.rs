@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 
-use crate::chart::axes::{BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH};
+use crate::chart::axes::{BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH, compared_stroke};
 use crate::chart::layers::{DrawableLayers, Polylines, RunLayers, is_drawable};
 use crate::chart::plot::{Axes, Curve, CurveShape};
 use crate::chart::strip::render_strip;
@@ -34,6 +34,9 @@ pub fn render_path(layers: &RunLayers<'_>) -> String {
     add_lines(&mut curves, "truth", &drawable.truth, &TRUTH);
     add_lines(&mut curves, "odometry", &drawable.odometry, &ODOMETRY);
     add_fixes(&mut curves, &drawable);
+    for (index, (filter, lines)) in drawable.compared.iter().enumerate() {
+        add_lines(&mut curves, filter, lines, compared_stroke(index));
+    }
     add_lines(&mut curves, "estimate", &drawable.estimate, &ESTIMATE);
     add_lines(&mut curves, "smoothed", &drawable.smoothed, &SMOOTHED);
     if let Some(start) = drawable.start() {

@@ -41,6 +41,7 @@ pub(crate) fn config() -> StationConfig {
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
+            compared_filters: vec![],
             thermometers: vec![],
         },
         robots: vec![],
