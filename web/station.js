@@ -40,6 +40,7 @@ export class Station {
     this.recording = null;
     this.listed = this.recordings.find((row) => row.is_current)?.name ?? null;
     this.switchedOff = new Set();
+    this.isComparing = false;
     this.#takeStanding(isRecord(hello.history) ? hello.history : {});
   }
 
@@ -64,6 +65,7 @@ export class Station {
       this.switchedOff = new Set(frame.switched_off.slice(0, MOST_SWITCHES));
       this.switchesTold += 1;
     }
+    if (typeof frame.is_comparing === 'boolean') this.isComparing = frame.is_comparing;
     if (this.simulator && isRecord(frame.simulator)) {
       this.simulator.steering = frame.simulator.steering;
       this.simulator.link_profile = frame.simulator.link_profile;

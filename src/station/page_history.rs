@@ -167,6 +167,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
             .collect(),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
         switched_off: station.first_robot().switched_off().map(|sensor| sensor.0).collect(),
+        is_comparing: station.first_robot().compared_filters().next().is_some(),
         simulator: None,
     }
 }

@@ -15,6 +15,7 @@ export const LIVE_CAPACITY = 4096;
 const MOST_SENSORS = 32;
 const MOST_CALIBRATED = 64;
 const MOST_KINDS = 8;
+const MOST_FILTERS = 16;
 const MOST_VERDICTS = 64;
 const MOST_SWITCHES = 256;
 const MOST_NAME = 60;
@@ -37,6 +38,10 @@ export class Robot {
     // Of a recording as many come as of estimates, live there are fewer.
     this.recordCapacity = capacity > LIVE_CAPACITY ? capacity : capacity / 2;
     this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], this.recordCapacity);
+    /** filter -> track of its positions, of those that run beside the one that sends. */
+    this.compared = new Map();
+    /** How all filters do, the one that sends first; see ComparisonRow of the station. */
+    this.comparison = NOTHING;
     /** sensor -> Source */
     this.sources = new Map();
     /** name -> { name, unit, value, sigma, isLearned, track } */
@@ -59,6 +64,8 @@ export class Robot {
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
+    for (const point of list(part.compared)) this.#compared(point);
+    if (list(part.comparison).length > 0) this.comparison = part.comparison.slice(0, MOST_FILTERS);
     for (const tally of list(part.tallies)) this.#source(tally)?.count(tally);
     for (const entry of list(part.calibration)) this.#learned(entry, now_s);
   }
@@ -66,6 +73,17 @@ export class Robot {
   #fix(fix) {
     const mark = markOf(fix.verdict, fix.lag_s);
     this.fixes.append({ t_s: fix.t_s, x_m: fix.x_m, y_m: fix.y_m, heading_rad: fix.heading_rad, mark });
+  }
+
+  #compared(point) {
+    const filter = String(point.filter).slice(0, 40);
+    let track = this.compared.get(filter);
+    if (!track) {
+      if (this.compared.size >= MOST_FILTERS) return;
+      track = new Track(['x_m', 'y_m'], this.recordCapacity);
+      this.compared.set(filter, track);
+    }
+    track.append(point);
   }
 
   #record(record) {

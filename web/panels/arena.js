@@ -10,7 +10,7 @@ import { degrees, fixed, metres, millimetres } from '../view/format.js';
 import { Lens, lensSize_px } from '../view/lens.js';
 import { listen } from '../view/map_input.js';
 import { OtherRobots } from '../view/other_robots.js';
-import { DASHES, palette } from '../view/palette.js';
+import { ComparedColours, DASHES, palette } from '../view/palette.js';
 
 const TRAIL_S = 60;
 const ZOOM_STEP = 1.25;
@@ -157,7 +157,9 @@ class ArenaPanel {
   // The poses at the time that is shown.
   #read(view) {
     const truth = view.session.truthOf(view.robot);
-    if (this.session !== view.session || this.robot !== view.robot || this.known !== truth) {
+    const compared = view.robot?.compared.size ?? 0;
+    if (this.session !== view.session || this.robot !== view.robot || this.known !== truth || this.compared !== compared) {
+      this.compared = compared;
       this.session = view.session;
       this.robot = view.robot;
       this.known = truth;
@@ -279,6 +281,9 @@ function trails(view, truth) {
   if (truth) {
     shown.push({ track: truth, x: 'x_m', y: 'y_m', colour: 'truth', width: 3 });
     shown.push({ track: truth, x: 'odometry_x_m', y: 'odometry_y_m', colour: 'odometry', width: 1.8 });
+  }
+  for (const [filter, track] of view.robot?.compared ?? []) {
+    shown.push({ track, x: 'x_m', y: 'y_m', stroke: ComparedColours.of(view.robot, filter), dash: ComparedColours.dash(view.robot, filter), width: 1.2 });
   }
   if (view.robot) shown.push({ track: view.robot.estimates, x: 'x_m', y: 'y_m', colour: 'estimate', width: 1.6 });
   return shown;

@@ -2,6 +2,7 @@
 
 import { arena } from './arena.js';
 import { calibration } from './calibration.js';
+import { comparison } from './comparison.js';
 import { error } from './error.js';
 import { innovations } from './innovations.js';
 import { links } from './links.js';
@@ -16,4 +17,4 @@ import { simulator } from './simulator.js';
  * the others in turn, one a frame. `isLive` ones act on the live robot and rest while a recording is shown; `rest?()` is called then, and before
  * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
-export const PANELS = [robots, arena, simulator, error, innovations, calibration, parameters, links, log, recordings];
+export const PANELS = [robots, arena, simulator, error, comparison, innovations, calibration, parameters, links, log, recordings];

@@ -67,7 +67,7 @@ export function drawTrail(context, camera, trail, from, to) {
     lastX = x;
     lastY = y;
   }
-  stroke(context, palette[trail.colour], trail.width, DASHES[trail.colour]);
+  stroke(context, trail.stroke ?? palette[trail.colour], trail.width, trail.dash ?? DASHES[trail.colour]);
 }
 
 function stroke(context, colour, width, dash) {

@@ -18,4 +18,14 @@ export function markColour(mark) {
   return palette[['accepted', 'late', 'gated', 'old', 'reset', 'faint'][mark] ?? 'faint'];
 }
 
+// After the colours come the same ones dashed: eight filters stay apart.
+const COMPARED = ['#E69F00', '#009E73', '#CC79A7', '#56B4E9'];
+const COMPARED_DASH = [6, 3];
+
+/** The colours of the filters that run beside the one that sends, in the order in which they were heard first. */
+export const ComparedColours = Object.freeze({
+  of: (robot, filter) => COMPARED[Math.max(0, [...robot.compared.keys()].indexOf(filter)) % COMPARED.length],
+  dash: (robot, filter) => ([...robot.compared.keys()].indexOf(filter) >= COMPARED.length ? COMPARED_DASH : []),
+});
+
 export const DASHES = Object.freeze({ truth: [], odometry: [7, 4], estimate: [], path: [2, 4] });

@@ -35,6 +35,7 @@ assets![
     "model/track.js",
     "panels/arena.js",
     "panels/calibration.js",
+    "panels/comparison.js",
     "panels/error.js",
     "panels/index.js",
     "panels/innovations.js",

@@ -37,6 +37,8 @@ pub struct StationStatus {
     pub recording: Option<String>,
     /// Ids of sensors of the first robot.
     pub switched_off: Vec<u8>,
+    /// Whether filters run beside the one that sends.
+    pub is_comparing: bool,
     /// `None` without a simulated brick.
     pub simulator: Option<SimulatorNow>,
 }

@@ -15,7 +15,7 @@ use posebridge_estimator::{FilterCommand, PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
-    Address, Command, Event, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
+    Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
     ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
 };
 
@@ -229,6 +229,7 @@ impl Station {
                 Ok("calibration reset to what is configured".to_owned())
             }
             Command::SwitchSource { sensor, to } => Ok(self.switch_sensor(target, sensor, to)),
+            Command::CompareFilters(to) => Ok(self.compare_filters(to)),
             Command::StartRecording => {
                 let values = self.parameter_values();
                 self.emit_request(Request::StartRecording { values });
@@ -366,6 +367,21 @@ impl Station {
             SensorSwitch::Off => "left out",
         };
         format!("source {sensor} ({}) is {is}", sensor.name())
+    }
+
+    fn compare_filters(&mut self, to: FilterComparison) -> String {
+        self.robots.settings.comparison = Some(to);
+        let config = &self.config;
+        for robot in self.robots.all_mut() {
+            robot.compare_filters(to, config.robot_config(robot.block()));
+        }
+        match to {
+            FilterComparison::On => {
+                let names: Vec<_> = self.robots.first().compared.filters().collect();
+                format!("compared: {}", names.join(", "))
+            }
+            FilterComparison::Off => "filters are compared no longer".to_owned(),
+        }
     }
 
     fn parameter_values(&self) -> Vec<(ParameterName, f64)> {

@@ -45,6 +45,10 @@ impl ComparedEstimators {
         Self { estimators: estimators.collect(), pending: Vec::new() }
     }
 
+    pub(crate) fn filters(&self) -> impl Iterator<Item = &'static str> {
+        self.estimators.iter().map(|compared| compared.estimator.entry.name)
+    }
+
     /// Queues an input until [`Self::process`].
     pub(crate) fn push(&mut self, input: EstimatorInput) {
         if !self.estimators.is_empty() {

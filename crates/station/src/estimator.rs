@@ -20,7 +20,7 @@ pub(crate) struct Estimator {
     /// Private, so that no observation bypasses the disabled sensors and the monitoring.
     filter: Box<dyn Filter>,
     pub(crate) switched_off: BTreeSet<SensorId>,
-    online_calibration: OnlineCalibration,
+    pub(crate) online_calibration: OnlineCalibration,
     slip_watch: SlipWatch,
     /// Normalised innovation squared of the last fix over its gate, above 1 if it was rejected; 0 before the first.
     pub(crate) fix_ratio: f64,

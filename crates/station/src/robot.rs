@@ -1,10 +1,10 @@
 //! One robot: its clock, its estimator, and its publisher.
 
-use posebridge_estimator::{FILTERS, FilterCommand, FilterEntry, find_filter};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntry, find_filter};
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, HostClock, Observation, Radians, RobotId,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, FusionOutcome, HostClock, Observation, Radians, RobotId,
     SensorId, SensorSwitch, StartPose, Timestamp,
 };
 
@@ -35,6 +35,16 @@ impl RobotFilters {
         };
         let compared = config.compared_filters.iter().map(find).collect::<Result<_, _>>()?;
         Ok(Self { own: find(&config.filter)?, compared })
+    }
+
+    /// The configured filters to compare, or else every filter of a pose.
+    fn to_compare(config: &RobotConfig) -> Vec<&'static FilterEntry> {
+        let is_chosen = |entry: &&FilterEntry| {
+            let is_of_pose = entry.quantity == EstimatedQuantity::Pose;
+            let is_named = config.compared_filters.iter().any(|name| name == entry.name);
+            is_of_pose && entry.name != config.filter && (config.compared_filters.is_empty() || is_named)
+        };
+        FILTERS.iter().filter(is_chosen).collect()
     }
 }
 
@@ -126,6 +136,11 @@ impl Robot {
         self.estimator.config.geometry
     }
 
+    /// The names of the filters that run beside its own.
+    pub fn compared_filters(&self) -> impl Iterator<Item = &'static str> {
+        self.compared.filters()
+    }
+
     pub fn switched_off(&self) -> impl Iterator<Item = SensorId> {
         self.estimator.switched_off.iter().copied()
     }
@@ -170,6 +185,25 @@ impl Robot {
             self.extractor.geometry = geometry;
             self.estimator.set_geometry(geometry);
             self.compared.push(EstimatorInput::SetGeometry(geometry));
+        }
+    }
+
+    /// Starts the compared filters at the robot's present pose, or stops them.
+    pub(crate) fn compare_filters(&mut self, to: FilterComparison, config: &RobotConfig) {
+        self.compared = match to {
+            FilterComparison::Off => ComparedEstimators::default(),
+            FilterComparison::On => {
+                let mut filter_config = self.estimator.config.clone();
+                let start = self.estimator.latest_estimate().and_then(|estimate| estimate.start_pose());
+                filter_config.start = start.or(filter_config.start);
+                ComparedEstimators::new(&RobotFilters::to_compare(config), &filter_config)
+            }
+        };
+        self.compared.push(EstimatorInput::Command(Box::new(FilterCommand::SetOnlineCalibration(
+            self.estimator.online_calibration,
+        ))));
+        for sensor in &self.estimator.switched_off {
+            self.compared.push(EstimatorInput::SwitchSensor(*sensor, SensorSwitch::Off));
         }
     }
 

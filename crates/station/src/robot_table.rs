@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use posebridge_estimator::FilterCommand;
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{
-    Address, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
+    Address, FilterComparison, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
     TimeDelta, Timestamp,
 };
 
@@ -54,12 +54,17 @@ pub(crate) struct RobotTable {
 pub(crate) struct CommonSettings {
     pub(crate) online_calibration: Option<OnlineCalibration>,
     pub(crate) sensors: BTreeMap<SensorId, SensorSwitch>,
+    /// `None` as configured.
+    pub(crate) comparison: Option<FilterComparison>,
     /// The start pose of the first robot before it is detected.
     first_pose: Option<StartPose>,
 }
 
 impl CommonSettings {
-    fn apply(&mut self, robot: &mut Robot) {
+    fn apply(&mut self, robot: &mut Robot, config: &RobotConfig) {
+        if let Some(comparison) = self.comparison {
+            robot.compare_filters(comparison, config);
+        }
         if let Some(online_calibration) = self.online_calibration {
             robot.apply(&FilterCommand::SetOnlineCalibration(online_calibration));
         }
@@ -222,7 +227,7 @@ impl RobotTable {
             let filters = RobotFilters::find(robot_config).ok()?;
             let mut robot = Robot::new(&filters, robot_config, &config.links);
             robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
-            self.settings.apply(&mut robot);
+            self.settings.apply(&mut robot, robot_config);
             for (link, message_id, interval) in &self.intervals {
                 robot.publisher.set_interval(*link, *message_id, *interval);
             }

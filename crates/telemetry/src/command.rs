@@ -46,6 +46,8 @@ pub enum Command {
         sensor: SensorId,
         to: SensorSwitch,
     },
+    /// Run further filters beside the one that sends, those of the configuration or else all, or stop them.
+    CompareFilters(FilterComparison),
     StartRecording,
     StopRecording,
     Simulator(SimulatorCommand),
@@ -61,7 +63,11 @@ impl Command {
             | Self::ResetCalibration
             | Self::SwitchSource { .. }
             | Self::Simulator(_) => true,
-            Self::SetParameter { .. } | Self::Parameters(_) | Self::StartRecording | Self::StopRecording => false,
+            Self::SetParameter { .. }
+            | Self::Parameters(_)
+            | Self::CompareFilters(_)
+            | Self::StartRecording
+            | Self::StopRecording => false,
         }
     }
 
@@ -79,6 +85,8 @@ impl Command {
             Self::ResetCalibration => "reset calibration",
             Self::SwitchSource { to: SensorSwitch::Off, .. } => "switch source off",
             Self::SwitchSource { to: SensorSwitch::On, .. } => "switch source on",
+            Self::CompareFilters(FilterComparison::Off) => "stop comparing filters",
+            Self::CompareFilters(FilterComparison::On) => "compare filters",
             Self::StartRecording => "start recording",
             Self::StopRecording => "stop recording",
             Self::Simulator(command) => command.name(),
@@ -104,6 +112,7 @@ impl fmt::Display for Command {
             | Self::Parameters(_)
             | Self::OnlineCalibration(_)
             | Self::ResetCalibration
+            | Self::CompareFilters(_)
             | Self::StartRecording
             | Self::StopRecording => f.write_str(name),
         }
@@ -125,6 +134,13 @@ pub enum ParameterStorage {
 pub enum OnlineCalibration {
     Frozen,
     Enabled,
+}
+
+/// Whether further filters run beside the one whose estimates are sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FilterComparison {
+    Off,
+    On,
 }
 
 /// A task for the program that runs the station. A replay ignores it.

@@ -24,7 +24,7 @@ pub mod simulator;
 pub mod spaces;
 
 pub use clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
-pub use command::{Command, OnlineCalibration, ParameterName, ParameterStorage, Request};
+pub use command::{Command, FilterComparison, OnlineCalibration, ParameterName, ParameterStorage, Request};
 pub use ellipse::Ellipse;
 pub use estimate::{Estimate, MissingObservation, PoseCorrection, ScalarEstimate, Validity};
 pub use event::{Event, LinkState, ReceiveError, SignatureError};

@@ -124,6 +124,7 @@ impl CommandContext {
             | Command::OnlineCalibration(_)
             | Command::ResetCalibration
             | Command::StartRecording
+            | Command::CompareFilters(_)
             | Command::StopRecording => None,
         };
         fault.map_or(Ok(()), |fault| {

@@ -2,8 +2,8 @@
 
 use posebridge_telemetry::simulator::{ProfileName, SlippingWheel, SteeringSource};
 use posebridge_telemetry::{
-    Command, Heading, Meters, OnlineCalibration, ParameterName, ParameterStorage, Pose, SensorId, SimulatorCommand,
-    TimeDelta,
+    Command, FilterComparison, Heading, Meters, OnlineCalibration, ParameterName, ParameterStorage, Pose, SensorId, SensorSwitch,
+    SimulatorCommand,     TimeDelta,
 };
 
 use super::fields::{CommandField, FieldKind, FieldValues};
@@ -101,6 +101,12 @@ pub const COMMANDS: &[CommandRow] = &[
         field("sensor", FieldKind::Integer { least: 0, most: u8::MAX as u64 }),
         field("on", FieldKind::Switch),
     ], |of| Command::SwitchSource { sensor: SensorId(of.integer("sensor") as u8), to: of.switch("on") }),
+    station_command("compare-filters", "run further filters beside the one that sends, or stop them", &[field("on", FieldKind::Switch)], |of| {
+        Command::CompareFilters(match of.switch("on") {
+            SensorSwitch::On => FilterComparison::On,
+            SensorSwitch::Off => FilterComparison::Off,
+        })
+    }),
     station_command("start-recording", "begin a new recording", &[], |_| Command::StartRecording),
     station_command("stop-recording", "end the recording", &[], |_| Command::StopRecording),
     robot_command(

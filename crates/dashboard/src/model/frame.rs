@@ -32,6 +32,9 @@ pub struct Frame {
     /// The numbers of all sources that are left out of the first robot, when that has changed and once a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub switched_off: Option<Vec<u8>>,
+    /// Whether filters run beside the one that sends, when that has changed and once a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub is_comparing: Option<bool>,
     /// How the simulated brick was set last, when that has changed and once a second; absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<SimulatorNow>,
@@ -70,6 +73,7 @@ impl Frame {
             && self.clock.is_none()
             && self.parameters.is_none()
             && self.switched_off.is_none()
+            && self.is_comparing.is_none()
             && self.simulator.is_none()
             && self.recording.is_none()
     }
@@ -99,6 +103,12 @@ pub struct RobotFrame {
     /// How far its odometry and its last estimate are from the truth; absent without truth or news.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub errors: Option<ErrorsRow>,
+    /// Positions by the filters that run beside the one that sends, oldest first of each; absent without news.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub compared: Vec<ComparedPoint>,
+    /// The filters side by side, the one that sends first, once a second; absent while none are compared.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub comparison: Vec<ComparisonRow>,
     /// How many observations came so far, once a second; of a recording one for each second.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tallies: Vec<TallyPoint>,
@@ -146,6 +156,42 @@ pub struct EstimatePoint {
     pub is_dead_reckoning: bool,
     /// Time since the last fix that was used; `null` before the first.
     pub fix_age_s: Number,
+}
+
+/// The position by a filter that runs beside the one that sends.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ComparedPoint {
+    /// When it was made, in seconds of the session.
+    pub t_s: f64,
+    /// The filter's name.
+    pub filter: String,
+    /// East, in metres.
+    pub x_m: Number,
+    /// North, in metres.
+    pub y_m: Number,
+}
+
+/// How a filter does.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ComparisonRow {
+    /// The filter's name; empty for the one that sends.
+    pub filter: String,
+    /// Distance of its last position from the truth of that instant; `null` where no truth is known.
+    pub error_m: Number,
+    /// Root mean square of these distances since the comparison began.
+    pub error_rms_m: Number,
+    /// Distance of its last position from that of the filter that sends.
+    pub apart_m: Number,
+    /// Half the longer axis of the ellipse that holds its position with 95 %.
+    pub major_m: Number,
+    /// Sum of the normalised innovation squared over the sum of degrees of freedom, since the comparison began.
+    pub nis: Number,
+    /// Number of observations that it used, and that it gated.
+    pub used: u64,
+    /// Number of observations that it gated.
+    pub gated: u64,
 }
 
 /// A fix of a camera.

@@ -4,7 +4,7 @@ mod frame;
 
 pub(crate) use frame::seconds_of;
 pub use frame::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, Number,
+    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, Number,
     ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
 };
 

@@ -3,6 +3,7 @@
 //! A view gets every event in order and adds its updates to the next message and its history to the first one. It has no clock, socket
 //! or thread: the same events give the same messages, live and from a recording.
 
+mod comparison;
 mod links;
 mod log;
 mod observations;
@@ -10,6 +11,7 @@ mod retained_series;
 mod robots;
 mod status;
 mod truth;
+mod truth_samples;
 mod view;
 
 use posebridge_telemetry::{HostClock, Timestamp};
@@ -63,6 +65,9 @@ pub const VIEWS: &[ViewEntry] = &[
     ViewEntry { name: "fixes", build: |config| Box::new(observations::fixes(config)) },
     ViewEntry { name: "fusion", build: |config| Box::new(observations::fusion(config)) },
     ViewEntry { name: "tallies", build: |config| Box::new(observations::Tallies::new(config)) },
+    ViewEntry { name: "compared paths", build: |config| Box::new(comparison::compared_paths(config)) },
+    ViewEntry { name: "comparison", build: |_| Box::new(comparison::Comparison::default()) },
+    ViewEntry { name: "is comparing", build: |_| Box::new(status::is_comparing()) },
     ViewEntry { name: "calibration", build: |config| Box::new(status::Calibrations::new(config)) },
     ViewEntry { name: "truth", build: |config| Box::new(truth::Truth::new(config)) },
     ViewEntry { name: "links", build: |config| Box::new(links::Links::new(config)) },

@@ -28,6 +28,10 @@ pub(super) fn parameters() -> StatusPart<Vec<ParameterValue>> {
     )
 }
 
+pub(super) fn is_comparing() -> StatusPart<bool> {
+    StatusPart::new(|status| Some(status.is_comparing), |frame, is_comparing| frame.is_comparing = is_comparing)
+}
+
 /// Steering source and link profile of the simulated brick.
 pub(super) fn simulator() -> StatusPart<SimulatorNow> {
     StatusPart::new(|status| status.simulator.clone(), |frame, settings| frame.simulator = settings)

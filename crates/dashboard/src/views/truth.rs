@@ -4,20 +4,17 @@
 
 use std::collections::VecDeque;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Meters, Point2, Pose, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
 use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeries};
 use super::robots::estimate_point;
+use super::truth_samples::{SampleOrder, TruthSamples, odometry_error};
 use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::SimulatedTruth;
 use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of};
 
-/// Samples for comparison with estimates: twelve seconds at 20 Hz, and no estimate is later.
-const MAX_SAMPLES: usize = 256;
 /// Estimates that wait for the sample after their instant, which comes within 50 ms.
 const MAX_WAITING_ESTIMATES: usize = 32;
-/// The true position is unknown between samples that are further apart.
-const MAX_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 /// Without a comparable estimate for this long, its error is unknown: the link or the robot is down.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 
@@ -76,7 +73,7 @@ impl Truth {
 struct RobotTruth {
     points: RetainedSeries<TruthPoint>,
     scores: RetainedSeries<ScorePoint>,
-    samples: VecDeque<SimulatedTruth>,
+    samples: TruthSamples,
     /// Estimates of instants after the last sample.
     waiting: VecDeque<PendingEstimate>,
     odometry_m: f64,
@@ -100,7 +97,7 @@ impl RobotTruth {
         Self {
             points: RetainedSeries::new(policy),
             scores: RetainedSeries::new(policy),
-            samples: VecDeque::new(),
+            samples: TruthSamples::new(),
             waiting: VecDeque::new(),
             odometry_m: f64::NAN,
             estimate_m: f64::NAN,
@@ -110,19 +107,11 @@ impl RobotTruth {
     }
 
     fn push_sample(&mut self, sample: &SimulatedTruth) {
-        let last = self.samples.back().map(|last| last.time);
-        if last == Some(sample.time) {
-            return;
+        match self.samples.push(sample) {
+            SampleOrder::Repeated => return,
+            SampleOrder::Restarted => self.waiting.clear(),
+            SampleOrder::Later => {}
         }
-        let is_restarted = last.is_some_and(|last| sample.time < last);
-        if is_restarted {
-            self.samples.clear();
-            self.waiting.clear();
-        }
-        if self.samples.len() >= MAX_SAMPLES {
-            self.samples.pop_front();
-        }
-        self.samples.push_back(*sample);
         self.odometry_m = odometry_error(sample).unwrap_or(self.odometry_m);
         let point = point_of(sample);
         self.points.push(sample.now, point, PointPriority::Normal);
@@ -146,7 +135,7 @@ impl RobotTruth {
     }
 
     fn push_estimate(&mut self, now: Timestamp<HostClock>, estimated: PendingEstimate) {
-        let Some(last) = self.samples.back().map(|sample| sample.time) else {
+        let Some(last) = self.samples.latest() else {
             return;
         };
         if estimated.time <= last {
@@ -161,7 +150,7 @@ impl RobotTruth {
     }
 
     fn compare(&mut self, now: Timestamp<HostClock>, estimated: &PendingEstimate) {
-        let Some((really, odometry_m)) = self.at(estimated.time) else {
+        let Some((really, odometry_m)) = self.samples.at(estimated.time) else {
             return;
         };
         let estimate_m = estimated.position.distance(really).0;
@@ -176,26 +165,6 @@ impl RobotTruth {
         self.scores.push(estimated.received, score, PointPriority::Normal);
     }
 
-    /// True position and odometry error, interpolated linearly between samples.
-    fn at(&self, stamp: Timestamp<BrickClock>) -> Option<(Point2<Arena>, Number)> {
-        let after = self.samples.partition_point(|sample| sample.time < stamp);
-        let next = self.samples.get(after)?;
-        let before = after.checked_sub(1);
-        let Some(before) = before.and_then(|index| self.samples.get(index)) else {
-            let off_m = odometry_error(next).unwrap_or(f64::NAN);
-            return (next.time == stamp).then(|| (next.pose.origin(), off_m.into()));
-        };
-        let gap = next.time - before.time;
-        if gap > MAX_GAP {
-            return None;
-        }
-        let share = (stamp - before.time).as_secs_f64() / gap.as_secs_f64();
-        let really = interpolate_position(before.pose, next.pose, share);
-        let odometry = before.odometry.zip(next.odometry);
-        let off_m = odometry.map_or(f64::NAN, |(from, to)| interpolate_position(from, to, share).distance(really).0);
-        Some((really, off_m.into()))
-    }
-
     fn has_pending(&self) -> bool {
         self.points.has_pending() || self.scores.has_pending()
     }
@@ -204,16 +173,6 @@ impl RobotTruth {
         let is_known = !self.samples.is_empty();
         is_known.then(|| ErrorsRow { odometry_m: self.odometry_m.into(), estimate_m: self.estimate_m.into() })
     }
-}
-
-fn interpolate_position(from: Pose<Arena>, to: Pose<Arena>, share: f64) -> Point2<Arena> {
-    let between = |from: Meters, to: Meters| Meters(from.0 + share * (to.0 - from.0));
-    Point2::new(between(from.x, to.x), between(from.y, to.y))
-}
-
-fn odometry_error(sample: &SimulatedTruth) -> Option<f64> {
-    let odometry = sample.odometry?;
-    Some(odometry.origin().distance(sample.pose.origin()).0)
 }
 
 impl View for Truth {

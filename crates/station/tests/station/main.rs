@@ -12,6 +12,7 @@ mod camera_fixes;
 mod clock_alignment;
 mod clocks;
 mod commands;
+mod compared_filters;
 mod engine;
 mod ground_station;
 mod identity;

@@ -1,7 +1,7 @@
 //! Decodes a message: version, checksum and input.
 
 use posebridge_telemetry::{
-    Address, BeaconId, Celsius, ChannelName, Command, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
+    Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
     Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
     PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SensorSwitch,
     SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
@@ -131,6 +131,8 @@ impl<'a> ByteReader<'a> {
             command::SOURCE_ON => Command::SwitchSource { sensor: SensorId(self.u8()?), to: SensorSwitch::On },
             command::START_RECORDING => Command::StartRecording,
             command::STOP_RECORDING => Command::StopRecording,
+            command::COMPARE_OFF => Command::CompareFilters(FilterComparison::Off),
+            command::COMPARE_ON => Command::CompareFilters(FilterComparison::On),
             value => {
                 return Err(DecodeError::Unknown { field: "command", value });
             }

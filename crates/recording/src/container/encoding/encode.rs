@@ -1,5 +1,5 @@
 use posebridge_telemetry::{
-    Command, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
+    Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
     PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
 };
 
@@ -93,6 +93,8 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
         Command::ResetCalibration => put(command::RESET_CALIBRATION),
         Command::StartRecording => put(command::START_RECORDING),
         Command::StopRecording => put(command::STOP_RECORDING),
+        Command::CompareFilters(FilterComparison::Off) => put(command::COMPARE_OFF),
+        Command::CompareFilters(FilterComparison::On) => put(command::COMPARE_ON),
         Command::Simulator(command) => {
             bytes.push(tag::SIMULATOR);
             put_simulator(command, bytes);

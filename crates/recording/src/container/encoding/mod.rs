@@ -54,6 +54,8 @@ mod command {
     pub(super) const SOURCE_ON: u8 = 9;
     pub(super) const START_RECORDING: u8 = 10;
     pub(super) const STOP_RECORDING: u8 = 11;
+    pub(super) const COMPARE_OFF: u8 = 12;
+    pub(super) const COMPARE_ON: u8 = 13;
 }
 
 /// The command for the simulated brick that follows.

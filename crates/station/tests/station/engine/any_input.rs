@@ -3,7 +3,7 @@
 use super::all_outputs;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, config, frame, ticks};
 use posebridge_telemetry::{
-    Address, Command, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose, Radians,
+    Address, Command, Event, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose, Radians,
     RobotId, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
@@ -106,5 +106,34 @@ proptest! {
             // At the end of all time there is no later instant.
             prop_assert!(due > now || due == Timestamp::from_nanos(i64::MAX), "{due:?} at {now:?}");
         }
+    }
+
+    #[test]
+    fn a_compared_filter_like_the_robots_own_agrees_with_it_for_any_input(
+        inputs in prop::collection::vec(any_input(), 1..60),
+    ) {
+        let mut config = config();
+        config.robot.compared_filters = vec![config.robot.filter.clone()];
+        let mut station = TestStation::new(&config);
+        let mut now = Timestamp::ZERO;
+        for (wait_ms, input) in inputs {
+            now = now + TimeDelta::from_millis(wait_ms);
+            station.handle(now, input);
+        }
+        station.handle(now, Input::Tick);
+        // As text, in which no number differs from itself.
+        let own = station.select(|event| match event {
+            Event::EstimateUpdated { robot, estimate } => Some(format!("{robot:?} {estimate:?}")),
+            Event::ObservationFused { robot, record } => Some(format!("{robot:?} {record:?}")),
+            _ => None,
+        });
+        let compared = station.select(|event| match event {
+            Event::EstimateCompared { robot, estimate, .. } => Some(format!("{robot:?} {estimate:?}")),
+            Event::ObservationCompared { robot, record, .. } => Some(format!("{robot:?} {record:?}")),
+            _ => None,
+        });
+        // Robots take turns within an input, so only the sums of their events have the same order.
+        let sorted = |mut events: Vec<String>| { events.sort(); events };
+        prop_assert_eq!(sorted(own), sorted(compared));
     }
 }
