@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_dashboard::ListenAddress;
-use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter};
+use posebridge_estimator::{
+    EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter,
+};
 use posebridge_telemetry::{Arena, ArenaMap, BeaconId, LandmarkId, Meters, Point2, TimeDelta, Wall};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -300,6 +300,27 @@ test('what is switched and set shows what the station says, after a reload and w
   });
 });
 
+test('filters are compared by a checkbox, and each has a row and a line of its own', async () => {
+  await withStation({}, async (page, station) => {
+    const box = page.getByLabel('Run further filters beside the one that sends');
+    assert.equal(await box.isChecked(), false);
+    await box.check();
+    assert.deepEqual(await lastOf(station, 1), { command: 'compare-filters', on: true });
+    const row = { error_m: 0.01, error_rms_m: 0.02, apart_m: 0, major_m: 0.03, nis: 1, used: 9, gated: 0 };
+    const comparison = ['', 'ekf5', 'odometry'].map((filter, index) => ({ ...row, filter, apart_m: index / 10 }));
+    const compared = ['odometry', 'ekf5'].map((filter) => ({ t_s: station.now_s, filter, x_m: 0, y_m: 0 }));
+    station.send({ type: 'frame', now_s: station.now_s, is_comparing: true, robots: [{ id: '0/1/1', compared, comparison }] });
+    await seeing(page, '#comparison', () => document.querySelectorAll('#comparison tbody tr').length === 3);
+    const names = await page.locator('#comparison tbody th').allTextContents();
+    assert.deepEqual(names, ['sent', 'ekf5', 'odometry']);
+    assert.equal(await page.locator('#comparison tbody tr').nth(2).locator('td').nth(2).textContent(), '200 mm');
+    const lines = await page.locator('#comparison .key').evaluateAll((keys) => keys.map((key) => getComputedStyle(key, '::before').borderTopColor));
+    assert.equal(new Set(lines).size, 3);
+    station.send({ type: 'frame', now_s: station.now_s, is_comparing: false, robots: [] });
+    await seeing(page, '#comparison', () => !document.querySelector('#comparison input').checked);
+  });
+});
+
 test('a source that is heard later can be switched as well', async () => {
   await withStation({}, async (page, station) => {
     const heard = station.sources;

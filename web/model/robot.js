@@ -38,7 +38,7 @@ export class Robot {
     // Of a recording as many come as of estimates, live there are fewer.
     this.recordCapacity = capacity > LIVE_CAPACITY ? capacity : capacity / 2;
     this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], this.recordCapacity);
-    /** filter -> track of its positions, of those that run beside the one that sends. */
+    /** filter -> track of its positions, of those that run beside the one that sends, in the order in which they were heard. */
     this.compared = new Map();
     /** How all filters do, the one that sends first; see ComparisonRow of the station. */
     this.comparison = NOTHING;
@@ -64,8 +64,11 @@ export class Robot {
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
-    for (const point of list(part.compared)) this.#compared(point);
-    if (list(part.comparison).length > 0) this.comparison = part.comparison.slice(0, MOST_FILTERS);
+    for (const point of list(part.compared)) this.#compared(point.filter)?.append(point);
+    if (list(part.comparison).length > 0) {
+      this.comparison = part.comparison.slice(0, MOST_FILTERS);
+      for (const { filter } of this.comparison) if (filter) this.#compared(filter);
+    }
     for (const tally of list(part.tallies)) this.#source(tally)?.count(tally);
     for (const entry of list(part.calibration)) this.#learned(entry, now_s);
   }
@@ -75,15 +78,15 @@ export class Robot {
     this.fixes.append({ t_s: fix.t_s, x_m: fix.x_m, y_m: fix.y_m, heading_rad: fix.heading_rad, mark });
   }
 
-  #compared(point) {
-    const filter = String(point.filter).slice(0, 40);
+  #compared(name) {
+    const filter = String(name).slice(0, 40);
     let track = this.compared.get(filter);
     if (!track) {
-      if (this.compared.size >= MOST_FILTERS) return;
+      if (this.compared.size >= MOST_FILTERS) return null;
       track = new Track(['x_m', 'y_m'], this.recordCapacity);
       this.compared.set(filter, track);
     }
-    track.append(point);
+    return track;
   }
 
   #record(record) {

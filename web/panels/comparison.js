@@ -55,6 +55,7 @@ class ComparisonPanel {
   #newRow(name, robot) {
     const key = element('span', { class: 'key filter' });
     key.style.setProperty('--line', name ? ComparedColours.of(robot, name) : 'var(--estimate)');
+    key.style.setProperty('--dash', name && ComparedColours.dash(robot, name).length > 0 ? 'dashed' : 'solid');
     const cells = COLUMNS.slice(1).map(() => element('td', { class: 'number' }));
     const line = element('tr', {}, element('th', { scope: 'row' }, key, name || 'sent'), ...cells);
     this.table.append(line);

@@ -22,7 +22,7 @@ export function markColour(mark) {
 const COMPARED = ['#E69F00', '#009E73', '#CC79A7', '#56B4E9'];
 const COMPARED_DASH = [6, 3];
 
-/** The colours of the filters that run beside the one that sends, in the order in which they were heard first. */
+/** The colours of the filters that run beside the one that sends, in the order in which they were heard. */
 export const ComparedColours = Object.freeze({
   of: (robot, filter) => COMPARED[Math.max(0, [...robot.compared.keys()].indexOf(filter)) % COMPARED.length],
   dash: (robot, filter) => ([...robot.compared.keys()].indexOf(filter) >= COMPARED.length ? COMPARED_DASH : []),

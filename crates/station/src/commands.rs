@@ -15,8 +15,8 @@ use posebridge_estimator::{FilterCommand, PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::message::{CommandLong, CommandResult, Message};
 use posebridge_telemetry::{
-    Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output, ParameterName,
-    ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
+    Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output,
+    ParameterName, ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
 };
 
 use crate::message_requests::{RequestContext, RequestReply};

@@ -4,9 +4,7 @@
 //! no comparison delays that.
 
 use posebridge_estimator::{FilterCommand, FilterConfig, FilterEntry, Initialization};
-use posebridge_telemetry::{
-    DriveGeometry, Estimate, Event, Observation, RobotId, SensorId, SensorSwitch, StartPose,
-};
+use posebridge_telemetry::{DriveGeometry, Estimate, Event, Observation, RobotId, SensorId, SensorSwitch, StartPose};
 
 use crate::estimator::Estimator;
 
@@ -15,7 +13,9 @@ use crate::estimator::Estimator;
 pub(crate) enum EstimatorInput {
     Observation(Observation),
     /// The robot's own estimate was published. `start` is its pose, for filters that are still without one.
-    Published { start: Option<StartPose> },
+    Published {
+        start: Option<StartPose>,
+    },
     SetPose(StartPose),
     Command(Box<FilterCommand>),
     SwitchSensor(SensorId, SensorSwitch),

@@ -4,8 +4,8 @@ use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntr
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, FusionOutcome, HostClock, Observation, Radians, RobotId,
-    SensorId, SensorSwitch, StartPose, Timestamp,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, FusionOutcome, HostClock, Observation,
+    Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;

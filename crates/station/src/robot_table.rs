@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use posebridge_estimator::FilterCommand;
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_telemetry::{
-    Address, FilterComparison, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch, StartPose, SystemId,
-    TimeDelta, Timestamp,
+    Address, FilterComparison, HostClock, LinkId, OnlineCalibration, PeerId, RobotId, SensorId, SensorSwitch,
+    StartPose, SystemId, TimeDelta, Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;

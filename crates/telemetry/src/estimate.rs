@@ -2,8 +2,8 @@
 
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ellipse::Ellipse;
-use crate::robot::StartPose;
 use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
+use crate::robot::StartPose;
 use crate::spaces::{Arena, Pose};
 
 /// Rows of [`Estimate::covariance`].

@@ -2,8 +2,8 @@
 
 use posebridge_telemetry::simulator::{ProfileName, SlippingWheel, SteeringSource};
 use posebridge_telemetry::{
-    Command, FilterComparison, Heading, Meters, OnlineCalibration, ParameterName, ParameterStorage, Pose, SensorId, SensorSwitch,
-    SimulatorCommand,     TimeDelta,
+    Command, FilterComparison, Heading, Meters, OnlineCalibration, ParameterName, ParameterStorage, Pose, SensorId,
+    SensorSwitch, SimulatorCommand, TimeDelta,
 };
 
 use super::fields::{CommandField, FieldKind, FieldValues};

@@ -4,8 +4,9 @@ mod frame;
 
 pub(crate) use frame::seconds_of;
 pub use frame::{
-    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, Number,
-    ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint, TruthPoint,
+    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
+    LinkRow, LogLine, Number, ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint,
+    TruthPoint,
 };
 
 use schemars::JsonSchema;

@@ -23,7 +23,10 @@ const MAX_WAITING: usize = 32 * MAX_FILTERS;
 pub(super) fn compared_paths(config: &ViewConfig) -> SeriesView<(), &'static str, ComparedPoint> {
     SeriesView {
         state: (),
-        points: RetainedSeriesMap::new(config.retention.map_points(|points| points / PATH_SHARE), MAX_FILTERS * MAX_ROBOTS),
+        points: RetainedSeriesMap::new(
+            config.retention.map_points(|points| points / PATH_SHARE),
+            MAX_FILTERS * MAX_ROBOTS,
+        ),
         observe: |(), now, event| {
             let Event::EstimateCompared { robot, filter, estimate } = event else {
                 return None;
@@ -98,11 +101,8 @@ impl RobotComparison {
             return;
         };
         self.filters[filter].last = Some(*estimate);
-        let Some(latest) = self.truth.latest() else {
-            return;
-        };
         let waiting = WaitingEstimate { filter, time: estimate.stamp, position: estimate.pose.origin() };
-        if waiting.time <= latest {
+        if self.truth.latest().is_some_and(|latest| waiting.time <= latest) {
             self.compare(&waiting);
         } else {
             if self.waiting.len() >= MAX_WAITING {
@@ -178,13 +178,18 @@ impl FilterComparison {
 
     fn row(&self, sent: Option<&Estimate>) -> ComparisonRow {
         let ratio = |sum: f64, count: u64| if count == 0 { f64::NAN } else { sum / count as f64 };
-        let apart_m = self.last.zip(sent).map_or(f64::NAN, |(own, sent)| own.pose.origin().distance(sent.pose.origin()).0);
+        let apart_m =
+            self.last.zip(sent).map_or(f64::NAN, |(own, sent)| own.pose.origin().distance(sent.pose.origin()).0);
         ComparisonRow {
             filter: self.name.to_owned(),
             error_m: self.error_m.into(),
             error_rms_m: ratio(self.squares_m2, self.compared_with_truth).sqrt().into(),
             apart_m: apart_m.into(),
-            major_m: self.last.and_then(|last| last.ellipse_95()).map_or(f64::NAN, |ellipse| ellipse.semi_major_m).into(),
+            major_m: self
+                .last
+                .and_then(|last| last.ellipse_95())
+                .map_or(f64::NAN, |ellipse| ellipse.semi_major_m)
+                .into(),
             nis: ratio(self.nis_sum, self.degrees_of_freedom).into(),
             used: self.used,
             gated: self.gated,
@@ -270,5 +275,90 @@ impl View for Comparison {
 
     fn dropped(&self) -> u64 {
         self.robots.ignored
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use posebridge_telemetry::{Meters, Pose};
+
+    use super::super::tests::{at, estimate, estimated_event, history, robot, truth, updates, view};
+    use super::*;
+    use crate::feed::StationStatus;
+
+    fn compared(filter: &'static str, x_m: f64) -> Event {
+        let estimate = estimate();
+        let pose = Pose::new(Meters(x_m), estimate.pose.y, estimate.pose.heading);
+        Event::EstimateCompared { robot: robot(), filter, estimate: Estimate { pose, ..estimate } }
+    }
+
+    fn record(filter: &'static str, outcome: FusionOutcome, nis: f64) -> Event {
+        let Event::ObservationFused { robot, record } = super::super::tests::fused_event(outcome, 2) else {
+            unreachable!("it is one");
+        };
+        Event::ObservationCompared { robot, filter, record: FusionRecord { nis, ..record } }
+    }
+
+    #[test]
+    fn each_filter_has_its_errors_to_the_truth_and_to_the_one_that_sends() {
+        let mut view = view("comparison");
+        let events = [
+            compared("odometry", 1.6),
+            estimated_event(&estimate()),
+            record("odometry", FusionOutcome::Gated, 9.0),
+            record("odometry", FusionOutcome::Accepted, 3.0),
+        ];
+        view.observe(at(960), ViewInput::Truth(&truth(None, 4_960, 1.46)));
+        for event in &events {
+            view.observe(at(1_000), ViewInput::Event(event));
+        }
+        // The robot was at 1.5 m, 3 cm beside the estimates, as the next two samples tell.
+        for sample in [truth(None, 4_960, 1.46), truth(None, 5_040, 1.54)] {
+            view.observe(at(1_040), ViewInput::Truth(&sample));
+        }
+        view.observe(at(1_050), ViewInput::Event(&compared("odometry", 1.5)));
+        let rows = updates(&mut *view, FrameContent::DeltaAndSummary).robots[0].comparison.clone();
+        let names: Vec<&str> = rows.iter().map(|row| row.filter.as_str()).collect();
+        assert_eq!(names, ["", "odometry"]);
+        let near = |number: crate::model::Number, expected: f64| {
+            let value = number.get().unwrap();
+            assert!((value - expected).abs() < 1e-6, "{value} {expected}");
+        };
+        near(rows[0].error_m, 0.03);
+        near(rows[1].error_m, 0.03);
+        let far_m2 = 0.1_f64.powi(2) + 0.03_f64.powi(2);
+        near(rows[1].error_rms_m, f64::midpoint(far_m2, 0.03_f64.powi(2)).sqrt());
+        near(rows[1].apart_m, 0.0);
+        near(rows[1].nis, 3.0);
+        assert_eq!((rows[1].used, rows[1].gated), (1, 1));
+        assert_eq!(rows[0].nis.get(), None, "it has observed nothing");
+    }
+
+    #[test]
+    fn without_a_comparison_there_are_no_rows_and_a_new_one_begins_with_nothing() {
+        let mut view = view("comparison");
+        view.observe(at(0), ViewInput::Event(&estimated_event(&estimate())));
+        assert!(history(&*view).robots.is_empty());
+        let comparing = |is_comparing| StationStatus { is_comparing, ..StationStatus::default() };
+        view.observe(at(0), ViewInput::Event(&compared("ekf5", 1.0)));
+        view.observe(at(10), ViewInput::Status(&comparing(true)));
+        assert_eq!(history(&*view).robots[0].comparison.len(), 2);
+        view.observe(at(20), ViewInput::Status(&comparing(false)));
+        assert!(history(&*view).robots.is_empty());
+    }
+
+    #[test]
+    fn paths_are_kept_apart_by_filter() {
+        let mut view = view("compared paths");
+        for (millis, event) in
+            [(0, compared("ekf5", 1.0)), (0, compared("odometry", 2.0)), (300, compared("ekf5", 1.5))]
+        {
+            view.observe(at(millis), ViewInput::Event(&event));
+        }
+        let points = &history(&*view).robots[0].compared;
+        let of = |name: &str| -> Vec<_> {
+            points.iter().filter(|point| point.filter == name).filter_map(|point| point.x_m.get()).collect()
+        };
+        assert_eq!((of("ekf5"), of("odometry")), (vec![1.0, 1.5], vec![2.0]));
     }
 }

@@ -55,7 +55,9 @@ impl OutputEncoder {
             Event::EstimateUpdated { robot, estimate } => self.estimate_messages(*robot, now, estimate),
             Event::ObservationFused { robot, record } => self.fusion_messages(*robot, now, record),
             Event::ObservationCompared { robot, filter, record } => self.compared_fusion(*robot, now, filter, record),
-            Event::EstimateCompared { robot, filter, estimate } => self.compared_estimate(*robot, now, filter, estimate),
+            Event::EstimateCompared { robot, filter, estimate } => {
+                self.compared_estimate(*robot, now, filter, estimate)
+            }
             Event::ObservationAligned { robot, observation, .. } => self.fix_messages(*robot, now, observation),
             Event::BrickClockAligned { .. } => self.brick_clock_messages(event),
             Event::CameraClockAligned { camera, offset, uncertainty, stamp, host } => {

@@ -130,7 +130,11 @@ pub(crate) fn events() -> Vec<Event> {
         Event::Text { source: Address::new(1, 1), severity: 3, text: "motor hot".to_owned() },
         fused_event(FusionOutcome::PoseReset, 12.0),
         Event::EstimateUpdated { robot, estimate: estimate(5_050) },
+        Event::EstimateCompared { robot, filter: "ekf5", estimate: estimate(5_050) },
     ];
+    if let Event::ObservationFused { record, .. } = fused_event(FusionOutcome::Accepted, 1.5) {
+        events.push(Event::ObservationCompared { robot, filter: "ekf5", record });
+    }
     events.extend(fix_events());
     events
 }

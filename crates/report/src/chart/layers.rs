@@ -136,8 +136,14 @@ impl DrawableLayers {
     pub(super) fn bounds(&self) -> (ValueRange, ValueRange) {
         let lines = [&self.truth, &self.odometry, &self.estimate, &self.smoothed];
         let compared = self.compared.iter().map(|(_, lines)| lines);
-        let points: Vec<Point2<Arena>> =
-            lines.into_iter().chain(compared).flatten().chain([&self.ideal, &self.used_fixes]).flatten().copied().collect();
+        let points: Vec<Point2<Arena>> = lines
+            .into_iter()
+            .chain(compared)
+            .flatten()
+            .chain([&self.ideal, &self.used_fixes])
+            .flatten()
+            .copied()
+            .collect();
         let unit = ValueRange { low: 0.0, high: 1.0 };
         (
             ValueRange::of(points.iter().map(|point| point.x.0)).unwrap_or(unit),

@@ -6,8 +6,8 @@ use posebridge_telemetry::{Arena, Estimate, Point2};
 
 use super::axes::{
     BLACK, BLUE, BLUISH_GREEN, DETAIL_FRAME, ELLIPSE, ESTIMATE, FILL_OPACITY, IDEAL, INK, LATE, LegendEntry,
-    LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange, compared_stroke, draw_start,
-    round_ticks,
+    LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange,
+    compared_stroke, draw_start, round_ticks,
 };
 use super::layers::{DrawableLayers, Polylines, RunLayers, downsample_path, ellipse_of, is_drawable, open_figure};
 use super::svg::{Anchor, PixelPoint, Rect, Stroke, Svg, TextStyle};
@@ -134,7 +134,8 @@ fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
         (late > 0, LegendEntry::new(LegendMark::Ring(&LATE), format!("fix, too late ({late})"))),
     ];
     let compared = drawable.compared.iter().enumerate().filter(|(_, (_, lines))| !lines.is_empty());
-    let compared = compared.map(|(index, (filter, _))| LegendEntry::new(LegendMark::Line(compared_stroke(index)), *filter));
+    let compared =
+        compared.map(|(index, (filter, _))| LegendEntry::new(LegendMark::Line(compared_stroke(index)), *filter));
     rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).chain(compared).collect()
 }
 

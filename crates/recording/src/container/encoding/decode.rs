@@ -1,10 +1,10 @@
 //! Decodes a message: version, checksum and input.
 
 use posebridge_telemetry::{
-    Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts, LinkId, LinkState,
-    Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
-    PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SensorSwitch,
-    SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
+    Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts,
+    LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind,
+    OnlineCalibration, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId,
+    SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
 };
 
 use super::super::fields::ByteReader;

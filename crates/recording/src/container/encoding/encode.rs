@@ -1,6 +1,6 @@
 use posebridge_telemetry::{
-    Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration, ParameterStorage,
-    PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
+    Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration,
+    ParameterStorage, PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
 };
 
 use super::{

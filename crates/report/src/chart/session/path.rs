@@ -2,7 +2,9 @@
 
 use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 
-use crate::chart::axes::{BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH, compared_stroke};
+use crate::chart::axes::{
+    BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH, compared_stroke,
+};
 use crate::chart::layers::{DrawableLayers, Polylines, RunLayers, is_drawable};
 use crate::chart::plot::{Axes, Curve, CurveShape};
 use crate::chart::strip::render_strip;

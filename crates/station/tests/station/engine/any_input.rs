@@ -3,8 +3,8 @@
 use super::all_outputs;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, config, frame, ticks};
 use posebridge_telemetry::{
-    Address, Command, Event, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose, Radians,
-    RobotId, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
+    Address, Command, Event, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose,
+    Radians, RobotId, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
