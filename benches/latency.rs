@@ -3,7 +3,8 @@
 //! A brick on a loopback UDP socket sends PB_WHEEL_TICKS and waits for PB_PLANAR_POSE; the station is the program's own station loop with its
 //! recorder, its observer and a ground station on a second UDP link attached, which gets what such programs show. The echo answers each
 //! datagram with one as long as the estimate, on a runtime of the same kind. Both take turns in one run, so that a busy machine
-//! slows both. Run with `cargo bench --bench latency`.
+//! slows both. A second station runs six more filters beside the one that sends, which must not delay the estimate. Run with
+//! `cargo bench --bench latency`.
 //!
 //! Most of what is measured is the wake-up of a sleeping thread by the kernel; the ratio is what the station adds.
 
@@ -17,7 +18,7 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use posebridge::config::{AtInstant, Config, LinkSection, OutputSection, RecordingLimits};
+use posebridge::config::{AtInstant, Config, FilterSection, LinkSection, OutputSection, RecordingLimits};
 use posebridge::exit::DeferredErrors;
 use posebridge::station::live_status::LiveView;
 use posebridge::station::observer::Observer;
@@ -47,6 +48,8 @@ const TELEMETRY_RATES: [TelemetryRate; 2] = [
     TelemetryRate { period_micros: 10_000, rounds: 10, exchanges_per_round: 100 },
     TelemetryRate { period_micros: 1_000, rounds: 20, exchanges_per_round: 500 },
 ];
+/// Those of the papers that use wheels, for the station that compares.
+const COMPARED: [&str; 6] = ["odometry", "wheel-kf", "velocity-kf", "ekf5", "ukf5", "indirect"];
 /// PB_PLANAR_POSE with its envelope.
 const ESTIMATE_BYTES: usize = 64;
 
@@ -59,45 +62,57 @@ fn measure(pace: TelemetryRate) {
     let many = start_echo(Threads::Many);
     let one = start_echo(Threads::One);
     let ground = GroundStation::new();
-    let (station, thread) = start_station(stop.clone(), ground.address);
+    let (station, thread) = start_station(stop.clone(), ground.address, &[]);
+    let (comparing, comparing_thread) = start_station(stop.clone(), ground.address, &COMPARED);
     let mut brick = Brick::new(ground, pace);
-    let [mut ours, mut bare, mut bare_one] = [const { Vec::new() }; 3];
+    let [mut ours, mut compared, mut bare, mut bare_one] = [const { Vec::new() }; 4];
     for round in 0..=pace.rounds {
         let station_round = brick.exchange_with(station, ExpectedReply::Estimate);
+        let comparing_round = brick.exchange_with(comparing, ExpectedReply::Estimate);
         let echo_round = brick.exchange_with(many, ExpectedReply::Anything);
         let one_round = brick.exchange_with(one, ExpectedReply::Anything);
         // The first round warms caches and fills the filter's history.
         if round > 0 {
             ours.extend(station_round);
+            compared.extend(comparing_round);
             bare.extend(echo_round);
             bare_one.extend(one_round);
         }
     }
     stop.cancel();
-    thread.join().expect("the station's thread ends");
+    for thread in [thread, comparing_thread] {
+        thread.join().expect("a station's thread ends");
+    }
     println!("\na frame each {} us", pace.period_micros);
-    report(&mut ours, &mut bare, &mut bare_one);
+    report([&mut ours, &mut compared, &mut bare, &mut bare_one]);
     println!("{} exchanges each; {} datagrams reached the ground station", ours.len(), brick.ground.heard);
     assert!(brick.ground.heard >= ours.len(), "the ground station must be served as well");
 }
 
-fn report(ours: &mut [Duration], bare: &mut [Duration], bare_one: &mut [Duration]) {
+fn report(samples: [&mut [Duration]; 4]) {
     println!("{:<34} {:>9} {:>9}", "telemetry to estimate, UDP", "p50 us", "p99 us");
-    let told = [
-        ("station, recorder and output", ours),
-        ("bare echo, multi-threaded runtime", bare),
-        ("bare echo, one thread", bare_one),
-    ]
-    .map(|(name, sample)| {
+    let names = [
+        "station, recorder and output",
+        "the same, six filters compared",
+        "bare echo, multi-threaded runtime",
+        "bare echo, one thread",
+    ];
+    let mut samples = samples.into_iter();
+    let told = names.map(|name| {
+        let sample = samples.next().expect("a sample for each name");
         sample.sort_unstable();
         let micros = |share: f64| sample[((sample.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e6;
         let [p50, p99] = [micros(0.5), micros(0.99)];
         println!("{name:<34} {p50:>9.1} {p99:>9.1}");
         [p50, p99]
     });
-    let [station, many, one] = told;
-    for (name, echo) in [("ratio to the first echo", many), ("ratio to the second", one)] {
-        println!("{name:<34} {:>9.2} {:>9.2}", station[0] / echo[0], station[1] / echo[1]);
+    let [station, comparing, many, one] = told;
+    for (name, of, to) in [
+        ("six compared to none", comparing, station),
+        ("station to the first echo", station, many),
+        ("station to the second", station, one),
+    ] {
+        println!("{name:<34} {:>9.2} {:>9.2}", of[0] / to[0], of[1] / to[1]);
     }
 }
 
@@ -226,14 +241,19 @@ async fn echo(tell: std::sync::mpsc::SyncSender<SocketAddr>) {
     }
 }
 
-fn start_station(stop: CancellationToken, ground: SocketAddr) -> (SocketAddr, std::thread::JoinHandle<()>) {
+fn start_station(
+    stop: CancellationToken,
+    ground: SocketAddr,
+    compared: &'static [&'static str],
+) -> (SocketAddr, std::thread::JoinHandle<()>) {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("station".to_owned());
     let thread = thread.spawn(move || {
-        let folder = std::env::temp_dir().join(format!("posebridge-latency-{}", std::process::id()));
+        let folder = format!("posebridge-latency-{}-{}", std::process::id(), compared.len());
+        let folder = std::env::temp_dir().join(folder);
         std::fs::create_dir_all(&folder).expect("a scratch folder");
         runtime().block_on(async {
-            let (mut station_loop, address) = start_station_loop(&folder.join("latency.mcap"), ground).await;
+            let (mut station_loop, address) = start_station_loop(&folder.join("latency.mcap"), ground, compared).await;
             tell.send(address).expect("somebody waits");
             station_loop.run(&StopConditions { stop, at: None, silence: None, progress: None }).await;
             let StationLoop { recorder, observer, .. } = station_loop;
@@ -254,12 +274,18 @@ fn shown() -> Vec<OutputSection> {
 }
 
 /// The program's own station loop on a loopback UDP port, with recorder and observer, and a link to a ground station.
-async fn start_station_loop(recording: &std::path::Path, ground: SocketAddr) -> (StationLoop, SocketAddr) {
+async fn start_station_loop(
+    recording: &std::path::Path,
+    ground: SocketAddr,
+    compared: &[&str],
+) -> (StationLoop, SocketAddr) {
     let timer = HostTimer::start();
     let (brick, ground) = ("udp://127.0.0.1:0", format!("udp://{ground}"));
     let to_ground = LinkSection { outputs: Some(shown()), ..LinkSection::new(&ground) };
     let from_brick = LinkSection { listen: true, ..LinkSection::new(brick) };
-    let config = Config { links: vec![to_ground, from_brick], ..Config::default() };
+    let compare = compared.iter().map(|name| (*name).to_owned()).collect();
+    let filter = FilterSection { compare, ..FilterSection::default() };
+    let config = Config { links: vec![to_ground, from_brick], filter, ..Config::default() };
     let port = |id, url: &str, role| {
         let url = LinkUrl::parse(url).expect("a URL");
         let id = LinkId(id);
