@@ -23,7 +23,7 @@ use posebridge_estimator::models::planar_speeds::{Acceleration, PredictionStep};
 use posebridge_estimator::motion::MotionReading;
 use posebridge_estimator::numerics::statistics::quantile;
 use posebridge_estimator::update::{ScalarMeasurement, use_scalar};
-use posebridge_estimator::{Filter, FilterConfig, find_filter};
+use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterConfig, FilterEntry, find_filter};
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{FusionOutcome, FusionRecord, Meters, ObservationKind, Point2, TimeDelta};
 use robot::learning_geometry;
@@ -69,6 +69,7 @@ fn compare(rounds: usize) {
     let mut disputed = Flagship::new(Camera::Absent);
     let mut at_5_hz = Flagship::new(Camera::Every(4));
     let mut at_20_hz = Flagship::new(Camera::Every(1));
+    let mut compared = ComparedFilter::of_every_pose();
     for _ in 0..rounds {
         five_ns.push(nanos_per_step(|| five.step()));
         state_ns.push(nanos_per_step(|| bare.drive_on()));
@@ -76,12 +77,16 @@ fn compare(rounds: usize) {
         bank_ns.push(nanos_per_step(|| disputed.drive_on_with_alternatives()));
         at_5_hz.time_fixes(&mut fix_at_5_hz_us);
         at_20_hz.time_fixes(&mut fix_at_20_hz_us);
+        compared.iter_mut().for_each(ComparedFilter::time_steps);
     }
     println!("\nmedians of {rounds} rounds of {STEPS} steps, all rows in turn; ratios within a round");
     print_row("five states: predict + 4 gated scalars", &five_ns, &five_ns);
     print_row("pose: its state, gyro + wheels", &state_ns, &five_ns);
     print_row("pose: observe(gyro) + observe(wheels)", &step_ns, &five_ns);
     print_row("pose: the same, and a fix with a bank of 4", &bank_ns, &five_ns);
+    for other in &compared {
+        print_row(&format!("{}: observe(gyro) + observe(wheels)", other.name), &other.step_ns, &five_ns);
+    }
     for (name, samples) in [
         ("pose: a fix 300 ms late, camera at 5 Hz", &fix_at_5_hz_us),
         ("pose: a fix 300 ms late, camera at 20 Hz", &fix_at_20_hz_us),
@@ -230,6 +235,39 @@ impl Flagship {
                 micros.push(1e-3 * nanos(self.use_late_fix()));
             }
         }
+    }
+}
+
+/// A filter of a pose beside the flagship, as `run --compare` runs it.
+struct ComparedFilter {
+    name: &'static str,
+    filter: Box<dyn Filter>,
+    step: i64,
+    step_ns: Vec<f64>,
+}
+
+impl ComparedFilter {
+    fn of_every_pose() -> Vec<Self> {
+        let of_a_pose =
+            FILTERS.iter().filter(|entry| entry.quantity == EstimatedQuantity::Pose && entry.name != "pose");
+        let build = |entry: &FilterEntry| {
+            let filter = (entry.build)(&learning_geometry());
+            let mut compared = Self { name: entry.name, filter, step: 0, step_ns: vec![] };
+            (0..WARM_UP).for_each(|_| compared.drive_on());
+            compared
+        };
+        of_a_pose.map(build).collect()
+    }
+
+    fn drive_on(&mut self) {
+        self.step += 1;
+        black_box(self.filter.observe(black_box(&gyro(self.step))));
+        black_box(self.filter.observe(black_box(&wheels(self.step))));
+    }
+
+    fn time_steps(&mut self) {
+        let spent_ns = nanos_per_step(|| self.drive_on());
+        self.step_ns.push(spent_ns);
     }
 }
 
