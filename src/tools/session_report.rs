@@ -11,7 +11,7 @@ use posebridge_report::chart::session::{
 use posebridge_report::metrics::{InnovationVerdict, VerdictTone};
 use posebridge_report::page::{ReportBlock, ReportFigure};
 use posebridge_report::report::Report;
-use posebridge_report::tables::{EstimatorRow, NO_VALUE, runs_table};
+use posebridge_report::tables::{EstimatorRow, NO_VALUE, estimator_table, runs_table};
 use posebridge_report::{ErrorSummary, PoseTrack, RunLayers, SourceTally};
 use posebridge_telemetry::{Calibration, LinkCounter, SensorId, TimeDelta, UncertainValue};
 use serde_json::{Map, Value, json};
@@ -20,6 +20,7 @@ use super::session_history::SessionHistory;
 use crate::config::learnable_keys;
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::tools::replay::SmoothedRun;
+use crate::tools::replay::own::errors_of;
 
 pub const LINK_COUNTERS: [LinkCounter; 8] = [
     LinkCounter::FRAMES_IN,
@@ -158,6 +159,7 @@ fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
     report.verdict(tone, word, text);
     report.paragraph(in_figures(run));
     report.page_only(ReportBlock::FigureGrid(main_pictures(run, index)));
+    add_compared(report, run);
     add_sources(report, run, index);
     let blocks = [calibration_blocks(run, index), link_blocks(run, index), timeline_blocks(&run.history)];
     for block in blocks.into_iter().flatten() {
@@ -251,6 +253,32 @@ fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
         ));
     }
     pictures
+}
+
+/// The filters that ran beside the one that sent: errors for the terminal as well, the NIS of each sensor on the page.
+fn add_compared(report: &mut Report, run: &RunSummary) {
+    let compared = &run.history.collector.compared;
+    if compared.is_empty() {
+        return;
+    }
+    report.page_only(ReportBlock::Subheading("Filters compared".to_owned()));
+    let errors: Vec<ErrorSummary> =
+        compared.iter().map(|filter| errors_of(filter.estimates.items(), run.truth.as_ref())).collect();
+    let rows: Vec<EstimatorRow<'_>> = compared
+        .iter()
+        .zip(&errors)
+        .map(|(filter, errors)| EstimatorRow { name: filter.name, errors, runs: 1 })
+        .collect();
+    report.code(estimator_table(&rows));
+    let nis = compared.iter().flat_map(|filter| {
+        let judged = filter.sources.iter().filter_map(|tally| Some((tally, tally.mean_nis_per_dof()?)));
+        judged.map(|(tally, nis)| {
+            let counts = [tally.used, tally.gated].map(|count| count.to_string());
+            let [used, gated] = counts;
+            vec![filter.name.to_owned(), tally.sensor.name().to_owned(), used, gated, format!("{nis:.3}")]
+        })
+    });
+    report.page_only(ReportBlock::table(&["filter", "sensor", "used", "gated", "NIS/dof"], nis.collect()));
 }
 
 fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {

@@ -9,7 +9,7 @@ use ratatui::text::Span;
 use ratatui::widgets::Widget;
 use ratatui::widgets::canvas::{Canvas, Context, Line, Points};
 
-use super::model::{Model, Robot};
+use super::model::{Model, RecentPoints, Robot};
 use super::theme::{StyleRole, Theme, sanitize};
 
 /// Display duration of fixes, as on the page.
@@ -71,6 +71,8 @@ struct Map<'a> {
     truth: Vec<MapPoint>,
     odometry: Vec<MapPoint>,
     estimate: Vec<MapPoint>,
+    /// Of all filters that run beside the one that sends.
+    compared: Vec<MapPoint>,
     ellipse: Vec<MapPoint>,
     fixes: Vec<&'a FixPoint>,
     latest: Option<&'a EstimatePoint>,
@@ -109,6 +111,9 @@ impl<'a> Map<'a> {
             odometry: map_points(odometry.map(|[x_m, y_m, _]| (x_m, y_m))),
             estimate: robot
                 .map_or_else(Vec::new, |robot| map_points(robot.estimates.iter().map(|point| (point.x_m, point.y_m)))),
+            compared: robot.map_or_else(Vec::new, |robot| {
+                map_points(robot.compared.values().flat_map(RecentPoints::iter).map(|point| (point.x_m, point.y_m)))
+            }),
             ellipse: latest.and_then(ellipse_of).unwrap_or_default(),
             fixes: fixes.collect(),
             latest,
@@ -118,12 +123,13 @@ impl<'a> Map<'a> {
 
     /// Points that the map must contain; fixes are excluded, because they may be anywhere.
     fn visible_points(&self) -> impl Iterator<Item = &MapPoint> {
-        let lines = [&self.path, &self.truth, &self.odometry, &self.estimate];
+        let lines = [&self.path, &self.truth, &self.odometry, &self.estimate, &self.compared];
         lines.into_iter().flatten().chain(self.others.iter().map(|other| &other.position))
     }
 
     fn paint(&self, theme: Theme, context: &mut Context<'_>) {
         context.draw(&Points { coords: &self.path, color: theme.colour(StyleRole::Path) });
+        context.draw(&Points { coords: &self.compared, color: theme.colour(StyleRole::Late) });
         context.layer();
         let dashes = self.odometry.chunks(DASH).step_by(2);
         dashes.for_each(|dash| draw_polyline(dash, theme, StyleRole::Odometry, context));

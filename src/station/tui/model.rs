@@ -6,14 +6,16 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, RecordingNow,
-    RobotFrame, SimulatorFacts, TruthPoint,
+    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
+    LinkRow, LogLine, RecordingNow, RobotFrame, SimulatorFacts, TruthPoint,
 };
 use posebridge_report::RecentNis;
 use posebridge_telemetry::severity::NOTICE;
 
 /// A class has fewer.
 const MAX_ROBOTS: usize = 64;
+/// As on the page.
+const MAX_FILTERS: usize = 16;
 /// As on the page.
 const MAX_LINES: usize = 300;
 const NOTICE_DURATION_S: f64 = 5.0;
@@ -158,6 +160,10 @@ pub struct Robot {
     /// Empty unless it is one of several simulated robots.
     pub truth: RecentPoints<TruthPoint>,
     pub errors: Option<ErrorsRow>,
+    /// Positions of the filters that run beside the one that sends, by filter.
+    pub compared: BTreeMap<String, RecentPoints<ComparedPoint>>,
+    /// All filters, the one that sends first; empty while none are compared.
+    pub comparison: Vec<ComparisonRow>,
     pub sources: BTreeMap<String, SourceModel>,
     pub calibration: Vec<CalibrationRow>,
 }
@@ -192,6 +198,14 @@ impl Robot {
         }
         for fix in &part.fixes {
             self.fixes.push(fix.t_s, fix.clone());
+        }
+        for point in &part.compared {
+            if self.compared.contains_key(&point.filter) || self.compared.len() < MAX_FILTERS {
+                self.compared.entry(point.filter.clone()).or_default().push(point.t_s, point.clone());
+            }
+        }
+        if !part.comparison.is_empty() {
+            self.comparison.clone_from(&part.comparison);
         }
         for record in &part.fusion {
             self.on_fusion(record);

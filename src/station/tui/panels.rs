@@ -2,7 +2,7 @@
 //!
 //! A panel draws a [`Model`] into a part of a buffer. It has no terminal and no clock: the same model gives the same cells.
 
-use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine};
+use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine, Number};
 use posebridge_report::Consistency;
 use posebridge_telemetry::severity::WARNING;
 use ratatui::buffer::Buffer;
@@ -31,6 +31,7 @@ pub const PANELS: &[Panel] = &[
         lines: |model| 1 + model.selected_robot().map_or(0, |robot| robot.sources.len()),
         draw: draw_sources,
     },
+    Panel { title: "Filters compared", lines: comparison_lines, draw: draw_comparison },
     Panel { title: "Links and clock", lines: |model| 1 + 2 * model.links.len(), draw: draw_links },
     Panel { title: "Biases and calibration", lines: |model| learned(model).count().max(1), draw: draw_calibration },
     Panel { title: "Events", lines: |model| model.log.len().max(1), draw: draw_events },
@@ -198,6 +199,38 @@ const fn consistency_label(verdict: Consistency) -> (&'static str, StyleRole) {
         Consistency::UnderConfident => ("too unsure", StyleRole::Late),
         Consistency::Undetermined => ("–", StyleRole::Quiet),
     }
+}
+
+fn comparison_lines(model: &Model) -> usize {
+    model.selected_robot().map_or(0, |robot| match robot.comparison.len() {
+        0 => 0,
+        filters => 1 + filters,
+    })
+}
+
+/// Error, its rms, NIS, gated.
+const FILTER_WIDTHS: [u16; 4] = [9, 9, 5, 5];
+
+fn draw_comparison(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let rows = model.selected_robot().into_iter().flat_map(|robot| &robot.comparison);
+    let right = |text: String| Cell::from(Text::from(text).right_aligned());
+    let rows = rows.map(|row| {
+        let name = if row.filter.is_empty() { "sent".to_owned() } else { sanitize(&row.filter) };
+        let nis = row.nis.get().map_or_else(|| "–".to_owned(), four_digits);
+        let metres = |length_m: Number| format!("{} m", fixed(length_m, 3));
+        Row::new([
+            Cell::from(name),
+            right(metres(row.error_m)),
+            right(metres(row.error_rms_m)),
+            right(nis),
+            right(row.gated.to_string()),
+        ])
+    });
+    let head = Row::new(["filter", "    error", "      rms", "  NIS", "gated"]);
+    let [error, rms, nis, gated] = FILTER_WIDTHS.map(Constraint::Length);
+    Table::new(rows, [Constraint::Min(0), error, rms, nis, gated])
+        .header(head.style(theme.style(StyleRole::Quiet)))
+        .render(area, buffer);
 }
 
 fn draw_links(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {

@@ -38,7 +38,7 @@ pub(super) fn compared_paths(config: &ViewConfig) -> SeriesView<(), &'static str
                 y_m: estimate.pose.y.0.into(),
             };
             let is_valid = estimate.validity.position && estimate.validity.heading;
-            is_valid.then(|| ((*robot, *filter), point, PointPriority::Normal))
+            is_valid.then_some(((*robot, *filter), point, PointPriority::Normal))
         },
         write: |frame, points| frame.compared.extend(points),
     }
