@@ -1,6 +1,7 @@
 //! Runs of the real program: their events are those of their replay, what they print, and what they survive: a killed brick or station,
 //! a dead terminal, a full disk, an old recording, `kill -9`.
 
+use std::collections::BTreeSet;
 use std::fs::OpenOptions;
 use std::net::TcpListener;
 use std::path::Path;
@@ -22,13 +23,17 @@ fn a_run_over_a_pseudo_terminal_replays_bit_for_bit_with_a_skewed_and_wrapping_c
     let folder = folder.path();
     write_text(folder, "skewed.toml", SKEWED_SQUARE);
     let args = ["run", "--link", "sim://skewed.toml", "--laps", "1", "--out", "run", "--events", "live.txt", "--tlog"];
-    run(folder, &args);
+    let compared = "odometry,wheel-kf,velocity-kf,ekf5,ukf5,indirect,pose";
+    run(folder, &[&args[..], &["--compare", compared]].concat());
     let live = assert_replays(folder, "run/recording.mcap", "live.txt");
 
     // The comparison must have had something to compare: fixes that were used across the wrap, and a clock known to be fast.
     let fused = events_named(&live, "fused");
     let used = fused.iter().filter(|event| event["kind"] == "fix" && event["outcome"] == "accepted");
     assert!(used.count() > 40);
+    let filters = events_named(&live, "compared_estimated");
+    let filters: BTreeSet<&str> = filters.iter().filter_map(|event| event["filter"].as_str()).collect();
+    assert!(filters.into_iter().eq(["ekf5", "indirect", "odometry", "ukf5", "velocity-kf", "wheel-kf"]));
     let last_clock = events_named(&live, "robot_clock_aligned").pop().expect("clocks were aligned");
     let skew_ppm = last_clock["skew_ppm"].as_f64().unwrap();
     assert!((skew_ppm - 2000.0).abs() < 300.0, "{skew_ppm} ppm");

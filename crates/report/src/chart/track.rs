@@ -29,7 +29,9 @@ pub(super) fn render(layers: &RunLayers<'_>) -> String {
     let (x, y) = drawable.bounds();
     let map = PlotPanel::equal_scale(MAP, x, y);
     draw_map(&mut svg, &map, &drawable);
-    if let Some(detail) = detail_panel(DETAIL, &map, layers.estimates) {
+    // Where filters are compared, their names stand in its place.
+    let detail = drawable.compared.is_empty().then(|| detail_panel(DETAIL, &map, layers.estimates));
+    if let Some(detail) = detail.flatten() {
         let ellipses = detail_ellipses(&detail, layers.estimates);
         draw_detail(&mut svg, &map, &detail, &DrawableLayers { ellipses, ..drawable.clone() });
     }
@@ -134,8 +136,9 @@ fn entries(drawable: &DrawableLayers) -> Vec<LegendEntry> {
         (late > 0, LegendEntry::new(LegendMark::Ring(&LATE), format!("fix, too late ({late})"))),
     ];
     let compared = drawable.compared.iter().enumerate().filter(|(_, (_, lines))| !lines.is_empty());
-    let compared =
-        compared.map(|(index, (filter, _))| LegendEntry::new(LegendMark::Line(compared_stroke(index)), *filter));
+    let compared = compared.map(|(index, (filter, _))| {
+        LegendEntry::new(LegendMark::Line(compared_stroke(index)), format!("filter {filter}"))
+    });
     rows.into_iter().filter_map(|(is_there, entry)| is_there.then_some(entry)).chain(compared).collect()
 }
 

@@ -1,6 +1,6 @@
 //! Every figure of the table, over every shape of run: whole documents, finite numbers, nothing hidden.
 
-use posebridge_report::{FIGURES, FixMark, PoseTrack, RunLayers, TimedPose};
+use posebridge_report::{ComparedTrack, FIGURES, FixMark, PoseTrack, RunLayers, TimedPose};
 use posebridge_telemetry::{Arena, Estimate, FusionOutcome, Heading, Meters, Point2, Pose, TimeDelta, Timestamp};
 use proptest::prelude::*;
 
@@ -57,6 +57,20 @@ fn a_smoothed_path_is_a_layer_of_its_own() {
         let lines = |svg: &str| svg.matches("<polyline").count();
         assert!(lines(&smoothed) > lines(&plain), "{figure}");
     }
+}
+
+#[test]
+fn compared_filters_have_a_line_and_a_name_each_in_the_place_of_the_detail() {
+    let scene = sample_run::two_laps(7);
+    let without = scene.layers(TITLE);
+    let compared = ["ekf5", "odometry"].map(|filter| ComparedTrack { filter, track: scene.odometry.clone() });
+    let drawn = render("track", &RunLayers { compared: &compared, ..without });
+    check_document(&drawn).unwrap();
+    for name in ["filter ekf5", "filter odometry"] {
+        assert!(drawn.contains(name), "{name}");
+    }
+    let detail = "least sure";
+    assert!(render("track", &without).contains(detail) && !drawn.contains(detail));
 }
 
 #[test]

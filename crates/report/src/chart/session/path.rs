@@ -37,7 +37,7 @@ pub fn render_path(layers: &RunLayers<'_>) -> String {
     add_lines(&mut curves, "odometry", &drawable.odometry, &ODOMETRY);
     add_fixes(&mut curves, &drawable);
     for (index, (filter, lines)) in drawable.compared.iter().enumerate() {
-        add_lines(&mut curves, filter, lines, compared_stroke(index));
+        add_lines(&mut curves, &format!("filter {filter}"), lines, compared_stroke(index));
     }
     add_lines(&mut curves, "estimate", &drawable.estimate, &ESTIMATE);
     add_lines(&mut curves, "smoothed", &drawable.smoothed, &SMOOTHED);
