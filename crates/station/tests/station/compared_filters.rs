@@ -3,7 +3,7 @@
 use crate::support::{BRICK, LINK, TestStation, at, config, frame, ticks, vision_fix};
 use posebridge_protocol::message::Message;
 use posebridge_station::{BuildError, Station};
-use posebridge_telemetry::{Address, Event, Output, Timestamp};
+use posebridge_telemetry::{Address, Command, Event, FilterComparison, Input, Output, Timestamp};
 
 const CAMERA: Address = Address::new(1, 100);
 
@@ -48,4 +48,35 @@ fn an_unknown_compared_filter_is_refused_by_name() {
     config.robot.compared_filters = vec!["kalman".to_owned()];
     let refused = Station::new(config, Timestamp::ZERO).err();
     assert!(matches!(refused, Some(BuildError::UnknownFilter { name, .. }) if name == "kalman"));
+}
+
+#[test]
+fn a_comparison_that_is_switched_on_begins_at_the_robots_pose_and_ends_when_switched_off() {
+    let mut station = TestStation::new(&config());
+    let drive = |station: &mut TestStation, from: u32| {
+        for k in from..from + 20 {
+            station.bytes(
+                at(100 * i64::from(k) + 5),
+                &frame(BRICK, &ticks(100 * k, 10 * i64::from(k), 10 * i64::from(k))),
+            );
+        }
+    };
+    let compared = |station: &TestStation| {
+        station.select(|event| match event {
+            Event::EstimateCompared { filter: "odometry", estimate, .. } => Some(estimate.pose.x.0),
+            _ => None,
+        })
+    };
+    drive(&mut station, 0);
+    assert!(compared(&station).is_empty());
+    station.handle(at(2_000), Input::Command(Command::CompareFilters(FilterComparison::On)));
+    drive(&mut station, 20);
+    let (x_m, own_m) = (compared(&station), station.last_estimate().pose.x.0);
+    assert!(own_m > 0.15, "{own_m}");
+    assert!(x_m.last().is_some_and(|x_m| (x_m - own_m).abs() < 0.01), "{x_m:?} {own_m}");
+    station.handle(at(4_000), Input::Command(Command::CompareFilters(FilterComparison::Off)));
+    let before = compared(&station).len();
+    drive(&mut station, 40);
+    assert_eq!(compared(&station).len(), before);
+    assert_eq!(station.texts().last(), Some(&"filters are compared no longer"));
 }
