@@ -5,10 +5,12 @@ use crate::filters::dynamic::DynamicFilter;
 use crate::filters::odometry::OdometryFilter;
 use crate::filters::pose;
 use crate::filters::thermometer::{Thermometer, ThermometerSettings};
-use crate::papers::ekf5::{self, FixUsage, SpeedVarianceOrder};
+use crate::papers::ekf5::{self, FixUsage};
 use crate::papers::indirect::{CorrectionMode, IndirectFilter};
+use crate::papers::paper1::{FiveStateMatrices, SpeedMatrices, WheelMatrices};
 use crate::papers::range_kf::{RangeFilter, RangeFilterVariant};
-use crate::papers::{ekf5_corrected, ukf5, velocity_kf, wheel_kf};
+use crate::papers::wheel_kf::{self, WheelOdometry};
+use crate::papers::{ekf5_corrected, ukf5, velocity_kf};
 
 /// One row of [`FILTERS`].
 pub struct FilterEntry {
@@ -68,33 +70,51 @@ pub const FILTERS: &[FilterEntry] = &[
     },
     FilterEntry::of_paper(
         "wheel-kf",
-        "paper 1: a Kalman filter per wheel, then odometry",
+        "paper 1: a Kalman filter per wheel, then odometry by the filtered angles",
         Initialization::Start,
-        wheel_kf::build,
+        |config| wheel_kf::build(config, &WheelMatrices::AS_PRINTED, WheelOdometry::Angles),
+    ),
+    FilterEntry::of_paper(
+        "wheel-kf-speeds",
+        "paper 1: the same with odometry by the filtered speeds",
+        Initialization::Start,
+        |config| wheel_kf::build(config, &WheelMatrices::AS_PRINTED, WheelOdometry::Speeds),
     ),
     FilterEntry::of_paper(
         "velocity-kf",
         "paper 1: a Kalman filter for both speeds with the accelerations as input, then odometry",
         Initialization::Start,
-        velocity_kf::build,
+        |config| velocity_kf::build(config, &SpeedMatrices::AS_PRINTED),
     ),
     FilterEntry::of_paper(
         "ekf5",
         "paper 1: pose and speeds in one EKF, with integrated headings as observations",
         Initialization::Start,
-        |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Unused),
+        |config| ekf5::build(config, &FiveStateMatrices::AS_PRINTED, FixUsage::Unused),
     ),
     FilterEntry::of_paper(
         "ekf5-camera",
         "paper 1 and its outlook: ekf5 with gated fixes, used when they come",
         Initialization::Fix,
-        |config| ekf5::build(config, SpeedVarianceOrder::Printed, FixUsage::Used),
+        |config| ekf5::build(config, &FiveStateMatrices::AS_PRINTED, FixUsage::Used),
     ),
     FilterEntry::of_paper(
         "ekf5-corrected",
         "ekf5 with the errors of its integrated headings as states and configured noise",
         Initialization::Start,
         ekf5_corrected::build,
+    ),
+    FilterEntry::of_paper(
+        "ekf5-camera-corrected",
+        "the same with fixes, and with a recovery from fixes that the gate rejects",
+        Initialization::Fix,
+        ekf5_corrected::build_with_camera,
+    ),
+    FilterEntry::of_paper(
+        "ukf-all",
+        "paper 1's outlook in one filter: the same by sigma points, with a compass and its deviation",
+        Initialization::Fix,
+        ekf5_corrected::build_with_all_sensors,
     ),
     FilterEntry::of_paper(
         "ukf5",

@@ -50,7 +50,7 @@ pub struct LabIndirectArgs {
 }
 
 pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
-    if let Some(drives) = args.real.drives(&args.output, TASK)? {
+    if let Some(drives) = args.real.drives(&args.output, TASK, None)? {
         let found = drives.with_exit_stage(rounds_of(&drives))?;
         let folder = args.output.folder()?;
         return args.output.write_outcome(&folder, &recordings_report(&drives, &found));

@@ -1,24 +1,32 @@
-//! Drives of a real robot for the experiments on a square: posebridge recordings, or a live robot that is recorded first.
+//! Drives of a real robot for the experiments on a square: posebridge recordings, descriptors of foreign ones, or a live robot that is
+//! recorded first.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::recorded_drive::{DriveEndReference, RecordedDrive};
+use posebridge_telemetry::Observation;
 
 use super::live::LiveArgs;
 use crate::config::{Overlay, Setting};
 use crate::exit::{ExitStage, Failure};
+use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
+use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
 
 /// Flags that choose drives of a real robot.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct RecordedArgs {
-    /// Evaluate recordings of a real robot from `posebridge run`, one drive each, instead of simulated drives.
-    #[arg(long = "recording", value_name = "FILE.mcap", num_args = 1.., group = "real_robot")]
+    /// Evaluate recordings of a real robot from `posebridge run`, one drive each, or descriptors (*.toml) of foreign ones, each run a
+    /// drive, instead of simulated drives.
+    #[arg(long = "recording", value_name = "FILE", num_args = 1.., group = "real_robot", conflicts_with = "live_robot")]
     pub recordings: Vec<PathBuf>,
+    /// Read the runs of a descriptor whose names begin with this text. Default: its default run.
+    #[arg(long = "run", value_name = "PREFIX", requires = "recordings")]
+    pub run: Option<String>,
     /// A live robot.
     #[command(flatten)]
     pub live: LiveArgs,
@@ -65,29 +73,63 @@ pub(super) struct RobotDrives {
 
 impl RecordedArgs {
     /// Records the live robot after printing `task`, or reads the recordings; `None` if neither was requested.
-    pub(super) fn drives(&self, output: &OutputArgs, task: &str) -> Result<Option<RobotDrives>, Failure> {
+    /// `data` is the folder of a descriptor's files, by default POSEBRIDGE_DATA, or else the descriptor's own.
+    pub(super) fn drives(
+        &self,
+        output: &OutputArgs,
+        task: &str,
+        data: Option<&Path>,
+    ) -> Result<Option<RobotDrives>, Failure> {
         if let Some(recording) = self.live.record(output, self.robot.as_deref(), &self.settings, task)? {
             // Robot and settings stand in the recording.
-            let drives = self.read(&[recording], Overlay::default()).while_running()?;
+            let drives = self.read(&[recording], Overlay::default(), None).while_running()?;
             return Ok(Some(RobotDrives { drives, is_live: true }));
         }
         if self.recordings.is_empty() {
             return Ok(None);
         }
         let overlay = Overlay { robot: self.robot.as_deref(), settings: &self.settings };
-        let drives = self.read(&self.recordings, overlay).before_start()?;
+        let drives = self.read(&self.recordings, overlay, data).before_start()?;
         Ok(Some(RobotDrives { drives, is_live: false }))
     }
 
-    fn read(&self, recordings: &[PathBuf], overlay: Overlay<'_>) -> Result<Vec<RobotDrive>> {
-        let end_reference = self.judge.map(EndReference::end_reference);
-        let one = |path: &PathBuf| -> Result<RobotDrive> {
+    fn read(&self, recordings: &[PathBuf], overlay: Overlay<'_>, data: Option<&Path>) -> Result<Vec<RobotDrive>> {
+        let one = |path: &PathBuf| -> Result<Vec<RobotDrive>> {
+            if !own_recording::is_own(path) {
+                return self.read_descriptor(path, data);
+            }
+            ensure!(self.run.is_none(), "--run chooses from a descriptor; `{}` is a recording of ours", path.display());
             let run = own_recording::read(path, overlay)?;
-            let drive = RecordedDrive::new(&run.observations, &run.config, end_reference)
-                .with_context(|| format!("recording `{}`", run.name))?;
-            Ok(RobotDrive { config: drive.configure(&run.config), drive, name: run.name })
+            Ok(vec![self.drive(run.name, &run.observations, &run.config)?])
         };
-        run_with_bar(recordings, "recordings", one)?.into_iter().collect()
+        let drives = run_with_bar(recordings, "recordings", one)?.into_iter().collect::<Result<Vec<_>>>()?;
+        Ok(drives.into_iter().flatten().collect())
+    }
+
+    fn read_descriptor(&self, path: &Path, data: Option<&Path>) -> Result<Vec<RobotDrive>> {
+        ensure!(self.robot.is_none(), "`{}` describes its robot; change keys of it by --set", path.display());
+        let flags = DataFlags {
+            data: data.map(Path::to_owned).or_else(|| std::env::var_os("POSEBRIDGE_DATA").map(PathBuf::from)),
+            run: self.run.clone(),
+            // Which fixes the filters get is chosen by this experiment.
+            use_every: Some(1),
+            settings: self.settings.clone(),
+        };
+        let set = DataSet::open(path, &flags)?;
+        let one = |name: &String| -> Result<RobotDrive> {
+            let loaded = set.load(name, &flags)?;
+            report_bad_rows(&loaded);
+            let observations: Vec<_> = loaded.run.observations.iter().map(|timed| timed.observation).collect();
+            self.drive(format!("{}, {name}", path.display()), &observations, &loaded.filter_config)
+        };
+        set.runs.iter().map(one).collect()
+    }
+
+    fn drive(&self, name: String, observations: &[Observation], config: &FilterConfig) -> Result<RobotDrive> {
+        let end_reference = self.judge.map(EndReference::end_reference);
+        let drive = RecordedDrive::new(observations, config, end_reference)
+            .with_context(|| format!("recording `{name}`"))?;
+        Ok(RobotDrive { config: drive.configure(config), drive, name })
     }
 }
 

@@ -4,11 +4,13 @@
 //! x = [x, y, th, v, w]'           moves as models::planar_speeds, driven by the accelerations of the wheels
 //! z = [v_enc, th_enc, th_gyro]'   h = [v, th, th]'
 //! R = diag(5.1, 0.938, 0.332)     P0 = 0.05 I     x0 = 0                    cm and degrees
-//! Q per 0.05 s: 2 for x, 2 for y, 0.1 for th, and 1 and 3 for the speeds: see [`SpeedVarianceOrder`]
+//! Q per 0.05 s: 2 for x, 2 for y, 0.1 for th, and 1 and 3 for the speeds: see [`FiveStateMatrices`]
 //! ```
 //! th_enc and th_gyro are integrals, whose errors stay: the filter is over-confident in its heading by design. They
 //! begin anew, at the filter's own heading, when the pose is set, after a gap of the gyro or a new base of the
-//! counters, and after each fix that was used: otherwise their drift would be held against every fix for ever.
+//! counters, and after each fix that was used: otherwise their drift would be held against every fix for ever. A fix
+//! comes between two readings, and the next reading contains the turn since the last one: so the integral begins at the
+//! heading that the filter had then.
 //!
 //! Source: Paper 1 (Valera et al.), equations 24 to 26; docs/lab/square.md section M4.
 
@@ -19,32 +21,13 @@ use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 use super::paper_scaffold::{
     FixStep, GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
 };
-use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::paper1::{FiveStateMatrices, UNITS, covariance_si, variances_si};
 use super::rows::{self, position_in_arena};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::fix_noise;
 use crate::observations::sensor_frame::Exposure;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
-
-/// Variance of v_enc, (cm/s)²: paper 1, equation 26.
-const FORWARD_VARIANCE: f64 = 5.1;
-/// Variance of th_enc, degrees²: paper 1, equation 26.
-const WHEEL_HEADING_VARIANCE: f64 = 0.938;
-/// Variance of th_gyro, degrees²: paper 1, equation 26.
-const GYRO_HEADING_VARIANCE: f64 = 0.332;
-/// Diagonal of P0: paper 1, below equation 26.
-const INITIAL_VARIANCES: [f64; N] = [0.05; N];
-
-/// The order of the last two rows of the paper's Q, 1 and 3: the state of equation 24 ends in v, w; the matrix of
-/// equation 25 has the 1 of v_enc in its *fifth* column, so there it ends in w, v.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SpeedVarianceOrder {
-    /// As equation 25 is printed: 1 is for the turn rate, 3 for the forward speed.
-    Printed,
-    /// As equation 24 is: 1 is for the forward speed, 3 for the turn rate.
-    Swapped,
-}
 
 /// Whether the filter uses fixes: the paper itself does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,25 +37,15 @@ pub enum FixUsage {
     Used,
 }
 
-pub fn build(config: &FilterConfig, order: SpeedVarianceOrder, fixes: FixUsage) -> Box<dyn Filter> {
-    Box::new(OnArrivalFilter::new(FiveStateEkf::new(order, fixes, predict_linearized), config))
-}
-
-/// Q over `dt_s`, SI units.
-pub fn process_noise(order: SpeedVarianceOrder, dt_s: f64) -> Covariance {
-    // Paper 1, equation 26, in the order x, y, th, v, w.
-    let diagonal = match order {
-        SpeedVarianceOrder::Printed => [2.0, 2.0, 0.1, 3.0, 1.0],
-        SpeedVarianceOrder::Swapped => [2.0, 2.0, 0.1, 1.0, 3.0],
-    };
-    covariance_si(diagonal) * (dt_s / SAMPLING_INTERVAL_S)
+pub fn build(config: &FilterConfig, matrices: &FiveStateMatrices, fixes: FixUsage) -> Box<dyn Filter> {
+    Box::new(OnArrivalFilter::new(FiveStateEkf::new(matrices, fixes, predict_linearized), config))
 }
 
 /// Moves state and covariance of the filter by a number of seconds, process noise included.
 pub(super) type Prediction = fn(&mut FiveStateEkf, f64, Acceleration);
 
 pub(super) fn predict_linearized(filter: &mut FiveStateEkf, dt_s: f64, felt: Acceleration) {
-    let step = PredictionStep { interval_s: dt_s, variances: process_noise(filter.order, dt_s).diagonal().into() };
+    let step = PredictionStep { interval_s: dt_s, variances: filter.matrices.process_noise(dt_s).diagonal().into() };
     step.predict(&mut filter.mean, &mut filter.covariance, felt);
 }
 
@@ -80,29 +53,35 @@ pub(super) fn predict_linearized(filter: &mut FiveStateEkf, dt_s: f64, felt: Acc
 pub(super) struct FiveStateEkf {
     pub(super) mean: Mean,
     pub(super) covariance: Covariance,
-    pub(super) order: SpeedVarianceOrder,
+    pub(super) matrices: FiveStateMatrices,
     fixes: FixUsage,
     prediction: Prediction,
     wheel_heading_rad: f64,
     gyro_heading_rad: f64,
+    /// Predicted since the last reading of the wheels, and since that of the gyro.
+    turned_rad: [f64; 2],
 }
 
+const BY_WHEELS: usize = 0;
+const BY_GYRO: usize = 1;
+
 impl FiveStateEkf {
-    pub(super) fn new(order: SpeedVarianceOrder, fixes: FixUsage, prediction: Prediction) -> Self {
+    pub(super) fn new(matrices: &FiveStateMatrices, fixes: FixUsage, prediction: Prediction) -> Self {
         Self {
             mean: Mean::zeros(),
-            covariance: covariance_si(INITIAL_VARIANCES),
-            order,
+            covariance: covariance_si([matrices.initial; N]),
+            matrices: *matrices,
             fixes,
             prediction,
             wheel_heading_rad: 0.0,
             gyro_heading_rad: 0.0,
+            turned_rad: [0.0; 2],
         }
     }
 
     fn rebase_headings(&mut self) {
-        self.wheel_heading_rad = self.mean[HEADING];
-        self.gyro_heading_rad = self.mean[HEADING];
+        self.wheel_heading_rad = self.mean[HEADING] - self.turned_rad[BY_WHEELS];
+        self.gyro_heading_rad = self.mean[HEADING] - self.turned_rad[BY_GYRO];
     }
 }
 
@@ -111,6 +90,7 @@ impl SampledFilter for FiveStateEkf {
         match extra {
             OptionalSensor::Gyro | OptionalSensor::Accelerometers => true,
             OptionalSensor::Camera => self.fixes == FixUsage::Used,
+            OptionalSensor::Compass => false,
         }
     }
 
@@ -124,40 +104,45 @@ impl SampledFilter for FiveStateEkf {
     }
 
     fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, _context: &SampledContext) {
-        let start = variances_si(INITIAL_VARIANCES);
+        let start = variances_si([self.matrices.initial; N]);
         let speeds = [start[FORWARD], start[TURN]];
         rows::reset_speeds(&mut self.mean, &mut self.covariance, position_m, heading_rad, speeds);
         self.rebase_headings();
     }
 
     fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
+        self.turned_rad = self.turned_rad.map(|turned| turned + self.mean[TURN] * dt_s);
         (self.prediction)(self, dt_s, felt);
     }
 
     fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
-        self.covariance += process_noise(self.order, dt_s);
+        self.covariance += self.matrices.process_noise(dt_s);
         rows::add_unobserved_motion(&mut self.covariance, dt_s);
     }
 
-    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64, _context: &SampledContext) {
         rows::bridge_gap(&mut self.mean, &mut self.covariance, speeds, path_m2);
     }
 
     fn rebase_wheels(&mut self, _context: &SampledContext) {
+        self.turned_rad[BY_WHEELS] = 0.0;
         self.wheel_heading_rad = self.mean[HEADING];
     }
 
     fn rebase_gyro(&mut self) {
+        self.turned_rad[BY_GYRO] = 0.0;
         self.gyro_heading_rad = self.mean[HEADING];
     }
 
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let body = step.body_step(&context.config.geometry);
         self.wheel_heading_rad += body.turn_rad;
+        self.turned_rad[BY_WHEELS] = 0.0;
         let speed_m_per_s = body.forward_m / step.interval.as_secs_f64();
+        let [forward, heading, _] = self.matrices.variances;
         let scalars = [
-            scalar_observation(&self.mean, FORWARD, speed_m_per_s, FORWARD_VARIANCE),
-            scalar_observation(&self.mean, HEADING, self.wheel_heading_rad, WHEEL_HEADING_VARIANCE),
+            scalar_observation(&self.mean, FORWARD, speed_m_per_s, forward),
+            scalar_observation(&self.mean, HEADING, self.wheel_heading_rad, heading),
         ];
         rows::apply_all(&mut self.mean, &mut self.covariance, &scalars, record)
     }
@@ -165,8 +150,9 @@ impl SampledFilter for FiveStateEkf {
     fn use_gyro(&mut self, step: &GyroStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let known_bias = context.config.calibration.gyro_bias_rad_per_s.value;
         self.gyro_heading_rad += (step.rate_rad_per_s - known_bias) * step.dt_s;
+        self.turned_rad[BY_GYRO] = 0.0;
         let measured_rad = self.gyro_heading_rad;
-        let scalar = scalar_observation(&self.mean, HEADING, measured_rad, GYRO_HEADING_VARIANCE);
+        let scalar = scalar_observation(&self.mean, HEADING, measured_rad, self.matrices.variances[2]);
         rows::apply_all(&mut self.mean, &mut self.covariance, &[scalar], record)
     }
 

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
-    Observation, ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp, UncertainValue,
+    Observation, ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp,
 };
 
 use crate::filter::{Filter, FilterConfig};
@@ -80,7 +80,7 @@ impl<M: SampledFilter> FilterSnapshot<M> {
         // In which order distance and turn came is unknown: the direction of the way is uniform within the turn.
         let path_m2 = share * (body.forward_m * body.turn_rad).powi(2) / 12.0;
         let speeds = [body.forward_m / gap_s, body.turn_rad / gap_s];
-        self.filter.bridge_gap(speeds, path_m2);
+        self.filter.bridge_gap(speeds, path_m2, context);
         self.filter.predict(left_s, Acceleration::default(), context);
         self.stamp = Some(stamp);
     }
@@ -92,6 +92,7 @@ pub(super) struct OnArrivalFilter<M> {
     last_wheels: Option<(Timestamp<BrickClock>, [f64; 2])>,
     last_gyro: Option<Timestamp<BrickClock>>,
     last_acceleration: Option<Timestamp<BrickClock>>,
+    last_compass: Option<Timestamp<BrickClock>>,
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
     current: FilterSnapshot<M>,
     /// The state after each instant within the history.
@@ -116,6 +117,7 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             last_wheels: None,
             last_gyro: None,
             last_acceleration: None,
+            last_compass: None,
             last_fixes: BTreeMap::new(),
             current: first,
             history: TimeSeries::default(),
@@ -153,6 +155,10 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             && uses(OptionalSensor::Camera)
         {
             self.observe_fix(observation, &fix, record)
+        } else if let ObservationKind::CompassHeading(heading) = observation.measurement
+            && uses(OptionalSensor::Compass)
+        {
+            self.observe_compass(stamp, heading.rad(), record)
         } else {
             FusionOutcome::Unused
         }
@@ -229,6 +235,28 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         FusionOutcome::Accepted
     }
 
+    fn observe_compass(
+        &mut self,
+        stamp: Timestamp<BrickClock>,
+        heading_rad: f64,
+        record: &mut FusionRecord,
+    ) -> FusionOutcome {
+        if let Some(verdict) = reject_repeated(self.last_compass, stamp) {
+            return verdict;
+        }
+        if !self.current.has_pose {
+            return FusionOutcome::Unused;
+        }
+        self.last_compass = Some(stamp);
+        let mut next = self.current;
+        next.advance_to(stamp, &self.context);
+        let verdict = next.filter.use_compass(heading_rad, &self.context, record);
+        if verdict == FusionOutcome::Accepted {
+            self.save(next);
+        }
+        verdict
+    }
+
     fn observe_fix(&mut self, observation: &Observation, fix: &Fix, record: &mut FusionRecord) -> FusionOutcome {
         let before = self.last_fixes.get(&observation.sensor).copied();
         if let Some(verdict) = reject_repeated(before, observation.stamp) {
@@ -236,13 +264,23 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
         }
         let mut next = self.current;
         next.advance_to(observation.stamp, &self.context);
+        let before_reset = next.filter;
         let verdict = if next.has_pose {
-            let step = FixStep { fix: *fix, stamp_sigma_s: observation.stamp_sigma.as_secs_f64() };
+            let stamp = observation.stamp;
+            let step = FixStep { fix: *fix, stamp, stamp_sigma_s: observation.stamp_sigma.as_secs_f64() };
             next.filter.use_fix(&step, &self.context, record)
         } else {
             initialize_from_fix(&mut next.filter, fix, &self.context)
         };
-        if verdict == FusionOutcome::Accepted {
+        if verdict == FusionOutcome::Gated {
+            self.current.filter.keep_rejection(&next.filter);
+        }
+        if matches!(verdict, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
+            if verdict == FusionOutcome::PoseReset {
+                let [from, to] =
+                    [before_reset, next.filter].map(|filter| pose_of(&filter.gaussian_state(&self.context).mean));
+                next.status.record_jump(from, to);
+            }
             next.has_pose = true;
             next.status.last_fix = next.status.last_fix.max(Some(observation.stamp));
             self.last_fixes.insert(observation.sensor, observation.stamp);
@@ -300,6 +338,7 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         self.last_wheels = None;
         self.last_gyro = None;
         self.last_acceleration = None;
+        self.last_compass = None;
         self.last_fixes.clear();
         self.restart_history(next);
     }
@@ -309,8 +348,7 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
     }
 
     fn calibration(&self) -> Option<Calibration> {
-        let gyro_bias_rad_per_s = self.current.filter.gyro_bias()?;
-        Some(Calibration { gyro_bias_rad_per_s, ..self.context.config.calibration })
+        self.current.filter.calibration(&self.context.config.calibration)
     }
 
     fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
@@ -342,6 +380,7 @@ pub(super) enum OptionalSensor {
     Gyro,
     Accelerometers,
     Camera,
+    Compass,
 }
 
 /// Pose and speeds with their covariance, rows as [`row`], SI units, heading not wrapped.
@@ -358,8 +397,9 @@ pub(super) trait SampledFilter: Copy + Send {
 
     fn gaussian_state(&self, context: &SampledContext) -> GaussianState;
 
-    /// In rad/s, where it is a state.
-    fn gyro_bias(&self) -> Option<UncertainValue> {
+    /// The configured calibration with what the filter has learned; `None` where it learns nothing.
+    fn calibration(&self, configured: &Calibration) -> Option<Calibration> {
+        let _ = configured;
         None
     }
 
@@ -374,7 +414,7 @@ pub(super) trait SampledFilter: Copy + Send {
     fn predict_unobserved(&mut self, dt_s: f64, context: &SampledContext);
 
     /// Uses these speeds (m/s, rad/s) for the next prediction, over a gap whose path has the variance `path_m2` per axis.
-    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64);
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64, context: &SampledContext);
 
     /// Rebases the counters: the wheels' motion up to here is what was predicted.
     fn rebase_wheels(&mut self, context: &SampledContext) {
@@ -390,8 +430,20 @@ pub(super) trait SampledFilter: Copy + Send {
         FusionOutcome::Unused
     }
 
+    /// Uses a fix: `Accepted`, `Gated`, or `PoseReset` where it moved the pose after a long disagreement.
     fn use_fix(&mut self, fix: &FixStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
         let _ = (fix, context, record);
+        FusionOutcome::Unused
+    }
+
+    /// Remembers the fix that another copy of the filter, moved to the fix's own instant, has rejected.
+    fn keep_rejection(&mut self, rejecting: &Self) {
+        let _ = rejecting;
+    }
+
+    /// Uses a heading of a compass, in rad.
+    fn use_compass(&mut self, measured_rad: f64, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
+        let _ = (measured_rad, context, record);
         FusionOutcome::Unused
     }
 }
@@ -400,6 +452,7 @@ pub(super) trait SampledFilter: Copy + Send {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FixStep {
     pub(super) fix: Fix,
+    pub(super) stamp: Timestamp<BrickClock>,
     pub(super) stamp_sigma_s: f64,
 }
 

@@ -4,7 +4,10 @@ use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::{Fix, FusionOutcome, FusionRecord, StartPose};
 
+use super::sigma_points::PredictedObservation;
 use crate::motion::{UNOBSERVED_M_PER_SQRT_S, UNOBSERVED_RAD_PER_SQRT_S};
+use crate::numerics::cholesky::{lower_triangle, solve_lower};
+use crate::numerics::covariance::symmetrise;
 use crate::observations::fix::{lever_in_arena, with_heading_variance};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, UpdateOutcome, apply_measurement, use_scalar};
 use crate::validation::write_innovation;
@@ -134,7 +137,7 @@ fn cross_variance<const N: usize, const K: usize>(
 // Innovation and H of a fix for the states of the papers, which hold x, y and heading themselves, in the arena.
 
 /// Uses a measurement unless its NIS exceeds the gate for its number of components; the outcome is in the record.
-fn gate_and_apply<const N: usize, const M: usize>(
+pub(super) fn gate_and_apply<const N: usize, const M: usize>(
     mean: &mut SVector<f64, N>,
     covariance: &mut SMatrix<f64, N, N>,
     measurement: &LinearizedMeasurement<N, M>,
@@ -151,6 +154,40 @@ fn gate_and_apply<const N: usize, const M: usize>(
     } else {
         FusionOutcome::Malformed
     }
+}
+
+/// The same for an observation that sigma points predict: K = C S^-1, P <- P - K S K'.
+pub(super) fn gate_and_apply_predicted<const N: usize, const M: usize>(
+    mean: &mut SVector<f64, N>,
+    covariance: &mut SMatrix<f64, N, N>,
+    predicted: &PredictedObservation<N, M>,
+    innovation: &SVector<f64, M>,
+    noise: &SMatrix<f64, M, M>,
+    gates: &[f64; 3],
+    record: &mut FusionRecord,
+) -> FusionOutcome {
+    let s = predicted.spread + noise;
+    if !write_innovation(record, innovation, &s) {
+        return FusionOutcome::Malformed;
+    }
+    if record.nis > gates[M - 1] {
+        return FusionOutcome::Gated;
+    }
+    let Some(lower) = lower_triangle(&s) else {
+        return FusionOutcome::Malformed;
+    };
+    // K S K' = (L^-1 C')' (L^-1 C').
+    let white = solve_lower(&lower, innovation);
+    for row in 0..N {
+        let of_row = solve_lower(&lower, &predicted.cross.row(row).transpose());
+        mean[row] += of_row.dot(&white);
+        for column in 0..N {
+            let of_column = solve_lower(&lower, &predicted.cross.row(column).transpose());
+            covariance[(row, column)] -= of_row.dot(&of_column);
+        }
+    }
+    symmetrise(covariance);
+    FusionOutcome::Accepted
 }
 
 /// Uses a fix: its position and, with a heading, the innovation of that in rad and its independent variance in rad².

@@ -15,28 +15,27 @@ use posebridge_telemetry::estimate::row::{FORWARD, TURN};
 use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
-use super::paper1::{SAMPLING_INTERVAL_S, UNITS, covariance_si, variances_si};
+use super::paper1::{SAMPLING_INTERVAL_S, SpeedMatrices, UNITS, covariance_si, variances_si};
 use super::rows;
 use crate::filter::{Filter, FilterConfig};
-use crate::models::planar_speeds::{Acceleration, Covariance, Mean, PredictionStep};
+use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::validation::write_innovation;
-
-/// Diagonal of R, (cm/s)² and (degrees/s)²: paper 1, equation 23.
-const MEASUREMENT_VARIANCES: [f64; 2] = [5.1, 1.938];
-/// Diagonal of Q for v and w over one of the paper's intervals: paper 1, equation 23. The pose has none.
-const PROCESS_VARIANCES: [f64; 5] = [0.0, 0.0, 0.0, 2.2, 2.2];
-/// Diagonal of P0 for v and w: paper 1, below equation 23.
-const INITIAL_VARIANCES: [f64; 5] = [0.0, 0.0, 0.0, 10.0, 10.0];
 
 #[derive(Clone, Copy)]
 struct VelocityKf {
     mean: Mean,
     covariance: Covariance,
+    matrices: SpeedMatrices,
 }
 
-pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
-    let maths = VelocityKf { mean: Mean::zeros(), covariance: covariance_si(INITIAL_VARIANCES) };
-    Box::new(OnArrivalFilter::new(maths, config))
+pub fn build(config: &FilterConfig, matrices: &SpeedMatrices) -> Box<dyn Filter> {
+    let covariance = covariance_si(of_speeds(matrices.initial));
+    Box::new(OnArrivalFilter::new(VelocityKf { mean: Mean::zeros(), covariance, matrices: *matrices }, config))
+}
+
+/// Variances of v and w beside a pose that has none.
+const fn of_speeds([forward, turn]: [f64; 2]) -> [f64; N] {
+    [0.0, 0.0, 0.0, forward, turn]
 }
 
 impl VelocityKf {
@@ -67,7 +66,7 @@ impl SampledFilter for VelocityKf {
     }
 
     fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, _context: &SampledContext) {
-        let start = variances_si(INITIAL_VARIANCES);
+        let start = variances_si(of_speeds(self.matrices.initial));
         let speeds = [start[FORWARD], start[TURN]];
         rows::reset_speeds(&mut self.mean, &mut self.covariance, position_m, heading_rad, speeds);
     }
@@ -75,17 +74,17 @@ impl SampledFilter for VelocityKf {
     fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
         let step = PredictionStep {
             interval_s: dt_s,
-            variances: variances_si(PROCESS_VARIANCES).map(|variance| variance * (dt_s / SAMPLING_INTERVAL_S)),
+            variances: variances_si(of_speeds(self.matrices.process)).map(|variance| variance * (dt_s / SAMPLING_INTERVAL_S)),
         };
         step.predict(&mut self.mean, &mut self.covariance, felt);
     }
 
     fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
-        self.covariance += covariance_si(PROCESS_VARIANCES) * (dt_s / SAMPLING_INTERVAL_S);
+        self.covariance += covariance_si(of_speeds(self.matrices.process)) * (dt_s / SAMPLING_INTERVAL_S);
         rows::add_unobserved_motion(&mut self.covariance, dt_s);
     }
 
-    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64) {
+    fn bridge_gap(&mut self, speeds: [f64; 2], path_m2: f64, _context: &SampledContext) {
         rows::bridge_gap(&mut self.mean, &mut self.covariance, speeds, path_m2);
     }
 
@@ -93,7 +92,7 @@ impl SampledFilter for VelocityKf {
         let body = step.body_step(&context.config.geometry);
         let dt_s = step.interval.as_secs_f64();
         let measured = [(FORWARD, body.forward_m / dt_s), (TURN, body.turn_rad / dt_s)];
-        let noise: [f64; 2] = [0, 1].map(|i: usize| MEASUREMENT_VARIANCES[i] * UNITS[measured[i].0].powi(2));
+        let noise: [f64; 2] = [0, 1].map(|i: usize| self.matrices.variances[i] * UNITS[measured[i].0].powi(2));
         let nu = SVector::<f64, 2>::from_fn(|i, _| measured[i].1 - self.mean[measured[i].0]);
         let s = Matrix2::from_fn(|i, j| {
             let row = measured[i].0;

@@ -5,8 +5,13 @@
 //! x = [phi, phidot]'   degrees, degrees/s      F = [ 1 dt ]      C = [ 1 0 ]
 //!                                                  [ 0 1  ]
 //! Q = diag(0.1, 10) per 0.05 s      R_right = 2.5, R_left = 1.5 degrees^2      x0 = 0, P0 = 10 I
-//! s_i = r_i (phi_k - phi_(k-1))     d = (s_L + s_R) / 2     dth = (s_R - s_L) / b     pose by the midpoint rule
+//! d = (s_L + s_R) / 2     dth = (s_R - s_L) / b     pose by the midpoint rule, from the travel of the wheels
+//!   angles integrated     s_i = r_i (phi_k - phi_(k-1))
+//!   speeds integrated     s_i = r_i phidot_(k-1) dt       equation 13 with the filtered speeds as it is printed
 //! ```
+//! The paper does not say which. phi_k = phi_(k-1) + phidot_(k-1) dt + K_1 nu: integrated speeds lack every K_1 nu, so
+//! their error has no bound.
+//!
 //! The paper gives the pose no covariance: here it is that of the configured motion noise plus that of the two wheels'
 //! filters.
 //!
@@ -17,7 +22,7 @@ use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
-use super::paper1::SAMPLING_INTERVAL_S;
+use super::paper1::{SAMPLING_INTERVAL_S, WheelMatrices};
 use super::rows;
 use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, propagate_pose, step_noise};
@@ -25,15 +30,6 @@ use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::numerics::covariance::symmetrise;
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation::write_innovation;
-
-/// Variance of a reading of the left counter, degrees²: paper 1, equation 19.
-pub const LEFT_VARIANCE: f64 = 1.5;
-/// Variance of a reading of the right counter, degrees²: paper 1, equation 19.
-pub const RIGHT_VARIANCE: f64 = 2.5;
-/// Diagonal of Q over one of the paper's intervals, degrees² and (degrees/s)²: paper 1, equation 19.
-const PROCESS_VARIANCES: [f64; 2] = [0.1, 10.0];
-/// Diagonal of P0, degrees² and (degrees/s)²: paper 1, below equation 19.
-const INITIAL_VARIANCE: f64 = 10.0;
 
 const ANGLE: usize = 0;
 const RATE: usize = 1;
@@ -44,18 +40,24 @@ pub struct SingleWheelFilter {
     pub mean: Vector2<f64>,
     pub covariance: Matrix2<f64>,
     variance: f64,
+    process: [f64; 2],
 }
 
 impl SingleWheelFilter {
-    /// A wheel at rest at zero whose counter has the variance R, in degrees².
-    pub fn at_rest(variance: f64) -> Self {
-        Self { mean: Vector2::zeros(), covariance: Matrix2::identity() * INITIAL_VARIANCE, variance }
+    /// The left and the right wheel at rest at zero.
+    pub fn pair(matrices: &WheelMatrices) -> [Self; 2] {
+        matrices.variances.map(|variance| Self {
+            mean: Vector2::zeros(),
+            covariance: Matrix2::identity() * matrices.initial,
+            variance,
+            process: matrices.process,
+        })
     }
 
     pub fn predict(&mut self, dt_s: f64) {
         let f = Matrix2::new(1.0, dt_s, 0.0, 1.0);
         self.mean = f * self.mean;
-        self.covariance = f * self.covariance * f.transpose() + process(dt_s);
+        self.covariance = f * self.covariance * f.transpose() + self.process_noise(dt_s);
         symmetrise(&mut self.covariance);
     }
 
@@ -66,16 +68,29 @@ impl SingleWheelFilter {
         let outcome = use_scalar(&mut self.mean, &mut self.covariance, &scalar, f64::INFINITY);
         (outcome.outcome == UpdateOutcome::Used).then_some((innovation, outcome.innovation_variance))
     }
+
+    fn process_noise(&self, dt_s: f64) -> Matrix2<f64> {
+        Matrix2::from_diagonal(&Vector2::from(self.process)) * (dt_s / SAMPLING_INTERVAL_S)
+    }
 }
 
-fn process(dt_s: f64) -> Matrix2<f64> {
-    Matrix2::from_diagonal(&Vector2::from(PROCESS_VARIANCES)) * (dt_s / SAMPLING_INTERVAL_S)
+/// What the pose is computed from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WheelOdometry {
+    /// The change of the filtered angles.
+    Angles,
+    /// The filtered speeds before the step, times its duration.
+    Speeds,
 }
 
 /// Both wheels, and the pose up to their last reading.
 #[derive(Clone, Copy)]
 struct WheelKf {
+    matrices: WheelMatrices,
+    odometry: WheelOdometry,
     wheels: [SingleWheelFilter; 2],
+    /// Integral of the filtered speeds: left, right, in degrees.
+    rolled_deg: [f64; 2],
     /// The counters' turn since the first base: left, right.
     counted_deg: [f64; 2],
     /// The wheels' angles up to which the pose has been moved, degrees: left, right.
@@ -86,12 +101,15 @@ struct WheelKf {
     pose_covariance: Matrix3<f64>,
 }
 
-pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
+pub fn build(config: &FilterConfig, matrices: &WheelMatrices, odometry: WheelOdometry) -> Box<dyn Filter> {
     let maths = WheelKf {
-        wheels: [LEFT_VARIANCE, RIGHT_VARIANCE].map(SingleWheelFilter::at_rest),
+        matrices: *matrices,
+        odometry,
+        wheels: SingleWheelFilter::pair(matrices),
+        rolled_deg: [0.0; 2],
         counted_deg: [0.0; 2],
         moved: [0.0; 2],
-        settled: [INITIAL_VARIANCE; 2],
+        settled: [matrices.initial; 2],
         pose: Vector3::zeros(),
         pose_covariance: Matrix3::zeros(),
     };
@@ -99,9 +117,18 @@ pub(crate) fn build(config: &FilterConfig) -> Box<dyn Filter> {
 }
 
 impl WheelKf {
+    /// The rotation that the pose follows: left, right, in degrees.
+    fn driven_deg(&self) -> [f64; 2] {
+        match self.odometry {
+            WheelOdometry::Angles => self.wheels.map(|wheel| wheel.mean[ANGLE]),
+            WheelOdometry::Speeds => self.rolled_deg,
+        }
+    }
+
     fn travel(&self, context: &SampledContext) -> WheelTravel {
-        let turned = |wheel: usize| (self.wheels[wheel].mean[ANGLE] - self.moved[wheel]).to_radians();
-        WheelTravel::from_rotation(turned(0), turned(1), &context.config.geometry)
+        let driven = self.driven_deg();
+        let [left, right] = [0, 1].map(|wheel: usize| (driven[wheel] - self.moved[wheel]).to_radians());
+        WheelTravel::from_rotation(left, right, &context.config.geometry)
     }
 
     /// The pose after that travel, with the noise of the motion plus `open`.
@@ -148,7 +175,7 @@ impl WheelKf {
     }
 
     fn settle(&mut self) {
-        self.moved = self.wheels.map(|wheel| wheel.mean[ANGLE]);
+        self.moved = self.driven_deg();
         self.settled = self.wheels.map(|wheel| wheel.covariance[(ANGLE, ANGLE)]);
     }
 }
@@ -184,33 +211,44 @@ impl SampledFilter for WheelKf {
     fn reset_speeds(&mut self, position_m: f64, heading_rad: f64, context: &SampledContext) {
         self.commit_angles(context);
         rows::inflate_pose(&mut self.pose_covariance, position_m, heading_rad);
-        self.wheels = self.wheels.map(|wheel| SingleWheelFilter::at_rest(wheel.variance));
+        self.wheels = SingleWheelFilter::pair(&self.matrices);
+        self.rolled_deg = [0.0; 2];
         self.counted_deg = [0.0; 2];
         self.settle();
     }
 
     fn predict(&mut self, dt_s: f64, _felt: Acceleration, _context: &SampledContext) {
-        for wheel in &mut self.wheels {
+        for (wheel, rolled) in self.wheels.iter_mut().zip(&mut self.rolled_deg) {
+            *rolled += dt_s * wheel.mean[RATE];
             wheel.predict(dt_s);
         }
     }
 
     fn predict_unobserved(&mut self, dt_s: f64, _context: &SampledContext) {
         for wheel in &mut self.wheels {
-            wheel.covariance += process(dt_s);
+            wheel.covariance += wheel.process_noise(dt_s);
         }
         rows::add_unobserved_motion(&mut self.pose_covariance, dt_s);
     }
 
-    fn bridge_gap(&mut self, _speeds: [f64; 2], path_m2: f64) {
+    fn bridge_gap(&mut self, [forward, turn]: [f64; 2], path_m2: f64, context: &SampledContext) {
         // The counters are cumulative: the next reading contains the whole travel, whatever is predicted until then.
+        // Integrated speeds need those of the gap.
+        if self.odometry == WheelOdometry::Speeds {
+            let geometry = &context.config.geometry;
+            let half_turn = 0.5 * turn * geometry.track_width.0;
+            let radii = [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0];
+            for (i, speed) in [forward - half_turn, forward + half_turn].into_iter().enumerate() {
+                self.wheels[i].mean[RATE] = (speed / radii[i]).to_degrees();
+            }
+        }
         self.pose_covariance[(0, 0)] += path_m2;
         self.pose_covariance[(1, 1)] += path_m2;
     }
 
     fn rebase_wheels(&mut self, context: &SampledContext) {
         self.commit_angles(context);
-        self.counted_deg = self.moved;
+        self.counted_deg = self.wheels.map(|wheel| wheel.mean[ANGLE]);
     }
 
     fn use_wheels(&mut self, step: &WheelStep, context: &SampledContext, record: &mut FusionRecord) -> FusionOutcome {
@@ -218,11 +256,14 @@ impl SampledFilter for WheelKf {
         let mut next = *self;
         let mut nu = SVector::<f64, 2>::zeros();
         let mut s = Matrix2::zeros();
+        let mut left_out = [0.0; 2];
         for (i, wheel) in next.wheels.iter_mut().enumerate() {
             next.counted_deg[i] += turned[i].to_degrees();
             let Some((innovation, variance)) = wheel.update(next.counted_deg[i]) else {
                 return FusionOutcome::Malformed;
             };
+            // (K_1)² S with K_1 = P / R after the update.
+            left_out[i] = (wheel.covariance[(ANGLE, ANGLE)] / wheel.variance).powi(2) * variance;
             nu[i] = innovation.to_radians();
             s[(i, i)] = variance * 1.0_f64.to_radians().powi(2);
         }
@@ -230,7 +271,11 @@ impl SampledFilter for WheelKf {
             return FusionOutcome::Malformed;
         }
         *self = next;
-        self.move_pose(StepNoise::default(), context);
+        let open = match self.odometry {
+            WheelOdometry::Angles => StepNoise::default(),
+            WheelOdometry::Speeds => Self::motion_noise(left_out, context),
+        };
+        self.move_pose(open, context);
         self.settled = [0.0; 2];
         FusionOutcome::Accepted
     }

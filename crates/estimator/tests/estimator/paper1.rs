@@ -4,11 +4,13 @@
 use nalgebra::{Matrix1, Matrix2, RowVector2, SMatrix, SVector, Vector1, Vector2};
 use posebridge_estimator::Filter;
 use posebridge_estimator::models::planar_speeds::{self, Acceleration, Covariance, Mean};
-use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder, process_noise};
-use posebridge_estimator::papers::paper1::{CENTIMETRE, DEGREE, SAMPLING_INTERVAL_S, UNITS};
-use posebridge_estimator::papers::wheel_kf::{LEFT_VARIANCE, RIGHT_VARIANCE, SingleWheelFilter};
-use posebridge_estimator::papers::{ekf5_corrected, ukf5};
-use posebridge_telemetry::{FusionOutcome, FusionRecord, Timestamp, estimate::row};
+use posebridge_estimator::papers::ekf5::{self, FixUsage};
+use posebridge_estimator::papers::paper1::{
+    CENTIMETRE, DEGREE, FiveStateMatrices, SAMPLING_INTERVAL_S, UNITS, WheelMatrices,
+};
+use posebridge_estimator::papers::wheel_kf::SingleWheelFilter;
+use posebridge_estimator::papers::{ekf5_corrected, sigma_points, ukf5};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, Timestamp, estimate::row, quantities::wrap_rad};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -33,19 +35,21 @@ fn at_rest(mut filter: Box<dyn Filter>) -> Box<dyn Filter> {
     filter
 }
 
-fn wheel_at_rest(variance: f64) -> SingleWheelFilter {
-    let mut wheel = SingleWheelFilter::at_rest(variance);
-    for _ in 0..500 {
-        wheel.predict(SAMPLING_INTERVAL_S);
-        assert!(wheel.update(0.0).is_some());
-    }
-    wheel
+fn wheels_at_rest() -> [SingleWheelFilter; 2] {
+    SingleWheelFilter::pair(&WheelMatrices::AS_PRINTED).map(|mut wheel| {
+        for _ in 0..500 {
+            wheel.predict(SAMPLING_INTERVAL_S);
+            assert!(wheel.update(0.0).is_some());
+        }
+        wheel
+    })
 }
 
 #[test]
 fn the_wheel_filters_have_the_papers_steady_gains() {
-    for (variance, gain) in [(RIGHT_VARIANCE, [0.3880, 1.5646]), (LEFT_VARIANCE, [0.4353, 1.9403])] {
-        let k = wheel_at_rest(variance).covariance.column(0) / variance;
+    let wheels = wheels_at_rest().into_iter().zip([(1.5, [0.4353, 1.9403]), (2.5, [0.3880, 1.5646])]);
+    for (wheel, (variance, gain)) in wheels {
+        let k = wheel.covariance.column(0) / variance;
         assert_near("K of phi", k[0], gain[0], 5e-5);
         assert_near("K of phidot", k[1], gain[1], 5e-5);
     }
@@ -53,8 +57,7 @@ fn the_wheel_filters_have_the_papers_steady_gains() {
 
 #[test]
 fn the_speeds_of_the_wheel_filter_are_as_uncertain_as_its_wheels() {
-    let rate_variance = |variance| wheel_at_rest(variance).covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2);
-    let [left, right] = [LEFT_VARIANCE, RIGHT_VARIANCE].map(rate_variance);
+    let [left, right] = wheels_at_rest().map(|wheel| wheel.covariance[(1, 1)] * (RADIUS_M * DEGREE).powi(2));
     let p = latest(at_rest(named("wheel-kf", &config())).as_ref()).covariance;
     let found = [(row::FORWARD, row::FORWARD), (row::TURN, row::TURN), (row::FORWARD, row::TURN)].map(|(i, j)| p[i][j]);
     let expected = [0.25 * (left + right), (left + right) / TRACK_M.powi(2), (right - left) / (2.0 * TRACK_M)];
@@ -126,11 +129,11 @@ fn a_wheel_that_slips_alone_errs_in_path_and_heading_together() {
 
 #[test]
 fn the_five_state_filter_has_the_papers_steady_gains_in_both_readings_of_the_order() {
-    for (order, v, th, w) in [
-        (SpeedVarianceOrder::Printed, 0.527_31, [0.140_53, 0.397_05], [0.358_99, 1.014_26]),
-        (SpeedVarianceOrder::Swapped, 0.355_49, [0.151_04, 0.426_73], [0.594_16, 1.678_67]),
+    for (matrices, v, th, w) in [
+        (FiveStateMatrices::AS_PRINTED, 0.527_31, [0.140_53, 0.397_05], [0.358_99, 1.014_26]),
+        (FiveStateMatrices::SWAPPED, 0.355_49, [0.151_04, 0.426_73], [0.594_16, 1.678_67]),
     ] {
-        let filter = at_rest(ekf5::build(&config(), order, FixUsage::Unused));
+        let filter = at_rest(ekf5::build(&config(), &matrices, FixUsage::Unused));
         let p = covariance_in_paper_units(filter.as_ref());
         assert_near("K of v", p[(row::FORWARD, row::FORWARD)] / 5.1, v, 5e-6);
         for (i, variance) in [0.938, 0.332].into_iter().enumerate() {
@@ -214,7 +217,7 @@ fn sigma_points_model_that_an_uncertain_heading_shortens_the_path() {
 
 #[test]
 fn the_mean_heading_of_sigma_points_does_not_care_where_the_circle_is_cut() {
-    let p = process_noise(SpeedVarianceOrder::Printed, 0.05) * 20.0;
+    let p = FiveStateMatrices::AS_PRINTED.process_noise(0.05) * 20.0;
     let turned = |heading: f64| {
         let mean = Mean::from([0.0, 0.0, heading, 0.3, 1.0]);
         let (next, spread) = ukf5::predict(&mean, &p, FELT, 0.05).expect("a covariance");
@@ -234,17 +237,17 @@ fn a_matrix_that_is_no_covariance_has_no_square_root() {
     let mut p = Covariance::identity();
     p[(3, 1)] = 2.0;
     p[(1, 3)] = 2.0;
-    assert!(ukf5::square_root(&p).is_none() && ukf5::predict(&Mean::zeros(), &p, FELT, 0.05).is_none());
+    assert!(sigma_points::square_root(&p).is_none() && ukf5::predict(&Mean::zeros(), &p, FELT, 0.05).is_none());
     p[(3, 3)] = f64::NAN;
-    assert!(ukf5::square_root(&p).is_none());
+    assert!(sigma_points::square_root(&p).is_none());
     // A row that is known exactly and yet varies with another.
     let mut p = Covariance::identity();
     p[(1, 1)] = 0.0;
     p[(3, 1)] = 0.5;
     p[(1, 3)] = 0.5;
-    assert!(ukf5::square_root(&p).is_none());
+    assert!(sigma_points::square_root(&p).is_none());
     let half_known = Covariance::from_diagonal(&Mean::from([0.0, 4.0, 0.0, 9.0, 0.0]));
-    let root = ukf5::square_root(&half_known).unwrap();
+    let root = sigma_points::square_root(&half_known).unwrap();
     assert_eq!(root * root.transpose(), half_known);
 }
 
@@ -302,7 +305,7 @@ fn uneven_drive(seed: u64) -> Vec<(i64, f64, f64)> {
 
 #[test]
 fn the_wheel_filter_equals_the_textbooks_kalman_filter() {
-    let mut wheel = SingleWheelFilter::at_rest(RIGHT_VARIANCE);
+    let [_, mut wheel] = SingleWheelFilter::pair(&WheelMatrices::AS_PRINTED);
     let (mut x, mut p) = (Vector2::zeros(), Matrix2::identity() * 10.0);
     for pair in uneven_drive(1).windows(2) {
         let dt_s = (pair[1].0 - pair[0].0) as f64 * 1e-3;
@@ -315,6 +318,39 @@ fn the_wheel_filter_equals_the_textbooks_kalman_filter() {
         assert!(wheel.update(counted).is_some());
         assert!((wheel.mean - x).amax() < 1e-9);
         assert!((wheel.covariance - p).amax() < 1e-9);
+    }
+}
+
+/// Both readings of the odometry, written out: the change of the filtered angles, and equation 13 with the filtered speeds of k-1.
+#[test]
+fn the_wheel_filters_pose_follows_its_angles_or_its_speeds() {
+    for name in ["wheel-kf", "wheel-kf-speeds"] {
+        let mut filter = named(name, &without_start());
+        let mut two = SingleWheelFilter::pair(&WheelMatrices::AS_PRINTED);
+        let (mut x, mut y, mut heading) = (0.0, 0.0, 0.0);
+        let drive = uneven_drive(4);
+        filter.observe(&wheels(0, 0.0, 0.0));
+        for pair in drive.windows(2) {
+            let dt_s = (pair[1].0 - pair[0].0) as f64 * 1e-3;
+            let before = two.map(|wheel| wheel.mean);
+            for (wheel, turned) in two.iter_mut().zip([pair[1].1, pair[1].2]) {
+                wheel.predict(dt_s);
+                assert!(wheel.update(turned / DEGREE).is_some());
+            }
+            let [left_m, right_m] = [0, 1].map(|i: usize| {
+                let turned = if name == "wheel-kf" { two[i].mean[0] - before[i][0] } else { before[i][1] * dt_s };
+                turned * DEGREE * RADIUS_M
+            });
+            let (d, turn) = (0.5 * (left_m + right_m), (right_m - left_m) / TRACK_M);
+            x += d * (heading + 0.5 * turn).cos();
+            y += d * (heading + 0.5 * turn).sin();
+            heading += turn;
+            filter.observe(&wheels(pair[1].0, pair[1].1, pair[1].2));
+        }
+        let pose = latest(filter.as_ref()).pose;
+        assert_near(name, pose.x.0, x, 1e-9);
+        assert_near(name, pose.y.0, y, 1e-9);
+        assert_near(name, wrap_rad(pose.heading.rad() - heading), 0.0, 1e-9);
     }
 }
 

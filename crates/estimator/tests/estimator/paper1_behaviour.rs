@@ -10,7 +10,17 @@ use crate::support::filters::{
 use crate::support::observe::{accelerations, fix, fix_of, gyro, ms, wheels};
 use crate::support::robot::{DEGREE, RADIUS_M, TRACK_M, config};
 
-const ALL: [&str; 6] = ["wheel-kf", "velocity-kf", "ekf5", "ekf5-camera", "ekf5-corrected", "ukf5"];
+const ALL: [&str; 9] = [
+    "wheel-kf",
+    "wheel-kf-speeds",
+    "velocity-kf",
+    "ekf5",
+    "ekf5-camera",
+    "ekf5-corrected",
+    "ekf5-camera-corrected",
+    "ukf-all",
+    "ukf5",
+];
 
 fn with_tag(fix: Fix, forward_m: f64, left_m: f64) -> Fix {
     Fix { tag_in_body: Point2::new(Meters(forward_m), Meters(left_m)), ..fix }
@@ -201,6 +211,60 @@ fn the_gyros_drift_is_not_held_against_the_camera_for_ever() {
     // A minute at 5 degrees per second would be 300 degrees.
     let heading_rad = latest(filter.as_ref()).pose.heading.rad();
     assert!(heading_rad.abs() < 3.0 * DEGREE, "{heading_rad}");
+}
+
+/// A circle of 0.5 m at 0.2 m/s: the wheels every 200 ms, and each 800 ms a position between two of their readings, made at the
+/// heading of the circle. The filters are told a start that is off by `start_error_rad`.
+fn drive_circle(filter: &mut dyn Filter, start_error_rad: f64, image: impl Fn(i64, [f64; 2]) -> [f64; 2]) {
+    let at = |millis: i64| 0.4e-3 * millis as f64;
+    let _ = filter.set_pose(&started(0.5, 0.0, FRAC_PI_2 + start_error_rad));
+    for k in 0..150_i64 {
+        let millis = 200 * k;
+        let [left, right] = [-0.5, 0.5].map(|side| (0.5 + side * TRACK_M) * at(millis) / RADIUS_M);
+        filter.observe(&wheels(millis, left, right));
+        if k % 4 == 1 {
+            let seen = image(k, [0.5 * at(millis + 100).cos(), 0.5 * at(millis + 100).sin()]);
+            filter.observe(&fix(millis + 100, Fix { heading: None, ..fix_of(seen[0], seen[1], 0.0) }));
+        }
+    }
+}
+
+/// Distance to the end of that circle, and the error of the heading.
+fn circle_error(filter: &dyn Filter) -> [f64; 2] {
+    let (pose, angle) = (latest(filter).pose, 0.4e-3 * 200.0 * 149.0);
+    let off = wrap_rad(pose.heading.rad() - angle - FRAC_PI_2).abs();
+    [(pose.x.0 - 0.5 * angle.cos()).hypot(pose.y.0 - 0.5 * angle.sin()), off]
+}
+
+#[test]
+fn a_fix_between_two_readings_of_the_wheels_counts_no_turn_twice() {
+    for name in ["ekf5-camera", "ekf5-camera-corrected", "ukf-all"] {
+        let mut filter = named(name, &without_start());
+        drive_circle(filter.as_mut(), 0.0, |_, seen| seen);
+        let [off_m, off_rad] = circle_error(filter.as_ref());
+        assert!(off_m < 0.02 && off_rad < 0.06, "{name}: {off_m} m, {off_rad} rad");
+    }
+}
+
+#[test]
+fn rejected_fixes_that_agree_among_themselves_move_the_pose_and_others_do_not() {
+    for name in ["ekf5-camera-corrected", "ukf-all"] {
+        let mut lost = named(name, &without_start());
+        drive_circle(lost.as_mut(), 2.6, |_, seen| seen);
+        let [off_m, off_rad] = circle_error(lost.as_ref());
+        assert!(off_m < 0.02 && off_rad < 0.06, "{name}: {off_m} m, {off_rad} rad");
+        assert!(latest(lost.as_ref()).reset_counter > 0);
+        // Four images of another robot, here and there.
+        let mut right = named(name, &without_start());
+        let strange = |k: i64, seen: [f64; 2]| {
+            let elsewhere = (60..76).contains(&k);
+            if elsewhere { [if k % 8 == 1 { 2.0 } else { -2.0 }, 1.0] } else { seen }
+        };
+        drive_circle(right.as_mut(), 0.0, strange);
+        let [off_m, off_rad] = circle_error(right.as_ref());
+        assert!(off_m < 0.02 && off_rad < 0.06, "{name}: {off_m} m, {off_rad} rad");
+        assert_eq!(latest(right.as_ref()).reset_counter, 0);
+    }
 }
 
 #[test]

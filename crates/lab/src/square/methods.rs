@@ -1,11 +1,17 @@
-//! The compared methods: the paper's chain with its matrices and with derived ones, and those that the paper leaves as its outlook.
+//! The compared methods: the paper's chain under each preset of its matrices and each reading of its odometry, and its outlook.
 
-use posebridge_estimator::papers::ekf5::{self, FixUsage, SpeedVarianceOrder};
+use posebridge_estimator::papers::ekf5::{self, FixUsage};
+use posebridge_estimator::papers::paper1::{FiveStateMatrices, SpeedMatrices, WheelMatrices};
+use posebridge_estimator::papers::velocity_kf;
+use posebridge_estimator::papers::wheel_kf::{self, WheelOdometry};
 use posebridge_estimator::{Filter, FilterConfig, find_filter};
 
-use super::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices};
 use super::table::{SensorRow, SensorTable, TableSensor};
+use super::tuned::ChainMatrices;
 use crate::recorded_drive::rolled_step;
+
+/// x, y, heading (unwrapped), v, w; SI.
+pub type DriveState = [f64; 5];
 
 #[derive(Clone, Copy)]
 pub struct Method {
@@ -19,16 +25,12 @@ enum MethodKind {
     /// Odometry from the counters: pose by the row of the table of filters, speeds by differences.
     Raw(BuildFilter),
     Filter(BuildFilter),
-    /// The wheels' filter with matrices derived from the sensors.
-    Wheels,
-    /// The speeds' filter with matrices derived from the sensors.
-    Speeds,
+    Wheels(WheelMatrices, WheelOdometry),
+    Speeds(SpeedMatrices),
+    FiveStates(FiveStateMatrices),
 }
 
 type BuildFilter = fn(&FilterConfig) -> Box<dyn Filter>;
-
-/// From a row, and the time since the one before it in s, to the next state.
-type StepRow = Box<dyn FnMut(&SensorRow, f64) -> DriveState>;
 
 const OWN: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro];
 const GYRO: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro];
@@ -38,6 +40,12 @@ const OWN_CAMERA: &[TableSensor] =
 const CAMERA: &[TableSensor] = &[TableSensor::Wheels, TableSensor::Gyro, TableSensor::Camera];
 const ALL: &[TableSensor] =
     &[TableSensor::Wheels, TableSensor::Accelerometers, TableSensor::Gyro, TableSensor::Compass, TableSensor::Camera];
+
+/// Methods in the order that the paper claims, from the worst to the best, or without an order.
+pub struct MethodGroup {
+    pub name: &'static str,
+    pub methods: Vec<Method>,
+}
 
 fn row(name: &'static str, filter: &str, senses: &'static [TableSensor]) -> Option<Method> {
     find_filter(filter).map(|entry| Method { name, sensors: senses, kind: MethodKind::Filter(entry.build) })
@@ -51,91 +59,97 @@ fn raw() -> Option<Method> {
     })
 }
 
-/// The four of the paper's figure 7 with its matrices, from the worst to the best as it claims.
-pub fn printed_methods() -> Vec<Method> {
-    let chain =
-        [raw(), row("wheel-kf", "wheel-kf", OWN), row("velocity-kf", "velocity-kf", OWN), row("ekf5", "ekf5", OWN)];
-    chain.into_iter().flatten().collect()
+fn chain(name: &'static str, matrices: &ChainMatrices, names: [&'static str; 3], odometry: WheelOdometry) -> MethodGroup {
+    let kinds = [
+        MethodKind::Wheels(matrices.wheels, odometry),
+        MethodKind::Speeds(matrices.speeds),
+        MethodKind::FiveStates(matrices.five),
+    ];
+    let filters = names.into_iter().zip(kinds).map(|(name, kind)| Method { name, sensors: OWN, kind });
+    MethodGroup { name, methods: raw().into_iter().chain(filters).collect() }
+}
+
+/// Name of the setting with the matrices of the paper.
+const AS_PRINTED: &str = "as-printed";
+/// Name of the setting with those that are most likely by the innovations.
+const TUNED: &str = "tuned";
+
+/// The four of the paper's figure 7 with its matrices.
+pub fn printed_chain() -> MethodGroup {
+    let names = ["wheel-kf, angles integrated", "velocity-kf", "ekf5"];
+    chain(AS_PRINTED, &ChainMatrices::AS_PRINTED, names, WheelOdometry::Angles)
 }
 
 /// The printed chain with v and w of the paper's Q in the other order.
-pub fn swapped_methods() -> Vec<Method> {
-    let mut chain = printed_methods();
-    if let Some(last) = chain.last_mut() {
-        let build: BuildFilter = |config| ekf5::build(config, SpeedVarianceOrder::Swapped, FixUsage::Unused);
-        *last = Method { name: "ekf5 (v, w swapped)", sensors: OWN, kind: MethodKind::Filter(build) };
-    }
-    chain
+pub fn swapped_chain() -> MethodGroup {
+    let names = ["wheel-kf, angles integrated", "velocity-kf", "ekf5 (v, w swapped)"];
+    let matrices = ChainMatrices { five: FiveStateMatrices::SWAPPED, ..ChainMatrices::AS_PRINTED };
+    chain("as-printed, v and w of Q swapped", &matrices, names, WheelOdometry::Angles)
 }
 
-/// The same chain with matrices derived from the sensors, and the EKF that keeps the errors of its integrated headings.
-pub fn corrected_methods() -> Vec<Method> {
-    let own = |name, kind| Method { name, sensors: OWN, kind };
-    let chain = [
-        raw(),
-        Some(own("wheel-kf, own R and Q", MethodKind::Wheels)),
-        Some(own("velocity-kf, own R and Q", MethodKind::Speeds)),
-        row("ekf5-corrected", "ekf5-corrected", OWN),
-    ];
-    chain.into_iter().flatten().collect()
+/// Each preset of the matrices with each reading of the odometry, and the other order of Q.
+pub fn chains(tuned: &ChainMatrices) -> Vec<MethodGroup> {
+    let speeds = ["wheel-kf, speeds integrated", "velocity-kf", "ekf5"];
+    let tuned_angles = ["wheel-kf, angles, tuned", "velocity-kf, tuned", "ekf5, tuned"];
+    let tuned_speeds = ["wheel-kf, speeds, tuned", "velocity-kf, tuned", "ekf5, tuned"];
+    vec![
+        printed_chain(),
+        chain("as-printed, speeds integrated", &ChainMatrices::AS_PRINTED, speeds, WheelOdometry::Speeds),
+        chain(TUNED, tuned, tuned_angles, WheelOdometry::Angles),
+        chain("tuned, speeds integrated", tuned, tuned_speeds, WheelOdometry::Speeds),
+        swapped_chain(),
+    ]
 }
 
-/// The paper's outlook: sigma points, a camera, a compass, and all sensors in one filter.
-pub fn extended() -> Vec<Method> {
+/// The paper's outlook: sigma points, a camera, a compass, all sensors in one filter, and beside them what corrects the paper's EKF.
+pub fn outlook() -> MethodGroup {
     let methods = [
         row("ukf5", "ukf5", OWN),
+        row("ekf5-corrected", "ekf5-corrected", OWN),
         row("pose: wheels, gyro", "pose", GYRO),
         row("pose: and compass", "pose", COMPASS),
         row("ekf5-camera", "ekf5-camera", OWN_CAMERA),
+        row("ekf5-camera-corrected", "ekf5-camera-corrected", OWN_CAMERA),
         row("pose: and camera", "pose", CAMERA),
+        row("ukf-all: all sensors", "ukf-all", ALL),
         row("pose: all sensors", "pose", ALL),
     ];
-    methods.into_iter().flatten().collect()
+    MethodGroup { name: "outlook", methods: methods.into_iter().flatten().collect() }
 }
 
 impl Method {
     /// Runs over a table and returns the estimate after each row; NaN without an estimate. Every `camera_every`-th image is used.
     pub fn run(&self, table: &SensorTable, config: &FilterConfig, camera_every: usize) -> Vec<DriveState> {
-        let mut step = self.start(config, table.unit.rad_per_unit(&config.geometry));
+        let unit_rad = table.unit.rad_per_unit(&config.geometry);
+        let mut filter = self.build(config);
+        let mut before: Option<[f64; 2]> = None;
         let mut before_s = table.rows.first().map_or(0.0, |row| row.time_s);
         let rows = table.rows.iter().zip(table.used_images(camera_every));
         rows.map(|(row, is_used)| {
             let dt_s = row.time_s - before_s;
             before_s = row.time_s;
-            step(&SensorRow { camera: row.camera.filter(|_| is_used), ..*row }, dt_s)
+            let row = SensorRow { camera: row.camera.filter(|_| is_used), ..*row };
+            let state = observe_row(filter.as_mut(), &row, unit_rad, self.sensors);
+            let MethodKind::Raw(_) = self.kind else {
+                return state;
+            };
+            let now = row.encoders.map(|count| count * unit_rad);
+            let rates = before
+                .replace(now)
+                .map_or([0.0; 2], |before| [0, 1].map(|side: usize| (now[side] - before[side]) / dt_s));
+            let speeds = rolled_step(rates, &config.geometry);
+            let [x, y, heading, ..] = state;
+            [x, y, heading, speeds.forward_m, speeds.turn_rad]
         })
         .collect()
     }
 
-    fn start(&self, config: &FilterConfig, unit_rad: f64) -> StepRow {
-        let start = config.start.map_or([0.0; 3], |start| [start.pose.x.0, start.pose.y.0, start.pose.heading.rad()]);
-        let (geometry, sensors) = (config.geometry, self.sensors);
-        let turned_rad = move |row: &SensorRow| row.encoders.map(|count| count * unit_rad);
+    fn build(&self, config: &FilterConfig) -> Box<dyn Filter> {
         match self.kind {
-            MethodKind::Filter(build) => {
-                let mut filter = build(config);
-                Box::new(move |row, _| observe_row(filter.as_mut(), row, unit_rad, sensors))
-            }
-            MethodKind::Raw(build) => {
-                let (mut filter, mut before) = (build(config), None);
-                Box::new(move |row, dt_s| {
-                    let now = turned_rad(row);
-                    let rates = before.replace(now).map_or([0.0; 2], |before: [f64; 2]| {
-                        [0, 1].map(|side: usize| (now[side] - before[side]) / dt_s)
-                    });
-                    let speeds = rolled_step(rates, &geometry);
-                    let [x, y, heading, ..] = observe_row(filter.as_mut(), row, unit_rad, sensors);
-                    [x, y, heading, speeds.forward_m, speeds.turn_rad]
-                })
-            }
-            MethodKind::Wheels => {
-                let mut wheels = MatchedWheels::new(WheelMatrices::of_robot(config), geometry, start);
-                Box::new(move |row, dt_s| wheels.step(dt_s, turned_rad(row)))
-            }
-            MethodKind::Speeds => {
-                let mut speeds = MatchedSpeeds::new(SpeedMatrices::of_robot(config), geometry, start);
-                Box::new(move |row, dt_s| speeds.step(dt_s, turned_rad(row), row.accelerations_m_per_s2))
-            }
+            MethodKind::Raw(build) | MethodKind::Filter(build) => build(config),
+            MethodKind::Wheels(matrices, odometry) => wheel_kf::build(config, &matrices, odometry),
+            MethodKind::Speeds(matrices) => velocity_kf::build(config, &matrices),
+            MethodKind::FiveStates(matrices) => ekf5::build(config, &matrices, FixUsage::Unused),
         }
     }
 }
@@ -156,8 +170,8 @@ mod tests {
 
     #[test]
     fn every_method_has_its_row_in_the_table_of_filters() {
-        let counts =
-            [printed_methods(), swapped_methods(), corrected_methods(), extended()].map(|methods| methods.len());
-        assert_eq!(counts, [4, 4, 4, 6]);
+        let counts: Vec<usize> =
+            chains(&ChainMatrices::AS_PRINTED).iter().chain([&outlook()]).map(|group| group.methods.len()).collect();
+        assert_eq!(counts, [4, 4, 4, 4, 4, 9]);
     }
 }

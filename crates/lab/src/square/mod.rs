@@ -3,28 +3,29 @@
 //! Source: Paper 1 (Valera et al.), equations 12 to 26 and figures 5 to 7; docs/lab/square.md.
 
 mod csv;
-mod matched;
 mod methods;
 mod noise;
 mod recorded;
 mod report;
 mod score;
 mod table;
+mod tuned;
 
 use posebridge_estimator::FilterConfig;
 use posebridge_telemetry::{Heading, Meters, Pose, StartPose, UncertainValue};
 
 pub use self::csv::{MAX_ROWS, SensorTextError, parse, write};
-pub use self::matched::{DriveState, MatchedSpeeds, MatchedWheels, SpeedMatrices, WheelMatrices, WheelState};
-pub use self::methods::{Method, corrected_methods, extended, printed_methods, swapped_methods};
-pub use self::noise::{MeanAndVariance, NoiseRecord, noise_at_stop, noise_on_straight};
+pub use self::methods::{DriveState, Method, MethodGroup, chains, outlook, printed_chain, swapped_chain};
+pub use self::noise::{MeanAndVariance, NoiseRecord, RoundingVariances, noise_at_stop, noise_on_straight, rounding_variances};
 pub use self::recorded::table_of;
-pub use self::report::{MethodRanking, PaperInterpretation, SquareExample, SquareReport};
-pub use self::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, true_speeds};
+pub use self::report::{MethodRanking, PaperInterpretation, RecoveryTrial, SquareExample, SquareReport};
+pub use self::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, share_interval, true_speeds};
 pub use self::table::{
     EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor, add_compass, add_jitter, align_accelerations,
     delay_reference,
 };
+
+pub use self::tuned::ChainMatrices;
 
 /// Minimum gyro readings at rest for a bias.
 const MIN_REST_ROWS: usize = 20;

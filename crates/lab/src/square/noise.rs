@@ -5,6 +5,7 @@
 //!
 //! # Model
 //! ```text
+//! rounding  a count is uniform within its tick: tick^2 / 12; of v (r tick / T)^2 / 12, of w (r tick / (b T))^2 / 3
 //! stop      rows until a wheel counts: mean and variance of gyro, accelerometers, camera
 //! straight  the longest stretch in which both wheels turn and the robot does not, five rows cut at both ends
 //!           counters, th_enc, th_gyro: variance about a line of least squares    speeds, gyro: variance about their mean
@@ -15,6 +16,7 @@
 //! # Sources
 //! Paper 1 (Valera et al.): its R are "from a test at rest and from a straight run, then trimmed by hand".
 
+use posebridge_estimator::papers::paper1::SAMPLING_INTERVAL_S;
 use posebridge_telemetry::DriveGeometry;
 
 use super::table::{SensorRow, SensorTable};
@@ -56,6 +58,27 @@ pub struct NoiseRecord {
     pub accelerometers: Option<[MeanAndVariance; 2]>,
     /// The camera's x and y, cm².
     pub camera: Option<[MeanAndVariance; 2]>,
+}
+
+/// R by the resolution of the counters alone, at the paper's interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RoundingVariances {
+    /// Degrees².
+    pub counter: f64,
+    /// (cm/s)².
+    pub forward: f64,
+    /// (degrees/s)².
+    pub turn: f64,
+}
+
+pub fn rounding_variances(geometry: &DriveGeometry) -> RoundingVariances {
+    let radius_m = 0.5 * (geometry.left_wheel_radius.0 + geometry.right_wheel_radius.0);
+    let count_m_per_s = radius_m * geometry.tick.0 / SAMPLING_INTERVAL_S;
+    RoundingVariances {
+        counter: geometry.tick.0.to_degrees().powi(2) / 12.0,
+        forward: (100.0 * count_m_per_s).powi(2) / 12.0,
+        turn: (count_m_per_s / geometry.track_width.0).to_degrees().powi(2) / 3.0,
+    }
 }
 
 pub fn noise_at_stop(table: &SensorTable, geometry: &DriveGeometry) -> Option<NoiseRecord> {
@@ -200,6 +223,15 @@ mod tests {
         assert_eq!(left, right);
         assert!(straight.wheel_heading.unwrap().variance < 1e-20);
         assert_eq!(straight.camera, None);
+    }
+
+    #[test]
+    fn variances_of_rounding_are_those_computed_by_hand() {
+        let found = rounding_variances(&geometry());
+        assert!((found.counter - 1.0 / 12.0).abs() < 1e-12);
+        // One count in 50 ms is 0.97738 cm/s; over the track 5 degrees/s.
+        assert!((found.forward - 0.977_38_f64.powi(2) / 12.0).abs() < 1e-6);
+        assert!((found.turn - 25.0 / 3.0).abs() < 1e-3);
     }
 
     #[test]

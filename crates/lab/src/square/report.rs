@@ -1,18 +1,20 @@
 //! The report of the experiment.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::numerics::statistics::root_mean_square;
-use posebridge_estimator::papers::paper1::DEGREE;
+use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
+use posebridge_estimator::papers::paper1::WheelMatrices;
+use posebridge_estimator::papers::wheel_kf::SingleWheelFilter;
 use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot, render_plot};
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use posebridge_report::tables::NO_VALUE;
 use posebridge_telemetry::DriveGeometry;
 
-use super::matched::{DriveState, SpeedMatrices, WheelMatrices, WheelState};
-use super::noise::{MeanAndVariance, NoiseRecord};
-use super::score::{ErrorMetric, MethodOrder, PathErrors, true_speeds};
+use super::methods::DriveState;
+use super::noise::{MeanAndVariance, NoiseRecord, RoundingVariances, rounding_variances};
+use super::score::{ErrorMetric, MethodOrder, PathErrors, share_interval, true_speeds};
 use super::table::SensorTable;
+use super::tuned::ChainMatrices;
 
 /// Methods in the order that the paper claims, over all drives.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +42,12 @@ pub struct SquareReport {
     pub extended: MethodRanking,
     /// Other interpretations of the paper; empty for a file.
     pub interpretations: Vec<PaperInterpretation>,
+    /// Empty for a file.
+    pub recoveries: Vec<RecoveryTrial>,
+    /// The drives from which `tuned` follows, in a sentence.
+    pub tuned_from: String,
+    /// The most likely matrices.
+    pub tuned: ChainMatrices,
     pub stop: Option<NoiseRecord>,
     pub straight: Option<NoiseRecord>,
     pub example: SquareExample,
@@ -49,7 +57,8 @@ struct NoiseRow {
     name: &'static str,
     printed: Option<f64>,
     /// From the resolution of the counts alone.
-    rounding: Option<fn(&FilterConfig) -> f64>,
+    rounding: Option<fn(&RoundingVariances) -> f64>,
+    tuned: Option<fn(&ChainMatrices) -> f64>,
     pick: fn(&NoiseRecord) -> Option<MeanAndVariance>,
 }
 
@@ -57,45 +66,75 @@ const SHARE: Format = Format::new(Unit::Percent, 0);
 const SPEED: Format = Format::new(Unit::MillimetresPerSecond, 2);
 const TURN: Format = Format::new(Unit::DegreesPerSecond, 2);
 
-const CM2_PER_M2: f64 = 1e4;
-const DEG2_PER_RAD2: f64 = 1.0 / (DEGREE * DEGREE);
-
 /// The paper's R, equations 19, 23 and 26, and their sensors.
 const NOISE_ROWS: [NoiseRow; 9] = [
     NoiseRow {
         name: "left counter [deg^2]",
         printed: Some(1.5),
-        rounding: Some(|config| WheelMatrices::of_robot(config).variances[0]),
+        rounding: Some(|rounding| rounding.counter),
+        tuned: Some(|tuned| tuned.wheels.variances[0]),
         pick: |record| Some(record.counters?[0]),
     },
     NoiseRow {
         name: "right counter [deg^2]",
         printed: Some(2.5),
-        rounding: Some(|config| WheelMatrices::of_robot(config).variances[1]),
+        rounding: Some(|rounding| rounding.counter),
+        tuned: Some(|tuned| tuned.wheels.variances[1]),
         pick: |record| Some(record.counters?[1]),
     },
     NoiseRow {
         name: "v by counters [(cm/s)^2]",
         printed: Some(5.1),
-        rounding: Some(|config| SpeedMatrices::of_robot(config).variances[0] * CM2_PER_M2),
+        rounding: Some(|rounding| rounding.forward),
+        tuned: Some(|tuned| tuned.speeds.variances[0]),
         pick: |record| record.forward,
     },
     NoiseRow {
         name: "w by counters [(deg/s)^2]",
         printed: Some(1.938),
-        rounding: Some(|config| SpeedMatrices::of_robot(config).variances[1] * DEG2_PER_RAD2),
+        rounding: Some(|rounding| rounding.turn),
+        tuned: Some(|tuned| tuned.speeds.variances[1]),
         pick: |record| record.turn,
     },
-    NoiseRow { name: "th_enc [deg^2]", printed: Some(0.938), rounding: None, pick: |record| record.wheel_heading },
-    NoiseRow { name: "th_gyro [deg^2]", printed: Some(0.332), rounding: None, pick: |record| record.gyro_heading },
-    NoiseRow { name: "gyro [(deg/s)^2]", printed: None, rounding: None, pick: |record| record.gyro },
     NoiseRow {
-        name: "accelerometer left [(m/s^2)^2]",
-        printed: None,
+        name: "th_enc [deg^2]",
+        printed: Some(0.938),
         rounding: None,
-        pick: |record| Some(record.accelerometers?[0]),
+        tuned: Some(|tuned| tuned.five.variances[1]),
+        pick: |record| record.wheel_heading,
     },
-    NoiseRow { name: "camera x [cm^2]", printed: None, rounding: None, pick: |record| Some(record.camera?[0]) },
+    NoiseRow {
+        name: "th_gyro [deg^2]",
+        printed: Some(0.332),
+        rounding: None,
+        tuned: Some(|tuned| tuned.five.variances[2]),
+        pick: |record| record.gyro_heading,
+    },
+    NoiseRow::of_sensor("gyro [(deg/s)^2]", |record| record.gyro),
+    NoiseRow::of_sensor("accelerometer left [(m/s^2)^2]", |record| Some(record.accelerometers?[0])),
+    NoiseRow::of_sensor("camera x [cm^2]", |record| Some(record.camera?[0])),
+];
+
+impl NoiseRow {
+    const fn of_sensor(name: &'static str, pick: fn(&NoiseRecord) -> Option<MeanAndVariance>) -> Self {
+        Self { name, printed: None, rounding: None, tuned: None, pick }
+    }
+}
+
+struct ProcessRow {
+    name: &'static str,
+    of: fn(&ChainMatrices) -> f64,
+}
+
+/// The paper's Q, equations 19, 23 and 26, as far as innovations depend on it.
+const PROCESS_ROWS: [ProcessRow; 7] = [
+    ProcessRow { name: "wheel-kf, angle [deg^2]", of: |chain| chain.wheels.process[0] },
+    ProcessRow { name: "wheel-kf, rate [(deg/s)^2]", of: |chain| chain.wheels.process[1] },
+    ProcessRow { name: "velocity-kf, v [(cm/s)^2]", of: |chain| chain.speeds.process[0] },
+    ProcessRow { name: "velocity-kf, w [(deg/s)^2]", of: |chain| chain.speeds.process[1] },
+    ProcessRow { name: "ekf5, heading [deg^2]", of: |chain| chain.five.process[2] },
+    ProcessRow { name: "ekf5, v [(cm/s)^2]", of: |chain| chain.five.process[3] },
+    ProcessRow { name: "ekf5, w [(deg/s)^2]", of: |chain| chain.five.process[4] },
 ];
 
 impl MethodRanking {
@@ -127,6 +166,7 @@ impl SquareReport {
             add_order(&mut report, ranking);
         }
         self.add_readings(&mut report);
+        self.add_recoveries(&mut report);
         self.add_noise(&mut report);
         self.add_pictures(&mut report);
         report
@@ -171,7 +211,7 @@ impl SquareReport {
             .number("", "raw > wheel-kf", SHARE, move |reading| step(reading, 0))
             .number("", "wheel-kf > velocity-kf", SHARE, move |reading| step(reading, 1))
             .number("", "velocity-kf > ekf5", SHARE, move |reading| step(reading, 2))
-            .number("", "all three", SHARE, |reading| Some(share(reading.order.all_hold, reading.order.drives)))
+            .text("", "all three", |reading| share_text(reading.order.all_hold, reading.order.drives))
             .text("", "on average", |reading| if reading.order.holds_on_average() { "yes" } else { "no" }.to_owned());
         report.heading("Other readings of the paper, with its matrices");
         report.paragraph(
@@ -185,9 +225,25 @@ impl SquareReport {
         }));
     }
 
+    fn add_recoveries(&self, report: &mut Report) {
+        if self.recoveries.is_empty() {
+            return;
+        }
+        let table = Table::of(&self.recoveries)
+            .text("", "filter", |trial| trial.method.to_owned())
+            .number("", "start off by", Format::new(Unit::Degrees, 0), |trial| Some(trial.start_error_deg.to_radians()))
+            .text("", "ends within 50 mm", |trial| share_text(trial.recovered, trial.drives))
+            .number("", "median end", Format::new(Unit::Millimetres, 0), |trial| trial.median_end_m);
+        report.heading("Recovery from a wrong start");
+        report.paragraph(
+            "The filter is given a start heading that is wrong, with the sigma of a right one (0.1 rad), and positions without headings.",
+        );
+        report.table("", &table);
+    }
+
     fn add_noise(&self, report: &mut Report) {
         let length = |record: Option<&NoiseRecord>| record.map_or(0, |record| record.rows);
-        let config = &self.example.config;
+        let resolution = rounding_variances(self.example.geometry());
         let four = Format::new(Unit::None, 4);
         let variance = |record: &Option<NoiseRecord>, row: &NoiseRow| {
             let spread = record.as_ref().and_then(row.pick);
@@ -196,9 +252,10 @@ impl SquareReport {
         let table = Table::of(&NOISE_ROWS)
             .text("", "R of", |row| row.name.to_owned())
             .number("", "paper", Format::new(Unit::None, 3), |row| row.printed)
-            .number("", "rounding", four, |row| row.rounding.map(|rounding| rounding(config)))
+            .number("", "rounding", four, |row| row.rounding.map(|rounding| rounding(&resolution)))
             .number("", "stop", four, move |row| variance(&self.stop, row))
-            .number("", "straight run", four, move |row| variance(&self.straight, row));
+            .number("", "straight run", four, move |row| variance(&self.straight, row))
+            .number("", "tuned", four, |row| row.tuned.map(|tuned| tuned(&self.tuned)));
         report.heading("R from a stop and from a straight run");
         report.paragraph(format!(
             "The stop has {} rows, the straight run {}. At rest a counter stands still, so its R comes out as zero: only the straight run \
@@ -208,31 +265,43 @@ impl SquareReport {
             length(self.straight.as_ref())
         ));
         report.table("", &table);
+        let table = Table::of(&PROCESS_ROWS)
+            .text("", "Q over 0.05 s of", |row| row.name.to_owned())
+            .number("", "as-printed", Format::new(Unit::None, 3), |row| Some((row.of)(&ChainMatrices::AS_PRINTED)))
+            .number("", "tuned", four, |row| Some((row.of)(&self.tuned)));
+        report.paragraph(self.tuned_from.as_str());
+        report.table("", &table);
     }
 
     fn add_pictures(&self, report: &mut Report) {
         let example = &self.example;
-        let chain: Vec<&str> = self.rankings.first().map_or(Vec::new(), |chain| chain.names.clone());
-        let own: Vec<&str> = self.rankings.get(1).map_or(Vec::new(), |chain| chain.names.clone());
+        let chain = |index: usize| self.rankings.get(index).map_or(Vec::new(), |chain| chain.names.clone());
         report.figure(
-            example.wheel_figure(),
-            "Figure 5: positions lie on each other; the printed filter smooths the speeds and lags where they change.",
+            example.wheel_figure(&self.tuned),
+            "Figure 5 of the paper, wheel velocities left and right, raw and filtered: the angles lie on each other; the filter smooths \
+             the speeds, and as printed it lags where they change.",
         );
         report.figure(
-            example.speed_figure(&chain),
-            "Figure 6: v and w of the printed filters against the differences of the counts.",
+            example.speed_figure(&chain(0)),
+            "Figure 6 of the paper, v and w: the filters as printed against the differences of the counts.",
         );
         report.figure(
-            example.track_figure("Tracks, the paper's matrices", &chain),
-            "Figure 7: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans on the gyro.",
+            example.track_figure("Robot's positions of all the experiments, as-printed", &chain(0)),
+            "Figure 7 of the paper: raw encoders and wheel-kf lie on each other, velocity-kf adds what its accelerometers add, ekf5 leans \
+             on the gyro.",
         );
         report.figure(
-            example.track_figure("Tracks, matrices that follow from the sensors", &own),
-            "Figure 7 with the corrected chain.",
+            example.track_figure("The same by integrated speeds", &chain(1)),
+            "Figure 7 with equation 13 on the filtered speeds: wheel-kf is another track.",
         );
+        report.figure(example.track_figure("The same, tuned", &chain(2)), "Figure 7 with the most likely matrices.");
         report.figure(
             example.track_figure("Tracks, the outlook", &self.extended.names),
             "What the paper leaves for later: sigma points, compass, camera, all sensors in one filter.",
+        );
+        report.figure(
+            example.distance_figure(&["raw encoders", "ekf5", "ekf5-camera", "ekf5-camera-corrected", "ukf-all: all sensors"]),
+            "How far each filter is from the reference: dead reckoning drifts, a filter with a camera recovers or is lost.",
         );
     }
 }
@@ -242,7 +311,7 @@ fn add_order(report: &mut Report, ranking: &MethodRanking) {
     let three = Format::new(Unit::None, 3);
     let table = Table::of(&order.steps)
         .text("", "worse than, by position rms", |step| format!("{} > {}", step.worse, step.better))
-        .number("", "share of drives", SHARE, |step| Some(step.share()))
+        .text("", "share of drives", |step| share_text(step.holds, step.drives))
         .text("", "sign test p", |step| format!("{:.1e}", step.sign_p))
         .number("", "ratio", three, |step| Some(step.ratio?[0]))
         .text("", "95 % interval", |step| {
@@ -252,7 +321,7 @@ fn add_order(report: &mut Report, ranking: &MethodRanking) {
     report.heading(format!("The order, {}", ranking.matrices));
     report.table("", &table);
     report
-        .paragraph(format!("All of them together: {} of the drives.", SHARE.text(share(order.all_hold, order.drives))));
+        .paragraph(format!("All of them together: {} of the drives.", share_text(order.all_hold, order.drives)));
     if let Some(text) = excluded_text(&order) {
         report.paragraph(text);
     }
@@ -269,8 +338,38 @@ fn excluded_text(order: &MethodOrder) -> Option<String> {
     })
 }
 
-fn share(holds: u64, drives: u64) -> f64 {
-    holds as f64 / drives.max(1) as f64
+/// A share with its 95 % interval.
+fn share_text(holds: u64, drives: u64) -> String {
+    let [low, high] = share_interval(holds, drives).map(|share| 100.0 * share);
+    format!("{} % ({low:.0} to {high:.0})", (100.0 * holds as f64 / drives.max(1) as f64).round())
+}
+
+/// One method over drives whose start is wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecoveryTrial {
+    pub method: &'static str,
+    /// Error of the heading that the filter is given at the start, degrees.
+    pub start_error_deg: f64,
+    /// Drives that end within [`RecoveryTrial::LIMIT_M`] of the truth.
+    pub recovered: u64,
+    pub drives: u64,
+    pub median_end_m: Option<f64>,
+}
+
+impl RecoveryTrial {
+    pub const LIMIT_M: f64 = 0.05;
+
+    /// `ends_m` are the distances to the truth at the end; `None` where the method diverged.
+    pub fn new(method: &'static str, start_error_deg: f64, ends_m: &[Option<f64>]) -> Self {
+        let known: Vec<f64> = ends_m.iter().flatten().copied().collect();
+        Self {
+            method,
+            start_error_deg,
+            recovered: known.iter().filter(|end_m| **end_m <= Self::LIMIT_M).count() as u64,
+            drives: ends_m.len() as u64,
+            median_end_m: quantile(&known, 0.5),
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -293,18 +392,17 @@ impl SquareExample {
         rows.filter_map(|(row, known)| Some((known.time_s, values(row)?))).collect()
     }
 
-    /// Angles and rates of both wheels, degrees, filtered with these matrices, row by row.
-    fn wheels(&self, matrices: WheelMatrices) -> Vec<[WheelState; 2]> {
+    /// Both wheels, filtered with these matrices, row by row.
+    fn wheels(&self, matrices: &WheelMatrices) -> Vec<[SingleWheelFilter; 2]> {
         let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
-        let mut wheels = [WheelState::at_rest(matrices.start); 2];
+        let mut wheels = SingleWheelFilter::pair(matrices);
         let base = self.table.rows.first().map_or([0.0; 2], |row| row.encoders);
         let mut before_s = None;
         let rows = self.table.rows.iter().map(|row| {
             if let Some(before_s) = before_s.replace(row.time_s) {
                 for (side, wheel) in wheels.iter_mut().enumerate() {
-                    wheel.predict(row.time_s - before_s, &matrices.process);
-                    let counted = (row.encoders[side] - base[side]) * unit_deg;
-                    wheel.update(counted, matrices.variances[side]);
+                    wheel.predict(row.time_s - before_s);
+                    let _innovation = wheel.update((row.encoders[side] - base[side]) * unit_deg);
                 }
             }
             wheels
@@ -313,11 +411,11 @@ impl SquareExample {
     }
 
     /// Figure 5: the left wheel's angle and both wheels' speeds, counted and filtered.
-    pub fn wheel_figure(&self) -> String {
+    pub fn wheel_figure(&self, tuned: &ChainMatrices) -> String {
         let unit_deg = self.table.unit.rad_per_unit(&self.config.geometry).to_degrees();
         let rows = &self.table.rows;
-        let printed = self.wheels(WheelMatrices::PRINTED);
-        let own = self.wheels(WheelMatrices::of_robot(&self.config));
+        let printed = self.wheels(&WheelMatrices::AS_PRINTED);
+        let tuned = self.wheels(&tuned.wheels);
         let base = rows.first().map_or([0.0; 2], |row| row.encoders);
         let side = |side: usize| {
             let counted = self.over_time(|row| {
@@ -327,16 +425,16 @@ impl SquareExample {
             });
             vec![
                 Curve::line("differences of counts", counted),
-                Curve::line("wheel-kf, printed", self.over_time(|row| Some(printed[row][side].rate))),
-                Curve::line("wheel-kf, own R and Q", self.over_time(|row| Some(own[row][side].rate))),
+                Curve::line("wheel-kf, as-printed", self.over_time(|row| Some(printed[row][side].mean[1]))),
+                Curve::line("wheel-kf, tuned", self.over_time(|row| Some(tuned[row][side].mean[1]))),
             ]
         };
         let angle = |side: usize| self.over_time(|row| Some((rows[row].encoders[side] - base[side]) * unit_deg));
         let angles = vec![
             Curve::line("left, counted", angle(0)),
-            Curve::line("left, wheel-kf", self.over_time(|row| Some(printed[row][0].phi))),
+            Curve::line("left, wheel-kf", self.over_time(|row| Some(printed[row][0].mean[0]))),
             Curve::line("right, counted", angle(1)),
-            Curve::line("right, wheel-kf", self.over_time(|row| Some(printed[row][1].phi))),
+            Curve::line("right, wheel-kf", self.over_time(|row| Some(printed[row][1].mean[0]))),
         ];
         render_figure(
             "Wheel positions and speeds",
@@ -391,6 +489,20 @@ impl SquareExample {
             "figure 7 of the paper: x and y",
             vec![Axes::new("x [m]", "y [m]", 560.0, curves).with_equal_scales()],
         ))
+    }
+
+    /// Distance to the reference over time.
+    pub fn distance_figure(&self, names: &[&str]) -> String {
+        let references = self.table.references(self.camera_every);
+        let curves = names.iter().map(|name| {
+            let path = self.path(name);
+            let distance = self.over_time(|row| {
+                let (state, reference) = (path.get(row)?, (*references.get(row)?)?);
+                Some(1e3 * (state[0] - reference.x_m).hypot(state[1] - reference.y_m))
+            });
+            Curve::line(*name, distance)
+        });
+        render_figure("Distance to the reference", "with and without a camera", vec![("mm", curves.collect())])
     }
 
     pub const fn geometry(&self) -> &DriveGeometry {

@@ -2,12 +2,14 @@
 
 use anyhow::Result;
 use posebridge_estimator::FilterConfig;
+use posebridge_estimator::papers::paper1::WheelMatrices;
 use posebridge_lab::square::{
-    ErrorMetric, MeasuredPose, Method, PathErrors, SensorRow, SensorTable, WheelMatrices, add_compass, add_jitter,
-    align_accelerations, delay_reference, path_errors, prepare_config, printed_methods, swapped_methods,
+    ErrorMetric, MeasuredPose, Method, MethodGroup, PathErrors, RecoveryTrial, SensorRow, SensorTable, TableSensor,
+    add_compass, add_jitter, align_accelerations, delay_reference, outlook, path_errors, prepare_config, printed_chain,
+    swapped_chain,
 };
 use posebridge_sim::montecarlo::{Camera, CameraSees, Course, Laps, Scenario, ScenarioError, StampErrors};
-use posebridge_telemetry::Calibration;
+use posebridge_telemetry::{Calibration, Heading, Pose};
 
 use crate::lab::drives;
 use crate::lab::parallel::run_cases;
@@ -100,6 +102,45 @@ pub(super) fn all_errors(series: &[MethodSeries], runs: u32, camera_every: usize
     )
 }
 
+// A start that is wrong.
+
+/// Errors of the heading at the start, degrees.
+const START_ERRORS_DEG: [f64; 3] = [0.0, 60.0, 150.0];
+/// What the filters are told of that heading, rad.
+const START_HEADING_SIGMA: f64 = 0.1;
+
+/// The filters with a camera over the drives, whose images have no heading, with a wrong heading at the start.
+pub(super) fn recoveries(scenario: &Scenario, runs: u32, camera_every: usize) -> Result<Vec<RecoveryTrial>> {
+    let methods: Vec<Method> = outlook().methods.into_iter().filter(|method| method.sensors.contains(&TableSensor::Camera)).collect();
+    let base = filter_config(scenario);
+    let ends = |start_error_deg: &f64, run: u32| -> Vec<Option<f64>> {
+        let mut table = table(scenario, run);
+        for row in &mut table.rows {
+            row.compass_deg = None;
+            if let Some(camera) = &mut row.camera {
+                camera.theta_deg = None;
+            }
+        }
+        let mut config = prepare_config(&table, &base);
+        if let Some(start) = &mut config.start {
+            let heading_rad = start.pose.heading.rad() + start_error_deg.to_radians();
+            start.pose = Pose::new(start.pose.x, start.pose.y, Heading::from_rad(heading_rad));
+            start.heading_sigma_rad = START_HEADING_SIGMA;
+        }
+        let end_m = |method: &Method| path_errors(&table, &method.run(&table, &config, camera_every), camera_every).end_m;
+        methods.iter().map(end_m).collect()
+    };
+    let found = run_cases(&START_ERRORS_DEG, |_| runs, "drives", ends)?;
+    let trials = START_ERRORS_DEG.iter().zip(found).flat_map(|(start_error_deg, runs)| {
+        let of_method = |(index, method): (usize, &Method)| {
+            let ends_m: Vec<Option<f64>> = runs.iter().map(|run| run.get(index).copied().flatten()).collect();
+            RecoveryTrial::new(method.name, *start_error_deg, &ends_m)
+        };
+        methods.iter().enumerate().map(of_method).collect::<Vec<_>>()
+    });
+    Ok(trials.collect())
+}
+
 // Other ways to read the paper: what its robot, its sensors or its measure of error may have been.
 //
 // Nothing is tuned for one filter: each reading changes the world or what is compared, for all of them alike.
@@ -110,7 +151,7 @@ pub(super) struct Variation {
     pub(super) metric: ErrorMetric,
     alter: fn(&mut Scenario),
     adjust: fn(&mut SensorTable, u64),
-    methods: fn() -> Vec<Method>,
+    chain: fn() -> MethodGroup,
 }
 
 const fn unchanged_scenario(_scenario: &mut Scenario) {}
@@ -119,7 +160,7 @@ pub(super) const fn unchanged_table(_table: &mut SensorTable, _seed: u64) {}
 
 impl Variation {
     const fn new(name: &'static str, metric: ErrorMetric, note: &'static str) -> Self {
-        Self { name, note, metric, alter: unchanged_scenario, adjust: unchanged_table, methods: printed_methods }
+        Self { name, note, metric, alter: unchanged_scenario, adjust: unchanged_table, chain: printed_chain }
     }
 
     const fn with_scenario(mut self, alter: fn(&mut Scenario)) -> Self {
@@ -132,15 +173,15 @@ impl Variation {
         self
     }
 
-    const fn with_methods(mut self, methods: fn() -> Vec<Method>) -> Self {
-        self.methods = methods;
+    const fn with_chain(mut self, chain: fn() -> MethodGroup) -> Self {
+        self.chain = chain;
         self
     }
 
     pub(super) fn series(&self, scenario: &Scenario) -> MethodSeries {
         let mut scenario = scenario.clone();
         (self.alter)(&mut scenario);
-        MethodSeries { base: filter_config(&scenario), scenario, methods: (self.methods)(), adjust: self.adjust }
+        MethodSeries { base: filter_config(&scenario), scenario, methods: (self.chain)().methods, adjust: self.adjust }
     }
 }
 
@@ -191,7 +232,7 @@ fn gentle(scenario: &mut Scenario) {
 
 /// White noise of the counter variance in the paper's equation 19.
 fn noisy_counters(table: &mut SensorTable, seed: u64) {
-    add_jitter(table, WheelMatrices::PRINTED.variances, seed);
+    add_jitter(table, WheelMatrices::AS_PRINTED.variances, seed);
 }
 
 /// Delay of an uncorrected camera in rows of 0.05 s: 0.3 s, the upper end for a webcam with image processing.
@@ -211,7 +252,7 @@ pub(super) const VARIATIONS: &[Variation] = &[
     Variation::new("forward speed", ErrorMetric::Forward, "figure 6 instead of figure 7"),
     Variation::new("turn rate", ErrorMetric::Turn, "figure 6 instead of figure 7"),
     Variation::new("Q swapped", ErrorMetric::Position, "the last two numbers of Q in the order of equation 24")
-        .with_methods(swapped_methods),
+        .with_chain(swapped_chain),
     Variation::new(
         "own interval",
         ErrorMetric::Position,
@@ -296,5 +337,5 @@ pub(super) const VARIATIONS: &[Variation] = &[
         good_accelerometers(scenario);
     })
     .with_table(noisy_counters)
-    .with_methods(swapped_methods),
+    .with_chain(swapped_chain),
 ];

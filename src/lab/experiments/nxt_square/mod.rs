@@ -9,15 +9,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::square::{
-    ErrorMetric, MeanAndVariance, Method, MethodOrder, MethodRanking, NoiseRecord, OrderStep, PaperInterpretation,
-    PathErrors, SensorTable, SquareExample, SquareReport, compare_order, corrected_methods, extended, noise_at_stop,
-    noise_on_straight, parse, prepare_config, printed_methods, swapped_methods, table_of, write,
+    ChainMatrices, ErrorMetric, MeanAndVariance, Method, MethodGroup, MethodOrder, MethodRanking, NoiseRecord,
+    OrderStep, PaperInterpretation, PathErrors, SensorTable, SquareExample, SquareReport, chains, compare_order,
+    noise_at_stop, noise_on_straight, outlook, parse, prepare_config, share_interval,
+    table_of, write,
 };
 use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
 use serde_json::{Map, Value, json};
 
-use self::drives::{MethodSeries, VARIATIONS, all_errors, errors_of, filter_config, scenario, table, unchanged_table};
+use self::drives::{
+    MethodSeries, VARIATIONS, all_errors, errors_of, filter_config, recoveries, scenario, table, unchanged_table,
+};
 use super::recorded::{RecordedArgs, RobotDrive, RobotDrives, rerun_command};
 use crate::config::RobotProfile;
 use crate::console::print_line;
@@ -25,8 +28,14 @@ use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_with_bar;
 use crate::tools::experiment_output::OutputArgs;
 
+/// Drives whose innovations tune the matrices.
+const TUNING_DRIVES: u32 = 4;
+/// Distance of their seed from that of the drives that are compared: no user's next seed.
+const TUNING_SEED: u64 = 1_000_003;
+
 /// Flags of `lab nxt-square`.
 #[derive(clap::Args, Clone, Debug)]
+#[command(group = clap::ArgGroup::new("real_robot").multiple(true))]
 pub struct LabNxtSquareArgs {
     /// Number of simulated drives.
     #[arg(long, value_name = "N", default_value_t = 100, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -34,8 +43,10 @@ pub struct LabNxtSquareArgs {
     /// Base seed. Each drive uses the base seed and its own number.
     #[arg(long, value_name = "N", default_value_t = 1, conflicts_with = "real_robot")]
     pub seed: u64,
-    /// Use exported sensor data instead of simulated drives (docs/lab/square.md lists the columns).
-    #[arg(long, value_name = "FILE.csv", group = "real_robot", conflicts_with_all = ["judge", "settings"])]
+    /// Use the text file of a brick, or an exported one, instead of simulated drives (docs/lab/square.md lists the columns). With the
+    /// descriptor of a foreign recording (--recording FILE.toml): the folder of its files. Default of that: POSEBRIDGE_DATA, or else
+    /// the descriptor's folder.
+    #[arg(long, value_name = "FILE.csv", group = "real_robot", conflicts_with = "live_robot")]
     pub data: Option<PathBuf>,
     /// A real robot.
     #[command(flatten)]
@@ -53,10 +64,11 @@ pub struct LabNxtSquareArgs {
 
 pub fn execute(args: &LabNxtSquareArgs) -> Result<(), Failure> {
     // Data that cannot be used leave no folder behind.
-    let of_data = args.data.as_ref().map(|path| of_data(args, path));
+    let is_text = args.real.recordings.is_empty();
+    let of_data = args.data.as_ref().filter(|_| is_text).map(|path| of_data(args, path));
     let mut report = of_data.transpose().before_start()?;
     let mut recordings: Vec<String> = Vec::new();
-    if let Some(drives) = args.real.drives(&args.output, TASK)? {
+    if let Some(drives) = args.real.drives(&args.output, TASK, args.data.as_deref())? {
         let found = recorded_report(&drives, args.camera_every as usize);
         report = Some(drives.with_exit_stage(found)?);
         recordings.extend(drives.names().into_iter().map(str::to_owned));
@@ -77,10 +89,18 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<SquareReport> {
     if let Some(path) = &args.export {
         export(path, &scenario, args.seed)?;
     }
+    // The drives that are compared have the seed of the command, those that tune have others.
+    let others = scenario.clone().with_seed(args.seed.wrapping_add(TUNING_SEED));
+    let tuning: Vec<SensorTable> = (0..TUNING_DRIVES).map(|run| table(&others, run)).collect();
+    let found = Comparisons::tuned_on(
+        &tuning,
+        &filter_config(&others),
+        &format!("{TUNING_DRIVES} other drives, without their truth"),
+    );
     let mut series = vec![MethodSeries {
         base: filter_config(&scenario),
         scenario: scenario.clone(),
-        methods: every_method(),
+        methods: found.methods.clone(),
         adjust: unchanged_table,
     }];
     series.extend(VARIATIONS.iter().map(|variation| variation.series(&scenario)));
@@ -101,8 +121,9 @@ fn simulated(args: &LabNxtSquareArgs) -> Result<SquareReport> {
         args.runs, args.seed
     );
     let command = rerun_command(None);
-    let example = example(table(&scenario, 0), &filter_config(&scenario), camera_every);
-    Ok(report(source, command, &runs, readings.collect(), example))
+    let example = found.example(table(&scenario, 0), &filter_config(&scenario), camera_every);
+    let recoveries = recoveries(&scenario, args.runs, camera_every)?;
+    Ok(SquareReport { recoveries, ..found.report(source, command, &runs, readings.collect(), example) })
 }
 
 fn export(path: &Path, scenario: &Scenario, seed: u64) -> Result<()> {
@@ -117,11 +138,16 @@ fn export(path: &Path, scenario: &Scenario, seed: u64) -> Result<()> {
 
 fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
     let name = path.display().to_string();
+    ensure!(
+        args.real.judge.is_none() && args.real.settings.is_empty(),
+        "--judge and --set belong to recordings; `{name}` is a text file: --robot says its robot, and its first row its start"
+    );
     let text = std::fs::read_to_string(path).with_context(|| format!("reading the sensor data `{name}`"))?;
     let table = parse(&text).with_context(|| format!("sensor data `{name}`"))?;
     let base = base_of(args)?;
     let camera_every = args.camera_every as usize;
-    let runs = [errors_of(&table, &base, &every_method(), camera_every)];
+    let found = Comparisons::tuned_on(std::slice::from_ref(&table), &base, "this drive itself, without its truth");
+    let runs = [errors_of(&table, &base, &found.methods, camera_every)];
     let reference = if table.has_truth() {
         "the true pose in the file"
     } else if table.rows.iter().any(|row| row.camera.is_some()) {
@@ -131,8 +157,8 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
     };
     let source = format!("{name}: {} rows; judged by {reference}", table.rows.len());
     let command = rerun_command(None);
-    let example = example(table, &base, camera_every);
-    Ok(report(source, command, &runs, Vec::new(), example))
+    let example = found.example(table, &base, camera_every);
+    Ok(found.report(source, command, &runs, Vec::new(), example))
 }
 
 /// The filter's configuration: the robot of a file, or the simulated one.
@@ -154,60 +180,68 @@ fn base_of(args: &LabNxtSquareArgs) -> Result<FilterConfig> {
     of_file().with_context(|| format!("robot `{}`", path.display()))
 }
 
-/// Each method once: the paper's chain, the corrected one, the outlook.
-fn groups() -> [(&'static str, Vec<Method>); 4] {
-    [
-        ("the paper's matrices", printed_methods()),
-        ("matrices that follow from the sensors", corrected_methods()),
-        ("the paper's matrices, Q of v and w swapped", swapped_methods()),
-        ("outlook", extended()),
-    ]
+/// Every comparison, and each of its methods once.
+struct Comparisons {
+    tuned: ChainMatrices,
+    tuned_from: String,
+    chains: Vec<MethodGroup>,
+    outlook: MethodGroup,
+    methods: Vec<Method>,
 }
 
-/// The errors of all methods, in the order of [`groups`], by group.
-fn rankings(runs: &[Vec<PathErrors>]) -> [MethodRanking; 4] {
-    let mut from = 0;
-    groups().map(|(matrices, methods)| {
-        let own = from..from + methods.len();
-        from = own.end;
-        MethodRanking {
-            matrices,
-            names: methods.iter().map(|method| method.name).collect(),
-            runs: runs.iter().filter_map(|run| Some(run.get(own.clone())?.to_vec())).collect(),
+impl Comparisons {
+    /// With the matrices that are most likely on these drives, which `source` names.
+    fn tuned_on(tables: &[SensorTable], base: &FilterConfig, source: &str) -> Self {
+        let tuned = ChainMatrices::most_likely(tables, base);
+        let (chains, outlook) = (chains(&tuned), outlook());
+        let mut methods: Vec<Method> = Vec::new();
+        for method in chains.iter().chain([&outlook]).flat_map(|group| &group.methods) {
+            if methods.iter().all(|known| known.name != method.name) {
+                methods.push(*method);
+            }
         }
-    })
-}
+        let tuned_from = format!("Tuned: the matrices that are most likely by the innovations of the filters on {source}.");
+        Self { tuned, tuned_from, chains, outlook, methods }
+    }
 
-fn every_method() -> Vec<Method> {
-    groups().into_iter().flat_map(|(_, methods)| methods).collect()
-}
+    /// The errors of a group's methods, of those of all.
+    fn ranking(&self, group: &MethodGroup, runs: &[Vec<PathErrors>]) -> MethodRanking {
+        let names: Vec<&'static str> = group.methods.iter().map(|method| method.name).collect();
+        let indices: Vec<usize> = names
+            .iter()
+            .filter_map(|name| self.methods.iter().position(|method| method.name == *name))
+            .collect();
+        let of_group = |run: &Vec<PathErrors>| indices.iter().map(|index| run.get(*index).copied()).collect();
+        MethodRanking { matrices: group.name, names, runs: runs.iter().filter_map(of_group).collect() }
+    }
 
-fn example(table: SensorTable, base: &FilterConfig, camera_every: usize) -> SquareExample {
-    let config = prepare_config(&table, base);
-    let paths = every_method().into_iter().map(|method| {
-        let path = method.run(&table, &config, camera_every);
-        (method.name, path)
-    });
-    SquareExample { paths: paths.collect(), table, config, camera_every }
-}
+    fn example(&self, table: SensorTable, base: &FilterConfig, camera_every: usize) -> SquareExample {
+        let config = prepare_config(&table, base);
+        let paths = self.methods.iter().map(|method| (method.name, method.run(&table, &config, camera_every)));
+        SquareExample { paths: paths.collect(), table, config, camera_every }
+    }
 
-fn report(
-    source: String,
-    command: String,
-    runs: &[Vec<PathErrors>],
-    readings: Vec<PaperInterpretation>,
-    example: SquareExample,
-) -> SquareReport {
-    let [printed, corrected, swapped, extended] = rankings(runs);
-    SquareReport {
-        source,
-        command,
-        rankings: vec![printed, corrected, swapped],
-        extended,
-        interpretations: readings,
-        stop: noise_at_stop(&example.table, example.geometry()),
-        straight: noise_on_straight(&example.table, example.geometry()),
-        example,
+    fn report(
+        self,
+        source: String,
+        command: String,
+        runs: &[Vec<PathErrors>],
+        interpretations: Vec<PaperInterpretation>,
+        example: SquareExample,
+    ) -> SquareReport {
+        SquareReport {
+            source,
+            command,
+            rankings: self.chains.iter().map(|group| self.ranking(group, runs)).collect(),
+            extended: self.ranking(&self.outlook, runs),
+            interpretations,
+            recoveries: Vec::new(),
+            tuned_from: self.tuned_from,
+            tuned: self.tuned,
+            stop: noise_at_stop(&example.table, example.geometry()),
+            straight: noise_on_straight(&example.table, example.geometry()),
+            example,
+        }
     }
 }
 
@@ -225,15 +259,20 @@ fn recorded_report(drives: &RobotDrives, camera_every: usize) -> Result<SquareRe
             one.name
         );
     }
-    let methods = every_method();
-    let errors = |(one, table): &(&RobotDrive, SensorTable)| errors_of(table, &one.config, &methods, camera_every);
+    let (first, table) = tables.first().context("there is no recording")?;
+    let found = Comparisons::tuned_on(
+        std::slice::from_ref(table),
+        &first.config,
+        &format!("{} itself, without its reference", first.name),
+    );
+    let errors =
+        |(one, table): &(&RobotDrive, SensorTable)| errors_of(table, &one.config, &found.methods, camera_every);
     let runs = run_with_bar(&tables, "drives", errors)?;
     let rows: Vec<String> = tables.iter().map(describe_drive).collect();
     let source = format!("{}; judged by {}", rows.join("; "), drives.reference_name());
-    let first = tables.into_iter().next();
-    let (one, table) = first.ok_or_else(|| anyhow::anyhow!("there is no recording"))?;
-    let example = example(table, &one.config, camera_every);
-    Ok(report(source, drives.command(), &runs, Vec::new(), example))
+    let (one, table) = tables.into_iter().next().context("there is no recording")?;
+    let example = found.example(table, &one.config, camera_every);
+    Ok(found.report(source, drives.command(), &runs, Vec::new(), example))
 }
 
 fn describe_drive((one, table): &(&RobotDrive, SensorTable)) -> String {
@@ -262,6 +301,17 @@ fn add_json(report: &mut Report, found: &SquareReport, recordings: &[String]) {
     report.data("settings", found.rankings.iter().map(chain).collect());
     report.data("outlook", chain(&found.extended));
     report.data("readings", readings.collect());
+    let recoveries = found.recoveries.iter().map(|trial| {
+        json!({
+            "method": trial.method,
+            "start_error_deg": trial.start_error_deg,
+            "recovered": trial.recovered,
+            "drives": trial.drives,
+            "interval": share_interval(trial.recovered, trial.drives),
+            "median_end_m": trial.median_end_m,
+        })
+    });
+    report.data("recoveries", recoveries.collect());
     report.data("stop", json!(found.stop.as_ref().map(record)));
     report.data("straight", json!(found.straight.as_ref().map(record)));
 }
@@ -296,6 +346,7 @@ fn order(order: &MethodOrder) -> Value {
             "better": step.better,
             "holds": step.holds,
             "drives": step.drives,
+            "share_interval": share_interval(step.holds, step.drives),
             "sign_test_p": step.sign_p,
             "ratio": step.ratio.map(|ratio| ratio[0]),
             "ratio_interval": step.ratio.map(|ratio| [ratio[1], ratio[2]]),
@@ -306,6 +357,7 @@ fn order(order: &MethodOrder) -> Value {
         "steps": order.steps.iter().map(step).collect::<Vec<_>>(),
         "holds_on_average": order.holds_on_average(),
         "all_hold": order.all_hold,
+        "all_hold_interval": share_interval(order.all_hold, order.drives),
         "drives": order.drives,
         "left_out": order.excluded,
     })
