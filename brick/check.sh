@@ -188,6 +188,16 @@ $(cat "$made/nbc.log")"
         fail "what nbc makes of pb_add_turn adds up wrongly"
 }
 
+check_square_log() {
+    LD_LIBRARY_PATH="$libraries" nbc -v=128 -Z2 "-I=$brick/nxc/" "-O=$made/square_log.rxe" "-L=$made/square_log.lst" \
+        "$brick/nxc/square_log.nxc" >"$made/nbc.log" 2>&1 || true
+    [[ -s "$made/square_log.rxe" ]] && ! grep -q '^# Error' "$made/nbc.log" || fail "nbc does not compile square_log.nxc:
+$(cat "$made/nbc.log")"
+    python3 -B "$brick/check/test_square_log.py" >"$made/square_log.log" 2>&1 || fail "brick/micropython/square_log.py:
+$(cat "$made/square_log.log")"
+    printf 'square log: square_log.nxc compiles, %d B; square_log.py writes brick/vectors/square_log.csv\n' "$(stat -c %s "$made/square_log.rxe")"
+}
+
 check_micropython() {
     grep -Ev '^(#|$)' "$brick/vectors/vectors.txt" >"$made/lines.txt"
     sed 's/ = .*//' "$made/lines.txt" |
@@ -209,5 +219,6 @@ vectors_are_those_of_make_py
 check_sizes
 check_arduino
 check_nxc
+check_square_log
 check_micropython
 check_bridge

@@ -127,8 +127,8 @@ impl RecordedArgs {
 
     fn drive(&self, name: String, observations: &[Observation], config: &FilterConfig) -> Result<RobotDrive> {
         let end_reference = self.judge.map(EndReference::end_reference);
-        let drive = RecordedDrive::new(observations, config, end_reference)
-            .with_context(|| format!("recording `{name}`"))?;
+        let drive =
+            RecordedDrive::new(observations, config, end_reference).with_context(|| format!("recording `{name}`"))?;
         Ok(RobotDrive { config: drive.configure(config), drive, name })
     }
 }

@@ -267,7 +267,13 @@ impl<const N: usize> CorrectedEkf<N> {
             let innovation = SVector::from([off[0], off[1], wrap_rad(heading.rad() - predicted.mean[2])]);
             let noise = with_heading_variance(&noise.position, noise.heading_rad2);
             return rows::gate_and_apply_predicted(
-                mean, covariance, &predicted, &innovation, &noise, &context.gates, record,
+                mean,
+                covariance,
+                &predicted,
+                &innovation,
+                &noise,
+                &context.gates,
+                record,
             );
         }
         let of_state = |point: &Mean<N>| tag_and_heading(point, fix).fixed_rows::<2>(0).into_owned();
@@ -276,7 +282,13 @@ impl<const N: usize> CorrectedEkf<N> {
         };
         let innovation = Vector2::from(measured) - predicted.mean;
         rows::gate_and_apply_predicted(
-            mean, covariance, &predicted, &innovation, &noise.position, &context.gates, record,
+            mean,
+            covariance,
+            &predicted,
+            &innovation,
+            &noise.position,
+            &context.gates,
+            record,
         )
     }
 
@@ -358,10 +370,8 @@ impl<const N: usize> SampledFilter for CorrectedEkf<N> {
     }
 
     fn calibration(&self, configured: &Calibration) -> Option<Calibration> {
-        let learned = |row: usize| UncertainValue {
-            value: self.mean[row],
-            sigma: self.covariance[(row, row)].max(0.0).sqrt(),
-        };
+        let learned =
+            |row: usize| UncertainValue { value: self.mean[row], sigma: self.covariance[(row, row)].max(0.0).sqrt() };
         let mut found = Calibration { gyro_bias_rad_per_s: learned(GYRO_BIAS), ..*configured };
         if N >= CAMERA_N {
             found.radius_scale = learned(RADIUS_SCALE);

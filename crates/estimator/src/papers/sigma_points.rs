@@ -82,8 +82,7 @@ pub fn observe<const N: usize, const M: usize>(
         *pair = [of_state(&(mean + column)), of_state(&(mean - column))];
         expected += (pair[0] + pair[1]) * weight;
     }
-    let mut found =
-        PredictedObservation { mean: expected, spread: SMatrix::zeros(), cross: SMatrix::zeros() };
+    let mut found = PredictedObservation { mean: expected, spread: SMatrix::zeros(), cross: SMatrix::zeros() };
     for (i, pair) in seen.iter().enumerate() {
         let column = spread.column(i).into_owned();
         for (point, sign) in pair.iter().zip([1.0, -1.0]) {
@@ -118,4 +117,3 @@ pub fn square_root<const N: usize>(covariance: &SMatrix<f64, N, N>) -> Option<SM
     }
     Some(root)
 }
-

@@ -74,7 +74,8 @@ impl SampledFilter for VelocityKf {
     fn predict(&mut self, dt_s: f64, felt: Acceleration, _context: &SampledContext) {
         let step = PredictionStep {
             interval_s: dt_s,
-            variances: variances_si(of_speeds(self.matrices.process)).map(|variance| variance * (dt_s / SAMPLING_INTERVAL_S)),
+            variances: variances_si(of_speeds(self.matrices.process))
+                .map(|variance| variance * (dt_s / SAMPLING_INTERVAL_S)),
         };
         step.predict(&mut self.mean, &mut self.covariance, felt);
     }

@@ -2,10 +2,12 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use posebridge_telemetry::{Fix, FusionOutcome, Meters, Observation, Point2, TimeDelta};
+use posebridge_estimator::Filter;
+
+use posebridge_telemetry::{Fix, FusionOutcome, Meters, Observation, Point2, TimeDelta, quantities::wrap_rad};
 
 use crate::support::filters::{
-    drive_straight, drive_straight_from, latest, named, rest, started_at, state_text, without_start,
+    drive_straight, drive_straight_from, latest, named, rest, start, started_at, state_text, without_start,
 };
 use crate::support::observe::{accelerations, fix, fix_of, gyro, ms, wheels};
 use crate::support::robot::{DEGREE, RADIUS_M, TRACK_M, config};
@@ -217,7 +219,7 @@ fn the_gyros_drift_is_not_held_against_the_camera_for_ever() {
 /// heading of the circle. The filters are told a start that is off by `start_error_rad`.
 fn drive_circle(filter: &mut dyn Filter, start_error_rad: f64, image: impl Fn(i64, [f64; 2]) -> [f64; 2]) {
     let at = |millis: i64| 0.4e-3 * millis as f64;
-    let _ = filter.set_pose(&started(0.5, 0.0, FRAC_PI_2 + start_error_rad));
+    let _ = filter.set_pose(&start(0.5, 0.0, FRAC_PI_2 + start_error_rad));
     for k in 0..150_i64 {
         let millis = 200 * k;
         let [left, right] = [-0.5, 0.5].map(|side| (0.5 + side * TRACK_M) * at(millis) / RADIUS_M);

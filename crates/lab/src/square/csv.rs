@@ -6,13 +6,14 @@
 //! 0,0,0,,,,,,
 //! 0.05,0,0,1,0.01,-0.02,0.001,0.002,0.4
 //! ```
-//! The first line that is not a comment names the columns, in any order. `time_s` and both encoders are required, the others optional;
-//! an empty cell is a missing reading. Numbers are written in the shortest form that reads back as the same number, to the last bit.
+//! The first line that is not a comment names the columns, in any order. `time_s` (or `time_ms`, as a brick without fractions counts) and
+//! both encoders are required, the others optional; an empty cell is a missing reading. What a brick reserved for the file and did not
+//! write (zero bytes at the end) is no row. Numbers are written in the shortest form that reads back as the same number, to the last bit.
 
 use super::table::{EncoderUnit, MeasuredPose, SensorRow, SensorTable};
 
 pub fn parse(text: &str) -> Result<SensorTable, SensorTextError> {
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text).trim_end_matches('\0');
     let mut lines = text.lines().enumerate().filter_map(|(index, line)| {
         let line = line.split('#').next().unwrap_or_default().trim();
         (!line.is_empty()).then_some((index + 1, line))
@@ -95,8 +96,11 @@ impl ColumnLayout {
 
     fn validate(&self, line: usize) -> Result<EncoderUnit, SensorTextError> {
         let missing = |name, advice| Err(SensorTextError::MissingColumn { line, name, advice });
-        if !self.has("time_s") {
-            return missing("time_s", "the filters need the time of each row, in seconds");
+        if self.has("time_s") == self.has("time_ms") {
+            return missing(
+                "time_s",
+                "the filters need the time of each row, in seconds, or as `time_ms` in milliseconds; give one",
+            );
         }
         for (one, other) in
             [("accel_left_m_per_s2", "accel_right_m_per_s2"), ("camera_x_m", "camera_y_m"), ("truth_x_m", "truth_y_m")]
@@ -146,7 +150,11 @@ impl ColumnLayout {
             Ok(pair(x, y)?.map(|[x_m, y_m]| MeasuredPose { x_m, y_m, theta_deg }))
         };
         Ok(SensorRow {
-            time_s: at.require("time_s", at.number("time_s")?, reason)?,
+            time_s: if self.has("time_ms") {
+                at.require("time_ms", at.number("time_ms")?, reason)? / 1e3
+            } else {
+                at.require("time_s", at.number("time_s")?, reason)?
+            },
             encoders: [at.require(left, at.number(left)?, reason)?, at.require(right, at.number(right)?, reason)?],
             gyro_deg_per_s: at.number("gyro_deg_per_s")?,
             accelerations_m_per_s2: pair("accel_left_m_per_s2", "accel_right_m_per_s2")?,
@@ -190,8 +198,9 @@ const fn column(name: &'static str, value: fn(EncoderUnit, &SensorRow) -> Option
     Column { name, value }
 }
 
-const COLUMNS: [Column; 15] = [
+const COLUMNS: [Column; 16] = [
     column("time_s", |_, row| Some(row.time_s)),
+    column("time_ms", |_, _| None),
     column("left_counts", |unit, row| (unit == EncoderUnit::Counts).then_some(row.encoders[0])),
     column("right_counts", |unit, row| (unit == EncoderUnit::Counts).then_some(row.encoders[1])),
     column("left_deg", |unit, row| (unit == EncoderUnit::Degrees).then_some(row.encoders[0])),
@@ -258,6 +267,18 @@ mod tests {
         assert_eq!(table.rows[0].gyro_deg_per_s, None);
         assert_eq!(table.rows[1].gyro_deg_per_s, Some(-1.5));
         assert_eq!(table.rows[1].camera, None);
+    }
+
+    #[test]
+    fn the_file_of_the_bricks_own_writer_is_read() {
+        let text = include_str!("../../../../brick/vectors/square_log.csv");
+        let table = parse(&format!("{text}\0\0")).unwrap();
+        let row = table.rows[1];
+        assert_eq!((row.time_s, row.encoders, row.gyro_deg_per_s), (0.05, [3.0, -4.0], Some(2.0)));
+        assert_eq!((row.accelerations_m_per_s2, row.compass_deg), (Some([0.1, -0.25]), Some(359.0)));
+        assert_eq!((table.rows.len(), table.rows[2].gyro_deg_per_s), (3, Some(-1.0)));
+        let both = "time_s,time_ms,left_counts,right_counts\n";
+        assert!(parse(both).unwrap_err().to_string().contains("give one"));
     }
 
     #[test]

@@ -59,7 +59,12 @@ fn raw() -> Option<Method> {
     })
 }
 
-fn chain(name: &'static str, matrices: &ChainMatrices, names: [&'static str; 3], odometry: WheelOdometry) -> MethodGroup {
+fn chain(
+    name: &'static str,
+    matrices: &ChainMatrices,
+    names: [&'static str; 3],
+    odometry: WheelOdometry,
+) -> MethodGroup {
     let kinds = [
         MethodKind::Wheels(matrices.wheels, odometry),
         MethodKind::Speeds(matrices.speeds),
@@ -76,20 +81,20 @@ const TUNED: &str = "tuned";
 
 /// The four of the paper's figure 7 with its matrices.
 pub fn printed_chain() -> MethodGroup {
-    let names = ["wheel-kf, angles integrated", "velocity-kf", "ekf5"];
+    let names = ["wheel-kf, angles", "velocity-kf", "ekf5"];
     chain(AS_PRINTED, &ChainMatrices::AS_PRINTED, names, WheelOdometry::Angles)
 }
 
 /// The printed chain with v and w of the paper's Q in the other order.
 pub fn swapped_chain() -> MethodGroup {
-    let names = ["wheel-kf, angles integrated", "velocity-kf", "ekf5 (v, w swapped)"];
+    let names = ["wheel-kf, angles", "velocity-kf", "ekf5 (v, w swapped)"];
     let matrices = ChainMatrices { five: FiveStateMatrices::SWAPPED, ..ChainMatrices::AS_PRINTED };
     chain("as-printed, v and w of Q swapped", &matrices, names, WheelOdometry::Angles)
 }
 
 /// Each preset of the matrices with each reading of the odometry, and the other order of Q.
 pub fn chains(tuned: &ChainMatrices) -> Vec<MethodGroup> {
-    let speeds = ["wheel-kf, speeds integrated", "velocity-kf", "ekf5"];
+    let speeds = ["wheel-kf, speeds", "velocity-kf", "ekf5"];
     let tuned_angles = ["wheel-kf, angles, tuned", "velocity-kf, tuned", "ekf5, tuned"];
     let tuned_speeds = ["wheel-kf, speeds, tuned", "velocity-kf, tuned", "ekf5, tuned"];
     vec![

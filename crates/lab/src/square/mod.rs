@@ -16,10 +16,14 @@ use posebridge_telemetry::{Heading, Meters, Pose, StartPose, UncertainValue};
 
 pub use self::csv::{MAX_ROWS, SensorTextError, parse, write};
 pub use self::methods::{DriveState, Method, MethodGroup, chains, outlook, printed_chain, swapped_chain};
-pub use self::noise::{MeanAndVariance, NoiseRecord, RoundingVariances, noise_at_stop, noise_on_straight, rounding_variances};
+pub use self::noise::{
+    MeanAndVariance, NoiseRecord, RoundingVariances, noise_at_stop, noise_on_straight, rounding_variances,
+};
 pub use self::recorded::table_of;
 pub use self::report::{MethodRanking, PaperInterpretation, RecoveryTrial, SquareExample, SquareReport};
-pub use self::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, share_interval, true_speeds};
+pub use self::score::{
+    ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, share_interval, true_speeds,
+};
 pub use self::table::{
     EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor, add_compass, add_jitter, align_accelerations,
     delay_reference,

@@ -320,8 +320,7 @@ fn add_order(report: &mut Report, ranking: &MethodRanking) {
         .text("", "verdict", |step| step.as_text().to_owned());
     report.heading(format!("The order, {}", ranking.matrices));
     report.table("", &table);
-    report
-        .paragraph(format!("All of them together: {} of the drives.", share_text(order.all_hold, order.drives)));
+    report.paragraph(format!("All of them together: {} of the drives.", share_text(order.all_hold, order.drives)));
     if let Some(text) = excluded_text(&order) {
         report.paragraph(text);
     }

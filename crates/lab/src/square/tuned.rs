@@ -151,8 +151,7 @@ fn search(
 ) -> Vec<f64> {
     // 15 %: finer differences are lost in the scatter between drives.
     let options = SearchOptions { last_step: 0.15, ..SearchOptions::default() };
-    let value = |u: &Vec<f64>| {
-        drives.iter().map(|drive| drive.log_likelihood(build(u, &drive.config).as_mut())).sum::<f64>()
-    };
+    let value =
+        |u: &Vec<f64>| drives.iter().map(|drive| drive.log_likelihood(build(u, &drive.config).as_mut())).sum::<f64>();
     maximise(variables, &options, |points| points.iter().map(value).collect()).at
 }

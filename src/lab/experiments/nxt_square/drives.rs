@@ -111,7 +111,8 @@ const START_HEADING_SIGMA: f64 = 0.1;
 
 /// The filters with a camera over the drives, whose images have no heading, with a wrong heading at the start.
 pub(super) fn recoveries(scenario: &Scenario, runs: u32, camera_every: usize) -> Result<Vec<RecoveryTrial>> {
-    let methods: Vec<Method> = outlook().methods.into_iter().filter(|method| method.sensors.contains(&TableSensor::Camera)).collect();
+    let methods: Vec<Method> =
+        outlook().methods.into_iter().filter(|method| method.sensors.contains(&TableSensor::Camera)).collect();
     let base = filter_config(scenario);
     let ends = |start_error_deg: &f64, run: u32| -> Vec<Option<f64>> {
         let mut table = table(scenario, run);
@@ -127,7 +128,8 @@ pub(super) fn recoveries(scenario: &Scenario, runs: u32, camera_every: usize) ->
             start.pose = Pose::new(start.pose.x, start.pose.y, Heading::from_rad(heading_rad));
             start.heading_sigma_rad = START_HEADING_SIGMA;
         }
-        let end_m = |method: &Method| path_errors(&table, &method.run(&table, &config, camera_every), camera_every).end_m;
+        let end_m =
+            |method: &Method| path_errors(&table, &method.run(&table, &config, camera_every), camera_every).end_m;
         methods.iter().map(end_m).collect()
     };
     let found = run_cases(&START_ERRORS_DEG, |_| runs, "drives", ends)?;

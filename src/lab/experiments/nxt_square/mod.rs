@@ -11,8 +11,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_lab::square::{
     ChainMatrices, ErrorMetric, MeanAndVariance, Method, MethodGroup, MethodOrder, MethodRanking, NoiseRecord,
     OrderStep, PaperInterpretation, PathErrors, SensorTable, SquareExample, SquareReport, chains, compare_order,
-    noise_at_stop, noise_on_straight, outlook, parse, prepare_config, share_interval,
-    table_of, write,
+    noise_at_stop, noise_on_straight, outlook, parse, prepare_config, share_interval, table_of, write,
 };
 use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
@@ -200,17 +199,16 @@ impl Comparisons {
                 methods.push(*method);
             }
         }
-        let tuned_from = format!("Tuned: the matrices that are most likely by the innovations of the filters on {source}.");
+        let tuned_from =
+            format!("Tuned: the matrices that are most likely by the innovations of the filters on {source}.");
         Self { tuned, tuned_from, chains, outlook, methods }
     }
 
     /// The errors of a group's methods, of those of all.
     fn ranking(&self, group: &MethodGroup, runs: &[Vec<PathErrors>]) -> MethodRanking {
         let names: Vec<&'static str> = group.methods.iter().map(|method| method.name).collect();
-        let indices: Vec<usize> = names
-            .iter()
-            .filter_map(|name| self.methods.iter().position(|method| method.name == *name))
-            .collect();
+        let indices: Vec<usize> =
+            names.iter().filter_map(|name| self.methods.iter().position(|method| method.name == *name)).collect();
         let of_group = |run: &Vec<PathErrors>| indices.iter().map(|index| run.get(*index).copied()).collect();
         MethodRanking { matrices: group.name, names, runs: runs.iter().filter_map(of_group).collect() }
     }
