@@ -76,7 +76,7 @@ fn over_a_gap_the_robot_moved_by_the_counters() {
         let after = latest(filter.as_ref());
         let moved_m = after.pose.x.0 - before.pose.x.0;
         assert!((moved_m - 0.6).abs() < 0.02, "{name}: {moved_m}");
-        assert!(after.pose.y.0.abs() < 0.01 + 0.6 * heading_lag_rad(name), "{name}");
+        assert!(after.pose.y.0.abs() < 0.01 + 1.2 * heading_lag_rad(name), "{name}");
         assert!(after.x_sigma_m() > before.x_sigma_m(), "{name}");
     }
 }
@@ -260,7 +260,8 @@ fn rejected_fixes_that_agree_among_themselves_move_the_pose_and_others_do_not() 
         drive_circle(lost.as_mut(), 2.6, |_, seen| seen);
         let [off_m, off_rad] = circle_error(lost.as_ref());
         assert!(off_m < 0.02 && off_rad < 0.06, "{name}: {off_m} m, {off_rad} rad");
-        assert!(latest(lost.as_ref()).reset_counter > 0);
+        // The start that is set is the first.
+        assert!(latest(lost.as_ref()).reset_counter > 1);
         // Four images of another robot, here and there.
         let mut right = named(name, &without_start());
         let strange = |k: i64, seen: [f64; 2]| {
@@ -270,7 +271,7 @@ fn rejected_fixes_that_agree_among_themselves_move_the_pose_and_others_do_not() 
         drive_circle(right.as_mut(), 0.0, strange);
         let [off_m, off_rad] = circle_error(right.as_ref());
         assert!(off_m < 0.02 && off_rad < 0.06, "{name}: {off_m} m, {off_rad} rad");
-        assert_eq!(latest(right.as_ref()).reset_counter, 0);
+        assert_eq!(latest(right.as_ref()).reset_counter, 1);
     }
 }
 

@@ -155,3 +155,41 @@ fn search(
         |u: &Vec<f64>| drives.iter().map(|drive| drive.log_likelihood(build(u, &drive.config).as_mut())).sum::<f64>();
     maximise(variables, &options, |points| points.iter().map(value).collect()).at
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_telemetry::{SensorNoise, Timestamp};
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    use crate::square::table::{EncoderUnit, SensorRow};
+    use crate::statistics::normal_pair;
+    use crate::test_support;
+
+    /// Counters of wheels whose rates walk at random, with white noise on each reading.
+    #[test]
+    fn the_most_likely_matrices_are_those_by_which_the_counts_were_made() {
+        let (rate_variance, counter_variances) = (40.0_f64, [1.5_f64, 6.0]);
+        let mut random = Pcg64::seed_from_u64(7);
+        let (mut angles, mut rates) = ([0.0; 2], [0.0; 2]);
+        let rows = (0..1_500).map(|index| {
+            let mut encoders = [0.0; 2];
+            for side in 0..2 {
+                let [walk, noise] = normal_pair(random.random(), random.random());
+                angles[side] += SAMPLING_INTERVAL_S * rates[side];
+                rates[side] += rate_variance.sqrt() * walk;
+                encoders[side] = angles[side] + counter_variances[side].sqrt() * noise;
+            }
+            SensorRow { encoders, ..SensorRow::empty(Timestamp::from_millis(50 * index)) }
+        });
+        let table = SensorTable { unit: EncoderUnit::Degrees, rows: rows.collect() };
+        let config = test_support::config([0.028; 2], 0.112, 1.0_f64.to_radians(), SensorNoise::EXACT);
+        let found = ChainMatrices::most_likely(&[table], &config).wheels;
+        for (found, made) in
+            found.variances.into_iter().zip(counter_variances).chain([(found.process[1], rate_variance)])
+        {
+            assert!((0.67..1.5).contains(&(found / made)), "{found} instead of {made}");
+        }
+    }
+}
