@@ -55,7 +55,7 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     assert_eq!(found["recordings"].as_array().unwrap().len(), 2);
     let truth = lab(folder, &["nxt-square", "--runs", "2", "--seed", "2", "--out", "drawn"]);
     let rms_m = |chain: &Value, name: &str| number(named(&chain["methods"], name), "/position_rms_m");
-    for name in ["raw encoders", "wheel-kf", "ekf5"] {
+    for name in ["raw encoders", "wheel-kf, angles", "ekf5"] {
         let [seen, true_rms] = [&found, &truth].map(|report| rms_m(&report["settings"][0], name));
         println!("{name}: by images {seen:.4} m, by the truth {true_rms:.4} m");
         // What is added is the images' noise of 5 mm and that of the start, which is the mean of 20 of them: 0.2 degrees on 1.4 m.
