@@ -393,6 +393,8 @@ impl<const N: usize> SampledFilter for CorrectedEkf<N> {
         rows::reset_speeds(&mut self.mean, &mut self.covariance, position_m, heading_rad, speeds);
         let bias_sigma = context.config.noise.gyro_bias_rad_per_s;
         rows::set_independent_variance(&mut self.covariance, GYRO_BIAS, bias_sigma * bias_sigma);
+        // Their stamps are those of the clock before.
+        self.rejected = RejectedFixes::default();
         self.restart_wheel_heading();
         self.restart_gyro_heading();
     }
@@ -507,20 +509,18 @@ impl<const N: usize> SampledFilter for CorrectedEkf<N> {
                 rows::gate_and_apply(mean, covariance, &position, gates, record)
             }
         };
-        match outcome {
-            FusionOutcome::Accepted => self.rejected = RejectedFixes::default(),
-            FusionOutcome::Gated => {
-                self.rejected.push(RejectedFix {
-                    stamp: step.stamp,
-                    measured_m: [fix.position.x.0, fix.position.y.0],
-                    expected_m: [expected[0], expected[1]],
-                    turn_rad: heading.map(|value| UncertainValue { value, sigma: noise.heading_rad2.sqrt() }),
-                });
-                if self.relocate(step, &noise) {
-                    return FusionOutcome::PoseReset;
-                }
+        if outcome == FusionOutcome::Accepted {
+            self.rejected = RejectedFixes::default();
+        } else if outcome == FusionOutcome::Gated {
+            self.rejected.push(RejectedFix {
+                stamp: step.stamp,
+                measured_m: [fix.position.x.0, fix.position.y.0],
+                expected_m: [expected[0], expected[1]],
+                turn_rad: heading.map(|value| UncertainValue { value, sigma: noise.heading_rad2.sqrt() }),
+            });
+            if self.relocate(step, &noise) {
+                return FusionOutcome::PoseReset;
             }
-            _ => {}
         }
         outcome
     }

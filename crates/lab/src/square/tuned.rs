@@ -174,13 +174,12 @@ mod tests {
         let mut random = Pcg64::seed_from_u64(7);
         let (mut angles, mut rates) = ([0.0; 2], [0.0; 2]);
         let rows = (0..1_500).map(|index| {
-            let mut encoders = [0.0; 2];
-            for side in 0..2 {
+            let encoders = [0, 1].map(|side: usize| {
                 let [walk, noise] = normal_pair(random.random(), random.random());
                 angles[side] += SAMPLING_INTERVAL_S * rates[side];
                 rates[side] += rate_variance.sqrt() * walk;
-                encoders[side] = angles[side] + counter_variances[side].sqrt() * noise;
-            }
+                angles[side] + counter_variances[side].sqrt() * noise
+            });
             SensorRow { encoders, ..SensorRow::empty(Timestamp::from_millis(50 * index)) }
         });
         let table = SensorTable { unit: EncoderUnit::Degrees, rows: rows.collect() };
