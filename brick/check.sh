@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The brick SDK as compilers and interpreters of robots see it: sizes on an ATmega328P, the Arduino example, the NXC program, MicroPython.
+# The brick SDK as compilers and interpreters of robots see it: sizes on an ATmega328P, the Arduino example, the NXC program, MicroPython, and
+# the filters on an ATmega328P, a Cortex-M4F, an NXT and under MicroPython.
 # What `cargo test -p posebridge-brick` checks needs gcc and Python only; this needs tools that it installs itself, without
 # root, into target/brick. A tool that cannot be had ends it with 1 and the reason. Run it from anywhere.
 set -euo pipefail
@@ -21,7 +22,16 @@ avr-libc=1:2.0.0+Atmel3.6.2-3 a7adb563082d291c49fe5f4a483fca18d27f30627c2c8a520c
 arduino-core-avr=1.8.7+dfsg-1~deb12u1 357869fa1f5a122ea06f470b9a88d2e5d27dd52afb0de0578ecd1b72d6b5c8c4
 nbc=1.2.1.r4+dfsg-11+b1 50ae47332b2a29eb9d3bf9ddfe164921d22ce9cbeaf53b0ecf0fde58a81dccb3
 libusb-0.1-4=2:0.1.12-32 ecc251e8af96904290669233988a91e195670bb432396c408e01489c9efff993
+libsimavr2=1.6+dfsg-3 583a3a741b499f2c1d1dd5229c471ea1f086774c47bd1f2b67317a30a37a6e82
+libsimavr-dev=1.6+dfsg-3 e458c46b9d54309424a1ccea1f02369805f5c50d7b38f74606cff8c678127f7b
+libelf1=0.188-2.1 619add379c606b3ac6c1a175853b918e6939598a83d8ebadf3bdfd50d10b3c8c
+binutils-arm-none-eabi=2.40-2+18+b1 c8f9da2a434366bfe5a66a8267cb3b1df028f1d95278715050c222b43e1c221c
+gcc-arm-none-eabi=15:12.2.rel1-1 2bbd4f4145e9a3669f58ddab6a3190b768949f07cc444d23e98743d905f83e16
+libnewlib-dev=3.3.0-1.3+deb12u1 ab5e6e80d66a6f2f8b9b22b9297154a676a5434ac82e48b88e8164548bc72115
+libnewlib-arm-none-eabi=3.3.0-1.3+deb12u1 c80278e8332940eaf9738910258bb85b21c30aacf246a5e363fee230d3605e84
 "
+# Of ARM's compiler and libraries only what a Cortex-M4F needs: the whole would be a gigabyte.
+arm_parts=('*/bin/*gcc' '*/12.2.1/cc1' '*/12.2.1/collect2' '*/12.2.1/include/*' '*/include-fixed/*' '*/v7e-m+fp/hard/*')
 micropython="@micropython/micropython-webassembly-pyscript@1.27.0"
 
 fail() {
@@ -47,18 +57,26 @@ unpack_packages() {
         grep -qx "$sum" <<<"$sums" || fail "a package is not the one that is pinned: SHA-256 $sum is missing in $into/deb"
     done || return 1
     local deb
+    mkdir -p "$into/root"
     for deb in "$into"/deb/*.deb; do
-        dpkg-deb -x "$deb" "$into/root" || return 1
+        case "$deb" in
+            */gcc-arm-* | */libnewlib-arm-*)
+                # tar complains of a part that is not in this package.
+                dpkg-deb --fsys-tarfile "$deb" | tar -x -C "$into/root" --wildcards "${arm_parts[@]}" 2>/dev/null || true
+                ;;
+            *) dpkg-deb -x "$deb" "$into/root" || return 1 ;;
+        esac
     done
+    [[ -x "$into/root/usr/bin/arm-none-eabi-gcc" && -f "$into/root/usr/lib/arm-none-eabi/newlib/thumb/v7e-m+fp/hard/libm.a" ]] || return 1
     rm -rf "$into/deb" "$into/apt"
 }
 
-# Compilers for AVR and NXT below $tools; a half unpacked folder is never used.
+# Compilers for AVR, ARM and NXT below $tools; a half unpacked folder is never used.
 install_compilers() {
     tools="$made/tools-$(sha256sum <<<"$packages" | cut -c1-16)"
     if [[ ! -f "$tools/complete" ]]; then
         rm -rf "$tools"
-        unpack_packages "$tools" || fail "cannot install gcc-avr, avr-libc, arduino-core-avr and nbc as check.sh pins them.
+        unpack_packages "$tools" || fail "cannot install gcc-avr, avr-libc, arduino-core-avr, nbc, simavr and gcc-arm-none-eabi as check.sh pins them.
 They are packages of Debian 12 for amd64; it takes apt-get, dpkg-deb and, the first time, Debian's archive. Nothing needs root.
 $(tail -3 "$made/apt.log" 2>/dev/null)"
         touch "$tools/complete"
@@ -69,12 +87,13 @@ $(tail -3 "$made/apt.log" 2>/dev/null)"
 }
 
 install_python() {
-    python="$made/venv-$(sha256sum "$brick/vectors/requirements.txt" | cut -c1-16)"
+    python="$made/venv-$(cat "$brick/vectors/requirements.txt" "$brick/check/requirements.txt" | sha256sum | cut -c1-16)"
     if [[ ! -f "$python/complete" ]]; then
         rm -rf "$python"
         python3 -m venv "$python" &&
-            "$python/bin/pip" install --quiet --disable-pip-version-check -r "$brick/vectors/requirements.txt" ||
-            fail "cannot install brick/vectors/requirements.txt: it takes Python 3 with venv and, the first time, the package index"
+            "$python/bin/pip" install --quiet --disable-pip-version-check -r "$brick/vectors/requirements.txt" &&
+            "$python/bin/pip" install --quiet --disable-pip-version-check -r "$brick/check/requirements.txt" ||
+            fail "cannot install the requirements.txt of brick/vectors and brick/check: it takes Python 3 with venv and, the first time, the package index"
         touch "$python/complete"
     fi
 }
@@ -212,6 +231,12 @@ $(cat "$made/bridge.log")"
     printf 'bridge: carries frames both ways without a hub\n'
 }
 
+# The filters on every target; the table that docs and README print.
+check_filters() {
+    "$python/bin/python" -B "$brick/check/filters/check.py" "$tools/root" "$made/filters" \
+        "$node_modules/@micropython/micropython-webassembly-pyscript"
+}
+
 install_compilers
 install_python
 install_micropython
@@ -222,3 +247,4 @@ check_nxc
 check_square_log
 check_micropython
 check_bridge
+check_filters

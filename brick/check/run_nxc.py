@@ -3,7 +3,7 @@
 python3 brick/check/run_nxc.py posebridge.lst < commands          posebridge.lst is what nbc writes with -L
 
 An NXT's virtual machine is not to be had on a PC, and what nbc makes of a line of NXC may differ from what a C compiler makes of it. So
-its output is run here, with the types that its data segment declares. Where sources disagree how the firmware divides and
+its output is run here, with the types that its data segment declares; an operation with a float in it is one of single precision. Where sources disagree how the firmware divides and
 compares a signed and an unsigned number, both ways are tried, and must come to the same.
 
 Commands and answers are those of brick/vectors; `turn` with pairs of degrees per second and milliseconds answers pb_turn_urad.
@@ -12,6 +12,7 @@ Sources: NBC Guide (J. Hansen), chapters on the instructions; LEGO Mindstorms NX
 """
 
 import re
+import struct
 import sys
 
 WIDTHS = {"byte": (8, False), "sbyte": (8, True), "word": (16, False), "sword": (16, True), "dword": (32, False), "sdword": (32, True)}
@@ -29,8 +30,11 @@ MOST_STEPS = 100_000
 
 
 def wrapped(value, kind):
+    if kind == "float":
+        return struct.unpack("<f", struct.pack("<f", value))[0]
     bits, signed = WIDTHS[kind]
-    value &= (1 << bits) - 1
+    # A float that becomes a whole number loses what is behind its point.
+    value = int(value) & (1 << bits) - 1
     return value - (1 << bits) if signed and value >> (bits - 1) else value
 
 
@@ -42,11 +46,11 @@ class Program:
         declarations = data.split(";------- declarations -------")[1]
         self.kinds, self.start = {}, {}
         for line in declarations.splitlines():
-            match = re.match(r"(\w+)\s+(s?(?:byte|d?word))(\[\])?(?:\s+(-?\d+))?\s*$", line)
+            match = re.match(r"(\w+)\s+(s?(?:byte|d?word)|float)(\[\])?(?:\s+(-?[\d.]+))?\s*$", line)
             if match:
                 name, kind, is_array, value = match.groups()
                 self.kinds[name] = kind
-                self.start[name] = [] if is_array else int(value or 0)
+                self.start[name] = [] if is_array else wrapped(float(value or 0), kind)
         current = ([], {})
         self.routines = {}
         for line in code.splitlines():
@@ -79,8 +83,10 @@ class Machine:
             self.values[operand] = wrapped(value, self.program.kinds[operand])
 
     def pair(self, left, right):
-        """Both as signed or both as unsigned numbers of 32 bits."""
+        """Both as signed or both as unsigned numbers of 32 bits; as they are where one is a float."""
         kinds = [self.program.kinds.get(operand, "sword") for operand in (left, right)]
+        if "float" in kinds:
+            return float(self.get(left)), float(self.get(right))
         as_kind = "sdword" if self.is_signed(*[WIDTHS[kind][1] for kind in kinds]) else "dword"
         return wrapped(self.get(left), as_kind), wrapped(self.get(right), as_kind)
 
@@ -127,10 +133,14 @@ class Machine:
 
     def arithmetic(self, name, left, right):
         a, b = self.pair(left, right)
+        if name == "div" and isinstance(a, float):
+            return a / b
         if name == "div":
             quotient = abs(a) // abs(b)
             return quotient if (a < 0) == (b < 0) else -quotient
-        return {"add": a + b, "sub": a - b, "mul": a * b, "and": a & b, "or": a | b, "xor": a ^ b}[name]
+        if name in ("and", "or", "xor"):
+            return {"and": a & b, "or": a | b, "xor": a ^ b}[name]
+        return {"add": a + b, "sub": a - b, "mul": a * b}[name]
 
     def give(self, routine, names, numbers):
         for name, number in zip(names, numbers):

@@ -22,7 +22,10 @@
 #ifndef PB_REAL
 #define PB_REAL double
 #endif
+#ifndef PB_REAL_NAMED
+#define PB_REAL_NAMED
 typedef PB_REAL pb_real;
+#endif
 
 /* The paper's interval, s: every Q is that of one such interval and grows with the interval that was. */
 #define PB_INTERVAL_S 0.05

@@ -1,13 +1,14 @@
 /*
  * Runs every filter over an exported file of sensor data and prints what each believes after each row.
  *
- *   cc -std=c99 -O2 replay.c posebridge_filters.c -lm -o replay
+ *   cc -std=c99 -O2 replay.c posebridge_filters.c posebridge_indirect.c -lm -o replay
  *   ./replay track_m=0.112 < drive.csv > beliefs.csv
  *
  * The file is that of `posebridge lab nxt-square --export drive.csv`; docs/lab/square.md has its columns. Robot, start and noise are
  * given as key=value, SI; the names and what they are without that stand in `settings` below.
  */
 #include "posebridge_filters.h"
+#include "posebridge_indirect.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -24,11 +25,13 @@ static struct {
     double wheel_m_sqrt_m, travel_m_sqrt_m, turn_rad_sqrt_rad, heading_rad_sqrt_m;
     double gyro_rad_s, gyro_resolution_rad_s, bias_rad_s, bias_sigma_rad_s, bias_walk_rad_s_sqrt_s;
     double accel_m_s2, turn_accel_rad_s2, accelerometer_m_s2;
+    double radius_scale, radius_difference, track_scale;
 } set = {0.028, 0.028, 0.112, 0.017453292519943295,
          0, 0, 0, 1e-4, 1e-4,
          0.0008, 0, 0.004, 0,
          0.010471975511965978, 0.017453292519943295, 0, 0.0017453292519943296, 0.00017453292519943296,
-         1, 6, 0.05};
+         1, 6, 0.05,
+         0.002, 0.0002, 0.03};
 
 static const struct {
     const char *name;
@@ -55,6 +58,9 @@ static const struct {
     {"accel_m_s2", &set.accel_m_s2},
     {"turn_accel_rad_s2", &set.turn_accel_rad_s2},
     {"accelerometer_m_s2", &set.accelerometer_m_s2},
+    {"radius_scale", &set.radius_scale},
+    {"radius_difference", &set.radius_difference},
+    {"track_scale", &set.track_scale},
 };
 #define SETTINGS (sizeof settings / sizeof settings[0])
 
@@ -114,6 +120,7 @@ static pb_wheel_kf wheels[2];
 static pb_speed_kf speeds[2];
 static pb_ekf5 five[2];
 static pb_ekf9 nine;
+static pb_indirect indirect[2]; /* feed-forward, feedback */
 
 static void begin(const pb_robot *robot)
 {
@@ -123,6 +130,8 @@ static void begin(const pb_robot *robot)
     pb_speed_matrices printed = pb_speed_printed(), speed = pb_speed_corrected(robot, (pb_real)set.accelerometer_m_s2);
     pb_ekf5_matrices as_printed = pb_ekf5_printed(), swapped = pb_ekf5_swapped();
     pb_noise noise;
+    pb_indirect_settings settled;
+    int i;
 
     start.x_m = (pb_real)set.x_m;
     start.y_m = (pb_real)set.y_m;
@@ -149,6 +158,15 @@ static void begin(const pb_robot *robot)
     pb_ekf5_init(&five[1], &swapped, &start, sigma);
     five[0].gyro_bias_rad_s = five[1].gyro_bias_rad_s = (pb_real)set.bias_rad_s;
     pb_ekf9_init(&nine, robot, &noise, &start, sigma);
+    settled.noise = noise;
+    settled.accelerometer_m_s2 = (pb_real)set.accelerometer_m_s2;
+    settled.radius_scale = (pb_real)set.radius_scale;
+    settled.radius_difference = (pb_real)set.radius_difference;
+    settled.track_scale = (pb_real)set.track_scale;
+    for (i = 0; i < 2; i++) {
+        settled.feedback = i;
+        pb_indirect_init(&indirect[i], robot, &settled, &start, sigma);
+    }
 }
 
 static int step(const pb_robot *robot, const pb_reading *reading)
@@ -158,6 +176,7 @@ static int step(const pb_robot *robot, const pb_reading *reading)
         used &= pb_wheel_kf_step(&wheels[i], robot, reading);
         used &= pb_speed_kf_step(&speeds[i], robot, reading);
         used &= pb_ekf5_step(&five[i], robot, reading);
+        used &= pb_indirect_step(&indirect[i], robot, reading);
     }
     return used & pb_ekf9_step(&nine, robot, reading);
 }
@@ -166,7 +185,10 @@ static int step(const pb_robot *robot, const pb_reading *reading)
 static int base(const pb_robot *robot, const pb_reading *first)
 {
     int used = 1, i;
-    for (i = 0; i < 2; i++) used &= pb_speed_kf_begin(&speeds[i], robot, first) & pb_ekf5_begin(&five[i], robot, first);
+    for (i = 0; i < 2; i++) {
+        used &= pb_speed_kf_begin(&speeds[i], robot, first) & pb_ekf5_begin(&five[i], robot, first);
+        used &= pb_indirect_begin(&indirect[i], robot, first);
+    }
     return used & pb_ekf9_begin(&nine, robot, first);
 }
 
@@ -186,6 +208,8 @@ static void print_beliefs(double time_s)
     print_state("ekf5", &five[0].state);
     print_state("ekf5 swapped", &five[1].state);
     print_state("ekf5-corrected", &nine.state);
+    print_state("indirect", &indirect[0].state);
+    print_state("indirect-feedback", &indirect[1].state);
     printf(",P of ekf5");
     for (i = 0; i < 5; i++) printf(",%.17g", (double)five[0].p[i][i]);
     printf(",P of ekf5-corrected");
