@@ -186,6 +186,14 @@ def on_nxt(tools, case, empty_size):
     return answers, size - empty_size, "-", f"{most} instr."
 
 
+MICROPYTHON = ("wheel", "speed", "ekf5", "thermometer", "wall")
+
+
+def under_micropython(tools, case):
+    text = tools.run("node", HERE / "run_micropython.mjs", tools.micropython, case[0], text=as_text(case[2]))
+    return answers_of(text), "-", "-", "-"
+
+
 def largest_difference(case, reference, answers):
     """As a share of the largest value of each quantity."""
     title, _, _, numbers = case
@@ -221,6 +229,8 @@ def check_case(job):
     results = [("ATmega328P", result, flops), ("Cortex-M4F", on_arm(tools, case, empty["arm"]), "")]
     if case[0] in NXC:
         results.append(("NXT", on_nxt(tools, case, empty["nxt"]), ""))
+    if case[0] in MICROPYTHON:
+        results.append(("MicroPython", under_micropython(tools, case), ""))
     lines, failed = [], []
     for target, (answers, flash, ram, step), cost in results:
         difference = largest_difference(case, reference, answers)
