@@ -11,6 +11,7 @@ Commands and answers are those of brick/vectors; `turn` with pairs of degrees pe
 Sources: NBC Guide (J. Hansen), chapters on the instructions; LEGO Mindstorms NXT Executable File Specification, section on opcodes.
 """
 
+import math
 import re
 import struct
 import sys
@@ -119,6 +120,10 @@ class Machine:
             self.set(operands[1], int(COMPARE[operands[0]](*numbers)))
         elif name in ("mov", "set"):
             self.set(operands[0], self.get(operands[1]))
+        elif name == "sqrt":
+            self.set(operands[0], math.sqrt(self.get(operands[1])))
+        elif name == "neg":
+            self.set(operands[0], -self.get(operands[1]))
         elif name == "index":
             self.set(operands[0], self.get(operands[1])[self.get(operands[2])])
         elif name == "replace":
