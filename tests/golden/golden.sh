@@ -88,7 +88,7 @@ row lab-accuracy lab accuracy --scenario camera-10hz --runs 4 --seed 1 --json
 row lab-nxt-square lab nxt-square --runs 4 --seed 1 --json
 row lab-thermometer lab thermometer --runs 10 --seed 1 --json
 row lab-wall lab wall --runs 4 --seed 1 --json
-row lab-indirect lab indirect --runs 4 --seed 1 --json
+row lab-indirect lab indirect --runs 4 --robots 8 --seed 1 --json
 row lab-links lab links --runs 2 --seed 1 --json
 row umbmark calibrate umbmark --sim --runs 2 --seed 1 --json
 row identify-rest identify rest --sim camera-10hz --seed 1 --json

@@ -69,7 +69,7 @@ fn accuracy_takes_a_file_and_names_the_runs_of_which_the_smoother_says_nothing()
 #[test]
 fn indirect_ends_its_rounds_nearer_than_the_wheels_as_the_paper_says() {
     let folder = tempfile::tempdir().unwrap();
-    let found = lab(folder.path(), &["indirect", "--runs", "200"]);
+    let found = lab(folder.path(), &["indirect", "--runs", "200", "--robots", "60"]);
     let row = |filter: &str, sensors: &str| {
         let mut rows = found["rows"].as_array().unwrap().iter();
         rows.find(|row| row["filter"] == filter && row["sensors"] == sensors).unwrap()
@@ -94,6 +94,11 @@ fn indirect_ends_its_rounds_nearer_than_the_wheels_as_the_paper_says() {
     };
     assert!(better("+ accelerometers", "x") > 2.0 && better("+ accelerometers", "y") > -2.0);
     assert!(better("+ gyro", "x") > 2.0 && better("+ gyro", "y") > 2.0);
+    // Of 60 robots those are helped whose accelerometers know a turn better than their wheels do, and hardly any other.
+    let ratios = found["ratios"].as_array().unwrap();
+    let share = |row: &Value, key: &str| number(row, key) / number(row, "/robots");
+    assert!(share(&ratios[0], "/helped") > 0.6 && share(&ratios[4], "/helped") < 0.3, "{ratios:?}");
+    assert!(number(&found, "/boundary/right") >= 42.0, "{}", found["boundary"]);
     let scenario = read_text(&root(), "config/scenarios/lab/indirect.toml");
     write_text(folder.path(), "wrong.toml", &scenario.replace("tick_deg = 1.0", "tick_deg = 0.0"));
     assert_refused(folder.path(), &[("lab indirect --scenario wrong.toml", 2, &["wrong.toml", "tick_deg"])]);

@@ -29,8 +29,7 @@ CASES = [
     ("speed", ["-DFILTER=2"], DRIVE, 5),
     ("ekf5", ["-DFILTER=3"], DRIVE, 5),
     ("ekf9", ["-DFILTER=4"], DRIVE, 5),
-    ("indirect", ["-DFILTER=5"], DRIVE, 5),
-    ("indirect, fed back", ["-DFILTER=6"], DRIVE, 5),
+    ("indirect", ["-DFILTER=6"], DRIVE, 5),
     # On the NXT the accelerometers are never silent: they are part of the step.
     ("indirect, 7 states", ["-DFILTER=5", "-DPB_INDIRECT_SMALL"], [[*row[:6], 1.0] for row in DRIVE], 5),
     ("thermometer", ["-DFILTER=7"], THERMOMETER, 2),

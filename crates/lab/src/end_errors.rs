@@ -16,27 +16,36 @@ const HIGH_QUANTILE: f64 = 0.95;
 pub struct FilteredDrive {
     /// Estimated minus true at the end; `None` without an estimate.
     pub end: Option<PoseError>,
-    /// x and y after each observation that changed it.
-    pub track_m: Vec<(f64, f64)>,
+    /// After each observation that changed it.
+    pub track: Vec<TrackPoint>,
 }
 
-/// Runs a filter over observations in turn; returns its last estimate, and x and y after each observation that changed it.
+/// A place of an estimated path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackPoint {
+    /// By the clock of the drive.
+    pub at_s: f64,
+    pub x_m: f64,
+    pub y_m: f64,
+}
+
+/// Runs a filter over observations in turn; returns its last estimate, and the places after each observation that changed them.
 pub(crate) fn track_of<'a>(
     filter: &mut dyn Filter,
     observations: impl Iterator<Item = &'a Observation>,
-) -> (Option<Estimate>, Vec<(f64, f64)>) {
-    let mut track_m = Vec::new();
+) -> (Option<Estimate>, Vec<TrackPoint>) {
+    let mut track: Vec<TrackPoint> = Vec::new();
     let mut last = None;
     for observation in observations {
         filter.observe(observation);
         let Some(estimate) = filter.latest_time().and_then(|at| filter.estimate_at(at)) else { continue };
-        let here = (estimate.pose.x.0, estimate.pose.y.0);
-        if track_m.last() != Some(&here) {
-            track_m.push(here);
+        let (x_m, y_m) = (estimate.pose.x.0, estimate.pose.y.0);
+        if track.last().is_none_or(|last| (last.x_m, last.y_m) != (x_m, y_m)) {
+            track.push(TrackPoint { at_s: estimate.stamp.as_secs_f64(), x_m, y_m });
         }
         last = Some(estimate);
     }
-    (last, track_m)
+    (last, track)
 }
 
 /// `truth` is the pose at the end of the course.
@@ -45,8 +54,8 @@ pub fn run_filter<'a>(
     observations: impl Iterator<Item = &'a Observation>,
     truth: Pose<Arena>,
 ) -> FilteredDrive {
-    let (last, track_m) = track_of(filter, observations);
-    FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track_m }
+    let (last, track) = track_of(filter, observations);
+    FilteredDrive { end: last.map(|estimate| PoseError::of_estimate(&estimate, truth)), track }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -11,6 +11,7 @@ pub mod calibration;
 pub mod clocks;
 pub mod end_errors;
 pub mod identification;
+pub mod indirect_map;
 pub mod noise_identification;
 pub mod recorded_drive;
 pub mod square;

@@ -25,7 +25,7 @@ use posebridge_telemetry::{
     StartPose, Timestamp,
 };
 
-use super::end_errors::{FilteredDrive, track_of};
+use super::end_errors::{FilteredDrive, TrackPoint, track_of};
 use super::statistics::centroid;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,7 +83,7 @@ impl RecordedDrive {
     pub fn run_filter(&self, filter: &mut dyn Filter, accepts: impl Fn(&ObservationKind) -> bool) -> FilteredDrive {
         let until = self.observations.iter().take_while(|observation| observation.stamp <= self.end_time);
         let accepted = until.filter(|observation| accepts(&observation.measurement));
-        let (_, track_m) = track_of(filter, accepted);
+        let (_, track) = track_of(filter, accepted);
         let end = filter.estimate_at(self.end_time).map(|estimate| {
             let heading = self.end_heading.unwrap_or(estimate.pose.heading);
             let truth = Pose::new(self.end.x, self.end.y, heading);
@@ -93,12 +93,13 @@ impl RecordedDrive {
             }
             PoseError { heading_rad: None, covariance: None, ..error }
         });
-        FilteredDrive { end, track_m }
+        FilteredDrive { end, track }
     }
 
-    pub fn fix_positions_m(&self) -> Vec<(f64, f64)> {
-        let positions = fixes(&self.observations).map(|(_, fix)| mid_axle_position(fix));
-        positions.map(|position| (position.x.0, position.y.0)).collect()
+    /// The mid-axle by each fix.
+    pub fn fix_track(&self) -> Vec<TrackPoint> {
+        let fixes = fixes(&self.observations).map(|(stamp, fix)| (stamp, mid_axle_position(fix)));
+        fixes.map(|(stamp, at)| TrackPoint { at_s: stamp.as_secs_f64(), x_m: at.x.0, y_m: at.y.0 }).collect()
     }
 
     pub fn contains(&self, kind: impl Fn(&ObservationKind) -> bool) -> bool {
@@ -376,8 +377,8 @@ mod tests {
             drive.run_filter(filter.as_mut(), |observed| matches!(observed, ObservationKind::WheelAngles { .. }));
         // The wheels are exact, and the fix at half way would have torn them away.
         assert!(course.end.unwrap().position_m() < 1e-9, "{course:?}");
-        assert!((course.track_m.last().unwrap().1 - 3.0).abs() < 1e-9);
-        assert_eq!(drive.fix_positions_m().len(), 5);
+        assert!((course.track.last().unwrap().y_m - 3.0).abs() < 1e-9);
+        assert_eq!(drive.fix_track().len(), 5);
     }
 
     #[test]

@@ -8,7 +8,8 @@ use std::path::PathBuf;
 use anyhow::{Result, ensure};
 use posebridge_estimator::find_filter;
 use posebridge_lab::end_errors::{
-    EndErrorSummary, FilteredDrive, PairedDifference, count_nearer, paired_difference, run_filter, summarise_ends,
+    EndErrorSummary, FilteredDrive, PairedDifference, TrackPoint, count_nearer, paired_difference, run_filter,
+    summarise_ends,
 };
 use posebridge_report::chart::{Axes, Curve, Plot};
 use posebridge_report::metrics::PoseError;
@@ -20,6 +21,7 @@ use posebridge_sim::montecarlo::{Drive, MAX_RUNS, Scenario};
 use posebridge_telemetry::ObservationKind;
 use serde_json::{Value, json};
 
+use super::indirect_map;
 use super::recorded::{self, RecordedArgs, RobotDrive, RobotDrives};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
@@ -38,6 +40,9 @@ pub struct LabIndirectArgs {
     /// Number of rounds. Default: that of the scenario.
     #[arg(long, value_name = "N", conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RUNS)))]
     pub runs: Option<u32>,
+    /// Number of robots of the map: each has wheels and accelerometers of its own; 0 leaves the map out.
+    #[arg(long, value_name = "N", default_value_t = 200, conflicts_with = "real_robot", value_parser = clap::value_parser!(u32).range(..=i64::from(MAX_RUNS)))]
+    pub robots: u32,
     /// Base seed. Default: that of the scenario.
     #[arg(long, value_name = "N", conflicts_with = "real_robot")]
     pub seed: Option<u64>,
@@ -59,7 +64,9 @@ pub fn execute(args: &LabIndirectArgs) -> Result<(), Failure> {
     let runs = args.runs.unwrap_or(scenario.runs);
     let folder = args.output.folder()?;
     let found = drive_all(&scenario, runs).before_start()?;
-    args.output.write_outcome(&folder, &scenario_report(&scenario, runs, &found))
+    let mut report = scenario_report(&scenario, runs, &found);
+    indirect_map::add_map(&mut report, &indirect_map::drive_robots(&scenario, args.robots).before_start()?);
+    args.output.write_outcome(&folder, &report)
 }
 
 fn scenario(args: &LabIndirectArgs) -> Result<Scenario> {
@@ -90,8 +97,8 @@ fn rounds_of(drives: &RobotDrives) -> Result<RoundsResult> {
     let rows: Vec<FilterRow> =
         ROWS.into_iter().filter(|row| has_gyro || row.sensors != SensorSet::AccelerometersAndGyro).collect();
     let rounds = run_with_bar(&drives.drives, "drives", |one| recorded_round(one, &rows))?;
-    let fix_positions = drives.drives.first().map(|one| one.drive.fix_positions_m());
-    Ok(evaluate(&rows, &rounds, fix_positions.unwrap_or_default()))
+    let fixes = drives.drives.first().map(|one| one.drive.fix_track());
+    Ok(evaluate(&rows, &rounds, fixes.unwrap_or_default()))
 }
 
 fn is_acceleration(observed: &ObservationKind) -> bool {
@@ -109,7 +116,7 @@ fn recorded_round(one: &RobotDrive, rows: &[FilterRow]) -> Vec<FilteredDrive> {
 }
 
 /// End error of the paper's own run, in x and y: the reference for the fused ends.
-const PAPER_END_M: (f64, f64) = (0.235, 0.32);
+pub(super) const PAPER_END_M: (f64, f64) = (0.235, 0.32);
 /// Residual accelerometer bias after zeroing by eye: 5 mg; docs/lab/indirect.md section M4.
 const BIAS_SIGMA_M_PER_S2: f64 = 0.05;
 
@@ -170,24 +177,29 @@ struct RowResult {
     nearer_than_twin: Option<usize>,
     /// Reduction of the squared errors against the other method.
     gain_on_twin: Option<PairedDifference>,
-    path_m: Vec<(f64, f64)>,
+    track: Vec<TrackPoint>,
 }
 
 struct RoundsResult {
     rows: Vec<RowResult>,
     /// True path of the first round; for a recording, the camera's positions.
-    truth_m: Vec<(f64, f64)>,
+    truth: Vec<TrackPoint>,
 }
 
 fn drive_all(scenario: &Scenario, runs: u32) -> Result<RoundsResult> {
     let jobs: Vec<u32> = (0..runs).collect();
     let rounds = run_with_bar(&jobs, "rounds", |run| round(scenario, *run))?;
-    let truth_m = draw_drive(scenario, 0).truth.iter().map(|pose| (pose.x.0, pose.y.0)).collect();
-    Ok(evaluate(&ROWS, &rounds, truth_m))
+    let first = draw_drive(scenario, 0);
+    let truth = first.truth.iter().enumerate().map(|(step, pose)| TrackPoint {
+        at_s: first.time_at(step).as_secs_f64(),
+        x_m: pose.x.0,
+        y_m: pose.y.0,
+    });
+    Ok(evaluate(&ROWS, &rounds, truth.collect()))
 }
 
-/// Summarises the rounds for each row; `truth_m` is the path of the first round by an independent instrument.
-fn evaluate(selected: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<(f64, f64)>) -> RoundsResult {
+/// Summarises the rounds for each row; `truth` is the path of the first round by an independent instrument.
+fn evaluate(selected: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth: Vec<TrackPoint>) -> RoundsResult {
     let mut rows: Vec<RowResult> = Vec::new();
     for (index, row) in selected.iter().copied().enumerate() {
         let courses = rounds.iter().filter_map(|round| round.get(index));
@@ -206,11 +218,11 @@ fn evaluate(selected: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth_m: Vec<
                 .iter()
                 .find(|found| is_twin(&found.row, row))
                 .and_then(|twin| paired_difference(&ends, &twin.ends)),
-            path_m: first.map_or_else(Vec::new, |course| course.track_m.clone()),
+            track: first.map_or_else(Vec::new, |course| course.track.clone()),
             ends,
         });
     }
-    RoundsResult { rows, truth_m }
+    RoundsResult { rows, truth }
 }
 
 /// Whether another row uses the same sensors in the other filter.
@@ -218,7 +230,7 @@ fn is_twin(other: &FilterRow, row: FilterRow) -> bool {
     other.sensors == row.sensors && other.filter != row.filter
 }
 
-fn draw_drive(scenario: &Scenario, run: u32) -> Drive {
+pub(super) fn draw_drive(scenario: &Scenario, run: u32) -> Drive {
     let drive = scenario.drive(run);
     let Some(settings) = scenario.accelerometer else {
         return drive;
@@ -243,8 +255,8 @@ fn round(scenario: &Scenario, run: u32) -> Vec<FilteredDrive> {
         let accepted = observations.filter(|observation| row.sensors.accepts(&observation.measurement));
         let course = run_filter(filter.as_mut(), accepted, truth);
         // Only the first round is drawn.
-        let course_m = if run == 0 { course.track_m } else { Vec::new() };
-        Some(FilteredDrive { track_m: course_m, ..course })
+        let track = if run == 0 { course.track } else { Vec::new() };
+        Some(FilteredDrive { track, ..course })
     });
     courses.collect()
 }
@@ -286,8 +298,9 @@ fn report(headline: String, command: String, truth: &str, found: &RoundsResult) 
         100.0 * PAPER_END_M.1
     ));
     report.data("paper_end_m", json!({ "x": PAPER_END_M.0, "y": PAPER_END_M.1 }));
-    let (tracks, ends) = (tracks(truth, found), ends(found));
+    let (tracks, times, ends) = (tracks(truth, found), over_time(truth, found), ends(found));
     report.chart(&tracks, tracks.title.as_str());
+    report.chart(&times, times.title.as_str());
     report.chart(&ends, ends.title.as_str());
     report
 }
@@ -340,11 +353,44 @@ fn name(found: &RowResult) -> String {
     }
 }
 
+/// The reference and then every row, each drawn by `place` and thinned.
+fn curves_of(
+    true_name: &str,
+    found: &RoundsResult,
+    thinned: impl Fn(Vec<(f64, f64)>) -> Vec<(f64, f64)>,
+    place: impl Fn(&TrackPoint) -> (f64, f64),
+) -> Vec<Curve> {
+    let line = |name: String, track: &[TrackPoint]| Curve::line(name, thinned(track.iter().map(&place).collect()));
+    let truth = (!found.truth.is_empty()).then(|| line(true_name.to_owned(), &found.truth));
+    truth.into_iter().chain(found.rows.iter().map(|row| line(name(row), &row.track))).collect()
+}
+
 fn tracks(true_name: &str, found: &RoundsResult) -> Plot {
-    let truth = (!found.truth_m.is_empty()).then(|| Curve::line(true_name, found.truth_m.clone()));
-    let estimated = found.rows.iter().map(|row| Curve::line(name(row), row.path_m.clone()));
-    let axes = Axes::new("x [m]", "y [m]", 560.0, truth.into_iter().chain(estimated)).with_equal_scales();
+    let curves = curves_of(true_name, found, |track| track, |at| (at.x_m, at.y_m));
+    let axes = Axes::new("x [m]", "y [m]", 560.0, curves).with_equal_scales();
     Plot::new("The first round: true and believed ways", "", vec![axes])
+}
+
+/// Between the points of X(t) and Y(t), s: four pixels of a round.
+const TIME_STEP_S: f64 = 0.5;
+
+/// The paper's figures of X(t) and Y(t).
+fn over_time(true_name: &str, found: &RoundsResult) -> Plot {
+    let thinned = |mut curve: Vec<(f64, f64)>| {
+        let mut kept_s = f64::NEG_INFINITY;
+        let last = curve.pop();
+        curve.retain(|(at_s, _)| {
+            let is_kept = at_s - kept_s >= TIME_STEP_S;
+            kept_s = if is_kept { *at_s } else { kept_s };
+            is_kept
+        });
+        curve.extend(last);
+        curve
+    };
+    let x = curves_of(true_name, found, thinned, |at| (at.at_s, at.x_m));
+    let y = curves_of(true_name, found, thinned, |at| (at.at_s, at.y_m));
+    let axes = vec![Axes::new("", "X(t) [m]", 260.0, x), Axes::new("time [s]", "Y(t) [m]", 260.0, y)];
+    Plot::new("The first round: X(t) and Y(t)", "", axes)
 }
 
 fn ends(found: &RoundsResult) -> Plot {
