@@ -17,6 +17,7 @@
 
 mod approach;
 mod car;
+mod population;
 mod scene;
 
 pub use crate::config_file::ConfigFileError as SceneError;
@@ -24,6 +25,7 @@ pub use approach::{
     Approach, ApproachSample, ApproachTask, DistanceEstimator, HostLink, StopPoint, approach, approach_over_link,
 };
 pub use car::{RangeEstimate, RangeReading, StepRun, TimedCommand, simulate_step};
+pub use population::{ApproachKind, RecordedApproach, draw_approach};
 pub use scene::{
     ApproachSettings, CarSettings, ControlSettings, DEFAULT_SCENE, Gains, HostSettings, RangerSettings, StepSettings,
     WallScene,

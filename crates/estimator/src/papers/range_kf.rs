@@ -6,6 +6,8 @@
 //! u = d c        c the command, in m/s: the speed that the robot would settle at. PWM p is c = (p / 80) / d
 //! start, with the first reading: x = [z, 0]', P = Sigma_u
 //! gate: refused if |nu| > max(GATE_MIN, 3 sqrt S)
+//! restart: with the third refused reading in a row, if it lies within the gate of the line through the two before, and with the
+//! eighth in any case; x = [z, slope]', P = diag(sigma_z^2, 2 sigma_z^2 / dt^2) over the span of the three. Not in the paper.
 //! ```
 //! | | `range-kf`, as printed | `range-kf-corrected` |
 //! |---|---|---|
@@ -40,6 +42,13 @@ const LONGEST_EULER_STEP: f64 = 1.0;
 /// Three standard deviations, squared.
 const GATE_NIS: f64 = 9.0;
 
+/// Refused readings in a row that agree with each other: another wall, after a turn.
+const AGREEING_REFUSALS: usize = 3;
+/// Refused readings in a row after which the prediction is worth less than any reading.
+const MOST_REFUSALS: usize = 8;
+/// Largest standard deviation of the speed at a restart, m/s: of two readings that are close together the slope is noise.
+const RESTART_SPEED_SIGMA_M_PER_S: f64 = 1.0;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RangeFilterVariant {
     Paper,
@@ -68,6 +77,9 @@ pub struct RangeFilter {
     history: TimeSeries<State>,
     command: Option<(Timestamp<BrickClock>, f64)>,
     last_range: Option<Timestamp<BrickClock>>,
+    /// The last two refused readings since one was used, the older one first.
+    refused: [Option<(Timestamp<BrickClock>, f64)>; AGREEING_REFUSALS - 1],
+    refusals: usize,
 }
 
 impl RangeFilter {
@@ -89,6 +101,8 @@ impl RangeFilter {
             history: TimeSeries::default(),
             command: None,
             last_range: None,
+            refused: [None; AGREEING_REFUSALS - 1],
+            refusals: 0,
         }
     }
 
@@ -157,11 +171,46 @@ impl RangeFilter {
         match outcome.outcome {
             UpdateOutcome::Used => {
                 self.last_range = Some(stamp);
+                self.forget_refusals();
                 self.save_state(next);
             }
-            UpdateOutcome::Gated => record.outcome = FusionOutcome::Gated,
+            UpdateOutcome::Gated => {
+                let s_m2 = record.innovation_covariance[0][0];
+                record.outcome = self.refuse((stamp, range_m), (gate * s_m2).sqrt());
+            }
             UpdateOutcome::Indefinite => record.outcome = FusionOutcome::Malformed,
         }
+    }
+
+    /// Refuses a reading, or restarts with it: a gate that only ever refuses would follow a wall that is no longer ahead.
+    fn refuse(&mut self, reading: (Timestamp<BrickClock>, f64), gate_m: f64) -> FusionOutcome {
+        self.refusals += 1;
+        let (stamp, range_m) = reading;
+        if let [Some((first, first_m)), Some((second, second_m))] = self.refused {
+            let (between_s, since_s) = ((second - first).as_secs_f64(), (stamp - second).as_secs_f64());
+            let expected_m = second_m + (second_m - first_m) * since_s / between_s;
+            let is_agreed = between_s > 0.0 && since_s > 0.0 && (range_m - expected_m).abs() <= gate_m;
+            if is_agreed || self.refusals >= MOST_REFUSALS {
+                let span_s = (between_s + since_s).max(f64::MIN_POSITIVE);
+                let speed_sigma = ((2.0 * self.range_var_m2).sqrt() / span_s).min(RESTART_SPEED_SIGMA_M_PER_S);
+                let towards_m_per_s = if is_agreed { (first_m - range_m) / span_s } else { 0.0 };
+                let mut next = self.initial_state(stamp, range_m);
+                next.mean[SPEED] = towards_m_per_s;
+                let speed_sigma = if is_agreed { speed_sigma } else { RESTART_SPEED_SIGMA_M_PER_S };
+                next.covariance = Matrix2::from_diagonal(&Vector2::new(self.range_var_m2, speed_sigma * speed_sigma));
+                self.last_range = Some(stamp);
+                self.forget_refusals();
+                self.save_state(next);
+                return FusionOutcome::Accepted;
+            }
+        }
+        self.refused = [self.refused[1], Some(reading)];
+        FusionOutcome::Gated
+    }
+
+    fn forget_refusals(&mut self) {
+        self.refused = [None; AGREEING_REFUSALS - 1];
+        self.refusals = 0;
     }
 
     /// The innovation of a reading against a state that may be later; `None` when it is too late to be used.
@@ -227,6 +276,7 @@ impl Filter for RangeFilter {
         self.history = TimeSeries::default();
         self.command = None;
         self.last_range = None;
+        self.forget_refusals();
     }
 
     fn latest_time(&self) -> Option<Timestamp<BrickClock>> {

@@ -11,6 +11,7 @@ use posebridge_estimator::numerics::statistics::mean;
 use posebridge_telemetry::UncertainValue;
 
 use super::log::{ResponseSample, WallLog, responses};
+use super::step_error::WallStepError;
 use crate::statistics::{FittedLine, golden_section};
 
 /// Search range of the rate: time constants from 20 ms to 20 s.
@@ -168,16 +169,8 @@ pub struct SpeedSample {
     pub towards_m_per_s: f64,
 }
 
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum WallStepError {
-    #[error("{found} readings since the drive began, {needed} are needed; drive longer or read faster")]
-    TooFewReadings { found: usize, needed: usize },
-    #[error("the log holds no motor input, so the start of the step is unknown")]
-    NoInput,
-    #[error("the readings do not show a car that speeds up towards the wall")]
-    NoMotion,
-}
+/// Readings per line in the evaluation by hand, at least.
+pub const PIECE: usize = 5;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct ManualStepFit {

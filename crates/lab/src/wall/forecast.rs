@@ -1,72 +1,73 @@
-//! Compares each reading with its prediction from earlier readings.
+//! Compares each reading with its prediction from earlier readings: by the bank of filters, and by lines.
 
 use posebridge_estimator::Params;
-use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::numerics::statistics::mean;
-use posebridge_estimator::papers::range_kf::RangeFilterVariant;
-use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
-use super::log::{WallLog, WallReading, responses};
-use super::replay_filter::{
-    ApproachEstimator, GATE_SIGMAS, KalmanNoise, LinearExtrapolation, WallKalman, innovation_sigma,
-};
+use super::drive_bank::DriveBank;
+use super::log::{WallLog, WallReading};
+use crate::statistics::{FittedLine, correlated_variance};
+
+/// Readings per line: two as in the paper, and longer ones for noisy readings.
+pub const LINES: [usize; 3] = [2, 3, 5];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeForecast {
     pub at_s: f64,
     pub range_m: f64,
-    /// By the filter, with drive and noise identified from the earlier readings.
+    /// By the bank, which learns drive and noise from the earlier readings.
     pub kalman_m: f64,
-    /// By the line through the last two; `None` before there are two.
-    pub line_m: Option<f64>,
-    pub plant: Plant,
-    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading further from its prediction is rejected. `None` without a
-    /// prediction.
-    pub gate_m: Option<f64>,
+    pub towards_m_per_s: f64,
+    /// Motor input at the reading.
+    pub input: f64,
+    /// By the line through the last readings, [`LINES`] of them; `None` before there are as many.
+    pub lines_m: [Option<f64>; LINES.len()],
+    /// Steady speed under the input 1, and time constant, s.
+    pub drive: Option<(f64, f64)>,
+    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)): a reading further from its prediction is rejected.
+    pub gate_m: f64,
     pub is_gated: bool,
 }
 
-/// Growth of the number of readings after which the drive is identified again; early, at each reading. Bounds the run time for long
-/// logs.
-const REFIT_GROWTH: f64 = 1.02;
-
 /// Predicts every reading but the first from the earlier ones.
 pub fn forecast(log: &WallLog, range_sigma_m: f64) -> Vec<RangeForecast> {
-    let least_gate_m = Params::default().wall_gate_m;
-    let mut foreseen = Vec::new();
-    let mut line = LinearExtrapolation::default();
-    let mut known: Option<(Plant, PlantFilter)> = None;
-    let (mut readings, mut identified_at) = (0_usize, 0_usize);
-    for (index, entry) in log.entries().iter().enumerate() {
-        let WallReading::Range(range_m) = entry.reading else {
-            if let Some((_, runner)) = &mut known {
-                runner.observe(entry.at_s, entry.reading);
+    let mut bank = DriveBank::new(range_sigma_m, Params::default().wall_gate_m);
+    let mut input = 0.0;
+    let mut past: Vec<(f64, f64)> = Vec::new();
+    let mut forecasts = Vec::new();
+    for entry in log.entries() {
+        let range_m = match entry.reading {
+            WallReading::Input(next) => {
+                bank.observe_input(entry.at_s, next);
+                input = next;
+                continue;
             }
-            continue;
+            WallReading::Range(range_m) => range_m,
         };
-        let is_due = readings as f64 >= REFIT_GROWTH * identified_at as f64;
-        if readings > 0 && (known.is_none() || (is_due && readings > identified_at)) {
-            let past = log.entries().iter().take(index).copied().collect();
-            known = Some(best_plant(&WallLog::new(past), range_sigma_m));
-            identified_at = readings;
-        }
-        if let Some((plant, runner)) = &mut known {
-            let foretold = runner.distance_m(entry.at_s);
-            let record = runner.fuse(entry.at_s, range_m);
-            foreseen.extend(foretold.map(|kalman_m| RangeForecast {
+        let drive = bank.drive();
+        if let Some(update) = bank.observe_range(entry.at_s, range_m) {
+            forecasts.push(RangeForecast {
                 at_s: entry.at_s,
                 range_m,
-                kalman_m,
-                line_m: line.estimate(entry.at_s).map(|estimate| estimate.distance_m).filter(|_| readings >= 2),
-                plant: *plant,
-                gate_m: innovation_sigma(&record).map(|s_m2| least_gate_m.max(GATE_SIGMAS * s_m2.sqrt())),
-                is_gated: record.outcome == FusionOutcome::Gated,
-            }));
+                kalman_m: update.predicted.distance_m,
+                towards_m_per_s: update.predicted.towards_m_per_s,
+                input,
+                lines_m: LINES.map(|count| extrapolated(&past, count, entry.at_s)),
+                drive,
+                gate_m: update.gate_m,
+                is_gated: update.is_gated,
+            });
         }
-        line.observe_range(entry.at_s, range_m);
-        readings += 1;
+        if past.last().is_none_or(|(last_s, _)| entry.at_s > *last_s) {
+            past.push((entry.at_s, range_m));
+        }
     }
-    foreseen
+    forecasts
+}
+
+fn extrapolated(past: &[(f64, f64)], count: usize, at_s: f64) -> Option<f64> {
+    let last = past.get(past.len().checked_sub(count)?..)?;
+    let line = FittedLine::through(last)?;
+    Some(line.centre.1 + line.slope * (at_s - line.centre.0))
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,9 +78,8 @@ pub struct GateStatistics {
 }
 
 pub fn gate_statistics(foreseen: &[RangeForecast]) -> Option<GateStatistics> {
-    let gates: Vec<f64> = foreseen.iter().filter_map(|one| one.gate_m).collect();
-    let mean_m = mean(gates.iter().copied())?;
-    Some(GateStatistics { readings: gates.len(), gated: foreseen.iter().filter(|one| one.is_gated).count(), mean_m })
+    let mean_m = mean(foreseen.iter().map(|one| one.gate_m))?;
+    Some(GateStatistics { readings: foreseen.len(), gated: foreseen.iter().filter(|one| one.is_gated).count(), mean_m })
 }
 
 /// Root mean square prediction errors, over the readings that both methods predicted.
@@ -88,158 +88,64 @@ pub struct ForecastScore {
     pub readings: usize,
     pub kalman_rms_m: f64,
     pub other_rms_m: f64,
+    pub verdict: ForecastVerdict,
 }
+
+/// Which of two methods predicts better, by the mean of the differences of their squared errors and its sigma.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ForecastVerdict {
+    FilterBetter,
+    /// Within two sigmas: the other method is as good on these readings.
+    AsGood,
+    OtherBetter,
+}
+
+impl ForecastVerdict {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::FilterBetter => "filter better",
+            Self::AsGood => "as good",
+            Self::OtherBetter => "line better",
+        }
+    }
+}
+
+/// Neighbouring errors of a prediction are correlated over about so many readings.
+const CORRELATED_READINGS: usize = 3;
 
 /// Scores the filter against another method; `other` returns that method's prediction. `None` without a common reading.
 pub fn score_forecasts(
     foreseen: &[RangeForecast],
     other: impl Fn(&RangeForecast) -> Option<f64>,
 ) -> Option<ForecastScore> {
-    let common: Vec<(&RangeForecast, f64)> =
-        foreseen.iter().filter_map(|foreseen| Some((foreseen, other(foreseen)?))).collect();
-    let kalman = mean(common.iter().map(|(foreseen, _)| (foreseen.range_m - foreseen.kalman_m).powi(2)))?;
-    let other = mean(common.iter().map(|(foreseen, other_m)| (foreseen.range_m - other_m).powi(2)))?;
-    Some(ForecastScore { readings: common.len(), kalman_rms_m: kalman.sqrt(), other_rms_m: other.sqrt() })
+    let common: Vec<[f64; 2]> = foreseen
+        .iter()
+        .filter_map(|one| Some([(one.range_m - one.kalman_m).powi(2), (one.range_m - other(one)?).powi(2)]))
+        .collect();
+    let [kalman, others] = [0, 1].map(|which| mean(common.iter().map(|pair| pair[which])));
+    let gains: Vec<f64> = common.iter().map(|pair| pair[1] - pair[0]).collect();
+    let gain = mean(gains.iter().copied())?;
+    let centred: Vec<f64> = gains.iter().map(|one| one - gain).collect();
+    let sigma = correlated_variance(&centred, CORRELATED_READINGS).max(0.0).sqrt() / gains.len() as f64;
+    let verdict = if gain.abs() <= 2.0 * sigma || gains.len() < 2 {
+        ForecastVerdict::AsGood
+    } else if gain > 0.0 {
+        ForecastVerdict::FilterBetter
+    } else {
+        ForecastVerdict::OtherBetter
+    };
+    Some(ForecastScore { readings: common.len(), kalman_rms_m: kalman?.sqrt(), other_rms_m: others?.sqrt(), verdict })
 }
 
-// The drive and the noise of an unmeasured car, from its run so far.
-//
-// A bank of candidates: time constants, process noises, reading noises. For each the steady speed per input follows by least
-// squares from the steps between the readings; the filter then runs over all that is known, and the candidate that foresaw the
-// readings best is taken. Only the past is used. Before a car has shown that its motors move it, the input is assumed to do
-// nothing: the steady speed has a prior about zero.
-//
-// # Model
-// ```text
-// v_ss = argmin  sum (dz_i + v_ss dphi_i)^2 / (2 sigma_z^2 + q dt_i)  +  (v_ss / sigma_v)^2        q = sigma_u^2 / 7.6 ms
-// candidate = argmin  1/2 sum (min(nis_i, 25) + ln S_i)  +  1/2 (v_ss / sigma_v)^2  +  doublings away from what is usual
-// ```
-// # Assumptions
-// One drive for the whole log. A reading five sigmas off says no more against a candidate than one of just that.
-
-/// The time constant of the paper's car, and others: faster and slower ones.
-const TIME_CONSTANTS_S: [f64; 4] = [0.2, USUAL_TIME_CONSTANT_S, 0.9, 1.8];
-const USUAL_TIME_CONSTANT_S: f64 = 0.433;
-/// Shares of the paper's process noise.
-const PROCESS_SHARES: [f64; 5] = [1.0, 0.4, 0.2, 0.1, 0.04];
-/// Multiples of the configured reading noise: the effect of a bad target or daylight.
-const RANGE_FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 10.0];
-/// Log-prior of each doubling away from the usual value: half a nat, so that a handful of readings decides.
-const PER_DOUBLING: f64 = 0.5;
-/// Prior of the steady speed of small cars.
-const STEADY_SIGMA_M_PER_S: f64 = 2.0;
-/// Five sigmas, squared.
-const MAX_NIS: f64 = 25.0;
-/// The control period of the paper, for which its process noise is given.
-const PAPER_STEP_S: f64 = 0.0076;
-
-/// The first-order model of a car before a wall, and its noise.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plant {
-    /// Per unit of input; negative where a positive input drives away from the wall.
-    pub steady_m_per_s: f64,
-    pub time_constant_s: f64,
-    pub noise: KalmanNoise,
-}
-
-/// The candidate with the highest likelihood, with its filter at the log's end; `range_sigma_m` is the configured noise of a reading. An
-/// empty log gives the usual one.
-fn best_plant(log: &WallLog, range_sigma_m: f64) -> (Plant, PlantFilter) {
-    let mut best: Option<(f64, Plant, PlantFilter)> = None;
-    for time_constant_s in TIME_CONSTANTS_S {
-        let steps = steps(log, 1.0 / time_constant_s);
-        for share in PROCESS_SHARES {
-            for factor in RANGE_FACTORS {
-                let noise =
-                    KalmanNoise { process_m: share * KalmanNoise::PAPER.process_m, range_m: factor * range_sigma_m };
-                let plant = Plant { steady_m_per_s: estimate_steady_speed(&steps, noise), time_constant_s, noise };
-                let unusual =
-                    (time_constant_s / USUAL_TIME_CONSTANT_S).log2().abs() + share.log2().abs() + factor.log2();
-                let (cost, runner) = run_plant(log, plant);
-                let prior = 0.5 * (plant.steady_m_per_s / STEADY_SIGMA_M_PER_S).powi(2);
-                let cost = cost + prior + PER_DOUBLING * unusual;
-                if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
-                    best = Some((cost, plant, runner));
-                }
-            }
-        }
-    }
-    best.map_or_else(
-        || {
-            let noise = KalmanNoise { range_m: range_sigma_m, ..KalmanNoise::PAPER };
-            let usual = Plant { steady_m_per_s: 0.0, time_constant_s: USUAL_TIME_CONSTANT_S, noise };
-            (usual, PlantFilter::new(usual))
-        },
-        |(_, plant, runner)| (plant, runner),
-    )
-}
-
-struct PlantFilter {
-    kalman: WallKalman,
-    steady_m_per_s: f64,
-}
-
-impl PlantFilter {
-    fn new(plant: Plant) -> Self {
-        // The filter wants to know the ratio d/m only: commands come as speeds. So d = 1 serves every steady speed, zero included.
-        let model = WallApproachModel { drag_s_per_m: 1.0, mass_s2_per_m: plant.time_constant_s };
-        Self {
-            kalman: WallKalman::new(model, plant.noise, RangeFilterVariant::Corrected),
-            steady_m_per_s: plant.steady_m_per_s,
-        }
-    }
-
-    fn observe(&mut self, at_s: f64, reading: WallReading) -> f64 {
-        match reading {
-            WallReading::Input(input) => {
-                self.kalman.observe_input(at_s, input * self.steady_m_per_s);
-                0.0
-            }
-            WallReading::Range(range_m) => {
-                let record = self.fuse(at_s, range_m);
-                innovation_sigma(&record).map_or(0.0, |s_m2| 0.5 * (record.nis.min(MAX_NIS) + s_m2.ln()))
-            }
-        }
-    }
-
-    fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
-        self.kalman.fuse(at_s, range_m)
-    }
-
-    fn distance_m(&self, at_s: f64) -> Option<f64> {
-        self.kalman.estimate(at_s).map(|estimate| estimate.distance_m)
-    }
-}
-
-fn run_plant(log: &WallLog, plant: Plant) -> (f64, PlantFilter) {
-    let mut runner = PlantFilter::new(plant);
-    let costs = log.entries().iter();
-    let cost = costs.map(|entry| runner.observe(entry.at_s, entry.reading)).sum();
-    (cost, runner)
-}
-
-/// Between readings: time, change of the distance, and travel per unit of steady speed.
-fn steps(log: &WallLog, rate_per_s: f64) -> Vec<(f64, f64, f64)> {
-    let readings = responses(log, rate_per_s);
-    let pairs = readings.windows(2);
-    pairs
-        .map(|pair| {
-            let (from, to) = (pair[0], pair[1]);
-            (to.at_s - from.at_s, to.range_m - from.range_m, to.distance_m - from.distance_m)
-        })
-        .collect()
-}
-
-fn estimate_steady_speed(steps: &[(f64, f64, f64)], noise: KalmanNoise) -> f64 {
-    let density = noise.process_m.powi(2) / PAPER_STEP_S;
-    let mut across = 0.0;
-    let mut along = STEADY_SIGMA_M_PER_S.powi(-2);
-    for (dt_s, change_m, distance_m) in steps {
-        let weight = 1.0 / (2.0 * noise.range_m.powi(2) + density * dt_s);
-        across -= weight * change_m * distance_m;
-        along += weight * distance_m * distance_m;
-    }
-    across / along
+/// The score against the line that predicts best in hindsight, and its readings.
+pub fn score_against_best_line(foreseen: &[RangeForecast]) -> Option<(usize, ForecastScore)> {
+    let scores = LINES
+        .iter()
+        .enumerate()
+        .filter_map(|(index, count)| Some((*count, score_forecasts(foreseen, |one| one.lines_m[index])?)));
+    // Ratios, because lines of more readings predict fewer of them.
+    let ratio = |score: &ForecastScore| score.kalman_rms_m / score.other_rms_m;
+    scores.max_by(|a, b| ratio(&a.1).total_cmp(&ratio(&b.1)))
 }
 
 #[cfg(test)]
@@ -270,8 +176,8 @@ mod tests {
         }
         assert_eq!(before[7].kalman_m, after[7].kalman_m);
         assert_ne!(before[8].kalman_m, after[8].kalman_m);
-        assert_eq!(before[0].line_m, None);
-        assert!((before[1].line_m.unwrap() - 2.96).abs() < 1e-9);
+        assert_eq!(before[0].lines_m[0], None);
+        assert!((before[1].lines_m[0].unwrap() - 2.96).abs() < 1e-9);
     }
 
     #[test]
@@ -284,7 +190,7 @@ mod tests {
         // There is no prediction of the first reading.
         assert_eq!(refused, [15]);
         let off_m = (foreseen[15].range_m - foreseen[15].kalman_m).abs();
-        assert!(off_m > foreseen[15].gate_m.unwrap());
+        assert!(off_m > foreseen[15].gate_m);
         let used = gate_statistics(&foreseen).unwrap();
         assert_eq!((used.readings, used.gated), (23, 1));
         assert!(used.mean_m > 0.03 && used.mean_m < off_m, "{used:?}");
@@ -294,7 +200,7 @@ mod tests {
     #[test]
     fn scores_are_over_common_readings_alone() {
         let foreseen = forecast(&log(&[3.0, 2.9, 2.7]), SIGMA_M);
-        let by_line = score_forecasts(&foreseen, |foreseen| foreseen.line_m).unwrap();
+        let by_line = score_forecasts(&foreseen, |foreseen| foreseen.lines_m[0]).unwrap();
         assert_eq!(by_line.readings, 1);
         assert!((by_line.other_rms_m - 0.1).abs() < 1e-9);
         let expected = (foreseen[1].range_m - foreseen[1].kalman_m).abs();
@@ -317,19 +223,32 @@ mod tests {
     #[test]
     fn a_car_is_recognised_by_what_it_has_done_whatever_the_sign_of_its_input() {
         for input in [1.0, -0.5] {
-            let (plant, _) = best_plant(&driven(input, 25), SIGMA_M);
-            assert!((plant.steady_m_per_s * input / 2.0 - 1.0).abs() < 0.15, "{plant:?}");
-            assert_eq!(plant.time_constant_s, 0.9, "{plant:?}");
-            assert!(plant.noise.process_m <= 0.01 && plant.noise.range_m <= 0.02);
+            let (steady, time_constant_s) = forecast(&driven(input, 25), SIGMA_M).last().unwrap().drive.unwrap();
+            assert!((steady * input / 2.0 - 1.0).abs() < 0.2, "{steady}");
+            assert!((0.6..1.4).contains(&time_constant_s), "{time_constant_s}");
         }
     }
 
     #[test]
-    fn a_car_that_has_done_nothing_is_not_believed_to_move() {
-        for readings in [0, 1] {
-            let (plant, _) = best_plant(&driven(1.0, readings), SIGMA_M);
-            assert_eq!(plant.steady_m_per_s, 0.0);
-            assert_eq!(plant.time_constant_s, USUAL_TIME_CONSTANT_S);
-        }
+    fn a_car_that_has_turned_away_is_followed_from_the_third_reading_on() {
+        // A wall at 1 m is gone: the next one is 3.5 m away.
+        let ranges: Vec<f64> = (0..30)
+            .map(|index| if index < 15 { 2.4 - 0.1 * f64::from(index) } else { 3.5 - 0.05 * f64::from(index - 15) })
+            .collect();
+        let forecasts = forecast(&log(&ranges), SIGMA_M);
+        let refused: Vec<usize> = (0..29).filter(|index| forecasts[*index].is_gated).collect();
+        assert_eq!(refused, [14, 15]);
+        assert!(forecasts[17..].iter().all(|one| (one.kalman_m - one.range_m).abs() < 0.06));
+    }
+
+    #[test]
+    fn after_somebody_who_stood_in_the_way_the_old_distance_is_taken_up_at_once() {
+        let mut ranges: Vec<f64> = (0..30).map(|index| 3.0 - 0.05 * f64::from(index)).collect();
+        ranges[15..19].fill(0.6);
+        let forecasts = forecast(&log(&ranges), SIGMA_M);
+        // The 16th and 17th reading are refused, the next two are used, the 20th returns to what was known.
+        let refused: Vec<usize> = (0..29).filter(|index| forecasts[*index].is_gated).collect();
+        assert_eq!(refused, [14, 15, 18]);
+        assert!((forecasts[19].kalman_m - forecasts[19].range_m).abs() < 0.03);
     }
 }

@@ -62,6 +62,17 @@ impl WallLog {
         inputs.find(|(_, input)| *input != 0.0).map(|(at_s, _)| at_s)
     }
 
+    /// The log with its inputs later by `delay_s`: the dead time of the drive.
+    pub(super) fn with_delayed_inputs(&self, delay_s: f64) -> Self {
+        let mut entries = self.entries.clone();
+        for entry in &mut entries {
+            if matches!(entry.reading, WallReading::Input(_)) {
+                entry.at_s += delay_s;
+            }
+        }
+        Self::new(entries)
+    }
+
     /// If the log has no input other than zero, adds full drive from its first instant on: for cars whose log has no inputs.
     pub fn with_assumed_drive(self) -> Self {
         let Some(first) = self.entries.first().copied() else {

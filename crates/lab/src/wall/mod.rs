@@ -10,20 +10,27 @@
 //! # Sources
 //! Paper 3 (Lab 7: step test, piecewise lines, d and m); docs/lab/wall.md.
 
+mod drive_bank;
 mod fit;
 mod forecast;
 mod log;
 mod replay_filter;
+mod single_step;
+mod step_error;
 
+pub use self::drive_bank::{BankPrediction, BankUpdate, DriveBank};
 pub use self::fit::{
-    ManualStepFit, SpeedSample, StepFit, WallStepError, differences, fit_by_hand, fit_steps, mean_manual_fit,
-    overlapping_lines,
+    ManualStepFit, PIECE, SpeedSample, StepFit, differences, fit_by_hand, fit_steps, mean_manual_fit, overlapping_lines,
 };
 pub use self::forecast::{
-    ForecastScore, GateStatistics, Plant, RangeForecast, forecast, gate_statistics, score_forecasts,
+    ForecastScore, ForecastVerdict, GateStatistics, LINES, RangeForecast, forecast, gate_statistics,
+    score_against_best_line, score_forecasts,
 };
 pub use self::log::{WallEntry, WallLog, WallReading, loop_period, reading_period};
 pub use self::replay_filter::{
-    ApproachEstimate, ApproachEstimator, GateTrial, KalmanNoise, LinearExtrapolation, NEAR_WALL_M, StopComparison,
-    StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops, validate_model,
+    ApproachEstimate, ApproachEstimator, GateSample, GateTrial, KalmanNoise, LinearExtrapolation, NEAR_WALL_M,
+    StopComparison, StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops,
+    validate_model,
 };
+pub use self::single_step::{SingleStep, StepCommand, find_step};
+pub use self::step_error::{Guess, Undetermined, WallStepError};

@@ -25,6 +25,10 @@ pub trait ApproachEstimator {
     fn observe_input(&mut self, at_s: f64, input: f64);
     /// `None` before the first reading.
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate>;
+    /// The readings so far against their predictions; none without a gate.
+    fn gates(&self) -> &[GateSample] {
+        &[]
+    }
 }
 
 /// The line through the last two readings: extrapolated, or its last reading held until the next.
@@ -69,9 +73,19 @@ impl KalmanNoise {
     pub const PAPER: Self = Self { process_m: 0.05, range_m: 0.02 };
 }
 
+/// A reading against its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GateSample {
+    pub at_s: f64,
+    pub innovation_m: f64,
+    /// Half-width of the gate, max(GATE_MIN, 3 sqrt(S)).
+    pub gate_m: f64,
+}
+
 pub struct WallKalman {
     filter: RangeFilter,
     drag_s_per_m: f64,
+    gates: Vec<GateSample>,
 }
 
 impl WallKalman {
@@ -83,11 +97,17 @@ impl WallKalman {
             ..Params::default()
         };
         let config = config_without_wheels(SensorNoise { wall_range_m: noise.range_m, ..SensorNoise::EXACT }, params);
-        Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m }
+        Self { filter: RangeFilter::new(&config, variant), drag_s_per_m: model.drag_s_per_m, gates: Vec::new() }
     }
 
     pub fn fuse(&mut self, at_s: f64, range_m: f64) -> FusionRecord {
-        self.observe(at_s, ObservationKind::WallRange(Meters(range_m)))
+        let record = self.observe(at_s, ObservationKind::WallRange(Meters(range_m)));
+        self.gates.extend(innovation_sigma(&record).map(|s_m2| GateSample {
+            at_s,
+            innovation_m: record.innovation[0],
+            gate_m: Params::default().wall_gate_m.max(GATE_SIGMAS * s_m2.sqrt()),
+        }));
+        record
     }
 
     fn observe(&mut self, at_s: f64, observed: ObservationKind) -> FusionRecord {
@@ -117,6 +137,10 @@ impl ApproachEstimator for WallKalman {
     fn estimate(&self, at_s: f64) -> Option<ApproachEstimate> {
         let scalar = self.filter.scalar_at(timestamp(at_s))?;
         Some(ApproachEstimate { distance_m: scalar.value, towards_m_per_s: -scalar.rate_per_s })
+    }
+
+    fn gates(&self) -> &[GateSample] {
+        &self.gates
     }
 }
 

@@ -4,8 +4,8 @@ use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
-    ApproachEstimator, KalmanNoise, LinearExtrapolation, StopComparison, StopResult, StopSummary, WallKalman,
-    compare_stops, summarise_stops,
+    ApproachEstimator, GateSample, KalmanNoise, LinearExtrapolation, StopComparison, StopResult, StopSummary,
+    WallKalman, compare_stops, summarise_stops,
 };
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::{
@@ -83,16 +83,19 @@ pub(super) struct ApproachResult {
     pub(super) summary: StopSummary,
     /// Compared with the line at the same tuned gains and the PWM of the step.
     pub(super) against_line: StopComparison,
-    /// The first run, for the figure.
+    /// The first run, for the figures.
     pub(super) first: Approach,
+    /// Its readings against their predictions.
+    pub(super) gates: Vec<GateSample>,
 }
 
-/// Cases: the paper's gains, tuned gains, twice the PWM, and the host.
+/// Cases: the paper's gains, tuned gains, twice the PWM, all of it, and the host at the same ones.
 fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     use DistanceSource::{Corrected, Faithful, LastReading, Line};
     use EstimatorPlacement::{Brick, Host};
     let tuned = tuned(scene, model);
     let (most, fast) = (scene.approach.most_pwm, scene.approach.fast_pwm);
+    let twice = 2.0 * most;
     let case = |source, placement, (tuning, gains), most_pwm| ApproachCase {
         source,
         placement,
@@ -102,12 +105,12 @@ fn cases(scene: &WallScene, model: WallApproachModel) -> Vec<ApproachCase> {
     };
     let (paper, tuned) = (("paper", scene.pid), ("tuned", tuned));
     let mut cases = Vec::new();
-    for (gains, most_pwm) in [(paper, most), (tuned, most), (tuned, fast)] {
+    for (gains, most_pwm) in [(paper, most), (tuned, most), (tuned, twice), (tuned, fast)] {
         for source in [LastReading, Line, Faithful, Corrected] {
             cases.push(case(source, Brick, gains, most_pwm));
         }
     }
-    for most_pwm in [most, fast] {
+    for most_pwm in [most, twice, fast] {
         for source in [Line, Faithful, Corrected] {
             cases.push(case(source, Host, tuned, most_pwm));
         }
@@ -132,13 +135,15 @@ pub(super) fn drive_all(
     let run = |case: &ApproachCase, run| drive(scene, steps, link, *case, run);
     let approaches = run_cases(&cases, |_| runs, "approaches", run)?;
     let driven = cases.into_iter().zip(approaches).map(|(case, approaches)| {
-        let stops: Vec<Option<StopResult>> = approaches.iter().map(|approach| stopped(scene, approach)).collect();
+        let stops: Vec<Option<StopResult>> = approaches.iter().map(|(approach, _)| stopped(scene, approach)).collect();
+        let (first, gates) = approaches.into_iter().next().unwrap_or_default();
         ApproachResult {
             case,
             summary: summarise_stops(&stops),
             stops,
             against_line: StopComparison::default(),
-            first: approaches.into_iter().next().unwrap_or_default(),
+            first,
+            gates,
         }
     });
     let mut driven: Vec<ApproachResult> = driven.collect();
@@ -159,17 +164,26 @@ fn compare(driven: &mut [ApproachResult]) {
     }
 }
 
-fn drive(scene: &WallScene, steps: &StepResults, link: &LinkProfile, case: ApproachCase, run: u32) -> Approach {
+fn drive(
+    scene: &WallScene,
+    steps: &StepResults,
+    link: &LinkProfile,
+    case: ApproachCase,
+    run: u32,
+) -> (Approach, Vec<GateSample>) {
     let task = ApproachTask { gains: case.gains, max_pwm: case.max_pwm, run };
     let mut on_car =
         EstimatorAdapter { estimator: case.source.estimator(steps), reference_pwm: scene.car.reference_pwm };
-    match case.placement {
+    let driven = match case.placement {
         EstimatorPlacement::Brick => approach(scene, &task, &mut on_car),
         EstimatorPlacement::Host => {
             let link = HostLink { profile: link.clone(), seed: scene.seed.wrapping_add(u64::from(run)) };
             approach_over_link(scene, &task, &link, &mut on_car)
         }
-    }
+    };
+    // Only the first run is drawn.
+    let gates = if run == 0 { on_car.estimator.gates().to_vec() } else { Vec::new() };
+    (driven, gates)
 }
 
 fn stopped(scene: &WallScene, approach: &Approach) -> Option<StopResult> {

@@ -5,10 +5,13 @@
 //! earlier ones. docs/lab/wall.md is the lesson.
 
 mod approaches;
+mod motor_column;
 mod pictures;
+mod population;
 pub(in crate::lab) mod recorded;
 mod simulated;
 pub(in crate::lab) mod steps;
+mod table;
 
 use std::path::{Path, PathBuf};
 
@@ -40,8 +43,9 @@ pub struct LabWallArgs {
     /// Link profile for the approaches with the filter on the host: a bundled one by name, or a TOML file (docs/impairment.md).
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "bluetooth-spp", conflicts_with = "real_robot")]
     pub profile: String,
-    /// Descriptor, e.g. config/recordings/tof-wall.toml, or posebridge recording. Default: the simulated car.
-    #[arg(long, value_name = "FILE.toml|FILE.mcap", group = "real_robot")]
+    /// Descriptor, e.g. config/recordings/tof-wall.toml, posebridge recording, or table with the columns time and distance.
+    /// Default: the simulated car.
+    #[arg(long, value_name = "FILE.toml|FILE.mcap|FILE.csv", group = "real_robot")]
     pub recording: Option<PathBuf>,
     /// A live robot.
     #[command(flatten)]

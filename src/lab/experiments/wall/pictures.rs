@@ -2,14 +2,14 @@
 
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
-    ApproachEstimator, KalmanNoise, RangeForecast, WallKalman, WallReading, differences, overlapping_lines,
+    ApproachEstimator, KalmanNoise, PIECE, RangeForecast, WallKalman, WallReading, differences, overlapping_lines,
 };
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::report::Report;
 use posebridge_sim::wall::WallScene;
 
 use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement};
-use super::steps::{PIECE, StepResults};
+use super::steps::StepResults;
 
 /// Plots every n-th control cycle: 30 ms are less than a line's width.
 const SAMPLE_STRIDE: usize = 4;
@@ -108,6 +108,59 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     )
 }
 
+/// What the filter knows at each control period of the first approach by `range-kf` at the paper's PWM: distance, speed, input, gate.
+pub(super) fn control_periods(driven: &[ApproachResult]) -> Option<Plot> {
+    let of = driven.iter().find(|driven| {
+        let case = driven.case;
+        case.tuning == "tuned" && case.placement == EstimatorPlacement::Brick && case.source == DistanceSource::Faithful
+    })?;
+    let samples = || of.first.samples.iter().step_by(SAMPLE_STRIDE);
+    let estimated = |value: fn(f64, f64) -> f64| -> Vec<(f64, f64)> {
+        let known = samples().filter_map(|sample| {
+            let estimate = sample.estimate?;
+            Some((sample.at_s, value(estimate.distance_m, estimate.towards_m_per_s)))
+        });
+        known.collect()
+    };
+    let steps = of.first.samples.len();
+    let predicted = 100.0 * (1.0 - of.first.readings.len() as f64 / steps.max(1) as f64);
+    let gates = of.gates.iter();
+    Some(Plot::new(
+        "The first approach by range-kf, at each control period",
+        format!("{predicted:.0} % of the steps predict alone"),
+        vec![
+            axes(
+                "distance [m]",
+                vec![
+                    Curve::line("true", samples().map(|sample| (sample.at_s, sample.distance_m))),
+                    Curve::line("range-kf", estimated(|distance_m, _| distance_m)),
+                    Curve::dots("readings", of.first.readings.iter().map(|reading| (reading.at_s, reading.range_m))),
+                ],
+            ),
+            Axes::new(
+                "time [s]",
+                "speed [m/s]",
+                160.0,
+                [
+                    Curve::line("true", samples().map(|sample| (sample.at_s, sample.towards_m_per_s))),
+                    Curve::line("range-kf", estimated(|_, towards| towards)),
+                ],
+            ),
+            Axes::new("time [s]", "PWM", 120.0, [Curve::line("motor input", samples().map(|one| (one.at_s, one.pwm)))]),
+            Axes::new(
+                "time [s]",
+                "innovation [mm]",
+                160.0,
+                [
+                    Curve::dots("reading - prediction", gates.clone().map(|one| (one.at_s, 1e3 * one.innovation_m))),
+                    Curve::line("gate", gates.clone().map(|one| (one.at_s, 1e3 * one.gate_m))),
+                    Curve::line("gate, negative", gates.map(|one| (one.at_s, -1e3 * one.gate_m))),
+                ],
+            ),
+        ],
+    ))
+}
+
 /// Readings of a recording and their predictions.
 pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f64)]) -> Plot {
     let by = |value: &dyn Fn(&RangeForecast) -> Option<f64>| -> Vec<(f64, f64)> {
@@ -121,13 +174,28 @@ pub(super) fn foreseen(run: &str, foreseen: &[RangeForecast], theirs: &[(f64, f6
     // A line through two readings of the same instant leads anywhere: the picture would show nothing else.
     let extent = high - low;
     let is_visible = move |value: &f64| *value > low - extent && *value < high + extent;
+    let lines = by(&|foreseen| foreseen.lines_m[0].filter(is_visible));
+    let within = |sign: f64| by(&|foreseen| Some(foreseen.kalman_m + sign * foreseen.gate_m).filter(is_visible));
     let mut curves = vec![
         Curve::dots("readings", readings),
-        Curve::line("line through two", by(&|foreseen| foreseen.line_m.filter(is_visible))),
-        Curve::line("range-kf-corrected", by(&|foreseen| Some(foreseen.kalman_m).filter(is_visible))),
+        Curve::line("line through two", lines),
+        Curve::line("filter", by(&|foreseen| Some(foreseen.kalman_m).filter(is_visible))),
+        Curve::line("gate, near end", within(-1.0)),
+        Curve::line("gate, far end", within(1.0)),
+        Curve::dots("refused", by(&|foreseen| Some(foreseen.range_m).filter(|_| foreseen.is_gated))),
     ];
     if !theirs.is_empty() {
         curves.push(Curve::dots("their own filter", theirs.to_vec()));
     }
-    Plot::new(format!("{run}: each reading, and what was foretold of it"), "", vec![axes("distance [m]", curves)])
+    let speed = vec![Curve::line("speed towards the wall", by(&|foreseen| Some(foreseen.towards_m_per_s)))];
+    let input = vec![Curve::line("motor input", by(&|foreseen| Some(foreseen.input)))];
+    Plot::new(
+        format!("{run}: each reading, and its prediction"),
+        "",
+        vec![
+            axes("distance [m]", curves),
+            Axes::new("time [s]", "speed [m/s]", 160.0, speed),
+            Axes::new("time [s]", "input", 120.0, input),
+        ],
+    )
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_lab::wall::{
-    ForecastScore, GateStatistics, ManualStepFit, RangeForecast, StepFit, WallEntry, WallLog, WallReading,
-    WallStepError, fit_by_hand, fit_steps, forecast, gate_statistics, score_forecasts,
+    ForecastScore, GateStatistics, RangeForecast, SingleStep, StepCommand, WallEntry, WallLog, WallReading,
+    WallStepError, find_step, forecast, gate_statistics, score_against_best_line, score_forecasts,
 };
 use posebridge_recording::dataset::{DatasetRun, Descriptor};
 use posebridge_report::quantity::{Format, Unit};
@@ -13,15 +13,17 @@ use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::{Observation, ObservationKind, SensorId};
 use serde_json::{Value, json};
 
+use super::motor_column::{MotorColumn, find_motor_column};
 use super::pictures;
-use super::steps::PIECE;
+use super::table::read_table;
 use crate::config::{Overlay, Setting};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording;
 
-const COMMAND_COLUMNS: [&str; 4] = ["pwm", "PWM", "motor_pwm", "Speed"];
+/// Noise of a reading that a table does not tell: a small time-of-flight sensor, or an ultrasonic one that counts centimetres.
+const TABLE_SIGMA_M: f64 = 0.01;
 /// Common names of a column with another filter's distance.
 const KALMAN_COLUMNS: [&str; 4] = ["kf_mm", "kf", "kalman_mm", "kalman"];
 
@@ -33,11 +35,66 @@ pub(in crate::lab) struct RecordedRuns {
 pub(in crate::lab) struct RunLog {
     pub(in crate::lab) name: String,
     pub(in crate::lab) log: WallLog,
-    /// Whether the files contain motor commands.
-    pub(in crate::lab) knows_input: bool,
+    pub(in crate::lab) input: RunInput,
     /// Time and distance of another program's filter, in order.
     foreign_filter: Vec<(f64, f64)>,
     range_sigma_m: f64,
+}
+
+/// The motor input of a run.
+pub(in crate::lab) struct RunInput {
+    pub(in crate::lab) command: StepCommand,
+    /// Where it comes from, or why it is unknown.
+    pub(in crate::lab) note: String,
+}
+
+impl RunInput {
+    fn unknown(why: String) -> Self {
+        let note = format!("{why}: the car is taken to be driven fully, from an instant that the readings show");
+        Self { command: StepCommand::Unknown, note }
+    }
+}
+
+/// The log of readings and of inputs as they were recorded. The input 1 is the largest one.
+fn log_with_input(
+    ranges: Vec<WallEntry>,
+    recorded: Vec<WallEntry>,
+    column: Option<&MotorColumn>,
+    columns: &[String],
+) -> (WallLog, RunInput) {
+    let values = || {
+        recorded.iter().filter_map(|entry| match entry.reading {
+            WallReading::Input(input) => Some(input),
+            WallReading::Range(_) => None,
+        })
+    };
+    let most = values().map(f64::abs).fold(0.0, f64::max);
+    let assumed = |why: String| (WallLog::new(ranges.clone()).with_assumed_drive(), RunInput::unknown(why));
+    let Some(column) = column else {
+        return assumed(if columns.is_empty() {
+            "the recording holds no motor input".to_owned()
+        } else {
+            format!(
+                "no column has a usual name of a motor's input (--command-column names one); there are: {}",
+                columns.join(", ")
+            )
+        });
+    };
+    if most <= 0.0 {
+        return assumed(format!("the motor column {} is 0 throughout", column.describe()));
+    }
+    let first = values().next();
+    let scaled = recorded.iter().map(|entry| match entry.reading {
+        WallReading::Input(input) => WallEntry { reading: WallReading::Input(input / most), ..*entry },
+        WallReading::Range(_) => *entry,
+    });
+    let log = WallLog::new(ranges.iter().copied().chain(scaled).collect());
+    let note = format!("motor input by {}; the input 1 is {most}", column.describe());
+    if values().all(|value| Some(value) == first) {
+        let note = format!("{note}; it never changes, so that the readings show when the car began to drive");
+        return (log, RunInput { command: StepCommand::Unknown, note });
+    }
+    (log, RunInput { command: StepCommand::Recorded, note })
 }
 
 pub(super) const TASK: &str =
@@ -56,7 +113,8 @@ pub struct RunSelection {
     /// configuration, e.g. robot.noise.wall_range_m=0.02. Can be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Setting::parse, requires = "real_robot")]
     pub settings: Vec<Setting>,
-    /// Column of the motor's PWM in the files of the recording. Default: pwm, PWM, motor_pwm or Speed, if one exists.
+    /// Column of the motors' input in the files of the recording. Default: one with a usual name: pwm, motor, speed, u,
+    /// command, throttle, duty, power, or one for each side such as left_pwm and right_pwm.
     #[arg(long, value_name = "COLUMN", requires = "recording")]
     pub command_column: Option<String>,
 }
@@ -72,6 +130,18 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
         );
         return prepare_own(path, &choice.settings);
     }
+    if path.extension().is_some_and(|extension| extension == "csv" || extension == "txt") {
+        ensure!(
+            choice.run.is_none() && kalman_column.is_none() && choice.settings.is_empty(),
+            "--run, --set and --kalman-column belong to a descriptor; `{}` is a table",
+            path.display()
+        );
+        let table = read_table(path, choice.command_column.as_deref())?;
+        let (log, input) = log_with_input(table.ranges, table.inputs, table.motor.as_ref(), &table.columns);
+        let name = path.display().to_string();
+        let run = RunLog { name: name.clone(), input, log, foreign_filter: Vec::new(), range_sigma_m: TABLE_SIGMA_M };
+        return Ok(RecordedRuns { descriptor: name, runs: vec![run] });
+    }
     let flags = DataFlags {
         data: choice.data.clone(),
         run: Some(choice.run.clone().unwrap_or_default()),
@@ -80,9 +150,10 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
     };
     let mut set = DataSet::open(path, &flags)?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
+    let root = choice.data.clone().unwrap_or_else(|| path.parent().unwrap_or(Path::new("")).to_owned());
     let mut runs = Vec::new();
     for name in set.runs.clone() {
-        let mut reader = RunReader { set: &mut set, flags: &flags, text: &text, run: &name };
+        let mut reader = RunReader { set: &mut set, flags: &flags, text: &text, root: &root, run: &name };
         runs.push(reader.read(choice.command_column.as_deref(), kalman_column)?);
     }
     Ok(RecordedRuns { descriptor: path.display().to_string(), runs })
@@ -98,12 +169,13 @@ fn prepare_own(path: &Path, settings: &[Setting]) -> Result<RecordedRuns> {
         "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
         run.name
     );
+    let (log, input) = log_with_input(ranges, Vec::new(), None, &[]);
     Ok(RecordedRuns {
         descriptor: run.name.clone(),
         runs: vec![RunLog {
             name: run.name,
-            knows_input: false,
-            log: WallLog::new(ranges).with_assumed_drive(),
+            input,
+            log,
             foreign_filter: Vec::new(),
             range_sigma_m: run.config.noise.wall_range_m,
         }],
@@ -114,6 +186,7 @@ struct RunReader<'a> {
     set: &'a mut DataSet,
     flags: &'a DataFlags,
     text: &'a str,
+    root: &'a Path,
     run: &'a str,
 }
 
@@ -121,8 +194,18 @@ impl RunReader<'_> {
     fn read(&mut self, command_column: Option<&str>, kalman_column: Option<&str>) -> Result<RunLog> {
         let plain = self.set.load(self.run, self.flags)?;
         report_bad_rows(&plain);
-        let commanded = self.column(command_column, &COMMAND_COLUMNS, ExtraColumn::Command)?;
-        let filtered = self.column(kalman_column, &KALMAN_COLUMNS, ExtraColumn::Filtered)?;
+        let columns = columns_of_run(self.text, self.run, self.root).unwrap_or_default();
+        let motor = match command_column {
+            Some(column) => Some(MotorColumn::one(column)),
+            None => find_motor_column(&columns.names, &columns.used_names()),
+        };
+        let commanded = match &motor {
+            Some(motor) if command_column.is_some() => self.with_column(ExtraColumn::Command(motor))?,
+            Some(motor) => self.with_column(ExtraColumn::Command(motor)).unwrap_or_default(),
+            None => None,
+        };
+        let motor = motor.filter(|_| commanded.is_some());
+        let filtered = self.filtered_column(kalman_column)?;
         let ranges = readings_of(of_run(&plain.run), |sensor, observed| {
             range_m(observed).filter(|_| sensor != FOREIGN_FILTER).map(WallReading::Range)
         });
@@ -141,44 +224,36 @@ impl RunReader<'_> {
             });
             WallLog::new(entries).readings().collect()
         });
-        let log = WallLog::new(ranges.into_iter().chain(inputs).collect());
+        let (log, input) = log_with_input(ranges, inputs, motor.as_ref(), &columns.names);
         Ok(RunLog {
             name: self.run.to_owned(),
-            knows_input: log.drives_from_s().is_some(),
-            log: log.with_assumed_drive(),
+            input,
+            log,
             foreign_filter: theirs,
             range_sigma_m: plain.filter_config.noise.wall_range_m,
         })
     }
 
-    /// The run with an additional column: the requested one, which must exist, or the first common name that exists.
-    fn column<'c>(
-        &mut self,
-        requested: Option<&'c str>,
-        usual: &[&'c str],
-        extra: fn(&'c str) -> ExtraColumn<'c>,
-    ) -> Result<Option<DatasetRun>> {
-        let known = self.set.descriptor.clone();
-        let mut found = None;
-        for column in requested.map_or_else(|| usual.to_vec(), |requested| vec![requested]) {
-            let Some(text) = with_extra(self.text, self.run, extra(column))? else {
-                break;
-            };
-            self.set.descriptor =
-                Descriptor::from_toml(&text).with_context(|| format!("the descriptor with the column `{column}`"))?;
-            let loaded = self.set.load(self.run, self.flags);
-            match loaded {
-                Ok(loaded) => found = Some(loaded.run),
-                Err(error) if requested.is_some() => {
-                    self.set.descriptor = known;
-                    return Err(error);
-                }
-                Err(_) => continue,
-            }
-            break;
+    /// The run with another program's distance: the requested column, which must exist, or the first common name that exists.
+    fn filtered_column(&mut self, requested: Option<&str>) -> Result<Option<DatasetRun>> {
+        if let Some(column) = requested {
+            return self.with_column(ExtraColumn::Filtered(column));
         }
-        self.set.descriptor = known;
+        let found =
+            KALMAN_COLUMNS.iter().find_map(|column| self.with_column(ExtraColumn::Filtered(column)).ok().flatten());
         Ok(found)
+    }
+
+    /// The run with an additional column; `None` if it has no stream of ranges.
+    fn with_column(&mut self, extra: ExtraColumn<'_>) -> Result<Option<DatasetRun>> {
+        let Some(text) = with_extra(self.text, self.run, extra)? else {
+            return Ok(None);
+        };
+        let with_column = Descriptor::from_toml(&text).context("the descriptor with one column more")?;
+        let known = std::mem::replace(&mut self.set.descriptor, with_column);
+        let loaded = self.set.load(self.run, self.flags);
+        self.set.descriptor = known;
+        Ok(Some(loaded?.run))
     }
 }
 
@@ -224,32 +299,42 @@ fn evaluate(run: &RunLog) -> RunResult<'_> {
     RunResult {
         run,
         readings: run.log.readings().count(),
-        by_hand: fit_by_hand(&run.log, PIECE),
-        fit: fit_steps(std::slice::from_ref(&run.log)),
+        step: find_step(&run.log, run.input.command),
         gate: gate_statistics(&forecasts),
-        score_against_line: score_forecasts(&forecasts, |foreseen| foreseen.line_m),
+        predicted_share: predicted_share(&run.log),
+        score_against_line: score_forecasts(&forecasts, |foreseen| foreseen.lines_m[0]),
+        score_against_best_line: score_against_best_line(&forecasts),
         score_against_foreign: score_forecasts(&forecasts, before),
         forecasts,
     }
 }
 
+/// `None` without a recorded loop that is faster than the sensor.
+fn predicted_share(log: &WallLog) -> Option<f64> {
+    let (steps, readings) = (log.inputs().count(), log.readings().count());
+    (steps > readings).then(|| 1.0 - readings as f64 / steps as f64)
+}
+
 struct RunResult<'a> {
     run: &'a RunLog,
     readings: usize,
-    by_hand: Result<ManualStepFit, WallStepError>,
-    fit: Result<StepFit, WallStepError>,
+    step: Result<SingleStep, WallStepError>,
     forecasts: Vec<RangeForecast>,
     gate: Option<GateStatistics>,
+    /// Of the steps of a recorded control loop.
+    predicted_share: Option<f64>,
     /// Compared with the line through the last two readings.
     score_against_line: Option<ForecastScore>,
+    /// The line of most use in hindsight: its number of readings.
+    score_against_best_line: Option<(usize, ForecastScore)>,
     score_against_foreign: Option<ForecastScore>,
 }
 
 fn report(descriptor: &str, command: String, found: &[RunResult<'_>]) -> Report {
     let mut report = Report::new("lab-wall", "The distance to a wall: a recording");
     report.background(
-        "Nobody measured these cars. Drive and noise are found anew at each reading, from the readings before it alone; then the \
-         reading is foretold and compared.",
+        "Nobody measured these cars. A bank of filters learns drive and noise from the readings so far; it predicts the next one, \
+         which is then compared.",
     );
     report.command(command);
     add_steps(&mut report, found);
@@ -263,41 +348,92 @@ fn report(descriptor: &str, command: String, found: &[RunResult<'_>]) -> Report 
 }
 
 const fn input_name(run: &RunResult<'_>) -> &'static str {
-    if run.run.knows_input { "recorded" } else { "assumed" }
+    match run.run.input.command {
+        StepCommand::Recorded => "recorded",
+        StepCommand::Unknown => "assumed",
+    }
 }
 
 fn add_steps(report: &mut Report, found: &[RunResult<'_>]) {
-    report.heading("Step: m/s and s under the input 1");
-    report.paragraph("The input is 1 at PWM 80, or for the whole drive where nobody wrote it down.");
+    report.heading("The step of each run");
     let two = Format::new(Unit::None, 2);
-    let steady = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.steady_m_per_s);
-    let rise = |run: &RunResult<'_>| run.fit.as_ref().ok().map(|fit| fit.rise_90_s);
+    let step = |run: &RunResult<'_>| run.step.as_ref().ok().cloned();
+    let by_hand = move |run: &RunResult<'_>| step(run)?.by_hand.ok();
     let table = Table::of(found)
         .text("", "run", |run| run.run.name.clone())
         .count("", "readings", |run| run.readings)
         .text("", "input", |run| input_name(run).to_owned())
-        .number("", "v_ss by lines", two, |run| run.by_hand.as_ref().ok().map(|hand| hand.steady_m_per_s))
-        .uncertain("", "v_ss by fit", two, move |run| Some(steady(run)?.value), move |run| Some(steady(run)?.sigma))
-        .uncertain("", "t90 by fit", two, move |run| Some(rise(run)?.value), move |run| Some(rise(run)?.sigma));
+        .number("", "v differences", two, move |run| Some(by_hand(run)?.steady_by_difference_m_per_s))
+        .number("", "lines", two, move |run| Some(by_hand(run)?.steady_m_per_s))
+        .uncertain(
+            "",
+            "v_ss by fit",
+            two,
+            move |run| Some(step(run)?.steady_m_per_s?.value),
+            move |run| Some(step(run)?.steady_m_per_s?.sigma),
+        )
+        .uncertain(
+            "",
+            "t90",
+            two,
+            move |run| Some(step(run)?.rise_90_s?.value),
+            move |run| Some(step(run)?.rise_90_s?.sigma),
+        );
     report.table("", &table);
+    report.list(found.iter().map(|run| format!("{}: {}", run.run.name, run.run.input.note)));
+    report.list(found.iter().filter_map(|run| {
+        let reason = match &run.step {
+            Ok(step) => step.undetermined?.to_string(),
+            Err(error) => error.to_string(),
+        };
+        Some(format!("{}: {reason}", run.run.name))
+    }));
 }
 
 fn add_scores(report: &mut Report, found: &[RunResult<'_>]) {
-    report.heading("Each reading foretold from those before it, rms");
+    report.heading("Each reading predicted from those before it, rms");
     report.paragraph(
-        "Against a line through two readings, and against their own filter. Gate: its mean half-width, and how many readings it refused.",
+        "By the filter, which learns drive and noise on the way, and by the line through the last two readings. Best line: the one \
+         through 2, 3 or 5 readings that was best on this run, which nobody knows before. As good: the squared errors differ by less \
+         than two sigmas. Gate: its mean half-width.",
     );
     let mm = Format::new(Unit::Millimetres, 1);
     let table = Table::of(found)
         .text("", "run", |run| run.run.name.clone())
-        .optional_count("", "readings", |run| Some(run.score_against_line?.readings))
+        .optional_count("", "n", |run| Some(run.score_against_line?.readings))
         .number("", "filter", mm, |run| Some(run.score_against_line?.kalman_rms_m))
         .number("", "line", mm, |run| Some(run.score_against_line?.other_rms_m))
+        .text("", "best line", |run| {
+            run.score_against_best_line
+                .map_or_else(String::new, |(count, score)| format!("{:.1} ({count})", 1e3 * score.other_rms_m))
+        })
+        .text("", "it is", |run| {
+            run.score_against_best_line.map_or_else(String::new, |(_, score)| score.verdict.name().to_owned())
+        })
         .number("", "gate", Format::new(Unit::Millimetres, 0), |run| Some(run.gate?.mean_m))
-        .optional_count("", "refused", |run| Some(run.gate?.gated))
-        .optional_count("", "theirs: readings", |run| Some(run.score_against_foreign?.readings))
-        .number("", "filter", mm, |run| Some(run.score_against_foreign?.kalman_rms_m))
-        .number("", "theirs", mm, |run| Some(run.score_against_foreign?.other_rms_m));
+        .optional_count("", "refused", |run| Some(run.gate?.gated));
+    report.table("", &table);
+    let theirs: Vec<&RunResult<'_>> = found.iter().filter(|run| run.score_against_foreign.is_some()).collect();
+    if !theirs.is_empty() {
+        report.paragraph("Against the filter that the car's owner recorded:");
+        let table = Table::of(&theirs)
+            .text("", "run", |run| run.run.name.clone())
+            .optional_count("", "n", |run| Some(run.score_against_foreign?.readings))
+            .number("", "filter", mm, |run| Some(run.score_against_foreign?.kalman_rms_m))
+            .number("", "theirs", mm, |run| Some(run.score_against_foreign?.other_rms_m));
+        report.table("", &table);
+    }
+    report.heading("Prediction alone");
+    report.paragraph(
+        "Share of the steps of the control loop that have no reading: there the filter predicts. The paper has 77 %.",
+    );
+    let shares: Vec<&RunResult<'_>> = found.iter().filter(|run| run.predicted_share.is_some()).collect();
+    let table = Table::of(&shares).text("", "run", |run| run.run.name.clone()).number(
+        "",
+        "predicted",
+        Format::new(Unit::Percent, 0),
+        |run| run.predicted_share,
+    );
     report.table("", &table);
 }
 
@@ -308,6 +444,7 @@ fn object(run: &RunResult<'_>) -> Value {
                 "readings": score.readings,
                 "filter_rms_m": score.kalman_rms_m,
                 "other_rms_m": score.other_rms_m,
+                "verdict": score.verdict.name(),
             })
         })
     };
@@ -315,32 +452,36 @@ fn object(run: &RunResult<'_>) -> Value {
         "name": run.run.name,
         "readings": run.readings,
         "input": input_name(run),
-        "fit": run.fit.as_ref().ok().map(|fit| json!({
-            "steady_m_per_s": fit.steady_m_per_s.value,
-            "steady_sigma_m_per_s": fit.steady_m_per_s.sigma,
-            "rise_90_s": fit.rise_90_s.value,
-            "rise_90_sigma_s": fit.rise_90_s.sigma,
+        "input_note": run.run.input.note,
+        "fit": run.step.as_ref().ok().map(|step| json!({
+            "steady_m_per_s": step.steady_m_per_s.map(|known| known.value),
+            "steady_sigma_m_per_s": step.steady_m_per_s.map(|known| known.sigma),
+            "rise_90_s": step.rise_90_s.map(|known| known.value),
+            "rise_90_sigma_s": step.rise_90_s.map(|known| known.sigma),
+            "undetermined": step.undetermined.map(|reason| reason.to_string()),
         })),
-        "no_fit": run.fit.as_ref().err().map(ToString::to_string),
-        "no_hand": run.by_hand.as_ref().err().map(ToString::to_string),
+        "no_fit": run.step.as_ref().err().map(ToString::to_string),
+        "predicted_share": run.predicted_share,
         "gate": run.gate.map(|gate| json!({
             "readings": gate.readings,
             "refused": gate.gated,
             "mean_m": gate.mean_m,
         })),
         "against_line": scored(run.score_against_line),
+        "against_best_line": scored(run.score_against_best_line.map(|(_, score)| score)),
+        "best_line_readings": run.score_against_best_line.map(|(count, _)| count),
         "against_theirs": scored(run.score_against_foreign),
         "foreseen": run.forecasts.iter().map(|foreseen| json!({
             "at_s": foreseen.at_s,
             "range_m": foreseen.range_m,
             "filter_m": foreseen.kalman_m,
-            "line_m": foreseen.line_m,
+            "towards_m_per_s": foreseen.towards_m_per_s,
+            "input": foreseen.input,
+            "line_m": foreseen.lines_m[0],
             "gate_m": foreseen.gate_m,
             "refused": foreseen.is_gated,
-            "steady_m_per_s": foreseen.plant.steady_m_per_s,
-            "time_constant_s": foreseen.plant.time_constant_s,
-            "process_m": foreseen.plant.noise.process_m,
-            "range_sigma_m": foreseen.plant.noise.range_m,
+            "steady_m_per_s": foreseen.drive.map(|(steady, _)| steady),
+            "time_constant_s": foreseen.drive.map(|(_, time_constant_s)| time_constant_s),
         })).collect::<Vec<_>>(),
     })
 }
@@ -352,21 +493,17 @@ fn object(run: &RunResult<'_>) -> Value {
 
 /// Sensor id of another program's filtered distance, unused in the bundled descriptors.
 pub(super) const FOREIGN_FILTER: SensorId = SensorId(250);
-/// Motor input per PWM: 80 is full drive, as in the paper.
-const PER_PWM: f64 = 1.0 / 80.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ExtraColumn<'a> {
-    Command(&'a str),
+    Command(&'a MotorColumn),
     Filtered(&'a str),
 }
 
 /// Adds a stream for a run to the descriptor's text; `None` if the run has no stream of ranges.
 pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Result<Option<String>> {
     let table: toml::Table = text.parse().context("reading the descriptor again")?;
-    let streams = table.get("wall_range").and_then(toml::Value::as_array);
-    let of_run = streams.into_iter().flatten().filter_map(toml::Value::as_table).find(|stream| is_in(stream, run));
-    let Some(stream) = of_run else {
+    let Some(stream) = range_stream(&table, run) else {
         return Ok(None);
     };
     let mut added = toml::Table::new();
@@ -378,9 +515,8 @@ pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Resul
     added.insert("runs".to_owned(), vec![run].into());
     let key = match extra {
         ExtraColumn::Command(column) => {
-            let column_entry = column_of(column, &[("scale", PER_PWM.into())]);
-            added.insert("left".to_owned(), column_entry.clone());
-            added.insert("right".to_owned(), column_entry);
+            added.insert("left".to_owned(), column_of(&column.left, &[]));
+            added.insert("right".to_owned(), column_of(&column.right, &[]));
             "body_velocity"
         }
         ExtraColumn::Filtered(column) => {
@@ -398,6 +534,47 @@ pub(super) fn with_extra(text: &str, run: &str, extra: ExtraColumn<'_>) -> Resul
     let mut more = toml::Table::new();
     more.insert(key.to_owned(), vec![added].into());
     Ok(Some(format!("{text}\n{more}")))
+}
+
+fn range_stream<'t>(table: &'t toml::Table, run: &str) -> Option<&'t toml::Table> {
+    let streams = table.get("wall_range").and_then(toml::Value::as_array);
+    streams.into_iter().flatten().filter_map(toml::Value::as_table).find(|stream| is_in(stream, run))
+}
+
+/// The columns of the file that holds a run's ranges.
+#[derive(Default)]
+struct RunColumns {
+    names: Vec<String>,
+    /// Times and distances.
+    used: Vec<String>,
+}
+
+impl RunColumns {
+    fn used_names(&self) -> Vec<&str> {
+        self.used.iter().map(String::as_str).collect()
+    }
+}
+
+/// From the last header line of the file; `None` where the descriptor or the file does not have one.
+fn columns_of_run(text: &str, run: &str, root: &Path) -> Option<RunColumns> {
+    let table: toml::Table = text.parse().ok()?;
+    let stream = range_stream(&table, run)?;
+    let file = table.get("files")?.get(stream.get("file")?.as_str()?)?;
+    let mut path = file.get("path")?.as_str()?.to_owned();
+    let runs = table.get("runs").and_then(toml::Value::as_array);
+    let of_run = runs.into_iter().flatten().find(|one| one.get("name").and_then(toml::Value::as_str) == Some(run));
+    let values = of_run.and_then(|one| one.get("values")).and_then(toml::Value::as_table);
+    for (key, value) in values.into_iter().flatten() {
+        path = path.replace(&format!("{{{key}}}"), value.as_str()?);
+    }
+    let header_lines = usize::try_from(file.get("header_lines")?.as_integer()?).ok()?;
+    let bytes = std::fs::read(root.join(path)).ok()?;
+    let contents = String::from_utf8_lossy(&bytes);
+    let header = contents.trim_start_matches('\u{feff}').lines().nth(header_lines.checked_sub(1)?)?;
+    let names = header.split([',', ';', '\t']).map(|name| name.trim().trim_matches('"').to_owned());
+    let column = |of: Option<&toml::Value>| Some(of?.get("column")?.as_str()?.to_owned());
+    let used = [column(file.get("time")), column(stream.get("range"))];
+    Some(RunColumns { names: names.collect(), used: used.into_iter().flatten().collect() })
 }
 
 fn column_of(column: &str, more: &[(&str, toml::Value)]) -> toml::Value {
@@ -425,11 +602,11 @@ mod tests {
 
     #[test]
     fn the_descriptor_still_reads_with_more_columns() {
-        for extra in [ExtraColumn::Command("pwm"), ExtraColumn::Filtered("kf \"mm\"")] {
+        for extra in [ExtraColumn::Command(&MotorColumn::one("pwm")), ExtraColumn::Filtered("kf \"mm\"")] {
             let more = with_extra(TEXT, "robotC-20250325", extra).unwrap().unwrap();
             assert!(Descriptor::from_toml(&more).is_ok(), "{more}");
         }
         let other = TEXT.replace("wall_range]]", "compass]]");
-        assert_eq!(with_extra(&other, "x", ExtraColumn::Command("pwm")).unwrap(), None);
+        assert_eq!(with_extra(&other, "x", ExtraColumn::Command(&MotorColumn::one("pwm"))).unwrap(), None);
     }
 }

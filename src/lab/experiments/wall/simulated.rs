@@ -10,7 +10,7 @@ use posebridge_sim::impairment::LinkProfile;
 use posebridge_sim::wall::WallScene;
 use serde_json::{Value, json};
 
-use super::approaches::{ApproachResult, drive_all};
+use super::approaches::{ApproachResult, DistanceSource, EstimatorPlacement, drive_all};
 use super::pictures;
 use super::steps::{StepResults, steps};
 use crate::lab::experiments::recorded::rerun_command;
@@ -44,6 +44,8 @@ pub(super) fn run(prepared: &SimulatedSetup) -> Result<Report> {
     add_validation(&mut report, &steps);
     add_gate(&mut report, &steps.gate);
     add_approaches(&mut report, prepared, &driven);
+    add_same_speeds(&mut report, prepared, &driven);
+    super::population::add(&mut report, prepared.scene.seed, prepared.runs)?;
     Ok(report)
 }
 
@@ -214,6 +216,9 @@ fn add_approaches(report: &mut Report, prepared: &SimulatedSetup, driven: &[Appr
         .count("nearer_and_faster_than_line", "and faster", |row| row.against_line.both);
     report.table("approaches", &table);
     pictures::add(report, &pictures::approaches(&prepared.scene, driven));
+    if let Some(plot) = pictures::control_periods(driven) {
+        pictures::add(report, &plot);
+    }
     report.paragraph(format!(
         "Error: true distance at which the car first stood, minus the target; negative is too near. Near: within {:.0} mm. Time: \
          from the start to that stand. Speed: the way over that time. Nearer, and nearer and faster: than the tuned line on the \
@@ -223,4 +228,57 @@ fn add_approaches(report: &mut Report, prepared: &SimulatedSetup, driven: &[Appr
     ));
     report.data("near_m", json!(NEAR_WALL_M));
     report.data("link", json!(prepared.profile_name));
+}
+
+/// On the brick, on the host over the link, and the line on the brick, at the same PWM.
+fn add_same_speeds(report: &mut Report, prepared: &SimulatedSetup, driven: &[ApproachResult]) {
+    let approach = &prepared.scene.approach;
+    report
+        .heading(format!("At the same speeds: the brick, the host over {}, and extrapolation", prepared.profile_name));
+    report.paragraph(format!(
+        "Tuned gains. Within {:.0} mm, and within twice that: share of the runs with its 95 % interval (Wilson).",
+        1e3 * NEAR_WALL_M
+    ));
+    let is_compared = |row: &&ApproachResult| {
+        let case = row.case;
+        let is_method = match case.placement {
+            EstimatorPlacement::Brick => matches!(case.source, DistanceSource::Line | DistanceSource::Faithful),
+            EstimatorPlacement::Host => case.source == DistanceSource::Corrected,
+        };
+        case.tuning == "tuned" && is_method
+    };
+    let mut rows: Vec<&ApproachResult> = driven.iter().filter(is_compared).collect();
+    rows.sort_by(|a, b| a.case.max_pwm.total_cmp(&b.case.max_pwm));
+    let within = |row: &ApproachResult, limit_m: f64| {
+        row.stops.iter().flatten().filter(|stop| stop.error_m.abs() <= limit_m).count()
+    };
+    let share = move |row: &ApproachResult, limit_m: f64| {
+        let near = within(row, limit_m);
+        let (low, high) = wilson_95(near, row.stops.len());
+        format!("{near} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
+    };
+    let table = Table::of(&rows)
+        .number("pwm", "PWM", Format::new(Unit::None, 0), |row| Some(row.case.max_pwm))
+        .number("m_per_s", "at most m/s", Format::new(Unit::None, 2), |row| {
+            Some(prepared.scene.car.steady_m_per_s * row.case.max_pwm / prepared.scene.car.reference_pwm)
+        })
+        .text("distance_by", "distance by", |row| row.case.source.name().to_owned())
+        .text("on", "on", |row| row.case.placement.name().to_owned())
+        .labels(4)
+        .text("", "within 20 mm", move |row| share(row, NEAR_WALL_M))
+        .text("", "within 40 mm", move |row| share(row, 2.0 * NEAR_WALL_M))
+        .data("within_20_mm", move |row| json!(within(row, NEAR_WALL_M)))
+        .data("within_40_mm", move |row| json!(within(row, 2.0 * NEAR_WALL_M)))
+        .number("worst_error_m", "worst", MILLIMETRES, |row| Some(row.summary.worst_error_m));
+    report.table("same_speeds", &table);
+    report.data("most_pwm", json!(approach.most_pwm));
+}
+
+/// Source: E. B. Wilson, J. Amer. Statist. Assoc. 22, 1927.
+fn wilson_95(hits: usize, runs: usize) -> (f64, f64) {
+    const Z: f64 = 1.96;
+    let (n, share) = (runs.max(1) as f64, hits as f64 / runs.max(1) as f64);
+    let centre = (share + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
+    let half = Z / (1.0 + Z * Z / n) * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    ((centre - half).max(0.0), (centre + half).min(1.0))
 }

@@ -4,13 +4,11 @@ use anyhow::{Context, Result};
 use posebridge_estimator::models::wall_approach::WallApproachModel;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{
-    GateTrial, KalmanNoise, ManualStepFit, StepFit, Validation, WallEntry, WallLog, WallReading, fit_by_hand,
+    GateTrial, KalmanNoise, ManualStepFit, PIECE, StepFit, Validation, WallEntry, WallLog, WallReading, fit_by_hand,
     fit_steps, gate_trial, validate_model,
 };
 use posebridge_sim::wall::{StepRun, WallScene, simulate_step};
 
-/// Readings per line in the evaluation by hand.
-pub(in crate::lab) const PIECE: usize = 5;
 /// Errors added to a reading to test the gate.
 const ADDED_M: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// Compared process sigmas: the paper's three and the noise of its readings.
