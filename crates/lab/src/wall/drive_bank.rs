@@ -9,7 +9,7 @@
 //! readings weigh less, so that a bank follows a car that changes.
 //!
 //! # Gate
-//! A reading beyond max(GATE_MIN, 3 sqrt S) is refused by all. Two refused ones that agree with each other are another wall, after a
+//! A reading beyond max(GATE_MIN, 3 sqrt S) is refused by all; S is that of the mean, and at least that of a car that brakes hard. Two refused ones that agree with each other are another wall, after a
 //! turn, or somebody who stays: the bank starts there, and keeps what it had for as long as a passer-by takes.
 //!
 //! Source: D. T. Magill, IEEE Trans. Automatic Control 10(4), 1965 (weights of a bank).
@@ -21,20 +21,29 @@ use super::replay_filter::GATE_SIGMAS;
 
 /// The paper's car has 0.433 s. The last one is a car that never reaches its speed before a wall.
 const TIME_CONSTANTS_S: [Option<f64>; 5] = [None, Some(0.15), Some(0.45), Some(1.0), Some(2.5)];
-/// Densities of the noise on the speed, m²/s³: a car on a level floor, one that slips, one that is lifted.
-const SPEED_NOISE: [f64; 4] = [0.003, 0.05, 0.5, 5.0];
+/// Densities of the noise on the speed, m²/s³: a car on a level floor, one that slips, one that brakes, one that is stopped.
+const SPEED_NOISE: [f64; 5] = [0.003, 0.05, 0.5, AGILE, 30.0];
+/// A car that loses 1 m/s in a fifth of a second.
+const AGILE: f64 = 5.0;
+/// The gate passes what a car does that brakes hard, in sigmas.
+const AGILE_SIGMAS: f64 = 2.5;
 /// Multiples of the configured noise of a reading.
 const RANGE_FACTORS: [f64; 5] = [0.5, 1.0, 2.5, 5.0, 10.0];
 /// Density of the noise on the distance, m²/s: a wheel that slips 1 mm in a metre.
 const DISTANCE_NOISE: f64 = 1e-5;
-/// Of g, (m/s)²/s: a battery, a carpet.
-const GAIN_NOISE: f64 = 0.003;
+/// Of g, (m/s)²/s: a battery that sags, and an input that the motors do not follow: a dead band, a wheel in the air, a wall.
+const GAIN_NOISE: [f64; 2] = [0.003, 2.0];
 /// Before a car has shown that its motors move it, the input is assumed to do nothing.
 const GAIN_SIGMA_M_PER_S: f64 = 2.0;
 /// A log may begin on the way.
 const START_SPEED_SIGMA_M_PER_S: f64 = 0.7;
 /// Weight of the past per reading.
-const MEMORY: f64 = 0.97;
+const MEMORY: f64 = 0.9;
+/// Share of the weight that goes to all members alike after each reading.
+const SHARED: f64 = 0.02;
+/// After one refused reading the next one is expected between what was predicted and the refused one: it may be a passer-by or
+/// another wall.
+const JUMP_SHARE: f64 = 0.45;
 /// A reading this many squared sigmas off says no more against a member.
 const MAX_NIS: f64 = 16.0;
 /// Two refused readings agree when they are as near as the gate, and what a car of this speed drives in between.
@@ -83,6 +92,7 @@ struct BankState {
 struct Member {
     time_constant_s: Option<f64>,
     speed_noise: f64,
+    gain_noise: f64,
     range_var_m2: f64,
     mean: Vector3<f64>,
     covariance: Matrix3<f64>,
@@ -119,9 +129,12 @@ impl DriveBank {
             return None;
         };
         state.predict(at_s, input);
-        let predicted = state.prediction();
-        let gate_m = gate_min_m.max(GATE_SIGMAS * predicted.sigma_m);
+        let mut predicted = state.prediction();
+        let gate_m = gate_min_m.max(GATE_SIGMAS * predicted.sigma_m).max(AGILE_SIGMAS * state.agile_sigma_m());
         let is_gated = (range_m - predicted.distance_m).abs() > gate_m;
+        if let Some((_, refused_m)) = self.refused {
+            predicted.distance_m += JUMP_SHARE * (refused_m - predicted.distance_m);
+        }
         if is_gated {
             self.refuse(at_s, range_m, gate_m);
         } else {
@@ -183,7 +196,14 @@ impl BankState {
     fn new(at_s: f64, range_m: f64, range_sigma_m: f64) -> Self {
         let mut members = Vec::new();
         for time_constant_s in TIME_CONSTANTS_S {
-            for speed_noise in SPEED_NOISE {
+            // A member without a motor model has no gain; one with it leaves sudden changes to those without.
+            let (gain_noises, speed_noises) = match time_constant_s {
+                None => (&GAIN_NOISE[..1], &SPEED_NOISE[..]),
+                Some(_) => (&GAIN_NOISE[..], &SPEED_NOISE[..4]),
+            };
+            for (speed_noise, gain_noise) in
+                speed_noises.iter().flat_map(|speed| gain_noises.iter().map(move |gain| (*speed, *gain)))
+            {
                 for factor in RANGE_FACTORS {
                     // Half a nat for each doubling away from the configured noise.
                     let log_weight = -0.35 * f64::abs(f64::ln(factor));
@@ -191,6 +211,7 @@ impl BankState {
                     members.push(Member {
                         time_constant_s,
                         speed_noise,
+                        gain_noise,
                         range_var_m2,
                         mean: Vector3::zeros(),
                         covariance: Matrix3::zeros(),
@@ -236,6 +257,24 @@ impl BankState {
         for member in &mut self.members {
             member.log_weight = MEMORY * (member.log_weight - most);
         }
+        // A share of the weight goes to all alike: a member that was wrong for long may be right from here on.
+        let sum: f64 = self.members.iter().map(|member| member.log_weight.exp()).sum();
+        let count = self.members.len() as f64;
+        for member in &mut self.members {
+            member.log_weight = ((1.0 - SHARED) * member.log_weight.exp() / sum + SHARED / count).ln();
+        }
+    }
+
+    /// Sigma of a reading by the members that let a car stop at once.
+    fn agile_sigma_m(&self) -> f64 {
+        let (mut sum, mut variance) = (0.0, 0.0);
+        for (weight, member) in self.weights().zip(&self.members) {
+            if member.time_constant_s.is_none() && member.speed_noise == AGILE {
+                sum += weight;
+                variance += weight * (member.covariance[(0, 0)] + member.range_var_m2);
+            }
+        }
+        if sum > 0.0 { (variance / sum).sqrt() } else { 0.0 }
     }
 
     fn weights(&self) -> impl Iterator<Item = f64> + '_ {
@@ -282,7 +321,7 @@ impl Member {
         let mut moved = self.covariance.fixed_view_mut::<2, 2>(0, 0);
         moved += noise;
         if self.time_constant_s.is_some() {
-            self.covariance[(2, 2)] += GAIN_NOISE * dt_s;
+            self.covariance[(2, 2)] += self.gain_noise * dt_s;
         }
     }
 
