@@ -31,6 +31,8 @@ const MAX_ROBOT_LINES: usize = 8;
 struct RobotView {
     name: Option<String>,
     estimate: Option<Estimate>,
+    /// Of a filter that knows one quantity.
+    quantity: Option<ScalarEstimate>,
     last_fix: Option<(FusionOutcome, TimeDelta)>,
 }
 
@@ -121,6 +123,9 @@ impl LiveView {
                 for error in &mut self.error_to_truth {
                     error.push_estimate(*robot, estimate);
                 }
+            }
+            Event::QuantityUpdated { robot, estimate } => {
+                self.robots.entry(*robot).or_default().quantity = Some(*estimate);
             }
             Event::Temperature { brick, channel, shown, settled, .. } => {
                 self.thermometers.insert((*brick, *channel), (*shown, *settled));
@@ -262,9 +267,16 @@ impl LiveView {
 
 impl RobotView {
     fn line(&self, name: &str) -> String {
-        let mut line = match &self.estimate {
-            Some(estimate) => pose_line(name, estimate),
-            None => format!("\n  {name}  unknown"),
+        let mut line = match (&self.estimate, &self.quantity) {
+            (Some(estimate), _) => pose_line(name, estimate),
+            (None, Some(quantity)) => format!(
+                "\n  {name}  {:.3} ± {:.3} {unit}, {:+.3} {unit}/s",
+                quantity.value,
+                quantity.sigma,
+                quantity.rate_per_s,
+                unit = quantity.unit
+            ),
+            (None, None) => format!("\n  {name}  unknown"),
         };
         match self.last_fix {
             Some((verdict, lag)) => {

@@ -120,6 +120,7 @@ const fn robot_of(event: &Event) -> Option<RobotId> {
         | Event::EstimateUpdated { robot, .. }
         | Event::ObservationCompared { robot, .. }
         | Event::EstimateCompared { robot, .. }
+        | Event::QuantityUpdated { robot, .. }
         | Event::BrickClockAligned { robot, .. } => Some(*robot),
         Event::RobotDetected { .. }
         | Event::RobotLost { .. }

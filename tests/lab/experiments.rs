@@ -261,6 +261,14 @@ fn wall_finds_the_papers_drive_and_stops_nearer_and_faster_with_the_filter() {
         assert!(number(filter, "/mean_approach_m_per_s") > 1.1 * number(line, "/mean_approach_m_per_s"));
         assert!(number(filter, "/mean_time_s") < number(line, "/mean_time_s"));
     }
+    for row in found["same_speeds"].as_array().unwrap().iter().filter(|row| row["distance_by"] == "range-kf") {
+        assert_eq!((&row["within_20_mm"], &row["within_40_mm"]), (&100.into(), &100.into()), "{row}");
+    }
+    for kind in found["population"].as_array().unwrap() {
+        let ratio = number(kind, "/ratio_to_line");
+        assert!(ratio < 0.9 && number(kind, "/lost_to_line") <= 25.0, "{kind}");
+        assert!(number(kind, "/ratio_to_best_line") < 1.05, "{kind}");
+    }
     let gate = found["gate"].as_array().unwrap();
     assert_eq!((&gate[0]["refused"], &gate[gate.len() - 1]["refused"]), (&false.into(), &true.into()));
     assert!(found["validation"].as_array().is_some_and(|rows| !rows.is_empty()));
@@ -278,9 +286,9 @@ fn wall_finds_the_papers_drive_and_stops_nearer_and_faster_with_the_filter() {
     );
 }
 
-/// Students' cars: every run is foretold better than by a line, and better than their own filter where they recorded one.
+/// Students' cars: no run is predicted worse than by the line through two readings, and none by more than 5 % than by the best line.
 #[test]
-fn wall_on_recordings_of_real_cars_foretells_best() {
+fn wall_on_recordings_of_real_cars_loses_to_no_line() {
     let Some(data) = shared_data() else { return };
     let folder = tempfile::tempdir().unwrap();
     let tof_wall = descriptor("tof-wall.toml");
@@ -288,9 +296,11 @@ fn wall_on_recordings_of_real_cars_foretells_best() {
     let runs = found["runs"].as_array().unwrap();
     assert!(runs.len() >= 6 && runs.iter().any(|run| !run["against_theirs"].is_null()));
     for run in runs {
-        for score in [&run["against_line"], &run["against_theirs"]].into_iter().filter(|score| !score.is_null()) {
-            assert!(number(score, "/filter_rms_m") < number(score, "/other_rms_m"), "{}: {score}", run["name"]);
+        for (against, most) in [("against_line", 1.0), ("against_best_line", 1.05)] {
+            let score = &run[against];
+            assert!(number(score, "/filter_rms_m") < most * number(score, "/other_rms_m"), "{}: {score}", run["name"]);
         }
+        assert!(run["input_note"].as_str().is_some_and(|note| note.contains("motor")), "{run}");
     }
     let columns = format!("lab wall --recording {tof_wall} --data {} --kalman-column filtered", data.display());
     assert_refused(folder.path(), &[(&columns, 2, &["`filtered`"])]);

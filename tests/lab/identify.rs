@@ -202,6 +202,37 @@ fn recorded_thermometers_and_cars_are_identified() {
 }
 
 #[test]
+fn a_step_in_a_plain_table_needs_no_value_given_by_hand() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // A clean step in a plain table, with rest before it and a stop behind it: 1.1 m/s, 0.35 s.
+    let mut table = String::from("time_ms,distance_mm,Motor Power\n");
+    for step in 0..40_u32 {
+        let at_s = 0.08 * f64::from(step);
+        let since_s = (at_s - 0.6).clamp(0.0, 1.6);
+        let way_m = 1.1 * (since_s - 0.35 * (1.0 - (-since_s / 0.35).exp()));
+        let noise_m = [0.0, 0.004, -0.003, 0.002, -0.004][step as usize % 5];
+        table +=
+            &format!("{:.0},{:.1},{}\n", 1e3 * at_s, 1e3 * (2.0 - way_m + noise_m), if at_s < 0.6 { 0 } else { 60 });
+    }
+    write_text(folder, "step.csv", &table);
+    let step = identify(folder, &["wall", "--recording", "step.csv"]);
+    let known = |name: &str| number(named(&step["quantities"], name), "/value");
+    assert!((known("v_ss") / 1.1 - 1.0).abs() < 0.03 && (known("m") * 1.1 / 0.35 - 1.0).abs() < 0.06, "{step}");
+    assert!(
+        (known("v_ss by lines") / 1.1 - 1.0).abs() < 0.1
+            && (known("v_ss by finite differences") / 1.1 - 1.0).abs() < 0.1
+    );
+    // The same car standing still: the true reason.
+    let still: String = (0..40).fold(String::from("time_s,distance_m\n"), |rows, row| {
+        format!("{rows}{:.2},{:.3}\n", 0.1 * f64::from(row), 1.5 + 0.001 * f64::from(row % 3))
+    });
+    write_text(folder, "still.csv", &still);
+    let reasons = ["no step is to be seen", "did the motors run?"];
+    assert_refused(folder, &[("identify wall --recording still.csv", 1, &reasons)]);
+}
+
+#[test]
 fn what_tells_nothing_says_why() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

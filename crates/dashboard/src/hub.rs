@@ -174,6 +174,7 @@ impl Hub {
             | Event::ObservationAligned { .. }
             | Event::ObservationCompared { .. }
             | Event::EstimateCompared { .. }
+            | Event::QuantityUpdated { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }

@@ -198,6 +198,17 @@ fn rows_of(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
         Event::EstimateCompared { robot, filter, estimate } => {
             compared_row("compared_estimates", filter, estimate_row(*robot, now, estimate))
         }
+        Event::QuantityUpdated { robot, estimate } => CsvRow {
+            stream: "quantity",
+            robot: Some(*robot),
+            columns: vec![
+                ("t_s", estimate.stamp.into()),
+                ("value", estimate.value.into()),
+                ("sigma", estimate.sigma.into()),
+                ("rate_per_s", estimate.rate_per_s.into()),
+                ("unit", estimate.unit.into()),
+            ],
+        },
         Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } => CsvRow {
             stream: "temperature",
             robot: Some(*brick),

@@ -35,6 +35,7 @@ pub fn to_json_line(event: &Event) -> String {
         Event::EstimateCompared { robot, filter, estimate } => {
             ("compared_estimated", with_filter(filter, with_robot(*robot, estimate_of(estimate))))
         }
+        Event::QuantityUpdated { robot, estimate } => ("quantity", with_robot(*robot, scalar_of(estimate))),
         Event::Temperature { brick, channel, arrival, stamp, shown, verdict, settled } => (
             "temperature",
             json!({

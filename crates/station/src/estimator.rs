@@ -6,7 +6,7 @@ use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    OnlineCalibration, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
+    OnlineCalibration, ScalarEstimate, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
 };
 
 /// Most components of a fix: x, y and heading.
@@ -93,6 +93,11 @@ impl Estimator {
     /// At the latest instant of any observation.
     pub(crate) fn latest_estimate(&self) -> Option<Estimate> {
         self.filter.estimate_at(self.filter.latest_time()?)
+    }
+
+    /// The same of a filter that knows one quantity.
+    pub(crate) fn latest_quantity(&self) -> Option<ScalarEstimate> {
+        self.filter.scalar_at(self.filter.latest_time()?)
     }
 
     /// False if the filter does not support the command.

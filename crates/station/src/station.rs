@@ -7,11 +7,13 @@
 use std::collections::BTreeMap;
 
 use posebridge_estimator::Params;
+use posebridge_protocol::message::{Message, NamedValue, WireStamp};
 use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
-    Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority, RobotId, TimeDelta, Timestamp, severity,
+    ChannelName, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority, RobotId, ScalarEstimate,
+    TimeDelta, Timestamp, severity,
 };
 
 use crate::config::{BuildError, StationConfig};
@@ -34,6 +36,12 @@ use crate::vehicle_proxy::CommandResponder;
 
 /// The health of every link is emitted once per second.
 const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// Names of the estimate of one quantity on the wire, and of its rate per second.
+const QUANTITY_NAME: &[u8] = b"estimate";
+const RATE_NAME: &[u8] = b"est_rate";
+/// Their streams: the id of NAMED_VALUE_FLOAT, and a number above all message ids.
+const QUANTITY_STREAMS: [u32; 2] = [251 | 1 << 24, 251 | 2 << 24];
 
 /// The engine of a station: decodes, aligns clocks, estimates and publishes, for every robot.
 ///
@@ -381,7 +389,11 @@ impl Station {
     /// Publishes one estimate per robot with new data, for the latest observed instant: to the robot at once.
     fn publish_to_robots(&mut self) {
         while let Some(index) = self.robots.changed.pop_first() {
-            let estimate = self.robots.get(index).estimator.latest_estimate();
+            let estimator = &self.robots.get(index).estimator;
+            let (estimate, quantity) = (estimator.latest_estimate(), estimator.latest_quantity());
+            if let Some(quantity) = quantity {
+                self.publish_quantity(self.robots.get(index).id, &quantity);
+            }
             self.request_fixes(estimate.as_ref());
             let Some(estimate) = &estimate else {
                 continue;
@@ -393,6 +405,22 @@ impl Station {
             if self.links.len() > 1 || !self.links.contains_key(&robot.link) {
                 self.robots.get_mut(index).publisher.pending = Some(*estimate);
                 self.robots.pending.insert(index);
+            }
+        }
+    }
+
+    /// Sends the estimate of one quantity on every link, value and rate as two NAMED_VALUE_FLOAT, which a small brick can read.
+    fn publish_quantity(&mut self, robot: RobotId, estimate: &ScalarEstimate) {
+        self.emit(Event::QuantityUpdated { robot, estimate: *estimate });
+        let stamp = WireStamp::Micros64(u64::try_from(estimate.stamp.as_nanos() / 1_000).unwrap_or_default());
+        for link in self.link_ids() {
+            if self.links.get(&link).is_none_or(|link| link.state != LinkState::Up) {
+                continue;
+            }
+            let values = [(QUANTITY_NAME, estimate.value), (RATE_NAME, estimate.rate_per_s)];
+            for (stream, (name, value)) in QUANTITY_STREAMS.into_iter().zip(values) {
+                let named = NamedValue { stamp, name: ChannelName::from_bytes(name), value: value as f32 };
+                self.transmitter().send(link, &Message::NamedValue(named), Priority::Estimate { stream });
             }
         }
     }

@@ -228,6 +228,7 @@ impl StatusTextQueue {
             Event::ObservationAligned { .. }
             | Event::ObservationCompared { .. }
             | Event::EstimateCompared { .. }
+            | Event::QuantityUpdated { .. }
             | Event::Temperature { .. }
             | Event::BrickClockAligned { .. }
             | Event::CameraClockAligned { .. }

@@ -62,6 +62,11 @@ pub enum Event {
         filter: &'static str,
         estimate: Estimate,
     },
+    /// A new estimate of a robot whose filter knows one quantity: the distance to a wall of `range-kf`.
+    QuantityUpdated {
+        robot: RobotId,
+        estimate: ScalarEstimate,
+    },
     /// A thermometer's reading, and the final value that its own filter predicts.
     Temperature {
         /// The sender, the robot or any other brick.
@@ -144,6 +149,7 @@ impl Event {
             | Self::EstimateUpdated { .. }
             | Self::ObservationCompared { .. }
             | Self::EstimateCompared { .. }
+            | Self::QuantityUpdated { .. }
             | Self::Temperature { .. }
             | Self::BrickClockAligned { .. }
             | Self::CameraClockAligned { .. }
@@ -170,6 +176,7 @@ impl Event {
             | Self::EstimateUpdated { .. }
             | Self::ObservationCompared { .. }
             | Self::EstimateCompared { .. }
+            | Self::QuantityUpdated { .. }
             | Self::Temperature { .. }
             | Self::BrickClockAligned { .. }
             | Self::CameraClockAligned { .. }

@@ -17,6 +17,7 @@ mod log;
 mod replay_filter;
 mod single_step;
 mod step_error;
+mod step_evidence;
 
 pub use self::drive_bank::{BankPrediction, BankUpdate, DriveBank};
 pub use self::fit::{

@@ -15,7 +15,8 @@ use posebridge_telemetry::UncertainValue;
 
 use super::fit::{ManualStepFit, PIECE, SpeedSample, differences, fit_by_hand, overlapping_lines};
 use super::log::{WallEntry, WallLog, WallReading, responses};
-use super::step_error::{Guess, Undetermined, WallStepError};
+use super::step_error::{Undetermined, WallStepError};
+use super::step_evidence::{Evidence, LARGEST_SHARE, largest_descent, medians_of_three, noise, undetermined};
 use crate::statistics::median;
 
 /// Whether the log holds the command that started the step.
@@ -61,8 +62,6 @@ pub struct SingleStep {
     pub lines: Vec<SpeedSample>,
 }
 
-/// A value whose sigma is a larger share of it is a guess.
-const LARGEST_SHARE: f64 = 0.25;
 /// Distance that the car must come nearer, in sigmas of a reading: the extremes of a hundred readings at rest, smoothed over three, are
 /// 3.5 sigmas apart.
 const LEAST_WAY: f64 = 6.0;
@@ -534,187 +533,5 @@ struct Uncertainty {
     range_sigma_m: f64,
 }
 
-struct Evidence {
-    /// v_ss, t90, d and m.
-    known: [UncertainValue; 4],
-    log_rate_sigma: f64,
-    /// From the onset to the last reading.
-    driven_s: f64,
-    begins_on_the_way: bool,
-    rate_per_s: f64,
-    period_s: f64,
-    last_m_per_s: f64,
-    noise_m: f64,
-}
-
-/// Why d or m is a guess; `None` if both are known.
-fn undetermined(evidence: &Evidence) -> Option<Undetermined> {
-    let [steady, _, drag, mass] = evidence.known;
-    let is_sure = |known: UncertainValue| known.sigma <= LARGEST_SHARE * known.value;
-    let time_constants = evidence.rate_per_s * evidence.driven_s;
-    if !is_sure(drag) {
-        let guess = Guess { name: "v_ss", value: steady };
-        // At two time constants a car has 86 % of its speed.
-        return Some(if time_constants < 2.0 {
-            Undetermined::StillSpeedingUp { last_m_per_s: evidence.last_m_per_s, guess }
-        } else {
-            Undetermined::TooNoisy { noise_m: evidence.noise_m, guess }
-        });
-    }
-    if is_sure(mass) && evidence.log_rate_sigma <= LARGEST_SHARE {
-        return None;
-    }
-    let guess = Guess { name: "m", value: mass };
-    Some(if evidence.begins_on_the_way {
-        Undetermined::BeginsOnTheWay { guess }
-    } else if evidence.rate_per_s * evidence.period_s > 0.7 {
-        Undetermined::RisesBetweenReadings { period_s: evidence.period_s, guess }
-    } else {
-        Undetermined::TooNoisy { noise_m: evidence.noise_m, guess }
-    })
-}
-
-/// The middle one of each reading and its neighbours.
-fn medians_of_three(readings: &[(f64, f64)]) -> Vec<f64> {
-    let middle = |index: usize| {
-        let (low, high) = (index.saturating_sub(1), (index + 1).min(readings.len() - 1));
-        let mut three = [readings[low].1, readings[index].1, readings[high].1];
-        three.sort_by(f64::total_cmp);
-        three[1]
-    };
-    (0..readings.len()).map(middle).collect()
-}
-
-/// The two places between which the values fall most.
-fn largest_descent(values: &[f64]) -> (usize, usize) {
-    let (mut highest, mut best) = (0, (0, 0));
-    for (index, value) in values.iter().enumerate() {
-        if *value > values[highest] {
-            highest = index;
-        }
-        if values[highest] - value > values[best.0] - values[best.1] {
-            best = (highest, index);
-        }
-    }
-    best
-}
-
-/// Sigma of a reading from third differences, m: z_k-2/2 - 3/2 z_k-1 + 3/2 z_k - z_k+1/2 has sqrt 5 of it.
-fn noise(readings: &[(f64, f64)]) -> f64 {
-    /// Median of the absolute value of a standard normal number.
-    const MEDIAN: f64 = 0.6745;
-    let differences =
-        readings.windows(4).map(|four| (0.5 * four[0].1 - 1.5 * four[1].1 + 1.5 * four[2].1 - 0.5 * four[3].1).abs());
-    median(differences).map_or(0.0, |middle| middle / (MEDIAN * 5.0_f64.sqrt()))
-}
-
 #[cfg(test)]
-mod tests {
-    use rand::{RngExt, SeedableRng};
-    use rand_distr::StandardNormal;
-    use rand_pcg::Pcg64;
-
-    use super::*;
-    use crate::wall::log::test_logs::log_of;
-
-    #[derive(Clone, Copy, Debug)]
-    struct Scenario {
-        steady_m_per_s: f64,
-        rise_90_s: f64,
-        sigma_m: f64,
-        period_s: f64,
-        rest_s: f64,
-        driven_s: f64,
-        /// At rest after contact, or after a stop.
-        after_s: f64,
-        command: StepCommand,
-    }
-
-    fn draw(scenario: &Scenario, seed: u64) -> WallLog {
-        let mut random = Pcg64::seed_from_u64(seed);
-        let tau_s = scenario.rise_90_s / std::f64::consts::LN_10;
-        let way_m = |since_s: f64| {
-            let since_s = since_s.clamp(0.0, scenario.driven_s);
-            scenario.steady_m_per_s * (since_s + tau_s * (-since_s / tau_s).exp_m1())
-        };
-        let start_m = way_m(1e9) + 0.15;
-        let shift_s: f64 = random.random::<f64>() * scenario.period_s;
-        let last_s = scenario.rest_s + scenario.driven_s + scenario.after_s;
-        let count = (last_s / scenario.period_s) as u32;
-        let ranges: Vec<(f64, f64)> = (0..count)
-            .map(|index| {
-                let at_s = shift_s + scenario.period_s * f64::from(index);
-                let noise: f64 = random.sample(StandardNormal);
-                (at_s, (start_m - way_m(at_s - scenario.rest_s) + scenario.sigma_m * noise).max(0.0))
-            })
-            .collect();
-        match scenario.command {
-            StepCommand::Recorded => log_of([(0.0, 0.0), (scenario.rest_s, 1.0)], ranges),
-            StepCommand::Unknown => log_of([], ranges).with_assumed_drive(),
-        }
-    }
-
-    const CAR: Scenario = Scenario {
-        steady_m_per_s: 1.11,
-        rise_90_s: 0.8,
-        sigma_m: 0.01,
-        period_s: 0.08,
-        rest_s: 0.6,
-        driven_s: 2.0,
-        after_s: 1.5,
-        command: StepCommand::Unknown,
-    };
-
-    /// Counts the draws within the 95 % interval of a value that a step gives; each draw has to give it.
-    fn covered(scenario: &Scenario, draws: u64, truth: f64, of: fn(&SingleStep) -> Option<UncertainValue>) -> usize {
-        let within = (0..draws).filter(|seed| {
-            let step = find_step(&draw(scenario, *seed), scenario.command).unwrap_or_else(|error| panic!("{error}"));
-            let found = of(&step).unwrap_or_else(|| panic!("{step:?}"));
-            (found.value - truth).abs() < 1.96 * found.sigma
-        });
-        within.count()
-    }
-
-    #[test]
-    fn a_step_with_rests_and_a_stop_gives_d_and_m_with_honest_sigmas() {
-        for command in [StepCommand::Unknown, StepCommand::Recorded] {
-            for (steady_m_per_s, rise_90_s) in [(1.11, 0.8), (0.5, 1.2), (2.2, 0.6)] {
-                let scenario = Scenario { steady_m_per_s, rise_90_s, command, ..CAR };
-                let mass = rise_90_s / std::f64::consts::LN_10 / steady_m_per_s;
-                let drag = covered(&scenario, 100, 1.0 / steady_m_per_s, |step| step.drag_s_per_m);
-                let mass = covered(&scenario, 100, mass, |step| step.mass_s2_per_m);
-                println!("{command:?} {steady_m_per_s} m/s: d {drag}, m {mass} of 100 within their 95 %");
-                // A share of 0.95 gives 89 or more in all but 1 % of the cases; the end of the step is found, not known.
-                assert!(drag >= 86 && mass >= 86, "{scenario:?}: {drag} {mass}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_a_step_cannot_tell_is_left_out_with_the_true_reason() {
-        let short = Scenario { rise_90_s: 3.0, driven_s: 1.2, after_s: 0.0, ..CAR };
-        let found = find_step(&draw(&short, 1), StepCommand::Unknown);
-        let reason = match found {
-            Ok(step) => {
-                assert_eq!(step.drag_s_per_m, None);
-                step.undetermined.unwrap()
-            }
-            Err(WallStepError::Undetermined(reason)) => reason,
-            Err(error) => panic!("{error}"),
-        };
-        assert!(matches!(reason, Undetermined::StillSpeedingUp { .. }), "{reason}");
-        let sudden = Scenario { rise_90_s: 0.03, after_s: 0.0, ..CAR };
-        let step = find_step(&draw(&sudden, 1), StepCommand::Recorded).unwrap();
-        assert!(matches!(step.undetermined, Some(Undetermined::RisesBetweenReadings { .. })), "{step:?}");
-        assert!((step.drag_s_per_m.unwrap().value * 1.11 - 1.0).abs() < 0.05 && step.mass_s2_per_m.is_none());
-        let rest: Vec<(f64, f64)> =
-            (0..30).map(|index| (0.1 * f64::from(index), 2.0 + 0.01 * f64::from(index % 3))).collect();
-        let stands = find_step(&log_of([], rest.clone()).with_assumed_drive(), StepCommand::Unknown);
-        assert!(matches!(stands, Err(WallStepError::Stands { .. })), "{stands:?}");
-        let away = rest.iter().map(|(at_s, range_m)| (*at_s, range_m + 0.4 * at_s * at_s));
-        let away = find_step(&log_of([], away).with_assumed_drive(), StepCommand::Unknown);
-        assert!(matches!(away, Err(WallStepError::MovesAway { .. })), "{away:?}");
-        let silent = find_step(&log_of([], rest), StepCommand::Recorded);
-        assert_eq!(silent, Err(WallStepError::NoInput));
-    }
-}
+mod tests;

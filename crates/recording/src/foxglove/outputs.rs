@@ -93,6 +93,8 @@ impl OutputEncoder {
                 let report = LinkReport { link: *link, health: *health, sources: sources.clone() };
                 vec![json_message(channels::LINK_HEALTH, &records::LINK_HEALTH, &report)]
             }
+            // The values are in the recording's inputs: a replay gives them again, and `export` writes them as a table.
+            Event::QuantityUpdated { .. } => Vec::new(),
             Event::RobotDetected { .. }
             | Event::RobotNamed { .. }
             | Event::RobotLost { .. }

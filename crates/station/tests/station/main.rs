@@ -25,3 +25,4 @@ mod several_robots;
 mod signing;
 mod support;
 mod thermometers;
+mod wall_range;

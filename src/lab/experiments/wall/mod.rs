@@ -5,6 +5,7 @@
 //! earlier ones. docs/lab/wall.md is the lesson.
 
 mod approaches;
+mod extra_columns;
 mod motor_column;
 mod pictures;
 mod population;

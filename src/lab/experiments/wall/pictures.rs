@@ -77,7 +77,9 @@ pub(super) fn approaches(scene: &WallScene, driven: &[ApproachResult]) -> Plot {
     // The faithful filter's dots would lie under the corrected one's.
     let is_drawn = |driven: &&ApproachResult| {
         let case = driven.case;
-        case.tuning == "tuned" && case.placement == EstimatorPlacement::Brick && case.source != DistanceSource::Faithful
+        let is_drawn_speed = [scene.approach.most_pwm, scene.approach.fast_pwm].contains(&case.max_pwm);
+        let is_method = case.placement == EstimatorPlacement::Brick && case.source != DistanceSource::Faithful;
+        case.tuning == "tuned" && is_method && is_drawn_speed
     };
     let tuned: Vec<&ApproachResult> = driven.iter().filter(is_drawn).collect();
     let name = |driven: &ApproachResult| {
