@@ -177,6 +177,11 @@ impl RangeFilter {
             UpdateOutcome::Gated => {
                 let s_m2 = record.innovation_covariance[0][0];
                 record.outcome = self.refuse((stamp, range_m), (gate * s_m2).sqrt());
+                // A restart was not predicted: like the first reading it has no innovation.
+                if record.outcome == FusionOutcome::Accepted {
+                    record.degrees_of_freedom = 0;
+                    record.nis = 0.0;
+                }
             }
             UpdateOutcome::Indefinite => record.outcome = FusionOutcome::Malformed,
         }

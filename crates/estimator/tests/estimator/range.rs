@@ -131,6 +131,41 @@ fn a_reading_beyond_the_gate_is_refused_and_one_within_the_least_gate_never() {
     }
 }
 
+/// The outcomes of readings that follow a long stand at 2 m, ten a second.
+fn after_a_stand(variant: RangeFilterVariant, ranges_m: &[f64]) -> (Vec<FusionOutcome>, ScalarEstimate) {
+    let mut filter = RangeFilter::new(&configured(0.002), variant);
+    for step in 0..40 {
+        range(&mut filter, 0.1 * f64::from(step), 2.0);
+    }
+    let mut at_s = 3.9;
+    let outcomes = ranges_m.iter().map(|range_m| {
+        at_s += 0.1;
+        range(&mut filter, at_s, *range_m).outcome
+    });
+    let outcomes = outcomes.collect();
+    (outcomes, at(&filter, at_s))
+}
+
+#[test]
+fn a_gate_that_refuses_another_wall_lets_it_in_with_the_third_reading_that_agrees() {
+    use FusionOutcome::{Accepted, Gated};
+    for variant in [RangeFilterVariant::Paper, RangeFilterVariant::Corrected] {
+        // Turned away, and driving at another wall with 1 m/s.
+        let (outcomes, last) = after_a_stand(variant, &[4.5, 4.4, 4.3]);
+        assert_eq!(outcomes, [Gated, Gated, Accepted], "{variant:?}");
+        assert!((last.value - 4.3).abs() < 1e-9 && (last.rate_per_s + 1.0).abs() < 1e-9, "{last:?}");
+        // Somebody walks by.
+        let (outcomes, last) = after_a_stand(variant, &[0.8, 0.8, 2.0]);
+        assert_eq!(outcomes, [Gated, Gated, Accepted], "{variant:?}");
+        assert!((last.value - 2.0).abs() < 0.01, "{last:?}");
+        // Readings that do not agree: the eighth is as good as any.
+        let (outcomes, last) = after_a_stand(variant, &[4.5, 0.5, 4.5, 0.5, 4.5, 0.5, 4.5, 0.5]);
+        assert_eq!(outcomes[..7], [Gated; 7], "{variant:?}");
+        assert_eq!(outcomes[7], Accepted);
+        assert!((last.value - 0.5).abs() < 1e-9, "{last:?}");
+    }
+}
+
 #[test]
 fn the_gate_is_at_three_standard_deviations() {
     for variant in [RangeFilterVariant::Paper, RangeFilterVariant::Corrected] {
