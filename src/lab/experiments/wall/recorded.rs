@@ -123,14 +123,6 @@ pub struct RunSelection {
 /// Reads the selected runs of a descriptor, or a posebridge recording, which is one run. `kalman_column` is that of another program's
 /// filter; `None` for a common name.
 pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column: Option<&str>) -> Result<RecordedRuns> {
-    if own_recording::is_own(path) {
-        ensure!(
-            choice.run.is_none() && choice.command_column.is_none() && kalman_column.is_none(),
-            "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
-            path.display()
-        );
-        return prepare_own(path, &choice.settings);
-    }
     if path.extension().is_some_and(|extension| extension == "csv" || extension == "txt") {
         ensure!(
             choice.run.is_none() && kalman_column.is_none() && choice.settings.is_empty(),
@@ -142,6 +134,14 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
         let name = path.display().to_string();
         let run = RunLog { name: name.clone(), input, log, foreign_filter: Vec::new(), range_sigma_m: TABLE_SIGMA_M };
         return Ok(RecordedRuns { descriptor: name, runs: vec![run] });
+    }
+    if own_recording::is_own(path) {
+        ensure!(
+            choice.run.is_none() && choice.command_column.is_none() && kalman_column.is_none(),
+            "--run, --command-column and --kalman-column choose from a descriptor's files; `{}` is a recording of ours",
+            path.display()
+        );
+        return prepare_own(path, &choice.settings);
     }
     let flags = DataFlags {
         data: choice.data.clone(),
