@@ -41,7 +41,7 @@ const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 const QUANTITY_NAME: &[u8] = b"estimate";
 const RATE_NAME: &[u8] = b"est_rate";
 /// Their streams: the id of NAMED_VALUE_FLOAT, and a number above all message ids.
-const QUANTITY_STREAMS: [u32; 2] = [251 | 1 << 24, 251 | 2 << 24];
+const QUANTITY_STREAMS: [u32; 2] = [0x0100_00FB, 0x0200_00FB];
 
 /// The engine of a station: decodes, aligns clocks, estimates and publishes, for every robot.
 ///

@@ -125,10 +125,12 @@ pub fn draw_approach(kind: ApproachKind, seed: u64, run: u32) -> RecordedApproac
             _ => nominal,
         };
         found.commands.push(TimedCommand { at_s, pwm: (FULL_PWM * share).round() });
-        let effective = match kind {
-            ApproachKind::DeadBand => share.signum() * (share.abs() - 0.25).max(0.0) / 0.75,
-            ApproachKind::SaggingBattery => share * (1.0 - 0.35 * (at_s / 3.0).min(1.0)),
-            _ => share,
+        let effective = if kind == ApproachKind::DeadBand {
+            share.signum() * (share.abs() - 0.25).max(0.0) / 0.75
+        } else if kind == ApproachKind::SaggingBattery {
+            share * (1.0 - 0.35 * (at_s / 3.0).min(1.0))
+        } else {
+            share
         };
         if at_s >= next_s {
             next_s += random.period(1.0 / rate, 0.1);
