@@ -299,11 +299,11 @@ fn the_wall_filter_of_the_brick_is_that_of_the_station_gate_included() {
     (config.params.wall_drag_s_per_m, config.params.wall_mass_s2_per_m) = (0.81633, 0.35346);
     (config.params.wall_process_m, config.params.wall_gate_m) = (0.05, 0.1);
     config.noise.wall_range_m = 0.02;
-    // One reading in ten steps, that of step 120 of a person in the way; step 150 takes longer than Euler's rule may.
+    // One reading in ten steps, that of step 120 just outside the gate, at 3.5 sigmas; step 150 takes longer than Euler's rule may.
     let rows: Vec<[f64; 4]> = (0..300)
         .map(|step| {
             let dt_s = if step == 150 { 0.13 } else { 0.006 + 0.0005 * f64::from(step % 7) };
-            let range_m = if step == 120 { 0.4 } else { 2.5 - 0.006 * f64::from(step) + 0.01 * f64::from(step % 3) };
+            let range_m = if step == 120 { 1.21 } else { 2.5 - 0.006 * f64::from(step) + 0.01 * f64::from(step % 3) };
             [dt_s, if step < 200 { 1.0 } else { 0.2 }, f64::from(u32::from(step % 10 == 0)), range_m]
         })
         .collect();

@@ -53,7 +53,8 @@ def thermometer():
 
 
 def wall():
-    """2.5 m at PWM 80, and braking: dt, input, whether there is a reading, the reading. One reading is of a person, one step is long."""
+    """2.5 m at PWM 80, and braking: dt, input, whether there is a reading, the reading. One reading is 3.5 sigmas off, just
+    outside the gate; one step is long."""
     noise = random.Random(3)
     z, v, rows = 2.5, 0.0, []
     for index in range(260):
@@ -62,6 +63,6 @@ def wall():
         for _ in range(20):
             z -= v * dt / 20
             v += (motor - 0.81633 * v) / 0.35346 * dt / 20
-        seen = 0.4 if index == 121 else z + 0.02 * noise.gauss(0, 1)
+        seen = z + (-0.6 if index == 121 else 0.02 * noise.gauss(0, 1))
         rows.append(row(dt, motor, 1 if index % 11 == 0 else 0, seen))
     return rows
