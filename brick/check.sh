@@ -237,9 +237,16 @@ check_filters() {
         "$node_modules/@micropython/micropython-webassembly-pyscript"
 }
 
+# What waits for the network, at once. A failure in the background is repeated, and said, in the foreground.
+(install_python) >/dev/null 2>&1 &
+(install_micropython) >/dev/null 2>&1 &
 install_compilers
+wait
 install_python
 install_micropython
+check_filters >"$made/filters.log" 2>&1 &
+filters=$!
+trap 'kill "$filters" 2>/dev/null || true' EXIT
 vectors_are_those_of_make_py
 check_sizes
 check_arduino
@@ -247,4 +254,8 @@ check_nxc
 check_square_log
 check_micropython
 check_bridge
-check_filters
+code=0
+wait "$filters" || code=$?
+trap - EXIT
+cat "$made/filters.log"
+exit "$code"
