@@ -252,10 +252,10 @@ fn scalar_answers(folder: &Path, filter: u32, rows: &[[f64; 4]]) -> Vec<Vec<f64>
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let text: String =
+    let lines: Vec<String> =
         rows.iter().map(|row| format!("{:?} {:?} {:?} {:?} 0 0 0\n", row[0], row[1], row[2], row[3])).collect();
     let file = folder.join("rows.txt");
-    std::fs::write(&file, text).unwrap();
+    std::fs::write(&file, lines.concat()).unwrap();
     let output = run(&program, &file, &[]);
     assert!(output.status.success());
     let text = String::from_utf8(output.stdout).unwrap();
@@ -296,7 +296,7 @@ fn the_thermometer_of_the_brick_is_that_of_the_station() {
 fn the_wall_filter_of_the_brick_is_that_of_the_station_gate_included() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config();
-    (config.params.wall_drag_s_per_m, config.params.wall_mass_s2_per_m) = (0.81633, 0.35346);
+    (config.params.wall_drag_s_per_m, config.params.wall_mass_s2_per_m) = (0.816_33, 0.353_46);
     (config.params.wall_process_m, config.params.wall_gate_m) = (0.05, 0.1);
     config.noise.wall_range_m = 0.02;
     // One reading in ten steps, that of step 120 just outside the gate, at 3.5 sigmas; step 150 takes longer than Euler's rule may.
@@ -312,7 +312,7 @@ fn the_wall_filter_of_the_brick_is_that_of_the_station_gate_included() {
     let (mut at_s, mut gated) = (0.0, 0);
     for (row, found) in rows.iter().zip(&found) {
         at_s += row[0];
-        let forward = MetersPerSecond(row[1] / 0.81633);
+        let forward = MetersPerSecond(row[1] / 0.816_33);
         let command = ObservationKind::BodyVelocity { forward, turn: RadiansPerSecond(0.0) };
         filter.observe(&observation(SensorId::WHEELS, at_s, command));
         if row[2] > 0.0 {
