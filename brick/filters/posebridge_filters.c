@@ -71,19 +71,6 @@ static pb_real mean_radius(const pb_robot *robot) { return (robot->left_radius_m
 
 const pb_wheel_matrices pb_wheel_printed = {{(pb_real)0.1, 0, 10}, {(pb_real)1.5, (pb_real)2.5}, 10};
 
-pb_wheel_matrices pb_wheel_corrected(const pb_robot *robot, pb_real accel_m_s2)
-{
-    pb_wheel_matrices m;
-    pb_real q = squared(accel_m_s2 / mean_radius(robot) / PB_DEGREE);
-    m.q[0] = q * PB_T * PB_T * PB_T / 3;
-    m.q[1] = q * PB_T * PB_T / 2;
-    m.q[2] = q * PB_T;
-    m.r[0] = squared(robot->tick_rad / PB_DEGREE) / 12;
-    m.r[1] = m.r[0];
-    m.p0 = 10;
-    return m;
-}
-
 void pb_wheel_kf_init(pb_wheel_kf *filter, const pb_wheel_matrices *matrices, const pb_state *start)
 {
     int side;

@@ -77,8 +77,6 @@ typedef struct {
 } pb_wheel_kf;
 
 extern const pb_wheel_matrices pb_wheel_printed; /* equation 19 */
-/* From the robot: rounding of the counts, and a speed that walks by accel_m_s2 per root second. */
-pb_wheel_matrices pb_wheel_corrected(const pb_robot *robot, pb_real accel_m_s2);
 void pb_wheel_kf_init(pb_wheel_kf *filter, const pb_wheel_matrices *matrices, const pb_state *start);
 int pb_wheel_kf_step(pb_wheel_kf *filter, const pb_robot *robot, const pb_reading *reading);
 

@@ -116,7 +116,7 @@ static int number(char *cells[], const int place[], int count, int column, doubl
     return *end == '\0' && isfinite(*value);
 }
 
-static pb_wheel_kf wheels[2];
+static pb_wheel_kf wheels;
 static pb_speed_kf speeds[2];
 static pb_ekf5 five[2];
 static pb_ekf9 nine;
@@ -126,7 +126,6 @@ static void begin(const pb_robot *robot)
 {
     pb_state start = {0, 0, 0, 0, 0};
     pb_real sigma[2];
-    pb_wheel_matrices wheel = pb_wheel_corrected(robot, (pb_real)set.accel_m_s2);
     pb_speed_matrices printed = pb_speed_printed(), speed = pb_speed_corrected(robot, (pb_real)set.accelerometer_m_s2);
     pb_ekf5_matrices as_printed = pb_ekf5_printed(), swapped = pb_ekf5_swapped();
     pb_noise noise;
@@ -150,8 +149,7 @@ static void begin(const pb_robot *robot)
     noise.accel_m_s2 = (pb_real)set.accel_m_s2;
     noise.turn_accel_rad_s2 = (pb_real)set.turn_accel_rad_s2;
 
-    pb_wheel_kf_init(&wheels[0], &pb_wheel_printed, &start);
-    pb_wheel_kf_init(&wheels[1], &wheel, &start);
+    pb_wheel_kf_init(&wheels, &pb_wheel_printed, &start);
     pb_speed_kf_init(&speeds[0], &printed, &start);
     pb_speed_kf_init(&speeds[1], &speed, &start);
     pb_ekf5_init(&five[0], &as_printed, &start, sigma);
@@ -171,9 +169,8 @@ static void begin(const pb_robot *robot)
 
 static int step(const pb_robot *robot, const pb_reading *reading)
 {
-    int used = 1, i;
+    int used = pb_wheel_kf_step(&wheels, robot, reading), i;
     for (i = 0; i < 2; i++) {
-        used &= pb_wheel_kf_step(&wheels[i], robot, reading);
         used &= pb_speed_kf_step(&speeds[i], robot, reading);
         used &= pb_ekf5_step(&five[i], robot, reading);
         used &= pb_indirect_step(&indirect[i], robot, reading);
@@ -201,8 +198,7 @@ static void print_beliefs(double time_s)
 {
     int i;
     printf("%.17g", time_s);
-    print_state("wheel-kf", &wheels[0].state);
-    print_state("wheel-kf own", &wheels[1].state);
+    print_state("wheel-kf", &wheels.state);
     print_state("velocity-kf", &speeds[0].state);
     print_state("velocity-kf own", &speeds[1].state);
     print_state("ekf5", &five[0].state);

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use posebridge::config::{Config, RobotProfile};
-use posebridge_estimator::{FilterConfig, find_filter};
-use posebridge_lab::square::{
-    Method, SensorRow, SensorTable, TableSensor, corrected_methods, parse, printed_methods, swapped_methods, write,
-};
+use posebridge_estimator::papers::ekf5::{self, FixUsage};
+use posebridge_estimator::papers::paper1::{FiveStateMatrices, SAMPLING_INTERVAL_S, SpeedMatrices};
+use posebridge_estimator::papers::velocity_kf;
+use posebridge_estimator::{Filter, FilterConfig, find_filter};
+use posebridge_lab::square::{SensorRow, SensorTable, TableSensor, parse, write};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
     Celsius, Estimate, FusionOutcome, Meters, MetersPerSecond, Observation, ObservationKind, RadiansPerSecond,
@@ -126,31 +127,45 @@ fn named_numbers(line: &str) -> Vec<(String, Vec<f64>)> {
 
 /// What the station's filters believe, under the names that the program prints.
 fn expected(table: &SensorTable, config: &FilterConfig) -> Vec<(&'static str, Vec<Vec<f64>>)> {
-    let of = |methods: Vec<Method>, index: usize| -> Vec<Vec<f64>> {
-        let path = methods[index].run(table, config, 1_000_000);
-        path.into_iter().map(|state| state.to_vec()).collect()
-    };
+    let own_speeds = velocity_kf::build(config, &speeds_by_rounding(config));
+    let swapped = ekf5::build(config, &FiveStateMatrices::SWAPPED, FixUsage::Unused);
     vec![
-        ("wheel-kf", of(printed_methods(), 1)),
-        ("wheel-kf own", of(corrected_methods(), 1)),
-        ("velocity-kf", of(printed_methods(), 2)),
-        ("velocity-kf own", of(corrected_methods(), 2)),
-        ("ekf5", of(printed_methods(), 3)),
-        ("ekf5 swapped", of(swapped_methods(), 3)),
-        ("ekf5-corrected", of(corrected_methods(), 3)),
-        ("indirect", states(table, "indirect")),
-        ("indirect-feedback", states(table, "indirect-feedback")),
+        ("wheel-kf", states(table, config, named("wheel-kf", config))),
+        ("velocity-kf", states(table, config, named("velocity-kf", config))),
+        ("velocity-kf own", states(table, config, own_speeds)),
+        ("ekf5", states(table, config, named("ekf5", config))),
+        ("ekf5 swapped", states(table, config, swapped)),
+        ("ekf5-corrected", states(table, config, named("ekf5-corrected", config))),
+        ("indirect", states(table, &indirect_config(), named("indirect", &indirect_config()))),
+        ("indirect-feedback", states(table, &indirect_config(), named("indirect-feedback", &indirect_config()))),
         ("P of ekf5", variances(table, config, "ekf5")),
         ("P of ekf5-corrected", variances(table, config, "ekf5-corrected")),
     ]
 }
 
 fn variances(table: &SensorTable, config: &FilterConfig, name: &str) -> Vec<Vec<f64>> {
-    estimates(table, config, name, |estimate| (0..5).map(|i| estimate.covariance[i][i]).collect())
+    estimates(table, config, named(name, config), |estimate| (0..5).map(|i| estimate.covariance[i][i]).collect())
 }
 
-fn states(table: &SensorTable, name: &str) -> Vec<Vec<f64>> {
-    estimates(table, &indirect_config(), name, |estimate| {
+fn named(name: &str, config: &FilterConfig) -> Box<dyn Filter> {
+    (find_filter(name).unwrap().build)(config)
+}
+
+/// The matrices of `pb_speed_corrected`: R by the rounding of the counters, Q by the noise of the accelerometers; cm and degrees.
+fn speeds_by_rounding(config: &FilterConfig) -> SpeedMatrices {
+    let geometry = &config.geometry;
+    let radius_m = f64::midpoint(geometry.left_wheel_radius.0, geometry.right_wheel_radius.0);
+    let count_cm = 100.0 * radius_m * geometry.tick.0 / SAMPLING_INTERVAL_S;
+    let felt_cm = 100.0 * config.noise.accelerometer_m_per_s2 * SAMPLING_INTERVAL_S;
+    // Of a difference of two wheels, over the track.
+    let turn_deg = |wheel_cm: f64| (wheel_cm / (100.0 * geometry.track_width.0)).to_degrees();
+    let variances = [count_cm.powi(2) / 12.0, turn_deg(count_cm).powi(2) / 3.0];
+    let process = [felt_cm.powi(2) / 2.0, 2.0 * turn_deg(felt_cm).powi(2)];
+    SpeedMatrices { process, variances, initial: variances }
+}
+
+fn states(table: &SensorTable, config: &FilterConfig, filter: Box<dyn Filter>) -> Vec<Vec<f64>> {
+    estimates(table, config, filter, |estimate| {
         let pose = estimate.pose;
         vec![pose.x.0, pose.y.0, pose.heading.rad(), estimate.forward_speed.0, estimate.turn_rate.0]
     })
@@ -159,10 +174,9 @@ fn states(table: &SensorTable, name: &str) -> Vec<Vec<f64>> {
 fn estimates(
     table: &SensorTable,
     config: &FilterConfig,
-    name: &str,
+    mut filter: Box<dyn Filter>,
     numbers: impl Fn(&Estimate) -> Vec<f64>,
 ) -> Vec<Vec<f64>> {
-    let mut filter = (find_filter(name).unwrap().build)(config);
     let unit_rad = table.unit.rad_per_unit(&config.geometry);
     let rows = table.rows.iter().map(|row| {
         for observation in row.observations(unit_rad, SENSES) {

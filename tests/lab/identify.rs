@@ -212,8 +212,8 @@ fn a_step_in_a_plain_table_needs_no_value_given_by_hand() {
         let since_s = (at_s - 0.6).clamp(0.0, 1.6);
         let way_m = 1.1 * (since_s - 0.35 * (1.0 - (-since_s / 0.35).exp()));
         let noise_m = [0.0, 0.004, -0.003, 0.002, -0.004][step as usize % 5];
-        table +=
-            &format!("{:.0},{:.1},{}\n", 1e3 * at_s, 1e3 * (2.0 - way_m + noise_m), if at_s < 0.6 { 0 } else { 60 });
+        let motor = if at_s < 0.6 { 0 } else { 60 };
+        writeln!(table, "{:.0},{:.1},{motor}", 1e3 * at_s, 1e3 * (2.0 - way_m + noise_m)).unwrap();
     }
     write_text(folder, "step.csv", &table);
     let step = identify(folder, &["wall", "--recording", "step.csv"]);

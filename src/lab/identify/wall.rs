@@ -4,6 +4,7 @@
 //! Without a recording on the simulated car with known parameters. docs/lab/calibration.md, section 7, has the equations; `lab wall`
 //! uses the results.
 
+use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -135,7 +136,8 @@ fn window_note(run: &recorded::RunLog, step: &SingleStep) -> String {
         (step.outliers, "within it are beyond four sigmas"),
     ] {
         if count > 0 {
-            note += &format!("; {count} readings {what}");
+            // Writing to a String cannot fail.
+            let _ = write!(note, "; {count} readings {what}");
         }
     }
     note

@@ -300,21 +300,18 @@ impl BankState {
 
 impl Member {
     fn predict(&mut self, dt_s: f64, input: f64) {
-        let (transition, noise) = match self.time_constant_s {
-            Some(time_constant_s) => {
-                let model = WallApproachModel { drag_s_per_m: 1.0, mass_s2_per_m: time_constant_s };
-                let step = model.exact(dt_s);
-                let mut whole = Matrix3::identity();
-                whole.fixed_view_mut::<2, 2>(0, 0).copy_from(&step.a);
-                whole.fixed_view_mut::<2, 1>(0, 2).copy_from(&(step.b * input));
-                (whole, model.exact_noise(dt_s, DISTANCE_NOISE, self.speed_noise))
-            }
-            None => {
-                let whole = Matrix3::new(1.0, -dt_s, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
-                let (q, shared) = (self.speed_noise, -0.5 * self.speed_noise * dt_s * dt_s);
-                let distance = DISTANCE_NOISE * dt_s + q * dt_s.powi(3) / 3.0;
-                (whole, nalgebra::Matrix2::new(distance, shared, shared, q * dt_s))
-            }
+        let (transition, noise) = if let Some(time_constant_s) = self.time_constant_s {
+            let model = WallApproachModel { drag_s_per_m: 1.0, mass_s2_per_m: time_constant_s };
+            let step = model.exact(dt_s);
+            let mut whole = Matrix3::identity();
+            whole.fixed_view_mut::<2, 2>(0, 0).copy_from(&step.a);
+            whole.fixed_view_mut::<2, 1>(0, 2).copy_from(&(step.b * input));
+            (whole, model.exact_noise(dt_s, DISTANCE_NOISE, self.speed_noise))
+        } else {
+            let whole = Matrix3::new(1.0, -dt_s, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+            let (q, shared) = (self.speed_noise, -0.5 * self.speed_noise * dt_s * dt_s);
+            let distance = DISTANCE_NOISE * dt_s + q * dt_s.powi(3) / 3.0;
+            (whole, nalgebra::Matrix2::new(distance, shared, shared, q * dt_s))
         };
         self.mean = transition * self.mean;
         self.covariance = transition * self.covariance * transition.transpose();

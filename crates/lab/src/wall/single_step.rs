@@ -111,6 +111,16 @@ pub fn find_step(log: &WallLog, command: StepCommand) -> Result<SingleStep, Wall
     search.find(from, to)
 }
 
+/// Relative step of central differences.
+const STEP: f64 = 1e-3;
+
+/// Whether the onset, or dead time, is an unknown of the fit.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum OnsetSearch {
+    Fixed,
+    Free,
+}
+
 /// Nonlinear unknowns: the rate a, and the onset or dead time.
 #[derive(Clone, Copy, Debug)]
 struct Drive {
@@ -138,7 +148,7 @@ struct Search<'a> {
 impl Search<'_> {
     fn find(&self, from: usize, to: usize) -> Result<SingleStep, WallStepError> {
         // Rest before the descent holds z_0; the descent's own end may be a stop, a contact or the next turn.
-        let is_free = self.command == StepCommand::Unknown;
+        let mut onset = if self.command == StepCommand::Unknown { OnsetSearch::Free } else { OnsetSearch::Fixed };
         let last = self.readings.len() - 1;
         let shortest = self.shortest_end(from, to);
         let ends = shortest..=last;
@@ -148,7 +158,7 @@ impl Search<'_> {
         for end in ends.step_by(stride).chain([last]) {
             let window = start..end + 1;
             let known = best.map(|(_, _, fit)| fit.drive);
-            let Some(fit) = self.best_drive(window.clone(), is_free, known) else { continue };
+            let Some(fit) = self.best_drive(window.clone(), onset, known) else { continue };
             let cost = fit.cost + self.cost_after(end);
             if best.is_none_or(|(least, ..)| cost < least) {
                 best = Some((cost, end, fit));
@@ -159,16 +169,15 @@ impl Search<'_> {
         end = self.best_end(&fit, start, shortest.max(end.saturating_sub(stride)), (end + stride).min(last));
         start = self.first_explained(&fit, start.min(from));
         let window = start..end + 1;
-        let mut fit = self.best_drive(window.clone(), is_free, Some(fit.drive)).ok_or(WallStepError::NoMotion)?;
-        let mut frees_onset = is_free;
-        if !is_free {
-            let delayed = self.best_drive(window.clone(), true, None);
+        let mut fit = self.best_drive(window.clone(), onset, Some(fit.drive)).ok_or(WallStepError::NoMotion)?;
+        if onset == OnsetSearch::Fixed {
+            let delayed = self.best_drive(window.clone(), OnsetSearch::Free, None);
             if let Some(delayed) = delayed.filter(|delayed| delayed.cost + COST_OF_DELAY < fit.cost) {
                 fit = delayed;
-                frees_onset = true;
+                onset = OnsetSearch::Free;
             }
         }
-        self.report(window, &fit, frees_onset)
+        self.report(window, &fit, onset)
     }
 
     /// The descent must have come a third of its way before the step can end.
@@ -277,8 +286,8 @@ impl Search<'_> {
     }
 
     /// Minimises over rate and onset: from a grid, or from a known drive, by steps that halve when they no longer help.
-    fn best_drive(&self, window: std::ops::Range<usize>, frees_onset: bool, known: Option<Drive>) -> Option<DriveFit> {
-        let (low_s, high_s) = self.onset_limits(&window, frees_onset);
+    fn best_drive(&self, window: std::ops::Range<usize>, onset: OnsetSearch, known: Option<Drive>) -> Option<DriveFit> {
+        let (low_s, high_s) = self.onset_limits(&window, onset);
         let fit_at = |drive: Drive| self.linear_fit(drive, window.clone()).filter(|fit| fit.steady_m_per_s > 0.0);
         let mut best: Option<DriveFit> = None;
         let mut improve = |drive: Drive| {
@@ -334,8 +343,8 @@ impl Search<'_> {
         Some(here)
     }
 
-    fn onset_limits(&self, window: &std::ops::Range<usize>, frees_onset: bool) -> (f64, f64) {
-        if !frees_onset {
+    fn onset_limits(&self, window: &std::ops::Range<usize>, onset: OnsetSearch) -> (f64, f64) {
+        if onset == OnsetSearch::Fixed {
             return (0.0, 0.0);
         }
         let (first_s, last_s) = (self.readings[window.start].0, self.readings[window.end - 1].0);
@@ -349,15 +358,15 @@ impl Search<'_> {
         &self,
         window: std::ops::Range<usize>,
         fit: &DriveFit,
-        frees_onset: bool,
+        onset: OnsetSearch,
     ) -> Result<SingleStep, WallStepError> {
         let is_used: Vec<bool> = self.costs(fit, window.clone()).iter().map(|cost| *cost < MAX_COST).collect();
         let used = is_used.iter().filter(|used| **used).count();
-        let unknowns = if frees_onset { 4 } else { 3 };
+        let unknowns = if onset == OnsetSearch::Free { 4 } else { 3 };
         if used <= unknowns + 1 {
             return Err(WallStepError::TooFewReadings { found: used, needed: unknowns + 2 });
         }
-        let uncertainty = self.uncertainty(&window, fit, &is_used, frees_onset);
+        let uncertainty = self.uncertainty(&window, fit, &is_used, onset);
         let readings = &self.readings[window.clone()];
         let (first_s, last_s) = (readings[0].0, readings[readings.len() - 1].0);
         let (steady, rate) = (fit.steady_m_per_s, fit.drive.rate_per_s);
@@ -466,7 +475,7 @@ impl Search<'_> {
         window: &std::ops::Range<usize>,
         fit: &DriveFit,
         is_used: &[bool],
-        frees_onset: bool,
+        onset: OnsetSearch,
     ) -> Uncertainty {
         let travel = |drive| self.travel_m(drive, window.clone());
         let drive = fit.drive;
@@ -475,11 +484,10 @@ impl Search<'_> {
             let (ahead, behind) = (travel(ahead), travel(behind));
             ahead.iter().zip(behind).map(|(ahead, behind)| (ahead - behind) / width).collect()
         };
-        const STEP: f64 = 1e-3;
         let rate = |factor: f64| Drive { rate_per_s: drive.rate_per_s * f64::exp(factor), ..drive };
-        let onset = |shift_s: f64| Drive { onset_s: drive.onset_s + shift_s, ..drive };
+        let delayed = |shift_s: f64| Drive { onset_s: drive.onset_s + shift_s, ..drive };
         let (here, by_rate) = (travel(drive), by(rate(STEP), rate(-STEP), 2.0 * STEP));
-        let by_onset = by(onset(STEP), onset(-STEP), 2.0 * STEP);
+        let by_onset = by(delayed(STEP), delayed(-STEP), 2.0 * STEP);
         let mut normal = SMatrix::<f64, 4, 4>::zeros();
         let mut squares = 0.0;
         for (index, (_, range_m)) in self.readings[window.clone()].iter().enumerate() {
@@ -487,13 +495,13 @@ impl Search<'_> {
                 continue;
             }
             let v = fit.steady_m_per_s;
-            let onset = if frees_onset { -v * by_onset[index] } else { 0.0 };
-            let row = SVector::<f64, 4>::new(1.0, -here[index], -v * by_rate[index], onset);
+            let onset_share = if onset == OnsetSearch::Free { -v * by_onset[index] } else { 0.0 };
+            let row = SVector::<f64, 4>::new(1.0, -here[index], -v * by_rate[index], onset_share);
             normal += row * row.transpose();
             squares += (range_m - fit.start_m + v * here[index]).powi(2);
         }
-        let unknowns = if frees_onset { 4 } else { 3 };
-        if !frees_onset {
+        let unknowns = if onset == OnsetSearch::Free { 4 } else { 3 };
+        if onset == OnsetSearch::Fixed {
             normal[(3, 3)] = 1.0;
         }
         let used = is_used.iter().filter(|used| **used).count();
@@ -517,7 +525,7 @@ impl Search<'_> {
             steady: covariance[(1, 1)].sqrt(),
             log_rate: covariance[(2, 2)].sqrt(),
             log_mass: log_mass.max(0.0).sqrt(),
-            onset_s: if frees_onset { covariance[(3, 3)].sqrt() } else { 0.0 },
+            onset_s: if onset == OnsetSearch::Free { covariance[(3, 3)].sqrt() } else { 0.0 },
             range_sigma_m,
         }
     }

@@ -104,6 +104,8 @@ pub(super) const ESTIMATE: Channel =
     json("posebridge/estimate", Some("estimate"), "posebridge.Estimate", || records::ESTIMATE.schema());
 pub(super) const FUSION: Channel =
     json("posebridge/fusion", Some("fusion"), "posebridge.Fusion", || records::FUSION.schema());
+pub(super) const QUANTITY: Channel =
+    json("posebridge/quantity", Some("quantity"), "posebridge.Quantity", || records::QUANTITY.schema());
 /// The name of the filter is the last part of the topic.
 pub(super) const COMPARED_ESTIMATE: Channel =
     json("posebridge/compared_estimate", Some("compared_estimate"), "posebridge.Estimate", || {
@@ -137,6 +139,7 @@ pub const CHANNELS: &[Channel] = &[
     TRUE_POSE,
     ESTIMATE,
     FUSION,
+    QUANTITY,
     COMPARED_ESTIMATE,
     COMPARED_FUSION,
     LINK_HEALTH,

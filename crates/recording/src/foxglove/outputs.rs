@@ -3,7 +3,7 @@
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
     Calibration, Command, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Observation, ObservationKind, Pose,
-    RobotId, TimeDelta, Timestamp,
+    RobotId, ScalarEstimate, TimeDelta, Timestamp,
 };
 
 use super::channels::{self, Channel, EncodedMessage};
@@ -94,7 +94,7 @@ impl OutputEncoder {
                 vec![json_message(channels::LINK_HEALTH, &records::LINK_HEALTH, &report)]
             }
             // The values are in the recording's inputs: a replay gives them again, and `export` writes them as a table.
-            Event::QuantityUpdated { .. } => Vec::new(),
+            Event::QuantityUpdated { robot, estimate } => self.quantity_messages(*robot, estimate),
             Event::RobotDetected { .. }
             | Event::RobotNamed { .. }
             | Event::RobotLost { .. }
@@ -246,6 +246,15 @@ impl OutputEncoder {
         }
         let message = json_message(channels::COMPARED_FUSION, &records::FUSION, record);
         let mut messages = vec![EncodedMessage { filter: Some(filter), ..message }];
+        outputs.assign(&mut messages);
+        messages
+    }
+
+    fn quantity_messages(&mut self, robot: RobotId, estimate: &ScalarEstimate) -> Vec<EncodedMessage> {
+        let Some(outputs) = self.robots.get_or_add(Some(robot)) else {
+            return Vec::new();
+        };
+        let mut messages = vec![json_message(channels::QUANTITY, &records::QUANTITY, estimate)];
         outputs.assign(&mut messages);
         messages
     }

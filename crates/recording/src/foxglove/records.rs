@@ -204,6 +204,19 @@ pub(super) const ESTIMATE: Record<Estimate> = Record {
 };
 
 #[rustfmt::skip]
+pub(super) const QUANTITY: Record<ScalarEstimate> = Record {
+    title: "QuantityRecord",
+    help: "The estimate of a filter that knows one quantity.",
+    fields: &[&[
+        field("brick_nanos", "The instant for which it holds, ns of the brick's clock.", Read::I64(|of| of.stamp.as_nanos())),
+        field("value", "The value, in its unit.", Read::Number(|of| Some(of.value))),
+        field("sigma", "One standard deviation, in the same unit.", Read::Number(|of| Some(of.sigma))),
+        field("rate_per_s", "Its rate, per second.", Read::Number(|of| Some(of.rate_per_s))),
+        field("unit", "The unit.", Read::Text(|of| of.unit.to_owned())),
+    ]],
+};
+
+#[rustfmt::skip]
 pub(super) const FUSION: Record<FusionRecord> = Record {
     title: "FusedRecord",
     help: "What became of one observation.",

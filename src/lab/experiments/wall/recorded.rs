@@ -50,7 +50,7 @@ pub(in crate::lab) struct RunInput {
 }
 
 impl RunInput {
-    fn unknown(why: String) -> Self {
+    fn unknown(why: &str) -> Self {
         let note = format!("{why}: the car is taken to be driven fully, from an instant that the readings show");
         Self { command: StepCommand::Unknown, note }
     }
@@ -58,8 +58,8 @@ impl RunInput {
 
 /// The log of readings and of inputs as they were recorded. The input 1 is the largest one.
 fn log_with_input(
-    ranges: Vec<WallEntry>,
-    recorded: Vec<WallEntry>,
+    ranges: &[WallEntry],
+    recorded: &[WallEntry],
     column: Option<&MotorColumn>,
     columns: &[String],
 ) -> (WallLog, RunInput) {
@@ -70,19 +70,18 @@ fn log_with_input(
         })
     };
     let most = values().map(f64::abs).fold(0.0, f64::max);
-    let assumed = |why: String| (WallLog::new(ranges.clone()).with_assumed_drive(), RunInput::unknown(why));
+    let assumed = |why: &str| (WallLog::new(ranges.to_vec()).with_assumed_drive(), RunInput::unknown(why));
     let Some(column) = column else {
-        return assumed(if columns.is_empty() {
-            "the recording holds no motor input".to_owned()
-        } else {
-            format!(
-                "no column has a usual name of a motor's input (--command-column names one); there are: {}",
-                columns.join(", ")
-            )
-        });
+        if columns.is_empty() {
+            return assumed("the recording holds no motor input");
+        }
+        return assumed(&format!(
+            "no column has a usual name of a motor's input (--command-column names one); there are: {}",
+            columns.join(", ")
+        ));
     };
     if most <= 0.0 {
-        return assumed(format!("the motor column {} is 0 throughout", column.describe()));
+        return assumed(&format!("the motor column {} is 0 throughout", column.describe()));
     }
     let first = values().next();
     let scaled = recorded.iter().map(|entry| match entry.reading {
@@ -130,7 +129,7 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
             path.display()
         );
         let table = read_table(path, choice.command_column.as_deref())?;
-        let (log, input) = log_with_input(table.ranges, table.inputs, table.motor.as_ref(), &table.columns);
+        let (log, input) = log_with_input(&table.ranges, &table.inputs, table.motor.as_ref(), &table.columns);
         let name = path.display().to_string();
         let run = RunLog { name: name.clone(), input, log, foreign_filter: Vec::new(), range_sigma_m: TABLE_SIGMA_M };
         return Ok(RecordedRuns { descriptor: name, runs: vec![run] });
@@ -170,7 +169,7 @@ fn prepare_own(path: &Path, settings: &[Setting]) -> Result<RecordedRuns> {
         "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
         run.name
     );
-    let (log, input) = log_with_input(ranges, Vec::new(), None, &[]);
+    let (log, input) = log_with_input(&ranges, &[], None, &[]);
     Ok(RecordedRuns {
         descriptor: run.name.clone(),
         runs: vec![RunLog {
@@ -225,7 +224,7 @@ impl RunReader<'_> {
             });
             WallLog::new(entries).readings().collect()
         });
-        let (log, input) = log_with_input(ranges, inputs, motor.as_ref(), &columns.names);
+        let (log, input) = log_with_input(&ranges, &inputs, motor.as_ref(), &columns.names);
         Ok(RunLog {
             name: self.run.to_owned(),
             input,

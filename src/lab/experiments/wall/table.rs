@@ -85,7 +85,7 @@ fn time_unit(rows: &[(f64, f64, Option<f64>)]) -> f64 {
 /// The column with one of these names, and what its unit is worth if the name ends with one.
 fn find(columns: &[String], names: &[&str], units: &[(&str, f64)]) -> Option<(String, Option<f64>)> {
     let plain =
-        |column: &str| -> String { column.to_lowercase().chars().filter(|one| one.is_ascii_alphanumeric()).collect() };
+        |column: &str| -> String { column.to_lowercase().chars().filter(char::is_ascii_alphanumeric).collect() };
     names.iter().find_map(|name| {
         columns.iter().find_map(|column| {
             let plain = plain(column);
