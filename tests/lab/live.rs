@@ -77,7 +77,7 @@ fn a_recorded_square_is_judged_by_images_as_the_simulated_one_is_by_its_truth() 
     let indirect = lab(folder, &["indirect", "--recording", "drive-0.mcap", "drive-1.mcap"]);
     assert_eq!((&indirect["runs"], indirect["rows"].as_array().unwrap().len()), (&2.into(), 5));
     let page = read_text(folder, "lab-indirect.html");
-    assert!(page.contains("drive-1.mcap") && page.matches("<img ").count() == 2);
+    assert!(page.contains("drive-1.mcap") && page.matches("<img ").count() == 3);
     // Its page has the command that gives it again.
     let command = "posebridge lab nxt-square --recording drive-0.mcap --judge start";
     assert!(read_text(folder, "lab-nxt-square.html").contains(command));

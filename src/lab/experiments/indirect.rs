@@ -16,11 +16,11 @@ use posebridge_report::metrics::PoseError;
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
 use posebridge_report::tables::NO_VALUE;
-use posebridge_sim::frame_accelerometers::FrameAccelerometers;
-use posebridge_sim::montecarlo::{Drive, MAX_RUNS, Scenario};
+use posebridge_sim::montecarlo::{MAX_RUNS, Scenario};
 use posebridge_telemetry::ObservationKind;
 use serde_json::{Value, json};
 
+use super::indirect_drive::{PAPER_END_M, draw_drive};
 use super::indirect_map;
 use super::recorded::{self, RecordedArgs, RobotDrive, RobotDrives};
 use crate::console::print_line;
@@ -114,11 +114,6 @@ fn recorded_round(one: &RobotDrive, rows: &[FilterRow]) -> Vec<FilteredDrive> {
     });
     courses.collect()
 }
-
-/// End error of the paper's own run, in x and y: the reference for the fused ends.
-pub(super) const PAPER_END_M: (f64, f64) = (0.235, 0.32);
-/// Residual accelerometer bias after zeroing by eye: 5 mg; docs/lab/indirect.md section M4.
-const BIAS_SIGMA_M_PER_S2: f64 = 0.05;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct FilterRow {
@@ -228,19 +223,6 @@ fn evaluate(selected: &[FilterRow], rounds: &[Vec<FilteredDrive>], truth: Vec<Tr
 /// Whether another row uses the same sensors in the other filter.
 fn is_twin(other: &FilterRow, row: FilterRow) -> bool {
     other.sensors == row.sensors && other.filter != row.filter
-}
-
-pub(super) fn draw_drive(scenario: &Scenario, run: u32) -> Drive {
-    let drive = scenario.drive(run);
-    let Some(settings) = scenario.accelerometer else {
-        return drive;
-    };
-    let accelerometers = FrameAccelerometers {
-        sigma_m_per_s2: settings.sigma_m_per_s2,
-        bias_sigma_m_per_s2: BIAS_SIGMA_M_PER_S2,
-        spacing: drive.prior.geometry.track_width,
-    };
-    accelerometers.add_to(drive, scenario.seed, run)
 }
 
 fn round(scenario: &Scenario, run: u32) -> Vec<FilteredDrive> {

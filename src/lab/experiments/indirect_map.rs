@@ -16,7 +16,7 @@ use posebridge_sim::montecarlo::{Course, Scenario};
 use posebridge_telemetry::ObservationKind;
 use serde_json::{Value, json};
 
-use super::indirect::{PAPER_END_M, draw_drive};
+use super::indirect_drive::{PAPER_END_M, draw_drive};
 use crate::lab::drives::drawn_config;
 use crate::lab::parallel::run_with_bar;
 

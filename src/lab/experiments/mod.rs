@@ -3,6 +3,7 @@
 pub mod accuracy;
 mod estimators;
 pub mod indirect;
+mod indirect_drive;
 mod indirect_map;
 pub mod links;
 pub mod live;

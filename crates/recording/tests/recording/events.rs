@@ -132,6 +132,9 @@ pub(crate) fn events() -> Vec<Event> {
         Event::EstimateUpdated { robot, estimate: estimate(5_050) },
         Event::EstimateCompared { robot, filter: "ekf5", estimate: estimate(5_050) },
     ];
+    let distance =
+        ScalarEstimate { stamp: Timestamp::from_millis(5_050), value: 0.304, sigma: 0.02, rate_per_s: -0.5, unit: "m" };
+    events.push(Event::QuantityUpdated { robot, estimate: distance });
     if let Event::ObservationFused { record, .. } = fused_event(FusionOutcome::Accepted, 1.5) {
         events.push(Event::ObservationCompared { robot, filter: "ekf5", record });
     }
