@@ -22,7 +22,7 @@
 //! ```
 //! Because th, c and g are states, P holds how an error of the heading has moved x and y, and
 //! positions correct the heading. Fixes that the gate rejects one after the other move the pose when they agree among
-//! themselves: [`super::rejected_fixes`].
+//! themselves: `rejected_fixes.rs`.
 //!
 //! With all sensors (`ukf-all`) P is carried by sigma points, and two more states are the compass's deviation by iron
 //! that turns with the robot: h = th + d_s sin th + d_c cos th.
