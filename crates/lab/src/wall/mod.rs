@@ -34,4 +34,4 @@ pub use self::replay_filter::{
     validate_model,
 };
 pub use self::single_step::{SingleStep, StepCommand, find_step};
-pub use self::step_error::{Guess, Undetermined, WallStepError};
+pub use self::step_error::{Guess, UndeterminedReason, WallStepError};

@@ -15,7 +15,7 @@ use posebridge_telemetry::UncertainValue;
 
 use super::fit::{ManualStepFit, PIECE, SpeedSample, differences, fit_by_hand, overlapping_lines};
 use super::log::{WallEntry, WallLog, WallReading, responses};
-use super::step_error::{Undetermined, WallStepError};
+use super::step_error::{UndeterminedReason, WallStepError};
 use super::step_evidence::{Evidence, LARGEST_SHARE, largest_descent, medians_of_three, noise, undetermined};
 use crate::statistics::median;
 
@@ -37,7 +37,7 @@ pub struct SingleStep {
     /// m: the inverse of the first acceleration under the input 1.
     pub mass_s2_per_m: Option<UncertainValue>,
     /// Why something is missing.
-    pub undetermined: Option<Undetermined>,
+    pub undetermined: Option<UndeterminedReason>,
     /// When the car began to move; before the first reading for a log that begins on the way.
     pub onset_s: UncertainValue,
     /// First and last reading that belong to the step.

@@ -21,12 +21,12 @@ pub enum WallStepError {
     )]
     MovesAway { away_m: f64 },
     #[error("{0}")]
-    Undetermined(Undetermined),
+    Undetermined(UndeterminedReason),
 }
 
 /// What a step cannot tell, and why.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Undetermined {
+pub enum UndeterminedReason {
     #[error(
         "the car was still speeding up, {last_m_per_s:.2} m/s at the end: v_ss, d and t90 would be guesses ({guess}); \
          give it a longer way or less PWM"

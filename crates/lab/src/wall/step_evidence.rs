@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::UncertainValue;
 
-use super::step_error::{Guess, Undetermined};
+use super::step_error::{Guess, UndeterminedReason};
 use crate::statistics::median;
 
 /// A value whose sigma is a larger share of it is a guess.
@@ -21,7 +21,7 @@ pub(super) struct Evidence {
 }
 
 /// Why d or m is a guess; `None` if both are known.
-pub(super) fn undetermined(evidence: &Evidence) -> Option<Undetermined> {
+pub(super) fn undetermined(evidence: &Evidence) -> Option<UndeterminedReason> {
     let [steady, _, drag, mass] = evidence.known;
     let is_sure = |known: UncertainValue| known.sigma <= LARGEST_SHARE * known.value;
     let time_constants = evidence.rate_per_s * evidence.driven_s;
@@ -29,9 +29,9 @@ pub(super) fn undetermined(evidence: &Evidence) -> Option<Undetermined> {
         let guess = Guess { name: "v_ss", value: steady };
         // At two time constants a car has 86 % of its speed.
         return Some(if time_constants < 2.0 {
-            Undetermined::StillSpeedingUp { last_m_per_s: evidence.last_m_per_s, guess }
+            UndeterminedReason::StillSpeedingUp { last_m_per_s: evidence.last_m_per_s, guess }
         } else {
-            Undetermined::TooNoisy { noise_m: evidence.noise_m, guess }
+            UndeterminedReason::TooNoisy { noise_m: evidence.noise_m, guess }
         });
     }
     if is_sure(mass) && evidence.log_rate_sigma <= LARGEST_SHARE {
@@ -39,11 +39,11 @@ pub(super) fn undetermined(evidence: &Evidence) -> Option<Undetermined> {
     }
     let guess = Guess { name: "m", value: mass };
     Some(if evidence.begins_on_the_way {
-        Undetermined::BeginsOnTheWay { guess }
+        UndeterminedReason::BeginsOnTheWay { guess }
     } else if evidence.rate_per_s * evidence.period_s > 0.7 {
-        Undetermined::RisesBetweenReadings { period_s: evidence.period_s, guess }
+        UndeterminedReason::RisesBetweenReadings { period_s: evidence.period_s, guess }
     } else {
-        Undetermined::TooNoisy { noise_m: evidence.noise_m, guess }
+        UndeterminedReason::TooNoisy { noise_m: evidence.noise_m, guess }
     })
 }
 

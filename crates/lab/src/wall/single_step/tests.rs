@@ -90,10 +90,10 @@ fn what_a_step_cannot_tell_is_left_out_with_the_true_reason() {
         Err(WallStepError::Undetermined(reason)) => reason,
         Err(error) => panic!("{error}"),
     };
-    assert!(matches!(reason, Undetermined::StillSpeedingUp { .. }), "{reason}");
+    assert!(matches!(reason, UndeterminedReason::StillSpeedingUp { .. }), "{reason}");
     let sudden = Scenario { rise_90_s: 0.03, after_s: 0.0, ..CAR };
     let step = find_step(&draw(&sudden, 1), StepCommand::Recorded).unwrap();
-    assert!(matches!(step.undetermined, Some(Undetermined::RisesBetweenReadings { .. })), "{step:?}");
+    assert!(matches!(step.undetermined, Some(UndeterminedReason::RisesBetweenReadings { .. })), "{step:?}");
     assert!((step.drag_s_per_m.unwrap().value * 1.11 - 1.0).abs() < 0.05 && step.mass_s2_per_m.is_none());
     let rest: Vec<(f64, f64)> =
         (0..30).map(|index| (0.1 * f64::from(index), 2.0 + 0.01 * f64::from(index % 3))).collect();
