@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use posebridge_report::{ComparedTrack, FixMark, PoseTrack, SourceTally, TimedPose};
 use posebridge_sim::HISTORY_DURATION;
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, ObservationKind, Point2, TimeDelta,
-    Timestamp,
+    Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, ObservationKind, Point2, QuantitySteps,
+    TimeDelta, Timestamp,
 };
 
 use super::link_report::LinkReport;
@@ -26,6 +26,8 @@ pub struct EventCollector {
     pub estimates: ThinnedSeries<Estimate>,
     pub fixes: ThinnedSeries<FixMark>,
     pub sources: Vec<SourceTally>,
+    /// Of a filter of one quantity; none are taken by a filter of a pose.
+    pub quantity_steps: QuantitySteps,
     /// Filters that ran beside the robot's own, in the order of the configuration.
     pub compared: Vec<ComparedFilter>,
     pub observations: u64,
@@ -79,6 +81,9 @@ impl EventCollector {
             Event::EstimateUpdated { estimate, .. } if estimate.validity.position && estimate.validity.heading => {
                 self.estimates.push(*estimate);
             }
+            Event::QuantityUpdated { estimate, .. } => {
+                self.quantity_steps.step(estimate.stamp);
+            }
             Event::EstimateCompared { filter, estimate, .. }
                 if estimate.validity.position && estimate.validity.heading =>
             {
@@ -108,9 +113,15 @@ impl EventCollector {
 
     fn on_fusion(&mut self, record: &FusionRecord) {
         posebridge_report::metrics::add_to_tallies(&mut self.sources, record);
+        self.quantity_steps.observe(record);
         if let Some(position) = self.last_fix {
             self.fixes.push(FixMark { time: record.stamp, position, verdict: record.outcome });
         }
+    }
+
+    /// Of a filter of one quantity: its steps in words.
+    pub fn quantity_steps_text(&self) -> Option<String> {
+        (self.quantity_steps.taken() > 0).then(|| self.quantity_steps.to_string())
     }
 
     pub fn track(&self) -> PoseTrack {

@@ -8,8 +8,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_sim::TruthSample;
 use posebridge_telemetry::{
-    Celsius, ChannelName, Estimate, Event, FusionOutcome, HostClock, LinkId, LinkState, RepeatFilter, RobotId,
-    ScalarEstimate, TimeDelta, Timestamp,
+    Celsius, ChannelName, Estimate, Event, FusionOutcome, HostClock, LinkId, LinkState, QuantitySteps, RepeatFilter,
+    RobotId, ScalarEstimate, TimeDelta, Timestamp,
 };
 use tokio::sync::watch;
 
@@ -33,6 +33,7 @@ struct RobotView {
     estimate: Option<Estimate>,
     /// Of a filter that knows one quantity.
     quantity: Option<ScalarEstimate>,
+    steps: QuantitySteps,
     last_fix: Option<(FusionOutcome, TimeDelta)>,
 }
 
@@ -118,6 +119,9 @@ impl LiveView {
             Event::ObservationFused { robot, record } if record.kind == "fix" => {
                 self.robots.entry(*robot).or_default().last_fix = Some((record.outcome, record.lag));
             }
+            Event::ObservationFused { robot, record } if QuantitySteps::is_reading(record) => {
+                self.robots.entry(*robot).or_default().steps.observe(record);
+            }
             Event::EstimateUpdated { robot, estimate } => {
                 self.robots.entry(*robot).or_default().estimate = Some(*estimate);
                 for error in &mut self.error_to_truth {
@@ -125,7 +129,9 @@ impl LiveView {
                 }
             }
             Event::QuantityUpdated { robot, estimate } => {
-                self.robots.entry(*robot).or_default().quantity = Some(*estimate);
+                let view = self.robots.entry(*robot).or_default();
+                view.quantity = Some(*estimate);
+                view.steps.step(estimate.stamp);
             }
             Event::Temperature { brick, channel, shown, settled, .. } => {
                 self.thermometers.insert((*brick, *channel), (*shown, *settled));
@@ -269,13 +275,8 @@ impl RobotView {
     fn line(&self, name: &str) -> String {
         let mut line = match (&self.estimate, &self.quantity) {
             (Some(estimate), _) => pose_line(name, estimate),
-            (None, Some(quantity)) => format!(
-                "\n  {name}  {:.3} ± {:.3} {unit}, {:+.3} {unit}/s",
-                quantity.value,
-                quantity.sigma,
-                quantity.rate_per_s,
-                unit = quantity.unit
-            ),
+            // Of a filter without a pose there is no fix to speak of.
+            (None, Some(quantity)) => return quantity_line(name, quantity, &self.steps),
             (None, None) => format!("\n  {name}  unknown"),
         };
         match self.last_fix {
@@ -287,6 +288,11 @@ impl RobotView {
         }
         line
     }
+}
+
+fn quantity_line(name: &str, quantity: &ScalarEstimate, steps: &QuantitySteps) -> String {
+    let ScalarEstimate { value, sigma, rate_per_s, unit, .. } = quantity;
+    format!("\n  {name}  {value:.3} ± {sigma:.3} {unit}, {rate_per_s:+.3} {unit}/s   {steps}")
 }
 
 /// Reading, predicted final value and its 95 % bound.
@@ -394,7 +400,23 @@ impl ErrorToTruth {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::Address;
+    use posebridge_telemetry::{Address, FusionRecord, SensorId};
+
+    #[test]
+    fn a_quantity_has_the_last_verdict_and_the_share_of_predictions_and_no_fix() {
+        let mut view = LiveView::silent();
+        let robot = RobotId { link: LinkId(0), address: Address::new(1, 1) };
+        for (millis, outcome) in [(0, FusionOutcome::Accepted), (100, FusionOutcome::Gated)] {
+            let stamp = Timestamp::from_millis(millis);
+            let record = FusionRecord::new(SensorId::RANGE, "wall_range", stamp, outcome);
+            let estimate = ScalarEstimate { stamp, value: 1.5, sigma: 0.02, rate_per_s: -0.25, unit: "m" };
+            view.on_event(Timestamp::ZERO, &Event::ObservationFused { robot, record });
+            view.on_event(Timestamp::ZERO, &Event::QuantityUpdated { robot, estimate });
+        }
+        let expected =
+            "\n  pose  1.500 ± 0.020 m, -0.250 m/s   last reading gated, 50 % of 2 steps by prediction alone";
+        assert!(view.block().ends_with(expected), "{}", view.block());
+    }
 
     #[test]
     fn a_thermometer_has_a_line_of_its_own_with_the_bound_of_its_end() {

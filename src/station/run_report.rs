@@ -168,7 +168,13 @@ fn robots_of<'r>(
 
 fn one_robot(config: &Config, robot: &RobotOutcome<'_>) -> Result<String> {
     let RobotOutcome { collector, simulation, truth, .. } = robot;
-    let mut text = format!("{}\n{}\n", source_table(&collector.sources), link_report::tables(collector.links.iter()));
+    let mut text = source_table(&collector.sources);
+    if let Some(steps) = collector.quantity_steps_text() {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "filter     {steps}");
+    }
+    // Writing to a String cannot fail.
+    let _ = write!(text, "\n{}\n", link_report::tables(collector.links.iter()));
     if let (Some(simulated), Some(truth)) = (simulation, truth) {
         let complete = simulated.is_complete.then(|| simulate_other_steering(config, simulated));
         let other = complete.transpose()?;

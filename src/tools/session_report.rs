@@ -195,6 +195,10 @@ fn in_figures(run: &RunSummary) -> String {
     if let Some(smoothed) = &run.smoothed {
         text += &in_hindsight(smoothed);
     }
+    if let Some(steps) = history.collector.quantity_steps_text() {
+        // Writing to a String cannot fail.
+        let _ = write!(text, " Filter of one quantity: {steps}.");
+    }
     if run.reference == ScoreReference::None {
         text += " No truth is known: errors cannot be told.";
     }

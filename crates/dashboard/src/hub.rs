@@ -215,8 +215,14 @@ impl LatestState {
         state.now_s = frame.now_s;
         for robot in &frame.robots {
             let known = robot_state(state, &robot.id);
-            if !robot.estimates.is_empty() {
+            if !robot.estimates.is_empty() || robot.quantities.iter().any(|point| point.name.is_empty()) {
                 known.lost_t_s = None;
+            }
+            for point in &robot.quantities {
+                match known.quantities.iter_mut().find(|known| known.name == point.name) {
+                    Some(known) => known.clone_from(point),
+                    None => known.quantities.push(point.clone()),
+                }
             }
             update(&mut known.name, robot.name.as_ref());
             update(&mut known.estimate, robot.estimates.last());

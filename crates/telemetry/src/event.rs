@@ -133,12 +133,15 @@ pub enum Event {
 }
 
 impl Event {
-    /// Whether viewers show it beside the estimates, on a dashboard or in a recording. Of the observations they show only fixes; the
-    /// fusion records cover the others. Receive errors are counted in the health of their link.
+    /// Whether viewers show it beside the estimates, on a dashboard or in a recording. Of the observations they show fixes and the readings
+    /// of a quantity; the fusion records cover the others. Receive errors are counted in the health of their link.
     pub const fn is_for_viewers(&self) -> bool {
         match self {
             Self::ObservationAligned { observation, .. } => {
-                matches!(observation.measurement, ObservationKind::Fix(_))
+                matches!(
+                    observation.measurement,
+                    ObservationKind::Fix(_) | ObservationKind::WallRange(_) | ObservationKind::Temperature(_)
+                )
             }
             Self::ReceiveError { .. } => false,
             Self::RobotDetected { .. }

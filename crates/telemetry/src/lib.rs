@@ -17,6 +17,7 @@ pub mod io;
 pub mod link_health;
 pub mod observation;
 pub mod quantities;
+pub mod quantity_steps;
 pub mod repeat_filter;
 pub mod robot;
 pub mod severity;
@@ -36,6 +37,7 @@ pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, Sen
 pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
 };
+pub use quantity_steps::QuantitySteps;
 pub use repeat_filter::{RepeatDecision, RepeatFilter};
 pub use robot::{
     ArenaMap, Calibration, DriveGeometry, MountedSensor, Mounting, Mountings, SensorNoise, StartPose, UncertainValue,

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, RecordingNow, RobotFrame, SimulatorFacts, TruthPoint,
+    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SimulatorFacts, TruthPoint,
 };
 use posebridge_report::RecentNis;
 use posebridge_telemetry::severity::NOTICE;
@@ -107,7 +107,8 @@ impl Model {
 
     /// Robots for selection: those with an estimate, which excludes cameras. All, if none has one.
     pub fn visible_robots(&self) -> Vec<&Robot> {
-        let estimated: Vec<&Robot> = self.robots.iter().filter(|robot| !robot.estimates.is_empty()).collect();
+        let is_estimated = |robot: &&Robot| !robot.estimates.is_empty() || robot.quantity.is_some();
+        let estimated: Vec<&Robot> = self.robots.iter().filter(is_estimated).collect();
         if estimated.is_empty() { self.robots.iter().collect() } else { estimated }
     }
 
@@ -156,6 +157,10 @@ pub struct Robot {
     pub id: String,
     pub name: Option<String>,
     pub estimates: RecentPoints<EstimatePoint>,
+    /// The last estimate of a filter of one quantity.
+    pub quantity: Option<QuantityPoint>,
+    /// What became of its last reading.
+    pub reading_verdict: String,
     pub fixes: RecentPoints<FixPoint>,
     /// Empty unless it is one of several simulated robots.
     pub truth: RecentPoints<TruthPoint>,
@@ -195,6 +200,12 @@ impl Robot {
         }
         for estimate in &part.estimates {
             self.estimates.push(estimate.t_s, estimate.clone());
+        }
+        for point in part.quantities.iter().filter(|point| point.name.is_empty()) {
+            if !point.verdict.is_empty() {
+                self.reading_verdict.clone_from(&point.verdict);
+            }
+            self.quantity = Some(point.clone());
         }
         for fix in &part.fixes {
             self.fixes.push(fix.t_s, fix.clone());

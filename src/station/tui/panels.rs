@@ -2,8 +2,9 @@
 //!
 //! A panel draws a [`Model`] into a part of a buffer. It has no terminal and no clock: the same model gives the same cells.
 
-use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine, Number};
+use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine, Number, QuantityPoint};
 use posebridge_report::Consistency;
+use posebridge_telemetry::QuantitySteps;
 use posebridge_telemetry::severity::WARNING;
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Rect};
@@ -38,11 +39,12 @@ pub const PANELS: &[Panel] = &[
 ];
 
 fn draw_pose(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
-    let latest = model.selected_robot().and_then(|robot| robot.estimates.last());
+    let robot = model.selected_robot();
     let mut lines = vec![error_line(model, theme)];
-    match latest {
-        Some(estimate) => lines.extend(pose_lines(estimate, theme)),
-        None => lines.push(Line::styled("no estimate yet", theme.style(StyleRole::Quiet))),
+    match robot.map(|robot| (robot.estimates.last(), &robot.quantity, &robot.reading_verdict)) {
+        Some((Some(estimate), _, _)) => lines.extend(pose_lines(estimate, theme)),
+        Some((None, Some(quantity), verdict)) => lines.extend(quantity_lines(quantity, verdict)),
+        Some((None, None, _)) | None => lines.push(Line::styled("no estimate yet", theme.style(StyleRole::Quiet))),
     }
     Paragraph::new(lines).render(area, buffer);
 }
@@ -84,6 +86,15 @@ fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
     [Line::from(position), Line::from(heading), Line::from(vec![fix, resets])]
 }
 
+/// The estimate of a filter of one quantity.
+fn quantity_lines(point: &QuantityPoint, verdict: &str) -> [Line<'static>; 2] {
+    let unit = sanitize(&point.unit);
+    let value = format!("{} ± {} {unit} (95 %)", fixed(point.estimate, 3), fixed(point.bound_95, 3));
+    let rate = format!("  {} {unit}/s", signed(point.rate_per_s, 3));
+    let steps = QuantitySteps::describe(&sanitize(verdict), point.steps, point.predicted);
+    [Line::from(value + &rate), Line::from(steps)]
+}
+
 /// Robots listed in the overview; the full-screen panel shows as many as fit.
 const MAX_LINES: usize = 8;
 /// Age of the last estimate from which a robot counts as silent, as on the page (web/model/silence.js).
@@ -115,16 +126,20 @@ fn robot_row(robot: &Robot, now_s: f64, selected: Option<&str>, theme: Theme) ->
     let name = format!("{} {label:<NAME_WIDTH$} ", if is_selected { "▸" } else { " " });
     let role = if is_selected { StyleRole::Strong } else { StyleRole::Truth };
     let mut spans = vec![Span::styled(name, theme.style(role))];
-    let Some(latest) = robot.estimates.last() else {
+    let latest = robot.estimates.last();
+    let Some(last_s) = latest.map(|latest| latest.t_s).or(robot.quantity.as_ref().map(|point| point.t_s)) else {
         spans.push(Span::styled("no estimate yet", theme.style(StyleRole::Quiet)));
         return Line::from(spans);
     };
-    let silence_s = now_s - latest.t_s;
+    let silence_s = now_s - last_s;
     if silence_s >= SILENT_FROM_S {
         spans.push(Span::styled(format!("silent for {silence_s:.0} s"), theme.style(StyleRole::Bad)));
         return Line::from(spans);
     }
     spans.push(Span::styled("live ", theme.style(StyleRole::Good)));
+    let Some(latest) = latest else {
+        return Line::from(spans);
+    };
     let fix = match latest.fix_age_s.get() {
         Some(age_s) => format!("fix {age_s:.1} s ago"),
         None => "no fix".to_owned(),

@@ -3,8 +3,8 @@ use std::io::Read as _;
 use nix::pty::openpty;
 use nix::sys::termios::tcgetattr;
 use posebridge_dashboard::model::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, RecordingNow,
-    RobotFrame, TruthPoint,
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, QuantityPoint,
+    RecordingNow, RobotFrame, TruthPoint,
 };
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -247,6 +247,36 @@ fn no_size_is_too_small_or_too_large() {
                 assert_eq!(buffer.area.area(), u32::from(width) * u32::from(height));
             }
         }
+    }
+}
+
+#[test]
+fn a_filter_of_one_quantity_has_its_estimate_and_its_steps_in_the_panel_of_the_pose() {
+    let mut model = Model::new(None);
+    let point = |t_s, verdict: &str, predicted| QuantityPoint {
+        t_s,
+        verdict: verdict.to_owned(),
+        unit: "m".to_owned(),
+        estimate: 1.5.into(),
+        bound_95: 0.04.into(),
+        rate_per_s: (-0.25).into(),
+        steps: 4,
+        predicted,
+        ..QuantityPoint::default()
+    };
+    let thermometer = QuantityPoint { name: "temp1".to_owned(), estimate: 48.7.into(), ..point(2.0, "accepted", 0) };
+    model.on_frame(&Frame {
+        now_s: 2.0,
+        robots: vec![RobotFrame {
+            id: "0/1/1".to_owned(),
+            quantities: vec![point(1.9, "gated", 0), point(2.0, "", 1), thermometer],
+            ..RobotFrame::default()
+        }],
+        ..Frame::default()
+    });
+    let text = pictured(&model, (120, 40));
+    for expected in ["1.500 ± 0.040 m (95 %)  -0.250 m/s", "last reading gated, 25 % of 4 steps by prediction"] {
+        assert!(text.contains(expected), "{text}");
     }
 }
 

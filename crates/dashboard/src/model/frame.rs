@@ -106,6 +106,9 @@ pub struct RobotFrame {
     /// Positions by the filters that run beside the one that sends, oldest first of each; absent without news.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub compared: Vec<ComparedPoint>,
+    /// A distance or a temperature over time: that of a robot whose filter knows one quantity, and the thermometers; absent without news.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub quantities: Vec<QuantityPoint>,
     /// The filters side by side, the one that sends first, once a second; absent while none are compared.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub comparison: Vec<ComparisonRow>,
@@ -156,6 +159,34 @@ pub struct EstimatePoint {
     pub is_dead_reckoning: bool,
     /// Time since the last fix that was used; `null` before the first.
     pub fix_age_s: Number,
+}
+
+/// A quantity at an instant: what was read, and what a filter makes of it.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuantityPoint {
+    /// When it came, in seconds of the session.
+    pub t_s: f64,
+    /// The name of the thermometer; empty for the quantity of the robot's own filter.
+    pub name: String,
+    /// The kind of its readings: `wall_range` or `temperature`.
+    pub kind: String,
+    /// The unit of reading, estimate and bound; the rate is per second.
+    pub unit: String,
+    /// The reading; `null` where the filter predicted without one.
+    pub reading: Number,
+    /// What became of the reading; empty without one.
+    pub verdict: String,
+    /// The estimate, of a thermometer the value that it will show in the end; `null` while nobody can tell.
+    pub estimate: Number,
+    /// Half the width of the interval around the estimate that holds the quantity with 95 %.
+    pub bound_95: Number,
+    /// Rate of change of the estimate; `null` for a thermometer, whose final value is a constant.
+    pub rate_per_s: Number,
+    /// Number of the filter's steps so far.
+    pub steps: u64,
+    /// Number of them by prediction alone: without a reading, or with one that was refused.
+    pub predicted: u64,
 }
 
 /// The position by a filter that runs beside the one that sends.

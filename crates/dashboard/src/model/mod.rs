@@ -5,8 +5,8 @@ mod frame;
 pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, Number, ParameterValue, RecordingNow, RobotFrame, ScorePoint, SimulatorNow, TallyPoint,
-    TruthPoint,
+    LinkRow, LogLine, Number, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint, SimulatorNow,
+    TallyPoint, TruthPoint,
 };
 
 use schemars::JsonSchema;
@@ -176,6 +176,9 @@ pub struct RobotState {
     pub lost_t_s: Option<f64>,
     /// Its last estimate.
     pub estimate: Option<EstimatePoint>,
+    /// The last of each quantity; absent without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub quantities: Vec<QuantityPoint>,
     /// Where it really is, if it is simulated.
     pub truth: Option<TruthPoint>,
     /// How far its odometry and its estimate are from that.

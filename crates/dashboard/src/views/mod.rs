@@ -7,6 +7,7 @@ mod comparison;
 mod links;
 mod log;
 mod observations;
+mod quantities;
 mod retained_series;
 mod robots;
 mod status;
@@ -65,6 +66,8 @@ pub const VIEWS: &[ViewEntry] = &[
     ViewEntry { name: "fixes", build: |config| Box::new(observations::fixes(config)) },
     ViewEntry { name: "fusion", build: |config| Box::new(observations::fusion(config)) },
     ViewEntry { name: "tallies", build: |config| Box::new(observations::Tallies::new(config)) },
+    ViewEntry { name: "quantities", build: |config| Box::new(quantities::quantities(config)) },
+    ViewEntry { name: "thermometers", build: |config| Box::new(quantities::thermometers(config)) },
     ViewEntry { name: "compared paths", build: |config| Box::new(comparison::compared_paths(config)) },
     ViewEntry { name: "comparison", build: |_| Box::new(comparison::Comparison::default()) },
     ViewEntry { name: "is comparing", build: |_| Box::new(status::is_comparing()) },

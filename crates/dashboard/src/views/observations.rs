@@ -56,7 +56,7 @@ pub(super) fn fixes(config: &ViewConfig) -> SeriesView<PendingFixes, (), FixPoin
 }
 
 /// Accepted and unused observations are normal; all others are of interest.
-fn priority_of(verdict: FusionOutcome) -> PointPriority {
+pub(super) fn priority_of(verdict: FusionOutcome) -> PointPriority {
     if matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Unused) {
         PointPriority::Normal
     } else {

@@ -58,7 +58,9 @@ impl View for Robots {
     fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
         match input {
             // Not every sender is a robot: cameras and ground stations send too.
-            ViewInput::Event(Event::EstimateUpdated { robot, .. }) => self.on_estimate(*robot),
+            ViewInput::Event(Event::EstimateUpdated { robot, .. } | Event::QuantityUpdated { robot, .. }) => {
+                self.on_estimate(*robot);
+            }
             ViewInput::Event(Event::RobotNamed { robot, name }) => self.on_name(*robot, name),
             ViewInput::Event(Event::RobotLost { robot, .. }) => self.on_loss(now, *robot),
             ViewInput::Event(_) | ViewInput::Truth(_) | ViewInput::Status(_) => {}

@@ -73,7 +73,7 @@ struct RobotSwitches {
 impl View for Switches {
     fn observe(&mut self, _now: Timestamp<HostClock>, input: ViewInput<'_>) {
         match input {
-            ViewInput::Event(Event::EstimateUpdated { robot, .. }) => {
+            ViewInput::Event(Event::EstimateUpdated { robot, .. } | Event::QuantityUpdated { robot, .. }) => {
                 let known = self.robots.get_or_insert(*robot, RobotSwitches::default);
                 self.has_changed |= known.is_some_and(|known| !std::mem::replace(&mut known.is_estimated, true));
             }

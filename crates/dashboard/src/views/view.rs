@@ -45,6 +45,16 @@ impl RetentionPolicy {
         }
     }
 
+    /// For a quantity that changes so slowly: the window is longer by this factor.
+    pub(super) fn lasting(self, factor: i64) -> Self {
+        match self {
+            Self::SlidingWindow { duration, max_points } => {
+                Self::SlidingWindow { duration: TimeDelta::from_nanos(duration.as_nanos() * factor), max_points }
+            }
+            Self::WholeSession { .. } => self,
+        }
+    }
+
     /// For a series with one point a second: `live_points` live, one `share`-th of the points for a whole session.
     pub(super) fn for_seconds(self, live_points: usize, share: usize) -> Self {
         self.map_points(|points| match self {
