@@ -110,7 +110,7 @@ function look() {
   view.isOneOfMany = hasChoice(view.session);
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
   view.until_s = replay.isOn ? replay.until_s : liveTime();
-  view.silence_s = silence_s(view.robot?.estimates, view.until_s);
+  view.silence_s = silence_s(view.robot?.published, view.until_s);
   view.path = station.path();
 }
 
@@ -129,9 +129,9 @@ function select(id) {
 // Now, or the instant of the latest estimate when the robot's clock has that a little later.
 function liveTime() {
   const { now_s } = view.session;
-  const estimates = view.robot?.estimates;
-  if (!estimates || estimates.length === 0) return now_s;
-  const last_s = estimates.columns.t_s[estimates.end - 1];
+  const published = view.robot?.published;
+  if (!published || published.length === 0) return now_s;
+  const last_s = published.columns.t_s[published.end - 1];
   return last_s > now_s && last_s < now_s + MOST_AHEAD_S ? last_s : now_s;
 }
 

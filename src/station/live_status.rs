@@ -261,7 +261,7 @@ impl LiveView {
         }
         match self.robots.len() {
             0 => block.push_str(&RobotView::default().line("pose")),
-            1 => self.robots.values().for_each(|robot| block.push_str(&robot.line("pose"))),
+            1 => self.robots.values().for_each(|robot| block.push_str(&robot.line(robot.title()))),
             _ => block.push_str(&self.robot_lines()),
         }
         for ((brick, channel), (shown, settled)) in &self.thermometers {
@@ -272,6 +272,11 @@ impl LiveView {
 }
 
 impl RobotView {
+    /// The beginning of its line where it is the only robot.
+    const fn title(&self) -> &'static str {
+        if self.estimate.is_none() && self.quantity.is_some() { "estimate" } else { "pose" }
+    }
+
     fn line(&self, name: &str) -> String {
         let mut line = match (&self.estimate, &self.quantity) {
             (Some(estimate), _) => pose_line(name, estimate),
@@ -414,7 +419,7 @@ mod tests {
             view.on_event(Timestamp::ZERO, &Event::QuantityUpdated { robot, estimate });
         }
         let expected =
-            "\n  pose  1.500 ± 0.020 m, -0.250 m/s   last reading gated, 50 % of 2 steps by prediction alone";
+            "\n  estimate  1.500 ± 0.020 m, -0.250 m/s   last reading gated, 50 % of 2 steps by prediction alone";
         assert!(view.block().ends_with(expected), "{}", view.block());
     }
 

@@ -20,6 +20,10 @@ before(async () => {
   page = await browser.open(station.address);
   await waitForState(page, 'live');
   station.advance(120);
+  // No robot has a pose and a quantity: here all panels are to be seen.
+  const quantity = (name, kind, unit) => ({ t_s: station.now_s, name, kind, unit, reading: 1.2, verdict: 'gated', estimate: 1.3, bound_95: 0.1, rate_per_s: -0.2, steps: 9, predicted: 3 });
+  const quantities = [quantity('', 'wall_range', 'm'), quantity('temperature of the water', 'temperature', '°C')];
+  station.send({ type: 'frame', now_s: station.now_s, robots: [{ id: '0/1/1', quantities }] });
   await page.getByRole('button', { name: 'Drive with the keys' }).click();
   // A panel is drawn when it is seen first, and panels take turns: one a frame of the screen.
   const ids = await page.locator('.panel').evaluateAll((panels) => panels.map((panel) => panel.id));

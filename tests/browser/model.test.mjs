@@ -28,6 +28,29 @@ test('a track keeps the newest samples, sorted, in one piece', () => {
   assert.equal(track.columns.x_m[track.rowUntil(31.7)], 1);
 });
 
+test('a quantity has its last reading, its verdict and its silence at any time', () => {
+  const session = new Session();
+  const point = (t_s, reading, verdict, estimate, more = {}) => ({ t_s, name: '', kind: 'wall_range', unit: 'm', reading, verdict, estimate, bound_95: 0.1, rate_per_s: -0.2, steps: 10 * t_s, predicted: t_s, ...more });
+  const points = [point(1, 2, 'accepted', 2), point(1.1, 0.5, 'gated', null), point(1.2, null, '', 1.9), point(1.3, 'far', {}, 'near')];
+  session.apply({ now_s: 1.2, robots: [{ id: '0/1/1', quantities: [...points.slice(0, 3), point(1.2, 20, 'accepted', null, { name: 'temp1', kind: 'temperature', unit: '°C' })] }] });
+  const robot = session.robots.get('0/1/1');
+  const { verdict, isRefused, reading, estimate, steps, predicted } = robot.quantity.at(1.2);
+  assert.deepEqual([verdict, isRefused, reading, estimate, steps, predicted], ['gated', true, 0.5, 1.9, 12, 1.2]);
+  assert.equal(robot.quantity.at(1.05).verdict, 'accepted');
+  assert.equal(robot.quantity.at(0.5), null);
+  assert.equal(Math.floor(robot.quantity.at(6.5).silent_s), 5);
+  assert.deepEqual(session.thermometers().map((one) => one.quantity.name), ['temp1']);
+  assert.ok(Number.isNaN(session.thermometers()[0].quantity.at(2).estimate));
+  // It is a robot without a pose: no map, but it is heard, and falls silent.
+  assert.equal(session.hasOnlyQuantities(), true);
+  assert.deepEqual(robotRows(session, 1.3).map(({ state }) => state), ['live']);
+  assert.deepEqual(robotRows(session, 9).map(({ state }) => state), ['silent']);
+  session.apply({ now_s: 2, robots: [{ id: '0/1/1', quantities: [points[3], ...Array.from({ length: 99 }, (_, index) => point(1, 20, 'accepted', 1, { name: `temp${index}` }))] }] });
+  assert.equal(robot.quantities.size, 17);
+  session.apply({ now_s: 3, robots: [{ id: '0/2/1', estimates: [{ t_s: 3, x_m: 0, y_m: 0 }] }] });
+  assert.equal(session.hasOnlyQuantities(), false);
+});
+
 test('a track grows to its capacity and no further', () => {
   const track = new Track(['x_m'], 1000);
   const sizes = new Set();

@@ -1,7 +1,9 @@
 // What is kept of one robot: tracks of its estimates, fixes, fusion records and learned numbers. All bounded.
 
 import { markOf } from './marks.js';
+import { Quantity } from './quantity.js';
 import { Track } from './track.js';
+import { Words } from './words.js';
 
 export const ESTIMATE_COLUMNS = [
   'x_m', 'y_m', 'heading_rad', 'major_m', 'minor_m', 'axis_rad', 'heading_sigma_rad',
@@ -16,7 +18,8 @@ const MOST_SENSORS = 32;
 const MOST_CALIBRATED = 64;
 const MOST_KINDS = 8;
 const MOST_FILTERS = 16;
-const MOST_VERDICTS = 64;
+// Thermometers of a brick, and the robot's own quantity.
+const MOST_QUANTITIES = 17;
 const MOST_SWITCHES = 256;
 const MOST_NAME = 60;
 // Learned numbers change slowly: 1024 samples at this distance are five minutes. Of a recording there are an eighth as many as estimates.
@@ -42,6 +45,8 @@ export class Robot {
     this.compared = new Map();
     /** How all filters do, the one that sends first; see ComparisonRow of the station. */
     this.comparison = NOTHING;
+    /** name -> Quantity: that of its own filter under '', and thermometers. */
+    this.quantities = new Map();
     /** sensor -> Source */
     this.sources = new Map();
     /** name -> { name, unit, value, sigma, isLearned, track } */
@@ -51,6 +56,16 @@ export class Robot {
   /** What people call it. */
   get label() {
     return this.name || this.id;
+  }
+
+  /** The one quantity that its filter knows; null for a filter of a pose. */
+  get quantity() {
+    return this.quantities.get('') ?? null;
+  }
+
+  /** What its filter publishes, a pose or a quantity, as a track. */
+  get published() {
+    return this.estimates.length > 0 ? this.estimates : this.quantity?.track ?? this.estimates;
   }
 
   /** Takes what a frame or a history says of this robot; anything that is not as agreed is left out. */
@@ -65,6 +80,7 @@ export class Robot {
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
     for (const point of list(part.compared)) this.#compared(point.filter)?.append(point);
+    for (const point of list(part.quantities)) this.#quantity(point)?.take(point);
     if (list(part.comparison).length > 0) {
       this.comparison = part.comparison.slice(0, MOST_FILTERS);
       for (const { filter } of this.comparison) if (filter) this.#compared(filter);
@@ -87,6 +103,18 @@ export class Robot {
       this.compared.set(filter, track);
     }
     return track;
+  }
+
+  #quantity(point) {
+    const name = String(point.name ?? '').slice(0, 40);
+    let quantity = this.quantities.get(name);
+    if (!quantity) {
+      if (this.quantities.size >= MOST_QUANTITIES) return null;
+      const kind = String(point.kind ?? '').slice(0, 40);
+      quantity = new Quantity({ name, kind, unit: String(point.unit ?? '').slice(0, 20) }, name ? this.recordCapacity : this.capacity);
+      this.quantities.set(name, quantity);
+    }
+    return quantity;
   }
 
   #record(record) {
@@ -130,7 +158,7 @@ class Source {
     this.kind = kind;
     this.capacity = capacity;
     this.track = new Track(FUSION_COLUMNS, capacity);
-    this.verdicts = [];
+    this.verdicts = new Words();
     /** kind -> counts over time: a sensor may be heard in more than one way. */
     this.counts = new Map();
   }
@@ -143,7 +171,7 @@ class Source {
       nis: record.dof > 0 ? record.nis : NaN,
       dof: record.dof,
       mark: markOf(record.verdict, record.lag_s),
-      verdict: this.#verdictNumber(String(record.verdict).slice(0, 40)),
+      verdict: this.verdicts.number(record.verdict),
       is_slip: record.verdict === 'slip',
       innovation0: innovation[0], innovation1: innovation[1], innovation2: innovation[2],
       sigma0: sigma[0], sigma1: sigma[1], sigma2: sigma[2],
@@ -173,14 +201,7 @@ class Source {
   /** What became of the last one until a time; empty before the first. */
   verdict(until_s) {
     const row = this.track.rowUntil(until_s);
-    return row < 0 ? '' : this.verdicts[this.track.columns.verdict[row]] ?? '';
-  }
-
-  #verdictNumber(verdict) {
-    const known = this.verdicts.indexOf(verdict);
-    if (known >= 0) return known;
-    if (this.verdicts.length >= MOST_VERDICTS) return NaN;
-    return this.verdicts.push(verdict) - 1;
+    return row < 0 ? '' : this.verdicts.text(this.track.columns.verdict[row]);
   }
 }
 

@@ -13,10 +13,11 @@ export function robotRows(session, until_s) {
 }
 
 function rowOf(robot, until_s) {
-  const { estimates } = robot;
-  const row = estimates.rowUntil(until_s);
-  const read = (name) => (row < 0 ? NaN : estimates.columns[name][row]);
-  const silent_s = silence_s(estimates, until_s);
+  const { published } = robot;
+  const row = published.rowUntil(until_s);
+  // A quantity has neither fix nor ellipse.
+  const read = (name) => published.columns[name]?.[row] ?? NaN;
+  const silent_s = silence_s(published, until_s);
   return {
     id: robot.id,
     name: robot.name,
@@ -31,7 +32,7 @@ function rowOf(robot, until_s) {
 
 function stateOf(robot, silent_s, until_s, row) {
   if (row < 0) return 'waiting';
-  const isLost = robot.lost_s <= until_s && robot.estimates.columns.t_s[row] <= robot.lost_s;
+  const isLost = robot.lost_s <= until_s && robot.published.columns.t_s[row] <= robot.lost_s;
   if (isLost) return 'lost';
   return silent_s > 0 ? 'silent' : 'live';
 }

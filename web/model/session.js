@@ -43,7 +43,7 @@ export class Session {
   /** Those with an estimate; a camera is heard as well but has none. Without any estimate all that are heard. */
   estimated() {
     const all = [...this.robots.values()];
-    const estimated = all.filter((robot) => robot.estimates.length > 0);
+    const estimated = all.filter((robot) => robot.published.length > 0);
     return estimated.length > 0 ? estimated : all;
   }
 
@@ -55,11 +55,28 @@ export class Session {
     return (isFirst ? this.truths.get('') : null) ?? null;
   }
 
-  /** First and last instant of any estimate or truth; null without any. */
+  /** Whether all that filters here know is one quantity each: there is nothing to draw on a map. */
+  hasOnlyQuantities() {
+    const all = [...this.robots.values()];
+    return all.some((robot) => robot.quantity) && all.every((robot) => robot.estimates.length === 0) && this.truths.size === 0;
+  }
+
+  /** The thermometers of all bricks, each with its brick. */
+  thermometers() {
+    const found = [];
+    for (const robot of this.robots.values()) {
+      for (const quantity of robot.quantities.values()) if (quantity.name) found.push({ robot, quantity });
+    }
+    return found;
+  }
+
+  /** First and last instant of any estimate, reading of a thermometer or truth; null without any. */
   span() {
     let from_s = Infinity;
     let to_s = -Infinity;
-    for (const track of [...this.truths.values(), ...[...this.robots.values()].map((robot) => robot.estimates)]) {
+    const published = [...this.robots.values()].map((robot) => robot.published);
+    const read = this.thermometers().map(({ quantity }) => quantity.track);
+    for (const track of [...this.truths.values(), ...published, ...read]) {
       if (track.length === 0) continue;
       from_s = Math.min(from_s, track.columns.t_s[track.begin]);
       to_s = Math.max(to_s, track.columns.t_s[track.end - 1]);

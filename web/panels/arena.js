@@ -31,6 +31,7 @@ export const arena = {
   id: 'arena',
   title: 'Arena',
   isAnimated: true,
+  isShown: (view) => !view.session.hasOnlyQuantities(),
   build: (body, station) => new ArenaPanel(body, station),
 };
 

@@ -12,6 +12,7 @@ export const calibration = {
   id: 'calibration',
   title: 'Biases and calibration',
   isOfRobot: true,
+  isShown: (view) => !view.session.hasOnlyQuantities(),
   build(body, station) {
     const table = element('tbody');
     const empty = element('p', { class: 'note', text: 'Nothing was learned yet.' });

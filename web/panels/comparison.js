@@ -14,6 +14,7 @@ export const comparison = {
   id: 'comparison',
   title: 'Filters compared',
   isOfRobot: true,
+  isShown: (view) => !view.session.hasOnlyQuantities(),
   build: (body, station) => new ComparisonPanel(body, station),
 };
 

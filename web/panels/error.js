@@ -12,6 +12,7 @@ export const error = {
   id: 'error',
   title: 'How far off',
   isOfRobot: true,
+  isShown: (view) => !view.session.hasOnlyQuantities(),
   build(body) {
     const host = element('div', { hidden: true });
     const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.', hidden: true });

@@ -8,6 +8,7 @@ import { innovations } from './innovations.js';
 import { links } from './links.js';
 import { log } from './log.js';
 import { parameters } from './parameters.js';
+import { quantity, thermometers } from './quantities.js';
 import { recordings } from './recordings.js';
 import { robots } from './robots.js';
 import { simulator } from './simulator.js';
@@ -17,4 +18,6 @@ import { simulator } from './simulator.js';
  * the others in turn, one a frame. `isLive` ones act on the live robot and rest while a recording is shown; `rest?()` is called then, and before
  * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
-export const PANELS = [robots, arena, simulator, error, comparison, innovations, calibration, parameters, links, log, recordings];
+export const PANELS = [
+  robots, arena, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
+];

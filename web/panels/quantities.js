@@ -1,0 +1,318 @@
+// Quantities over time: readings with what became of them, the estimate with its 95 % band, and its rate. Of the chosen robot's filter, if that
+// knows one quantity, and of all thermometers.
+
+import { isRefused } from '../model/quantity.js';
+import { hasChoice } from '../model/robot_list.js';
+import { Chart, roundUp } from '../view/chart.js';
+import { element, setText } from '../view/dom.js';
+import { fixed, withSigma } from '../view/format.js';
+
+// More are listed but not drawn.
+const MOST_CHARTS = 8;
+// Points of a line; a chart is some 400 pixels wide.
+const MOST_POINTS = 600;
+// As model/silence.js has it.
+const GAP_FROM_S = 1;
+const GAP_SPACINGS = 4;
+// Of the whole height, at the edge: where marks beyond the chart stand.
+const EDGE = 0.03;
+// A band may take so many times the height of the lines.
+const BAND_SHARE = 0.5;
+
+const KINDS = new Map([
+  ['wall_range', { title: 'distance to the wall', rate: 'velocity (negative towards the wall)', digits: 3 }],
+  ['temperature', { title: 'temperature', rate: 'rate of the temperature', digits: 2 }],
+]);
+
+const STATE = { text: 'state', kind: 'state', title: 'whether it is still heard', read: ({ state }) => state };
+const LAST = { text: 'last reading', kind: 'verdict', title: 'what became of the last reading', read: ({ now }) => now.verdict || '–' };
+
+const FILTER_COLUMNS = [
+  STATE,
+  { text: 'reading', title: 'as the robot sent it', kind: 'number', read: ({ quantity, now }) => reading(quantity, now) },
+  { text: 'estimate ± 95 %', title: 'what the filter makes of the readings', kind: 'number', read: ({ quantity, now }) => estimate(quantity, now) },
+  { text: 'rate', title: 'change of the estimate', kind: 'number', read: ({ quantity, now }) => fixed(now.rate, 3, `${quantity.unit}/s`) },
+  LAST,
+  { text: 'predicted only', title: 'share of the steps so far whose reading was refused or did not come', kind: 'number', read: ({ now }) => share(now) },
+];
+
+const THERMOMETER_COLUMNS = [
+  STATE,
+  { text: 'shown', title: 'as the brick sent it', kind: 'number', read: ({ quantity, now }) => reading(quantity, now) },
+  { text: 'predicted end ± 95 %', title: 'what it will show in the end', kind: 'number', read: ({ quantity, now }) => (Number.isNaN(now.estimate) ? 'cannot tell yet' : estimate(quantity, now)) },
+  LAST,
+  { text: 'refused', title: 'share of the readings so far that were not used', kind: 'number', read: ({ now }) => share(now) },
+];
+
+/** The quantity that the chosen robot's filter knows. */
+export const quantity = {
+  id: 'quantity',
+  title: 'Estimated quantity',
+  isOfRobot: true,
+  isShown: ({ robot }) => Boolean(robot?.quantity),
+  build: (body) => new QuantitiesPanel(body, {
+    heading: 'quantity', columns: FILTER_COLUMNS, window_s: 30, leastWindow_s: 10, line: 'estimate',
+    of: ({ robot }) => (robot?.quantity ? [{ robot, quantity: robot.quantity }] : []),
+    nameOf: (quantity) => titleOf(quantity),
+  }),
+};
+
+export const thermometers = {
+  id: 'thermometers',
+  title: 'Thermometers',
+  isShown: ({ session }) => session.thermometers().length > 0,
+  build: (body) => new QuantitiesPanel(body, {
+    heading: 'thermometer', columns: THERMOMETER_COLUMNS, window_s: 600, leastWindow_s: 20, line: 'predicted end',
+    of: ({ session }) => session.thermometers(),
+    nameOf: (quantity, robot, isOneOfMany) => (isOneOfMany ? `${quantity.name} of ${robot.label}` : quantity.name),
+  }),
+};
+
+/** A row of the table and its charts for each of some quantities. */
+class QuantitiesPanel {
+  constructor(body, { heading, columns, window_s, leastWindow_s, line, of, nameOf }) {
+    this.columns = columns;
+    this.window_s = window_s;
+    this.leastWindow_s = leastWindow_s;
+    this.line = line;
+    this.of = of;
+    this.nameOf = nameOf;
+    /** Quantity -> its row and charts. */
+    this.shown = new Map();
+    this.table = element('tbody');
+    this.charts = element('div', { class: 'charts' });
+    this.rest = element('p', { class: 'note', text: `The first ${MOST_CHARTS} have charts.`, hidden: true });
+    const head = columns.map(({ text, title, kind }) => element('th', { scope: 'col', class: kind, text, title }));
+    body.append(
+      element('div', { class: 'scroll' }, element('table', { class: 'quantities' },
+        element('thead', {}, element('tr', {}, element('th', { scope: 'col', text: heading }), ...head)), this.table)),
+      this.charts, this.rest,
+      element('p', { class: 'note keys' },
+        key('estimate', line), key('band', '95 % within'), key('used', 'reading used'), key('refused', 'reading refused')));
+  }
+
+  draw(view) {
+    const wanted = this.of(view);
+    const quantities = new Set(wanted.map((one) => one.quantity));
+    for (const [known, shown] of this.shown) {
+      if (quantities.has(known)) continue;
+      shown.remove();
+      this.shown.delete(known);
+    }
+    const isOneOfMany = new Set(wanted.map(({ robot }) => robot.id)).size > 1 || hasChoice(view.session);
+    this.rest.hidden = wanted.length <= MOST_CHARTS;
+    for (const { robot, quantity: one } of wanted) {
+      const name = this.nameOf(one, robot, isOneOfMany);
+      let shown = this.shown.get(one);
+      if (!shown) {
+        shown = new ShownQuantity(this, one, name);
+        this.shown.set(one, shown);
+      }
+      shown.draw(robot, name, view.until_s);
+    }
+  }
+}
+
+class ShownQuantity {
+  constructor(panel, one, name) {
+    this.panel = panel;
+    this.quantity = one;
+    this.title = element('th', { scope: 'row', class: 'name' });
+    this.cells = panel.columns.map(({ kind }) => element('td', { class: kind }));
+    this.row = element('tr', {}, this.title, ...this.cells);
+    panel.table.append(this.row);
+    this.values = null;
+    this.rates = null;
+    this.name = name;
+    if (panel.shown.size < MOST_CHARTS) this.values = this.#valueChart(name);
+  }
+
+  draw(robot, name, until_s) {
+    const { quantity: one, panel } = this;
+    const now = one.at(until_s);
+    const state = stateOf(robot, now);
+    setText(this.title, name);
+    this.row.dataset.state = state.kind;
+    this.row.dataset.verdict = now?.isRefused ? 'refused' : 'used';
+    panel.columns.forEach(({ read }, index) => setText(this.cells[index], now ? read({ quantity: one, now, state: state.text }) : '–'));
+    if (!this.values) return;
+    if (one.hasRate && !this.rates) this.rates = this.#rateChart(name);
+    const from_s = this.#windowFrom(until_s);
+    const [from, to] = [one.track.rowAt(from_s), one.track.rowAfter(until_s)];
+    const columns = columnsOf(one, from, to);
+    this.values.chart.range = rangeOf(columns);
+    clampMarks(columns[5], this.values.chart.range);
+    this.values.chart.draw(columns, from_s, until_s);
+    if (!this.rates) return;
+    const rates = ratesOf(one, from, to);
+    this.rates.chart.range = aroundZero(rates[1]);
+    this.rates.chart.draw(rates, from_s, until_s);
+  }
+
+  remove() {
+    this.row.remove();
+    for (const made of [this.values, this.rates]) {
+      made?.chart.remove();
+      made?.figure.remove();
+    }
+  }
+
+  // A window that grows to its full length, so that the beginning is not squeezed into a corner.
+  #windowFrom(until_s) {
+    const { track } = this.quantity;
+    const { window_s, leastWindow_s } = this.panel;
+    const first_s = track.length > 0 ? track.columns.t_s[track.begin] : until_s;
+    return Math.max(until_s - window_s, Math.min(first_s, until_s - leastWindow_s));
+  }
+
+  #valueChart(name) {
+    const { unit } = this.quantity;
+    return this.#chart(`${name}, ${unit}`, {
+      label: `${name} over time in ${unit}: readings, ${this.panel.line} and its band of 95 per cent`,
+      lines: [
+        { label: '+95 %', colour: 'ellipse', hidden: true },
+        { label: '-95 %', colour: 'ellipse', hidden: true },
+        { label: this.panel.line, colour: 'estimate', width: 1.8 },
+        { label: 'used', colour: 'accepted', mark: 'dot' },
+        { label: 'refused', colour: 'gated', mark: 'cross' },
+      ],
+      bands: [[1, 2]],
+      y: { format: compactTick },
+      height: 190,
+    });
+  }
+
+  #rateChart(name) {
+    const { rate } = kindOf(this.quantity);
+    const unit = `${this.quantity.unit}/s`;
+    return this.#chart(`${rate}, ${unit}`, {
+      label: `Rate of ${name} over time in ${unit}`,
+      lines: [{ label: 'rate', colour: 'estimate', width: 1.8 }],
+      y: { format: compactTick },
+      height: 190,
+    });
+  }
+
+  #chart(caption, shape) {
+    const figure = element('figure', {}, element('figcaption', { text: caption }));
+    this.panel.charts.append(figure);
+    return { chart: new Chart(figure, shape), figure };
+  }
+}
+
+function key(kind, text) {
+  return element('span', { class: `key ${kind}`, text });
+}
+
+function kindOf({ kind }) {
+  return KINDS.get(kind) ?? { title: kind.replaceAll('_', ' '), rate: 'rate', digits: 3 };
+}
+
+function titleOf(one) {
+  return kindOf(one).title;
+}
+
+function reading(one, now) {
+  return fixed(now.reading, kindOf(one).digits, one.unit);
+}
+
+function estimate(one, now) {
+  return withSigma(now.estimate, now.bound, one.unit);
+}
+
+function share({ steps, predicted }) {
+  return steps > 0 ? `${fixed((100 * predicted) / steps, 0)} % of ${steps}` : '–';
+}
+
+function stateOf(robot, now) {
+  if (!now) return { kind: 'waiting', text: '–' };
+  if (robot.lost_s >= now.t_s) return { kind: 'lost', text: 'lost' };
+  return now.silent_s > 0 ? { kind: 'silent', text: `silent for ${Math.floor(now.silent_s)} s` } : { kind: 'live', text: 'live' };
+}
+
+// Times, upper and lower end of the band, estimate, used and refused readings. uPlot ends a line at null, and draws on through what is undefined.
+function columnsOf({ track, name }, from, to) {
+  const { t_s, reading: readings, mark, estimate: estimates, bound } = track.columns;
+  const columns = [[], [], [], [], [], []];
+  // Of several readings in one step only the last has the estimate; a thermometer without one is one whose end nobody can tell.
+  const none = name === '' ? undefined : null;
+  eachShown(track, from, to, (row) => {
+    const isKnown = !Number.isNaN(estimates[row]);
+    const refused = isRefused(mark[row]);
+    push(columns, [
+      t_s[row],
+      isKnown ? estimates[row] + bound[row] : none, isKnown ? estimates[row] - bound[row] : none, isKnown ? estimates[row] : none,
+      refused || Number.isNaN(readings[row]) ? null : readings[row], refused ? readings[row] : null,
+    ]);
+  }, (gap_s) => push(columns, [gap_s, null, null, null, null, null]));
+  return columns;
+}
+
+function ratesOf({ track }, from, to) {
+  const { t_s, rate } = track.columns;
+  const columns = [[], []];
+  eachShown(track, from, to, (row) => push(columns, [t_s[row], Number.isNaN(rate[row]) ? undefined : rate[row]]), (gap_s) => push(columns, [gap_s, null]));
+  return columns;
+}
+
+// Thins the rows of a window, but never refused readings; between two that are far apart there is a gap: nothing was heard.
+function eachShown(track, from, to, show, showGap) {
+  const { t_s, mark } = track.columns;
+  const step = Math.max(1, Math.ceil((to - from) / MOST_POINTS));
+  const most_s = Math.max(GAP_FROM_S, GAP_SPACINGS * step * track.spacing_s());
+  let last_s = NaN;
+  for (let row = from; row < to; row += 1) {
+    if ((row - from) % step > 0 && !isRefused(mark[row]) && row < to - 1) continue;
+    if (t_s[row] - last_s > most_s) showGap((last_s + t_s[row]) / 2);
+    last_s = t_s[row];
+    show(row);
+  }
+}
+
+function push(columns, values) {
+  values.forEach((value, index) => columns[index].push(value));
+}
+
+// Holds readings and estimate, and as much of the band as does not squeeze them; it goes in steps and does not tremble.
+function rangeOf([, upper, lower, estimates, used, refused]) {
+  let [low, high] = spanOf([used, estimates]);
+  if (low > high) [low, high] = spanOf([refused]);
+  if (low > high) return [0, 1];
+  const room = BAND_SHARE * (high - low);
+  const [bandLow, bandHigh] = spanOf([upper, lower]);
+  if (bandLow <= bandHigh) [low, high] = [Math.min(low, Math.max(bandLow, low - room)), Math.max(high, Math.min(bandHigh, high + room))];
+  const size = Math.max(high - low, 1e-2 * Math.abs(high), 1e-3);
+  const step = roundUp(size / 10);
+  return [step * Math.floor((low - 0.03 * size) / step), step * Math.ceil((high + 0.03 * size) / step)];
+}
+
+function aroundZero(rates) {
+  const [low, high] = spanOf([rates]);
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  if (!Number.isFinite(size) || size === 0) return [-1, 1];
+  const step = roundUp(size / 4);
+  return [step * Math.floor(Math.min(0, low) / step), step * Math.ceil(Math.max(0, high) / step)];
+}
+
+function spanOf(columns) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const values of columns) {
+    for (const value of values) {
+      if (value === null || value === undefined) continue;
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+  }
+  return [low, high];
+}
+
+function clampMarks(values, [low, high]) {
+  const edge = EDGE * (high - low);
+  values.forEach((value, index) => {
+    if (value !== null) values[index] = Math.min(high - edge, Math.max(low + edge, value));
+  });
+}
+
+function compactTick(value) {
+  return String(Number(value.toPrecision(6)));
+}
