@@ -81,12 +81,13 @@ class QuantitiesPanel {
     this.shown = new Map();
     this.table = element('tbody');
     this.charts = element('div', { class: 'charts' });
-    this.rest = element('p', { class: 'note', text: `The first ${MOST_CHARTS} have charts.`, hidden: true });
+    // Not `rest`: that is what the page calls before another robot is chosen.
+    this.limit = element('p', { class: 'note', text: `The first ${MOST_CHARTS} have charts.`, hidden: true });
     const head = columns.map(({ text, title, kind }) => element('th', { scope: 'col', class: kind, text, title }));
     body.append(
       element('div', { class: 'scroll' }, element('table', { class: 'quantities' },
         element('thead', {}, element('tr', {}, element('th', { scope: 'col', text: heading }), ...head)), this.table)),
-      this.charts, this.rest,
+      this.charts, this.limit,
       element('p', { class: 'note keys' },
         key('estimate', line), key('band', '95 % within'), key('used', 'reading used'), key('refused', 'reading refused')));
   }
@@ -100,7 +101,7 @@ class QuantitiesPanel {
       this.shown.delete(known);
     }
     const isOneOfMany = new Set(wanted.map(({ robot }) => robot.id)).size > 1 || hasChoice(view.session);
-    this.rest.hidden = wanted.length <= MOST_CHARTS;
+    this.limit.hidden = wanted.length <= MOST_CHARTS;
     for (const { robot, quantity: one } of wanted) {
       const name = this.nameOf(one, robot, isOneOfMany);
       let shown = this.shown.get(one);

@@ -1,6 +1,6 @@
 use super::*;
 
-use posebridge_telemetry::Address;
+use posebridge_telemetry::{Address, ScalarEstimate};
 
 use crate::model::{Message, ParameterValue, SimulatorFacts, SimulatorNow};
 use crate::views::tests::{estimate, fused_event, truth};
@@ -52,6 +52,36 @@ fn a_message_leaves_when_something_is_new_and_once_a_second() {
     assert_eq!(hub.next_frame(at(60), recording_now), None);
     assert!(hub.next_frame(at(1_000), recording_now).is_some());
     assert_eq!(hub.robots(), [RobotRow { id: "0/7/1".to_owned(), name: None }]);
+}
+
+#[test]
+fn a_robot_whose_filter_knows_one_quantity_is_a_robot_with_a_name_that_is_lost_and_found() {
+    let mut hub = hub();
+    let at = Timestamp::from_millis;
+    let robot = RobotId { address: Address::new(7, 1), ..RobotId::default() };
+    let updated = |millis| {
+        let estimate = ScalarEstimate {
+            stamp: Timestamp::from_millis(millis),
+            value: 1.5,
+            sigma: 0.1,
+            rate_per_s: -0.5,
+            unit: "m",
+        };
+        Event::QuantityUpdated { robot, estimate }
+    };
+    let state_after = |hub: &mut Hub, millis: i64, event: Event| {
+        hub.push_batch(&batch(millis, vec![event]));
+        hub.next_frame(at(millis), recording_now);
+        hub.state(&ServerCounters::default()).robots.remove(0)
+    };
+    hub.push_batch(&batch(0, vec![named_event("car")]));
+    let first = state_after(&mut hub, 10, updated(10));
+    assert_eq!(first.name.as_deref(), Some("car"));
+    let lost = state_after(&mut hub, 5_000, Event::RobotLost { robot, silence: SECOND });
+    assert_eq!(lost.lost_t_s, Some(5.0));
+    let found = state_after(&mut hub, 6_000, updated(6_000));
+    assert_eq!((found.lost_t_s, found.quantities.len()), (None, 1));
+    assert_eq!((found.quantities[0].t_s, found.quantities[0].steps, found.quantities[0].predicted), (6.0, 2, 2));
 }
 
 #[test]
