@@ -31,6 +31,9 @@ test('Firefox shows the estimate, draws map and charts, and sends commands', asy
     station.advance(1);
     await firefox.until(`(${isDrawn})('${panel} canvas')`);
   }
+  // The panel of the simulated brick is drawn in its turn, once it is in sight.
+  await firefox.evaluate("document.getElementById('simulator').scrollIntoView()");
+  await firefox.until("[...document.querySelectorAll('button')].some((button) => button.textContent === 'Camera off')");
   await firefox.evaluate("[...document.querySelectorAll('button')].find((button) => button.textContent === 'Camera off').click()");
   await firefox.until("document.getElementById('announcer').textContent.includes('camera')");
   assert.deepEqual(station.commands, [{ command: 'camera', on: false, robot: '0/1/1' }]);

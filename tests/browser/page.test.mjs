@@ -172,6 +172,8 @@ test('which sources are left out is told of each robot', async () => {
     station.advance(10);
     station.send({ type: 'frame', now_s: station.now_s, switched_off: [], robots: [{ id: '0/1/1', switched_off: [] }, { id: '0/2/1', switched_off: [3] }] });
     await seen(page, '#innovations', '[aria-label="Use camera"]:checked');
+    // The list is out of sight by now, and may not have been drawn before.
+    await seen(page, '#robots', '#robots input[value="0/2/1"]');
     await page.getByRole('radio', { name: 'right' }).check();
     await seen(page, '#innovations', '[aria-label="Use camera"]:not(:checked)');
     await page.getByRole('radio', { name: 'left' }).check();
