@@ -17,6 +17,14 @@ pub struct WallEntry {
     pub reading: WallReading,
 }
 
+/// Whether the log holds the command that started the step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepCommand {
+    Recorded,
+    /// Full drive from an instant to be found.
+    Unknown,
+}
+
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WallLog {
     entries: Vec<WallEntry>,

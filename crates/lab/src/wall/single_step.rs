@@ -28,18 +28,10 @@ mod uncertainty;
 use self::drive_search::{DriveFit, DriveSearch, LEAST_USED, MAX_COST};
 use self::uncertainty::drive_uncertainty;
 use super::fit::{ManualStepFit, PIECE, SpeedSample, differences, fit_by_hand, overlapping_lines};
-use super::log::{WallEntry, WallLog, WallReading};
+use super::log::{StepCommand, WallEntry, WallLog, WallReading};
 use super::step_error::{UndeterminedReason, WallStepError};
 use super::step_evidence::{Evidence, LARGEST_SHARE, largest_descent, medians_of_three, noise, undetermined};
 use crate::statistics::median;
-
-/// Whether the log holds the command that started the step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StepCommand {
-    Recorded,
-    /// Full drive from an instant to be found.
-    Unknown,
-}
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct SingleStep {

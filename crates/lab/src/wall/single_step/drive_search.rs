@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 
-use super::StepCommand;
 use crate::statistics::{FittedLine, golden_section, median};
-use crate::wall::log::{WallEntry, WallLog, WallReading, responses};
+use crate::wall::log::{StepCommand, WallEntry, WallLog, WallReading, responses};
 
 /// Unknowns of the fit: distance at rest, steady speed, rate, onset.
 pub(super) const UNKNOWNS: usize = 4;
