@@ -219,6 +219,11 @@ fn a_step_in_a_plain_table_needs_no_value_given_by_hand() {
     let step = identify(folder, &["wall", "--recording", "step.csv"]);
     let known = |name: &str| number(named(&step["quantities"], name), "/value");
     assert!((known("v_ss") / 1.1 - 1.0).abs() < 0.03 && (known("m") * 1.1 / 0.35 - 1.0).abs() < 0.06, "{step}");
+    // The rows do not show when the command came: it lies between two of them, and the sigmas have to hold that.
+    for (name, truth) in [("v_ss", 1.1), ("t90", 0.35 * std::f64::consts::LN_10)] {
+        let sigma = number(named(&step["quantities"], name), "/sigma");
+        assert!((known(name) - truth).abs() < 1.96 * sigma, "{name}: {step}");
+    }
     assert!(
         (known("v_ss by lines") / 1.1 - 1.0).abs() < 0.1
             && (known("v_ss by finite differences") / 1.1 - 1.0).abs() < 0.1

@@ -62,6 +62,36 @@ pub(crate) fn correlated_variance(values: &[f64], lags: usize) -> f64 {
     lagged_sum(values, 0) + lagged.sum::<f64>()
 }
 
+/// What residuals have in common with their neighbours: a model that is not exact leaves such ones.
+pub(crate) struct ResidualCorrelation {
+    /// Variance of the correlated part; 0 if not significant.
+    pub(crate) model_variance: f64,
+    /// Correlation length of that part, in samples.
+    pub(crate) model_samples: f64,
+    /// Samples per independent residual, white noise included.
+    pub(crate) samples_per_residual: f64,
+}
+
+impl ResidualCorrelation {
+    pub(crate) fn from_residuals(residuals: &[f64]) -> Self {
+        let count = residuals.len().max(1);
+        let covariance = |lag| lagged_sum(residuals, lag) / count as f64;
+        let all = covariance(0);
+        // Two standard deviations of the covariance of white noise.
+        let chance = 2.0 * all / (count as f64).sqrt();
+        let common: Vec<f64> = (1..count / 4).map(covariance).take_while(|covariance| *covariance > chance).collect();
+        let sum: f64 = common.iter().sum();
+        let Some(&next) = common.first() else {
+            return Self { model_variance: 0.0, model_samples: 1.0, samples_per_residual: 1.0 };
+        };
+        Self {
+            model_variance: next,
+            model_samples: 1.0 + 2.0 * sum / next,
+            samples_per_residual: 1.0 + 2.0 * sum / all,
+        }
+    }
+}
+
 /// Zero, and the sum up to each value.
 pub(crate) fn running_sums(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let (mut sum, mut sums) = (0.0, vec![0.0]);

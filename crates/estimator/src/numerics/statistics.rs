@@ -1,4 +1,7 @@
-//! Means and quantiles.
+//! Means, quantiles and intervals of shares.
+
+/// Two-sided 95 % quantile of the standard normal distribution.
+pub const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// The mean; `None` of nothing.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {
@@ -24,9 +27,39 @@ pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     sorted.get(rank.saturating_sub(1)).copied()
 }
 
+/// The 95 % interval of a share that was counted, which holds near 0 and 1 too; all of [0, 1] without a case.
+///
+/// Source: E. B. Wilson, Probable inference, J. Amer. Statist. Assoc. 22, 1927.
+pub fn wilson_interval_95(hits: u64, cases: u64) -> [f64; 2] {
+    if cases == 0 {
+        return [0.0, 1.0];
+    }
+    let (n, z2) = (cases as f64, NORMAL_95 * NORMAL_95);
+    let share = hits as f64 / n;
+    let centre = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
+    let half = NORMAL_95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
+    [(centre - half).max(0.0), (centre + half).min(1.0)]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn wilsons_interval_is_the_published_one() {
+        // R. G. Newcombe, Statistics in Medicine 17, 1998, table I, method 3.
+        let published = [
+            ((81, 263), [0.2553, 0.3662]),
+            ((15, 148), [0.0624, 0.1605]),
+            ((0, 20), [0.0, 0.1611]),
+            ((1, 29), [0.0061, 0.1718]),
+        ];
+        for ((hits, cases), expected) in published {
+            let found = wilson_interval_95(hits, cases);
+            assert!((0..2).all(|bound| (found[bound] - expected[bound]).abs() < 5.1e-5), "{hits} {cases}: {found:?}");
+        }
+        assert_eq!((wilson_interval_95(100, 100)[1], wilson_interval_95(0, 0)), (1.0, [0.0, 1.0]));
+    }
 
     #[test]
     fn the_root_mean_square_of_3_and_4_is_the_root_of_12_and_a_half() {

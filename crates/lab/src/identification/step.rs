@@ -18,7 +18,7 @@ use super::onset::{StepSegment, find_step};
 use super::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
 use super::step_response::{Lag, StepResponse};
 use super::{TimedSample, sorted_finite};
-use crate::statistics::lagged_sum;
+use crate::statistics::ResidualCorrelation;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepOptions {
@@ -314,35 +314,6 @@ impl<'a> StepFitter<'a> {
             // Residuals are not distinguished below a tenth of the noise.
             let rms = candidate.residual_rms.max(0.1 * self.sigma);
             candidate.criterion = 2.0 * independent * rms.ln() + parameters * independent.ln();
-        }
-    }
-}
-
-struct ResidualCorrelation {
-    /// Variance of the correlated part; 0 if not significant.
-    model_variance: f64,
-    /// Correlation length of that part, in samples.
-    model_samples: f64,
-    /// Samples per independent residual, white noise included.
-    samples_per_residual: f64,
-}
-
-impl ResidualCorrelation {
-    fn from_residuals(residuals: &[f64]) -> Self {
-        let count = residuals.len().max(1);
-        let covariance = |lag| lagged_sum(residuals, lag) / count as f64;
-        let all = covariance(0);
-        // Two standard deviations of the covariance of white noise.
-        let chance = 2.0 * all / (count as f64).sqrt();
-        let common: Vec<f64> = (1..count / 4).map(covariance).take_while(|covariance| *covariance > chance).collect();
-        let sum: f64 = common.iter().sum();
-        let Some(&next) = common.first() else {
-            return Self { model_variance: 0.0, model_samples: 1.0, samples_per_residual: 1.0 };
-        };
-        Self {
-            model_variance: next,
-            model_samples: 1.0 + 2.0 * sum / next,
-            samples_per_residual: 1.0 + 2.0 * sum / all,
         }
     }
 }

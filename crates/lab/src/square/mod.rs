@@ -21,9 +21,7 @@ pub use self::noise::{
 };
 pub use self::recorded::table_of;
 pub use self::report::{MethodRanking, PaperInterpretation, RecoveryTrial, SquareExample, SquareReport};
-pub use self::score::{
-    ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, share_interval, true_speeds,
-};
+pub use self::score::{ErrorMetric, MethodOrder, OrderStep, PathErrors, compare_order, path_errors, true_speeds};
 pub use self::table::{
     EncoderUnit, MeasuredPose, SensorRow, SensorTable, TableSensor, add_compass, add_jitter, align_accelerations,
     delay_reference,

@@ -1,7 +1,7 @@
 //! The report of the experiment.
 
 use posebridge_estimator::FilterConfig;
-use posebridge_estimator::numerics::statistics::{quantile, root_mean_square};
+use posebridge_estimator::numerics::statistics::{quantile, root_mean_square, wilson_interval_95};
 use posebridge_estimator::papers::paper1::WheelMatrices;
 use posebridge_estimator::papers::wheel_kf::SingleWheelFilter;
 use posebridge_report::chart::plot::{Axes, Curve, CurveShape, Plot, render_plot};
@@ -12,7 +12,7 @@ use posebridge_telemetry::DriveGeometry;
 
 use super::methods::DriveState;
 use super::noise::{MeanAndVariance, NoiseRecord, RoundingVariances, rounding_variances};
-use super::score::{ErrorMetric, MethodOrder, PathErrors, share_interval, true_speeds};
+use super::score::{ErrorMetric, MethodOrder, PathErrors, true_speeds};
 use super::table::SensorTable;
 use super::tuned::ChainMatrices;
 
@@ -339,7 +339,7 @@ fn excluded_text(order: &MethodOrder) -> Option<String> {
 
 /// A share with its 95 % interval.
 fn share_text(holds: u64, drives: u64) -> String {
-    let [low, high] = share_interval(holds, drives).map(|share| 100.0 * share);
+    let [low, high] = wilson_interval_95(holds, drives).map(|share| 100.0 * share);
     format!("{} % ({low:.0} to {high:.0})", (100.0 * holds as f64 / drives.max(1) as f64).round())
 }
 

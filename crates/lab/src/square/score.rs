@@ -6,12 +6,13 @@
 //! rms     sqrt(mean(e_k^2)) over the rows that have a reference; none if one of these e_k is not finite: the method diverged
 //! order   method i is worse than method i + 1 in a drive when its rms is larger there; equal ones are not worse
 //! p       two-sided sign test: the probability that a tossed coin is as uneven, drives without a tie
-//! share   of the drives in which the step holds, and its 95 % interval by Wilson (1927): Probable inference, JASA 22
+//! share   of the drives in which the step holds, and its 95 % interval by Wilson
 //! ratio   exp of the mean of ln(rms_i / rms_(i+1)) over the drives, and its 95 % interval by the normal quantile 1.96
 //! verdict none for fewer than 100 drives
 //! ```
 //! Source: W. J. Conover, Practical Nonparametric Statistics (1999), section 3.4, for the sign test.
 
+use posebridge_estimator::numerics::statistics::NORMAL_95;
 use posebridge_telemetry::UncertainValue;
 use posebridge_telemetry::quantities::wrap_rad;
 
@@ -19,23 +20,8 @@ use super::methods::DriveState;
 use super::table::SensorTable;
 use crate::statistics::{RunningMean, uncertain_mean};
 
-/// Two-sided 95 % quantile of the standard normal distribution.
-const NORMAL_95: f64 = 1.959_963_984_540_054;
-
 /// Fewer drives have no verdict.
 const MIN_VERDICT_DRIVES: u64 = 100;
-
-/// 95 % interval of a share, by Wilson; all of [0, 1] for no drives.
-pub fn share_interval(holds: u64, drives: u64) -> [f64; 2] {
-    if drives == 0 {
-        return [0.0, 1.0];
-    }
-    let (n, z2) = (drives as f64, NORMAL_95 * NORMAL_95);
-    let share = holds as f64 / n;
-    let middle = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
-    let half = NORMAL_95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
-    [(middle - half).max(0.0), (middle + half).min(1.0)]
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorMetric {
@@ -318,14 +304,6 @@ mod tests {
         let rises = [[3.0, 2.0, 2.5], [3.1, 2.1, 2.6]];
         assert!(!compare_order(&names, &rises.map(run), ErrorMetric::Position).holds_on_average());
         assert!(!MethodOrder::default().holds_on_average());
-    }
-
-    #[test]
-    fn a_share_has_wilsons_interval() {
-        // By hand for 7 of 100: middle 0.08591, half 0.05157.
-        let [low, high] = share_interval(7, 100);
-        assert!((low - 0.034_34).abs() < 1e-4 && (high - 0.137_48).abs() < 1e-4, "{low} {high}");
-        assert_eq!((share_interval(100, 100)[1], share_interval(0, 0)), (1.0, [0.0, 1.0]));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::UncertainValue;
 
-use crate::statistics::uncertain_mean;
+use crate::statistics::{median, uncertain_mean};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum WallReading {
@@ -15,6 +15,14 @@ pub enum WallReading {
 pub struct WallEntry {
     pub at_s: f64,
     pub reading: WallReading,
+}
+
+/// Whether the log holds the command that started the step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepCommand {
+    Recorded,
+    /// Full drive from an instant to be found.
+    Unknown,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,6 +68,17 @@ impl WallLog {
     pub fn drives_from_s(&self) -> Option<f64> {
         let mut inputs = self.inputs();
         inputs.find(|(_, input)| *input != 0.0).map(|(at_s, _)| at_s)
+    }
+
+    /// From the entry before the first drive to the drive: when in it the command came, a log of samples does not tell.
+    ///
+    /// For a log that begins with the drive the usual interval of its readings.
+    pub(super) fn command_gap_s(&self) -> f64 {
+        let drives_from_s = self.drives_from_s().unwrap_or_default();
+        let before = self.entries.iter().map(|entry| entry.at_s).take_while(|at_s| *at_s < drives_from_s).last();
+        let times: Vec<f64> = self.readings().map(|(at_s, _)| at_s).collect();
+        let usual_s = || median(times.windows(2).map(|pair| pair[1] - pair[0])).unwrap_or_default();
+        before.map_or_else(usual_s, |before_s| drives_from_s - before_s)
     }
 
     /// The log with its inputs later by `delay_s`: the dead time of the drive.
@@ -189,6 +208,14 @@ mod tests {
         assert_eq!(log.readings().collect::<Vec<_>>(), [(1.0, 3.0), (2.0, 1.0)]);
         assert_eq!(log.drives_from_s(), Some(1.0));
         assert_eq!(log.clone().with_assumed_drive(), log);
+    }
+
+    #[test]
+    fn a_command_came_between_two_entries() {
+        let sampled = log_of([(0.0, 0.0), (0.1, 0.0), (0.2, 1.0)], [(0.0, 2.0), (0.1, 2.0), (0.2, 2.0)]);
+        assert!((sampled.command_gap_s() - 0.1).abs() < 1e-12);
+        let begins_with_it = log_of([(0.0, 1.0)], [(0.0, 2.0), (0.07, 2.0), (0.14, 1.9)]);
+        assert!((begins_with_it.command_gap_s() - 0.07).abs() < 1e-12);
     }
 
     #[test]

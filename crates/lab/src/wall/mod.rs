@@ -27,11 +27,11 @@ pub use self::forecast::{
     ForecastScore, ForecastVerdict, GateStatistics, LINES, RangeForecast, forecast, gate_statistics,
     score_against_best_line, score_forecasts,
 };
-pub use self::log::{WallEntry, WallLog, WallReading, loop_period, reading_period};
+pub use self::log::{StepCommand, WallEntry, WallLog, WallReading, loop_period, reading_period};
 pub use self::replay_filter::{
     ApproachEstimate, ApproachEstimator, GateSample, GateTrial, KalmanNoise, LinearExtrapolation, NEAR_WALL_M,
     StopComparison, StopResult, StopSummary, Validation, WallKalman, compare_stops, gate_trial, summarise_stops,
     validate_model,
 };
-pub use self::single_step::{SingleStep, StepCommand, find_step};
+pub use self::single_step::{SingleStep, find_step};
 pub use self::step_error::{Guess, UndeterminedReason, WallStepError};

@@ -28,20 +28,20 @@ pub enum WallStepError {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum UndeterminedReason {
     #[error(
-        "the car was still speeding up, {last_m_per_s:.2} m/s at the end: v_ss, d and t90 would be guesses ({guess}); \
-         give it a longer way or less PWM"
+        "the readings do not show that the car reached a steady speed, {last_m_per_s:.2} m/s at the end: v_ss, d and t90 would be \
+         guesses ({guess}); give it a longer way or less PWM"
     )]
-    StillSpeedingUp { last_m_per_s: f64, guess: Guess },
+    NoSteadySpeed { last_m_per_s: f64, guess: Guess },
     #[error(
-        "the car reached its speed too fast for readings {period_s:.3} s apart: t90 and m would be guesses ({guess}); \
+        "the car reached its speed too fast for readings {period_s:.3} s apart: its rise would be a guess ({guess}); \
          read faster, or take a heavier car"
     )]
     RisesBetweenReadings { period_s: f64, guess: Guess },
     #[error(
-        "the log begins when the car has its speed: t90 and m would be guesses ({guess}); start recording before the motors"
+        "the log begins when the car has its speed: its rise would be a guess ({guess}); start recording before the motors"
     )]
     BeginsOnTheWay { guess: Guess },
-    #[error("readings with {:.0} mm of noise leave {guess}; drive several steps, or slower", 1e3 * noise_m)]
+    #[error("readings with {:.0} mm of noise leave {guess}; drive several steps, or at a better target", 1e3 * noise_m)]
     TooNoisy { noise_m: f64, guess: Guess },
 }
 

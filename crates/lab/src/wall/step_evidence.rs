@@ -11,10 +11,11 @@ pub(super) struct Evidence {
     /// v_ss, t90, d and m.
     pub(super) known: [UncertainValue; 4],
     pub(super) log_rate_sigma: f64,
-    /// From the onset to the last reading.
-    pub(super) driven_s: f64,
     pub(super) begins_on_the_way: bool,
-    pub(super) rate_per_s: f64,
+    /// The readings do not exclude a car that is far from its steady speed at the last one.
+    pub(super) may_still_speed_up: bool,
+    /// The readings exclude a car that is slow enough for them.
+    pub(super) rises_between_readings: bool,
     pub(super) period_s: f64,
     pub(super) last_m_per_s: f64,
     pub(super) noise_m: f64,
@@ -22,14 +23,12 @@ pub(super) struct Evidence {
 
 /// Why d or m is a guess; `None` if both are known.
 pub(super) fn undetermined(evidence: &Evidence) -> Option<UndeterminedReason> {
-    let [steady, _, drag, mass] = evidence.known;
+    let [steady, rise, drag, mass] = evidence.known;
     let is_sure = |known: UncertainValue| known.sigma <= LARGEST_SHARE * known.value;
-    let time_constants = evidence.rate_per_s * evidence.driven_s;
     if !is_sure(drag) {
         let guess = Guess { name: "v_ss", value: steady };
-        // At two time constants a car has 86 % of its speed.
-        return Some(if time_constants < 2.0 {
-            UndeterminedReason::StillSpeedingUp { last_m_per_s: evidence.last_m_per_s, guess }
+        return Some(if evidence.may_still_speed_up {
+            UndeterminedReason::NoSteadySpeed { last_m_per_s: evidence.last_m_per_s, guess }
         } else {
             UndeterminedReason::TooNoisy { noise_m: evidence.noise_m, guess }
         });
@@ -37,10 +36,10 @@ pub(super) fn undetermined(evidence: &Evidence) -> Option<UndeterminedReason> {
     if is_sure(mass) && evidence.log_rate_sigma <= LARGEST_SHARE {
         return None;
     }
-    let guess = Guess { name: "m", value: mass };
+    let guess = if is_sure(mass) { Guess { name: "t90", value: rise } } else { Guess { name: "m", value: mass } };
     Some(if evidence.begins_on_the_way {
         UndeterminedReason::BeginsOnTheWay { guess }
-    } else if evidence.rate_per_s * evidence.period_s > 0.7 {
+    } else if evidence.rises_between_readings {
         UndeterminedReason::RisesBetweenReadings { period_s: evidence.period_s, guess }
     } else {
         UndeterminedReason::TooNoisy { noise_m: evidence.noise_m, guess }
@@ -72,11 +71,19 @@ pub(super) fn largest_descent(values: &[f64]) -> (usize, usize) {
     best
 }
 
-/// Sigma of a reading from third differences, m: z_k-2/2 - 3/2 z_k-1 + 3/2 z_k - z_k+1/2 has sqrt 5 of it.
+/// Sigma of a reading from third divided differences, m: these do not see a constant acceleration, at whatever intervals it is read.
 pub(super) fn noise(readings: &[(f64, f64)]) -> f64 {
     /// Median of the absolute value of a standard normal number.
     const MEDIAN: f64 = 0.6745;
-    let differences =
-        readings.windows(4).map(|four| (0.5 * four[0].1 - 1.5 * four[1].1 + 1.5 * four[2].1 - 0.5 * four[3].1).abs());
-    median(differences).map_or(0.0, |middle| middle / (MEDIAN * 5.0_f64.sqrt()))
+    let differences = readings.windows(4).filter_map(|four| {
+        let (mut difference, mut squares) = (0.0, 0.0);
+        for (at_s, range_m) in four {
+            let gaps = four.iter().map(|(other_s, _)| at_s - other_s).filter(|gap_s| *gap_s != 0.0);
+            let weight = 1.0 / gaps.product::<f64>();
+            difference += weight * range_m;
+            squares += weight * weight;
+        }
+        Some((difference / squares.sqrt()).abs()).filter(|value| value.is_finite())
+    });
+    median(differences).map_or(0.0, |middle| middle / MEDIAN)
 }

@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_estimator::FilterConfig;
+use posebridge_estimator::numerics::statistics::wilson_interval_95;
 use posebridge_lab::square::{
     ChainMatrices, ErrorMetric, MeanAndVariance, Method, MethodGroup, MethodOrder, MethodRanking, NoiseRecord,
     OrderStep, PaperInterpretation, PathErrors, SensorTable, SquareExample, SquareReport, chains, compare_order,
-    noise_at_stop, noise_on_straight, outlook, parse, prepare_config, share_interval, table_of, write,
+    noise_at_stop, noise_on_straight, outlook, parse, prepare_config, table_of, write,
 };
 use posebridge_report::report::Report;
 use posebridge_sim::montecarlo::Scenario;
@@ -305,7 +306,7 @@ fn add_json(report: &mut Report, found: &SquareReport, recordings: &[String]) {
             "start_error_deg": trial.start_error_deg,
             "recovered": trial.recovered,
             "drives": trial.drives,
-            "interval": share_interval(trial.recovered, trial.drives),
+            "interval": wilson_interval_95(trial.recovered, trial.drives),
             "median_end_m": trial.median_end_m,
         })
     });
@@ -344,7 +345,7 @@ fn order(order: &MethodOrder) -> Value {
             "better": step.better,
             "holds": step.holds,
             "drives": step.drives,
-            "share_interval": share_interval(step.holds, step.drives),
+            "share_interval": wilson_interval_95(step.holds, step.drives),
             "sign_test_p": step.sign_p,
             "ratio": step.ratio.map(|ratio| ratio[0]),
             "ratio_interval": step.ratio.map(|ratio| [ratio[1], ratio[2]]),
@@ -355,7 +356,7 @@ fn order(order: &MethodOrder) -> Value {
         "steps": order.steps.iter().map(step).collect::<Vec<_>>(),
         "holds_on_average": order.holds_on_average(),
         "all_hold": order.all_hold,
-        "all_hold_interval": share_interval(order.all_hold, order.drives),
+        "all_hold_interval": wilson_interval_95(order.all_hold, order.drives),
         "drives": order.drives,
         "left_out": order.excluded,
     })

@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use posebridge_estimator::models::wall_approach::WallApproachModel;
+use posebridge_estimator::numerics::statistics::wilson_interval_95;
 use posebridge_estimator::papers::range_kf::RangeFilterVariant;
 use posebridge_lab::wall::{GateTrial, NEAR_WALL_M, StepFit, mean_manual_fit};
 use posebridge_report::quantity::{Format, Quantity, Unit};
@@ -254,7 +255,7 @@ fn add_same_speeds(report: &mut Report, prepared: &SimulatedSetup, driven: &[App
     };
     let share = move |row: &ApproachResult, limit_m: f64| {
         let near = within(row, limit_m);
-        let (low, high) = wilson_95(near, row.stops.len());
+        let [low, high] = wilson_interval_95(near as u64, row.stops.len() as u64);
         format!("{near} ({:.0} to {:.0} %)", 100.0 * low, 100.0 * high)
     };
     let table = Table::of(&rows)
@@ -272,13 +273,4 @@ fn add_same_speeds(report: &mut Report, prepared: &SimulatedSetup, driven: &[App
         .number("worst_error_m", "worst", MILLIMETRES, |row| Some(row.summary.worst_error_m));
     report.table("same_speeds", &table);
     report.data("most_pwm", json!(approach.most_pwm));
-}
-
-/// Source: E. B. Wilson, J. Amer. Statist. Assoc. 22, 1927.
-fn wilson_95(hits: usize, runs: usize) -> (f64, f64) {
-    const Z: f64 = 1.96;
-    let (n, share) = (runs.max(1) as f64, hits as f64 / runs.max(1) as f64);
-    let centre = (share + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
-    let half = Z / (1.0 + Z * Z / n) * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
-    ((centre - half).max(0.0), (centre + half).min(1.0))
 }

@@ -53,31 +53,6 @@ const CAR: Scenario = Scenario {
     command: StepCommand::Unknown,
 };
 
-/// Counts the draws within the 95 % interval of a value that a step gives; each draw has to give it.
-fn covered(scenario: &Scenario, draws: u64, truth: f64, of: fn(&SingleStep) -> Option<UncertainValue>) -> usize {
-    let within = (0..draws).filter(|seed| {
-        let step = find_step(&draw(scenario, *seed), scenario.command).unwrap_or_else(|error| panic!("{error}"));
-        let found = of(&step).unwrap_or_else(|| panic!("{step:?}"));
-        (found.value - truth).abs() < 1.96 * found.sigma
-    });
-    within.count()
-}
-
-#[test]
-fn a_step_with_rests_and_a_stop_gives_d_and_m_with_honest_sigmas() {
-    for (command, steady_m_per_s, rise_90_s) in
-        [(StepCommand::Unknown, 1.11, 0.8), (StepCommand::Unknown, 2.2, 0.6), (StepCommand::Recorded, 0.5, 1.2)]
-    {
-        let scenario = Scenario { steady_m_per_s, rise_90_s, command, ..CAR };
-        let mass = rise_90_s / std::f64::consts::LN_10 / steady_m_per_s;
-        let drag = covered(&scenario, 100, 1.0 / steady_m_per_s, |step| step.drag_s_per_m);
-        let mass = covered(&scenario, 100, mass, |step| step.mass_s2_per_m);
-        println!("{command:?} {steady_m_per_s} m/s: d {drag}, m {mass} of 100 within their 95 %");
-        // A share of 0.95 gives 89 or more in all but 1 % of the cases; the end of the step is found, not known.
-        assert!(drag >= 86 && mass >= 86, "{scenario:?}: {drag} {mass}");
-    }
-}
-
 #[test]
 fn what_a_step_cannot_tell_is_left_out_with_the_true_reason() {
     let short = Scenario { rise_90_s: 3.0, driven_s: 1.2, after_s: 0.0, ..CAR };
@@ -90,7 +65,7 @@ fn what_a_step_cannot_tell_is_left_out_with_the_true_reason() {
         Err(WallStepError::Undetermined(reason)) => reason,
         Err(error) => panic!("{error}"),
     };
-    assert!(matches!(reason, UndeterminedReason::StillSpeedingUp { .. }), "{reason}");
+    assert!(matches!(reason, UndeterminedReason::NoSteadySpeed { .. }), "{reason}");
     let sudden = Scenario { rise_90_s: 0.03, after_s: 0.0, ..CAR };
     let step = find_step(&draw(&sudden, 1), StepCommand::Recorded).unwrap();
     assert!(matches!(step.undetermined, Some(UndeterminedReason::RisesBetweenReadings { .. })), "{step:?}");
