@@ -223,6 +223,9 @@ check_micropython() {
         node "$brick/check/run_micropython.mjs" "$node_modules/@micropython/micropython-webassembly-pyscript" >"$made/micropython.txt"
     sed 's/.* = //' "$made/lines.txt" | diff - "$made/micropython.txt" >&2 || fail "MicroPython makes other bytes than brick/vectors"
     printf 'micropython: %d vectors, the same under MicroPython 1.27.0\n' "$(wc -l <"$made/lines.txt")"
+    python3 -B "$brick/check/test_named_value.py" >"$made/named_value.log" 2>&1 || fail "brick/micropython/posebridge_brick.py:
+$(cat "$made/named_value.log")"
+    printf 'micropython: reads NAMED_VALUE_FLOAT from pymavlink\n'
 }
 
 check_bridge() {

@@ -3,7 +3,9 @@
 #     link = Link(write)                          write takes the bytes of one frame
 #     link.heartbeat()                            once per second
 #     link.wheel_ticks(time_us, left, right)      10 to 50 times per second: totals, never increments
-#     for pose in Receiver(link).feed(data, now_us): ...
+#     receiver = Receiver(link)
+#     for pose in receiver.feed(data, now_us): ...
+#     receiver.values.get("end_1")                 the final value that the station predicts for the thermometer temp1
 #
 # A time is the robot's own counter of microseconds, taken when the sensor was read; a clock of milliseconds is multiplied by
 # 1000. Left is counter-clockwise. A count or a time may grow beyond 32 bits: it is wrapped here.
@@ -31,11 +33,18 @@ _HEARTBEAT = (0, 50)
 _TIMESYNC = (111, 34)
 _WHEEL_TICKS = (42100, 170)
 _INERTIAL = (42101, 94)
+_NAMED_VALUE_FLOAT = (251, 170)
 _PLANAR_POSE = (42102, 53)
 _ROBOT_DESCRIPTION = (42104, 5)
 # What a robot listens to: CRC_EXTRA and the length of the whole payload.
-_HEARD = {_TIMESYNC[0]: (_TIMESYNC[1], 18), _PLANAR_POSE[0]: (_PLANAR_POSE[1], 52)}
+_HEARD = {
+    _TIMESYNC[0]: (_TIMESYNC[1], 18),
+    _NAMED_VALUE_FLOAT[0]: (_NAMED_VALUE_FLOAT[1], 18),
+    _PLANAR_POSE[0]: (_PLANAR_POSE[1], 52),
+}
 _LONGEST = 52
+# A sender that invents names cannot fill the memory.
+_MOST_VALUES = 16
 
 
 def _crc(data, extra):
@@ -166,6 +175,7 @@ class Receiver:
     def __init__(self, link):
         self.link = link
         self.window = b""
+        self.values = {}  # the newest number of each NAMED_VALUE_FLOAT, by its name
 
     def feed(self, data, now_us):
         """Takes bytes; answers questions for the time by now_us, and returns the estimates that came."""
@@ -209,6 +219,19 @@ class Receiver:
         if self.window[7] == _TIMESYNC[0]:
             self.link.answer_time(payload, self.window[5:7], now_us)
             return
+        if self.window[7] == _NAMED_VALUE_FLOAT[0]:
+            self._take_value(payload)
+            return
         pose = Pose(payload)
         if pose.is_finite:
             poses.append(pose)
+
+    def _take_value(self, payload):
+        value = struct.unpack("<f", payload[4:8])[0]
+        name = payload[8:18].split(b"\0")[0]
+        is_text = all(32 < byte < 127 for byte in name)
+        if value - value != 0 or not is_text:
+            return
+        name = name.decode()
+        if name in self.values or len(self.values) < _MOST_VALUES:
+            self.values[name] = value
