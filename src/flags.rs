@@ -52,6 +52,9 @@ pub struct SessionFlags {
     /// Use the `[robot]` and `[filter]` tables of this profile instead of the recording's. --set overrides both.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
+    /// What is known of a slow sensor: a file of `posebridge identify step --save` (docs/lab/thermometer.md).
+    #[arg(long, value_name = "FILE.toml")]
+    pub sensor: Option<PathBuf>,
     /// Set one parameter of the filter, e.g. gate_prob=0.99. Overrides every other source. Can be repeated.
     #[arg(long = "param", value_name = "KEY=VALUE", value_parser = a_param)]
     pub params: Vec<Setting>,

@@ -3,10 +3,11 @@
 use std::fmt::{self, Write as _};
 use std::path::Path;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail};
 
 use super::profile::RobotProfile;
 use super::robot_blocks::split_robot_list;
+use super::sensor::SensorSection;
 use super::station::Config;
 
 /// The default configuration, which documents every key.
@@ -177,6 +178,15 @@ impl fmt::Display for Setting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}={}", self.path.join("."), self.value)
     }
+}
+
+/// The file of `--sensor` as the key `robot.sensor`.
+pub fn sensor_setting(path: &Path) -> Result<Setting> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).with_context(|| format!("reading the sensor from `{name}`"))?;
+    let section: SensorSection = toml::from_str(&text).with_context(|| format!("sensor `{name}`"))?;
+    section.checked().with_context(|| format!("sensor `{name}`"))?;
+    Ok(Setting { path: vec!["robot".to_owned(), "sensor".to_owned()], value: toml::Value::try_from(section)? })
 }
 
 /// Changes to the configuration of a recording.

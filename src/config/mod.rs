@@ -13,6 +13,7 @@ mod robot_blocks;
 mod robots;
 mod routing;
 mod sections;
+mod sensor;
 mod signing;
 mod station;
 
@@ -25,7 +26,7 @@ pub use calibration::{
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,
-    load_text, print,
+    load_text, print, sensor_setting,
 };
 pub use mounting::RobotMounting;
 pub use profile::{CalibratedRobot, ProfileFilter, Provenance, RobotProfile, utc_date};
@@ -37,5 +38,6 @@ pub use sections::{
     DashboardSection, FilterSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace, RecordSection,
     RecordingLimits, WallPlace, WorldConfig, filter_config, names_of_filters,
 };
+pub use sensor::SensorSection;
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{CameraConfig, ClockConfig, Config, StationSection};

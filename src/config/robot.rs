@@ -1,8 +1,9 @@
 //! The robot section of a configuration: geometry, noise, calibration, start, thermometers.
 
 use anyhow::{Context, Result, ensure};
-use posebridge_estimator::filters::thermometer::ThermometerSettings;
+use posebridge_estimator::filters::thermometer::{ThermometerResponse, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_station::ThermometerConfig;
 use posebridge_telemetry::{
     Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose,
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
 use super::mounting::RobotMounting;
+use super::sensor::SensorSection;
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -48,6 +50,9 @@ pub struct RobotFile {
     /// The lines of a board that prints, for a link with brick = "line".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<LineSection>,
+    /// What is known of the thermometers without a `[[robot.thermometer]]`; the file of --sensor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<SensorSection>,
     /// Its thermometers, as far as they are known.
     #[serde(rename = "thermometer", skip_serializing_if = "Vec::is_empty")]
     pub thermometers: Vec<RobotThermometer>,
@@ -91,6 +96,7 @@ impl Default for RobotFile {
             nxt: None,
             ev3: None,
             line: None,
+            sensor: None,
             thermometers: Vec::new(),
         }
     }
@@ -140,6 +146,10 @@ impl RobotFile {
         }))
     }
 
+    pub fn slow_sensor(&self) -> Result<SlowSensor> {
+        self.sensor.as_ref().map_or(Ok(SlowSensor::UNKNOWN), |sensor| sensor.checked().context("`robot.sensor`"))
+    }
+
     /// Fails if a channel is named twice.
     pub(super) fn thermometers(&self) -> Result<Vec<ThermometerConfig>> {
         let mut known: Vec<ThermometerConfig> = Vec::with_capacity(self.thermometers.len());
@@ -173,7 +183,10 @@ impl RobotFile {
 pub struct RobotThermometer {
     /// Its channel: `scaled_pressure`, or the name of a NAMED_VALUE_FLOAT, which begins with `temp`.
     pub channel: String,
-    /// Its time constants, one for each lag, as `posebridge lab thermometer` identifies them; without any they are learnt.
+    /// What is known of it, with its uncertainty; as `posebridge identify step --save` writes it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<SensorSection>,
+    /// Its time constants, one for each lag, if they are exactly known: then the filter of paper 2 is used.
     #[serde(default)]
     pub lags_s: Vec<f64>,
     /// What it shows per degree, once it has settled.
@@ -204,18 +217,25 @@ impl RobotThermometer {
         for (key, value) in [("sigma_k", self.sigma_k), ("resolution_k", self.resolution_k)] {
             ensure!(value.is_finite() && value >= 0.0, "`{key}` is {value}, must be zero or more");
         }
-        let model = if self.lags_s.is_empty() {
+        let sensor = self.sensor.as_ref().map_or(Ok(SlowSensor::UNKNOWN), SensorSection::checked)?;
+        let response = if self.lags_s.is_empty() {
             ensure!(self.gain == 1.0, "`gain` is {}, but without `lags_s` the gain must be 1", self.gain);
-            None
+            ThermometerResponse::Uncertain(sensor.dynamics)
         } else {
+            ensure!(self.sensor.is_none(), "`lags_s` are exact and `sensor` is uncertain: give one of them");
             let model = DynamicModel::empty()
                 .with_lags(SensorId::THERMOMETER, self.gain, &self.lags_s)
                 .context("`lags_s` and `gain`")?;
-            Some(model)
+            ThermometerResponse::Exact(Box::new(model))
         };
+        let or = |own: f64, of_sensor: f64| if own > 0.0 { own } else { of_sensor };
         Ok(ThermometerConfig {
             channel,
-            settings: ThermometerSettings { model, sigma_k: self.sigma_k, resolution_k: self.resolution_k },
+            settings: ThermometerSettings {
+                response,
+                sigma_k: or(self.sigma_k, sensor.noise),
+                resolution_k: or(self.resolution_k, sensor.resolution),
+            },
         })
     }
 }

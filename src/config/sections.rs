@@ -97,6 +97,7 @@ pub fn filter_config(robot: &RobotFile, filter: &FilterSection, world: ArenaMap)
         params: filter.params()?,
         calibration: robot.calibration()?,
         arena_map: Arc::new(world),
+        slow_sensor: robot.slow_sensor()?,
     })
 }
 

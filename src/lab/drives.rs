@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_lab::accuracy::{ObservationArrival, ReferenceDrive};
 use posebridge_report::TimedPose;
@@ -59,6 +60,7 @@ pub fn drawn_config(prior: &FilterPrior) -> FilterConfig {
         params: Params::default(),
         calibration: prior.calibration,
         arena_map: Arc::clone(&prior.arena_map),
+        slow_sensor: SlowSensor::UNKNOWN,
     }
 }
 

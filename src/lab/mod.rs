@@ -5,5 +5,6 @@ pub mod drives;
 pub mod experiments;
 pub mod identify;
 pub mod parallel;
+mod sample_table;
 pub mod source;
 pub mod tune;

@@ -303,8 +303,10 @@ fn quantity_line(name: &str, quantity: &ScalarEstimate, steps: &QuantitySteps) -
 /// Reading, predicted final value and its 95 % bound.
 fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settled: Option<ScalarEstimate>) -> String {
     let address = brick.address;
-    let settled = settled
-        .map_or_else(|| "unknown".to_owned(), |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()));
+    let settled = settled.map_or_else(
+        || "cannot tell yet".to_owned(),
+        |settled| format!("{:.2} ± {:.2} °C", settled.value, settled.bound_95()),
+    );
     format!("\n  {channel} of {address}  {:.2} °C -> {settled}", shown.0)
 }
 
@@ -446,7 +448,7 @@ mod tests {
             };
             view.on_event(Timestamp::ZERO, &event);
             let expected = match settled {
-                None => "\n  temp1 of 7/158  20.00 °C -> unknown",
+                None => "\n  temp1 of 7/158  20.00 °C -> cannot tell yet",
                 Some(_) => "\n  temp1 of 7/158  36.20 °C -> 48.70 ± 0.60 °C",
             };
             assert!(view.block().ends_with(expected), "{}", view.block());

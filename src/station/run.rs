@@ -84,6 +84,9 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
         settings.retain(|setting| is_of(setting, &["robot", "filter"]));
         config = config::apply_overrides(&config, &settings)?;
     }
+    if let Some(path) = &args.sensor {
+        config = config::apply_overrides(&config, &[config::sensor_setting(path)?])?;
+    }
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);
     }

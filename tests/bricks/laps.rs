@@ -5,6 +5,7 @@ use crate::support::{errors_mm, used};
 use posebridge::config::{Config, LinkSection};
 use posebridge::station::run_report::{SimulationTruth, errors};
 use posebridge::virtual_station::{self, RunEvent, RunScript, VirtualLink, VirtualRun};
+use posebridge_estimator::numerics::statistics::quantile;
 use posebridge_sim::impairment::{LinkKind, LinkProfile, PROFILES};
 use posebridge_sim::{ReceivedEstimate, Scenario, Steering};
 use posebridge_telemetry::{Event, SensorId, TimeDelta};
@@ -188,8 +189,8 @@ const DIPPED_S: f64 = 10.0;
 struct TemperatureReport {
     at_s: f64,
     shown_c: f64,
-    settled_c: f64,
-    bound_k: f64,
+    /// Final value and half-width of its bound; `None` where it cannot be told.
+    settled: Option<(f64, f64)>,
 }
 
 /// The reports of the bundled scenario up to twenty seconds after the dip.
@@ -203,12 +204,10 @@ fn reports(seed: u64) -> Vec<TemperatureReport> {
         linger: TimeDelta::from_secs_f64(30.0),
         observer: &mut |now, event| {
             if let RunEvent::Event(Event::Temperature { shown, settled, .. }) = event {
-                let settled = settled.unwrap();
                 reports.push(TemperatureReport {
                     at_s: now.as_secs_f64(),
                     shown_c: shown.0,
-                    settled_c: settled.value,
-                    bound_k: settled.bound_95(),
+                    settled: settled.map(|settled| (settled.value, settled.bound_95())),
                 });
             }
         },
@@ -218,22 +217,30 @@ fn reports(seed: u64) -> Vec<TemperatureReport> {
 }
 
 #[test]
-fn the_water_is_within_a_small_bound_while_the_sensor_is_still_far_from_it() {
+fn the_water_is_within_the_bound_while_the_sensor_is_still_far_from_it() {
     const SEEDS: u64 = 12;
-    let mut held = 0;
+    let (mut held, mut told) = (0_u32, 0_u32);
+    let mut errors_k = Vec::new();
     for seed in 1..=SEEDS {
         let reports = reports(seed);
         assert!((115..=121).contains(&reports.len()), "{}", reports.len());
         let rest = reports.iter().rfind(|report| report.at_s < DIPPED_S).unwrap();
-        assert!((rest.settled_c - 20.0).abs() < 0.5 && rest.bound_k < 2.0, "{rest:?}");
+        assert!(rest.settled.is_some_and(|(end_c, bound_k)| (end_c - 20.0).abs() < 0.1 && bound_k < 0.5), "{rest:?}");
         let last = reports.last().unwrap();
         println!("seed {seed}: {last:.2?}");
         // 0.7 of 28.7 K, less than one time constant after the dip.
         assert!(WATER_C - last.shown_c > 7.0, "{last:?}");
-        assert!((last.settled_c - WATER_C).abs() < 2.0, "{last:?}");
-        assert!(last.bound_k < 3.0, "{last:?}");
-        held += u64::from((last.settled_c - WATER_C).abs() <= last.bound_k);
+        for (end_c, bound_k) in
+            reports.iter().filter(|report| report.at_s > DIPPED_S + 1.0).filter_map(|one| one.settled)
+        {
+            told += 1;
+            held += u32::from((end_c - WATER_C).abs() <= bound_k);
+        }
+        errors_k.extend(last.settled.map(|(end_c, _)| (end_c - WATER_C).abs()));
     }
-    // A bound of 95 % may miss one of twelve (two: once in 50 tests of other seeds).
-    assert!(held >= SEEDS - 1, "{held} of {SEEDS}");
+    // Of a sensor of which nothing is known: in nearly all runs the end is told, nearly three times closer than it is shown.
+    let median_k = quantile(&errors_k, 0.5).unwrap();
+    println!("told in {} of {SEEDS} runs, median {median_k:.2} K, held {held} of {told}", errors_k.len());
+    assert!(errors_k.len() as u64 >= SEEDS - 2 && median_k < 3.0, "{errors_k:?}");
+    assert!(f64::from(held) >= 0.9 * f64::from(told), "{held} of {told}");
 }

@@ -7,6 +7,7 @@ use posebridge_telemetry::{
     OnlineCalibration, ScalarEstimate, SensorNoise, StartPose, Timestamp, UncertainValue,
 };
 
+use crate::models::slow_sensor::SlowSensor;
 use crate::params::Params;
 use crate::validation::is_valid_start;
 
@@ -76,6 +77,8 @@ pub struct FilterConfig {
     /// Priors of the systematic errors. A constant whose sigma is zero is fixed and not estimated.
     pub calibration: Calibration,
     pub arena_map: Arc<ArenaMap>,
+    /// Of the filter `dynamic-live`, and of thermometers that are not configured one by one.
+    pub slow_sensor: SlowSensor,
 }
 
 impl FilterConfig {
@@ -116,6 +119,7 @@ pub(crate) mod tests {
             params: Params::default(),
             calibration: Calibration::default(),
             arena_map: Arc::default(),
+            slow_sensor: SlowSensor::UNKNOWN,
         }
     }
 }

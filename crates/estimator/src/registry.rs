@@ -26,8 +26,10 @@ pub struct FilterEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EstimatedQuantity {
     Pose,
-    /// One quantity, by [`Filter::scalar_at`].
-    Scalar,
+    /// The final value of a slow sensor.
+    Temperature,
+    /// To a wall ahead.
+    WallDistance,
 }
 
 /// How a filter gets its first pose.
@@ -125,21 +127,25 @@ pub const FILTERS: &[FilterEntry] = &[
     FilterEntry::of_one_quantity(
         "dynamic",
         "paper 2: the final value of a slow thermometer, from its approach",
+        EstimatedQuantity::Temperature,
         |config| Box::new(DynamicFilter::new(config)),
     ),
     FilterEntry::of_one_quantity(
         "dynamic-live",
         "paper 2 left running: finds each new approach, and learns how slow the thermometer is",
-        |config| Box::new(Thermometer::new(config, &ThermometerSettings::default())),
+        EstimatedQuantity::Temperature,
+        |config| Box::new(Thermometer::new(config, &ThermometerSettings::from_config(config))),
     ),
     FilterEntry::of_one_quantity(
         "range-kf",
         "paper 3: distance to a wall from time of flight and motor input, as printed",
+        EstimatedQuantity::WallDistance,
         |config| Box::new(RangeFilter::new(config, RangeFilterVariant::Paper)),
     ),
     FilterEntry::of_one_quantity(
         "range-kf-corrected",
         "paper 3 with noise per second, an exact hold and readings at their own time",
+        EstimatedQuantity::WallDistance,
         |config| Box::new(RangeFilter::new(config, RangeFilterVariant::Corrected)),
     ),
     FilterEntry::of_paper(
@@ -171,9 +177,10 @@ impl FilterEntry {
     const fn of_one_quantity(
         name: &'static str,
         summary: &'static str,
+        quantity: EstimatedQuantity,
         build: fn(&FilterConfig) -> Box<dyn Filter>,
     ) -> Self {
-        let (quantity, late_data) = (EstimatedQuantity::Scalar, LateDataPolicy::OnArrival);
+        let late_data = LateDataPolicy::OnArrival;
         Self { name, summary, quantity, late_data, initialization: Initialization::NotApplicable, build }
     }
 }

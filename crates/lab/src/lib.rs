@@ -3,6 +3,7 @@
 //! The program reads recordings and simulates drives; these modules evaluate them and return values, tables and pages of
 //! [`posebridge_report`]. No IO, no clock, and random numbers only from a given seed: two calls with the same data give the same bytes.
 
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Radians, SensorNoise};
 
@@ -31,5 +32,5 @@ fn config_without_wheels(noise: SensorNoise, params: Params) -> FilterConfig {
         tick: Radians(1.0),
     };
     let (calibration, arena_map) = (Calibration::default(), std::sync::Arc::default());
-    FilterConfig { geometry, noise, start: None, params, calibration, arena_map }
+    FilterConfig { geometry, noise, start: None, params, calibration, arena_map, slow_sensor: SlowSensor::UNKNOWN }
 }

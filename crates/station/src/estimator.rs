@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
-use posebridge_estimator::{Filter, FilterCommand, FilterConfig, FilterEntry, Params};
+use posebridge_estimator::{EstimatedQuantity, Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
     OnlineCalibration, ScalarEstimate, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
@@ -64,6 +64,10 @@ impl Estimator {
         }
         let slip_began = record.outcome == FusionOutcome::Slip && self.slip_watch.observe(record.stamp);
         FusionReport { record, is_used: true, slip_began }
+    }
+
+    pub(crate) const fn quantity(&self) -> EstimatedQuantity {
+        self.entry.quantity
     }
 
     pub(crate) fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {

@@ -1,11 +1,12 @@
 //! Observations in messages: from a message to the robot's clock, estimator and publisher.
 
+use posebridge_estimator::EstimatedQuantity;
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
     Address, Celsius, ChannelName, Estimate, Event, HostClock, LinkId, Observation, ObservationKind, Priority,
-    ReceiveError, RobotId, TimeDelta, Timestamp, severity,
+    ReceiveError, RobotId, SensorId, TimeDelta, Timestamp, severity,
 };
 
 use crate::clock::align::Alignment;
@@ -17,7 +18,7 @@ use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};
 use crate::robot::described_geometry;
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
 use crate::station::Station;
-use crate::thermometer_bank::TemperatureReading;
+use crate::thermometer_bank::{PredictedEnd, TemperatureReading};
 
 const MAV_TYPE_GCS: u8 = 6;
 
@@ -521,6 +522,16 @@ impl Station {
         if let Some(stamp) = time {
             let arrival = sender.received.host_time;
             self.thermometers.push(TemperatureReading { brick, channel, arrival, stamp, shown: temperature });
+            // A filter of one temperature follows the first thermometer.
+            if let Some(index) = sender.robot
+                && self.robots.get(index).estimator.quantity() == EstimatedQuantity::Temperature
+                && self.thermometers.first_channel(brick).is_none_or(|first| first == channel)
+            {
+                let measurement = ObservationKind::Temperature(temperature);
+                let sensor = SensorId::THERMOMETER;
+                let reading = Observation { sensor, stamp, stamp_sigma: TimeDelta::ZERO, measurement };
+                self.observe(index, address, arrival, reading);
+            }
         }
     }
 
@@ -531,7 +542,17 @@ impl Station {
             Some(index) => config.robot_config(robots.get(index).block),
             None => robots.config_for(config, brick.link, brick.address),
         };
-        if thermometers.process(config_of, |event| outputs.emit(event)) {
+        let mut told = Vec::new();
+        let has_rejected = thermometers.process(config_of, |event| {
+            if let Event::Temperature { brick, channel, stamp, settled: Some(settled), .. } = &event {
+                told.push(PredictedEnd { brick: *brick, channel: *channel, stamp: *stamp, end: *settled });
+            }
+            outputs.emit(event);
+        });
+        for predicted in &told {
+            self.publish_predicted_end(predicted);
+        }
+        if has_rejected {
             let text = "there are more thermometers than are followed; those heard last are left out".to_owned();
             self.report_own_text(severity::WARNING, text);
         }

@@ -7,9 +7,10 @@ use std::collections::BTreeMap;
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
+use posebridge_protocol::message::{NamedValue, WireStamp};
 use posebridge_telemetry::{
-    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, ObservationKind, RobotId, SensorId, TimeDelta,
-    Timestamp,
+    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, ObservationKind, RobotId, ScalarEstimate,
+    SensorId, TimeDelta, Timestamp,
 };
 
 use crate::config::RobotConfig;
@@ -31,6 +32,30 @@ pub(crate) struct TemperatureReading {
     pub(crate) shown: Celsius,
 }
 
+/// The final value of a thermometer, where its readings tell it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PredictedEnd {
+    pub(crate) brick: RobotId,
+    pub(crate) channel: ChannelName,
+    /// Of the last reading.
+    pub(crate) stamp: Timestamp<BrickClock>,
+    pub(crate) end: ScalarEstimate,
+}
+
+impl PredictedEnd {
+    /// What the brick is sent: the final value and its sigma. `temp1` is answered by `end_1` and `sd_1`, `temp` by `end` and `sd`:
+    /// an answer that began with `temp` would itself be taken for a reading.
+    pub(crate) fn named_values(&self) -> [NamedValue; 2] {
+        let channel = self.channel.as_str();
+        let own = channel.strip_prefix("temp").unwrap_or(channel);
+        let stamp = WireStamp::Micros64(u64::try_from(self.stamp.as_nanos() / 1_000).unwrap_or_default());
+        [("end", self.end.value), ("sd", self.end.sigma)].map(|(stem, value)| {
+            let name = if own.is_empty() { stem.to_owned() } else { format!("{stem}_{}", own.trim_start_matches('_')) };
+            NamedValue { stamp, name: ChannelName::from_bytes(name.as_bytes()), value: value as f32 }
+        })
+    }
+}
+
 /// All thermometers by brick, those of a brick in the order of their first reading. Allocates nothing while there are
 /// none.
 #[derive(Default)]
@@ -50,6 +75,11 @@ impl ThermometerBank {
     /// Queues a reading until [`Self::process`].
     pub(crate) fn push(&mut self, reading: TemperatureReading) {
         self.pending.push(reading);
+    }
+
+    /// The channel that a brick sent first; `None` before it was processed.
+    pub(crate) fn first_channel(&self, brick: RobotId) -> Option<ChannelName> {
+        Some(self.bricks.get(&brick)?.first()?.name)
     }
 
     /// After a restart of a brick the length of the break in its readings is unknown.
@@ -92,7 +122,8 @@ impl ThermometerBank {
             }
             let config = config_of(reading.brick);
             let known = config.thermometers.iter().find(|known| known.channel == reading.channel);
-            let settings = known.map_or_else(ThermometerSettings::default, |known| known.settings.clone());
+            let unlisted = || ThermometerSettings::from_config(&config.filter_config);
+            let settings = known.map_or_else(unlisted, |known| known.settings.clone());
             let thermometer = Thermometer::new(&config.filter_config, &settings);
             let channels = self.bricks.entry(reading.brick).or_default();
             channels.push(ThermometerChannel { name: reading.channel, thermometer });

@@ -125,7 +125,7 @@ pub struct PoseCorrection {
 }
 
 /// The 97.5 % point of the standard normal distribution: 95 % lie within this many standard deviations of the mean.
-const NORMAL_95: f64 = 1.959_963_984_540_054;
+pub const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// The estimate of a filter for one quantity, such as a distance or a temperature.
 #[derive(Clone, Copy, Debug, PartialEq)]

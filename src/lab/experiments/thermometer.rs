@@ -11,17 +11,18 @@ use posebridge_lab::identification::lesson::{
     LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_sections,
 };
 use posebridge_lab::identification::sensor_kind::RunSimilarity;
-use posebridge_lab::identification::{SensorChannel, StepOptions, TimedSample, identify_step};
+use posebridge_lab::identification::{SensorChannel, StepOptions, TimedSample, estimate_noise, identify_step};
 use posebridge_report::report::{Report, Table};
 use posebridge_telemetry::Observation;
 use serde_json::{Map, Value, json};
 
 use super::live::LiveArgs;
 use crate::config::{Overlay, Setting};
-use crate::console::{print_line, progress_bar};
+use crate::console::progress_bar;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_all;
+use crate::lab::sample_table::SampleColumns;
 use crate::tools::dataset::{DataSet, report_bad_rows, report_skipped};
 use crate::tools::experiment_output::OutputArgs;
 use crate::tools::own_recording;
@@ -96,10 +97,13 @@ fn sections_json(sections: &[LessonSection]) -> Value {
 #[derive(Args, Clone, Debug)]
 #[command(group = clap::ArgGroup::new("real").multiple(true).args(["recordings", "link", "listen"]))]
 pub struct LabThermometerArgs {
-    /// Descriptor (config/recordings/*.toml) with temperatures, or recordings (*.mcap; each thermometer is one run). Default: the
-    /// simulated sensor.
+    /// Descriptor (config/recordings/*.toml) with temperatures, recordings (*.mcap; each thermometer is one run), or tables (*.csv;
+    /// each is one run). Default: the simulated sensor.
     #[arg(long = "recording", value_name = "FILE", num_args = 1..)]
     pub recordings: Vec<PathBuf>,
+    /// Columns of the tables.
+    #[command(flatten)]
+    pub columns: SampleColumns,
     /// A live robot, whose step the recordings foretell.
     #[command(flatten)]
     pub live: LiveArgs,
@@ -144,19 +148,20 @@ const TASK: &str = "leave the thermometer as it is for a few seconds, bring it t
 fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
     let live = args.live.record(&args.output, None, &args.settings, TASK)?;
     let (chosen, loaded) = match args.recordings.as_slice() {
-        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) => of_descriptor(args, descriptor),
+        [descriptor] if live.is_none() && !own_recording::is_own(descriptor) && !is_table(descriptor) => {
+            of_descriptor(args, descriptor)
+        }
         recordings => of_recordings(args, recordings, live.as_deref()),
     }
     .before_start()?;
-    let bar = progress_bar((loaded.len() + chosen.predict.len()) as u64, "steps").before_start()?;
+    let bar = progress_bar((loaded.len() + 2 * chosen.predict.len()) as u64, "steps").before_start()?;
     let identified = run_all(&loaded, identify_run, || bar.inc(1));
     let runs: Vec<RecordedRun> = identified.into_iter().collect::<Result<_>>().while_running()?;
     let jobs = chosen.jobs(&runs);
-    let likeness = if args.same_sensor { RunSimilarity::SameDynamics } else { RunSimilarity::SameKind };
+    let likeness = if args.same_sensor { RunSimilarity::SameSensor } else { RunSimilarity::SameKind };
     let predict = |(run, others): &(&RecordedRun, Vec<&RecordedRun>)| {
         let found = RecordedPrediction::predict_run(run, others, likeness);
-        let found =
-            found.with_context(|| format!("run `{}`: the other runs have no description in common", run.name))?;
+        let found = found.with_context(|| format!("run `{}`: the other runs show no lag", run.name))?;
         Ok(((*run).clone(), found))
     };
     let predicted: Vec<_> =
@@ -173,6 +178,13 @@ struct ThermometerRun {
 }
 
 impl ThermometerRun {
+    fn from_table(args: &LabThermometerArgs, path: &Path) -> Result<Self> {
+        let samples = args.columns.read(path)?.samples;
+        let sigma = estimate_noise(&samples);
+        let sigma_k = sigma.with_context(|| format!("`{}` does not say how noisy it is", path.display()))?;
+        Ok(Self { run: path.display().to_string(), samples, sigma_k })
+    }
+
     /// Uses only the first thermometer.
     fn from_readings(run: &str, readings: &[Observation], config: &FilterConfig) -> Self {
         report_skipped(run, SensorChannel::Temperature.excluded_count(readings));
@@ -183,6 +195,10 @@ impl ThermometerRun {
             sigma_k: if noise > 0.0 { noise } else { DEFAULT_SIGMA_K },
         }
     }
+}
+
+fn is_table(path: &Path) -> bool {
+    path.extension().is_some_and(|end| end.eq_ignore_ascii_case("csv") || end.eq_ignore_ascii_case("txt"))
 }
 
 /// The selected runs of a descriptor, each loaded once.
@@ -220,11 +236,19 @@ fn of_recordings(
     recordings: &[PathBuf],
     live: Option<&Path>,
 ) -> Result<(RunRoles, Vec<ThermometerRun>)> {
+    ensure!(
+        args.columns.is_default() || recordings.iter().any(|path| is_table(path)),
+        "--time-column, --time-unit and --value-column belong to a table (*.csv)"
+    );
     let mut shown = Vec::new();
     for path in recordings {
+        if is_table(path) {
+            shown.push(ThermometerRun::from_table(args, path)?);
+            continue;
+        }
         ensure!(
             own_recording::is_own(path),
-            "`{}` is a descriptor: give one alone, or recordings (*.mcap) and a live robot",
+            "`{}` is a descriptor: give one alone, or recordings (*.mcap), tables (*.csv) and a live robot",
             path.display()
         );
         shown.extend(thermometers(path, &args.settings)?);
@@ -279,19 +303,6 @@ impl RunRoles {
         let [identify, predict] = usual;
         let identify = named(&args.identify, "--identify", identify)?;
         let predict = named(&args.predict, "--predict", predict)?;
-        if let ([only], true) = (all, args.predict.is_empty()) {
-            print_line(&format!(
-                "`{only}` is the only run: it is identified, and nothing is foretold. Give a second run of this sensor to see it \
-                 foretold by this one"
-            ));
-            return Ok(Self { identify, predict: Vec::new() });
-        }
-        for name in &predict {
-            ensure!(
-                identify.iter().any(|other| other != name),
-                "run `{name}` cannot be predicted by itself: name another run with --identify"
-            );
-        }
         Ok(Self { identify, predict })
     }
 
@@ -299,16 +310,19 @@ impl RunRoles {
         self.identify.contains(run) || self.predict.contains(run)
     }
 
-    /// Each run to predict, with the identified runs other than itself.
+    /// Each run to predict, with the identified runs other than itself, and with none.
     fn jobs<'a>(&self, runs: &'a [RecordedRun]) -> Vec<(&'a RecordedRun, Vec<&'a RecordedRun>)> {
         let by_name = |name: &String| runs.iter().find(|run| run.name == *name);
-        let predicted = self.predict.iter().filter_map(by_name);
-        predicted
-            .map(|run| {
-                let others = self.identify.iter().filter(|name| **name != run.name);
-                (run, others.filter_map(by_name).collect())
-            })
-            .collect()
+        let mut jobs = Vec::new();
+        for run in self.predict.iter().filter_map(by_name) {
+            let others = self.identify.iter().filter(|name| **name != run.name);
+            let others: Vec<&RecordedRun> = others.filter_map(by_name).collect();
+            if !others.is_empty() {
+                jobs.push((run, others));
+            }
+            jobs.push((run, Vec::new()));
+        }
+        jobs
     }
 }
 

@@ -6,9 +6,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum as _;
+use posebridge_estimator::models::slow_sensor::SlowSensor;
+use posebridge_estimator::numerics::statistics::mean;
 use posebridge_lab::identification::{
-    DirectionComparison, IdentifiedStep, Sampling, StepDirection, StepParameters, TimedSample, compare_directions,
-    estimate_noise, identify_step, sorted_by_time,
+    DirectionComparison, IdentifiedStep, RunSimilarity, Sampling, StepDirection, StepParameters, TimedSample,
+    compare_directions, describe_sensor, estimate_noise, identify_step,
 };
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 use posebridge_report::report::Report;
@@ -16,13 +18,13 @@ use posebridge_telemetry::{Observation, UncertainValue};
 use serde_json::{Value, json};
 
 use super::report::{Quantity, end_of_interval, report};
-use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, TimeUnit, simulated};
+use super::step_dataset::{ChannelName, StepArgs, StepDataset, StepRun, StepTruth, simulated};
+use crate::config::SensorSection;
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
 use crate::lab::source::{self, SourceRun};
-use crate::tools::csv_table::CsvTable;
 use crate::tools::dataset::report_skipped;
 
 const STEP_PX: f64 = 280.0;
@@ -36,7 +38,29 @@ pub(super) fn execute(args: &StepArgs) -> Result<(), Failure> {
     let runs: Vec<&StepRun> = material.runs.iter().collect();
     let found = run_with_bar(&runs, "steps", |run| identify_run_step(run)).before_start()?;
     let found: Vec<StepResult<'_>> = found.into_iter().collect::<Result<_>>().while_running()?;
+    if let Some(path) = &args.save {
+        save_sensor(args, path, &found).while_running()?;
+    }
     args.output.write_outcome(&folder, &step_report(&material, &found))
+}
+
+fn save_sensor(args: &StepArgs, path: &Path, found: &[StepResult<'_>]) -> Result<()> {
+    let steps: Vec<IdentifiedStep> = found.iter().map(|one| one.identified.clone()).collect();
+    let similarity = if args.same_sensor { RunSimilarity::SameSensor } else { RunSimilarity::SameKind };
+    let dynamics = describe_sensor(&steps, similarity).context("--save: no step shows a lag")?;
+    let variance = mean(steps.iter().map(|step| step.sigma * step.sigma)).unwrap_or_default();
+    let sensor = SlowSensor { dynamics, noise: variance.sqrt(), resolution: args.resolution.unwrap_or(0.0) };
+    let section = SensorSection::from_sensor(&sensor).context("--save: no step shows a lag")?;
+    section.checked().context("--save")?;
+    let names: Vec<&str> = found.iter().map(|one| one.run.name.as_str()).collect();
+    let text = format!(
+        "# A slow sensor, identified from {}, for `posebridge run --sensor` (docs/lab/thermometer.md).\n{}",
+        names.join(", "),
+        toml::to_string(&section)?
+    );
+    std::fs::write(path, text).with_context(|| format!("writing `{}`", path.display()))?;
+    print_line(&format!("wrote {}", path.display()));
+    Ok(())
 }
 
 fn identify_run_step(run: &StepRun) -> Result<StepResult<'_>> {
@@ -50,6 +74,7 @@ fn identify_run_step(run: &StepRun) -> Result<StepResult<'_>> {
 pub(super) fn load(args: &StepArgs) -> Result<StepDataset> {
     check(args)?;
     let Some(path) = &args.recording else {
+        ensure!(args.columns.is_default(), "--time-column, --time-unit and --value-column belong to a --recording");
         return simulated(args);
     };
     let end = path.extension().and_then(|end| end.to_str()).unwrap_or("");
@@ -96,7 +121,7 @@ fn crop(args: &StepArgs, samples: &[TimedSample]) -> Vec<TimedSample> {
 fn load_recording(args: &StepArgs, path: &Path) -> Result<StepDataset> {
     let is_descriptor = path.extension().is_some_and(|end| end == "toml");
     ensure!(
-        args.time_column.is_none() && args.value_column.is_none() && args.time_unit.is_none(),
+        args.columns.is_default(),
         "--time-column, --time-unit and --value-column belong to a table (*.csv); choose a sensor with --channel"
     );
     let flags = DataFlags {
@@ -188,33 +213,15 @@ fn load_table(args: &StepArgs, path: &Path) -> Result<StepDataset> {
         args.settings.is_empty(),
         "--set changes what a recording says of its robot; a table says nothing of one. Give the noise of its samples with --noise"
     );
-    let unit = args.time_unit.unwrap_or(TimeUnit::S);
-    let listing = CsvTable::read(path)?;
-    let column = |requested: &Option<String>, position: usize, flag: &str| {
-        let named = requested.clone().or_else(|| listing.columns().get(position).map(str::to_owned));
-        named.with_context(|| format!("`{}` has no column for {flag}", path.display()))
-    };
-    let time = column(&args.time_column, 0, "--time-column")?;
-    let value = column(&args.value_column, 1, "--value-column")?;
-    let samples: Vec<TimedSample> = listing
-        .rows()
-        .map(|row| Ok(TimedSample { at_s: row.number(&time)? * unit.seconds(), value: row.number(&value)? }))
-        .collect::<Result<_>>()?;
     let name = path.display().to_string();
-    let ordered = sorted_by_time(&samples);
-    if samples.windows(2).any(|pair| pair[1].at_s < pair[0].at_s) {
-        print_line(&format!(
-            "{name}: some of its rows are earlier than the row before; all were put into the order of `{time}`"
-        ));
-    }
-    report_skipped(&name, samples.len() - ordered.len());
-    check_onset(args, &name, &ordered)?;
-    let samples = crop(args, &ordered);
+    let table = args.columns.read(path)?;
+    check_onset(args, &name, &table.samples)?;
+    let samples = crop(args, &table.samples);
     let sigma = estimate_noise(&samples);
     Ok(StepDataset {
         runs: vec![run_from_samples(args, &name, samples, sigma)?],
         source: name,
-        sensor: value,
+        sensor: table.value_column,
         unit: "",
         gain_unit: "",
     })

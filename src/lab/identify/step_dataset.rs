@@ -9,6 +9,7 @@ use posebridge_lab::identification::{Sampling, SensorChannel, StepOptions, Timed
 use posebridge_sim::motor_bench::{ENCODER_TICK_RAD, MotorBench};
 
 use crate::config::Setting;
+use crate::lab::sample_table::SampleColumns;
 use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `identify step`.
@@ -29,15 +30,9 @@ pub struct StepArgs {
     /// Sensor of the descriptor or recording [default: the temperature].
     #[arg(long, value_enum, requires = "recording")]
     pub channel: Option<ChannelName>,
-    /// Column of the table with the time [default: the first].
-    #[arg(long, value_name = "NAME", requires = "recording")]
-    pub time_column: Option<String>,
-    /// Unit of that column [default: s].
-    #[arg(long, value_enum, requires = "recording")]
-    pub time_unit: Option<TimeUnit>,
-    /// Column of the table with the value [default: the second].
-    #[arg(long, value_name = "NAME", requires = "recording")]
-    pub value_column: Option<String>,
+    /// Columns of a table.
+    #[command(flatten)]
+    pub columns: SampleColumns,
     /// The simulated sensor.
     #[arg(long, value_enum, default_value = "thermometer", conflicts_with = "recording")]
     pub sim: SimulatedSource,
@@ -65,6 +60,15 @@ pub struct StepArgs {
     /// Final value of the sensor, if the samples end before it is reached.
     #[arg(long, value_name = "VALUE", allow_hyphen_values = true)]
     pub end: Option<f64>,
+    /// Write what the steps tell of the next sensor of this type to this file, for --sensor of `run` and `replay`.
+    #[arg(long, value_name = "FILE.toml")]
+    pub save: Option<PathBuf>,
+    /// The next step will be of the same sensor in the same surroundings: write narrower uncertainties.
+    #[arg(long, requires = "save")]
+    pub same_sensor: bool,
+    /// Step between two values that the sensor can show, for --save.
+    #[arg(long, value_name = "STEP", requires = "save")]
+    pub resolution: Option<f64>,
     /// What to leave.
     #[command(flatten)]
     pub output: OutputArgs,
@@ -104,27 +108,6 @@ impl ChannelName {
             Self::RightWheel => SensorChannel::RightWheel,
             Self::TurnRate => SensorChannel::TurnRate,
             Self::Range => SensorChannel::WallRange,
-        }
-    }
-}
-
-/// The unit of a column of times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum TimeUnit {
-    /// Seconds.
-    S,
-    /// Milliseconds.
-    Ms,
-    /// Microseconds.
-    Us,
-}
-
-impl TimeUnit {
-    pub(super) const fn seconds(self) -> f64 {
-        match self {
-            Self::S => 1.0,
-            Self::Ms => 1e-3,
-            Self::Us => 1e-6,
         }
     }
 }

@@ -377,6 +377,7 @@ fn run_recorded(bytes: &[u8], cursor: &mut ReplayCursor<'_, '_>, notes: &mut Rec
 pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
     let robot = flags.robot.iter();
     let mut changes: Vec<String> = robot.map(|path| format!("robot of {}", path.display())).collect();
+    changes.extend(flags.sensor.iter().map(|path| format!("sensor of {}", path.display())));
     let settings = flags.data.settings.iter().chain(&flags.params);
     changes.extend(settings.map(ToString::to_string));
     changes
@@ -394,6 +395,11 @@ pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Res
         let page: toml::Table = toml::from_str(&text)?;
         settings.extend(of_table(&page, "robot", robot_path));
         settings.extend(of_table(&page, "filter", &["filter"]));
+    }
+    if let Some(path) = &flags.sensor {
+        let setting = config::sensor_setting(path)?;
+        let path = robot_path.iter().map(|part| (*part).to_owned()).chain(setting.path.last().cloned());
+        settings.push(Setting { path: path.collect(), value: setting.value });
     }
     settings.extend_from_slice(&flags.data.settings);
     settings.extend_from_slice(&flags.params);

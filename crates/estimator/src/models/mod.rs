@@ -5,4 +5,5 @@ pub mod dynamic_measurement;
 pub mod lie;
 pub mod planar_speeds;
 pub mod se2;
+pub mod slow_sensor;
 pub mod wall_approach;

@@ -1,7 +1,6 @@
 //! Means, quantiles and intervals of shares.
 
-/// Two-sided 95 % quantile of the standard normal distribution.
-pub const NORMAL_95: f64 = 1.959_963_984_540_054;
+pub use posebridge_telemetry::estimate::NORMAL_95;
 
 /// The mean; `None` of nothing.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> Option<f64> {

@@ -1,7 +1,6 @@
 //! Fits the parameters of a step response by weighted least squares with a prior.
 //!
-//! The same fit identifies a sensor (much data, a weak prior) and predicts its final value during the transient (little data, and a
-//! prior from other runs). With a narrow prior it is block least squares for known dynamics, with a wide one the adaptive case.
+//! With a narrow prior it is block least squares for known dynamics, with a wide one it identifies a sensor.
 //!
 //! # Model
 //! ```text
@@ -10,20 +9,19 @@
 //! y_k - y(t_k; p) = n_k + D r(t_k - t_0) g_k                                                                            (4)
 //!     n white, sigma        g(t_0) = 0, dg = -g/T dt + white: within delta of 0, where an error holds for T
 //!     nu_k, S_k: what a Kalman filter of the one state g makes of the errors (4), with their variances
-//! rho(d) = a/2 ln(1 + d' S^-1 d / a)     d = [ln tau, s] - m     a = nu + rows of d       d' S^-1 d / 2 for nu = infinity   (5)
+//! rho(d) = d' S^-1 d / 2     d = [ln tau, s] - m                                                                       (5)
 //! P = (sum of J' J / S + weights of the prior)^-1            var u = P_00 + 2 P_01 + P_11                               (6)
 //! ```
 //! (4) models the error of the response model: a share delta of the remaining transient, not at once, with a correlation time T. Many
 //! samples within T therefore carry no more information about the end than a few, while faster effects are fully observed, and so is
 //! the settled value. The filter is the private `WhiteningFilter`; it whitens the columns of J like the errors.
-//! (5) is Student's t, scaled so that its peak is as sharp as the Gaussian's: values far from the prior are unlikely, but not
-//! impossible. The last term of (3) exists where the end of the step is known.
+//! The last term of (3) exists where the end of the step is known.
 //!
 //! # Assumptions
 //! The sensor rested before the step. Errors are Gaussian around the best fit (Laplace's approximation).
 //!
 //! # Sources
-//! Gauss and Newton with the damping of Levenberg (1944) and Marquardt (1963); Lange, Little and Taylor (1989) for (5) by reweighting.
+//! Gauss and Newton with the damping of Levenberg (1944) and Marquardt (1963).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -46,12 +44,6 @@ impl ResponseFit {
         let p = &self.covariance;
         let variance = p[(0, 0)] + 2.0 * p[(0, 1)] + p[(1, 1)];
         variance.max(0.0).sqrt()
-    }
-
-    /// `None` if P is not positive definite.
-    pub fn half_ln_determinant(&self) -> Option<f64> {
-        let factor = self.covariance.clone().cholesky()?;
-        Some(factor.l().diagonal().map(f64::ln).sum())
     }
 
     /// Infinite for a lag that does not exist.
@@ -190,21 +182,16 @@ impl FitProblem<'_> {
             sums.add(count, &by, error, end.weight());
         }
         let (mut normal, mut slope, mut cost) = sums.to_matrices(count);
-        let order = self.prior.dynamics.order();
-        let alone = [(row::ONSET, Some(self.prior.onset)), (row::LAGS + order - 1, self.prior.slowest)];
-        for (i, scalar_prior) in alone {
-            if let Some(scalar_prior) = scalar_prior {
-                normal[(i, i)] += scalar_prior.weight();
-                slope[i] += scalar_prior.weight() * (scalar_prior.mean - at[i]);
-                cost += scalar_prior.cost(at[i]);
-            }
-        }
-        let (rho, pull, weight) = self.prior.dynamics.cost_at(at);
+        let onset = self.prior.onset;
+        normal[(row::ONSET, row::ONSET)] += onset.weight();
+        slope[row::ONSET] += onset.weight() * (onset.mean - at[row::ONSET]);
+        cost += onset.cost(at[row::ONSET]);
+        let (rho, pull) = self.prior.dynamics.cost_at(at);
         cost += rho;
         for i in 0..pull.len() {
             slope[row::LAGS + i] -= pull[i];
             for j in 0..pull.len() {
-                normal[(row::LAGS + i, row::LAGS + j)] += weight * self.prior.dynamics.inverse()[(i, j)];
+                normal[(row::LAGS + i, row::LAGS + j)] += self.prior.dynamics.inverse()[(i, j)];
             }
         }
         let next_to_nothing = (NO_PRIOR_SIGMAS * self.noise.sigma).powi(-2);

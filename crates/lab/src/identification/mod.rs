@@ -4,6 +4,7 @@
 //! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite.
 
 pub mod channel;
+pub mod direction_comparison;
 pub mod fit;
 pub mod known_dynamics;
 pub mod lesson;
@@ -15,14 +16,13 @@ pub mod sensor_kind;
 pub mod step;
 pub mod step_response;
 
-use posebridge_estimator::numerics::statistics;
-
 pub use self::channel::{SensorChannel, estimate_noise};
+pub use self::direction_comparison::{DirectionComparison, compare_directions};
 pub use self::onset::{StepSegment, find_step};
 pub use self::parameter_uncertainty::{Sampling, StepParameters};
-pub use self::prediction::EndPrediction;
-pub use self::prior::{ExpectedDynamics, StepDirection};
-pub use self::sensor_kind::{DirectionComparison, KindError, SensorKind, compare_directions, predict};
+pub use self::prediction::{EndPrediction, predict};
+pub use self::prior::StepDirection;
+pub use self::sensor_kind::{RunSimilarity, describe_sensor};
 pub use self::step::{IdentificationError, IdentifiedLag, IdentifiedStep, StepOptions, identify_step};
 pub use self::step_response::{Lag, StepResponse, settling_time_s};
 
@@ -63,8 +63,4 @@ pub fn sorted_by_time(samples: &[TimedSample]) -> Vec<TimedSample> {
     let mut samples = samples.to_vec();
     samples.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     sorted_finite(&samples)
-}
-
-pub(crate) fn mean_of(samples: &[TimedSample]) -> Option<f64> {
-    statistics::mean(samples.iter().map(|sample| sample.value))
 }

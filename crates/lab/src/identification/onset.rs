@@ -6,10 +6,9 @@
 //! onset       from there back to the last mean that is within 3 sigma / sqrt(w) of the rest before
 //! plateau     on to the farthest that the smoothed signal gets before it turns back by a tenth of its way
 //! ```
-//! The offline search uses the whole recording. [`OnsetDetector`] is its causal half: it detects from past samples that a step has
-//! begun.
+//! The search uses the whole recording.
 
-use super::{TimedSample, mean_of, sorted_finite};
+use super::{TimedSample, sorted_finite};
 use crate::statistics::running_sums;
 
 /// Difference of window means, in sigmas, that counts as a step: false alarms in ten thousand samples have a probability below 1e-10.
@@ -133,61 +132,6 @@ fn plateau_end(sums: &PrefixSums, change: SteepestChange, start: f64, sigma: f64
     last.map_or(turned, |k| k + smooth).clamp(index + 1, count)
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OnsetDetector {
-    sigma: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DetectedOnset {
-    /// Approximate onset, by the sensor's clock.
-    pub onset_s: f64,
-    pub onset_sigma_s: f64,
-    pub start: f64,
-    /// +1 up, -1 down.
-    pub direction: f64,
-}
-
-impl OnsetDetector {
-    /// Window sizes that are compared with the rest before them, in samples.
-    const WIDTHS: [usize; 5] = [1, 2, 4, 8, 16];
-    /// Length of that rest as a multiple of the window.
-    const REST_WIDTHS: usize = 4;
-    /// At a hundred samples a second and five windows a false alarm every few hours.
-    const SIGMAS: f64 = 5.5;
-
-    pub const fn new(sigma: f64) -> Self {
-        Self { sigma }
-    }
-
-    /// Whether a step has begun by the last of these samples; in time order.
-    pub fn detect(self, samples: &[TimedSample]) -> Option<DetectedOnset> {
-        Self::WIDTHS.into_iter().find_map(|width| self.detect_with_width(samples, width))
-    }
-
-    fn detect_with_width(self, samples: &[TimedSample], width: usize) -> Option<DetectedOnset> {
-        let split = samples.len().checked_sub(width)?;
-        let (past, window) = samples.split_at(split);
-        let rest = past.get(past.len().saturating_sub(Self::REST_WIDTHS * width)..)?;
-        if rest.len() < width {
-            return None;
-        }
-        let (start, end) = (mean_of(rest)?, mean_of(window)?);
-        let variance = 1.0 / width as f64 + 1.0 / rest.len() as f64;
-        let leap = end - start;
-        if leap.is_nan() || leap.abs() <= Self::SIGMAS * self.sigma * variance.sqrt() {
-            return None;
-        }
-        let (first, last) = (rest.last()?, window.last()?);
-        Some(DetectedOnset {
-            onset_s: first.at_s,
-            onset_sigma_s: last.at_s - first.at_s,
-            start,
-            direction: leap.signum(),
-        })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -231,17 +175,5 @@ mod tests {
         assert_eq!(find_step(&[], 0.5), None);
         assert_eq!(find_step(&quiet, 0.0), None);
         assert_eq!(find_step(&quiet, f64::NAN), None);
-        assert_eq!(OnsetDetector::new(0.5).detect(&quiet), None);
-    }
-
-    #[test]
-    fn the_detector_needs_the_past_alone() {
-        let samples = recording(0.5, 20);
-        let until = (0..samples.len()).find(|&k| OnsetDetector::new(0.5).detect(&samples[..k]).is_some()).unwrap();
-        let detected = OnsetDetector::new(0.5).detect(&samples[..until]).unwrap();
-        let last_s = samples[until - 1].at_s;
-        assert!((30.0..31.0).contains(&last_s), "{last_s}");
-        assert!((detected.onset_s - 30.0).abs() <= 2.0 * detected.onset_sigma_s);
-        assert_eq!(detected.direction, -1.0);
     }
 }

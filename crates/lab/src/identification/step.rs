@@ -274,7 +274,6 @@ impl<'a> StepFitter<'a> {
                 sigma: (WEAK_ONSET_SHARE * self.duration_s).max(2.0 * self.interval_s),
             },
             dynamics: DynamicsPrior::independent(&ln_lags, &vec![share; order - 1])?,
-            slowest: None,
             end: self.end,
         })
     }

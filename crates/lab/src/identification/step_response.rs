@@ -50,6 +50,19 @@ impl StepResponse {
         self.lags.iter().map(of).sum()
     }
 
+    /// Time after the onset from which less than this share of the step is left, to a thousandth of it; infinite for a share that
+    /// is not positive.
+    pub fn settling_time_s(&self, share: f64) -> f64 {
+        if share <= 0.0 {
+            return f64::INFINITY;
+        }
+        let slowest_s = self.lags.iter().map(|lag| lag.time_constant_s).fold(0.0, f64::max);
+        let step_s = 1e-3 * slowest_s;
+        // Shares may be negative, so that the last crossing counts. After 30 slowest lags nothing is left.
+        let last = (0..30_000_u32).rev().find(|k| self.remaining(step_s * f64::from(*k)).abs() > share);
+        last.map_or(0.0, |last| step_s * f64::from(last + 1))
+    }
+
     pub fn final_value(&self) -> f64 {
         self.start + self.step
     }

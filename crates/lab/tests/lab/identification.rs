@@ -1,13 +1,13 @@
 //! Identification of sensors and prediction of their end, on simulated sensors whose truth is known.
 
+use posebridge_estimator::models::slow_sensor::{LogNormal, SensorDynamics, SlowLag};
 use posebridge_lab::identification::fit::{ResponseNoise, fit_response};
-use posebridge_lab::identification::prediction::{EndPrediction, predict_once, predict_with_expectation};
+use posebridge_lab::identification::prediction::EndPrediction;
 use posebridge_lab::identification::prior::{DynamicsPrior, GaussianPrior, MAX_ORDER, ResponsePrior};
-use posebridge_lab::identification::sensor_kind::RunSimilarity;
 use posebridge_lab::identification::step_response::{SimulatedSensor, step_input};
 use posebridge_lab::identification::{
-    ExpectedDynamics, IdentificationError, IdentifiedStep, Lag, Sampling, SensorKind, StepDirection, StepOptions,
-    StepParameters, StepResponse, TimedSample, identify_step, predict, settling_time_s,
+    IdentificationError, IdentifiedStep, Lag, RunSimilarity, Sampling, StepOptions, StepParameters, StepResponse,
+    TimedSample, describe_sensor, identify_step, predict, settling_time_s,
 };
 
 const SIGMA: f64 = 0.05;
@@ -41,7 +41,6 @@ fn a_fit_without_noise_finds_the_response() {
         onset: gaussian(9.0, 100.0),
         dynamics: DynamicsPrior::independent(&[gaussian(0.5, 100.0), gaussian(3.5, 100.0)], &[gaussian(0.5, 100.0)])
             .unwrap(),
-        slowest: None,
         end: None,
     };
     let guess = prior.expected(19.0, -12.0);
@@ -147,62 +146,59 @@ fn settling_predictions(predictions: &[EndPrediction]) -> Vec<EndPrediction> {
     predictions.iter().filter(|p| p.is_settling).copied().collect()
 }
 
+fn described(runs: &[IdentifiedStep]) -> SensorDynamics {
+    describe_sensor(runs, RunSimilarity::SameKind).unwrap()
+}
+
+fn slow_lag(dynamics: &SensorDynamics) -> LogNormal {
+    match dynamics.slow_lag {
+        SlowLag::Known(lag) => lag,
+        SlowLag::Unknown => panic!("the lag was identified"),
+    }
+}
+
 #[test]
 fn a_prediction_uses_no_later_sample() {
     let samples = simulate_dip(&[(8.0, 1.0)], 1, 20.0, 4.0);
-    let kind =
-        SensorKind::from_runs(&[identified(&simulate_dip(&[(8.5, 1.0)], 2, 22.0, 4.0))], RunSimilarity::SameKind)
-            .unwrap();
-    let all = predict(&samples, SIGMA, &kind);
-    for count in [30, 50, 70] {
-        let part = predict(&samples[..count], SIGMA, &kind);
-        assert_eq!(part[..], all[..count]);
+    let description = described(&[identified(&simulate_dip(&[(8.5, 1.0)], 2, 22.0, 4.0))]);
+    let all = predict(&samples, SIGMA, &description);
+    for count in [50, 70, 150] {
+        let part = predict(&samples[..count], SIGMA, &description);
+        assert!(!part.is_empty());
+        assert_eq!(part[..], all[..part.len()]);
     }
+    assert!(predict(&samples, f64::NAN, &description).is_empty());
 }
 
 #[test]
 fn at_rest_the_reading_is_the_quantity_and_after_settling_again() {
     let samples = simulate_dip(&[(3.0, 0.35), (15.0, 0.65)], 1, 20.0, 4.0);
-    let expectation = ExpectedDynamics::known(&[(3.0, 0.35), (15.0, 0.65)]).unwrap();
-    let all = predict_with_expectation(&samples, SIGMA, &expectation);
-    assert_eq!(all[5].value, samples[5].value);
-    assert!(!all[5].is_settling);
+    let all = predict(&samples, SIGMA, &described(&[identified(&samples)]));
+    let first = all.first().unwrap();
+    assert!(!first.is_settling && (first.value - 20.0).abs() < 0.1, "{first:?}");
     let last = all.last().unwrap();
-    assert!((last.value - 4.0).abs() < 0.02 && last.sigma < 0.02, "{last:?}");
-    assert_eq!(predict_once(&samples, SIGMA, &expectation).unwrap().is_settling, last.is_settling);
-    assert!(predict_with_expectation(&samples, f64::NAN, &expectation).is_empty());
+    assert!(!last.is_settling && (last.value - 4.0).abs() < 0.1, "{last:?}");
+    // Known to the noise of a reading.
+    assert!((0.8..2.0).contains(&(last.sigma / SIGMA)), "{last:?}");
 }
 
 #[test]
-fn a_kind_learns_from_its_runs_how_much_they_differ() {
+fn a_description_learns_from_its_runs_how_much_they_differ() {
     let run = |tau_s, seed| identified(&simulate_dip(&[(tau_s, 1.0)], seed, 20.0, 4.0));
-    let slowest = |runs: &[IdentifiedStep], direction| {
-        let kind = SensorKind::with_order(runs, 1, RunSimilarity::SameKind).unwrap();
-        kind.expectation(direction).unwrap().dynamics.slowest()
-    };
-    let alike = slowest(&[run(8.0, 1), run(8.0, 2)], StepDirection::Down);
-    let unlike = slowest(&[run(6.5, 1), run(10.0, 2)], StepDirection::Down);
-    assert!(unlike.sigma > 2.0 * alike.sigma, "{} {}", unlike.sigma, alike.sigma);
-    assert!((unlike.mean.exp() - 65.0_f64.sqrt()).abs() < 0.1);
-    let other_direction = slowest(&[run(8.0, 1), run(8.0, 2)], StepDirection::Up);
-    assert!(other_direction.sigma > 2.0 * alike.sigma);
-    assert_eq!(other_direction.mean, alike.mean);
-    assert!(SensorKind::from_runs(&[], RunSimilarity::SameKind).is_err());
-}
-
-/// A step the other way is expected to stretch all lags alike, which leaves less room than if each went its own way.
-#[test]
-fn the_other_way_all_lags_share_one_scale() {
-    let run = identified(&simulate_dip(&[(3.0, 0.35), (15.0, 0.65)], 1, 20.0, 4.0));
-    let kind = SensorKind::with_order(&[run], 2, RunSimilarity::SameKind).unwrap();
-    let [own, other] =
-        [StepDirection::Down, StepDirection::Up].map(|direction| kind.expectation(direction).unwrap().dynamics);
-    // By hand: root of 0.005 for the slow lag, and with the scale of 0.2 root of 0.045.
-    assert!((own.slowest().sigma - 0.0707).abs() < 0.003);
-    assert!((other.slowest().sigma - 0.2121).abs() < 0.003);
-    // 1 + 0.04 (1 / 0.005 + 1 / 0.005) = 17 times the determinant; two scales apart would have 81 times.
-    let wider = 2.0 * (other.half_ln_determinant() - own.half_ln_determinant());
-    assert!((wider - 17.0_f64.ln()).abs() < 0.15, "{wider}");
+    let one = slow_lag(&described(&[run(8.0, 1)]));
+    let alike = slow_lag(&described(&[run(8.0, 1), run(8.0, 2), run(8.0, 3)]));
+    let unlike = slow_lag(&described(&[run(4.0, 1), run(8.0, 2), run(16.0, 3)]));
+    assert!((unlike.median - 8.0).abs() < 0.1);
+    // (9) and (10) by hand: root of 2 times the prior spread of 0.25 for one run, and for three root of 3/5 times 4/3 of it.
+    assert!((one.ln_sigma - 0.3536).abs() < 0.003, "{one:?}");
+    assert!((alike.ln_sigma - 0.2236).abs() < 0.003, "{alike:?}");
+    // ln 2 to both sides: root of (0.1875 + 0.9609) / 5 times 4/3.
+    assert!((unlike.ln_sigma - 0.5533).abs() < 0.003, "{unlike:?}");
+    assert!(describe_sensor(&[], RunSimilarity::SameKind).is_none());
+    let same = describe_sensor(&[run(8.0, 1)], RunSimilarity::SameSensor).unwrap();
+    assert!(slow_lag(&same).ln_sigma < 0.5 * one.ln_sigma);
+    let two = described(&[identified(&simulate_dip(&[(3.0, 0.35), (15.0, 0.65)], 1, 20.0, 4.0))]);
+    assert!((two.lag_ratio.median - 5.0).abs() < 0.5 && (two.fast_share - 0.35).abs() < 0.03, "{two:?}");
 }
 
 /// What is not known beforehand: ln of a scale of all lags, ln of each lag, and the share of the first.
@@ -236,10 +232,8 @@ fn end_sigma(after_s: f64, prior: LagSigmas) -> f64 {
         dynamics: DynamicsPrior::new(
             nalgebra::DVector::from_vec(vec![1.16_f64.ln(), 4.0_f64.ln(), 0.41]),
             nalgebra::DMatrix::from_row_slice(3, 3, &rows),
-            f64::INFINITY,
         )
         .unwrap(),
-        slowest: None,
         end: None,
     };
     let found = fit_response(&samples, &ResponseNoise::white(1.2), &prior, &truth).unwrap();
@@ -261,23 +255,6 @@ fn the_information_in_the_samples_limits_what_can_be_known() {
     assert!(end_sigma(3.0, scaled) < 0.7 * end_sigma(3.0, apart));
 }
 
-/// A run that shows no fault of its model is still no proof that the next one will show none.
-#[test]
-fn within_a_kind_no_model_is_without_fault() {
-    let run = identified(&simulate_dip(&[(3.0, 0.35), (15.0, 0.65)], 1, 20.0, 4.0));
-    assert_eq!(run.chosen().model_share, 0.0);
-    let expected = |likeness| {
-        let kind = SensorKind::with_order(std::slice::from_ref(&run), 2, likeness).unwrap();
-        kind.expectation(StepDirection::Down).unwrap()
-    };
-    let kind = expected(RunSimilarity::SameKind);
-    assert!((kind.model_share - 0.04 * 0.75_f64.sqrt()).abs() < 1e-12);
-    // The mean lag: 0.35 of 3 s and 0.65 of 15 s.
-    assert!((kind.error_duration_s - 10.8).abs() < 0.2, "{}", kind.error_duration_s);
-    let same = expected(RunSimilarity::SameDynamics);
-    assert_eq!((same.model_share, same.error_duration_s), (0.0, 0.0));
-}
-
 /// Sensors of one kind that differ from each other: each is predicted by the others, faster than it shows, and its bound holds.
 #[test]
 fn sensors_of_a_kind_predict_each_other() {
@@ -287,10 +264,8 @@ fn sensors_of_a_kind_predict_each_other() {
         (0..3).map(|k| identified(&simulate_dip(&lags[k], k as u64, ends[k].0, ends[k].1))).collect();
     for held_out in 0..3 {
         let others: Vec<IdentifiedStep> = (0..3).filter(|k| *k != held_out).map(|k| runs[k].clone()).collect();
-        let kind = SensorKind::from_runs(&others, RunSimilarity::SameKind).unwrap();
-        assert_eq!(kind.order(), 2);
         let run = &runs[held_out];
-        let predicted = settling_predictions(&predict(&run.samples, SIGMA, &kind));
+        let predicted = settling_predictions(&predict(&run.samples, SIGMA, &described(&others)));
         let (before, after) = ends[held_out];
         let settled = |series: &[(f64, f64)], share: f64| {
             settling_time_s(series, DIPPED_S, after, share * (before - after)).unwrap()
@@ -302,7 +277,7 @@ fn sensors_of_a_kind_predict_each_other() {
             println!("sensor {held_out}, {share}: predicted {predicted_s:.1} s, shown {shown_s:.1} s");
             assert!(predicted_s < shown_s);
         }
-        let inside = predicted.iter().filter(|p| p.bound().0 <= after && after <= p.bound().1);
+        let inside = predicted.iter().filter(|p| p.holds(after));
         let rate = inside.count() as f64 / predicted.len() as f64;
         println!("sensor {held_out}: end within the bound {rate:.2}");
         assert!(rate > 0.8, "{held_out}: {rate}");

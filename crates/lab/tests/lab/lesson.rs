@@ -27,19 +27,19 @@ const NEAR: [(&str, &str, f64, f64); 17] = [
     ("orders", "lag_1_error_sigmas", 0.0, 3.5),
     ("orders", "lag_2_error_sigmas", 0.0, 3.5),
     ("both_ways", "by_heating_expected_s", 2.0, 0.1),
-    ("both_ways", "by_both_expected_s", 2.6, 0.1),
+    ("both_ways", "by_cooling_expected_s", 2.6, 0.1),
     ("trend", "constant_inside", 0.0, 0.0),
 ];
 
 /// Of each section the first number is less than so many times the second.
 const LESS: [(&str, &str, f64, &str); 8] = [
+    ("load_cell", "predicted_2_percent_s", 0.1, "shown_2_percent_s"),
     // A model that may change is better on other data than one that may not.
     ("other_data", "other_estimated_5_percent_s", 1.0, "other_shown_5_percent_s"),
-    ("other_data", "other_estimated_5_percent_s", 1.0, "other_certain_5_percent_s"),
     ("other_data", "data_certain_5_percent_s", 0.3, "data_shown_5_percent_s"),
     ("other_data", "same_certain_5_percent_s", 0.3, "same_shown_5_percent_s"),
     // Each way has its own time constant.
-    ("both_ways", "by_both_sigma", 0.5, "by_heating_sigma"),
+    ("both_ways", "by_cooling_5_percent_s", 1.0, "by_heating_5_percent_s"),
     // A trend is missed with confidence unless the quantity may walk; then a change is followed closer than the sensor shows it.
     ("trend", "constant_sigma_k", 0.05, "constant_error_k"),
     ("walking", "walking_error_k", 0.6, "shown_error_k"),
@@ -57,7 +57,6 @@ fn every_section_has_the_numbers_that_its_text_promises() {
         assert!(value(section, less) < factor * value(section, more), "{section}.{less}");
     }
     assert_eq!(value("orders", "order"), 2.0);
-    assert!(value("both_ways", "by_both_5_percent_s") <= value("both_ways", "by_heating_5_percent_s"));
     assert_eq!(sections.iter().find(|section| section.name == "three_ways").unwrap().rows.len(), 4);
     assert!(value("trend", "walking_error_k") < 0.5 && value("trend", "walking_inside") > 0.85);
     // Two sensors know more than either.
@@ -70,32 +69,33 @@ fn every_section_has_the_numbers_that_its_text_promises() {
         let [error, claimed] = ["error", "sigma"].map(|of| value("quantised", &format!("digit_{digit}_{of}_k")));
         assert!((0.5..1.6).contains(&(error / claimed)), "{digit}: {error} {claimed}");
     }
-    // Lags that are estimated may be a third wrong, and those taken for certain may not.
+    // With lags that are a third wrong the bound holds if they are estimated, and does not if they are taken for certain.
     let settled = |method: &str, factor: f64| {
         number(&sections, "mismatch", &format!("{method}_5_percent_s_at_{factor}")).unwrap_or(f64::INFINITY)
     };
     for factor in [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3] {
         assert!(settled("estimated", factor) < settled("shown", factor));
     }
-    assert!(settled("estimated", 1.0) < 0.2 * settled("shown", 1.0));
-    assert!(settled("estimated", 1.3) < settled("certain", 1.3));
+    assert!(settled("estimated", 1.0) < 0.5 * settled("shown", 1.0));
     for factor in [0.7, 0.8, 1.2, 1.3] {
         let inside = |method: &str| value("mismatch", &format!("{method}_inside_at_{factor}"));
         assert!(inside("estimated") > inside("certain") + 0.2, "{factor}");
     }
 }
 
-/// 1000 runs: the bound of known and of identified dynamics holds at its rate, and that of dynamics taken for known does not.
+/// 1000 runs: the bound of known dynamics holds at its rate, that of dynamics taken for known does not, and that of uncertain ones
+/// holds more often.
 #[test]
 fn the_bounds_hold_at_their_rate() {
     let runs: Vec<BoundRun> = (0..1_000).map(|run| bound_run(7_000_000 + run)).collect();
     let section = [bounds_section(&runs)];
     let value = |name: &str| number(&section, "bounds", name).unwrap();
     for time_constants in ["0.5", "1", "2"] {
-        for method in ["known", "identified"] {
-            let rate = value(&format!("{method}_rate_at_{time_constants}"));
-            assert!((rate - 0.95).abs() <= value("half_width"), "{method} {time_constants}: {rate}");
-        }
+        let rate = value(&format!("known_rate_at_{time_constants}"));
+        assert!((rate - 0.95).abs() <= value("half_width"), "{time_constants}: {rate}");
+        // Wider than needed for a sensor without a fault.
+        let rate = value(&format!("identified_rate_at_{time_constants}"));
+        assert!(rate > 0.95, "{time_constants}: {rate}");
     }
     assert!(value("taken_for_known_rate_at_1") < 0.8);
 }

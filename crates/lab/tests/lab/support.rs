@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{
     Calibration, DriveGeometry, Fix, Heading, Meters, Observation, ObservationKind, Point2, Radians, SensorId,
@@ -22,6 +23,7 @@ pub(crate) fn config(radii_m: [f64; 2], track_width_m: f64, tick_rad: f64, noise
         params: Params::default(),
         calibration: Calibration::default(),
         arena_map: Arc::default(),
+        slow_sensor: SlowSensor::UNKNOWN,
     }
 }
 

@@ -23,14 +23,13 @@
 
 use std::fmt;
 
+use posebridge_telemetry::estimate::NORMAL_95;
 use posebridge_telemetry::{FusionOutcome, FusionRecord};
 
 use super::consistency::{Consistency, ConsistencyBand, NisMean};
 
 /// Fewer independent degrees of freedom do not suffice for a verdict: their band reaches from half to 1.7.
 const MIN_DEGREES: f64 = 20.0;
-/// 97.5 % quantile of the standard normal distribution.
-const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// Relative error of a standard deviation that is good enough for all purposes.
 const NEARLY_CONSISTENT_MARGIN: f64 = 0.1;
 /// Weaker correlations are significant in long recordings but irrelevant to a filter.

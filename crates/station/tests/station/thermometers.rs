@@ -1,7 +1,7 @@
 //! Thermometers beside the robot: any brick has them, each has a filter of its own, and the pose does not wait for them.
 
 use crate::support::{BRICK, HEARTBEAT, TestStation, at, config, frame, messages, ticks};
-use posebridge_estimator::filters::thermometer::ThermometerSettings;
+use posebridge_estimator::filters::thermometer::{ThermometerResponse, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_protocol::message::{Message, WireStamp};
 use posebridge_station::{RobotBlock, RobotConfig, RobotMatch, ThermometerConfig};
@@ -56,11 +56,16 @@ fn driven(beside: impl Fn(u32) -> Option<Message>) -> TestStation {
 
 #[test]
 fn the_pose_is_the_same_with_a_thermometer_and_leaves_before_it() {
-    let with = driven(|k| Some(named("temp1", 5_000 + 50 * k, shown_c(0.05 * f64::from(k)))));
+    let with = driven(|k| Some(named("temp1", 5_000 + 50 * k, shown_c(0.25 * f64::from(k)))));
     let without = driven(|_| None);
     assert_eq!(with.estimates().len(), 200);
     assert_eq!(with.estimates(), without.estimates());
-    let sent = |station: &TestStation| station.sent().map(|sent| (sent.now, sent.bytes.to_vec())).collect::<Vec<_>>();
+    let is_other = |message: &Message| !matches!(message, Message::NamedValue(_));
+    let sent = |station: &TestStation| {
+        let all = station.sent().map(|sent| (sent.now, messages(sent.bytes)));
+        let others = all.map(|(now, all)| (now, all.into_iter().filter(is_other).collect::<Vec<_>>()));
+        others.filter(|(_, others)| !others.is_empty()).collect::<Vec<_>>()
+    };
     assert_eq!(sent(&with), sent(&without));
 
     assert_eq!(temperature_reports(&with).len(), 200);
@@ -76,9 +81,19 @@ fn the_pose_is_the_same_with_a_thermometer_and_leaves_before_it() {
     };
     assert!(first.into_iter().any(|(_, output)| has_left(output)));
 
+    // Of a sensor of 4 s, two and a half lags after the step.
     let last = temperature_reports(&with)[199].settled.expect("it was read 200 times");
     let error_k = (last.value - 50.0).abs();
     assert!(error_k <= last.bound_95() && error_k < 5.0, "{last:?}");
+    // The brick is told, under names that no station takes for a reading.
+    let values = with.sent().flat_map(|sent| messages(sent.bytes)).filter_map(|message| match message {
+        Message::NamedValue(named) => Some((named.name.to_string(), named.value)),
+        _ => None,
+    });
+    let values: Vec<(String, f32)> = values.collect();
+    let newest = |name: &str| values.iter().rfind(|(known, _)| known == name).map(|(_, value)| *value);
+    assert_eq!(newest("end_1"), Some(last.value as f32));
+    assert_eq!(newest("sd_1"), Some(last.sigma as f32));
 }
 
 #[test]
@@ -138,7 +153,9 @@ fn a_thermometer_that_is_known_knows_the_end_from_a_second_reading() {
     let thermometers = vec![ThermometerConfig {
         channel: ChannelName::from_bytes(b"temp1"),
         settings: ThermometerSettings {
-            model: DynamicModel::first_order(SensorId::THERMOMETER, 20.0).ok(),
+            response: ThermometerResponse::Exact(Box::new(
+                DynamicModel::first_order(SensorId::THERMOMETER, 20.0).unwrap(),
+            )),
             sigma_k: 0.001,
             resolution_k: 0.0,
         },
@@ -162,10 +179,13 @@ fn a_board_that_was_switched_off_and_on_begins_anew() {
         station.bytes(at(now), &frame(BATH, &named("temp", millis, degrees_c)));
     };
     (0..40).for_each(|k| send(i64::from(250 * k), 90_000 + 250 * k, 20.0));
-    send(15_000, 1_000, 63.0);
-    let last = temperature_reports(&station)[40].settled.expect("it was read");
-    let off_k = (last.value - 63.0).abs();
-    assert!(off_k < 1e-9, "all that is known is one reading: {last:?}");
+    for k in 0..20 {
+        send(i64::from(15_000 + 250 * k), 1_000 + 250 * k, 63.0);
+    }
+    let reports = temperature_reports(&station);
+    assert_eq!(reports[40].settled, None, "one reading says nothing of what comes");
+    let last = reports[59].settled.expect("it rests");
+    assert!((last.value - 63.0).abs() < 1e-9, "{last:?}");
 }
 
 #[test]
@@ -177,4 +197,25 @@ fn invented_channel_names_are_bounded_and_reported_once() {
     }
     assert_eq!(temperature_reports(&station).len(), 16);
     assert_eq!(station.count(|event| matches!(event, Event::Text { .. })), 1);
+}
+
+/// A robot whose filter is that of a slow sensor is told of its first thermometer, and of no other.
+#[test]
+fn a_filter_of_one_temperature_follows_the_first_thermometer() {
+    let mut config = config();
+    config.robot.filter = "dynamic-live".to_owned();
+    let mut station = TestStation::new(&config);
+    for k in 0..40_u32 {
+        let millis = 5_000 + 250 * k;
+        let mut bytes = frame(BRICK, &ticks(millis, 0, 0));
+        bytes.extend(frame(BRICK, &named("temp_a", millis, 20.0)));
+        bytes.extend(frame(BRICK, &named("temp_b", millis, 80.0)));
+        station.bytes(at(i64::from(100 + 250 * k)), &bytes);
+    }
+    let quantities = station.select(|event| match event {
+        Event::QuantityUpdated { estimate, .. } => Some(estimate.value),
+        _ => None,
+    });
+    assert!(quantities.len() >= 30, "{}", quantities.len());
+    assert!(quantities.iter().all(|value| (value - 20.0).abs() < 1e-9), "{quantities:?}");
 }

@@ -1,4 +1,4 @@
-//! Classifies thermometer readings: expected, outlier, or the start of a new temperature (cumulative sum test).
+//! Classifies the readings of a slow sensor: expected, outlier, or the start of a new value (cumulative sum test).
 //!
 //! ```text
 //! z = (y - expected) / (kappa sqrt(S)), within +-5
@@ -22,13 +22,16 @@ const PRIOR_READINGS: f64 = 10.0;
 const MEMORY_READINGS: f64 = 100.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ReadingClass {
+pub enum ReadingClass {
     /// Within the gate.
     Expected,
     /// A single reading outside the gate.
     Outlier,
-    /// The last readings together show a new temperature.
-    StepChange,
+    /// The last readings together show a new value.
+    StepChange {
+        /// Their number.
+        readings: usize,
+    },
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,7 +39,16 @@ pub(super) struct ChangeDetector {
     above: f64,
     below: f64,
     squares: f64,
-    readings: f64,
+    /// Number of readings, as far as they are not forgotten.
+    weight: f64,
+    /// The readings since each sum was last zero.
+    runs: [DeviatingRun; 2],
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct DeviatingRun {
+    readings: usize,
+    squares: f64,
 }
 
 impl ChangeDetector {
@@ -49,11 +61,24 @@ impl ChangeDetector {
         self.below = (self.below - counted - ALLOWANCE).max(0.0);
         let retention = 1.0 - 1.0 / MEMORY_READINGS;
         self.squares = retention * self.squares + (counted * scale).powi(2);
-        self.readings = retention * self.readings + 1.0;
+        self.weight = retention * self.weight + 1.0;
+        for (sum, run) in [self.above, self.below].into_iter().zip(&mut self.runs) {
+            if sum > 0.0 {
+                run.readings += 1;
+                run.squares += (counted * scale).powi(2);
+            } else {
+                *run = DeviatingRun::default();
+            }
+        }
         if self.above.max(self.below) > LIMIT {
+            // What belongs to a step says nothing about the noise.
+            let run = self.runs[usize::from(self.below > self.above)];
+            self.squares = (self.squares - run.squares).max(0.0);
+            self.weight = (self.weight - run.readings as f64).max(0.0);
             self.above = 0.0;
             self.below = 0.0;
-            ReadingClass::StepChange
+            self.runs = Default::default();
+            ReadingClass::StepChange { readings: run.readings }
         } else if z.abs() > GATE {
             ReadingClass::Outlier
         } else {
@@ -63,7 +88,7 @@ impl ChangeDetector {
 
     /// Factor of the observed variance over the model's; at least 1.
     pub(super) fn inflation(&self) -> f64 {
-        ((PRIOR_READINGS + self.squares) / (PRIOR_READINGS + self.readings)).max(1.0)
+        ((PRIOR_READINGS + self.squares) / (PRIOR_READINGS + self.weight)).max(1.0)
     }
 }
 
@@ -80,7 +105,7 @@ mod tests {
             let mut surprise = ChangeDetector::default();
             (0..50).for_each(|_| assert_eq!(surprise.classify(0.0), ReadingClass::Expected));
             let verdicts: Vec<_> = (0..3).map(|_| surprise.classify(side * 40.0)).collect();
-            let (slip, end) = (ReadingClass::Outlier, ReadingClass::StepChange);
+            let (slip, end) = (ReadingClass::Outlier, ReadingClass::StepChange { readings: 3 });
             assert_eq!(verdicts, [slip, slip, end]);
 
             let mut surprise = ChangeDetector::default();
@@ -92,7 +117,7 @@ mod tests {
     #[test]
     fn a_small_deviation_that_stays_is_a_break_in_the_end() {
         let mut surprise = ChangeDetector::default();
-        let first = (0..100).find(|_| surprise.classify(2.0) == ReadingClass::StepChange);
+        let first = (0..100).find(|_| matches!(surprise.classify(2.0), ReadingClass::StepChange { .. }));
         assert!((8..=30).contains(&first.unwrap()), "{first:?}");
     }
 
@@ -103,7 +128,8 @@ mod tests {
             let mut random = Pcg64::seed_from_u64(4);
             for k in 0..20_000 {
                 let deviation = sigma * random.sample::<f64, _>(StandardNormal);
-                assert_ne!(surprise.classify(deviation), ReadingClass::StepChange, "{k}");
+                let class = surprise.classify(deviation);
+                assert!(!matches!(class, ReadingClass::StepChange { .. }), "{k}");
             }
             assert!(inflation.contains(&surprise.inflation()), "{surprise:?}");
         }

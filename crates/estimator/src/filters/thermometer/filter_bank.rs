@@ -1,271 +1,367 @@
-//! A thermometer with unknown dynamics: recursive least squares for each node of a grid of time constants, weighted by
-//! the readings, and interpolated in ln tau, because the readings soon know tau a hundred times better than the grid
-//! does.
+//! The approach of a slow sensor to a new value: a bank of extended Kalman filters, one for each hypothesis on its lags.
 //!
 //! ```text
-//! at rest       y = u + noise
-//! one lag       y = u + a e^(-t / tau) + noise
-//! two lags      y = u + a e^(-t / tau) + b e^(-4 t / tau) + noise
-//! prior         u ~ N(first reading, (50 K)^2)       a, b ~ N(0, (50 K)^2)       ln tau uniform over 1 s .. 1097 s
-//! J(ln tau)     = sum of ln S_k + nu_k^2 / (kappa^2 S_k)          by the innovations nu_k of the fit: minus twice its log-evidence
-//! p(ln tau)     ~ exp(-J / 2)            weight of a kind ~ integral of p over ln tau
-//! ```
-//! The faster of two lags is a quarter of the slower (a DS18B20 in its sleeve has 5.3 s and 22 s); its share is free.
+//! y      = u + x_1 + x_2 + noise                            u the final value, x_j what is left of each lag
+//! dx_j/dt = -(e^(e_j) / tau_j) x_j                           e_j the error of ln rate: between nodes, and of the model
+//! de_1 = q sqrt(rate_1) dw     de_2 = q sqrt(rate_2) dw     no sensor keeps its time constant: convection, stirring
 //!
-//! Source: Paper 2 (Markovsky), least squares; docs/lab/thermometer.md, sections M2 and M7.
+//! prior  u ~ N(y_0, D^2)     x_j = -share_j (u - y_0), share_2 = s +- sigma_s, share_1 = 1 - s +- sigma_s
+//!        e_j ~ N(0, half the distance of two nodes squared)
+//! nodes  ln tau_1 at most 0.3 apart     ln(tau_1 / tau_2) at most 0.6 apart     D = 1, 8, 64 times the change so far
+//!        q = 0.02, 0.1, 0.3
+//! weight of a hypothesis        prior * product of N(innovation; 0, S)
+//!
+//! drift  y = y_0 + v t + noise    dv = 0.1 v sqrt(dt / t) dw: nothing settles; prior 0.1
+//! ```
+//! The final value is the mean of u over the hypotheses. Its variance has the variance within and between them, and
+//! (0.01 (u - y_0))^2, because sensors creep by a hundredth of a step when they seem to have settled.
+//!
+//! Source: Paper 2 (Markovsky) for a given sensor; Magill (1965) for the bank; docs/lab/thermometer.md, section M7.
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::models::slow_sensor::{LogNormal, SensorDynamics, SlowLag};
 use crate::update::{ScalarMeasurement, use_scalar};
 
-/// Rows of a fit: the final value and the amplitudes of both lags.
-const ROWS: usize = 3;
+const STATES: usize = 5;
 const FINAL_VALUE: usize = 0;
-/// The fastest time constant; a faster sensor needs no prediction.
-const MIN_TIME_CONSTANT_S: f64 = 1.0;
-/// Distance of two nodes in ln tau, small enough for cubic interpolation through four nodes.
-const LN_TAU_STEP: f64 = 0.1;
-/// Nodes up to e^7 s = 1097 s. The thermometer of paper 2 has 148 s.
-const NODE_COUNT: usize = 71;
-/// The slower of two lags over the faster.
-const LAG_RATIO: i32 = 4;
-/// Prior sigma of the difference between the bath and the first reading.
-const PRIOR_SIGMA_K: f64 = 50.0;
-/// Points at which the posterior of ln tau is evaluated.
-const QUADRATURE_POINTS: usize = 48;
-/// Number of times that the interval of these points is narrowed.
-const REFINEMENT_ROUNDS: usize = 3;
-/// Beyond this rise of J the density is below a hundredth of its peak and is left out.
-const MAX_COST_RISE: f64 = 9.2;
-/// A kind of sensor with less weight is left out: a 95 % bound does not need it, and its variance is large.
-const MIN_WEIGHT: f64 = 0.01;
+/// Rows of x_j.
+const TRANSIENTS: [usize; 2] = [1, 2];
+/// Rows of e_j.
+const RATE_ERRORS: [usize; 2] = [3, 4];
+
+/// The range of an unknown time constant.
+const MIN_TIME_CONSTANT_S: f64 = 0.5;
+const MAX_TIME_CONSTANT_S: f64 = 1_200.0;
+/// Largest distances of two nodes.
+const LN_TAU_STEP: f64 = 0.3;
+const LN_RATIO_STEP: f64 = 0.6;
+/// Nodes reach this number of sigmas to each side: of a known lag, and of the ratio.
+const LAG_SIGMAS: f64 = 2.0;
+const RATIO_SIGMAS: f64 = 1.5;
+/// Lags closer than this cannot be told apart.
+const MIN_RATIO: f64 = 1.3;
+/// q.
+const RATE_WALKS: [f64; 3] = [0.02, 0.1, 0.3];
+/// Prior sigma of the step, relative to the change that was seen first.
+const STEP_SCALES: [f64; 3] = [1.0, 8.0, 64.0];
+/// That change counts as at least this number of sigmas of a reading.
+const MIN_CHANGE_SIGMAS: f64 = 10.0;
+/// Prior probability of a change without an end, and the relative walk of its slope.
+const DRIFT_PROBABILITY: f64 = 0.1;
+const SLOPE_WALK: f64 = 0.1;
+/// Share of a step by which a sensor creeps after it seems settled.
+const CREEP_SHARE: f64 = 0.01;
+/// A hypothesis that is this much less likely than the best one is dropped.
+const DROPPED_LN_WEIGHT: f64 = -13.8;
+/// A rate that changes by more than a factor of two is none.
+const MAX_RATE_ERROR: f64 = 0.7;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct MeanVariance {
-    pub(super) mean: f64,
-    pub(super) variance: f64,
+pub struct MeanVariance {
+    pub mean: f64,
+    pub variance: f64,
+}
+
+/// The last level of a sensor at rest, and the first sign that it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct StepStart {
+    /// y_0 with its variance.
+    pub(super) level: MeanVariance,
+    /// Change from the level so far, and the time that it took.
+    pub(super) change: f64,
+    pub(super) duration_s: f64,
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct FilterBank {
-    hypotheses: [ResponseHypothesis; 3],
-    /// Normalised, zero below [`LEAST_WEIGHT`].
-    weights: [f64; 3],
-    variance: f64,
+    members: Vec<Member>,
+    drift: Drift,
+    level: f64,
+    elapsed_s: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum ResponseShape {
-    AtRest,
-    OneLag,
-    TwoLags,
-}
-
-/// One kind of sensor over the grid of time constants.
+/// The hypothesis that the reading changes without an end.
 #[derive(Clone, Debug)]
-struct ResponseHypothesis {
-    shape: ResponseShape,
-    nodes: Vec<TimeConstantNode>,
-    /// Places on the grid with their density; the densities sum up to 1.
-    points: [(f64, f64); QUADRATURE_POINTS],
-    log_evidence: f64,
+struct Drift {
+    /// Reading and slope per second.
+    mean: SVector<f64, 2>,
+    covariance: SMatrix<f64, 2, 2>,
+    ln_weight: f64,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct TimeConstantNode {
-    tau_s: f64,
-    mean: SVector<f64, ROWS>,
-    covariance: SMatrix<f64, ROWS, ROWS>,
-    /// Sum of ln S.
-    volume: f64,
-    /// Sum of the squared innovations over S.
-    misfit: f64,
-    /// H at the predicted instant.
-    row: [f64; ROWS],
-    expected: MeanVariance,
+#[derive(Clone, Debug)]
+struct Member {
+    rates_per_s: [f64; 2],
+    /// q.
+    rate_walk: f64,
+    mean: SVector<f64, STATES>,
+    covariance: SMatrix<f64, STATES, STATES>,
+    ln_weight: f64,
+}
+
+/// One node of the bank, before it is a filter.
+struct Hypothesis {
+    slow_lag_s: f64,
+    ratio: f64,
+    /// Prior sigmas of the logarithms of both rates: half the distance to the next node.
+    rate_sigmas: [f64; 2],
+    shares: [f64; 2],
+    share_sigma: f64,
+    rate_walk: f64,
+    ln_weight: f64,
+}
+
+/// Values of a quantity with their prior log-weights.
+struct Nodes {
+    values: Vec<(f64, f64)>,
+    /// In the logarithm.
+    distance: f64,
 }
 
 impl FilterBank {
-    pub(super) fn new(sigma_k: f64) -> Self {
-        let hypotheses =
-            [ResponseShape::AtRest, ResponseShape::OneLag, ResponseShape::TwoLags].map(ResponseHypothesis::new);
-        Self { hypotheses, weights: [0.0; 3], variance: sigma_k * sigma_k }
-    }
-
-    /// Restarts at a first reading, which is then used like any other.
-    pub(super) fn restart(&mut self, reading: f64) {
-        for kind in &mut self.hypotheses {
-            kind.restart(reading);
+    /// At the last instant of rest. `sigma` is the noise of a reading.
+    pub(super) fn new(dynamics: &SensorDynamics, start: &StepStart, sigma: f64) -> Self {
+        let change = start.change.abs().max(MIN_CHANGE_SIGMAS * sigma);
+        let steps = STEP_SCALES.map(|scale| scale * change);
+        let hypotheses = hypotheses(dynamics);
+        let members = hypotheses.iter().flat_map(|hypothesis| steps.map(|step| Member::new(hypothesis, start, step)));
+        let mut members: Vec<Member> = members.collect();
+        let ln_sum = members.iter().map(|member| member.ln_weight.exp()).sum::<f64>().ln();
+        for member in &mut members {
+            member.ln_weight -= ln_sum;
         }
+        let drift = Drift::new(start, change / start.duration_s);
+        Self { members, drift, level: start.level.mean, elapsed_s: 0.0 }
     }
 
-    /// Predicts the reading at an instant, in seconds since the start, with the weights after the last used reading.
-    pub(super) fn predict(&mut self, at_s: f64) -> MeanVariance {
-        for kind in &mut self.hypotheses {
-            for node in &mut kind.nodes {
-                node.predict(kind.shape, at_s, self.variance);
-            }
+    /// Predicts the reading at an instant, in seconds since the start; `noise_variance` is that of a reading.
+    pub(super) fn predict(&mut self, at_s: f64, noise_variance: f64) -> MeanVariance {
+        let dt_s = at_s - self.elapsed_s;
+        self.elapsed_s = at_s;
+        for member in &mut self.members {
+            member.predict(dt_s);
         }
-        self.mixture(|node| node.expected.mean, |node| node.expected.variance)
+        self.drift.predict(dt_s, at_s);
+        self.mixture(|member| {
+            let expected = member.expected();
+            MeanVariance { variance: expected.variance + noise_variance, ..expected }
+        })
     }
 
-    /// Uses a reading of the instant that was predicted last. `inflation` is the factor on the configured variance.
-    pub(super) fn update(&mut self, reading: f64, inflation: f64) {
-        for kind in &mut self.hypotheses {
-            for node in &mut kind.nodes {
-                node.update(reading, self.variance);
-            }
-            kind.update_evidence(inflation);
+    /// Uses a reading of the instant that was predicted last.
+    pub(super) fn update(&mut self, reading: f64, noise_variance: f64) {
+        for member in &mut self.members {
+            member.update(reading, noise_variance);
         }
-        let best = self.hypotheses.iter().map(|kind| kind.log_evidence).fold(f64::NEG_INFINITY, f64::max);
-        let raw: [f64; 3] = std::array::from_fn(|index| (self.hypotheses[index].log_evidence - best).exp());
-        let sum: f64 = raw.iter().sum();
-        let retained = raw.map(|weight| if weight < MIN_WEIGHT * sum { 0.0 } else { weight });
-        let sum: f64 = retained.iter().sum();
-        self.weights = retained.map(|weight| weight / sum);
+        self.drift.update(reading, noise_variance);
+        let best = self.members.iter().map(|member| member.ln_weight).fold(f64::NEG_INFINITY, f64::max);
+        for member in &mut self.members {
+            member.ln_weight -= best;
+        }
+        self.drift.ln_weight -= best;
+        self.members.retain(|member| member.ln_weight > DROPPED_LN_WEIGHT);
     }
 
-    /// The final value, with the variance by the configured noise times `inflation`.
-    pub(super) fn final_value(&self, inflation: f64) -> MeanVariance {
-        self.mixture(|node| node.mean[FINAL_VALUE], |node| inflation * node.covariance[(FINAL_VALUE, FINAL_VALUE)])
+    pub(super) fn final_value(&self) -> MeanVariance {
+        let found = self.mixture(|member| member.value_of(FINAL_VALUE));
+        let creep = CREEP_SHARE * (found.mean - self.level);
+        MeanVariance { variance: found.variance + creep * creep, ..found }
     }
 
-    /// Mean and variance of a quantity that every node has, over all kinds and time constants.
-    fn mixture(
-        &self,
-        mean_of: impl Fn(&TimeConstantNode) -> f64,
-        variance_of: impl Fn(&TimeConstantNode) -> f64,
-    ) -> MeanVariance {
-        let over = |of: &dyn Fn(&ResponseHypothesis, f64) -> f64| -> f64 {
-            let kinds = self.hypotheses.iter().zip(self.weights);
-            let kinds = kinds.filter(|(_, weight)| *weight > 0.0);
-            let parts = kinds.map(|(kind, weight)| {
-                let points = kind.points.iter().filter(|(_, density)| *density > 0.0);
-                let sum: f64 = points.map(|(at, density)| density * of(kind, *at)).sum();
-                weight * sum
-            });
-            parts.sum()
-        };
-        let mean = over(&|kind, at| kind.interpolate(at, &mean_of));
-        let variance = over(&|kind, at| {
-            let off = kind.interpolate(at, &mean_of) - mean;
-            kind.interpolate(at, &variance_of).max(0.0) + off * off
-        });
-        MeanVariance { mean, variance }
+    /// What is left of the transient.
+    pub(super) fn remainder(&self) -> f64 {
+        self.mixture(|member| member.value_of(TRANSIENTS[0])).mean + self.mixture(|m| m.value_of(TRANSIENTS[1])).mean
+    }
+
+    /// Time since the start over the slower time constant.
+    pub(super) fn elapsed_lags(&self) -> f64 {
+        let rate = self.mixture(|member| MeanVariance { mean: member.rate_per_s(0), variance: 0.0 });
+        self.elapsed_s * rate.mean
+    }
+
+    /// Probability that the reading changes without an end.
+    pub(super) fn drift_probability(&self) -> f64 {
+        let members: f64 = self.members.iter().map(|member| member.ln_weight.exp()).sum();
+        // The weight of the best member is 1; a drift that is very much likelier has the probability 1.
+        let drift = self.drift.ln_weight.min(100.0).exp();
+        drift / (drift + members)
+    }
+
+    /// From the start to the final value.
+    pub(super) fn step(&self) -> f64 {
+        self.final_value().mean - self.level
+    }
+
+    /// Mean and variance of a quantity that every member has, over all hypotheses.
+    fn mixture(&self, of: impl Fn(&Member) -> MeanVariance) -> MeanVariance {
+        let weighted = self.members.iter().map(|member| (member.ln_weight.exp(), of(member)));
+        let (mut sum, mut first, mut second) = (0.0, 0.0, 0.0);
+        for (weight, MeanVariance { mean, variance }) in weighted {
+            // From the level, so that the square of a mean loses no digits.
+            let off = mean - self.level;
+            sum += weight;
+            first += weight * off;
+            second += weight * (variance + off * off);
+        }
+        let off = first / sum;
+        MeanVariance { mean: self.level + off, variance: (second / sum - off * off).max(0.0) }
     }
 }
 
-impl ResponseHypothesis {
-    fn new(shape: ResponseShape) -> Self {
-        let count = if shape == ResponseShape::AtRest { 1 } else { NODE_COUNT };
-        let nodes =
-            (0..count).map(|index| TimeConstantNode::new(MIN_TIME_CONSTANT_S * (LN_TAU_STEP * index as f64).exp()));
-        Self { shape, nodes: nodes.collect(), points: [(0.0, 0.0); QUADRATURE_POINTS], log_evidence: 0.0 }
+/// The nodes of the bank; equal weights where nothing is known.
+fn hypotheses(dynamics: &SensorDynamics) -> Vec<Hypothesis> {
+    let lags = match dynamics.slow_lag {
+        SlowLag::Unknown => {
+            let count = ((MAX_TIME_CONSTANT_S / MIN_TIME_CONSTANT_S).ln() / LN_TAU_STEP).ceil() as u32;
+            let lag_s = |k: u32| MIN_TIME_CONSTANT_S * (LN_TAU_STEP * f64::from(k)).exp();
+            Nodes { values: (0..=count).map(|k| (lag_s(k), 0.0)).collect(), distance: LN_TAU_STEP }
+        }
+        SlowLag::Known(lag) => Nodes::around(lag, LAG_SIGMAS, LN_TAU_STEP),
+    };
+    let ratios = Nodes::around(dynamics.lag_ratio, RATIO_SIGMAS, LN_RATIO_STEP);
+    let rate_sigmas = [0.5 * lags.distance, 0.5 * ratios.distance];
+    let ratio_sum: f64 = ratios.values.iter().map(|(_, ln_weight)| ln_weight.exp()).sum();
+    let single = dynamics.single_lag_probability;
+    let mut all = Vec::with_capacity(lags.values.len() * RATE_WALKS.len() * (ratios.values.len() + 1));
+    for &(slow_lag_s, of_lag) in &lags.values {
+        for rate_walk in RATE_WALKS {
+            if single > 0.0 {
+                all.push(Hypothesis {
+                    slow_lag_s,
+                    ratio: dynamics.lag_ratio.median,
+                    rate_sigmas,
+                    shares: [1.0, 0.0],
+                    share_sigma: 0.1 * rate_walk,
+                    rate_walk,
+                    ln_weight: of_lag + single.ln(),
+                });
+            }
+            all.extend(ratios.values.iter().map(|&(ratio, of_ratio)| Hypothesis {
+                slow_lag_s,
+                ratio: ratio.max(MIN_RATIO),
+                rate_sigmas,
+                shares: [1.0 - dynamics.fast_share, dynamics.fast_share],
+                share_sigma: dynamics.fast_share_sigma,
+                rate_walk,
+                ln_weight: of_lag + (1.0 - single).ln() + of_ratio - ratio_sum.ln(),
+            }));
+        }
     }
+    all
+}
 
-    fn restart(&mut self, reading: f64) {
-        let free: &[usize] = match self.shape {
-            ResponseShape::AtRest => &[FINAL_VALUE],
-            ResponseShape::OneLag => &[FINAL_VALUE, 1],
-            ResponseShape::TwoLags => &[FINAL_VALUE, 1, 2],
+impl Nodes {
+    /// Around the median, at most `distance` apart in the logarithm.
+    fn around(of: LogNormal, sigmas: f64, distance: f64) -> Self {
+        let reach = sigmas * of.ln_sigma;
+        let count = (reach / distance).ceil().max(1.0) as i32;
+        let node = |k: i32| {
+            let share = f64::from(k) / f64::from(count);
+            let z = sigmas * share;
+            (of.median * (share * reach).exp(), -0.5 * z * z)
         };
-        for node in &mut self.nodes {
-            *node = TimeConstantNode::new(node.tau_s);
-            node.mean[FINAL_VALUE] = reading;
-            for &row in free {
-                node.covariance[(row, row)] = PRIOR_SIGMA_K * PRIOR_SIGMA_K;
-            }
-        }
-    }
-
-    /// Locates the density of ln tau, and computes the evidence of this kind of sensor.
-    fn update_evidence(&mut self, inflation: f64) {
-        let minus_twice_log = |node: &TimeConstantNode| node.volume + node.misfit / inflation;
-        let last = (self.nodes.len() - 1) as f64;
-        let (mut low, mut high) = (0.0, last);
-        let mut least = f64::INFINITY;
-        for _ in 0..REFINEMENT_ROUNDS {
-            let step = (high - low) / (QUADRATURE_POINTS - 1) as f64;
-            for (index, point) in self.points.iter_mut().enumerate() {
-                point.0 = low + step * index as f64;
-            }
-            for index in 0..QUADRATURE_POINTS {
-                let at = self.points[index].0;
-                self.points[index].1 = self.interpolate(at, &minus_twice_log);
-            }
-            least = self.points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
-            let mut near = self.points.iter().filter(|point| point.1 <= least + MAX_COST_RISE);
-            let first_near = near.next().map_or(low, |point| point.0);
-            let last_near = near.next_back().map_or(first_near, |point| point.0);
-            low = (first_near - step).max(0.0);
-            high = (last_near + step).min(last);
-        }
-        for point in &mut self.points {
-            let rise = point.1 - least;
-            point.1 = if rise <= MAX_COST_RISE { (-0.5 * rise).exp() } else { 0.0 };
-        }
-        let sum: f64 = self.points.iter().map(|point| point.1).sum();
-        let range_s = self.points[QUADRATURE_POINTS - 1].0 - self.points[0].0;
-        // The share of the whole grid under the density's peak; a single node is all of its grid.
-        let share = if last > 0.0 { sum * range_s / ((QUADRATURE_POINTS - 1) as f64 * last) } else { 1.0 };
-        self.log_evidence = -0.5 * least + share.max(f64::MIN_POSITIVE).ln();
-        for point in &mut self.points {
-            point.1 /= sum;
-        }
-    }
-
-    /// Cubic interpolation through the four nodes around a place on the grid.
-    fn interpolate(&self, at: f64, of: &impl Fn(&TimeConstantNode) -> f64) -> f64 {
-        let most = self.nodes.len().saturating_sub(4);
-        let first = (at.floor() as usize).saturating_sub(1).min(most);
-        match self.nodes.get(first..first + 4) {
-            Some([a, b, c, d]) => {
-                let s = at - first as f64;
-                let (s1, s2, s3) = (s - 1.0, s - 2.0, s - 3.0);
-                0.5 * (s * s2 * s3 * of(b) - s * s1 * s3 * of(c)) + (s * s1 * s2 * of(d) - s1 * s2 * s3 * of(a)) / 6.0
-            }
-            _ => self.nodes.first().map_or(0.0, of),
-        }
+        Self { values: (-count..=count).map(node).collect(), distance: reach / f64::from(count) }
     }
 }
 
-impl TimeConstantNode {
-    fn new(tau_s: f64) -> Self {
+impl Drift {
+    fn new(start: &StepStart, slope_sigma: f64) -> Self {
+        let odds: f64 = DRIFT_PROBABILITY / (1.0 - DRIFT_PROBABILITY);
         Self {
-            tau_s,
-            mean: SVector::zeros(),
-            covariance: SMatrix::zeros(),
-            volume: 0.0,
-            misfit: 0.0,
-            row: [1.0, 0.0, 0.0],
-            expected: MeanVariance { mean: 0.0, variance: 0.0 },
+            mean: SVector::from([start.level.mean, 0.0]),
+            covariance: SMatrix::from_diagonal(&SVector::from([start.level.variance, slope_sigma * slope_sigma])),
+            ln_weight: odds.ln(),
         }
     }
 
-    fn predict(&mut self, shape: ResponseShape, at_s: f64, noise_variance: f64) {
-        let left = match shape {
-            ResponseShape::AtRest => 0.0,
-            ResponseShape::OneLag | ResponseShape::TwoLags => (-at_s / self.tau_s).exp(),
-        };
-        let of_faster = match shape {
-            ResponseShape::AtRest | ResponseShape::OneLag => 0.0,
-            ResponseShape::TwoLags => left.powi(LAG_RATIO),
-        };
-        self.row = [1.0, left, of_faster];
-        let mean = (0..ROWS).map(|i| self.row[i] * self.mean[i]).sum();
-        let variance = self.scalar(0.0, noise_variance).innovation_variance(&self.covariance);
-        self.expected = MeanVariance { mean, variance };
+    /// To an instant `at_s` after the start.
+    fn predict(&mut self, dt_s: f64, at_s: f64) {
+        let f = SMatrix::<f64, 2, 2>::new(1.0, dt_s, 0.0, 1.0);
+        self.mean = f * self.mean;
+        self.covariance = f * self.covariance * f.transpose();
+        let share = if at_s > 0.0 { dt_s / at_s } else { 0.0 };
+        self.covariance[(1, 1)] += (SLOPE_WALK * self.mean[1]).powi(2) * share;
+    }
+
+    fn update(&mut self, reading: f64, variance: f64) {
+        let innovation = reading - self.mean[0];
+        let measurement = ScalarMeasurement { innovation, rows: [0], jacobian: [1.0], variance };
+        let outcome = use_scalar(&mut self.mean, &mut self.covariance, &measurement, f64::INFINITY);
+        self.ln_weight -= 0.5 * (outcome.innovation_variance.ln() + outcome.nis);
+    }
+}
+
+impl Member {
+    /// `step_sigma` is D.
+    fn new(hypothesis: &Hypothesis, start: &StepStart, step_sigma: f64) -> Self {
+        // Columns: the step, the error of the level, the shares' errors, the rates' errors.
+        let mut root = SMatrix::<f64, STATES, 6>::zeros();
+        root[(FINAL_VALUE, 0)] = step_sigma;
+        for (j, row) in TRANSIENTS.into_iter().enumerate() {
+            root[(row, 0)] = -hypothesis.shares[j] * step_sigma;
+            root[(row, 1)] = hypothesis.shares[j] * start.level.variance.sqrt();
+            root[(row, 2 + j)] = hypothesis.share_sigma * step_sigma;
+        }
+        root[(RATE_ERRORS[0], 4)] = hypothesis.rate_sigmas[0];
+        root[(RATE_ERRORS[1], 5)] = hypothesis.rate_sigmas[1];
+        let mut mean = SVector::zeros();
+        mean[FINAL_VALUE] = start.level.mean;
+        let slow_rate = hypothesis.slow_lag_s.recip();
+        Self {
+            rates_per_s: [slow_rate, slow_rate * hypothesis.ratio],
+            rate_walk: hypothesis.rate_walk,
+            mean,
+            covariance: root * root.transpose(),
+            ln_weight: hypothesis.ln_weight,
+        }
+    }
+
+    fn rate_per_s(&self, j: usize) -> f64 {
+        let error = self.mean[RATE_ERRORS[j]].clamp(-MAX_RATE_ERROR, MAX_RATE_ERROR);
+        self.rates_per_s[j] * error.exp()
+    }
+
+    fn predict(&mut self, dt_s: f64) {
+        let elapsed = [self.rate_per_s(0) * dt_s, self.rate_per_s(1) * dt_s];
+        let mut f = SMatrix::<f64, STATES, STATES>::identity();
+        for j in 0..2 {
+            let (row, error) = (TRANSIENTS[j], RATE_ERRORS[j]);
+            let kept = (-elapsed[j]).exp();
+            self.mean[row] *= kept;
+            f[(row, row)] = kept;
+            f[(row, error)] = -elapsed[j] * self.mean[row];
+        }
+        self.covariance = f * self.covariance * f.transpose();
+        for (row, elapsed) in RATE_ERRORS.into_iter().zip(elapsed) {
+            self.covariance[(row, row)] += self.rate_walk * self.rate_walk * elapsed;
+        }
     }
 
     fn update(&mut self, reading: f64, noise_variance: f64) {
-        let scalar = self.scalar(reading - self.expected.mean, noise_variance);
-        let outcome = use_scalar(&mut self.mean, &mut self.covariance, &scalar, f64::INFINITY);
-        self.volume += outcome.innovation_variance.ln();
-        self.misfit += outcome.nis;
+        let measurement = Self::measurement(reading - self.expected().mean, noise_variance);
+        let outcome = use_scalar(&mut self.mean, &mut self.covariance, &measurement, f64::INFINITY);
+        self.ln_weight -= 0.5 * (outcome.innovation_variance.ln() + outcome.nis);
     }
 
-    fn scalar(&self, innovation: f64, variance: f64) -> ScalarMeasurement<ROWS> {
-        ScalarMeasurement { innovation, rows: [0, 1, 2], jacobian: self.row, variance }
+    /// The reading without its noise.
+    fn expected(&self) -> MeanVariance {
+        let variance = Self::measurement(0.0, 0.0).innovation_variance(&self.covariance);
+        MeanVariance { mean: self.mean[0] + self.mean[1] + self.mean[2], variance }
+    }
+
+    fn value_of(&self, row: usize) -> MeanVariance {
+        MeanVariance { mean: self.mean[row], variance: self.covariance[(row, row)] }
+    }
+
+    /// y = u + x_1 + x_2.
+    const fn measurement(innovation: f64, variance: f64) -> ScalarMeasurement<3> {
+        ScalarMeasurement {
+            innovation,
+            rows: [FINAL_VALUE, TRANSIENTS[0], TRANSIENTS[1]],
+            jacobian: [1.0; 3],
+            variance,
+        }
     }
 }
 
@@ -278,82 +374,76 @@ mod tests {
     use crate::filters::dynamic::DynamicFilter;
     use crate::models::dynamic_measurement::DynamicModel;
 
-    /// Readings twice a second of a sensor with this response, from 20 degrees towards 50, without noise.
-    fn played(left: impl Fn(f64) -> f64, sigma_k: f64, until_s: f64) -> FilterBank {
-        let mut bank = FilterBank::new(sigma_k);
-        bank.restart(20.0);
-        for k in 0..=(2.0 * until_s) as u32 {
-            let at_s = 0.5 * f64::from(k);
-            bank.predict(at_s);
-            bank.update(50.0 - 30.0 * left(at_s), 1.0);
+    const START: StepStart =
+        StepStart { level: MeanVariance { mean: 20.0, variance: 1e-4 }, change: 5.0, duration_s: 3.0 };
+
+    fn hypothesis() -> Hypothesis {
+        let (slow_lag_s, ratio, shares) = (22.0, 4.0, [0.7, 0.3]);
+        let rate_sigmas = [0.15, 0.3];
+        Hypothesis { slow_lag_s, ratio, rate_sigmas, shares, share_sigma: 0.2, rate_walk: 0.0, ln_weight: 0.0 }
+    }
+
+    #[test]
+    fn a_member_that_knows_its_rates_is_the_filter_of_the_paper() {
+        let (sensor, wide_k, noise_k) = (SensorId::THERMOMETER, 1e4, 0.1);
+        let mut config = crate::filter::tests::config();
+        config.noise.temperature_k = noise_k;
+        let model = DynamicModel::empty().with_lags(sensor, 1.0, &[22.0, 5.5]).unwrap();
+        let mut paper = DynamicFilter::with_model(&config, model).with_prior_sigma(wide_k);
+        let mut member = Member::new(&hypothesis(), &START, 1.0);
+        member.covariance = SMatrix::zeros();
+        for row in [FINAL_VALUE, TRANSIENTS[0], TRANSIENTS[1]] {
+            member.covariance[(row, row)] = wide_k * wide_k;
         }
-        bank
-    }
-
-    #[test]
-    fn a_time_constant_between_two_nodes_is_found_much_better_than_the_grid_is_wide() {
-        let tau_s = 12.7_f64;
-        let bank = played(|t| (-t / tau_s).exp(), 0.01, 25.0);
-        let one_lag = &bank.hypotheses[1];
-        let at: f64 = one_lag.points.iter().map(|(at, weight)| at * weight).sum();
-        let found_s = MIN_TIME_CONSTANT_S * (LN_TAU_STEP * at).exp();
-        assert!((found_s / tau_s - 1.0).abs() < 0.002, "{found_s} s");
-        let settled = bank.final_value(1.0);
-        assert!((settled.mean - 50.0).abs() < 0.05, "{settled:?}");
-        assert!(settled.variance.sqrt() < 0.1, "{settled:?}");
-    }
-
-    #[test]
-    fn a_node_is_the_filter_of_the_paper_with_its_time_constant() {
-        let config = crate::filter::tests::config();
-        let sensor = SensorId::THERMOMETER;
-        let node = 26;
-        for (kind, ratios) in [(1, vec![1.0]), (2, vec![1.0, 4.0])] {
-            let mut bank = FilterBank::new(0.1);
-            bank.restart(21.0);
-            let tau_s = bank.hypotheses[kind].nodes[node].tau_s;
-            let lags: Vec<f64> = ratios.iter().map(|ratio| tau_s / ratio).collect();
-            let model = DynamicModel::empty().with_lags(sensor, 1.0, &lags).unwrap();
-            let mut paper = DynamicFilter::with_model(&config, model).with_prior_sigma(PRIOR_SIGMA_K);
-            for (k, shown) in [21.0, 24.1, 26.8, 29.5, 31.9, 33.6, 35.9, 37.1].into_iter().enumerate() {
-                let at_s = 1.7 * k as f64;
-                bank.predict(at_s);
-                bank.update(shown, 1.0);
-                paper.observe(&Observation {
-                    sensor,
-                    stamp: Timestamp::from_secs_f64(at_s),
-                    stamp_sigma: TimeDelta::ZERO,
-                    measurement: ObservationKind::Temperature(Celsius(shown)),
-                });
-                let theirs = paper.scalar_at(Timestamp::from_secs_f64(at_s)).unwrap();
-                let ours = &bank.hypotheses[kind].nodes[node];
-                assert!((ours.mean[FINAL_VALUE] - theirs.value).abs() < 1e-6, "{k}");
-                let sigma = ours.covariance[(FINAL_VALUE, FINAL_VALUE)].sqrt();
-                assert!((sigma / theirs.sigma - 1.0).abs() < 1e-6, "{k}");
+        for (k, shown) in [21.0, 24.1, 26.8, 29.5, 31.9, 33.6, 35.9, 37.1].into_iter().enumerate() {
+            let at_s = 1.7 * k as f64;
+            member.predict(if k == 0 { 0.0 } else { 1.7 });
+            member.update(shown, noise_k * noise_k);
+            paper.observe(&Observation {
+                sensor,
+                stamp: Timestamp::from_secs_f64(at_s),
+                stamp_sigma: TimeDelta::ZERO,
+                measurement: ObservationKind::Temperature(Celsius(shown)),
+            });
+            let theirs = paper.scalar_at(Timestamp::from_secs_f64(at_s)).unwrap();
+            let ours = member.value_of(FINAL_VALUE);
+            // After three readings the prior is forgotten.
+            if k >= 3 {
+                assert!((ours.mean - theirs.value).abs() < 1e-3 * theirs.sigma, "{k}: {ours:?} {theirs:?}");
+                assert!((ours.variance.sqrt() / theirs.sigma - 1.0).abs() < 1e-3, "{k}: {ours:?} {theirs:?}");
             }
         }
     }
 
+    /// The covariance after a prediction, against central differences of the prediction of the mean.
     #[test]
-    fn two_lags_are_distinguished_from_one() {
-        let two = |t: f64| 0.7 * (-t / 20.0).exp() + 0.3 * (-t / 5.0).exp();
-        let bank = played(two, 0.02, 30.0);
-        assert_eq!(bank.weights[0], 0.0);
-        assert!(bank.weights[2] > 0.9, "{:?}", bank.weights);
-        let bank = played(|t| (-t / 20.0).exp(), 0.02, 30.0);
-        assert!(bank.weights[1] > 0.9, "{:?}", bank.weights);
-        let bank = played(|_| 1.0, 0.02, 30.0);
-        assert!(bank.weights[0] > 0.9, "at rest: {:?}", bank.weights);
+    fn a_prediction_is_linearised_as_its_differences_say() {
+        let mut middle = Member::new(&hypothesis(), &START, 30.0);
+        middle.mean = SVector::from([50.0, -20.0, -9.0, 0.1, -0.2]);
+        let mut difference = SMatrix::<f64, STATES, STATES>::zeros();
+        for column in 0..STATES {
+            let at = |step: f64| {
+                let mut moved = middle.clone();
+                moved.mean[column] += step;
+                moved.predict(3.0);
+                moved.mean
+            };
+            let h = 1e-5;
+            difference.set_column(column, &((at(h) - at(-h)) / (2.0 * h)));
+        }
+        let expected = difference * middle.covariance * difference.transpose();
+        middle.predict(3.0);
+        assert!((middle.covariance - expected).amax() < 1e-6 * expected.amax(), "{}", middle.covariance);
     }
 
     #[test]
-    fn a_cubic_is_interpolated_exactly_up_to_the_ends_of_the_grid() {
-        let kind = ResponseHypothesis::new(ResponseShape::OneLag);
-        let cubic = |x: f64| 0.3 * x.powi(3) - 2.0 * x * x + x - 7.0;
-        let node_value = |node: &TimeConstantNode| cubic((node.tau_s / MIN_TIME_CONSTANT_S).ln() / LN_TAU_STEP);
-        for at in [0.0, 0.4, 1.0, 35.7, 68.9, 70.0] {
-            let (found, expected) = (kind.interpolate(at, &node_value), cubic(at));
-            assert!((found - expected).abs() < 1e-6, "{at}: {found} {expected}");
-        }
+    fn the_start_is_known_and_the_shares_add_up_to_the_step() {
+        let mut certain = hypothesis();
+        certain.share_sigma = 0.0;
+        let member = Member::new(&certain, &START, 30.0);
+        let expected = member.expected();
+        assert_eq!(expected.mean, 20.0);
+        // Only the level itself is uncertain.
+        assert!((expected.variance - 1e-4).abs() < 1e-9, "{expected:?}");
     }
 }

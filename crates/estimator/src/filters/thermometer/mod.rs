@@ -1,47 +1,71 @@
 //! A thermometer in service, for hours: its final value, without the instant of immersion and, if need be, without its
-//! time constant.
+//! time constants.
 //!
-//! The filter of paper 2 ([`super::dynamic`]) or, where no dynamics are given, all time constants at once
-//! (`filter_bank`); both restart where the test in `change_detector` finds a new temperature. The bound is the sigma of
-//! the final value times kappa of that test.
+//! The filter of paper 2 ([`super::dynamic`]) where the lags are exactly known, or else [`EndPredictor`]; both begin anew
+//! where the test in `change_detector` finds a new temperature.
 //!
 //! Source: Paper 2 (Markovsky); docs/lab/thermometer.md, section M7.
 
 mod change_detector;
+mod end_predictor;
 mod filter_bank;
 
 use posebridge_telemetry::{
     BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
 
-use self::change_detector::{ChangeDetector, ReadingClass};
-use self::filter_bank::{FilterBank, MeanVariance};
+use self::change_detector::ChangeDetector;
+pub use self::change_detector::ReadingClass;
+pub use self::end_predictor::{EndPredictor, ReadingReport};
+pub use self::filter_bank::MeanVariance;
 use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::DynamicModel;
+use crate::models::slow_sensor::SensorDynamics;
 use crate::update::{ScalarOutcome, UpdateOutcome};
 use crate::validation::{self, add_innovation};
 
-#[derive(Clone, Debug, Default, PartialEq)]
+/// What is known of a thermometer's response.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ThermometerResponse {
+    /// Exactly, for [`SensorId::THERMOMETER`].
+    Exact(Box<DynamicModel>),
+    Uncertain(SensorDynamics),
+}
+
+#[derive(Clone, Debug, PartialEq)]
 pub struct ThermometerSettings {
-    /// The response of [`SensorId::THERMOMETER`]; `None` learns it from the readings.
-    pub model: Option<DynamicModel>,
+    pub response: ThermometerResponse,
     /// Noise of a reading, one standard deviation; zero takes that of the robot's sensors.
     pub sigma_k: f64,
     /// The step of its displayed values; zero if fine. It counts as noise of a step over the root of twelve.
     pub resolution_k: f64,
 }
 
+impl ThermometerSettings {
+    /// Of a thermometer for which nothing else is configured.
+    pub const fn from_config(config: &FilterConfig) -> Self {
+        let sensor = &config.slow_sensor;
+        let response = ThermometerResponse::Uncertain(sensor.dynamics);
+        Self { response, sigma_k: sensor.noise, resolution_k: sensor.resolution }
+    }
+}
+
 pub struct Thermometer {
     model: ThermometerModel,
-    change_detector: ChangeDetector,
     history_s: f64,
     last: Option<Timestamp<BrickClock>>,
 }
 
 enum ThermometerModel {
-    Known(Box<DynamicFilter>),
-    Learning { bank: Box<FilterBank>, origin: Option<Timestamp<BrickClock>> },
+    Exact(Box<ExactThermometer>),
+    Learning { predictor: Box<EndPredictor>, origin: Option<Timestamp<BrickClock>> },
+}
+
+/// The filter of paper 2, which begins anew at each new temperature.
+struct ExactThermometer {
+    filter: DynamicFilter,
+    change_detector: ChangeDetector,
 }
 
 impl Thermometer {
@@ -51,107 +75,72 @@ impl Thermometer {
         let sigma_k = configured.into_iter().find(|sigma| *sigma > 0.0);
         let rounding_k = settings.resolution_k.max(0.0) / 12.0_f64.sqrt();
         let sigma_k = sigma_k.unwrap_or(DEFAULT_SIGMA_K).hypot(rounding_k);
-        let model = match &settings.model {
-            Some(model) => {
+        let model = match &settings.response {
+            ThermometerResponse::Exact(model) => {
                 let mut config = config.clone();
                 config.noise.temperature_k = sigma_k;
-                ThermometerModel::Known(Box::new(DynamicFilter::with_model(&config, model.clone())))
+                let filter = DynamicFilter::with_model(&config, (**model).clone());
+                ThermometerModel::Exact(Box::new(ExactThermometer {
+                    filter,
+                    change_detector: ChangeDetector::default(),
+                }))
             }
-            None => ThermometerModel::Learning { bank: Box::new(FilterBank::new(sigma_k)), origin: None },
+            ThermometerResponse::Uncertain(description) => {
+                let predictor = Box::new(EndPredictor::new(*description, sigma_k));
+                ThermometerModel::Learning { predictor, origin: None }
+            }
         };
-        Self { model, change_detector: ChangeDetector::default(), history_s: config.params.history_s, last: None }
+        Self { model, history_s: config.params.history_s, last: None }
     }
 
-    /// As of the last reading, in degrees Celsius; `None` before the first.
+    /// As of the last reading, in degrees Celsius; `None` before the first, and where it cannot be told.
     pub fn final_value(&self) -> Option<ScalarEstimate> {
         self.scalar_at(self.last?)
     }
 
     fn use_reading(&mut self, record: &mut FusionRecord, observation: &Observation, shown: f64) {
-        let expected = self.model.expected(observation.stamp);
-        if let Some(expected) = expected {
+        let report = match &mut self.model {
+            ThermometerModel::Exact(exact) => exact.observe(observation, shown),
+            ThermometerModel::Learning { predictor, origin } => {
+                let origin = *origin.get_or_insert(observation.stamp);
+                predictor.observe((observation.stamp - origin).as_secs_f64(), shown)
+            }
+        };
+        if let Some(expected) = report.expected {
             let innovation = shown - expected.mean;
             let nis = innovation * innovation / expected.variance;
             let outcome = UpdateOutcome::Used;
             add_innovation(record, innovation, &ScalarOutcome { innovation_variance: expected.variance, nis, outcome });
-            match self.change_detector.classify(innovation / expected.variance.sqrt()) {
-                ReadingClass::Expected => {}
-                ReadingClass::Outlier => {
-                    record.outcome = FusionOutcome::Gated;
-                    return;
-                }
-                ReadingClass::StepChange => self.model.reset(),
-            }
         }
-        let is_new = expected.is_some() && !self.model.has_begun();
-        let verdict = self.model.update(observation, shown, self.change_detector.inflation());
-        record.outcome = verdict;
-        if verdict == FusionOutcome::Accepted {
+        record.outcome = match report.class {
+            ReadingClass::Expected => FusionOutcome::Accepted,
+            ReadingClass::Outlier => FusionOutcome::Gated,
+            ReadingClass::StepChange { .. } => FusionOutcome::PoseReset,
+        };
+        if report.class != ReadingClass::Outlier {
             self.last = Some(observation.stamp);
-            if is_new {
-                record.outcome = FusionOutcome::PoseReset;
-            }
         }
     }
 }
 
-impl ThermometerModel {
-    /// The expected reading at this instant; `None` before the first.
-    fn expected(&mut self, stamp: Timestamp<BrickClock>) -> Option<MeanVariance> {
-        match self {
-            Self::Known(filter) => {
-                let (mean, variance) = filter.expected(SensorId::THERMOMETER, stamp)?;
-                Some(MeanVariance { mean, variance })
+impl ExactThermometer {
+    fn observe(&mut self, observation: &Observation, shown: f64) -> ReadingReport {
+        let expected = self.filter.expected(SensorId::THERMOMETER, observation.stamp);
+        let expected = expected.map(|(mean, variance)| MeanVariance { mean, variance });
+        let class = expected.map_or(ReadingClass::Expected, |expected| {
+            self.change_detector.classify((shown - expected.mean) / expected.variance.sqrt())
+        });
+        match class {
+            ReadingClass::Outlier => {}
+            ReadingClass::Expected => {
+                self.filter.observe(observation);
             }
-            Self::Learning { bank, origin } => {
-                let origin = (*origin)?;
-                Some(bank.predict((stamp - origin).as_secs_f64()))
-            }
-        }
-    }
-
-    fn has_begun(&self) -> bool {
-        match self {
-            Self::Known(filter) => filter.latest_time().is_some(),
-            Self::Learning { origin, .. } => origin.is_some(),
-        }
-    }
-
-    fn reset(&mut self) {
-        match self {
-            Self::Known(filter) => filter.restart_clock(),
-            Self::Learning { origin, .. } => *origin = None,
-        }
-    }
-
-    /// Uses a reading of the instant that was predicted last.
-    fn update(&mut self, observation: &Observation, shown: f64, inflation: f64) -> FusionOutcome {
-        match self {
-            Self::Known(filter) => filter.observe(observation).outcome,
-            Self::Learning { bank, origin } => {
-                if origin.is_none() {
-                    *origin = Some(observation.stamp);
-                    bank.restart(shown);
-                    bank.predict(0.0);
-                }
-                bank.update(shown, inflation);
-                FusionOutcome::Accepted
+            ReadingClass::StepChange { .. } => {
+                self.filter.restart_clock();
+                self.filter.observe(observation);
             }
         }
-    }
-
-    /// With the variance by the configured noise times `inflation`.
-    fn final_value(&self, stamp: Timestamp<BrickClock>, inflation: f64) -> Option<MeanVariance> {
-        match self {
-            Self::Known(filter) => {
-                let estimate = filter.scalar_at(stamp)?;
-                Some(MeanVariance { mean: estimate.value, variance: inflation * estimate.sigma * estimate.sigma })
-            }
-            Self::Learning { bank, origin } => {
-                (*origin)?;
-                Some(bank.final_value(inflation))
-            }
-        }
+        ReadingReport { class, expected }
     }
 }
 
@@ -171,7 +160,13 @@ impl Filter for Thermometer {
 
     /// Restarts, because the length of the break is unknown; keeps the learned noise.
     fn restart_clock(&mut self) {
-        self.model.reset();
+        match &mut self.model {
+            ThermometerModel::Exact(exact) => exact.filter.restart_clock(),
+            ThermometerModel::Learning { predictor, origin } => {
+                predictor.restart();
+                *origin = None;
+            }
+        }
         self.last = None;
     }
 
@@ -184,7 +179,14 @@ impl Filter for Thermometer {
         if (stamp - self.last?).as_secs_f64() < -self.history_s {
             return None;
         }
-        let settled = self.model.final_value(stamp, self.change_detector.inflation())?;
+        let settled = match &self.model {
+            ThermometerModel::Exact(exact) => {
+                let estimate = exact.filter.scalar_at(stamp)?;
+                let inflation = exact.change_detector.inflation();
+                MeanVariance { mean: estimate.value, variance: inflation * estimate.sigma * estimate.sigma }
+            }
+            ThermometerModel::Learning { predictor, .. } => predictor.final_value()?,
+        };
         Some(ScalarEstimate {
             stamp,
             value: settled.mean,

@@ -43,6 +43,7 @@ pub(crate) fn config(noise: SensorNoise) -> FilterConfig {
     FilterConfig {
         calibration: Calibration::default(),
         arena_map: Arc::default(),
+        slow_sensor: posebridge_estimator::models::slow_sensor::SlowSensor::UNKNOWN,
         geometry: GEOMETRY,
         noise,
         start: None,

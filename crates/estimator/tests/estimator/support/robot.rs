@@ -1,5 +1,6 @@
 //! The robot of the tests: a LEGO robot with one-degree encoders and a one-degree gyro.
 
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_telemetry::{Calibration, DriveGeometry, Meters, Pose, Radians, SensorNoise, StartPose, UncertainValue};
 
@@ -37,6 +38,7 @@ pub(crate) fn config() -> FilterConfig {
         params: Params::default(),
         calibration: Calibration::default(),
         arena_map: std::sync::Arc::default(),
+        slow_sensor: SlowSensor::UNKNOWN,
     }
 }
 

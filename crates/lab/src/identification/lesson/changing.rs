@@ -1,16 +1,13 @@
 //! Sections on a quantity that is not constant, and on a sensor that rounds.
 
-use posebridge_estimator::filters::dynamic::DynamicFilter;
-use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::numerics::statistics::mean;
-use posebridge_estimator::{Filter, Params};
 use posebridge_report::chart::Curve;
-use posebridge_telemetry::{Celsius, Observation, ObservationKind, SensorId, SensorNoise, TimeDelta, Timestamp};
+use posebridge_telemetry::estimate::NORMAL_95;
 
 use super::identified::{DIPPED_S, DipTemperatures, IdentifiedModels, LAGS, simulate_dip};
+use super::paper_filter::{DynamicFilterConfig, first_order};
 use super::section::{LessonSection, band, filter_values, sample_points, seconds, share_inside, temperatures};
-use crate::config_without_wheels;
-use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
+use crate::identification::prediction::EndPrediction;
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
 use crate::statistics::median;
@@ -37,7 +34,7 @@ fn score(followed: &FilteredSeries, truth: impl Fn(f64) -> f64) -> (f64, f64, f6
     let error = |at_s: f64, value: f64| (value - truth(at_s)).abs();
     let errors = last.iter().map(|(at_s, value, _)| error(*at_s, *value));
     let sigmas = last.iter().map(|(_, _, sigma)| *sigma);
-    let inside = last.iter().map(|(at_s, value, sigma)| error(*at_s, *value) <= BOUND_SIGMAS * sigma);
+    let inside = last.iter().map(|(at_s, value, sigma)| error(*at_s, *value) <= NORMAL_95 * sigma);
     let inside = mean(inside.map(|is_inside| f64::from(u8::from(is_inside))));
     (mean(errors).unwrap_or_default(), mean(sigmas).unwrap_or_default(), inside.unwrap_or_default())
 }
@@ -142,61 +139,6 @@ pub(super) fn quantised(seed: u64) -> LessonSection {
     section
 }
 
-/// A filter over samples of several sensors; returns instant, value and sigma after each.
-pub(super) struct DynamicFilterConfig {
-    pub(super) sigma: f64,
-    pub(super) walk_per_sqrt_s: f64,
-    /// One standard deviation of the start; `None` for the filter's default.
-    pub(super) prior_sigma: Option<f64>,
-}
-
-impl DynamicFilterConfig {
-    pub(super) const fn constant(sigma: f64) -> Self {
-        Self { sigma, walk_per_sqrt_s: 0.0, prior_sigma: None }
-    }
-
-    pub(super) fn run_sensors(
-        &self,
-        model: &DynamicModel,
-        samples: &[(SensorId, TimedSample)],
-    ) -> Vec<(f64, f64, f64)> {
-        let mut filter = self.filter(model);
-        samples
-            .iter()
-            .filter_map(|(sensor, sample)| {
-                filter.observe(&Observation {
-                    sensor: *sensor,
-                    stamp: Timestamp::from_secs_f64(sample.at_s),
-                    stamp_sigma: TimeDelta::ZERO,
-                    measurement: ObservationKind::Temperature(Celsius(sample.value)),
-                });
-                let estimate = filter.scalar_at(filter.latest_time()?)?;
-                Some((sample.at_s, estimate.value, estimate.sigma))
-            })
-            .collect()
-    }
-
-    pub(super) fn run_sensor(&self, model: &DynamicModel, samples: &[TimedSample]) -> Vec<(f64, f64, f64)> {
-        let of = |sample: &TimedSample| (SensorId::THERMOMETER, *sample);
-        self.run_sensors(model, &samples.iter().map(of).collect::<Vec<_>>())
-    }
-
-    fn filter(&self, model: &DynamicModel) -> DynamicFilter {
-        let params = Params { dynamic_walk_k_per_sqrt_s: self.walk_per_sqrt_s, ..Params::default() };
-        let config = config_without_wheels(SensorNoise { temperature_k: self.sigma, ..SensorNoise::EXACT }, params);
-        let filter = DynamicFilter::with_model(&config, model.clone());
-        match self.prior_sigma {
-            Some(sigma) => filter.with_prior_sigma(sigma),
-            None => filter,
-        }
-    }
-}
-
-/// A first-order sensor; without states if the time constant is not positive.
-pub(super) fn first_order(tau_s: f64) -> DynamicModel {
-    DynamicModel::first_order(SensorId::THERMOMETER, tau_s).unwrap_or_else(|_| DynamicModel::empty())
-}
-
 const FACTORS: [f64; 7] = [0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3];
 const RUNS: u64 = 3;
 const DIP: DipTemperatures = DipTemperatures { before: 20.0, after: 4.0 };
@@ -235,7 +177,7 @@ pub(super) fn mismatch(seed: u64) -> LessonSection {
 
 fn one_run(models: &IdentifiedModels, factor: f64, seed: u64) -> (SettlingTimes, [f64; 2]) {
     let samples = simulate_dip(&LAGS.map(|(tau_s, share)| (factor * tau_s, share)), seed, DIP);
-    let (certain, estimated) = models.predictions(&samples);
+    let [certain, estimated] = models.predictions(&samples);
     let limit = SHARE * (DIP.after - DIP.before).abs();
     let settled = |series: &[(f64, f64)]| settling_time_s(series, DIPPED_S, DIP.after, limit);
     let values = |all: &[EndPrediction]| -> Vec<(f64, f64)> { all.iter().map(|p| (p.at_s, p.value)).collect() };

@@ -1,11 +1,14 @@
 //! Sections on dynamics that are identified first: orders, other data, heating and cooling.
 
+use posebridge_estimator::models::dynamic_measurement::DynamicModel;
+use posebridge_estimator::models::slow_sensor::{SensorDynamics, SlowLag};
 use posebridge_report::chart::{Curve, CurveShape, Plot};
+use posebridge_telemetry::SensorId;
 
+use super::paper_filter::DynamicFilterConfig;
 use super::section::{LessonSection, band, filter_values, sample_points, seconds, settling_times_s, temperatures};
-use crate::identification::prediction::{EndPrediction, predict_with_expectation};
-use crate::identification::prior::{ExpectedDynamics, StepDirection};
-use crate::identification::sensor_kind::{RunSimilarity, SensorKind, predict};
+use crate::identification::prediction::{EndPrediction, predict};
+use crate::identification::sensor_kind::{RunSimilarity, describe_sensor};
 use crate::identification::step::{IdentificationError, IdentifiedStep, StepOptions, identify_step};
 use crate::identification::step_response::{SimulatedSensor, step_input};
 use crate::identification::{TimedSample, settling_time_s};
@@ -125,7 +128,7 @@ pub(super) fn other_data(seed: u64) -> LessonSection {
         "other_data",
         "Prediction on the same and on other data",
         "The model is identified on one run and used on that run itself (data), on another one with the same dynamics (same), and on one in water that is stirred less, where every \
-             lag is a fifth longer (other). Taken for certain, a wrong model is confidently wrong. Estimated along with the quantity (unknown dynamics), it is found out on the way. The \
+             lag is a fifth longer (other). The paper's filter takes the lags for certain and is read from the dip on. The other filter knows them with an uncertainty, and finds the dip by itself. The \
              table has the seconds until within 10, 5 and 2 % of the step for good.",
         &["run", "method", "10 %", "5 %", "2 %"],
     );
@@ -148,26 +151,30 @@ pub(super) fn other_data(seed: u64) -> LessonSection {
 
 /// Models identified from one run for predicting the next: with exact lags and with uncertain ones.
 pub(super) struct IdentifiedModels {
-    certain: ExpectedDynamics,
-    kind: SensorKind,
+    certain: DynamicModel,
+    description: SensorDynamics,
 }
 
 impl IdentifiedModels {
     pub(super) fn of(samples: &[TimedSample]) -> Result<Self, String> {
         let found = identify(samples).map_err(|error| error.to_string())?;
-        let lags = found.lags();
-        let lags: Vec<(f64, f64)> = lags.iter().map(|lag| (lag.time_constant_s, lag.share)).collect();
-        let kind = SensorKind::from_runs(&[found], RunSimilarity::SameKind).map_err(|error| error.to_string())?;
-        let certain = ExpectedDynamics::known(&lags).ok_or("no lag was found")?;
-        Ok(Self { certain, kind })
+        let lags_s: Vec<f64> = found.lags().iter().map(|lag| lag.time_constant_s).collect();
+        let certain = DynamicModel::empty().with_lags(SensorId::THERMOMETER, 1.0, &lags_s);
+        let description = describe_sensor(&[found], RunSimilarity::SameKind).ok_or("no lag was found")?;
+        Ok(Self { certain: certain.map_err(|error| error.to_string())?, description })
     }
 
-    pub(super) fn predictions(&self, samples: &[TimedSample]) -> (Vec<EndPrediction>, Vec<EndPrediction>) {
-        (predict_with_expectation(samples, SIGMA_K, &self.certain), predict(samples, SIGMA_K, &self.kind))
+    /// Of the paper's filter, with exact lags and from the dip on, and of the one with uncertain lags.
+    pub(super) fn predictions(&self, samples: &[TimedSample]) -> [Vec<EndPrediction>; 2] {
+        let dipped: Vec<TimedSample> = samples.iter().filter(|sample| sample.at_s >= DIPPED_S).copied().collect();
+        let certain = DynamicFilterConfig::constant(SIGMA_K).run_sensor(&self.certain, &dipped);
+        let certain =
+            certain.into_iter().map(|(at_s, value, sigma)| EndPrediction { at_s, value, sigma, is_settling: true });
+        [certain.collect(), predict(samples, SIGMA_K, &self.description)]
     }
 
     fn run_filters(&self, samples: &[TimedSample]) -> FilterPredictions {
-        let (certain, estimated) = self.predictions(samples);
+        let [certain, estimated] = self.predictions(samples);
         FilterPredictions { certain: settling_bounds(&certain), estimated: settling_bounds(&estimated) }
     }
 }
@@ -220,34 +227,30 @@ pub(super) fn both_directions(seed: u64) -> LessonSection {
     let mut section = LessonSection::new(
         "both_ways",
         "Heating and cooling apart",
-        "Heat goes into a probe through another film of water than out of it. A simulated probe has 2.0 s on the way up and 2.6 s on the way down. Each way is identified apart; \
-             a way of which there is no run is expected like the other, with a wider spread.",
-        &["identified by", "expected of cooling [s]", "sigma of ln", "until within 5 % [s]"],
+        "Heat goes into a probe through another film of water than out of it. A simulated probe has 2.0 s on the way up and 2.6 s on the way down. A description by heating alone \
+             expects the wrong lag, one by cooling the right one, and one by both is between them.",
+        &["identified by", "expected [s]", "sigma of ln", "cooling known to 5 % after [s]"],
     );
-    let found = [identify(&rising), identify(&falling)];
-    let [Ok(up), Ok(down)] = found else {
-        return failed_section(section, "one of the two runs holds no step");
+    let (up, down) = match (identify(&rising), identify(&falling)) {
+        (Ok(up), Ok(down)) => (up, down),
+        (Err(error), _) | (_, Err(error)) => return failed_section(section, error),
     };
     let next = simulate_dip(&[(2.6, 1.0)], seed.wrapping_add(2), cooling);
-    for (name, runs) in [("heating", vec![up.clone()]), ("both", vec![up, down])] {
-        let kind = match SensorKind::from_runs(&runs, RunSimilarity::SameKind) {
-            Ok(kind) => kind,
-            Err(error) => return failed_section(section, error),
+    let teachers = [("heating", vec![up.clone()]), ("cooling", vec![down.clone()]), ("both", vec![up, down])];
+    for (name, runs) in teachers {
+        let description = describe_sensor(&runs, RunSimilarity::SameSensor);
+        let Some((description, SlowLag::Known(lag))) = description.map(|known| (known, known.slow_lag)) else {
+            return failed_section(section, "no lag was found");
         };
-        let Some(expected) = kind.expectation(StepDirection::Down) else {
-            return failed_section(section, "nothing is expected of a way");
-        };
-        let lag = expected.dynamics.slowest();
-        let predictions = settling_bounds(&predict(&next, SIGMA_K, &kind));
+        let predictions = settling_bounds(&predict(&next, SIGMA_K, &description));
         let settled = settling_time_s(&filter_values(&predictions), DIPPED_S, cold, 0.05 * (warm - cold));
         section.rows.push(vec![
             name.to_owned(),
-            format!("{:.2}", lag.mean.exp()),
-            format!("{:.3}", lag.sigma),
+            format!("{:.2}", lag.median),
+            format!("{:.3}", lag.ln_sigma),
             seconds(settled),
         ]);
-        section.record_value(format!("by_{name}_expected_s"), lag.mean.exp());
-        section.record_value(format!("by_{name}_sigma"), lag.sigma);
+        section.record_value(format!("by_{name}_expected_s"), lag.median);
         section.record_value(format!("by_{name}_5_percent_s"), settled);
     }
     section

@@ -6,14 +6,17 @@
 mod changing;
 mod first;
 mod identified;
+mod paper_filter;
 mod section;
 
+use posebridge_estimator::models::slow_sensor::SensorDynamics;
+use posebridge_estimator::numerics::statistics::quantile;
 use posebridge_report::chart::{Curve, CurveShape};
 
 use self::section::{band, sample_points, seconds, settling_times_s, share_inside, temperatures};
-use super::prediction::EndPrediction;
+use super::prediction::{EndPrediction, predict};
 use super::prior::StepDirection;
-use super::sensor_kind::{RunSimilarity, SensorKind, predict};
+use super::sensor_kind::{RunSimilarity, describe_sensor};
 use super::step::IdentifiedStep;
 
 pub use self::first::{BoundRun, bound_run, bounds_section};
@@ -22,7 +25,7 @@ pub use self::section::LessonSection;
 pub type SectionBuilder = fn(u64) -> LessonSection;
 
 /// In order, except [`bounds_section`], which accumulates many runs.
-pub const SECTIONS: [SectionBuilder; 12] = [
+pub const SECTIONS: [SectionBuilder; 13] = [
     first::worked_example,
     first::three_methods,
     first::start,
@@ -33,6 +36,7 @@ pub const SECTIONS: [SectionBuilder; 12] = [
     changing::trend,
     changing::walking,
     first::several_sensors,
+    first::load_cell,
     changing::quantised,
     changing::mismatch,
 ];
@@ -49,45 +53,72 @@ pub struct RecordedRun {
 #[derive(Clone, Debug)]
 pub struct RecordedPrediction {
     pub name: String,
+    /// Empty where nothing is known of the sensor, as live without a description.
     pub identified_from: Vec<String>,
-    pub order: usize,
-    /// One for each sample, fewer later on.
+    /// One for each sample from which the end can be told.
     pub predictions: Vec<EndPrediction>,
     /// Settling times of the sensor to 10, 5 and 2 % of its step.
     pub shown_s: [Option<f64>; 3],
     pub predicted_s: [Option<f64>; 3],
-    /// Share of predictions whose 95 % bound contained the end.
+    /// Share of the predictions until the sensor has settled whose 95 % bound contains the end.
     pub inside: Option<f64>,
+    /// Share of the samples from the onset until the sensor has settled for which there is a prediction.
+    pub told: f64,
+    /// Error at the first prediction after a third of the settling time; median error from there until the sensor has settled.
+    pub error_at_third: Option<f64>,
+    pub error_after_third: Option<f64>,
 }
 
 impl RecordedPrediction {
-    /// Predicts a run from others; `None` without others, or without a common order.
-    pub fn predict_run(run: &RecordedRun, others: &[&RecordedRun], likeness: RunSimilarity) -> Option<Self> {
+    /// Predicts a run from others, or without any from nothing; `None` if the others have no lags.
+    pub fn predict_run(run: &RecordedRun, others: &[&RecordedRun], similarity: RunSimilarity) -> Option<Self> {
         let used: Vec<IdentifiedStep> = others.iter().map(|other| other.identified.clone()).collect();
-        let kind = SensorKind::from_runs(&used, likeness).ok()?;
+        let description = if used.is_empty() { SensorDynamics::UNKNOWN } else { describe_sensor(&used, similarity)? };
         let step = &run.identified;
-        let predictions = predict(&step.samples, step.sigma, &kind);
+        let predictions = predict(&step.samples, step.sigma, &description);
         let series: Vec<(f64, f64)> = predictions.iter().map(|p| (p.at_s, p.value)).collect();
         let response = step.response();
         let size = (step.end - response.start).abs();
         let settled = |series: &[(f64, f64)]| settling_times_s(series, response.onset_s, step.end, size);
+        let settling_s = response.settling_time_s(SETTLED_SHARE);
+        let since_s = |p: &EndPrediction| p.at_s - response.onset_s;
+        let approach: Vec<EndPrediction> =
+            predictions.iter().filter(|p| p.is_settling && (0.0..=settling_s).contains(&since_s(p))).copied().collect();
+        let moving = step.samples.iter().map(|sample| sample.at_s - response.onset_s);
+        let moving_count = moving.filter(|since_s| (0.0..=settling_s).contains(since_s)).count();
+        let later = approach.iter().filter(|p| since_s(p) >= settling_s / 3.0);
+        let errors: Vec<f64> = later.map(|p| (p.value - step.end).abs()).collect();
         Some(Self {
             name: run.name.clone(),
             identified_from: others.iter().map(|other| other.name.clone()).collect(),
-            order: kind.order(),
             shown_s: settled(&sample_points(&step.samples)),
             predicted_s: settled(&series),
-            inside: share_inside(&predictions, step.end),
+            inside: share_inside(&approach, step.end),
+            told: approach.len() as f64 / moving_count.max(1) as f64,
+            error_at_third: errors.first().copied(),
+            error_after_third: quantile(&errors, 0.5),
             predictions,
         })
     }
+
+    /// Its name among the numbers: that of the run, and whether it is predicted by nothing.
+    fn key(&self) -> String {
+        if self.identified_from.is_empty() { format!("{}.by_nothing", self.name) } else { self.name.clone() }
+    }
+
+    fn teachers(&self) -> String {
+        if self.identified_from.is_empty() { "nothing".to_owned() } else { self.identified_from.join(" ") }
+    }
 }
+
+/// A sensor has settled when this share of the step is left.
+const SETTLED_SHARE: f64 = 0.02;
 
 pub fn recorded_sections(
     identified: &[RecordedRun],
     predicted: &[(RecordedRun, RecordedPrediction)],
 ) -> Vec<LessonSection> {
-    let first = [identification_section(identified), overview_section(predicted)];
+    let first = [identification_section(identified), overview_section(predicted), bounds_of_recorded(predicted)];
     first.into_iter().chain(predicted.iter().map(|(run, recorded)| run_section(run, recorded))).collect()
 }
 
@@ -128,22 +159,49 @@ fn overview_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSe
     let mut section = LessonSection::new(
         "predicted",
         "How the predictions did",
-        "Seconds from the onset until within 10, 5 and 2 % of the step for good. The end is what the sensor itself shows in the last tenth of its step. Each run is predicted by the runs \
-             named beside it; a sample is used when it comes, and no later one.",
-        &["run", "by", "order", "shown 10 %", "5 %", "2 %", "predicted 10 %", "5 %", "2 %", "end within bound"],
+        "Seconds from the onset until within 10, 5 and 2 % of the step for good, as shown and as predicted. The end is what the sensor itself shows in the last tenth of its step. Each run \
+             is predicted by the runs named beside it, and by nothing, as live without a description; a sample is used when it comes, and no later one.",
+        &["run", "by", "shown 10 %", "5 %", "2 %", "predicted 10 %", "5 %", "2 %"],
     );
     for (_, run) in predicted {
-        let inside = run.inside.map_or_else(String::new, |inside| format!("{:.0} %", 100.0 * inside));
         let cells = run.shown_s.into_iter().chain(run.predicted_s).map(seconds);
-        let names = [run.name.clone(), run.identified_from.join(" "), run.order.to_string()];
-        section.rows.push(names.into_iter().chain(cells).chain([inside]).collect());
-        section.record_value(format!("{}.order", run.name), run.order as f64);
+        section.rows.push([run.name.clone(), run.teachers()].into_iter().chain(cells).collect());
         for (what, settled) in [("shown", run.shown_s), ("predicted", run.predicted_s)] {
             for (share, settled) in ["10", "5", "2"].into_iter().zip(settled) {
-                section.record_value(format!("{}.{what}_{share}_percent_s", run.name), settled);
+                section.record_value(format!("{}.{what}_{share}_percent_s", run.key()), settled);
             }
         }
-        section.record_value(format!("{}.inside", run.name), run.inside);
+    }
+    section
+}
+
+fn bounds_of_recorded(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSection {
+    let mut section = LessonSection::new(
+        "recorded_bounds",
+        "What the bounds were worth",
+        "Until 2 % of the step are left: the share of the samples that have a prediction, and of those the share whose 95 % bound contains the end. The error is that at a third of this \
+             time, and the median from there on, in the sensor's unit.",
+        &["run", "by", "told", "end within bound", "error at a third", "median after it"],
+    );
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.2}"));
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    for (_, run) in predicted {
+        section.rows.push(vec![
+            run.name.clone(),
+            run.teachers(),
+            percent(run.told),
+            run.inside.map_or_else(String::new, percent),
+            number(run.error_at_third),
+            number(run.error_after_third),
+        ]);
+        for (what, value) in [
+            ("told", Some(run.told)),
+            ("inside", run.inside),
+            ("error_at_third", run.error_at_third),
+            ("error_after_third", run.error_after_third),
+        ] {
+            section.record_value(format!("{}.{what}", run.key()), value);
+        }
     }
     section
 }
@@ -164,8 +222,8 @@ fn run_section(run: &RecordedRun, recorded: &RecordedPrediction) -> LessonSectio
         Curve::line("shown", sample_points(&step.samples)),
         band("95 % bound", &known),
     ];
-    let title = format!("{}, by {}", run.name, recorded.identified_from.join(" and "));
-    let caption = format!("{} shown and predicted, order {}.", run.name, recorded.order);
+    let title = format!("{}, by {}", run.name, recorded.teachers());
+    let caption = format!("{} shown and predicted.", run.name);
     LessonSection {
         name: "run",
         title: title.clone(),

@@ -3,7 +3,9 @@
 use posebridge_estimator::numerics::statistics::mean;
 use posebridge_report::chart::{Axes, Curve, CurveShape, Plot};
 
-use crate::identification::prediction::{BOUND_SIGMAS, EndPrediction};
+use posebridge_telemetry::estimate::NORMAL_95;
+
+use crate::identification::prediction::EndPrediction;
 use crate::identification::{TimedSample, settling_time_s};
 
 #[derive(Clone, Debug, Default)]
@@ -46,8 +48,7 @@ pub(super) fn seconds(value: Option<f64>) -> String {
 }
 
 pub(super) fn band(name: &str, values: &[(f64, f64, f64)]) -> Curve {
-    let half = BOUND_SIGMAS;
-    let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - half * sigma, value + half * sigma);
+    let of = |(at_s, value, sigma): &(f64, f64, f64)| (*at_s, value - NORMAL_95 * sigma, value + NORMAL_95 * sigma);
     Curve::new(name, CurveShape::Band(values.iter().map(of).collect()))
 }
 
@@ -73,9 +74,5 @@ pub(super) fn settling_times_s(series: &[(f64, f64)], onset_s: f64, end: f64, si
 /// Share of the bounds that contain the end, after a step was detected; `None` without one.
 pub(super) fn share_inside(predictions: &[EndPrediction], end: f64) -> Option<f64> {
     let moving = predictions.iter().filter(|prediction| prediction.is_settling);
-    let held = moving.map(|prediction| {
-        let (low, high) = prediction.bound();
-        f64::from(u8::from(low <= end && end <= high))
-    });
-    mean(held)
+    mean(moving.map(|prediction| f64::from(u8::from(prediction.holds(end)))))
 }

@@ -1,5 +1,6 @@
 //! The configuration of a station with one stream link, for unit tests, tests and benchmarks.
 
+use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_station::{
@@ -37,6 +38,7 @@ pub(crate) fn config() -> StationConfig {
                 params: Params::default(),
                 calibration: posebridge_telemetry::Calibration::default(),
                 arena_map: std::sync::Arc::default(),
+                slow_sensor: SlowSensor::UNKNOWN,
             },
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
