@@ -28,7 +28,7 @@ class NamedValues(unittest.TestCase):
             receiver = self.receiver()
             for place in range(0, len(stream), chunk):
                 self.assertEqual(receiver.feed(stream[place : place + chunk], 0), [])
-            self.assertEqual(receiver.values, {"end_1": 48.6875, "sd_1": 0.25})
+            self.assertEqual(receiver.values, {"end_1": (48.6875, 1234), "sd_1": (0.25, 1234)})
 
     def test_a_damaged_frame_changes_nothing(self):
         for place in range(len(END)):

@@ -5,7 +5,8 @@
 #     link.wheel_ticks(time_us, left, right)      10 to 50 times per second: totals, never increments
 #     receiver = Receiver(link)
 #     for pose in receiver.feed(data, now_us): ...
-#     receiver.values.get("end_1")                 the final value that the station predicts for the thermometer temp1
+#     receiver.values.get("end_1")                 (value, time_ms): what the station last predicted for the thermometer temp1,
+#                                                 and when, by the robot's clock; it sends none while it cannot tell
 #
 # A time is the robot's own counter of microseconds, taken when the sensor was read; a clock of milliseconds is multiplied by
 # 1000. Left is counter-clockwise. A count or a time may grow beyond 32 bits: it is wrapped here.
@@ -175,7 +176,7 @@ class Receiver:
     def __init__(self, link):
         self.link = link
         self.window = b""
-        self.values = {}  # the newest number of each NAMED_VALUE_FLOAT, by its name
+        self.values = {}  # by the name of each NAMED_VALUE_FLOAT its newest number and the time of that in milliseconds
 
     def feed(self, data, now_us):
         """Takes bytes; answers questions for the time by now_us, and returns the estimates that came."""
@@ -227,11 +228,11 @@ class Receiver:
             poses.append(pose)
 
     def _take_value(self, payload):
-        value = struct.unpack("<f", payload[4:8])[0]
+        time_ms, value = struct.unpack("<If", payload[:8])
         name = payload[8:18].split(b"\0")[0]
         is_text = all(32 < byte < 127 for byte in name)
-        if value - value != 0 or not is_text:
+        if value - value != 0 or not name or not is_text:
             return
         name = name.decode()
         if name in self.values or len(self.values) < _MOST_VALUES:
-            self.values[name] = value
+            self.values[name] = (value, time_ms)

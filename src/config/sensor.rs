@@ -73,7 +73,10 @@ impl SensorSection {
         ensure_in("fast_share_sigma", self.fast_share_sigma, 0.0, 10.0)?;
         ensure_in("single_lag_probability", self.single_lag_probability, 0.0, 0.99)?;
         for (key, value) in [("noise", self.noise), ("resolution", self.resolution)] {
-            ensure!(value.is_finite() && value >= 0.0, "`sensor.{key}` is {value}, must be zero or more");
+            ensure!(
+                value == 0.0 || (1e-4..=1e6).contains(&value),
+                "`sensor.{key}` is {value}, must be 0 (unknown) or 0.0001 to 1000000"
+            );
         }
         let dynamics = SensorDynamics {
             slow_lag: SlowLag::Known(LogNormal { median: self.slow_lag_s, ln_sigma: self.slow_lag_sigma }),

@@ -27,8 +27,8 @@ pub struct RunArgs {
     /// Use the `[robot]` table of this file: a robot profile or the descriptor of a recording.
     #[arg(long, value_name = "FILE")]
     pub robot: Option<PathBuf>,
-    /// What is known of a slow sensor: a file of `posebridge identify step --save` (docs/lab/thermometer.md). It holds for all
-    /// thermometers that are not configured one by one.
+    /// What is known of a slow sensor: a file of `posebridge identify step --save` (docs/lab/thermometer.md). It stands for
+    /// `[robot.sensor]`: it holds for thermometers that are not configured one by one, of robots without a block of their own.
     #[arg(long, value_name = "FILE.toml")]
     pub sensor: Option<PathBuf>,
     /// Filter; `posebridge config schema` lists them.

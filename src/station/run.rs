@@ -57,7 +57,10 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
         let section = setting.path.first();
         section.is_some_and(|section| sections.contains(&section.as_str()))
     };
-    let mut settings = args.config.settings.clone();
+    // The sensor first, so that single keys of it can be set.
+    let sensor = args.sensor.as_deref().map(config::sensor_setting).transpose()?;
+    let given: Vec<Setting> = sensor.into_iter().chain(args.config.settings.iter().cloned()).collect();
+    let mut settings = given.clone();
     if args.robot.is_some() {
         // They may be single keys of the file's robot, and make no sense without it.
         settings.retain(|setting| !is_of(setting, &["robot"]));
@@ -80,12 +83,9 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     if let Some(path) = &args.robot {
         config = config.with_robot(RobotProfile::read(path)?);
         // What is set by hand is meant for the robot of the file, too.
-        let mut settings = args.config.settings.clone();
+        let mut settings = given;
         settings.retain(|setting| is_of(setting, &["robot", "filter"]));
         config = config::apply_overrides(&config, &settings)?;
-    }
-    if let Some(path) = &args.sensor {
-        config = config::apply_overrides(&config, &[config::sensor_setting(path)?])?;
     }
     if let Some(name) = &args.filter {
         config.filter.name.clone_from(name);

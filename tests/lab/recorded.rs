@@ -173,7 +173,29 @@ fn a_thermometer_foretells_another_run_of_it() {
     }
     let alone = run(folder, &["lab", "thermometer", "--recording", "one.mcap"]);
     assert!(alone.contains("by nothing"), "{alone}");
-    assert_refused(folder, &[("lab thermometer --recording none.mcap", 2, &["none.mcap"])]);
+    let save = ["identify", "step", "--recording", "one.mcap", "--save", "sensor.toml", "--resolution", "0.0625"];
+    run(folder, &save);
+    let sensor: toml::Table = toml::from_str(&read_text(folder, "sensor.toml")).unwrap();
+    let slow_lag_s = sensor["slow_lag_s"].as_float().unwrap();
+    assert!((slow_lag_s - 1.0).abs() < 0.1, "{sensor}");
+    // With what is known of the sensor more readings tell the end.
+    let predictions = |more: &[&str]| {
+        run(folder, &[&["replay", "two.mcap", "--events", "events.jsonl"], more].concat());
+        let events = read_text(folder, "events.jsonl");
+        let events = events.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        events.filter(|event| event["event"] == "temperature" && event["settled"].is_object()).count()
+    };
+    let (known, unknown) = (predictions(&["--sensor", "sensor.toml"]), predictions(&[]));
+    println!("{known} predictions with a description, {unknown} without");
+    assert!(known > unknown);
+    assert_refused(
+        folder,
+        &[
+            ("lab thermometer --recording none.mcap", 2, &["none.mcap"]),
+            ("identify step --recording one.mcap --channel left-wheel --save s.toml", 2, &["--save", "thermometer"]),
+            ("replay two.mcap --sensor none.toml", 2, &["none.toml"]),
+        ],
+    );
 }
 
 #[test]

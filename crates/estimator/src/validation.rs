@@ -11,7 +11,7 @@ use crate::motion::{InsertOutcome, MotionReading};
 use crate::update::{ScalarOutcome, UpdateOutcome, nis_and_log_likelihood};
 
 /// A stamp further ahead is damaged.
-const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
+pub(crate) const MAX_AHEAD: TimeDelta = TimeDelta::from_millis(3_600_000);
 /// Larger numbers are damage: no arena, wheel or rate comes near, and their squares must stay finite.
 const MAX_MAGNITUDE: f64 = 1e9;
 /// Smaller variances are damage, a nanometre or a nanoradian squared: they would divide by almost zero.

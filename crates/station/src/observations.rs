@@ -18,7 +18,7 @@ use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};
 use crate::robot::described_geometry;
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
 use crate::station::Station;
-use crate::thermometer_bank::{PredictedEnd, TemperatureReading};
+use crate::thermometer_bank::TemperatureReading;
 
 const MAV_TYPE_GCS: u8 = 6;
 
@@ -521,7 +521,8 @@ impl Station {
         };
         if let Some(stamp) = time {
             let arrival = sender.received.host_time;
-            self.thermometers.push(TemperatureReading { brick, channel, arrival, stamp, shown: temperature });
+            let from = sender.received.endpoint;
+            self.thermometers.push(TemperatureReading { brick, from, channel, arrival, stamp, shown: temperature });
             // A filter of one temperature follows the first thermometer.
             if let Some(index) = sender.robot
                 && self.robots.get(index).estimator.quantity() == EstimatedQuantity::Temperature
@@ -542,15 +543,15 @@ impl Station {
             Some(index) => config.robot_config(robots.get(index).block),
             None => robots.config_for(config, brick.link, brick.address),
         };
-        let mut told = Vec::new();
-        let has_rejected = thermometers.process(config_of, |event| {
-            if let Event::Temperature { brick, channel, stamp, settled: Some(settled), .. } = &event {
-                told.push(PredictedEnd { brick: *brick, channel: *channel, stamp: *stamp, end: *settled });
-            }
+        let mut predictions = Vec::new();
+        let has_rejected = thermometers.process(config_of, |event, predicted| {
             outputs.emit(event);
+            predictions.extend(predicted);
         });
-        for predicted in &told {
-            self.publish_predicted_end(predicted);
+        for predicted in &predictions {
+            for (message, priority) in predicted.messages() {
+                self.transmitter().send_to_peer(predicted.to, &message, priority);
+            }
         }
         if has_rejected {
             let text = "there are more thermometers than are followed; those heard last are left out".to_owned();

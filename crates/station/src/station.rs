@@ -30,7 +30,7 @@ use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions};
 use crate::status_text::{StatusTextQueue, TextContext};
-use crate::thermometer_bank::{PredictedEnd, ThermometerBank};
+use crate::thermometer_bank::ThermometerBank;
 use crate::transmitter::Transmitter;
 use crate::vehicle_proxy::CommandResponder;
 
@@ -422,17 +422,6 @@ impl Station {
                 let named = NamedValue { stamp, name: ChannelName::from_bytes(name), value: value as f32 };
                 self.transmitter().send(link, &Message::NamedValue(named), Priority::Estimate { stream });
             }
-        }
-    }
-
-    /// Sends a thermometer's final value to its brick.
-    pub(crate) fn publish_predicted_end(&mut self, predicted: &PredictedEnd) {
-        let link = predicted.brick.link;
-        if self.links.get(&link).is_none_or(|link| link.state != LinkState::Up) {
-            return;
-        }
-        for value in predicted.named_values() {
-            self.transmitter().send(link, &Message::NamedValue(value), Priority::Session);
         }
     }
 

@@ -7,10 +7,11 @@ use std::collections::BTreeMap;
 
 use posebridge_estimator::Filter;
 use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSettings};
-use posebridge_protocol::message::{NamedValue, WireStamp};
+use posebridge_protocol::message::{Message, NamedValue, WireStamp};
+use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, ObservationKind, RobotId, ScalarEstimate,
-    SensorId, TimeDelta, Timestamp,
+    BrickClock, Celsius, ChannelName, Event, FusionOutcome, HostClock, Observation, ObservationKind, Priority, RobotId,
+    ScalarEstimate, SensorId, TimeDelta, Timestamp,
 };
 
 use crate::config::RobotConfig;
@@ -25,6 +26,8 @@ const MAX_CHANNELS: usize = 256;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TemperatureReading {
     pub(crate) brick: RobotId,
+    /// Where it came from, and where its prediction goes.
+    pub(crate) from: Endpoint,
     pub(crate) channel: ChannelName,
     pub(crate) arrival: Timestamp<HostClock>,
     /// By the clock of the brick that sent it.
@@ -32,26 +35,33 @@ pub(crate) struct TemperatureReading {
     pub(crate) shown: Celsius,
 }
 
+/// The id of the message, and the first number above it that makes a stream of its own.
+const NAMED_VALUE_FLOAT: u32 = 251;
+const FIRST_STREAM: u32 = 3;
+
 /// The final value of a thermometer, where its readings tell it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PredictedEnd {
-    pub(crate) brick: RobotId,
-    pub(crate) channel: ChannelName,
-    /// Of the last reading.
-    pub(crate) stamp: Timestamp<BrickClock>,
-    pub(crate) end: ScalarEstimate,
+    pub(crate) to: Endpoint,
+    channel: ChannelName,
+    /// The number of the channel among those of its brick.
+    index: usize,
+    end: ScalarEstimate,
 }
 
 impl PredictedEnd {
     /// What the brick is sent: the final value and its sigma. `temp1` is answered by `end_1` and `sd_1`, `temp` by `end` and `sd`:
     /// an answer that began with `temp` would itself be taken for a reading.
-    pub(crate) fn named_values(&self) -> [NamedValue; 2] {
+    pub(crate) fn messages(&self) -> [(Message, Priority); 2] {
         let channel = self.channel.as_str();
         let own = channel.strip_prefix("temp").unwrap_or(channel);
-        let stamp = WireStamp::Micros64(u64::try_from(self.stamp.as_nanos() / 1_000).unwrap_or_default());
-        [("end", self.end.value), ("sd", self.end.sigma)].map(|(stem, value)| {
+        let stamp = WireStamp::Micros64(u64::try_from(self.end.stamp.as_nanos() / 1_000).unwrap_or_default());
+        let first_stream = FIRST_STREAM + 2 * self.index as u32;
+        [(0, "end", self.end.value), (1, "sd", self.end.sigma)].map(|(number, stem, value)| {
             let name = if own.is_empty() { stem.to_owned() } else { format!("{stem}_{}", own.trim_start_matches('_')) };
-            NamedValue { stamp, name: ChannelName::from_bytes(name.as_bytes()), value: value as f32 }
+            let named = NamedValue { stamp, name: ChannelName::from_bytes(name.as_bytes()), value: value as f32 };
+            let stream = (first_stream + number) << 24 | NAMED_VALUE_FLOAT;
+            (Message::NamedValue(named), Priority::Estimate { stream })
         })
     }
 }
@@ -77,9 +87,11 @@ impl ThermometerBank {
         self.pending.push(reading);
     }
 
-    /// The channel that a brick sent first; `None` before it was processed.
+    /// The channel that a brick sent first.
     pub(crate) fn first_channel(&self, brick: RobotId) -> Option<ChannelName> {
-        Some(self.bricks.get(&brick)?.first()?.name)
+        let known = self.bricks.get(&brick).and_then(|channels| channels.first()).map(|channel| channel.name);
+        let pending = || self.pending.iter().find(|reading| reading.brick == brick).map(|reading| reading.channel);
+        known.or_else(pending)
     }
 
     /// After a restart of a brick the length of the break in its readings is unknown.
@@ -94,13 +106,14 @@ impl ThermometerBank {
     pub(crate) fn process<'a>(
         &mut self,
         config_of: impl Fn(RobotId) -> &'a RobotConfig,
-        mut emit: impl FnMut(Event),
+        mut emit: impl FnMut(Event, Option<PredictedEnd>),
     ) -> bool {
         let had_rejected = self.has_rejected;
         let mut waiting = std::mem::take(&mut self.pending);
         for reading in waiting.drain(..) {
-            if let Some(channel) = self.channel_of(&reading, &config_of) {
-                emit(channel.observe(&reading));
+            if let Some((index, channel)) = self.channel_of(&reading, &config_of) {
+                let (event, predicted) = channel.observe(index, &reading);
+                emit(event, predicted);
             }
         }
         // Its room is used again.
@@ -112,7 +125,7 @@ impl ThermometerBank {
         &mut self,
         reading: &TemperatureReading,
         config_of: impl Fn(RobotId) -> &'a RobotConfig,
-    ) -> Option<&mut ThermometerChannel> {
+    ) -> Option<(usize, &mut ThermometerChannel)> {
         let known = self.bricks.get(&reading.brick).map_or(&[][..], Vec::as_slice);
         let index = known.iter().position(|channel| channel.name == reading.channel).unwrap_or(known.len());
         if index == known.len() {
@@ -129,26 +142,33 @@ impl ThermometerBank {
             channels.push(ThermometerChannel { name: reading.channel, thermometer });
             self.channel_count += 1;
         }
-        self.bricks.get_mut(&reading.brick)?.get_mut(index)
+        let channel = self.bricks.get_mut(&reading.brick)?.get_mut(index)?;
+        Some((index, channel))
     }
 }
 
 impl ThermometerChannel {
-    fn observe(&mut self, reading: &TemperatureReading) -> Event {
+    /// Its event, and what the brick is sent: nothing for a reading that was not used.
+    fn observe(&mut self, index: usize, reading: &TemperatureReading) -> (Event, Option<PredictedEnd>) {
         let record = self.thermometer.observe(&Observation {
             sensor: SensorId::THERMOMETER,
             stamp: reading.stamp,
             stamp_sigma: TimeDelta::ZERO,
             measurement: ObservationKind::Temperature(reading.shown),
         });
-        Event::Temperature {
+        let settled = self.thermometer.final_value();
+        let is_used = matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset);
+        let predicted =
+            settled.filter(|_| is_used).map(|end| PredictedEnd { to: reading.from, channel: self.name, index, end });
+        let event = Event::Temperature {
             brick: reading.brick,
             channel: self.name,
             arrival: reading.arrival,
             stamp: reading.stamp,
             shown: reading.shown,
             verdict: record.outcome,
-            settled: self.thermometer.final_value(),
-        }
+            settled,
+        };
+        (event, predicted)
     }
 }

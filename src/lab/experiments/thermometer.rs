@@ -29,6 +29,7 @@ use crate::tools::own_recording;
 
 pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
+    check_columns(args).before_start()?;
     let sections = if args.is_real() { recorded(args)? } else { simulated(args)? };
     args.output.write_outcome(&folder, &report(args, &sections))
 }
@@ -197,6 +198,14 @@ impl ThermometerRun {
     }
 }
 
+fn check_columns(args: &LabThermometerArgs) -> Result<()> {
+    ensure!(
+        args.columns.is_default() || args.recordings.iter().any(|path| is_table(path)),
+        "--time-column, --time-unit and --value-column belong to a table (*.csv)"
+    );
+    Ok(())
+}
+
 fn is_table(path: &Path) -> bool {
     path.extension().is_some_and(|end| end.eq_ignore_ascii_case("csv") || end.eq_ignore_ascii_case("txt"))
 }
@@ -236,10 +245,6 @@ fn of_recordings(
     recordings: &[PathBuf],
     live: Option<&Path>,
 ) -> Result<(RunRoles, Vec<ThermometerRun>)> {
-    ensure!(
-        args.columns.is_default() || recordings.iter().any(|path| is_table(path)),
-        "--time-column, --time-unit and --value-column belong to a table (*.csv)"
-    );
     let mut shown = Vec::new();
     for path in recordings {
         if is_table(path) {

@@ -38,18 +38,26 @@ pub(super) fn execute(args: &StepArgs) -> Result<(), Failure> {
     let runs: Vec<&StepRun> = material.runs.iter().collect();
     let found = run_with_bar(&runs, "steps", |run| identify_run_step(run)).before_start()?;
     let found: Vec<StepResult<'_>> = found.into_iter().collect::<Result<_>>().while_running()?;
-    if let Some(path) = &args.save {
-        save_sensor(args, path, &found).while_running()?;
+    args.output.write_outcome(&folder, &step_report(&material, &found))?;
+    match &args.save {
+        Some(path) => save_sensor(args, path, &found).while_running(),
+        None => Ok(()),
     }
-    args.output.write_outcome(&folder, &step_report(&material, &found))
 }
+
+/// Rounding never explains all of the noise.
+const MIN_NOISE_SHARE: f64 = 0.1;
 
 fn save_sensor(args: &StepArgs, path: &Path, found: &[StepResult<'_>]) -> Result<()> {
     let steps: Vec<IdentifiedStep> = found.iter().map(|one| one.identified.clone()).collect();
     let similarity = if args.same_sensor { RunSimilarity::SameSensor } else { RunSimilarity::SameKind };
     let dynamics = describe_sensor(&steps, similarity).context("--save: no step shows a lag")?;
     let variance = mean(steps.iter().map(|step| step.sigma * step.sigma)).unwrap_or_default();
-    let sensor = SlowSensor { dynamics, noise: variance.sqrt(), resolution: args.resolution.unwrap_or(0.0) };
+    let resolution = args.resolution.unwrap_or(0.0);
+    // The noise of the samples has that of rounding in it, which the resolution adds again.
+    let rounding_variance = resolution * resolution / 12.0;
+    let noise = (variance - rounding_variance).max(MIN_NOISE_SHARE * variance).sqrt();
+    let sensor = SlowSensor { dynamics, noise, resolution };
     let section = SensorSection::from_sensor(&sensor).context("--save: no step shows a lag")?;
     section.checked().context("--save")?;
     let names: Vec<&str> = found.iter().map(|one| one.run.name.as_str()).collect();
@@ -87,6 +95,14 @@ pub(super) fn load(args: &StepArgs) -> Result<StepDataset> {
 
 fn check(args: &StepArgs) -> Result<()> {
     end_of_interval(args.from, args.to)?;
+    if args.save.is_some() {
+        ensure!(
+            args.recording.is_some() && args.channel.is_none_or(|channel| channel == ChannelName::Temperature),
+            "--save writes what is known of a thermometer: give a --recording of one, without another --channel"
+        );
+        let is_step = args.resolution.is_none_or(|step| step.is_finite() && step >= 0.0);
+        ensure!(is_step, "--resolution must be zero or more");
+    }
     for (flag, value) in [("--noise", args.noise), ("--input-step", args.input_step)] {
         if let Some(value) = value {
             let is_usable = value.is_finite() && (value > 0.0 || (value < 0.0 && flag != "--noise"));

@@ -271,3 +271,55 @@ fn a_restart_of_the_clock_forgets_the_approach() {
     let settled = readings[19].1.expect("it rests");
     assert!((settled.value - 30.0).abs() < 1e-9, "{settled:?}");
 }
+
+/// Three readings in a slow time constant: what is kept for the level at rest must not be the end of the step.
+#[test]
+fn a_sensor_that_is_read_seldom_settles_at_its_end() {
+    for (period_s, seed) in [(7.0, 1), (4.0, 2), (2.0, 3)] {
+        let mut thermometer = with_noise(0.05);
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut breaks = 0;
+        for k in 0..400 {
+            let at_s = period_s * f64::from(k);
+            let since_s = (at_s - 20.0 * period_s).max(0.0);
+            let left = 0.7 * (-since_s / 20.0).exp() + 0.3 * (-since_s / 5.0).exp();
+            let noise_k = 0.05 * random.sample::<f64, _>(StandardNormal);
+            let (verdict, settled) = observe(&mut thermometer, at_s, 50.0 - 30.0 * left + noise_k);
+            breaks += u32::from(verdict == FusionOutcome::PoseReset);
+            if since_s > 200.0
+                && let Some(settled) = settled
+            {
+                let error_k = (settled.value - 50.0).abs();
+                assert!(error_k <= 1.5 * settled.bound_95(), "{period_s} s, after {since_s} s: {settled:?}");
+            }
+        }
+        assert_eq!(breaks, 1, "{period_s} s");
+    }
+}
+
+#[test]
+fn after_hours_of_silence_the_second_reading_begins_anew() {
+    let mut thermometer = with_noise(0.05);
+    for k in 0..20 {
+        observe(&mut thermometer, f64::from(k), 20.0);
+    }
+    let hours_s = 5.0 * 3_600.0;
+    let (first, _) = observe(&mut thermometer, hours_s, 30.0);
+    assert_eq!(first, FusionOutcome::Malformed, "a damaged stamp looks like that");
+    let later: Vec<_> = (1..20).map(|k| observe(&mut thermometer, hours_s + f64::from(k), 30.0)).collect();
+    assert!(later.iter().all(|(verdict, _)| *verdict == FusionOutcome::Accepted), "{later:?}");
+    assert!(later[18].1.is_some_and(|settled| (settled.value - 30.0).abs() < 1e-9));
+}
+
+/// A board that repeats its last conversion with the same stamp says nothing new, damaged or not.
+#[test]
+fn a_damaged_reading_that_is_repeated_is_no_step() {
+    let mut thermometer = with_noise(0.05);
+    for k in 0..40 {
+        observe(&mut thermometer, f64::from(k), 20.0);
+    }
+    let verdicts: Vec<FusionOutcome> = (0..4).map(|_| observe(&mut thermometer, 40.0, 85.0).0).collect();
+    assert_eq!(verdicts[0], FusionOutcome::Gated);
+    assert!(verdicts[1..].iter().all(|verdict| *verdict == FusionOutcome::Malformed), "{verdicts:?}");
+    assert_eq!(observe(&mut thermometer, 41.0, 20.0).0, FusionOutcome::Accepted);
+}

@@ -69,8 +69,8 @@ pub fn describe_sensor(runs: &[IdentifiedStep], similarity: RunSimilarity) -> Op
     Some(SensorDynamics {
         slow_lag: SlowLag::Known(LogNormal { median: ln_slow.exp(), ln_sigma: ln_slow_sigma }),
         lag_ratio: ratio.map_or(unknown.lag_ratio, |(ln, ln_sigma)| LogNormal { median: ln.exp(), ln_sigma }),
-        fast_share: share.map_or(0.0, |(share, _)| share),
-        fast_share_sigma: share.map_or(prior.share, |(_, sigma)| sigma),
+        fast_share: share.map_or(unknown.fast_share, |(share, _)| share),
+        fast_share_sigma: share.map_or(unknown.fast_share_sigma, |(_, sigma)| sigma),
         single_lag_probability: (lags.len() - fast.len()) as f64 / lags.len() as f64 * SINGLE_LAG_TRUST,
     })
 }

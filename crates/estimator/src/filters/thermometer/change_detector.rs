@@ -54,6 +54,9 @@ struct DeviatingRun {
 impl ChangeDetector {
     /// Classifies a deviation, in sigmas of the model.
     pub(super) fn classify(&mut self, deviation: f64) -> ReadingClass {
+        if !deviation.is_finite() {
+            return ReadingClass::Outlier;
+        }
         let scale = self.inflation().sqrt();
         let z = deviation / scale;
         let counted = z.clamp(-GATE, GATE);
@@ -84,6 +87,11 @@ impl ChangeDetector {
         } else {
             ReadingClass::Expected
         }
+    }
+
+    /// Forgets the latest deviations, but not how large they are usually.
+    pub(super) fn restart(&mut self) {
+        *self = Self { squares: self.squares, weight: self.weight, ..Self::default() };
     }
 
     /// Factor of the observed variance over the model's; at least 1.

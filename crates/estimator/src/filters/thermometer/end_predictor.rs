@@ -4,7 +4,7 @@
 //! ```text
 //! at rest     expected reading  mean of the last readings, at most 256
 //! step        the test in `change_detector` finds it; the bank starts at the reading before the deviation began
-//! settled     after 6 slow time constants, once what is left is below half the noise: at rest again
+//! settled     after 6 slow time constants, once what is left was below half the noise for 8 readings: at rest again
 //! bound       1.96 sigma kappa, where kappa^2 is the observed variance of the innovations over the expected one
 //! no bound    before 8 readings at rest; while 1.96 sigma kappa is more than a third of the step and more than 4 sigma of
 //!             the noise; before half a slow time constant, if that is unknown; with kappa > 2, where the model does not
@@ -23,6 +23,7 @@ use crate::models::slow_sensor::{SensorDynamics, SlowLag};
 /// A new step is found with this number of readings; a model that does not fit, with more. After that the needed part of a
 /// lag doubles, until the sensor has settled.
 const MAX_STEP_READINGS: usize = 4;
+/// Half a lag doubled six times: such a sensor says nothing before it has settled.
 const MAX_MISFITS: i32 = 6;
 /// Readings whose mean is the level at rest. More would follow a slow change too late, fewer would follow it and not
 /// show it.
@@ -31,12 +32,14 @@ const REST_READINGS: usize = 256;
 const START_READINGS: usize = 16;
 /// With fewer readings a sensor at rest and a slow one that moves look alike.
 const MIN_REST_READINGS: usize = 8;
+/// A four-hundredth of the slow part of a step is left.
 const SETTLED_LAGS: f64 = 6.0;
 /// Share of the noise below which nothing is left of a step.
 const SETTLED_SIGMAS: f64 = 0.5;
 /// A sensor of unknown lags has to show this part of its slow time constant: else a slow change without an end looks like
 /// the beginning of a large step.
 const MIN_SHOWN_LAGS: f64 = 0.5;
+/// As likely as the bound is to miss the end.
 const MAX_DRIFT_PROBABILITY: f64 = 0.05;
 /// Largest half-width of a bound as a share of the step.
 const MAX_BOUND_SHARE: f64 = 1.0 / 3.0;
@@ -58,7 +61,7 @@ pub struct EndPredictor {
     dynamics: SensorDynamics,
     sigma: f64,
     change_detector: ChangeDetector,
-    /// The latest readings, oldest first: at rest those of the level, else all since the step began.
+    /// The latest readings, oldest first, at most 256: at rest those of the level, else those since the step began.
     recent: VecDeque<TimedReading>,
     approach: Option<Approach>,
     /// Number of approaches in a row that the readings left slowly.
@@ -69,6 +72,8 @@ pub struct EndPredictor {
 struct Approach {
     bank: FilterBank,
     started_at_s: f64,
+    /// Number of the latest readings of which nothing was left of the step.
+    settled_readings: usize,
 }
 
 /// How a reading compares with what was expected of it.
@@ -112,6 +117,7 @@ impl EndPredictor {
         self.recent.clear();
         self.approach = None;
         self.misfits = 0;
+        self.change_detector.restart();
     }
 
     /// Whether a step was found that has not yet ended.
@@ -141,16 +147,12 @@ impl EndPredictor {
 
     /// The expected reading at an instant, with its noise; `None` before the first.
     fn expected(&mut self, at_s: f64) -> Option<MeanVariance> {
-        let noise_variance = self.noise_variance();
+        let noise_variance = self.sigma * self.sigma;
         if let Some(approach) = &mut self.approach {
             return Some(approach.bank.predict(at_s - approach.started_at_s, noise_variance));
         }
         let level = self.level()?;
-        Some(MeanVariance { mean: level.mean, variance: level.variance + self.sigma * self.sigma })
-    }
-
-    fn noise_variance(&self) -> f64 {
-        self.change_detector.inflation() * self.sigma * self.sigma
+        Some(MeanVariance { mean: level.mean, variance: level.variance + noise_variance })
     }
 
     /// At rest.
@@ -166,14 +168,18 @@ impl EndPredictor {
     }
 
     fn use_expected(&mut self, value: f64) {
-        let noise_variance = self.noise_variance();
+        let noise_variance = self.sigma * self.sigma;
         let Some(approach) = &mut self.approach else { return };
         let bank = &mut approach.bank;
         bank.update(value, noise_variance);
-        if bank.elapsed_lags() > SETTLED_LAGS && bank.remainder().abs() < SETTLED_SIGMAS * self.sigma {
+        let is_settled = bank.elapsed_lags() > SETTLED_LAGS && bank.remainder().abs() < SETTLED_SIGMAS * self.sigma;
+        approach.settled_readings = if is_settled { approach.settled_readings + 1 } else { 0 };
+        // Older readings are still those of the step.
+        let (settled_readings, is_lost) = (approach.settled_readings, bank.is_empty());
+        if is_lost || settled_readings >= MIN_REST_READINGS {
             self.approach = None;
             self.misfits = 0;
-            self.keep_last(START_READINGS);
+            self.keep_last(settled_readings.max(1));
         }
     }
 
@@ -201,7 +207,7 @@ impl EndPredictor {
             bank.predict(reading.at_s - started_at_s, noise_variance);
             bank.update(reading.value, noise_variance);
         }
-        self.approach = Some(Approach { bank, started_at_s });
+        self.approach = (!bank.is_empty()).then_some(Approach { bank, started_at_s, settled_readings: 0 });
     }
 
     fn keep_last(&mut self, count: usize) {

@@ -41,9 +41,9 @@ const LAG_SIGMAS: f64 = 2.0;
 const RATIO_SIGMAS: f64 = 1.5;
 /// Lags closer than this cannot be told apart.
 const MIN_RATIO: f64 = 1.3;
-/// q.
+/// q: of a sensor that keeps its rates, of one in moving water, and of one whose surroundings change as it settles.
 const RATE_WALKS: [f64; 3] = [0.02, 0.1, 0.3];
-/// Prior sigma of the step, relative to the change that was seen first.
+/// Prior sigma of the step, relative to the change that was seen first: that may be most of the step or a fiftieth of it.
 const STEP_SCALES: [f64; 3] = [1.0, 8.0, 64.0];
 /// That change counts as at least this number of sigmas of a reading.
 const MIN_CHANGE_SIGMAS: f64 = 10.0;
@@ -161,6 +161,12 @@ impl FilterBank {
         }
         self.drift.ln_weight -= best;
         self.members.retain(|member| member.ln_weight > DROPPED_LN_WEIGHT);
+        self.members.shrink_to(2 * self.members.len());
+    }
+
+    /// Whether no hypothesis is left: the readings contradict all of them beyond what numbers can say.
+    pub(super) fn is_empty(&self) -> bool {
+        self.members.is_empty()
     }
 
     pub(super) fn final_value(&self) -> MeanVariance {
@@ -255,13 +261,14 @@ impl Nodes {
     /// Around the median, at most `distance` apart in the logarithm.
     fn around(of: LogNormal, sigmas: f64, distance: f64) -> Self {
         let reach = sigmas * of.ln_sigma;
-        let count = (reach / distance).ceil().max(1.0) as i32;
+        // Not one more by a rounding error; a single node for a quantity that is exactly known.
+        let count = (reach / distance - 1e-9).ceil().max(0.0) as i32;
         let node = |k: i32| {
-            let share = f64::from(k) / f64::from(count);
+            let share = if count > 0 { f64::from(k) / f64::from(count) } else { 0.0 };
             let z = sigmas * share;
             (of.median * (share * reach).exp(), -0.5 * z * z)
         };
-        Self { values: (-count..=count).map(node).collect(), distance: reach / f64::from(count) }
+        Self { values: (-count..=count).map(node).collect(), distance: reach / f64::from(count.max(1)) }
     }
 }
 

@@ -23,7 +23,7 @@ use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::DynamicModel;
 use crate::models::slow_sensor::SensorDynamics;
 use crate::update::{ScalarOutcome, UpdateOutcome};
-use crate::validation::{self, add_innovation};
+use crate::validation::{self, MAX_AHEAD, add_innovation};
 
 /// What is known of a thermometer's response.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +54,12 @@ impl ThermometerSettings {
 pub struct Thermometer {
     model: ThermometerModel,
     history_s: f64,
+    /// Of the newest reading, used or not.
+    newest: Option<Timestamp<BrickClock>>,
+    /// Of the newest reading that was used.
     last: Option<Timestamp<BrickClock>>,
+    /// A stamp too far ahead to be believed alone.
+    far_ahead: Option<Timestamp<BrickClock>>,
 }
 
 enum ThermometerModel {
@@ -90,7 +95,7 @@ impl Thermometer {
                 ThermometerModel::Learning { predictor, origin: None }
             }
         };
-        Self { model, history_s: config.params.history_s, last: None }
+        Self { model, history_s: config.params.history_s, newest: None, last: None, far_ahead: None }
     }
 
     /// As of the last reading, in degrees Celsius; `None` before the first, and where it cannot be told.
@@ -98,12 +103,24 @@ impl Thermometer {
         self.scalar_at(self.last?)
     }
 
+    /// After an hour of silence every stamp is too far ahead; the second one that agrees with the first begins anew.
+    fn restart_after_silence(&mut self, stamp: Timestamp<BrickClock>) {
+        let is_far = self.newest.is_some_and(|newest| stamp - newest > MAX_AHEAD);
+        let follows = |earlier: Timestamp<BrickClock>| stamp > earlier && stamp - earlier <= MAX_AHEAD;
+        let is_confirmed = is_far && self.far_ahead.is_some_and(follows);
+        self.far_ahead = Some(stamp).filter(|_| is_far && !is_confirmed);
+        if is_confirmed {
+            self.restart_clock();
+        }
+    }
+
     fn use_reading(&mut self, record: &mut FusionRecord, observation: &Observation, shown: f64) {
-        let report = match &mut self.model {
+        let (report, accepted) = match &mut self.model {
             ThermometerModel::Exact(exact) => exact.observe(observation, shown),
             ThermometerModel::Learning { predictor, origin } => {
                 let origin = *origin.get_or_insert(observation.stamp);
-                predictor.observe((observation.stamp - origin).as_secs_f64(), shown)
+                let report = predictor.observe((observation.stamp - origin).as_secs_f64(), shown);
+                (report, FusionOutcome::Accepted)
             }
         };
         if let Some(expected) = report.expected {
@@ -113,44 +130,44 @@ impl Thermometer {
             add_innovation(record, innovation, &ScalarOutcome { innovation_variance: expected.variance, nis, outcome });
         }
         record.outcome = match report.class {
-            ReadingClass::Expected => FusionOutcome::Accepted,
+            ReadingClass::Expected => accepted,
             ReadingClass::Outlier => FusionOutcome::Gated,
             ReadingClass::StepChange { .. } => FusionOutcome::PoseReset,
         };
+        self.newest = Some(observation.stamp);
         if report.class != ReadingClass::Outlier {
-            self.last = Some(observation.stamp);
+            self.last = self.newest;
         }
     }
 }
 
 impl ExactThermometer {
-    fn observe(&mut self, observation: &Observation, shown: f64) -> ReadingReport {
+    /// With the filter's own verdict on a reading that it was given.
+    fn observe(&mut self, observation: &Observation, shown: f64) -> (ReadingReport, FusionOutcome) {
         let expected = self.filter.expected(SensorId::THERMOMETER, observation.stamp);
         let expected = expected.map(|(mean, variance)| MeanVariance { mean, variance });
         let class = expected.map_or(ReadingClass::Expected, |expected| {
             self.change_detector.classify((shown - expected.mean) / expected.variance.sqrt())
         });
-        match class {
-            ReadingClass::Outlier => {}
-            ReadingClass::Expected => {
-                self.filter.observe(observation);
-            }
-            ReadingClass::StepChange { .. } => {
-                self.filter.restart_clock();
-                self.filter.observe(observation);
-            }
+        if matches!(class, ReadingClass::StepChange { .. }) {
+            self.filter.restart_clock();
         }
-        ReadingReport { class, expected }
+        let outcome = match class {
+            ReadingClass::Outlier => FusionOutcome::Gated,
+            ReadingClass::Expected | ReadingClass::StepChange { .. } => self.filter.observe(observation).outcome,
+        };
+        (ReadingReport { class, expected }, outcome)
     }
 }
 
 impl Filter for Thermometer {
     fn observe(&mut self, observation: &Observation) -> FusionRecord {
-        validation::observe_if_valid(observation, self.last, self.history_s, |record| {
+        self.restart_after_silence(observation.stamp);
+        validation::observe_if_valid(observation, self.newest, self.history_s, |record| {
             if let (ObservationKind::Temperature(shown), SensorId::THERMOMETER) =
                 (observation.measurement, observation.sensor)
             {
-                match validation::reject_repeated(self.last, observation.stamp) {
+                match validation::reject_repeated(self.newest, observation.stamp) {
                     Some(verdict) => record.outcome = verdict,
                     None => self.use_reading(record, observation, shown.0),
                 }
@@ -161,12 +178,16 @@ impl Filter for Thermometer {
     /// Restarts, because the length of the break is unknown; keeps the learned noise.
     fn restart_clock(&mut self) {
         match &mut self.model {
-            ThermometerModel::Exact(exact) => exact.filter.restart_clock(),
+            ThermometerModel::Exact(exact) => {
+                exact.filter.restart_clock();
+                exact.change_detector.restart();
+            }
             ThermometerModel::Learning { predictor, origin } => {
                 predictor.restart();
                 *origin = None;
             }
         }
+        self.newest = None;
         self.last = None;
     }
 
