@@ -1,7 +1,7 @@
 //! Extracts one sensor channel from observations as a time series.
 //!
 //! ```text
-//! speed of a wheel   (phi_k - phi_(k-1)) / (t_k - t_(k-1)) at the middle of the interval      sigma = tick / dt / sqrt(6)   (18)
+//! speed of a wheel   (phi_k - phi_(k-1)) / (t_k - t_(k-1)) at the middle of the interval      sigma = tick / dt / sqrt(6)
 //! ```
 //! The mean speed of an interval is that at its middle, to the second order of the interval over the lag. Both readings are rounded
 //! down to whole ticks: a difference of two uniform errors.
@@ -99,7 +99,7 @@ impl SensorChannel {
     }
 }
 
-/// Equation (18).
+/// Speeds at the middle of each interval, by the module's formula.
 fn differences(angles: &[TimedSample]) -> Vec<TimedSample> {
     let pairs = angles.iter().zip(angles.iter().skip(1));
     pairs
@@ -116,7 +116,7 @@ fn mean_interval_s(samples: &[TimedSample]) -> Option<f64> {
     (dt_s > 0.0).then_some(dt_s)
 }
 
-/// Wheel speed from encoder readings by equation (18): instants in seconds, angles in radians.
+/// Wheel speed from encoder readings by the module's formula: instants in seconds, angles in radians.
 pub fn wheel_speed(readings: &[(f64, f64)]) -> Vec<TimedSample> {
     let angles: Vec<TimedSample> = readings.iter().map(|&(at_s, value)| TimedSample { at_s, value }).collect();
     differences(&sorted_finite(&angles))
@@ -130,7 +130,7 @@ pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> 
 // The noise of a sensor with no configured noise, from how its samples scatter about their neighbours.
 //
 // ```text
-// d_k = y_(k+1) - 2 y_k + y_(k-1)      sigma = median |d_k| / (0.6745 sqrt(6)), at least q / sqrt(12)                   (16)
+// d_k = y_(k+1) - 2 y_k + y_(k-1)      sigma = median |d_k| / (0.6745 sqrt(6)), at least q / sqrt(12)
 // ```
 // A second difference is blind to slopes, and the median to the few samples in which the step itself bends. q is the smallest
 // difference of two neighbours that differ: what a sensor that rounds cannot do without.
@@ -146,7 +146,7 @@ pub fn wheel_speed_sigma(tick_rad: f64, samples: &[TimedSample]) -> Option<f64> 
 const MEDIAN_OF_NORMAL: f64 = 0.674_49;
 const MIN_SAMPLES: usize = 8;
 
-/// Equation (16), in the sensor's unit; `None` for too few samples, or if all are equal.
+/// The sigma above, in the sensor's unit; `None` for too few samples, or if all are equal.
 pub fn estimate_noise(samples: &[TimedSample]) -> Option<f64> {
     let samples = sorted_finite(samples);
     if samples.len() < MIN_SAMPLES {

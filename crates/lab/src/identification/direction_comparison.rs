@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! m = sum of x_i / s_i^2 / sum of 1 / s_i^2        s = 1 / sqrt(sum of 1 / s_i^2), times the larger one of 1 and the scatter
-//! scatter^2 = sum of ((x_i - m) / s_i)^2 / (n - 1)        z = (m_up - m_down) / sqrt(s_up^2 + s_down^2)                  (17)
+//! scatter^2 = sum of ((x_i - m) / s_i)^2 / (n - 1)        z = (m_up - m_down) / sqrt(s_up^2 + s_down^2)
 //! ```
 //!
 //! # Sources
@@ -16,7 +16,7 @@ use super::prior::StepDirection;
 pub struct DirectionComparison {
     pub up: UncertainValue,
     pub down: UncertainValue,
-    /// z of equation (17).
+    /// z of the module's formula.
     pub z: f64,
 }
 

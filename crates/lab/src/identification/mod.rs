@@ -1,7 +1,7 @@
 //! Identification of a sensor's step response from its samples, and prediction of its final value from the transient.
 //!
 //! # Sources
-//! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite.
+//! Paper 2 (Markovsky); docs/lab/thermometer.md, whose equations the modules cite, and docs/lab/calibration.md section 7, (I6) to (I10).
 
 pub mod channel;
 pub mod direction_comparison;

@@ -8,19 +8,19 @@
 //! ```text
 //! u_k, g_k   innovations of the errors and of J = dy/dp by the filter of equation (4), over their sigma: those that the fit has summed up
 //! B = (sum of g_k' g_k)^-1           C_l = sum of u_k u_(k+l) / (N - p)
-//! P = B [ sum over l = -L .. L of b_l C_|l| (sum over k of g_k' g_(k+l)) ] B          b_l = 1 - |l| / (L + 1)               (13)
+//! P = B [ sum over l = -L .. L of b_l C_|l| (sum over k of g_k' g_(k+l)) ] B          b_l = 1 - |l| / (L + 1)               (I9)
 //! L = 0 if |C_l / C_0| < 2 sqrt(log10 N / N) for l = 1 .. 5, else N / 16
-//! differences of readings   u_k = q_(k+1) - q_k      sum of g_k u_k = sum of (g_(k-1) - g_k) q_k: (13) with q and these slopes  (14)
-//! mean lag = sum of s_j tau_j: by so much the sensor trails a ramp                                                          (15)
+//! differences of readings   u_k = q_(k+1) - q_k      sum of g_k u_k = sum of (g_(k-1) - g_k) q_k: (I9) with q and these slopes  (I10)
+//! mean lag = sum of s_j tau_j: by so much the sensor trails a ramp                                                          (I8)
 //! ```
-//! In (14) a reading that does not change has a constant error: its terms are added up before they are squared. Without that a standing
+//! In (I10) a reading that does not change has a constant error: its terms are added up before they are squared. Without that a standing
 //! counter would count as many errors as it was read.
 //!
 //! Where the model itself errs (delta of (8) is not zero) a sum over few lags misses a part of the correlation of its errors: the
-//! larger one of (13) and (6) is used then.
+//! larger one of (I9) and (6) is used then.
 //!
 //! # Sources
-//! Newey and West (1987), (13), for errors whose statistics do not change along the step; Politis (2003), what counts as no correlation;
+//! Newey and West (1987), (I9), for errors whose statistics do not change along the step; Politis (2003), what counts as no correlation;
 //! docs/lab/calibration.md, section 7.
 
 use nalgebra::{DMatrix, DVector};
@@ -65,7 +65,7 @@ pub struct StepParameters {
     pub end: UncertainValue,
     /// The fastest first.
     pub lags: Vec<IdentifiedLag>,
-    /// Equation (15).
+    /// Equation (I8).
     pub mean_lag_s: UncertainValue,
     /// Of the residuals of the response, in the sensor's unit.
     pub residual_rms: f64,
@@ -166,7 +166,7 @@ impl WeightedResiduals {
         }
     }
 
-    /// P of equation (13) or (14), or of (6) where that is larger and the model errs.
+    /// P of equation (I9) or (I10), or of (6) where that is larger and the model errs.
     fn covariance(&self, found: &IdentifiedStep, sampling: Sampling) -> DMatrix<f64> {
         let fit = &found.chosen().fit;
         let is_exact = found.chosen().model_share <= 0.0;
@@ -177,7 +177,7 @@ impl WeightedResiduals {
             return own;
         }
         let rows = own.nrows();
-        // The larger variance of each number, with the correlations of (13).
+        // The larger variance of each number, with the correlations of (I9).
         let ratios = DVector::from_fn(rows, |i, _| {
             let (ours, theirs) = (own[(i, i)], fit.covariance[(i, i)]);
             if ours > 0.0 { (theirs / ours).max(1.0).sqrt() } else { 1.0 }
@@ -185,7 +185,7 @@ impl WeightedResiduals {
         DMatrix::from_fn(rows, rows, |i, j| own[(i, j)] * ratios[i] * ratios[j])
     }
 
-    /// Equation (13); `None` where the samples do not determine the parameters.
+    /// Equation (I9); `None` where the samples do not determine the parameters.
     fn covariance_by_samples(&self) -> Option<DMatrix<f64>> {
         let count = self.weighted.len();
         let limit = 2.0 * ((count.max(2) as f64).log10() / count as f64).sqrt();
@@ -196,7 +196,7 @@ impl WeightedResiduals {
         cross_covariance(&self.weighted, &self.slopes, lags).map(|between| &bread * between * &bread)
     }
 
-    /// Equation (14).
+    /// Equation (I10).
     fn covariance_by_readings(&self) -> Option<DMatrix<f64>> {
         let rows = self.slopes.first()?.len();
         let rms = (lagged_sum(&self.weighted, 0) / self.weighted.len() as f64).sqrt();
@@ -234,7 +234,7 @@ fn correlation_window(count: usize) -> usize {
     (count / SAMPLES_PER_LAG).clamp(1, MAX_LAGS)
 }
 
-/// The sum in the middle of (13); `None` for fewer errors than parameters.
+/// The sum in the middle of (I9); `None` for fewer errors than parameters.
 fn cross_covariance(errors: &[f64], slopes: &[DVector<f64>], lags: usize) -> Option<DMatrix<f64>> {
     let rows = slopes.first()?.len();
     let freedom = errors.len().checked_sub(rows).filter(|free| *free > 0)? as f64;
