@@ -453,4 +453,18 @@ mod tests {
         // Only the level itself is uncertain.
         assert!((expected.variance - 1e-4).abs() < 1e-9, "{expected:?}");
     }
+
+    /// However well a step is known, sensors creep by a hundredth of it.
+    #[test]
+    fn the_final_value_is_never_known_better_than_to_a_hundredth_of_the_step() {
+        let mut bank = FilterBank::new(&SensorDynamics::UNKNOWN, &START, 0.01);
+        for k in 1..=400 {
+            let at_s = f64::from(k);
+            bank.predict(at_s, 1e-4);
+            bank.update(50.0 - 30.0 * (-at_s / 22.0).exp(), 1e-4);
+        }
+        let found = bank.final_value();
+        assert!((found.mean - 50.0).abs() < 0.01, "{found:?}");
+        assert!((found.variance.sqrt() - 0.3).abs() < 0.01, "{found:?}");
+    }
 }
