@@ -35,6 +35,7 @@ mod sender_identity;
 mod sessions;
 mod station;
 mod status_text;
+mod temperatures;
 mod thermometer_bank;
 mod transmitter;
 mod vehicle_proxy;
