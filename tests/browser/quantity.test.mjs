@@ -83,7 +83,7 @@ function drawnIn(page, chart, names) {
 test('a car at a wall: readings, estimate, refused ones and its silence', async () => {
   const folder = await newFolder();
   await wallApproach(folder);
-  const car = Program.start(['play', 'approach.toml', '--listen', 'tcp://127.0.0.1:0'], folder);
+  const car = Program.start(['play', 'approach.toml', '--data', '.', '--listen', 'tcp://127.0.0.1:0'], folder);
   const [, port] = await car.finds(/listening on 127\.0\.0\.1:(\d+)/);
   const args = ['run', '--filter', 'range-kf', '--link', `tcp://127.0.0.1:${port}`, '--out', 'session', '--dashboard', '127.0.0.1:0'];
   const station = Program.start(args, await newFolder());

@@ -8,7 +8,7 @@
 //! prior  u ~ N(y_0, D^2)     x_j = -share_j (u - y_0), share_2 = s +- sigma_s, share_1 = 1 - s +- sigma_s
 //!        e_j ~ N(0, half the distance of two nodes squared)
 //! nodes  ln tau_1 at most 0.3 apart     ln(tau_1 / tau_2) at most 0.6 apart     D = 1, 8, 64 times the change so far
-//!        q = 0.02, 0.1, 0.3
+//!        q = 0.02, 0.1, 0.3, each half as likely as the one before
 //! weight of a hypothesis        prior * product of N(innovation; 0, S)
 //!
 //! drift  y = y_0 + v t + noise    dv = 0.1 v sqrt(dt / t) dw: nothing settles; prior 0.1
@@ -41,8 +41,9 @@ const LAG_SIGMAS: f64 = 2.0;
 const RATIO_SIGMAS: f64 = 1.5;
 /// Lags closer than this cannot be told apart.
 const MIN_RATIO: f64 = 1.3;
-/// q: of a sensor that keeps its rates, of one in moving water, and of one whose surroundings change as it settles.
-const RATE_WALKS: [f64; 3] = [0.02, 0.1, 0.3];
+/// q with its prior weight: of a sensor that keeps its rates, of one in moving water, and of one whose surroundings change
+/// as it settles.
+const RATE_WALKS: [(f64, f64); 3] = [(0.02, 1.0), (0.1, 0.5), (0.3, 0.25)];
 /// Prior sigma of the step, relative to the change that was seen first: that may be most of the step or a fiftieth of it.
 const STEP_SCALES: [f64; 3] = [1.0, 8.0, 64.0];
 /// That change counts as at least this number of sigmas of a reading.
@@ -231,7 +232,8 @@ fn hypotheses(dynamics: &SensorDynamics) -> Vec<Hypothesis> {
     let single = dynamics.single_lag_probability;
     let mut all = Vec::with_capacity(lags.values.len() * RATE_WALKS.len() * (ratios.values.len() + 1));
     for &(slow_lag_s, of_lag) in &lags.values {
-        for rate_walk in RATE_WALKS {
+        for (rate_walk, of_walk) in RATE_WALKS {
+            let of_lag = of_lag + of_walk.ln();
             if single > 0.0 {
                 all.push(Hypothesis {
                     slow_lag_s,
