@@ -1,7 +1,7 @@
 //! What is known of a slow sensor: `[robot.sensor]`, `[robot.thermometer.sensor]`, and the file of `--sensor`.
 
 use anyhow::{Result, ensure};
-use posebridge_estimator::models::slow_sensor::{LogNormal, SensorDynamics, SlowLag, SlowSensor};
+use posebridge_estimator::models::slow_sensor::{LogNormal, MIN_LAG_RATIO, SensorDynamics, SlowLag, SlowSensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,17 +12,17 @@ use serde::{Deserialize, Serialize};
 pub struct SensorSection {
     /// The slower time constant.
     pub slow_lag_s: f64,
-    /// Its relative standard deviation: one of its natural logarithm.
+    /// Its relative standard deviation: that of its natural logarithm.
     #[serde(default = "slow_lag_sigma")]
     pub slow_lag_sigma: f64,
     /// The slower time constant over the faster one.
     #[serde(default = "lag_ratio")]
     pub lag_ratio: f64,
-    /// Its relative standard deviation: one of its natural logarithm.
+    /// Its relative standard deviation: that of its natural logarithm.
     #[serde(default = "lag_ratio_sigma")]
     pub lag_ratio_sigma: f64,
     /// Share of a step that follows the faster lag.
-    #[serde(default)]
+    #[serde(default = "fast_share")]
     pub fast_share: f64,
     /// One standard deviation.
     #[serde(default = "fast_share_sigma")]
@@ -50,12 +50,14 @@ const fn lag_ratio_sigma() -> f64 {
     SensorDynamics::UNKNOWN.lag_ratio.ln_sigma
 }
 
+const fn fast_share() -> f64 {
+    SensorDynamics::UNKNOWN.fast_share
+}
+
 const fn fast_share_sigma() -> f64 {
     SensorDynamics::UNKNOWN.fast_share_sigma
 }
 
-/// Lags closer than this cannot be told apart.
-const MIN_LAG_RATIO: f64 = 1.3;
 /// More than a factor of twenty either way is no description.
 const MAX_LN_SIGMA: f64 = 3.0;
 

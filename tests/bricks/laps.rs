@@ -230,9 +230,7 @@ fn the_water_is_within_the_bound_while_the_sensor_is_still_far_from_it() {
         println!("seed {seed}: {last:.2?}");
         // 0.7 of 28.7 K, less than one time constant after the dip.
         assert!(WATER_C - last.shown_c > 7.0, "{last:?}");
-        for (end_c, bound_k) in
-            reports.iter().filter(|report| report.at_s > DIPPED_S + 1.0).filter_map(|one| one.settled)
-        {
+        for (end_c, bound_k) in reports.iter().filter(|report| report.at_s > DIPPED_S).filter_map(|one| one.settled) {
             told += 1;
             held += u32::from((end_c - WATER_C).abs() <= bound_k);
         }

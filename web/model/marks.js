@@ -16,6 +16,16 @@ const BY_VERDICT = new Map([
   ['reset to', MARKS.resetTo],
 ]);
 
+/** Whether an observation was refused. */
+export function isRefused(mark) {
+  return mark === MARKS.gated || mark === MARKS.tooOld;
+}
+
+/** Whether an observation was not used, for whatever reason. */
+export function isNotUsed(mark) {
+  return isRefused(mark) || mark === MARKS.other;
+}
+
 /** The mark of a verdict (as `telemetry::Verdict::reason` words it) and a lag in seconds. */
 export function markOf(verdict, lag_s) {
   const mark = BY_VERDICT.get(verdict) ?? MARKS.other;

@@ -1,6 +1,6 @@
 // A quantity over time: readings with what became of them, and what a filter makes of them; see QuantityPoint of the station.
 
-import { MARKS, markOf } from './marks.js';
+import { isNotUsed, markOf } from './marks.js';
 import { silence_s } from './silence.js';
 import { Track } from './track.js';
 import { Words } from './words.js';
@@ -41,7 +41,7 @@ export class Quantity {
       t_s: columns.t_s[row],
       reading: read < 0 ? NaN : columns.reading[read],
       verdict: read < 0 ? '' : this.#verdicts.text(columns.verdict[read]),
-      isRefused: read >= 0 && isRefused(columns.mark[read]),
+      isRefused: read >= 0 && isNotUsed(columns.mark[read]),
       estimate: columns.estimate[row], bound: columns.bound[row], rate: columns.rate[row],
       steps: columns.steps[row], predicted: columns.predicted[row],
       silent_s: silence_s(this.track, until_s),
@@ -54,9 +54,4 @@ export class Quantity {
     for (let row = from; row >= to; row -= 1) if (!Number.isNaN(reading[row])) return row;
     return -1;
   }
-}
-
-/** Whether a reading was not used. */
-export function isRefused(mark) {
-  return mark === MARKS.gated || mark === MARKS.tooOld || mark === MARKS.other;
 }

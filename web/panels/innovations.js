@@ -1,7 +1,7 @@
 // What each source said against what was expected: innovations with two sigma, and NIS with its chi-square band.
 
 import { nisBand } from '../model/chi_square.js';
-import { MARKS } from '../model/marks.js';
+import { MARKS, isRefused } from '../model/marks.js';
 import { Chart, roundUp } from '../view/chart.js';
 import { element, setText } from '../view/dom.js';
 import { count, fixed } from '../view/format.js';
@@ -261,10 +261,6 @@ function fill(columns, track, from, to, set) {
     at += 1;
   }
   return at;
-}
-
-function isRefused(mark) {
-  return mark === MARKS.gated || mark === MARKS.tooOld;
 }
 
 // Share of the last observations whose NIS lies inside its band; NaN without any.

@@ -1,8 +1,9 @@
 // Quantities over time: readings with what became of them, the estimate with its 95 % band, and its rate. Of the chosen robot's filter, if that
 // knows one quantity, and of all thermometers.
 
-import { isRefused } from '../model/quantity.js';
+import { isNotUsed } from '../model/marks.js';
 import { hasChoice } from '../model/robot_list.js';
+import { SILENT_FROM_S, SILENT_SPACINGS } from '../model/silence.js';
 import { Chart, roundUp } from '../view/chart.js';
 import { element, setText } from '../view/dom.js';
 import { fixed, withSigma } from '../view/format.js';
@@ -11,9 +12,6 @@ import { fixed, withSigma } from '../view/format.js';
 const MOST_CHARTS = 8;
 // Points of a line; a chart is some 400 pixels wide.
 const MOST_POINTS = 600;
-// As model/silence.js has it.
-const GAP_FROM_S = 1;
-const GAP_SPACINGS = 4;
 // Of the whole height, at the edge: where marks beyond the chart stand.
 const EDGE = 0.03;
 // A band may take so many times the height of the lines.
@@ -239,7 +237,7 @@ function columnsOf({ track, name }, from, to) {
   const none = name === '' ? undefined : null;
   eachShown(track, from, to, (row) => {
     const isKnown = !Number.isNaN(estimates[row]);
-    const refused = isRefused(mark[row]);
+    const refused = isNotUsed(mark[row]);
     push(columns, [
       t_s[row],
       isKnown ? estimates[row] + bound[row] : none, isKnown ? estimates[row] - bound[row] : none, isKnown ? estimates[row] : none,
@@ -260,10 +258,11 @@ function ratesOf({ track }, from, to) {
 function eachShown(track, from, to, show, showGap) {
   const { t_s, mark } = track.columns;
   const step = Math.max(1, Math.ceil((to - from) / MOST_POINTS));
-  const most_s = Math.max(GAP_FROM_S, GAP_SPACINGS * step * track.spacing_s());
+  const most_s = Math.max(SILENT_FROM_S, SILENT_SPACINGS * step * track.spacing_s());
   let last_s = NaN;
   for (let row = from; row < to; row += 1) {
-    if ((row - from) % step > 0 && !isRefused(mark[row]) && row < to - 1) continue;
+    // At multiples of the step, whatever row the window begins with: else the line would tremble.
+    if (row % step > 0 && !isNotUsed(mark[row]) && row < to - 1) continue;
     if (t_s[row] - last_s > most_s) showGap((last_s + t_s[row]) / 2);
     last_s = t_s[row];
     show(row);

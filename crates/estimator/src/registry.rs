@@ -28,7 +28,7 @@ pub enum EstimatedQuantity {
     Pose,
     /// The final value of a slow sensor.
     Temperature,
-    /// To a wall ahead.
+    /// The distance to a wall ahead.
     WallDistance,
 }
 

@@ -11,7 +11,7 @@ use crate::clock_alignment::ClockAlignment;
 use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputStream};
 use crate::estimate_messages::{self, PublishContext, host_stamp};
 use crate::estimator::Estimator;
-use crate::output_schedule::{OutputSchedule, priority, priority_of_record};
+use crate::output_schedule::{OutputSchedule, priority, priority_of_stream};
 
 #[derive(Debug)]
 pub(crate) struct PublishedMessage {
@@ -79,7 +79,7 @@ impl EstimatePublisher {
         let mut published = Vec::new();
         for (link, schedule) in &mut self.links {
             for (kind, message) in schedule.messages_for_record(record, &host, now) {
-                let priority = priority_of_record(kind, record.sensor);
+                let priority = priority_of_stream(kind, record.sensor.0);
                 published.push(PublishedMessage { link: *link, kind, message, priority });
             }
         }

@@ -15,9 +15,10 @@ pub(crate) fn priority(kind: OutputKind) -> Priority {
     Priority::Estimate { stream: kind.message_id() }
 }
 
-/// The priority of a record's message: those of different sensors do not replace each other. Message ids have 24 bits.
-pub(crate) fn priority_of_record(kind: OutputKind, sensor: SensorId) -> Priority {
-    Priority::Estimate { stream: kind.message_id() | u32::from(sensor.0) << 24 }
+/// The priority of a message of which there are several: those of different numbers do not replace each other. Message ids
+/// have 24 bits. Sensors have their own number.
+pub(crate) fn priority_of_stream(kind: OutputKind, number: u8) -> Priority {
+    Priority::Estimate { stream: kind.message_id() | u32::from(number) << 24 }
 }
 
 /// When a stream was last sent, and when it is due.

@@ -51,7 +51,7 @@ impl Station {
             // A filter of one temperature follows the first thermometer.
             if let Some(index) = sender.robot
                 && self.robots.get(index).estimator.quantity() == EstimatedQuantity::Temperature
-                && self.thermometers.first_channel(brick).is_none_or(|first| first == channel)
+                && self.thermometers.first_channel(brick) == Some(channel)
             {
                 let measurement = ObservationKind::Temperature(temperature);
                 let sensor = SensorId::THERMOMETER;

@@ -10,14 +10,15 @@ use posebridge_estimator::filters::thermometer::{Thermometer, ThermometerSetting
 use posebridge_protocol::message::{Message, NamedValue, WireStamp};
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    BrickClock, Celsius, ChannelName, Event, FusionOutcome, HostClock, Observation, ObservationKind, Priority, RobotId,
+    BrickClock, Celsius, ChannelName, Event, HostClock, Observation, ObservationKind, Priority, RobotId,
     ScalarEstimate, SensorId, TimeDelta, Timestamp,
 };
 
-use crate::config::RobotConfig;
+use crate::config::{OutputKind, RobotConfig};
+use crate::output_schedule::priority_of_stream;
 
 /// Most thermometers of a brick; a brick that sends more names invents them.
-const MAX_CHANNELS_PER_BRICK: usize = 16;
+const MAX_CHANNELS_PER_BRICK: u8 = 16;
 /// Most thermometers in total: four for each of 64 robots, the usual `station.max_robots`. Addresses can be invented as
 /// well.
 const MAX_CHANNELS: usize = 256;
@@ -35,9 +36,8 @@ pub(crate) struct TemperatureReading {
     pub(crate) shown: Celsius,
 }
 
-/// The id of the message, and the first number above it that makes a stream of its own.
-const NAMED_VALUE_FLOAT: u32 = 251;
-const FIRST_STREAM: u32 = 3;
+/// The streams of a brick's thermometers, two each, end with the last one; those of sensors come before.
+const FIRST_STREAM: u8 = u8::MAX - (2 * MAX_CHANNELS_PER_BRICK - 1);
 
 /// The final value of a thermometer, where its readings tell it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +45,7 @@ pub(crate) struct PredictedEnd {
     pub(crate) to: Endpoint,
     channel: ChannelName,
     /// The number of the channel among those of its brick.
-    index: usize,
+    index: u8,
     end: ScalarEstimate,
 }
 
@@ -56,12 +56,11 @@ impl PredictedEnd {
         let channel = self.channel.as_str();
         let own = channel.strip_prefix("temp").unwrap_or(channel);
         let stamp = WireStamp::Micros64(u64::try_from(self.end.stamp.as_nanos() / 1_000).unwrap_or_default());
-        let first_stream = FIRST_STREAM + 2 * self.index as u32;
+        let first_stream = FIRST_STREAM + 2 * self.index;
         [(0, "end", self.end.value), (1, "sd", self.end.sigma)].map(|(number, stem, value)| {
             let name = if own.is_empty() { stem.to_owned() } else { format!("{stem}_{}", own.trim_start_matches('_')) };
             let named = NamedValue { stamp, name: ChannelName::from_bytes(name.as_bytes()), value: value as f32 };
-            let stream = (first_stream + number) << 24 | NAMED_VALUE_FLOAT;
-            (Message::NamedValue(named), Priority::Estimate { stream })
+            (Message::NamedValue(named), priority_of_stream(OutputKind::NamedValue, first_stream + number))
         })
     }
 }
@@ -125,11 +124,12 @@ impl ThermometerBank {
         &mut self,
         reading: &TemperatureReading,
         config_of: impl Fn(RobotId) -> &'a RobotConfig,
-    ) -> Option<(usize, &mut ThermometerChannel)> {
+    ) -> Option<(u8, &mut ThermometerChannel)> {
         let known = self.bricks.get(&reading.brick).map_or(&[][..], Vec::as_slice);
-        let index = known.iter().position(|channel| channel.name == reading.channel).unwrap_or(known.len());
-        if index == known.len() {
-            if index >= MAX_CHANNELS_PER_BRICK || self.channel_count >= MAX_CHANNELS {
+        let position = known.iter().position(|channel| channel.name == reading.channel).unwrap_or(known.len());
+        let index = u8::try_from(position).ok().filter(|index| *index < MAX_CHANNELS_PER_BRICK);
+        if position == known.len() {
+            if index.is_none() || self.channel_count >= MAX_CHANNELS {
                 self.has_rejected = true;
                 return None;
             }
@@ -142,14 +142,14 @@ impl ThermometerBank {
             channels.push(ThermometerChannel { name: reading.channel, thermometer });
             self.channel_count += 1;
         }
-        let channel = self.bricks.get_mut(&reading.brick)?.get_mut(index)?;
-        Some((index, channel))
+        let channel = self.bricks.get_mut(&reading.brick)?.get_mut(position)?;
+        Some((index?, channel))
     }
 }
 
 impl ThermometerChannel {
     /// Its event, and what the brick is sent: nothing for a reading that was not used.
-    fn observe(&mut self, index: usize, reading: &TemperatureReading) -> (Event, Option<PredictedEnd>) {
+    fn observe(&mut self, index: u8, reading: &TemperatureReading) -> (Event, Option<PredictedEnd>) {
         let record = self.thermometer.observe(&Observation {
             sensor: SensorId::THERMOMETER,
             stamp: reading.stamp,
@@ -157,7 +157,7 @@ impl ThermometerChannel {
             measurement: ObservationKind::Temperature(reading.shown),
         });
         let settled = self.thermometer.final_value();
-        let is_used = matches!(record.outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset);
+        let is_used = record.outcome.is_used();
         let predicted =
             settled.filter(|_| is_used).map(|end| PredictedEnd { to: reading.from, channel: self.name, index, end });
         let event = Event::Temperature {

@@ -71,6 +71,11 @@ pub enum FusionOutcome {
 }
 
 impl FusionOutcome {
+    /// Whether the observation changed the estimate.
+    pub const fn is_used(self) -> bool {
+        matches!(self, Self::Accepted | Self::Slip | Self::PoseReset)
+    }
+
     /// The outcome in words, as logs and reports print it.
     pub const fn reason(self) -> &'static str {
         match self {

@@ -46,7 +46,7 @@ impl QuantitySteps {
     /// Takes what became of a reading.
     pub fn observe_reading(&mut self, outcome: FusionOutcome) {
         self.last_outcome = Some(outcome);
-        if outcome == FusionOutcome::Accepted {
+        if outcome.is_used() {
             self.readings = ReadingsSinceStep::Used;
         } else if self.readings == ReadingsSinceStep::None {
             self.readings = ReadingsSinceStep::Refused;

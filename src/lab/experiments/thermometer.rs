@@ -114,10 +114,10 @@ pub struct LabThermometerArgs {
     /// Runs to identify the sensor on. Default: all.
     #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
     pub identify: Vec<String>,
-    /// Runs to predict, each from the other identified runs. Default: all.
+    /// Runs to predict, each from the other identified runs, and from nothing. Default: all.
     #[arg(long, value_name = "RUN", num_args = 1.., requires = "real")]
     pub predict: Vec<String>,
-    /// All runs are of one sensor in the same medium: steps in one direction have the same dynamics.
+    /// All runs are of one sensor in the same surroundings, in either direction: its lags differ less.
     #[arg(long, requires = "real")]
     pub same_sensor: bool,
     /// Set one key of the descriptor's robot, or of the configuration of a recording or a live robot, e.g.
@@ -202,6 +202,10 @@ fn check_columns(args: &LabThermometerArgs) -> Result<()> {
     ensure!(
         args.columns.is_default() || args.recordings.iter().any(|path| is_table(path)),
         "--time-column, --time-unit and --value-column belong to a table (*.csv)"
+    );
+    ensure!(
+        args.settings.is_empty() || args.live.is_requested() || args.recordings.iter().any(|path| !is_table(path)),
+        "--set changes what a recording says of its robot; a table says nothing of one"
     );
     Ok(())
 }

@@ -177,7 +177,7 @@ pub struct QuantityPoint {
     pub reading: Number,
     /// What became of the reading; empty without one.
     pub verdict: String,
-    /// The estimate, of a thermometer the value that it will show in the end; `null` while nobody can tell.
+    /// The estimate, of a thermometer the value that it will show in the end; `null` while the readings do not tell it.
     pub estimate: Number,
     /// Half the width of the interval around the estimate that holds the quantity with 95 %.
     pub bound_95: Number,

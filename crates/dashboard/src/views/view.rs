@@ -45,7 +45,7 @@ impl RetentionPolicy {
         }
     }
 
-    /// For a quantity that changes so slowly: the window is longer by this factor.
+    /// With a sliding window that is longer by this factor, for a quantity that changes slowly.
     pub(super) fn lasting(self, factor: i64) -> Self {
         match self {
             Self::SlidingWindow { duration, max_points } => {

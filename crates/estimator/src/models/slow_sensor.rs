@@ -18,12 +18,15 @@ pub enum SlowLag {
     Known(LogNormal),
 }
 
+/// Lags closer than this cannot be told apart.
+pub const MIN_LAG_RATIO: f64 = 1.3;
+
 /// How a sensor follows its quantity: a step leaves (1 - s) e^(-t / tau) + s e^(-t ratio / tau) of itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorDynamics {
     /// tau.
     pub slow_lag: SlowLag,
-    /// tau over the faster time constant; at least 1.3.
+    /// tau over the faster time constant; at least [`MIN_LAG_RATIO`].
     pub lag_ratio: LogNormal,
     /// s: how much of a step follows the faster lag, with one standard deviation.
     pub fast_share: f64,
@@ -44,7 +47,7 @@ impl SensorDynamics {
     };
 }
 
-/// In the unit of the sensor.
+/// The response, noise and resolution of a slow sensor, in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlowSensor {
     pub dynamics: SensorDynamics,

@@ -39,13 +39,6 @@ pub struct ResponseFit {
 }
 
 impl ResponseFit {
-    /// Standard deviation of the final value, equation (6).
-    pub fn final_sigma(&self) -> f64 {
-        let p = &self.covariance;
-        let variance = p[(0, 0)] + 2.0 * p[(0, 1)] + p[(1, 1)];
-        variance.max(0.0).sqrt()
-    }
-
     /// Infinite for a lag that does not exist.
     pub fn ln_lag_sigma(&self, j: usize) -> f64 {
         if j >= self.response.lags.len() {

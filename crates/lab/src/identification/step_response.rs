@@ -50,7 +50,7 @@ impl StepResponse {
         self.lags.iter().map(of).sum()
     }
 
-    /// Time after the onset from which less than this share of the step is left, to a thousandth of it; infinite for a share that
+    /// Time after the onset from which less than this share of the step is left, to a thousandth of the slowest time constant; infinite for a share that
     /// is not positive.
     pub fn settling_time_s(&self, share: f64) -> f64 {
         if share <= 0.0 {

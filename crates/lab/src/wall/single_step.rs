@@ -70,7 +70,7 @@ pub struct SingleStep {
 
 /// Distance that the car must come nearer, in sigmas of a reading: the extremes of a hundred readings at rest, smoothed over three, are
 /// 3.5 sigmas apart.
-const LEAST_WAY: f64 = 6.0;
+const MIN_TRAVEL_SIGMAS: f64 = 6.0;
 /// A drive is not of first order to better than this share of the way.
 const MODEL_SHARE: f64 = 0.004;
 /// A sensor has at least this noise, m: it counts in millimetres.
@@ -80,7 +80,7 @@ const TIME_CONSTANTS: f64 = 2.0;
 /// At this rate, times the interval of the readings, a car has half its speed after one reading.
 const RATE_BETWEEN_READINGS: f64 = 0.7;
 /// A rate that costs more is excluded, in variances: two sigmas.
-const SURE_COST: f64 = 4.0;
+const EXCLUDED_COST: f64 = 4.0;
 
 /// Finds the step in a log. Refuses with what the readings show instead.
 pub fn find_step(log: &WallLog, command: StepCommand) -> Result<SingleStep, WallStepError> {
@@ -97,9 +97,9 @@ pub fn find_step(log: &WallLog, command: StepCommand) -> Result<SingleStep, Wall
     let way_m = smooth[from] - smooth[to];
     let (low, high) = largest_descent(&smooth.iter().map(|range_m| -range_m).collect::<Vec<_>>());
     let away_m = smooth[high] - smooth[low];
-    if way_m < LEAST_WAY * noise_m {
+    if way_m < MIN_TRAVEL_SIGMAS * noise_m {
         let way_m = way_m.max(0.0);
-        return Err(if away_m >= LEAST_WAY * noise_m {
+        return Err(if away_m >= MIN_TRAVEL_SIGMAS * noise_m {
             WallStepError::MovesAway { away_m }
         } else {
             WallStepError::Stands { way_m: way_m.max(away_m), noise_m }
@@ -142,7 +142,7 @@ fn report(search: &DriveSearch<'_>, window: &Range<usize>, fit: &DriveFit) -> Re
     let period_s = median(readings.windows(2).map(|pair| pair[1].0 - pair[0].0)).unwrap_or_default();
     let excludes = |rate_per_s: f64| {
         let variances = (search.sigma_m / uncertainty.range_sigma_m).powi(2);
-        variances * search.cost_of_rate(rate_per_s, fit, window) > SURE_COST
+        variances * search.cost_of_rate(rate_per_s, fit, window) > EXCLUDED_COST
     };
     let (least_rate, most_rate) = (TIME_CONSTANTS / (last_s - onset_s), RATE_BETWEEN_READINGS / period_s);
     let undetermined = undetermined(&Evidence {

@@ -14,7 +14,7 @@ pub(super) struct Evidence {
     pub(super) begins_on_the_way: bool,
     /// The readings do not exclude a car that is far from its steady speed at the last one.
     pub(super) may_still_speed_up: bool,
-    /// The readings exclude a car that is slow enough for them.
+    /// The rise is shorter than the interval of two readings.
     pub(super) rises_between_readings: bool,
     pub(super) period_s: f64,
     pub(super) last_m_per_s: f64,
@@ -75,11 +75,14 @@ pub(super) fn largest_descent(values: &[f64]) -> (usize, usize) {
 pub(super) fn noise(readings: &[(f64, f64)]) -> f64 {
     /// Median of the absolute value of a standard normal number.
     const MEDIAN: f64 = 0.6745;
-    let differences = readings.windows(4).filter_map(|four| {
+    // A coarse clock gives several readings one stamp: the first of them.
+    let mut distinct = readings.to_vec();
+    distinct.dedup_by_key(|(at_s, _)| *at_s);
+    let differences = distinct.windows(4).filter_map(|four| {
         let (mut difference, mut squares) = (0.0, 0.0);
-        for (at_s, range_m) in four {
-            let gaps = four.iter().map(|(other_s, _)| at_s - other_s).filter(|gap_s| *gap_s != 0.0);
-            let weight = 1.0 / gaps.product::<f64>();
+        for (index, (at_s, range_m)) in four.iter().enumerate() {
+            let others = four.iter().enumerate().filter(|(other, _)| *other != index);
+            let weight = 1.0 / others.map(|(_, (other_s, _))| at_s - other_s).product::<f64>();
             difference += weight * range_m;
             squares += weight * weight;
         }

@@ -237,7 +237,9 @@ fn end_sigma(after_s: f64, prior: LagSigmas) -> f64 {
         end: None,
     };
     let found = fit_response(&samples, &ResponseNoise::white(1.2), &prior, &truth).unwrap();
-    let sigma = found.final_sigma() / 34.5;
+    let p = &found.covariance;
+    // Of the final value, equation (6).
+    let sigma = (p[(0, 0)] + 2.0 * p[(0, 1)] + p[(1, 1)]).sqrt() / 34.5;
     println!("after {after_s} s, scale {scale}, own {own}: {:.1} % of the step", 100.0 * sigma);
     sigma
 }

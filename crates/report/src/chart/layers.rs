@@ -118,7 +118,7 @@ impl DrawableLayers {
         let compared = layers.compared.iter();
         drawable.compared = compared.map(|one| (one.filter, drawable.track(Some(&one.track)))).collect();
         drawable.ellipses = drawable.ellipses_of(layers.estimates);
-        let (used, unused): (Vec<FixMark>, Vec<FixMark>) = layers.fixes.iter().partition(|fix| was_used(fix.verdict));
+        let (used, unused): (Vec<FixMark>, Vec<FixMark>) = layers.fixes.iter().partition(|fix| fix.verdict.is_used());
         let (late, refused): (Vec<FixMark>, Vec<FixMark>) =
             unused.iter().partition(|fix| fix.verdict == FusionOutcome::TooOld);
         drawable.used_fixes = drawable.points(used.iter().map(|fix| fix.position));
@@ -202,10 +202,6 @@ impl DrawableLayers {
 pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
     let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
     Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS)
-}
-
-fn was_used(verdict: FusionOutcome) -> bool {
-    matches!(verdict, FusionOutcome::Accepted | FusionOutcome::Slip | FusionOutcome::PoseReset)
 }
 
 pub(super) fn is_drawable(point: Point2<Arena>) -> bool {

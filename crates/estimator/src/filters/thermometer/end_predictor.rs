@@ -6,7 +6,7 @@
 //! step        the test in `change_detector` finds it; the bank starts at the reading before the deviation began
 //! settled     after 6 slow time constants, once what is left was below half the noise for 8 readings: at rest again
 //! bound       1.96 sigma kappa, where kappa^2 is the observed variance of the innovations over the expected one
-//! no bound    before 8 readings at rest; while 1.96 sigma kappa is more than a third of the step and more than 4 sigma of
+//! no bound    before 8 readings at rest, and after one unlike them; while 1.96 sigma kappa is more than a third of the step and more than 4 sigma of
 //!             the noise; before half a slow time constant, if that is unknown; with kappa > 2, where the model does not
 //!             fit; or while a change without an end explains the readings as well
 //! ```
@@ -131,7 +131,9 @@ impl EndPredictor {
         let Some(approach) = &self.approach else {
             let level = self.level()?;
             let variance = inflation * self.sigma * self.sigma;
-            return (self.recent.len() >= MIN_REST_READINGS).then_some(MeanVariance { mean: level.mean, variance });
+            let rest_readings = self.recent.iter().filter(|reading| !reading.is_outlier).count();
+            let is_told = rest_readings >= MIN_REST_READINGS && !self.may_have_begun_to_move();
+            return is_told.then_some(MeanVariance { mean: level.mean, variance });
         };
         let found = approach.bank.final_value();
         let variance = inflation * found.variance;
@@ -143,6 +145,11 @@ impl EndPredictor {
         let settles = approach.bank.drift_probability() < MAX_DRIFT_PROBABILITY;
         let is_told = settles && are_lags_shown && half_width <= limit && inflation.sqrt() <= MAX_INFLATION;
         is_told.then_some(MeanVariance { mean: found.mean, variance })
+    }
+
+    /// Whether the latest reading is unlike the level: damaged, or the first of a step.
+    fn may_have_begun_to_move(&self) -> bool {
+        self.recent.back().is_some_and(|latest| latest.is_outlier)
     }
 
     /// The expected reading at an instant, with its noise; `None` before the first.

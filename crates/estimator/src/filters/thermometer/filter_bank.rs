@@ -6,6 +6,7 @@
 //! de_1 = q sqrt(rate_1) dw     de_2 = q sqrt(rate_2) dw     no sensor keeps its time constant: convection, stirring
 //!
 //! prior  u ~ N(y_0, D^2)     x_j = -share_j (u - y_0), share_2 = s +- sigma_s, share_1 = 1 - s +- sigma_s
+//!        a single lag: s = 0, sigma_s = 0.1 q
 //!        e_j ~ N(0, half the distance of two nodes squared)
 //! nodes  ln tau_1 at most 0.3 apart     ln(tau_1 / tau_2) at most 0.6 apart     D = 1, 8, 64 times the change so far
 //!        q = 0.02, 0.1, 0.3, each half as likely as the one before
@@ -20,7 +21,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::models::slow_sensor::{LogNormal, SensorDynamics, SlowLag};
+use crate::models::slow_sensor::{LogNormal, MIN_LAG_RATIO, SensorDynamics, SlowLag};
 use crate::update::{ScalarMeasurement, use_scalar};
 
 const STATES: usize = 5;
@@ -39,8 +40,8 @@ const LN_RATIO_STEP: f64 = 0.6;
 /// Nodes reach this number of sigmas to each side: of a known lag, and of the ratio.
 const LAG_SIGMAS: f64 = 2.0;
 const RATIO_SIGMAS: f64 = 1.5;
-/// Lags closer than this cannot be told apart.
-const MIN_RATIO: f64 = 1.3;
+/// Of a single lag sigma_s is this share of q: a sensor whose rate walks is no exact exponential either.
+const SINGLE_LAG_SHARE_SIGMA: f64 = 0.1;
 /// q with its prior weight: of a sensor that keeps its rates, of one in moving water, and of one whose surroundings change
 /// as it settles.
 const RATE_WALKS: [(f64, f64); 3] = [(0.02, 1.0), (0.1, 0.5), (0.3, 0.25)];
@@ -240,14 +241,14 @@ fn hypotheses(dynamics: &SensorDynamics) -> Vec<Hypothesis> {
                     ratio: dynamics.lag_ratio.median,
                     rate_sigmas,
                     shares: [1.0, 0.0],
-                    share_sigma: 0.1 * rate_walk,
+                    share_sigma: SINGLE_LAG_SHARE_SIGMA * rate_walk,
                     rate_walk,
                     ln_weight: of_lag + single.ln(),
                 });
             }
             all.extend(ratios.values.iter().map(|&(ratio, of_ratio)| Hypothesis {
                 slow_lag_s,
-                ratio: ratio.max(MIN_RATIO),
+                ratio: ratio.max(MIN_LAG_RATIO),
                 rate_sigmas,
                 shares: [1.0 - dynamics.fast_share, dynamics.fast_share],
                 share_sigma: dynamics.fast_share_sigma,

@@ -60,7 +60,7 @@ pub struct RecordedPrediction {
     /// Settling times of the sensor to 10, 5 and 2 % of its step.
     pub shown_s: [Option<f64>; 3],
     pub predicted_s: [Option<f64>; 3],
-    /// Share of the predictions until the sensor has settled whose 95 % bound contains the end.
+    /// Share of the predictions from the onset until the sensor has settled whose 95 % bound contains the end.
     pub inside: Option<f64>,
     /// Share of the samples from the onset until the sensor has settled for which there is a prediction.
     pub told: f64,
@@ -83,7 +83,7 @@ impl RecordedPrediction {
         let settling_s = response.settling_time_s(SETTLED_SHARE);
         let since_s = |p: &EndPrediction| p.at_s - response.onset_s;
         let approach: Vec<EndPrediction> =
-            predictions.iter().filter(|p| p.is_settling && (0.0..=settling_s).contains(&since_s(p))).copied().collect();
+            predictions.iter().filter(|p| (0.0..=settling_s).contains(&since_s(p))).copied().collect();
         let moving = step.samples.iter().map(|sample| sample.at_s - response.onset_s);
         let moving_count = moving.filter(|since_s| (0.0..=settling_s).contains(since_s)).count();
         let later = approach.iter().filter(|p| since_s(p) >= settling_s / 3.0);
@@ -106,7 +106,7 @@ impl RecordedPrediction {
         if self.identified_from.is_empty() { format!("{}.by_nothing", self.name) } else { self.name.clone() }
     }
 
-    fn teachers(&self) -> String {
+    fn identified_from_text(&self) -> String {
         if self.identified_from.is_empty() { "nothing".to_owned() } else { self.identified_from.join(" ") }
     }
 }
@@ -118,7 +118,7 @@ pub fn recorded_sections(
     identified: &[RecordedRun],
     predicted: &[(RecordedRun, RecordedPrediction)],
 ) -> Vec<LessonSection> {
-    let first = [identification_section(identified), overview_section(predicted), bounds_of_recorded(predicted)];
+    let first = [identification_section(identified), overview_section(predicted), recorded_bounds_section(predicted)];
     first.into_iter().chain(predicted.iter().map(|(run, recorded)| run_section(run, recorded))).collect()
 }
 
@@ -165,7 +165,7 @@ fn overview_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSe
     );
     for (_, run) in predicted {
         let cells = run.shown_s.into_iter().chain(run.predicted_s).map(seconds);
-        section.rows.push([run.name.clone(), run.teachers()].into_iter().chain(cells).collect());
+        section.rows.push([run.name.clone(), run.identified_from_text()].into_iter().chain(cells).collect());
         for (what, settled) in [("shown", run.shown_s), ("predicted", run.predicted_s)] {
             for (share, settled) in ["10", "5", "2"].into_iter().zip(settled) {
                 section.record_value(format!("{}.{what}_{share}_percent_s", run.key()), settled);
@@ -175,12 +175,12 @@ fn overview_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSe
     section
 }
 
-fn bounds_of_recorded(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSection {
+fn recorded_bounds_section(predicted: &[(RecordedRun, RecordedPrediction)]) -> LessonSection {
     let mut section = LessonSection::new(
         "recorded_bounds",
         "What the bounds were worth",
-        "Until 2 % of the step are left: the share of the samples that have a prediction, and of those the share whose 95 % bound contains the end. The error is that at a third of this \
-             time, and the median from there on, in the sensor's unit.",
+        "Until 2 % of the step are left: the share of the samples that have a prediction, and of those the share whose 95 % bound contains the end. The error is that of the first \
+             prediction after a third of this time, and the median from there on, in the sensor's unit.",
         &["run", "by", "told", "end within bound", "error at a third", "median after it"],
     );
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.2}"));
@@ -188,7 +188,7 @@ fn bounds_of_recorded(predicted: &[(RecordedRun, RecordedPrediction)]) -> Lesson
     for (_, run) in predicted {
         section.rows.push(vec![
             run.name.clone(),
-            run.teachers(),
+            run.identified_from_text(),
             percent(run.told),
             run.inside.map_or_else(String::new, percent),
             number(run.error_at_third),
@@ -222,7 +222,7 @@ fn run_section(run: &RecordedRun, recorded: &RecordedPrediction) -> LessonSectio
         Curve::line("shown", sample_points(&step.samples)),
         band("95 % bound", &known),
     ];
-    let title = format!("{}, by {}", run.name, recorded.teachers());
+    let title = format!("{}, by {}", run.name, recorded.identified_from_text());
     let caption = format!("{} shown and predicted.", run.name);
     LessonSection {
         name: "run",

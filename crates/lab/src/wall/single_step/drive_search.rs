@@ -25,10 +25,10 @@ const MOST_ENDS: usize = 40;
 const RATES: u32 = 12;
 const ONSETS: u32 = 16;
 /// Sigma of the search from a grid, in sigmas: a grid's drives are up to 40 sigmas off.
-const WIDE: f64 = 10.0;
+const WIDE_SIGMA_FACTOR: f64 = 10.0;
 /// Smallest step in ln(rate): where ends are compared, and where the drive is reported.
-const COARSE: f64 = 0.01;
-const FINE: f64 = 1e-5;
+const COARSE_LN_RATE_STEP: f64 = 0.01;
+const FINE_LN_RATE_STEP: f64 = 1e-5;
 
 /// Nonlinear unknowns: the rate a, and the onset or its delay behind the recorded command.
 #[derive(Clone, Copy, Debug)]
@@ -70,7 +70,7 @@ impl DriveSearch<'_> {
         let mut guesses: Vec<DriveFit> = first_guesses.into_iter().flatten().collect();
         let mut best: Option<(f64, usize, DriveFit)> = None;
         for end in (shortest..=last).step_by(stride).chain([last]) {
-            let Some(fit) = self.refine(&guesses, start..end + 1, COARSE) else { continue };
+            let Some(fit) = self.refine(&guesses, start..end + 1, COARSE_LN_RATE_STEP) else { continue };
             let cost = fit.cost + self.cost_after(end);
             if best.is_none_or(|(least, ..)| cost < least) {
                 best = Some((cost, end, fit));
@@ -86,7 +86,8 @@ impl DriveSearch<'_> {
         }
         let window = start..end + 1;
         let starts = [Some(fit), self.best_of_grid(window.clone())];
-        let refined = starts.into_iter().flatten().filter_map(|fit| self.refine(&[fit], window.clone(), FINE));
+        let refined =
+            starts.into_iter().flatten().filter_map(|fit| self.refine(&[fit], window.clone(), FINE_LN_RATE_STEP));
         let fit = refined.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         Some((window, fit))
     }
@@ -221,7 +222,7 @@ impl DriveSearch<'_> {
     ///
     /// Far from the minimum all readings would be beyond [`MAX_COST`] and tell no direction: the search begins with a wide sigma.
     fn best_of_grid(&self, window: Range<usize>) -> Option<DriveFit> {
-        let wide = Self { sigma_m: WIDE * self.sigma_m, ..*self };
+        let wide = Self { sigma_m: WIDE_SIGMA_FACTOR * self.sigma_m, ..*self };
         let (low_s, high_s) = self.onset_limits(&window);
         let ratio = MAX_RATE_PER_S / MIN_RATE_PER_S;
         let drives = (0..=RATES).flat_map(|rate| {
@@ -232,7 +233,7 @@ impl DriveSearch<'_> {
         });
         let fits = drives.filter_map(|drive| wide.fit_at(drive, &window));
         let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-        wide.refine(&[best], window, COARSE)
+        wide.refine(&[best], window, COARSE_LN_RATE_STEP)
     }
 
     /// Minimises over rate and onset from the best of some drives, by steps that halve when they no longer

@@ -80,3 +80,18 @@ fn what_a_step_cannot_tell_is_left_out_with_the_true_reason() {
     let silent = find_step(&log_of([], rest), StepCommand::Recorded);
     assert_eq!(silent, Err(WallStepError::NoInput));
 }
+
+/// A coarse clock stamps two readings alike: they tell of the noise once, and of no infinite speed.
+#[test]
+fn readings_that_share_their_stamps_in_pairs_have_the_noise_that_they_have() {
+    let mut random = Pcg64::seed_from_u64(3);
+    let readings: Vec<(f64, f64)> = (0..4_000)
+        .map(|index| {
+            let at_s = 0.16 * f64::from(index / 2);
+            let noise: f64 = random.sample(StandardNormal);
+            (at_s, 3.0 - 0.5 * at_s + 0.01 * noise)
+        })
+        .collect();
+    let noise_m = noise(&readings);
+    assert!((0.008..0.012).contains(&noise_m), "{noise_m}");
+}
