@@ -314,6 +314,7 @@ async fn start_station_loop(
             Some(recording.to_owned()),
         ),
         truth: Vec::new(),
+        first_pose: None,
     };
     (station_loop, address)
 }

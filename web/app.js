@@ -17,7 +17,7 @@ const NOTICE_MS = 6000;
 const MOST_AHEAD_S = 1;
 const CONNECTION_WORDS = {
   connecting: 'connecting',
-  live: 'live',
+  live: 'connected',
   lost: 'connection lost, trying again',
   refused: 'the station was restarted: open the address that it prints now',
 };
@@ -40,7 +40,7 @@ const station = new Station({
   robot: () => (replay.isOn ? null : chosenRobot(session)?.id ?? null),
 });
 const replay = new Replay(document.getElementById('replay-bar'), showMode);
-const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, path: [] };
+const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, path: [], hasSimulator: false };
 
 readPalette();
 const panels = PANELS.map(buildPanel);
@@ -112,6 +112,7 @@ function look() {
   view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.silence_s = silence_s(view.robot?.published, view.until_s);
   view.path = station.path();
+  view.hasSimulator = station.simulator !== null;
 }
 
 function chosenRobot(of) {

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::Args;
+use posebridge_telemetry::{Arena, Command, Pose};
 
 use crate::config::PLOTJUGGLER_ADDRESS;
 use crate::flags::{ConfigFlags, DashboardFlags, LinkFlags, positive};
@@ -65,6 +66,10 @@ pub struct RunArgs {
     /// What is shown besides.
     #[command(flatten)]
     pub views: ViewFlags,
+    /// Set the pose of the first robot that is heard, in metres and degrees. It is recorded as a command. Without it and
+    /// without `robot.start` a robot counts from where it starts, until it is seen.
+    #[arg(long, value_name = "X,Y,DEGREES", value_parser = Command::parse_pose, allow_hyphen_values = true)]
+    pub set_pose: Option<Pose<Arena>>,
     /// At the end, write a robot profile with the learned calibration, for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,

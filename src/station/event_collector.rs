@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use posebridge_report::{ComparedTrack, FixMark, PoseTrack, SourceTally, TimedPose};
+use posebridge_report::{ComparedTrack, FixMark, PoseTrack, SourceTally, TimedPose, on_map};
 use posebridge_sim::HISTORY_DURATION;
 use posebridge_telemetry::{
     Arena, BrickClock, Estimate, Event, FusionRecord, LinkId, Observation, ObservationKind, Point2, QuantitySteps,
@@ -22,7 +22,7 @@ pub const MAX_INTERPOLATION_GAP: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Debug, Default)]
 pub struct EventCollector {
-    /// Only those with a valid position and heading.
+    /// Only those with a heading; see [`on_map`] for those before the robot was found in the arena.
     pub estimates: ThinnedSeries<Estimate>,
     pub fixes: ThinnedSeries<FixMark>,
     pub sources: Vec<SourceTally>,
@@ -45,7 +45,7 @@ pub struct EventCollector {
 #[derive(Debug)]
 pub struct ComparedFilter {
     pub name: &'static str,
-    /// Only those with a valid position and heading.
+    /// Only those with a heading; see [`on_map`] for those before the robot was found in the arena.
     pub estimates: ThinnedSeries<Estimate>,
     pub sources: Vec<SourceTally>,
 }
@@ -78,15 +78,13 @@ impl EventCollector {
                     if let ObservationKind::Fix(fix) = observation.measurement { Some(fix.position) } else { None };
             }
             Event::ObservationFused { record, .. } => self.on_fusion(record),
-            Event::EstimateUpdated { estimate, .. } if estimate.validity.position && estimate.validity.heading => {
+            Event::EstimateUpdated { estimate, .. } if has_heading(estimate) => {
                 self.estimates.push(*estimate);
             }
             Event::QuantityUpdated { estimate, .. } => {
                 self.quantity_steps.step(estimate.stamp);
             }
-            Event::EstimateCompared { filter, estimate, .. }
-                if estimate.validity.position && estimate.validity.heading =>
-            {
+            Event::EstimateCompared { filter, estimate, .. } if has_heading(estimate) => {
                 self.compared(filter).estimates.push(*estimate);
             }
             Event::ObservationCompared { filter, record, .. } => {
@@ -136,8 +134,13 @@ impl EventCollector {
     }
 }
 
+fn has_heading(estimate: &Estimate) -> bool {
+    estimate.is_relative() || estimate.validity.heading
+}
+
 fn track_of(estimates: &[Estimate]) -> PoseTrack {
-    let samples = estimates.iter().map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
+    let shown = estimates.iter().filter(|estimate| on_map(estimate, estimates));
+    let samples = shown.map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
     PoseTrack::new(samples, MAX_INTERPOLATION_GAP)
 }
 

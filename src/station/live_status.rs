@@ -312,7 +312,8 @@ fn thermometer_line(brick: RobotId, channel: ChannelName, shown: Celsius, settle
 
 fn pose_line(name: &str, estimate: &Estimate) -> String {
     let flag = match estimate.missing {
-        Some(missing) => format!("  not located: {}", missing.describe()),
+        Some(missing) if estimate.is_relative() => format!("  from its start: {}", missing.describe()),
+        Some(missing) => format!("  heading unknown: {}", missing.describe()),
         None if estimate.is_dead_reckoning => "  dead reckoning".to_owned(),
         None => String::new(),
     };

@@ -101,6 +101,7 @@ pub(super) async fn session(
             .with_bricks(reachable),
         truth,
         dashboard,
+        first_pose: args.set_pose,
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
     wait_for_end(&mut station_loop, &ending, signals, &mut viewers).await;

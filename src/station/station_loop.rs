@@ -7,7 +7,9 @@ use posebridge_link::{DeadlineTimer, HostTimer, LinkEvent, LinkSet, OutgoingFram
 use posebridge_recording::container::TruthSample;
 use posebridge_station::Station;
 use posebridge_telemetry::severity::WARNING;
-use posebridge_telemetry::{Event, HostClock, Input, LinkId, LinkState, Output, Priority, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    Arena, Command, Event, HostClock, Input, LinkId, LinkState, Output, Pose, Priority, TimeDelta, Timestamp,
+};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -54,6 +56,8 @@ pub struct StationLoop {
     pub signing: Option<SigningStateWriter>,
     pub requests: RequestHandler,
     pub truth: Vec<TruthTap>,
+    /// The pose of the first robot with an estimate, until it is set.
+    pub first_pose: Option<Pose<Arena>>,
 }
 
 impl StationLoop {
@@ -206,8 +210,12 @@ impl StationLoop {
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);
         self.observer.push(now, &events);
+        let placed = self.place_first_robot(&events);
         if let Some(keeper) = &mut self.signing {
             keeper.save_if_due(now, &self.station);
+        }
+        if let Some(placed) = placed {
+            self.handle(now, placed);
         }
         if let Some(report) = recorded {
             self.handle(now, report);
@@ -225,6 +233,16 @@ impl StationLoop {
         if is_command {
             self.publish_status(now);
         }
+    }
+
+    /// The command that sets the configured pose, with the first estimate of a robot.
+    fn place_first_robot(&mut self, events: &[Event]) -> Option<Input> {
+        let pose = self.first_pose?;
+        let robot = events
+            .iter()
+            .find_map(|event| if let Event::EstimateUpdated { robot, .. } = event { Some(*robot) } else { None })?;
+        self.first_pose = None;
+        Some(Input::RobotCommand { robot, command: Command::set_pose_by_eye(pose) })
     }
 
     /// Passes an input and its outputs to the recorder. Removes a failed one and returns a report.

@@ -18,7 +18,7 @@ use posebridge_recording::tlog::TlogWriter;
 use posebridge_recording::tum;
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_station::{Robot, Station};
-use posebridge_telemetry::{Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
 use self::atomic_file::AtomicFile;
 use self::path_csv::write_path_csv;
@@ -186,7 +186,9 @@ struct ExportSession {
 /// What is kept of a robot's events.
 #[derive(Default)]
 struct CollectedPoses {
+    /// All of one origin: the arena's, or else where the robot started.
     estimates: Vec<TimedPose>,
+    is_relative: bool,
     observations: Vec<Observation>,
     retains_observations: bool,
     restarts: u64,
@@ -200,7 +202,21 @@ impl CollectedPoses {
                 self.observations.push(*observation);
             }
             Event::BrickRestarted { .. } => self.restarts += 1,
-            _ => self.estimates.extend(valid_pose(event)),
+            Event::EstimateUpdated { estimate, .. } => self.on_estimate(estimate),
+            _ => {}
+        }
+    }
+}
+
+impl CollectedPoses {
+    /// Poses that are relative to where the robot started end where it is found in the arena.
+    fn on_estimate(&mut self, estimate: &Estimate) {
+        if self.is_relative != estimate.is_relative() {
+            self.is_relative = estimate.is_relative();
+            self.estimates.clear();
+        }
+        if estimate.is_relative() || estimate.validity.heading {
+            self.estimates.push(TimedPose { time: estimate.stamp, pose: estimate.pose });
         }
     }
 }
@@ -401,14 +417,6 @@ impl ExportFiles {
         }
         Ok(())
     }
-}
-
-fn valid_pose(event: &Event) -> Option<TimedPose> {
-    let Event::EstimateUpdated { estimate, .. } = event else {
-        return None;
-    };
-    let is_valid = estimate.validity.position && estimate.validity.heading;
-    is_valid.then_some(TimedPose { time: estimate.stamp, pose: estimate.pose })
 }
 
 const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);

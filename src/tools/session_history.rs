@@ -137,7 +137,7 @@ impl SessionHistory {
                     round_trip_s: round_trip.map(TimeDelta::as_secs_f64),
                 });
             }
-            Event::EstimateUpdated { estimate, .. } if estimate.validity.position => {
+            Event::EstimateUpdated { estimate, .. } => {
                 self.estimates.push((t_s, *estimate));
             }
             Event::ObservationFused { record, .. } => self.on_fusion(t_s, record),

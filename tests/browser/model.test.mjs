@@ -11,6 +11,7 @@ import { robotRows } from './web/model/robot_list.js';
 import { Session } from './web/model/session.js';
 import { silence_s } from './web/model/silence.js';
 import { rounded, scaleOf } from './web/model/slider.js';
+import { comparableRow, readTruth } from './web/model/same_instant.js';
 import { Track } from './web/model/track.js';
 import { Station } from './web/station.js';
 import { Stream } from './web/stream.js';
@@ -347,4 +348,23 @@ test('the vendored files are those that the note names', async () => {
     const row = note.split('\n').find((line) => line.startsWith(`| \`${file}\``));
     assert.ok(row?.includes(sum), `${file} has the checksum ${sum}`);
   }
+});
+
+test('truth and estimate are compared at one instant of the robot, however late each comes', () => {
+  const truth = new Track(['robot_s', 'x_m', 'y_m', 'heading_rad'], 1000);
+  const estimates = new Track(['robot_s', 'x_m'], 1000);
+  // The robot drives 1 m/s and its clock is 5 s behind; truth comes after 10 ms every 50 ms, estimates after 70 ms every 30 ms.
+  for (let k = 0; k < 100; k += 1) truth.append({ t_s: 0.01 + 0.05 * k, robot_s: 0.05 * k - 5, x_m: 0.05 * k, y_m: 0, heading_rad: 3.1 + 0.05 * k });
+  for (let k = 0; k < 150; k += 1) estimates.append({ t_s: 0.07 + 0.03 * k, robot_s: 0.03 * k - 5, x_m: 0.03 * k });
+  const names = ['x_m', 'y_m', 'heading_rad'];
+  for (const until_s of [0.5, 1.234, 4]) {
+    const row = comparableRow(estimates, truth, until_s);
+    const pose = {};
+    assert.ok(readTruth(pose, truth, until_s, estimates.columns.robot_s[row], names), `${until_s}`);
+    assert.ok(Math.abs(pose.x_m - estimates.columns.x_m[row]) < 1e-9, `${until_s}: ${pose.x_m} ${estimates.columns.x_m[row]}`);
+  }
+  // Nothing is told of an instant that the truth has not reached, nor across a gap.
+  assert.equal(readTruth({}, truth, 5, 0.5, names), false);
+  truth.append({ t_s: 9, robot_s: 4, x_m: 9, y_m: 0, heading_rad: 0 });
+  assert.equal(readTruth({}, truth, 9, 2, names), false);
 });

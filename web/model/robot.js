@@ -6,8 +6,9 @@ import { Track } from './track.js';
 import { Words } from './words.js';
 
 export const ESTIMATE_COLUMNS = [
-  'x_m', 'y_m', 'heading_rad', 'major_m', 'minor_m', 'axis_rad', 'heading_sigma_rad',
+  'robot_s', 'x_m', 'y_m', 'heading_rad', 'major_m', 'minor_m', 'axis_rad', 'heading_sigma_rad',
   'forward_m_per_s', 'turn_rad_per_s', 'reset_counter', 'is_dead_reckoning', 'fix_age_s',
+  'is_relative', 'is_heading_known',
 ];
 const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'verdict', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
 
@@ -99,7 +100,7 @@ export class Robot {
     let track = this.compared.get(filter);
     if (!track) {
       if (this.compared.size >= MOST_FILTERS) return null;
-      track = new Track(['x_m', 'y_m'], this.recordCapacity);
+      track = new Track(['x_m', 'y_m', 'is_relative'], this.recordCapacity);
       this.compared.set(filter, track);
     }
     return track;

@@ -8,7 +8,7 @@ const MOST_ROBOTS = 64;
 // Live; of a recording as many as the station sends.
 const MOST_LOG_LINES = 300;
 const MOST_TEXT = 400;
-const TRUTH_COLUMNS = ['x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'];
+const TRUTH_COLUMNS = ['robot_s', 'x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'];
 
 export class Session {
   constructor(capacity = LIVE_CAPACITY, mostLogLines = MOST_LOG_LINES) {
@@ -100,7 +100,7 @@ export class Session {
     if (!isRecord(sample)) return;
     const odometry = list(sample.odometry);
     this.#truthTrack(sample.robot)?.append({
-      t_s: sample.t_s, x_m: sample.x_m, y_m: sample.y_m, heading_rad: sample.heading_rad,
+      t_s: sample.t_s, robot_s: sample.robot_s, x_m: sample.x_m, y_m: sample.y_m, heading_rad: sample.heading_rad,
       odometry_x_m: odometry[0], odometry_y_m: odometry[1], odometry_heading_rad: odometry[2],
     });
   }

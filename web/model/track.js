@@ -77,6 +77,14 @@ export class Track {
     return row;
   }
 
+  /** First row from `from` on from which a column has the value of the row before `to`. */
+  sameFrom(name, from, to) {
+    const values = this.columns[name];
+    let row = to - 1;
+    while (row > from && Object.is(values[row - 1], values[to - 1])) row -= 1;
+    return Math.max(row, from);
+  }
+
   /** A column's rows `from` to `to`, without a copy. */
   part(name, from, to) {
     return this.columns[name].subarray(from, to);

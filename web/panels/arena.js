@@ -3,6 +3,7 @@
 
 import { MARKS, MARK_WORDS } from '../model/marks.js';
 import { ESTIMATE_COLUMNS } from '../model/robot.js';
+import { comparableRow, readTruth } from '../model/same_instant.js';
 import { drawCone, drawEllipse, drawFixes, drawGrid, drawMark, drawPath, drawRobot, drawTrail } from '../view/arena_scene.js';
 import { Box, Camera } from '../view/camera.js';
 import { button, element, setText } from '../view/dom.js';
@@ -11,6 +12,7 @@ import { Lens, lensSize_px } from '../view/lens.js';
 import { listen } from '../view/map_input.js';
 import { OtherRobots } from '../view/other_robots.js';
 import { ComparedColours, DASHES, palette } from '../view/palette.js';
+import { BY_EYE, PoseInput } from '../view/pose_input.js';
 
 const TRAIL_S = 60;
 const ZOOM_STEP = 1.25;
@@ -20,12 +22,12 @@ const TOOLBAR_PX = 34;
 const STALE_ALPHA = 0.35;
 
 const READINGS = [
-  ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'], ['age', 'estimate'],
+  ['reference', 'relative to'], ['x', 'x'], ['y', 'y'], ['heading', 'heading'], ['sigma', '95 % within'], ['speed', 'speed'], ['fix', 'last fix'], ['resets', 'resets'], ['age', 'estimate'],
 ];
 
 const ESTIMATE = ESTIMATE_COLUMNS.map((name) => [name, name]);
-const TRUTH = [['x_m', 'x_m'], ['y_m', 'y_m'], ['heading_rad', 'heading_rad']];
-const ODOMETRY = TRUTH.map(([name]) => [name, `odometry_${name}`]);
+const TRUTH = ['x_m', 'y_m', 'heading_rad'];
+const ODOMETRY = TRUTH.map((name) => `odometry_${name}`);
 
 export const arena = {
   id: 'arena',
@@ -56,14 +58,24 @@ class ArenaPanel {
     this.fitButton = button('Fit', () => this.#look('fit'), { 'aria-pressed': 'true', title: 'Show the whole drive (0)' });
     this.followButton = button('Follow', () => this.#look('follow'), { 'aria-pressed': 'false', title: 'Keep the estimate in the middle (F)' });
     this.lensButton = button('Lens', () => this.#toggleLens(), { 'aria-pressed': 'true', title: 'A close look at the estimate' });
+    this.poseButton = button('Set pose', () => this.#togglePoseInput(), { 'aria-pressed': 'false', title: 'Press where the robot is, drag to where it looks' });
     this.readings = new Map(READINGS.map(([key]) => [key, element('dd')]));
     this.output = element('dl', { class: 'readings', id: 'pose', 'aria-label': 'Latest estimate' },
       ...READINGS.map(([key, label]) => element('div', {}, element('dt', { text: label }), this.readings.get(key))));
     body.append(
       element('div', { class: 'map' }, this.canvas, this.#toolbar()),
       this.output,
+      this.#poseFields(),
       this.#legend(),
     );
+    this.poseInput = new PoseInput(this.canvas, this.camera, {
+      onPose: (pose) => this.#setPose(pose),
+      onMove: () => station.redraw(),
+      onEnd: () => {
+        this.poseButton.setAttribute('aria-pressed', 'false');
+        station.redraw();
+      },
+    });
     listen(this.canvas, this.camera, () => this.#look('free'), (x_px, y_px) => this.#click(x_px, y_px));
     this.canvas.addEventListener('pointermove', (event) => this.#hover(event));
     this.canvas.addEventListener('keydown', (event) => this.#key(event));
@@ -79,17 +91,49 @@ class ArenaPanel {
 
   #toolbar() {
     return element('div', { class: 'toolbar', role: 'toolbar', 'aria-label': 'Map' },
-      this.fitButton, this.followButton, this.lensButton,
+      this.fitButton, this.followButton, this.lensButton, this.poseButton,
       button('+', () => this.#zoom(ZOOM_STEP), { 'aria-label': 'Zoom in' }),
       button('−', () => this.#zoom(1 / ZOOM_STEP), { 'aria-label': 'Zoom out' }));
   }
 
+  // For those who do not drag: the same in numbers.
+  #poseFields() {
+    const field = (label, unit) => {
+      const input = element('input', { type: 'number', step: 'any', required: true, inputmode: 'decimal', value: '0' });
+      return { input, label: element('label', {}, `${label} `, input, ` ${unit}`) };
+    };
+    const fields = [field('x', 'm'), field('y', 'm'), field('heading', '°')];
+    const set = button('Set', () => {
+      for (const { input } of fields) if (!input.reportValidity()) return;
+      const [x_m, y_m, heading_deg] = fields.map(({ input }) => input.valueAsNumber);
+      this.#setPose({ x_m, y_m, heading_rad: (heading_deg * Math.PI) / 180 });
+    });
+    return element('details', { class: 'set-pose' }, element('summary', { text: 'Set the pose in numbers' }),
+      element('div', { class: 'hand' }, ...fields.map(({ label }) => label), set));
+  }
+
+  #togglePoseInput() {
+    if (this.poseInput.isAsking) {
+      this.poseInput.stop();
+      return;
+    }
+    this.poseInput.start();
+    this.poseButton.setAttribute('aria-pressed', 'true');
+  }
+
+  #setPose(pose) {
+    this.station.commandRobot({ command: 'set-pose', ...pose, ...BY_EYE });
+  }
+
   #legend() {
     const lines = [['truth', 'truth'], ['odometry', "brick's odometry"], ['estimate', 'estimate, 95 % ellipse, heading cone']];
-    this.swatches = lines.map(([name]) => ({ name, canvas: swatch() }));
+    this.swatches = lines.map(([name, text]) => {
+      const canvas = swatch();
+      return { name, canvas, item: element('li', {}, canvas, text) };
+    });
     this.markSwatches = [MARKS.accepted, MARKS.late, MARKS.gated, MARKS.tooOld, MARKS.resetTo].map((mark) => ({ mark, canvas: swatch(16) }));
     this.legend = element('ul', { class: 'legend', 'aria-label': 'Legend' },
-      ...lines.map(([, text], index) => element('li', {}, this.swatches[index].canvas, text)),
+      ...this.swatches.map(({ item }) => item),
       ...this.markSwatches.map(({ mark, canvas }) => element('li', {}, canvas, `fix ${MARK_WORDS[mark]}`)));
     return this.legend;
   }
@@ -165,11 +209,17 @@ class ArenaPanel {
       this.robot = view.robot;
       this.known = truth;
       this.trails = trails(view, truth);
+      for (const { name, item } of this.swatches) item.hidden = name !== 'estimate' && !truth;
     }
     this.others.read(view.session, view.robot, view.until_s);
-    this.pose.has = readRow(this.pose, view.robot?.estimates, view.until_s, ESTIMATE);
-    this.truth.has = readRow(this.truth, truth, view.until_s, TRUTH);
-    this.odometry.has = readRow(this.odometry, truth, view.until_s, ODOMETRY);
+    const estimates = view.robot?.estimates;
+    const row = !estimates ? -1 : truth ? comparableRow(estimates, truth, view.until_s) : estimates.rowUntil(view.until_s);
+    this.pose.has = readRow(this.pose, estimates, row, ESTIMATE);
+    // Without an estimate, or with an old one, the truth is that of now.
+    const isNow = this.pose.has && view.silence_s === 0;
+    const robot_s = isNow ? this.pose.robot_s : truth?.columns.robot_s[truth.rowUntil(view.until_s)];
+    this.truth.has = Boolean(truth) && readTruth(this.truth, truth, view.until_s, robot_s, TRUTH);
+    this.odometry.has = Boolean(truth) && readTruth(this.odometry, truth, view.until_s, robot_s, ODOMETRY);
   }
 
   #aim(view) {
@@ -216,6 +266,7 @@ class ArenaPanel {
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
     this.#paintEstimate(view);
     this.others.drawChosenName(context);
+    this.poseInput.draw(context);
     if (this.pose.has && this.#hasLens()) {
       this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
     }
@@ -239,12 +290,13 @@ class ArenaPanel {
     // An estimate tells how old its fix was then; it has become older with it.
     const fixAge = fixed(estimate.fix_age_s + Math.max(0, view.until_s - estimate.t_s), 1, 's');
     this.output.classList.toggle('stale', view.silence_s > 0);
+    setText(shown.get('reference'), known(estimate.is_relative ? 'its start' : 'the arena'));
     setText(shown.get('x'), known(metres3(estimate.x_m)));
     setText(shown.get('y'), known(metres3(estimate.y_m)));
-    setText(shown.get('heading'), known(degrees(estimate.heading_rad)));
+    setText(shown.get('heading'), known(estimate.is_heading_known ? degrees(estimate.heading_rad) : 'unknown'));
     setText(shown.get('sigma'), known(millimetres(estimate.major_m)));
     setText(shown.get('speed'), known(fixed(estimate.forward_m_per_s, 2, 'm/s')));
-    setText(shown.get('fix'), known(estimate.is_dead_reckoning ? `none for ${fixAge}` : fixAge));
+    setText(shown.get('fix'), known(fixText(estimate, fixAge)));
     setText(shown.get('age'), view.silence_s > 0 ? `${fixed(view.silence_s, 1, 's')} old` : known('now'));
     setText(shown.get('resets'), known(fixed(estimate.reset_counter, 0)));
     const data = this.output.dataset;
@@ -256,7 +308,18 @@ class ArenaPanel {
     data.heading_rad = estimate.heading_rad;
     data.major_m = estimate.major_m;
     data.reset_counter = estimate.reset_counter;
+    data.is_relative = estimate.is_relative;
+    data.minor_m = estimate.minor_m;
+    data.axis_rad = estimate.axis_rad;
+    if (!this.truth.has) return;
+    data.truth_x_m = this.truth.x_m;
+    data.truth_y_m = this.truth.y_m;
   }
+}
+
+function fixText(estimate, age) {
+  if (!Number.isFinite(estimate.fix_age_s)) return 'none yet';
+  return estimate.is_dead_reckoning ? `none for ${age}` : age;
 }
 
 function metres3(value_m) {
@@ -267,10 +330,8 @@ function pose() {
   return { has: false, t_s: NaN, x_m: NaN, y_m: NaN, heading_rad: NaN };
 }
 
-// Fills a pose from a track's row at a time: pairs of the pose's and the track's names.
-function readRow(into, track, until_s, names) {
-  if (!track) return false;
-  const row = track.rowUntil(until_s);
+// Fills a pose from a track's row: pairs of the pose's and the track's names.
+function readRow(into, track, row, names) {
   if (row < 0) return false;
   into.t_s = track.columns.t_s[row];
   for (const [name, column] of names) into[name] = track.columns[column][row];
@@ -290,8 +351,10 @@ function trails(view, truth) {
   return shown;
 }
 
+// Rows of the last while; where the robot was found in the arena, what came before counts from elsewhere.
 function rows(track, view) {
-  return [track.rowAt(view.until_s - TRAIL_S), track.rowAfter(view.until_s)];
+  const [from, to] = [track.rowAt(view.until_s - TRAIL_S), track.rowAfter(view.until_s)];
+  return [track.columns.is_relative ? track.sameFrom('is_relative', from, to) : from, to];
 }
 
 function swatch(width = 30) {

@@ -12,11 +12,11 @@ export const error = {
   id: 'error',
   title: 'How far off',
   isOfRobot: true,
-  isShown: (view) => !view.session.hasOnlyQuantities(),
+  // Nobody knows the truth of a real robot.
+  isShown: (view) => view.errors !== null && view.errors.track.length > 0,
   build(body) {
-    const host = element('div', { hidden: true });
-    const none = element('p', { class: 'note', text: 'Nobody knows the truth of a real robot: this chart is for the simulated one.', hidden: true });
-    body.append(host, none, element('p', { class: 'note keys' },
+    const host = element('div');
+    body.append(host, element('p', { class: 'note keys' },
       key('odometry', "brick's odometry"), key('estimate', 'estimate'), key('ellipse', 'its claim: 95 % within')));
     const chart = new Chart(host, {
       label: 'Distance from the truth over time: odometry, estimate and its claim',
@@ -32,9 +32,7 @@ export const error = {
     return {
       draw(view) {
         const track = view.errors?.track;
-        host.hidden = !track || track.length === 0;
-        none.hidden = !host.hidden || !view.robot;
-        if (host.hidden) return;
+        if (!track) return;
         const from_s = view.until_s - WINDOW_S;
         const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];
         data[0] = track.part('t_s', from, to);

@@ -10,6 +10,7 @@ export const simulator = {
   title: 'Hands on: the simulated brick',
   isLive: true,
   isOfRobot: true,
+  isShown: (view) => view.hasSimulator,
   build: (body, station) => new SimulatorPanel(body, station),
 };
 
@@ -18,15 +19,12 @@ class SimulatorPanel {
     this.station = station;
     this.known = null;
     this.driver = new Driver((command) => station.commandRobot(command));
-    this.none = element('p', { class: 'note', text: 'This station has no simulated brick: its robot is real.', hidden: true });
     this.host = element('div', { class: 'hands' });
-    body.append(this.none, this.host);
+    body.append(this.host);
   }
 
   draw() {
     const known = this.station.simulator;
-    this.none.hidden = Boolean(known) || !this.station.isGreeted;
-    this.host.hidden = !known;
     if (known === this.known) {
       this.#showSettings();
       return;

@@ -11,5 +11,8 @@ export function headline({ errors, robot, until_s, isOneOfMany }) {
     const estimate = Number.isFinite(estimate_m) ? `estimate ${metres(estimate_m)} off` : 'estimate not known';
     return `${whose}odometry ${metres(odometry_m)} off, ${estimate}`;
   }
-  return robot ? `robot ${robot.label}` : 'Waiting for a robot…';
+  if (!robot) return 'Waiting for a robot…';
+  const row = robot.estimates.rowUntil(until_s);
+  const isRelative = row >= 0 && robot.estimates.columns.is_relative[row] === 1;
+  return isRelative ? `robot ${robot.label}, relative to where it started` : `robot ${robot.label}`;
 }

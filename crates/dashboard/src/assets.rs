@@ -30,6 +30,7 @@ assets![
     "model/quantity.js",
     "model/robot.js",
     "model/robot_list.js",
+    "model/same_instant.js",
     "model/session.js",
     "model/silence.js",
     "model/slider.js",
@@ -66,6 +67,7 @@ assets![
     "view/map_input.js",
     "view/other_robots.js",
     "view/palette.js",
+    "view/pose_input.js",
     "view/theme.js",
 ];
 

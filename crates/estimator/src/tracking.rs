@@ -2,8 +2,8 @@
 
 use nalgebra::Matrix3;
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, MetersPerSecond, Pose, PoseCorrection, Radians, RadiansPerSecond, TimeDelta,
-    Timestamp, Validity, quantities::wrap_rad,
+    Arena, BrickClock, Estimate, MetersPerSecond, Pose, PoseCorrection, Radians, RadiansPerSecond, ResetCause,
+    TimeDelta, Timestamp, Validity, quantities::wrap_rad,
 };
 
 use crate::motion::SPEED_HOLD;
@@ -28,12 +28,13 @@ pub(crate) struct PublishedState {
 }
 
 impl TrackingStatus {
-    pub(crate) fn record_jump(&mut self, before: Pose<Arena>, after: Pose<Arena>) {
+    pub(crate) fn record_jump(&mut self, cause: ResetCause, before: Pose<Arena>, after: Pose<Arena>) {
         self.reset_counter = self.reset_counter.wrapping_add(1);
         self.last_jump = Some(PoseCorrection {
             dx_m: after.x.0 - before.x.0,
             dy_m: after.y.0 - before.y.0,
             turn: Radians(wrap_rad(after.heading.rad() - before.heading.rad())),
+            cause,
         });
     }
 

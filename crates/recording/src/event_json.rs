@@ -186,6 +186,7 @@ fn estimate_of(estimate: &Estimate) -> Value {
             "dx_m": jump.dx_m,
             "dy_m": jump.dy_m,
             "turn_rad": jump.turn.0,
+            "cause": jump.cause.name(),
         })),
     })
 }

@@ -27,7 +27,7 @@ pub mod report;
 pub mod tables;
 pub mod track;
 
-pub use self::chart::{ComparedTrack, FIGURES, Figure, FixMark, RunLayers};
+pub use self::chart::{ComparedTrack, FIGURES, Figure, FixMark, RunLayers, on_map};
 pub use self::metrics::{
     Consistency, ConsistencyBand, ErrorSummary, PoseError, RecentNis, SourceTally, mean_over_runs, summarise,
     tally_sources,

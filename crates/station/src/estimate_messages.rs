@@ -60,7 +60,12 @@ pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &
         }),
         OutputKind::EstimatorStatus => Some(Message::EstimatorStatus(EstimatorStatus {
             stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
-            flags,
+            // Here a position may be relative, and then so is the heading.
+            flags: PoseFlags {
+                position_valid: true,
+                heading_valid: flags.heading_valid || estimate.is_relative(),
+                ..flags
+            },
             position_ratio: fix_ratio,
             position_sigma: Meters(estimate.x_sigma_m().hypot(estimate.y_sigma_m())),
         })),
@@ -81,23 +86,23 @@ fn planar_pose(estimate: &Estimate, flags: PoseFlags) -> PlanarPose {
     }
 }
 
-/// For a brick the pose is in the arena frame, which it must distinguish from a drifting one. For a ground station,
+/// For a brick the pose is in the arena frame, which it must distinguish from a relative one. For a ground station,
 /// which does not know the arena's position on the globe, it is in a local frame with an arbitrary heading:
-/// MAV_FRAME_LOCAL_FRD.
+/// MAV_FRAME_LOCAL_FRD. So is a relative pose for everybody.
 fn odometry(estimate: &Estimate, host: Timestamp<HostClock>, announced_as: AnnouncedAs) -> Odometry {
     let Pose { x, y, heading, .. } = estimate.pose;
     Odometry {
         stamp: WireStamp::Micros64(host.as_micros().unsigned_abs()),
         pose: match announced_as {
-            AnnouncedAs::Station => OdometryPose::Arena(estimate.pose),
-            AnnouncedAs::StationAndVehicle => OdometryPose::Odom(Pose::new(x, y, heading)),
+            AnnouncedAs::Station if !estimate.is_relative() => OdometryPose::Arena(estimate.pose),
+            AnnouncedAs::Station | AnnouncedAs::StationAndVehicle => OdometryPose::Odom(Pose::new(x, y, heading)),
         },
         forward_speed: estimate.forward_speed,
         turn_rate: estimate.turn_rate,
         covariance: Some(upper_triangle(estimate)),
         reset_counter: estimate.reset_counter,
-        // Only the standard's meaning: unset while all is well, failed when there is no pose.
-        quality: if estimate.validity.position && estimate.validity.heading { 0 } else { -1 },
+        // Only the standard's meaning: unset while all is well, failed without a heading.
+        quality: if estimate.is_relative() || estimate.validity.heading { 0 } else { -1 },
     }
 }
 

@@ -10,6 +10,7 @@ use std::fmt;
 
 use crate::ids::{ChannelName, RobotId, SensorId};
 use crate::observation::SensorSwitch;
+use crate::quantities::{Heading, Meters};
 use crate::simulator::SimulatorCommand;
 use crate::spaces::{Arena, Pose};
 
@@ -53,7 +54,30 @@ pub enum Command {
     Simulator(SimulatorCommand),
 }
 
+/// How well a person places a robot by eye.
+const BY_EYE_POSITION_SIGMA_M: f64 = 0.05;
+const BY_EYE_HEADING_SIGMA_RAD: f64 = std::f64::consts::PI / 18.0;
+
 impl Command {
+    /// Sets a pose that a person has read off or placed by eye: 5 cm and 10 degrees are one standard deviation.
+    pub const fn set_pose_by_eye(pose: Pose<Arena>) -> Self {
+        Self::SetPose { pose, position_sigma_m: BY_EYE_POSITION_SIGMA_M, heading_sigma_rad: BY_EYE_HEADING_SIGMA_RAD }
+    }
+
+    /// Reads a pose as people type it: x and y in metres and the heading in degrees, between commas or spaces.
+    pub fn parse_pose(text: &str) -> Result<Pose<Arena>, String> {
+        let parts = text.split([',', ' ']).filter(|part| !part.is_empty());
+        let numbers: Vec<f64> = parts.map(|part| part.parse().unwrap_or(f64::NAN)).collect();
+        match numbers.as_slice() {
+            [x_m, y_m, heading_deg] if numbers.iter().all(|number| number.is_finite()) => {
+                Ok(Pose::new(Meters(*x_m), Meters(*y_m), Heading::from_rad(heading_deg.to_radians())))
+            }
+            _ => Err(format!(
+                "`{text}` is no pose: give x and y in metres and the heading in degrees, such as 0.5,0.25,90"
+            )),
+        }
+    }
+
     /// Whether it concerns robots, and not the station as a whole.
     pub const fn is_for_robots(&self) -> bool {
         match self {

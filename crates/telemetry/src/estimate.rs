@@ -68,6 +68,12 @@ impl MissingObservation {
 }
 
 impl Estimate {
+    /// Whether the pose counts from where the robot was when its motion was first observed, and not in the arena: until an
+    /// absolute observation, or a pose that was given. The covariance is that of the motion since then.
+    pub const fn is_relative(&self) -> bool {
+        !self.validity.position
+    }
+
     /// A start at this pose with its uncertainty; `None` unless position and heading are valid.
     pub fn start_pose(&self) -> Option<StartPose> {
         (self.validity.position && self.validity.heading).then(|| StartPose {
@@ -77,12 +83,22 @@ impl Estimate {
         })
     }
 
+    /// What happened to the pose, in words.
     pub fn describe_reset(&self) -> String {
-        match self.last_correction {
-            Some(PoseCorrection { dx_m, dy_m, turn }) => {
-                format!("pose reset: moved by {:.3} m, turned by {:.1} deg", dx_m.hypot(dy_m), turn.0.to_degrees())
+        let Some(PoseCorrection { dx_m, dy_m, turn, cause }) = self.last_correction else {
+            return "pose reset".to_owned();
+        };
+        let Pose { x, y, heading, .. } = self.pose;
+        match cause {
+            ResetCause::Located => format!("pose found in the arena: x {:.3} m, y {:.3} m", x.0, y.0),
+            ResetCause::Relocated => {
+                let (moved_m, turned_deg) = (dx_m.hypot(dy_m), turn.0.to_degrees());
+                format!("pose reset: moved by {moved_m:.3} m, turned by {turned_deg:.1} deg")
             }
-            None => "pose reset".to_owned(),
+            ResetCause::Given => {
+                format!("pose set: x {:.3} m, y {:.3} m, heading {:.1} deg", x.0, y.0, heading.rad().to_degrees())
+            }
+            ResetCause::Discarded => "pose discarded: it counts from here".to_owned(),
         }
     }
 
@@ -107,9 +123,9 @@ impl Estimate {
 /// The valid parts of an estimate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Validity {
-    /// The position in the arena has been observed or was given as a start.
+    /// The position in the arena has been observed or was given; until then it is relative, see [`Estimate::is_relative`].
     pub position: bool,
-    /// The heading in the arena has been observed or was given as a start.
+    /// The heading in the arena has been observed or was given; a relative pose has a heading all the same.
     pub heading: bool,
     /// The speeds come from recent motion observations.
     pub speeds: bool,
@@ -122,6 +138,32 @@ pub struct PoseCorrection {
     pub dy_m: f64,
     /// Change of heading, the short way.
     pub turn: Radians,
+    pub cause: ResetCause,
+}
+
+/// Why an estimate jumped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// The first absolute observation: before it the pose was relative to the start.
+    Located,
+    /// Observations agreed on another pose.
+    Relocated,
+    /// A person or a program set the pose.
+    Given,
+    /// A person or a program discarded the pose: it is relative to where the robot was then.
+    Discarded,
+}
+
+impl ResetCause {
+    /// As recordings spell it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Located => "located",
+            Self::Relocated => "relocated",
+            Self::Given => "given",
+            Self::Discarded => "discarded",
+        }
+    }
 }
 
 /// The 97.5 % point of the standard normal distribution: 95 % lie within this many standard deviations of the mean.

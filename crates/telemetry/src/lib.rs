@@ -27,7 +27,7 @@ pub mod spaces;
 pub use clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
 pub use command::{Command, FilterComparison, OnlineCalibration, ParameterName, ParameterStorage, Request};
 pub use ellipse::Ellipse;
-pub use estimate::{Estimate, MissingObservation, PoseCorrection, ScalarEstimate, Validity};
+pub use estimate::{Estimate, MissingObservation, PoseCorrection, ResetCause, ScalarEstimate, Validity};
 pub use event::{Event, LinkState, ReceiveError, SignatureError};
 pub use fusion::{FusionOutcome, FusionRecord};
 pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId};

@@ -17,6 +17,8 @@ pub enum KeyPress {
     Left,
     Right,
     Escape,
+    Enter,
+    Backspace,
     Interrupt,
 }
 
@@ -29,6 +31,7 @@ pub enum UiAction {
     PreviousRobot,
     Help,
     Back,
+    TypePose,
     Do(OperatorAction),
 }
 
@@ -50,6 +53,7 @@ pub const KEYS: &[KeyBinding] = &[
     KeyBinding { name: "→", key_presses: &[KeyPress::Right], label: "", action: UiAction::NextRobot, help: "the next robot, where several are heard" },
     KeyBinding { name: "←", key_presses: &[KeyPress::Left], label: "", action: UiAction::PreviousRobot, help: "the robot before" },
     KeyBinding { name: "Esc", key_presses: &[KeyPress::Escape], label: "", action: UiAction::Back, help: "all panels together" },
+    KeyBinding { name: "x", key_presses: &[KeyPress::Letter('x')], label: "pose", action: UiAction::TypePose, help: "type where the robot is: x and y in metres, its heading in degrees; Enter sets it, Esc does not" },
     KeyBinding { name: "k", key_presses: &[KeyPress::Letter('k')], label: "kidnap", action: UiAction::Do(OperatorAction::Kidnap), help: "lift the simulated robot and put it down 0.3 m ahead, 0.2 m to the left, turned by 60°" },
     KeyBinding { name: "c", key_presses: &[KeyPress::Letter('c')], label: "camera", action: UiAction::Do(OperatorAction::Camera), help: "cover the simulated camera, or uncover it" },
     KeyBinding { name: "s", key_presses: &[KeyPress::Letter('s')], label: "slip", action: UiAction::Do(OperatorAction::Slip), help: "let its left wheel lose 80 % of its travel for a second" },
@@ -69,6 +73,8 @@ pub fn parse_key_presses(mut bytes: &[u8]) -> Vec<KeyPress> {
         match first {
             0x03 => found.push(KeyPress::Interrupt),
             b'\t' => found.push(KeyPress::Tab),
+            b'\r' | b'\n' => found.push(KeyPress::Enter),
+            0x08 | 0x7f => found.push(KeyPress::Backspace),
             b' '..=b'~' => found.push(KeyPress::Letter(char::from(*first))),
             0x1b => match rest {
                 [b'[' | b'O', sequence @ ..] => {

@@ -21,6 +21,7 @@ use anyhow::{Context, Result};
 use posebridge_dashboard::model::SimulatorFacts;
 use posebridge_dashboard::views::parse_robot_name;
 use posebridge_dashboard::{CommandSubmitter, FrameTap, TapPoll};
+use posebridge_telemetry::{Command, RobotId};
 use ratatui::backend::CrosstermBackend;
 use ratatui::crossterm::queue;
 use ratatui::crossterm::terminal::{Clear, ClearType};
@@ -28,7 +29,7 @@ use ratatui::layout::Rect;
 use ratatui::{Terminal, TerminalOptions, Viewport};
 use tokio_util::sync::CancellationToken;
 
-use self::keys::{CameraState, OperatorAction, UiAction, action_of};
+use self::keys::{CameraState, KeyPress, OperatorAction, UiAction, action_of};
 use self::model::Model;
 use self::panels::PANELS;
 use self::render::render;
@@ -40,6 +41,10 @@ use crate::console::{redirect_stderr, restore_stderr};
 pub const WAITING_FRAMES: usize = 64;
 /// Redraw period and timeout of waiting for a key: twenty frames a second suffice for numbers.
 const DRAW_PERIOD_MILLIS: u16 = 50;
+/// What a pose is written with, and how long it may be.
+const POSE_LETTERS: &str = "0123456789.-+, ";
+const MAX_POSE_LETTERS: usize = 40;
+const TOO_MANY_COMMANDS: &str = "too many commands wait; try again";
 /// Messages of the program read between two frames.
 const MAX_LINES: usize = 256;
 
@@ -136,8 +141,12 @@ impl TerminalLoop {
         }
         self.screen.show(&self.model)?;
         let input = self.tty.read(DRAW_PERIOD_MILLIS)?;
-        for action in keys::parse_key_presses(&input).into_iter().filter_map(action_of) {
-            self.apply(action);
+        for key_press in keys::parse_key_presses(&input) {
+            if self.model.selection.typed_pose.is_some() {
+                self.type_pose(key_press);
+            } else if let Some(action) = action_of(key_press) {
+                self.apply(action);
+            }
         }
         Ok(())
     }
@@ -149,6 +158,7 @@ impl TerminalLoop {
                 self.inputs.quit.cancel();
             }
             UiAction::Do(action) => self.execute(action),
+            UiAction::TypePose => self.model.selection.typed_pose = Some(String::new()),
             UiAction::NextPanel
             | UiAction::PreviousPanel
             | UiAction::NextRobot
@@ -156,6 +166,49 @@ impl TerminalLoop {
             | UiAction::Help
             | UiAction::Back => choose(&mut self.model, action),
         }
+    }
+
+    /// A key while a pose is typed.
+    fn type_pose(&mut self, key_press: KeyPress) {
+        let Some(mut typed) = self.model.selection.typed_pose.take() else { return };
+        match key_press {
+            KeyPress::Interrupt => self.apply(UiAction::Quit),
+            KeyPress::Enter => self.set_pose(&typed),
+            KeyPress::Letter(letter) => {
+                if POSE_LETTERS.contains(letter) && typed.len() < MAX_POSE_LETTERS {
+                    typed.push(letter);
+                }
+                self.model.selection.typed_pose = Some(typed);
+            }
+            KeyPress::Backspace => {
+                typed.pop();
+                self.model.selection.typed_pose = Some(typed);
+            }
+            KeyPress::Escape
+            | KeyPress::Tab
+            | KeyPress::BackTab
+            | KeyPress::Up
+            | KeyPress::Down
+            | KeyPress::Left
+            | KeyPress::Right => {}
+        }
+    }
+
+    fn set_pose(&mut self, typed: &str) {
+        let notice = match Command::parse_pose(typed) {
+            Err(_) => "no pose: type x and y in metres and the heading in degrees",
+            Ok(pose) if self.inputs.commands.send(self.commanded_robot(), Command::set_pose_by_eye(pose)) => {
+                "the pose is set"
+            }
+            Ok(_) => TOO_MANY_COMMANDS,
+        };
+        self.model.set_notice(notice);
+    }
+
+    /// One robot needs no name, and a recording of it is as ever.
+    fn commanded_robot(&self) -> Option<RobotId> {
+        let id = &self.model.selected_robot()?.id;
+        if self.model.visible_robots().len() > 1 { parse_robot_name(id) } else { None }
     }
 
     fn execute(&mut self, action: OperatorAction) {
@@ -166,10 +219,8 @@ impl TerminalLoop {
         let id = self.model.selected_robot().map_or_else(String::new, |robot| robot.id.clone());
         let covered = &self.model.selection.covered_cameras;
         let camera = if covered.contains(&id) { CameraState::Covered } else { CameraState::Open };
-        // One robot needs no name, and a recording of it is as ever.
-        let robot = if self.model.visible_robots().len() > 1 { parse_robot_name(&id) } else { None };
-        if !self.inputs.commands.send(robot, action.command(camera)) {
-            self.model.set_notice("too many commands wait; try again");
+        if !self.inputs.commands.send(self.commanded_robot(), action.command(camera)) {
+            self.model.set_notice(TOO_MANY_COMMANDS);
             return;
         }
         self.model.set_notice(action.description(camera));
@@ -197,7 +248,7 @@ pub fn choose(model: &mut Model, action: UiAction) {
         UiAction::Help => chosen.has_help = !chosen.has_help,
         UiAction::Back if chosen.has_help => chosen.has_help = false,
         UiAction::Back => chosen.panel = None,
-        UiAction::Quit | UiAction::Do(_) => {}
+        UiAction::Quit | UiAction::TypePose | UiAction::Do(_) => {}
     }
 }
 

@@ -49,6 +49,8 @@ pub struct Selection {
     /// Robots whose simulated cameras were covered from this view.
     pub covered_cameras: BTreeSet<String>,
     pub notice: Option<(f64, &'static str)>,
+    /// What was typed of a pose so far; `None` while none is typed.
+    pub typed_pose: Option<String>,
 }
 
 impl Model {

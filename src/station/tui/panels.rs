@@ -63,7 +63,7 @@ fn error_line(model: &Model, theme: Theme) -> Line<'static> {
 
 fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
     let quiet = |text: &'static str| Span::styled(text, theme.style(StyleRole::Quiet));
-    let position = vec![
+    let mut position = vec![
         quiet("x "),
         Span::raw(signed(estimate.x_m, 3)),
         quiet("  y "),
@@ -73,10 +73,17 @@ fn pose_lines(estimate: &EstimatePoint, theme: Theme) -> [Line<'static>; 3] {
     ];
     let heading = vec![
         quiet("heading "),
-        Span::raw(format!("{} ± {}°", degrees(estimate.heading_rad, 1), degrees(estimate.heading_sigma_rad, 1))),
+        Span::raw(if estimate.is_heading_known {
+            format!("{} ± {}°", degrees(estimate.heading_rad, 1), degrees(estimate.heading_sigma_rad, 1))
+        } else {
+            "unknown".to_owned()
+        }),
         quiet("  "),
         Span::raw(format!("{} m/s {}°/s", fixed(estimate.forward_m_per_s, 2), degrees(estimate.turn_rad_per_s, 0))),
     ];
+    if estimate.is_relative {
+        position.push(Span::styled("  from its start", theme.style(StyleRole::Bad)));
+    }
     let fix = match (estimate.is_dead_reckoning, estimate.fix_age_s.get()) {
         (true, _) => Span::styled("dead reckoning", theme.style(StyleRole::Bad)),
         (false, None) => Span::styled("no fix yet", theme.style(StyleRole::Quiet)),

@@ -120,7 +120,10 @@ fn head_line(model: &Model, theme: Theme) -> Line<'static> {
 
 fn foot_line(model: &Model, theme: Theme) -> Line<'static> {
     let mut line = Vec::new();
-    if let Some(notice) = model.notice() {
+    if let Some(typed) = &model.selection.typed_pose {
+        let role = theme.style(StyleRole::Strong);
+        line.push(Span::styled(format!("pose (x m, y m, heading °): {typed}_  "), role));
+    } else if let Some(notice) = model.notice() {
         line.push(Span::styled(format!("{notice}  "), theme.style(StyleRole::Late)));
     }
     for key in keys_for(model).filter(|key| !key.label.is_empty()) {

@@ -26,6 +26,7 @@ fn drive(count: u32) -> impl Iterator<Item = (f64, f64, f64)> {
 fn estimates() -> Vec<EstimatePoint> {
     let points = drive(200).map(|(t_s, x_m, y_m)| EstimatePoint {
         t_s,
+        robot_s: t_s,
         x_m: x_m.into(),
         y_m: y_m.into(),
         heading_rad: 3.1.into(),
@@ -38,6 +39,8 @@ fn estimates() -> Vec<EstimatePoint> {
         reset_counter: 1,
         is_dead_reckoning: false,
         fix_age_s: 0.08.into(),
+        is_relative: false,
+        is_heading_known: true,
     });
     points.collect()
 }
@@ -46,6 +49,7 @@ fn truth() -> Vec<TruthPoint> {
     let points = drive(200).map(|(t_s, x_m, y_m)| TruthPoint {
         robot: None,
         t_s,
+        robot_s: t_s,
         x_m: x_m.into(),
         y_m: y_m.into(),
         heading_rad: 3.1.into(),

@@ -146,7 +146,7 @@ function truthAt(t_s, { ahead_s, east_m, north_m } = FIRST_PLACE) {
   const drift_rad = 0.004 * t_s;
   const [sine, cosine] = [Math.sin(drift_rad), Math.cos(drift_rad)];
   const odometry = [east_m + 1.02 * (cosine * x - sine * y), north_m + 1.02 * (sine * x + cosine * y), heading_rad + drift_rad];
-  return { t_s, x_m: east_m + x, y_m: north_m + y, heading_rad, odometry };
+  return { t_s, robot_s: t_s, x_m: east_m + x, y_m: north_m + y, heading_rad, odometry };
 }
 
 function robotAt(id, t_s, place) {
@@ -154,9 +154,9 @@ function robotAt(id, t_s, place) {
   const step = Math.round(t_s / 0.02);
   const wave = (rate) => Math.sin(rate * t_s) + 0.6 * Math.sin(2.7 * rate * t_s + 1);
   const estimate = {
-    t_s, x_m: truth.x_m + 0.002 * wave(1.1), y_m: truth.y_m + 0.002 * wave(1.7), heading_rad: truth.heading_rad + 0.004 * wave(0.7),
+    t_s, robot_s: t_s, x_m: truth.x_m + 0.002 * wave(1.1), y_m: truth.y_m + 0.002 * wave(1.7), heading_rad: truth.heading_rad + 0.004 * wave(0.7),
     major_m: 0.006 + 0.002 * Math.sin(t_s), minor_m: 0.004, axis_rad: 0.3 * t_s, heading_sigma_rad: 0.012,
-    forward_m_per_s: SPEED_M_PER_S, turn_rad_per_s: 0, reset_counter: 0, is_dead_reckoning: false, fix_age_s: 0.1,
+    forward_m_per_s: SPEED_M_PER_S, turn_rad_per_s: 0, reset_counter: 0, is_dead_reckoning: false, fix_age_s: 0.1, is_relative: false, is_heading_known: true,
   };
   const off_m = ([x_m, y_m]) => Math.hypot(x_m - truth.x_m, y_m - truth.y_m);
   const score = { t_s, estimate_m: off_m([estimate.x_m, estimate.y_m]), odometry_m: off_m(truth.odometry), claim_m: estimate.major_m };

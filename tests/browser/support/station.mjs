@@ -41,15 +41,19 @@ export class Program {
   }
 
   /** What a pattern finds in all that it wrote so far or will write. */
-  async finds(pattern) {
-    const found = this.text.match(pattern);
-    if (found) return found;
-    const more = new Promise((resolve) => {
-      for (const stream of [this.child.stdout, this.child.stderr]) stream.once('data', resolve);
-    });
-    await within(Promise.race([more, this.ended]), `${pattern} in what it writes`, () => this.text);
-    if (this.child.exitCode !== null && !pattern.test(this.text)) assert.fail(`ended without ${pattern}:\n${this.text}`);
-    return this.finds(pattern);
+  finds(pattern) {
+    return within(this.#findsInTime(pattern), `${pattern} in what it writes`, () => this.text);
+  }
+
+  async #findsInTime(pattern) {
+    while (!pattern.test(this.text)) {
+      if (this.child.exitCode !== null) assert.fail(`ended without ${pattern}:\n${this.text}`);
+      const more = new Promise((resolve) => {
+        for (const stream of [this.child.stdout, this.child.stderr]) stream.once('data', resolve);
+      });
+      await Promise.race([more, this.ended]);
+    }
+    return this.text.match(pattern);
   }
 
   /** Where its page is. */

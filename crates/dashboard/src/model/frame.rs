@@ -135,6 +135,8 @@ impl RobotFrame {
 pub struct EstimatePoint {
     /// When it was made, in seconds of the session.
     pub t_s: f64,
+    /// The estimated instant, in seconds of the robot's clock.
+    pub robot_s: f64,
     /// East, in metres.
     pub x_m: Number,
     /// North, in metres.
@@ -159,6 +161,10 @@ pub struct EstimatePoint {
     pub is_dead_reckoning: bool,
     /// Time since the last fix that was used; `null` before the first.
     pub fix_age_s: Number,
+    /// The pose counts from where the robot's motion was first observed, and not in the arena.
+    pub is_relative: bool,
+    /// False while the heading may be any.
+    pub is_heading_known: bool,
 }
 
 /// A quantity at an instant: what was read, and what a filter makes of it.
@@ -201,6 +207,8 @@ pub struct ComparedPoint {
     pub x_m: Number,
     /// North, in metres.
     pub y_m: Number,
+    /// As of an estimate.
+    pub is_relative: bool,
 }
 
 /// How a filter does.
@@ -326,6 +334,8 @@ pub struct TruthPoint {
     pub robot: Option<String>,
     /// In seconds of the session.
     pub t_s: f64,
+    /// The same instant in seconds of the robot's clock, as in estimates.
+    pub robot_s: f64,
     /// East, in metres.
     pub x_m: Number,
     /// North, in metres.

@@ -36,9 +36,9 @@ pub(super) fn compared_paths(config: &ViewConfig) -> SeriesView<(), &'static str
                 filter: (*filter).to_owned(),
                 x_m: estimate.pose.x.0.into(),
                 y_m: estimate.pose.y.0.into(),
+                is_relative: estimate.is_relative(),
             };
-            let is_valid = estimate.validity.position && estimate.validity.heading;
-            is_valid.then_some(((*robot, *filter), point, PointPriority::Normal))
+            Some(((*robot, *filter), point, PointPriority::Normal))
         },
         write: |frame, points| frame.compared.extend(points),
     }

@@ -93,8 +93,7 @@ pub(super) fn estimates(config: &ViewConfig) -> SeriesView<(), (), EstimatePoint
             let Event::EstimateUpdated { robot, estimate } = event else {
                 return None;
             };
-            let is_valid = estimate.validity.position && estimate.validity.heading;
-            is_valid.then(|| ((*robot, ()), estimate_point(now, estimate), PointPriority::Normal))
+            Some(((*robot, ()), estimate_point(now, estimate), PointPriority::Normal))
         },
         write: |frame, points| frame.estimates = points,
     }
@@ -105,6 +104,7 @@ pub(super) fn estimate_point(now: Timestamp<HostClock>, estimate: &Estimate) -> 
     let of_ellipse = |read: fn(&Ellipse) -> f64| Number::from(ellipse.as_ref().map_or(f64::NAN, read));
     EstimatePoint {
         t_s: seconds_of(now),
+        robot_s: estimate.stamp.as_secs_f64(),
         x_m: estimate.pose.x.0.into(),
         y_m: estimate.pose.y.0.into(),
         heading_rad: estimate.pose.heading.rad().into(),
@@ -116,6 +116,8 @@ pub(super) fn estimate_point(now: Timestamp<HostClock>, estimate: &Estimate) -> 
         turn_rad_per_s: estimate.turn_rate.0.into(),
         reset_counter: estimate.reset_counter,
         is_dead_reckoning: estimate.is_dead_reckoning,
+        is_relative: estimate.is_relative(),
+        is_heading_known: estimate.is_relative() || estimate.validity.heading,
         fix_age_s: estimate.fix_age.map_or(f64::NAN, TimeDelta::as_secs_f64).into(),
     }
 }

@@ -117,11 +117,16 @@ fn an_estimate_has_the_ellipse_of_95_per_cent() {
 }
 
 #[test]
-fn an_estimate_whose_place_is_unknown_is_not_drawn() {
+fn an_estimate_whose_place_is_unknown_is_relative_and_has_a_heading() {
     let mut view = view("estimates");
-    let lost = Estimate { validity: Validity::default(), ..estimate() };
-    view.observe(at(1_000), ViewInput::Event(&estimated_event(&lost)));
-    assert!(updates(&mut *view, FrameContent::Delta).is_empty());
+    let start = Estimate { validity: Validity::default(), ..estimate() };
+    let turned = Estimate { validity: Validity { position: true, ..Validity::default() }, ..estimate() };
+    for estimate in [start, turned] {
+        view.observe(at(1_000), ViewInput::Event(&estimated_event(&estimate)));
+    }
+    let points = updates(&mut *view, FrameContent::Delta).robots[0].estimates.clone();
+    let flags: Vec<_> = points.iter().map(|point| (point.is_relative, point.is_heading_known)).collect();
+    assert_eq!(flags, [(true, true), (false, false)]);
 }
 
 #[test]

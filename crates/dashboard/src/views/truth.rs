@@ -227,6 +227,7 @@ fn point_of(sample: &SimulatedTruth) -> TruthPoint {
     TruthPoint {
         robot: sample.robot.map(robot_name),
         t_s: seconds_of(sample.now),
+        robot_s: sample.time.as_secs_f64(),
         x_m,
         y_m,
         heading_rad,

@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, StartPose, TimeDelta,
-    Timestamp,
+    Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, ResetCause,
+    StartPose, TimeDelta, Timestamp,
 };
 
 use crate::filter::{Filter, FilterCommand, FilterConfig};
@@ -83,6 +83,14 @@ impl OdometryFilter {
         next
     }
 
+    fn place(&mut self, start: &StartPose, cause: ResetCause) {
+        let last = self.last();
+        self.states.clear();
+        self.states.push_back(DeadReckonedState { stamp: last.stamp, ..DeadReckonedState::at_start(Some(*start)) });
+        self.has_pose = cause != ResetCause::Discarded;
+        self.status.record_jump(cause, last.pose, start.pose);
+    }
+
     fn insert_motion(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> FusionOutcome {
         // What lies before a pose that was set cannot change it.
         let oldest = self.states.front().and_then(|state| state.stamp);
@@ -140,11 +148,7 @@ impl Filter for OdometryFilter {
         if !validation::is_valid_start(start) {
             return FusionOutcome::Malformed;
         }
-        let last = self.last();
-        self.states.clear();
-        self.states.push_back(DeadReckonedState { stamp: last.stamp, ..DeadReckonedState::at_start(Some(*start)) });
-        self.has_pose = true;
-        self.status.record_jump(last.pose, start.pose);
+        self.place(start, ResetCause::Given);
         FusionOutcome::PoseReset
     }
 
@@ -155,8 +159,7 @@ impl Filter for OdometryFilter {
                 self.track.set_max_wheel_rad_per_s(params.max_wheel_rad_per_s);
             }
             FilterCommand::ResetPose => {
-                let _ = self.set_pose(&unplaced());
-                self.has_pose = false;
+                self.place(&unplaced(), ResetCause::Discarded);
             }
             // It learns nothing.
             FilterCommand::SetOnlineCalibration(_) | FilterCommand::ResetCalibration => return FusionOutcome::Unused,

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
-    Observation, ObservationKind, Pose, SensorId, StartPose, TimeDelta, Timestamp,
+    Observation, ObservationKind, Pose, ResetCause, SensorId, StartPose, TimeDelta, Timestamp,
 };
 
 use crate::filter::{Filter, FilterConfig};
@@ -279,7 +279,8 @@ impl<M: SampledFilter> OnArrivalFilter<M> {
             if verdict == FusionOutcome::PoseReset {
                 let [from, to] =
                     [before_reset, next.filter].map(|filter| pose_of(&filter.gaussian_state(&self.context).mean));
-                next.status.record_jump(from, to);
+                let cause = if next.has_pose { ResetCause::Relocated } else { ResetCause::Located };
+                next.status.record_jump(cause, from, to);
             }
             next.has_pose = true;
             next.status.last_fix = next.status.last_fix.max(Some(observation.stamp));
@@ -301,7 +302,7 @@ fn initialize_from_fix(maths: &mut impl SampledFilter, fix: &Fix, context: &Samp
         position_sigma_m: (0.5 * noise.position.trace()).sqrt(),
         heading_sigma_rad: noise.heading_rad2.sqrt(),
     });
-    FusionOutcome::Accepted
+    FusionOutcome::PoseReset
 }
 
 fn pose_of(mean: &Mean) -> Pose<Arena> {
@@ -324,7 +325,7 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         let before = pose_of(&next.filter.gaussian_state(&self.context).mean);
         next.filter.initialize_pose(start);
         next.has_pose = true;
-        next.status.record_jump(before, start.pose);
+        next.status.record_jump(ResetCause::Given, before, start.pose);
         self.restart_history(next);
         FusionOutcome::PoseReset
     }

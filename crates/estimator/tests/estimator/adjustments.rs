@@ -3,7 +3,7 @@
 use posebridge_estimator::filters::pose::PoseFilter;
 use posebridge_estimator::filters::pose::layout::{CORE_STATES, RADIUS};
 use posebridge_estimator::{FILTERS, Filter, FilterCommand, FilterConfig, PARAMS, Params};
-use posebridge_telemetry::{Calibration, FusionOutcome, OnlineCalibration, UncertainValue};
+use posebridge_telemetry::{Calibration, FusionOutcome, OnlineCalibration, ResetCause, UncertainValue};
 
 use crate::support::filters::{drive_straight, for_each, latest, start, state_text};
 use crate::support::observe::{fix, fix_of, gyro, wheels};
@@ -123,8 +123,9 @@ fn a_pose_reset_is_undone_by_the_next_fix_and_both_are_reported() {
     let _ = filter.apply_command(&FilterCommand::ResetPose);
     filter.observe(&fix(1_980, fix_of(3.0, 2.0, 1.0)));
     assert!(!latest(&filter).validity.position, "it was seen before");
-    assert_eq!(filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).outcome, FusionOutcome::Accepted);
+    assert_eq!(filter.observe(&fix(2_050, fix_of(3.0, 2.0, 1.0))).outcome, FusionOutcome::PoseReset);
     let found = latest(&filter);
+    assert_eq!(found.last_correction.map(|jump| jump.cause), Some(ResetCause::Located));
     assert!(found.validity.position && found.validity.heading);
     assert!((found.pose.x.0 - 3.0).abs() < 1e-9 && (found.pose.heading.rad() - 1.0).abs() < 1e-9);
 }

@@ -195,7 +195,7 @@ fn without_a_start_a_fix_with_a_heading_initializes_the_pose_and_one_without_doe
     assert_eq!(verdict, FusionOutcome::Unused);
     assert!(!latest(filter.as_ref()).validity.position);
     let first_fix = fix(1_000, with_tag(fix_of(3.0, 4.0, FRAC_PI_2), 0.1, 0.05));
-    assert_eq!(filter.observe(&first_fix).outcome, FusionOutcome::Accepted);
+    assert_eq!(filter.observe(&first_fix).outcome, FusionOutcome::PoseReset);
     let located = latest(filter.as_ref());
     assert!(located.validity.position && located.validity.heading);
     assert!((located.pose.x.0 - 3.05).abs() < 1e-12 && (located.pose.y.0 - 3.9).abs() < 1e-12);

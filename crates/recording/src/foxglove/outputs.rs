@@ -140,7 +140,7 @@ impl OutputEncoder {
         let mut at = end;
         if let Some(outputs) = self.robots.get_or_add(sample.robot) {
             at = outputs.host_time(sample.time).unwrap_or(end).max(Timestamp::ZERO);
-            let pose = wire::pose_in_frame(sample.pose, &utc_timestamp(self.zero_nanos, at));
+            let pose = wire::pose_in_frame(sample.pose, wire::ARENA, &utc_timestamp(self.zero_nanos, at));
             messages.push(protobuf_message(channels::TRUE_POSE, pose));
             outputs.assign(&mut messages);
         }
@@ -165,21 +165,23 @@ impl OutputEncoder {
             return Vec::new();
         }
         let mut messages = vec![json_message(channels::ESTIMATE, &records::ESTIMATE, estimate)];
-        if !(estimate.validity.position && estimate.validity.heading) {
+        if !(estimate.is_relative() || estimate.validity.heading) {
             outputs.assign(&mut messages);
             return messages;
         }
         let timestamp = utc_timestamp(self.zero_nanos, outputs.host_time(estimate.stamp).unwrap_or(now));
-        let odometry = wire::odometry(estimate, &outputs.body_frame, &timestamp);
-        let transform = wire::transform(estimate.pose, &outputs.body_frame, &timestamp);
-        let ellipse = wire::ellipse(estimate, &timestamp);
+        let frame = if estimate.is_relative() { outputs.start_frame.as_str() } else { wire::ARENA };
+        let odometry = wire::odometry(estimate, frame, &outputs.body_frame, &timestamp);
+        let transform = wire::transform(estimate.pose, frame, &outputs.body_frame, &timestamp);
+        let ellipse = wire::ellipse(estimate, frame, &timestamp);
         messages.push(protobuf_message(channels::ODOMETRY, odometry));
-        messages.push(protobuf_message(channels::POSE, wire::pose_in_frame(estimate.pose, &timestamp)));
+        messages.push(protobuf_message(channels::POSE, wire::pose_in_frame(estimate.pose, frame, &timestamp)));
         messages.push(protobuf_message(channels::TRANSFORM, transform));
         messages.extend(ellipse.map(|scene| protobuf_message(channels::ELLIPSE, scene)));
-        outputs.path.push(estimate.pose);
+        outputs.path.push(estimate);
         if is_due(&mut outputs.path.last_written, now, PATH_PERIOD) {
-            messages.push(protobuf_message(channels::PATH, wire::poses_in_frame(&outputs.path.poses, &timestamp)));
+            messages
+                .push(protobuf_message(channels::PATH, wire::poses_in_frame(&outputs.path.poses, frame, &timestamp)));
         }
         outputs.assign(&mut messages);
         messages
@@ -273,7 +275,7 @@ impl OutputEncoder {
         };
         let pose = Pose::new(fix.position.x, fix.position.y, fix.heading.unwrap_or_default());
         let at = outputs.host_time(observation.stamp).unwrap_or(now);
-        let fix = wire::pose_in_frame(pose, &utc_timestamp(self.zero_nanos, at));
+        let fix = wire::pose_in_frame(pose, wire::ARENA, &utc_timestamp(self.zero_nanos, at));
         let mut messages = vec![protobuf_message(channels::FIX, fix)];
         outputs.assign(&mut messages);
         messages

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, RobotId, SensorId, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    Arena, BrickClock, Estimate, Event, HostClock, Pose, RobotId, SensorId, TimeDelta, Timestamp,
+};
 
 use super::channels::EncodedMessage;
-use super::wire::BODY;
+use super::wire::{BODY, START};
 use crate::robot_names::RobotNames;
 
 /// Robots with topics: the station's default limit.
@@ -33,6 +35,8 @@ pub(super) struct RobotOutputs {
     segment: Option<Arc<str>>,
     /// Name of [`posebridge_telemetry::Body`] of this robot in messages.
     pub(super) body_frame: String,
+    /// Name of the frame of its poses while they are relative.
+    pub(super) start_frame: String,
     pub(super) alignment: Option<ClockAlignmentPoint>,
     pub(super) last_estimate: Option<Timestamp<HostClock>>,
     pub(super) last_fusions: BTreeMap<(SensorId, &'static str), Option<Timestamp<HostClock>>>,
@@ -53,6 +57,7 @@ pub(super) struct ClockAlignmentPoint {
 #[derive(Debug, Default)]
 pub(super) struct PathHistory {
     pub(super) poses: Vec<Pose<Arena>>,
+    is_relative: bool,
     stride: usize,
     pose_count: usize,
     pub(super) last_written: Option<Timestamp<HostClock>>,
@@ -78,7 +83,7 @@ impl RobotOutputsTable {
                 self.skipped += 1;
                 return None;
             }
-            let added = RobotOutputs::new(self.free_segment(robot));
+            let added = RobotOutputs::new(&self.free_segment(robot));
             self.others.insert(robot, added);
         }
         self.others.get_mut(&robot)
@@ -118,8 +123,9 @@ impl RobotOutputsTable {
 }
 
 impl RobotOutputs {
-    fn new(segment: String) -> Self {
-        Self { body_frame: format!("{segment}/{BODY}"), segment: Some(segment.into()), ..Self::default() }
+    fn new(segment: &str) -> Self {
+        let frame = |name: &str| format!("{segment}/{name}");
+        Self { body_frame: frame(BODY), start_frame: frame(START), segment: Some(segment.into()), ..Self::default() }
     }
 
     pub(super) fn assign(&self, messages: &mut [EncodedMessage]) {
@@ -146,6 +152,7 @@ impl Default for RobotOutputs {
         Self {
             segment: None,
             body_frame: BODY.to_owned(),
+            start_frame: START.to_owned(),
             alignment: None,
             last_estimate: None,
             last_fusions: BTreeMap::new(),
@@ -157,10 +164,15 @@ impl Default for RobotOutputs {
 }
 
 impl PathHistory {
-    pub(super) fn push(&mut self, pose: Pose<Arena>) {
+    /// Of poses that count from another origin than the last one the path begins anew.
+    pub(super) fn push(&mut self, estimate: &Estimate) {
+        if self.is_relative != estimate.is_relative() {
+            let last_written = self.last_written;
+            *self = Self { is_relative: estimate.is_relative(), last_written, ..Self::default() };
+        }
         self.stride = self.stride.max(1);
         if self.pose_count.is_multiple_of(self.stride) {
-            self.poses.push(pose);
+            self.poses.push(estimate.pose);
         }
         self.pose_count += 1;
         if self.poses.len() >= PATH_POSES {

@@ -64,6 +64,8 @@ impl Message {
 
 /// Name of [`Arena`] in messages.
 pub(super) const ARENA: &str = "arena";
+/// Name, of the first robot, of the frame of poses that are relative to where it started.
+pub(super) const START: &str = "start";
 /// Name of [`posebridge_telemetry::Body`] of the first robot in messages.
 pub(super) const BODY: &str = "body";
 /// Flat, but thick enough that viewers draw it without flicker.
@@ -77,7 +79,7 @@ pub(super) fn timestamp(unix_nanos: i128) -> Message {
 
 /// `foxglove.Odometry`: timestamp, frame, body frame, pose, linear and angular velocity; covariances, 6 x 6 row by row, of x, y, z,
 /// roll, pitch, yaw and of their rates. `body` is the robot's body frame.
-pub(super) fn odometry(estimate: &Estimate, body: &str, timestamp: &Message) -> Message {
+pub(super) fn odometry(estimate: &Estimate, frame: &str, body: &str, timestamp: &Message) -> Message {
     // Rows of a pose in space, and of a velocity, that a robot on a plane has.
     const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
     const VELOCITY_ROWS: [(usize, usize); 2] = [(0, row::FORWARD), (5, row::TURN)];
@@ -90,7 +92,7 @@ pub(super) fn odometry(estimate: &Estimate, body: &str, timestamp: &Message) -> 
         }
         matrix
     };
-    in_arena(timestamp)
+    in_frame(frame, timestamp)
         .text(3, body)
         .message(4, &pose_in_space(estimate.pose))
         .message(5, &vector(estimate.forward_speed.0, 0.0, 0.0))
@@ -100,30 +102,30 @@ pub(super) fn odometry(estimate: &Estimate, body: &str, timestamp: &Message) -> 
 }
 
 /// `foxglove.PoseInFrame`: timestamp, frame, pose.
-pub(super) fn pose_in_frame(pose: Pose<Arena>, timestamp: &Message) -> Message {
-    in_arena(timestamp).message(3, &pose_in_space(pose))
+pub(super) fn pose_in_frame(pose: Pose<Arena>, frame: &str, timestamp: &Message) -> Message {
+    in_frame(frame, timestamp).message(3, &pose_in_space(pose))
 }
 
 /// `foxglove.PosesInFrame`: timestamp, frame, poses.
-pub(super) fn poses_in_frame(poses: &[Pose<Arena>], timestamp: &Message) -> Message {
-    poses.iter().fold(in_arena(timestamp), |message, pose| message.message(3, &pose_in_space(*pose)))
+pub(super) fn poses_in_frame(poses: &[Pose<Arena>], frame: &str, timestamp: &Message) -> Message {
+    poses.iter().fold(in_frame(frame, timestamp), |message, pose| message.message(3, &pose_in_space(*pose)))
 }
 
 /// `foxglove.FrameTransform`: timestamp, parent frame, child frame, translation, rotation.
-pub(super) fn transform(pose: Pose<Arena>, body: &str, timestamp: &Message) -> Message {
+pub(super) fn transform(pose: Pose<Arena>, frame: &str, body: &str, timestamp: &Message) -> Message {
     let (position, rotation) = (vector(pose.x.0, pose.y.0, 0.0), rotation_about_z(pose.heading.rad()));
-    in_arena(timestamp).text(3, body).message(4, &position).message(5, &rotation)
+    in_frame(frame, timestamp).text(3, body).message(4, &position).message(5, &rotation)
 }
 
 /// The 95 % confidence ellipse as a disc. `foxglove.SceneUpdate`: entities of timestamp, frame, id (replaces an earlier entity with it)
 /// and cylinders of pose, full extents, bottom and top scale, colour.
-pub(super) fn ellipse(estimate: &Estimate, timestamp: &Message) -> Option<Message> {
+pub(super) fn ellipse(estimate: &Estimate, frame: &str, timestamp: &Message) -> Option<Message> {
     let ellipse = estimate.ellipse_95()?;
     let pose = pose_message(estimate.pose, ellipse.direction_rad);
     let size = vector(2.0 * ellipse.semi_major_m, 2.0 * ellipse.semi_minor_m, DISC_HEIGHT_M);
     let color = vector(0.1, 0.4, 0.8).double(4, 0.35);
     let disc = Message::default().message(1, &pose).message(2, &size).double(3, 1.0).double(4, 1.0).message(5, &color);
-    let entity = in_arena(timestamp).text(3, "ellipse").message(10, &disc);
+    let entity = in_frame(frame, timestamp).text(3, "ellipse").message(10, &disc);
     Some(Message::default().message(2, &entity))
 }
 
@@ -140,8 +142,8 @@ pub(super) fn log(severity: u8, name: &str, text: &str, timestamp: &Message) -> 
 }
 
 /// The first two fields of most messages.
-fn in_arena(timestamp: &Message) -> Message {
-    Message::default().message(1, timestamp).text(2, ARENA)
+fn in_frame(frame: &str, timestamp: &Message) -> Message {
+    Message::default().message(1, timestamp).text(2, frame)
 }
 
 fn pose_in_space(pose: Pose<Arena>) -> Message {

@@ -12,8 +12,8 @@ use posebridge_telemetry::{
     Address, Arena, BeaconId, Calibration, Celsius, ChannelName, Command, Event, Fix, FusionOutcome, Heading, Input,
     LandmarkId, LinkCounts, LinkHealth, LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared,
     MountedSensor, Mounting, Mountings, Observation, ObservationKind, Point2, Pose, PoseCorrection, PositionCovariance,
-    Radians, RadiansPerSecond, ReceiveError, RobotId, SensorId, SignatureError, SourceHealth, TimeDelta, Timestamp,
-    UncertainValue,
+    Radians, RadiansPerSecond, ReceiveError, ResetCause, RobotId, SensorId, SignatureError, SourceHealth, TimeDelta,
+    Timestamp, UncertainValue,
 };
 use serde_json::Value;
 
@@ -124,7 +124,8 @@ fn all_events() -> Vec<Event> {
     broken.pose = Pose::<Arena>::new(Meters(f64::NAN), Meters(2.0), Heading::from_rad(0.0));
     broken.covariance[0][0] = f64::INFINITY;
     broken.fix_age = None;
-    broken.last_correction = Some(PoseCorrection { dx_m: 0.1, dy_m: -0.2, turn: Radians(0.3) });
+    broken.last_correction =
+        Some(PoseCorrection { dx_m: 0.1, dy_m: -0.2, turn: Radians(0.3), cause: ResetCause::Relocated });
     let mut all = events();
     all.push(Event::EstimateUpdated { robot: robot(), estimate: broken });
     all.push(fused_event(FusionOutcome::Gated, f64::INFINITY));

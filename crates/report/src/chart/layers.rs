@@ -48,7 +48,9 @@ pub(super) fn open_figure(layers: &RunLayers<'_>, height_px: f64) -> Svg {
 
 fn key_figures(layers: &RunLayers<'_>) -> String {
     let Some(truth) = layers.truth else {
-        return "no truth known: errors cannot be told".to_owned();
+        let is_relative = layers.estimates.last().is_some_and(Estimate::is_relative);
+        let origin = if is_relative { "relative to where the robot started; " } else { "" };
+        return format!("{origin}no truth known: errors cannot be told");
     };
     let odometry = layers.odometry.map(|track| summarise(&errors_of_track(track, truth))).unwrap_or_default();
     let estimate = summarise(&errors_of_estimates(layers.estimates, truth));
@@ -176,8 +178,8 @@ impl DrawableLayers {
     /// A correction jump ends a line, so that no stroke suggests a path which was never driven.
     fn estimate_lines(&mut self, estimates: &[Estimate]) -> Polylines {
         estimates
-            .chunk_by(|a, b| a.reset_counter == b.reset_counter && a.validity.position == b.validity.position)
-            .filter(|part| part.iter().all(|estimate| estimate.validity.position))
+            .chunk_by(|a, b| a.reset_counter == b.reset_counter && a.is_relative() == b.is_relative())
+            .filter(|part| part.iter().all(|estimate| on_map(estimate, estimates)))
             .map(|part| self.points(part.iter().map(|estimate| estimate.pose.origin())))
             .filter(|line| !line.is_empty())
             .collect()
@@ -187,7 +189,7 @@ impl DrawableLayers {
         estimates
             .iter()
             .step_by(estimates.len().div_ceil(MAX_ELLIPSES).max(1))
-            .filter(|estimate| estimate.validity.position && is_drawable(estimate.pose.origin()))
+            .filter(|estimate| on_map(estimate, estimates) && is_drawable(estimate.pose.origin()))
             .filter_map(|estimate| {
                 let ellipse = ellipse_of(estimate);
                 self.dropped += usize::from(ellipse.is_none());
@@ -202,6 +204,11 @@ impl DrawableLayers {
 pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
     let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
     Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS)
+}
+
+/// Whether an estimate counts from the same origin as the last of a run: the arena's, or else where the robot started.
+pub fn on_map(estimate: &Estimate, run: &[Estimate]) -> bool {
+    run.last().is_none_or(|last| last.is_relative() == estimate.is_relative())
 }
 
 pub(super) fn is_drawable(point: Point2<Arena>) -> bool {

@@ -15,7 +15,7 @@ mod svg;
 pub mod track;
 
 pub use self::accuracy::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
-pub use self::layers::{ComparedTrack, FixMark, MAX_COORDINATE_M, RunLayers};
+pub use self::layers::{ComparedTrack, FixMark, MAX_COORDINATE_M, RunLayers, on_map};
 pub use self::plot::{Axes, Curve, CurveShape, Plot, render_plot};
 pub use self::svg::inline;
 pub use posebridge_telemetry::Ellipse;

@@ -9,7 +9,9 @@ use super::axes::{
     LegendMark, ODOMETRY, ORANGE, PlotPanel, REJECTED, SKY_BLUE, SMOOTHED, TRUTH, VERMILLION, ValueRange,
     compared_stroke, draw_start, round_ticks,
 };
-use super::layers::{DrawableLayers, Polylines, RunLayers, downsample_path, ellipse_of, is_drawable, open_figure};
+use super::layers::{
+    DrawableLayers, Polylines, RunLayers, downsample_path, ellipse_of, is_drawable, on_map, open_figure,
+};
 use super::svg::{Anchor, PixelPoint, Rect, Stroke, Svg, TextStyle};
 use super::{axes, error};
 
@@ -161,7 +163,7 @@ const MAX_ELLIPSES: usize = 14;
 fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<PlotPanel> {
     let (half_axis_m, center) = estimates
         .iter()
-        .filter(|estimate| estimate.validity.position && is_drawable(estimate.pose.origin()))
+        .filter(|estimate| on_map(estimate, estimates) && is_drawable(estimate.pose.origin()))
         .filter_map(|estimate| Some((ellipse_of(estimate)?.semi_major_m, estimate.pose.origin())))
         .max_by(|a, b| a.0.total_cmp(&b.0))?;
     let width_m = (HALF_AXES_ACROSS * half_axis_m).max(MIN_WIDTH_M);
@@ -179,7 +181,7 @@ fn detail_ellipses(detail: &PlotPanel, estimates: &[Estimate]) -> Vec<Vec<Point2
     let inside: Vec<&Estimate> = estimates
         .iter()
         .filter(|estimate| {
-            estimate.validity.position && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
+            on_map(estimate, estimates) && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
         })
         .collect();
     inside

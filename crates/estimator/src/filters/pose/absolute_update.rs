@@ -86,10 +86,11 @@ impl AbsoluteUpdate<'_> {
         let source = state.observer_frames.number_of(self.record.sensor);
         let sigma_m = (0.5 * noise.position.trace()).sqrt();
         let measured = FixMeasurement { fix, noise, exposure, source };
-        if !state.is_located {
+        if !state.is_located && state.status.last_motion.is_none() {
+            // Nobody has seen a relative pose yet: this is where the robot starts, and no reset.
             return initialize_from_fix(state, &measured, layout);
         }
-        if has_jumped {
+        if !state.is_located || has_jumped {
             return reset_to_fix(state, &measured, layout);
         }
         let (mean, pose) = (state.mean, state.pose);

@@ -290,7 +290,8 @@ impl<const N: usize> PoseState<N> {
     }
 
     fn move_unobserved(&mut self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>, config: &FilterConfig) {
-        let last = self.status.last_motion.unwrap_or(from);
+        // Until it is first heard a robot rests: a camera that sees it earlier must not make its start less certain.
+        let Some(last) = self.status.last_motion else { return };
         let held_to = (last + SPEED_HOLD).clamp(from, to);
         if held_to > from {
             self.move_by_speeds((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64(), config);

@@ -13,7 +13,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, SMatrix, SVector};
-use posebridge_telemetry::{FusionOutcome, Heading, Meters, OnlineCalibration, Point2, StartPose};
+use posebridge_telemetry::{FusionOutcome, Heading, Meters, OnlineCalibration, Point2, ResetCause, StartPose};
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, HEADING, LEFT, StateLayout};
@@ -27,18 +27,19 @@ use crate::update::LinearizedMeasurement;
 /// Variance of an unknown heading, uniform on the circle, rad².
 const ANY_HEADING_RAD2: f64 = PI * PI / 3.0;
 
-/// Moves the estimate to a fix; counts as a reset and stores the jump.
+/// Moves the estimate to a fix, the first or another; counts as a reset and stores the jump.
 pub(super) fn reset_to_fix<const N: usize>(
     state: &mut PoseState<N>,
     measured: &FixMeasurement<'_>,
     layout: &StateLayout,
 ) -> FusionOutcome {
     let before = state.arena_pose();
+    let cause = if state.is_located { ResetCause::Relocated } else { ResetCause::Located };
     // Without a heading in the fix the heading may be as wrong as the position was: it is estimated from scratch.
     if initialize_from_fix(state, measured, layout) == FusionOutcome::Malformed {
         return FusionOutcome::Malformed;
     }
-    state.status.record_jump(before, state.arena_pose());
+    state.status.record_jump(cause, before, state.arena_pose());
     FusionOutcome::PoseReset
 }
 
@@ -135,7 +136,7 @@ impl<const N: usize> PoseState<N> {
             StateCommand::SetPose(start) => {
                 let before = self.arena_pose();
                 self.initialize_pose(&start);
-                self.status.record_jump(before, self.arena_pose());
+                self.status.record_jump(ResetCause::Given, before, self.arena_pose());
             }
             StateCommand::ResetPose => self.reset_pose(),
             StateCommand::SetOnlineCalibration(OnlineCalibration::Frozen) => self.freeze_calibration(config, layout),
@@ -153,7 +154,7 @@ impl<const N: usize> PoseState<N> {
         self.is_located = false;
         self.status.last_fix = None;
         self.forget_alternatives();
-        self.status.record_jump(before, self.arena_pose());
+        self.status.record_jump(ResetCause::Discarded, before, self.arena_pose());
     }
 
     fn freeze_calibration(&mut self, config: &FilterConfig, layout: &StateLayout) {

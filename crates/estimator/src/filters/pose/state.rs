@@ -15,7 +15,7 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Calibration, Heading, Meters, Pose, StartPose, TimeDelta, Timestamp, UncertainValue,
+    Arena, BrickClock, Calibration, Heading, Meters, Pose, ResetCause, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
 
 use super::layout::{
@@ -249,6 +249,7 @@ impl<const N: usize> PoseState<N> {
     /// Makes an alternative to the pose `believed` the pose; counts as a reset and stores the jump. The constants stay.
     pub(super) fn adopt(&mut self, alternative: &Alternative, believed: Se2) {
         let before = self.arena_pose();
+        let was_located = self.is_located;
         let carried_at = self.carried_at;
         self.initialize_pose(&StartPose {
             pose: arena_pose(alternative.pose(believed)),
@@ -262,7 +263,8 @@ impl<const N: usize> PoseState<N> {
                 self.covariance[(row, column)] = alternative.covariance()[(i, j)];
             }
         }
-        self.status.record_jump(before, self.arena_pose());
+        let cause = if was_located { ResetCause::Relocated } else { ResetCause::Located };
+        self.status.record_jump(cause, before, self.arena_pose());
     }
 
     /// Makes rows certain and independent of all others.

@@ -2,7 +2,8 @@
 
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
-    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, StartPose, Timestamp, UncertainValue,
+    Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, ResetCause, StartPose, Timestamp,
+    UncertainValue,
 };
 
 use super::error_state::{
@@ -430,6 +431,7 @@ impl NominalPath {
     pub(super) fn initialize_from_fix(&mut self, fix: &Fix) {
         let noise = self.fix_noise(fix, 0.0);
         let before = self.pose();
+        let cause = if self.has_pose { ResetCause::Relocated } else { ResetCause::Located };
         let (heading_rad, heading_rad2) = match fix.heading {
             Some(heading) => (heading.rad(), noise.heading_rad2),
             None if self.has_pose => (before.heading.rad(), self.covariance[(HEADING, HEADING)]),
@@ -442,13 +444,13 @@ impl NominalPath {
             }
         }
         self.covariance[(HEADING, HEADING)] = heading_rad2;
-        self.status.record_jump(before, self.pose());
+        self.status.record_jump(cause, before, self.pose());
     }
 
     pub(super) fn set_pose(&mut self, start: &StartPose) {
         let before = self.pose();
         self.reset_to(start);
-        self.status.record_jump(before, self.pose());
+        self.status.record_jump(ResetCause::Given, before, self.pose());
     }
 
     pub(super) fn reset_to(&mut self, start: &StartPose) {

@@ -5,7 +5,7 @@ use posebridge_telemetry::{Arena, Ellipse, Estimate, Point2};
 use crate::chart::axes::{
     BLUISH_GREEN, ELLIPSE, ESTIMATE, INK, LATE, ODOMETRY, REJECTED, SMOOTHED, TRUTH, compared_stroke,
 };
-use crate::chart::layers::{DrawableLayers, Polylines, RunLayers, is_drawable};
+use crate::chart::layers::{DrawableLayers, Polylines, RunLayers, is_drawable, on_map};
 use crate::chart::plot::{Axes, Curve, CurveShape};
 use crate::chart::strip::render_strip;
 use crate::chart::svg::Stroke;
@@ -73,7 +73,7 @@ fn ellipses(estimates: &[Estimate]) -> Vec<Vec<(f64, f64)>> {
         let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
         let ellipse = Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS_95)?;
         let corners = ellipse.corners(estimate.pose.origin());
-        let is_drawn = estimate.validity.position && corners.iter().all(|corner| is_drawable(*corner));
+        let is_drawn = on_map(estimate, estimates) && corners.iter().all(|corner| is_drawable(*corner));
         is_drawn.then(|| pairs(&corners))
     });
     drawn.collect()

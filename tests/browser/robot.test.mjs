@@ -1,0 +1,99 @@
+// A real robot's page: a LEGO brick that no camera sees, over a TCP link, with the real program on both ends.
+
+import assert from 'node:assert/strict';
+import { readFile } from 'node:fs/promises';
+import path from 'node:path';
+import { after, before, test } from 'node:test';
+import { Browser } from './support/browser.mjs';
+import { poseOf, seeing, waitForState } from './support/page.mjs';
+import { Program, newFolder } from './support/station.mjs';
+
+const SOON_S = 3;
+
+let browser;
+
+before(async () => {
+  browser = await Browser.launch();
+});
+
+after(() => browser.close());
+
+// Runs `use(page, station, folder)` with a brick that stands in for a real one: the station knows nothing of a simulator.
+async function withBrick(use, ...args) {
+  const brick = Program.start(['sim', 'square', '--brick', 'nxt', '--listen', 'tcp://127.0.0.1:0'], await newFolder());
+  const [, port] = await brick.finds(/listening on 127\.0\.0\.1:(\d+)/);
+  const folder = await newFolder();
+  const station = Program.start(['run', '--brick', 'nxt', '--link', `tcp://127.0.0.1:${port}`, '--out', 'session', '--events', 'events.jsonl', '--dashboard', '127.0.0.1:0', ...args], folder);
+  try {
+    const page = await browser.open(await station.address());
+    await waitForState(page, 'live');
+    await use(page, station, folder);
+    await page.close();
+  } finally {
+    await station.remove();
+    await brick.remove();
+  }
+}
+
+async function eventsOf(folder, name) {
+  const lines = (await readFile(path.join(folder, 'events.jsonl'), 'utf8')).split('\n').filter(Boolean);
+  return lines.map((line) => JSON.parse(line)).filter(({ event }) => event === name);
+}
+
+const hasPose = () => document.getElementById('pose').dataset.x_m !== undefined;
+
+test('a robot that nobody sees has numbers at once, counted from its start', async () => {
+  await withBrick(async (page, station, folder) => {
+    await seeing(page, '#pose', hasPose);
+    const first = await poseOf(page);
+    assert.equal(first.is_relative, 1);
+    assert.match(await page.locator('#pose').textContent(), /relative toits start/);
+    assert.match(await page.locator('#headline').textContent(), /relative to where it started$/);
+    // Of a real robot nobody knows the truth, and there is no brick to play with.
+    for (const id of ['simulator', 'error']) assert.equal(await page.locator(`#${id}`).isVisible(), false, id);
+    assert.deepEqual(await page.locator('.legend li:visible').filter({ hasText: /truth|odometry/ }).count(), 0);
+    await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.x_m)) > 0.1);
+    assert.equal(await station.stop(), 0);
+    const [heard] = (await eventsOf(folder, 'observed')).filter(({ kind }) => kind === 'wheel_angles');
+    assert.ok(first.t_s - heard.arrival_host_ns / 1e9 < SOON_S, `${first.t_s} s, heard at ${heard.arrival_host_ns} ns`);
+  });
+});
+
+test('a pose is set by dragging on the map, and in numbers', async () => {
+  await withBrick(async (page, station) => {
+    await seeing(page, '#pose', hasPose);
+    await page.getByRole('button', { name: 'Set pose' }).click();
+    const map = page.locator('#arena canvas').first();
+    await map.scrollIntoViewIfNeeded();
+    const box = await map.boundingBox();
+    const [x, y] = [box.x + 0.4 * box.width, box.y + 0.6 * box.height];
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x, y - 60, { steps: 4 });
+    await page.mouse.up();
+    // Upwards on the map is north.
+    await seeing(page, '#pose', () => document.getElementById('pose').dataset.is_relative === '0');
+    const dragged = await poseOf(page);
+    assert.equal(dragged.reset_counter, 1);
+    assert.equal(await page.getByRole('button', { name: 'Set pose' }).getAttribute('aria-pressed'), 'false');
+    await station.finds(/pose set to x -?\d+\.\d+ m, y -?\d+\.\d+ m, 90\.0 deg/);
+    await page.getByText('Set the pose in numbers').click();
+    const fields = page.locator('.set-pose input');
+    for (const [index, value] of ['4', '5', '-90'].entries()) await fields.nth(index).fill(value);
+    await page.getByRole('button', { name: 'Set', exact: true }).click();
+    await seeing(page, '#pose', () => Number(document.getElementById('pose').dataset.reset_counter) === 2);
+    const typed = await poseOf(page);
+    assert.ok(Math.hypot(typed.x_m - 4, typed.y_m - 5) < 0.5, `${typed.x_m} ${typed.y_m}`);
+    assert.equal(await station.stop(), 0);
+  });
+});
+
+test('--set-pose is a command at the first estimate', async () => {
+  await withBrick(async (page, station) => {
+    await seeing(page, '#pose', () => document.getElementById('pose').dataset.is_relative === '0');
+    const { x_m, y_m } = await poseOf(page);
+    assert.ok(Math.hypot(x_m + 2, y_m - 3) < 1, `${x_m} ${y_m}`);
+    await station.finds(/pose set to x -2\.000 m, y 3\.000 m, 90\.0 deg/);
+    assert.equal(await station.stop(), 0);
+  }, '--set-pose', '-2,3,90');
+});
