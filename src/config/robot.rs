@@ -6,7 +6,7 @@ use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_station::ThermometerConfig;
 use posebridge_telemetry::{
-    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose,
+    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, Wiring,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,7 @@ use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
 use super::mounting::RobotMounting;
 use super::sensor::SensorSection;
+use super::wiring::RobotWiring;
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -39,6 +40,9 @@ pub struct RobotFile {
     /// Where its sensors sit.
     #[serde(skip_serializing_if = "is_at_mid_axle")]
     pub mounting: RobotMounting,
+    /// What is connected or counted otherwise than by the conventions.
+    #[serde(skip_serializing_if = "RobotWiring::is_conventional")]
+    pub wiring: RobotWiring,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
     /// A LEGO NXT's motors and sensors, for a link with brick = "nxt" or "nxt-push".
@@ -92,6 +96,7 @@ impl Default for RobotFile {
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             mounting: RobotMounting::default(),
+            wiring: RobotWiring::default(),
             start: None,
             nxt: None,
             ev3: None,
@@ -127,6 +132,10 @@ impl RobotFile {
     pub fn calibration(&self) -> Result<Calibration> {
         let calibration = self.calibration.checked(self.noise.gyro_bias_rad_per_s)?;
         Ok(Calibration { mountings: self.mounting.checked()?, ..calibration })
+    }
+
+    pub fn wiring(&self) -> Wiring {
+        self.wiring.to_wiring()
     }
 
     pub fn start(&self) -> Result<Option<StartPose>> {

@@ -42,7 +42,7 @@ impl DataSet {
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
-        let options = LoadOptions { run, geometry, use_every: flags.use_every };
+        let options = LoadOptions { run, geometry, wiring: robot.wiring(), use_every: flags.use_every };
         let mut open = |relative: &Path| std::fs::read(self.root.join(relative));
         let run = dataset::load(&self.descriptor, options, &mut open)
             .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
