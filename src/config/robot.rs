@@ -117,6 +117,13 @@ impl RobotFile {
         ] {
             ensure!(value.is_finite() && value > 0.0, "`robot.{key}` is {value}, must be a positive number");
         }
+        for (key, value_m, limit_m) in [
+            ("left_wheel_radius_m", self.left_wheel_radius_m, MAX_WHEEL_RADIUS_M),
+            ("right_wheel_radius_m", self.right_wheel_radius_m, MAX_WHEEL_RADIUS_M),
+            ("track_width_m", self.track_width_m, MAX_TRACK_WIDTH_M),
+        ] {
+            check_length(&format!("robot.{key}"), value_m, limit_m)?;
+        }
         Ok(DriveGeometry {
             left_wheel_radius: Meters(self.left_wheel_radius_m),
             right_wheel_radius: Meters(self.right_wheel_radius_m),
@@ -147,6 +154,12 @@ impl RobotFile {
         {
             ensure!(value.is_finite() && value > 0.0, "`robot.start.{key}` is {value}, must be more than zero");
         }
+        check_length("robot.start.position_sigma_m", start.position_sigma_m, MAX_POSITION_SIGMA_M)?;
+        let heading_sigma_deg = start.heading_sigma_deg;
+        ensure!(
+            heading_sigma_deg <= MAX_HEADING_SIGMA_DEG,
+            "`robot.start.heading_sigma_deg` is {heading_sigma_deg}, must be at most {MAX_HEADING_SIGMA_DEG}: an unknown heading"
+        );
         let heading = Heading::from_rad(start.heading_deg.to_radians());
         Ok(Some(StartPose {
             pose: Pose::new(Meters(start.x_m), Meters(start.y_m), heading),
@@ -184,6 +197,20 @@ impl RobotFile {
             ..self.clone()
         }
     }
+}
+
+/// No wheel of a robot that stands on a floor is larger.
+const MAX_WHEEL_RADIUS_M: f64 = 1.0;
+const MAX_TRACK_WIDTH_M: f64 = 10.0;
+/// Larger than any arena.
+pub(super) const MAX_POSITION_SIGMA_M: f64 = 100.0;
+const MAX_HEADING_SIGMA_DEG: f64 = 180.0;
+
+/// Refuses a length that must be in another unit.
+pub(super) fn check_length(key: &str, value_m: f64, limit_m: f64) -> Result<()> {
+    let in_m = value_m / 1_000.0;
+    ensure!(value_m <= limit_m, "`{key}` is {value_m}, must be at most {limit_m} m; did you mean {in_m}?");
+    Ok(())
 }
 
 /// One thermometer. Those that are not listed are learnt from what they show.

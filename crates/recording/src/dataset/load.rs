@@ -308,6 +308,7 @@ impl RunLoader<'_> {
         let mut items = Vec::new();
         for row in table.ordered_rows() {
             let mut read = || {
+                row.check_width()?;
                 let stamp = table.time_nanos(&row)?;
                 let arrival_nanos = table.arrival(&row)?.unwrap_or(stamp);
                 let value = reader(&row, clock.classify(stamp))?;
