@@ -51,6 +51,7 @@ pub enum CameraUnitName {
 
 impl RobotWiring {
     /// So that a file need not say it.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
     pub(super) fn is_conventional(&self) -> bool {
         *self == Self::default()
     }

@@ -23,7 +23,7 @@ fn write_recording(folder: &Path, fault: WiringFault) {
         let time_s = arrival.observation.stamp.as_secs_f64();
         match broken(fault, arrival.observation.measurement) {
             ObservationKind::WheelAngles { left, right } => {
-                writeln!(wheels, "{time_s},{},{}", left.0, right.0).unwrap()
+                writeln!(wheels, "{time_s},{},{}", left.0, right.0).unwrap();
             }
             ObservationKind::TurnRate(rate) => writeln!(gyro, "{time_s},{}", rate.0).unwrap(),
             ObservationKind::Fix(fix) => {

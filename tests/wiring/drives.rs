@@ -1,6 +1,4 @@
 //! Drives of the laboratory's robots, and the faults of a robot that is wired, counted or configured wrongly.
-#![allow(clippy::unwrap_used, reason = "helpers outside #[test] stop where the set-up is broken")]
-#![allow(clippy::allow_attributes, reason = "whether a lint fires depends on the build")]
 
 use std::f64::consts::TAU;
 

@@ -95,8 +95,8 @@ impl Wiring {
     /// The pose of a foreign odometer is mirrored for swapped wheels and turned for two reversed ones; one reversed wheel cannot
     /// be corrected in it.
     #[must_use]
-    pub fn correct(&self, observed: ObservationKind, geometry: &DriveGeometry) -> ObservationKind {
-        if *self == Self::default() {
+    pub fn correct(self, observed: ObservationKind, geometry: &DriveGeometry) -> ObservationKind {
+        if self == Self::default() {
             return observed;
         }
         match observed {
@@ -137,7 +137,7 @@ impl Wiring {
         }
     }
 
-    fn correct_rate(&self, rate: f64) -> f64 {
+    fn correct_rate(self, rate: f64) -> f64 {
         let signed = self.gyro.sign() * rate;
         match self.gyro_unit {
             GyroUnit::RadiansPerSecond => signed,
@@ -145,7 +145,7 @@ impl Wiring {
         }
     }
 
-    fn correct_pair(&self, [left, right]: [f64; 2]) -> [f64; 2] {
+    fn correct_pair(self, [left, right]: [f64; 2]) -> [f64; 2] {
         let [left, right] = match self.wheels {
             WheelOrder::AsNamed => [left, right],
             WheelOrder::Swapped => [right, left],
@@ -155,7 +155,7 @@ impl Wiring {
 
     /// A fix, used or withheld.
     #[must_use]
-    pub fn correct_fix(&self, fix: Fix) -> Fix {
+    pub fn correct_fix(self, fix: Fix) -> Fix {
         let (y_sign, unit_m) = (self.camera_y.sign(), self.camera_unit.in_meters());
         Fix {
             position: Point2::new(Meters(unit_m * fix.position.x.0), Meters(y_sign * unit_m * fix.position.y.0)),

@@ -76,7 +76,7 @@ impl fmt::Display for WiringFinding {
                 write!(f, "{observer} the other way than the wheels ({times} times as far): ")?;
             }
             (RatioKind::GyroTurn | RatioKind::FixTurn, _) => {
-                write!(f, "{observer} {times} times as far as the wheels: ")?
+                write!(f, "{observer} {times} times as far as the wheels: ")?;
             }
         }
         for (index, fault) in self.candidates.iter().enumerate() {
