@@ -6,8 +6,8 @@ use posebridge_telemetry::{Calibration, MountedSensor, Mountings, SensorNoise, U
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
 use super::mounting::in_degrees;
-use super::robot::{MAX_POSITION_SIGMA_M, check_length};
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 

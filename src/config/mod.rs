@@ -4,6 +4,7 @@
 
 mod bricks;
 mod calibration;
+mod lengths;
 mod link;
 mod load;
 mod mounting;

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
+use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
 use super::mounting::RobotMounting;
 use super::sensor::SensorSection;
 use super::wiring::RobotWiring;
@@ -202,16 +203,7 @@ impl RobotFile {
 /// No wheel of a robot that stands on a floor is larger.
 const MAX_WHEEL_RADIUS_M: f64 = 1.0;
 const MAX_TRACK_WIDTH_M: f64 = 10.0;
-/// Larger than any arena.
-pub(super) const MAX_POSITION_SIGMA_M: f64 = 100.0;
 const MAX_HEADING_SIGMA_DEG: f64 = 180.0;
-
-/// Refuses a length that must be in another unit.
-pub(super) fn check_length(key: &str, value_m: f64, limit_m: f64) -> Result<()> {
-    let in_m = value_m / 1_000.0;
-    ensure!(value_m <= limit_m, "`{key}` is {value_m}, must be at most {limit_m} m; did you mean {in_m}?");
-    Ok(())
-}
 
 /// One thermometer. Those that are not listed are learnt from what they show.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]

@@ -108,7 +108,7 @@ fn what_is_wrong_with_a_table_is_named_with_file_line_and_column() {
             "t_s,left,right\n0,\"1,5\",1\n",
             "wheels.csv:2: not a number: column `left`: `1,5`: a decimal comma; write 1.5",
         ),
-        ("t_s,left,right\n0,1\n", "wheels.csv:2: missing column: column `right` is wanted, the row has 2 columns"),
+        ("t_s,left,right\n0,1\n", "wheels.csv:2: missing column: column `right` is wanted, the row has 2"),
     ] {
         let said = refused(text);
         assert!(said.contains(words), "{text:?}: {said}");

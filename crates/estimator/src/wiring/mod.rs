@@ -8,6 +8,7 @@ mod evidence;
 mod fault;
 mod finding;
 mod motion_log;
+mod settings;
 mod windows;
 
 use posebridge_telemetry::{
@@ -16,6 +17,7 @@ use posebridge_telemetry::{
 
 use self::evidence::{Evidence, WindowKind};
 use self::motion_log::MotionLog;
+use self::settings::Settings;
 use self::windows::{FixPoint, PreviousSegment, Segment, TurnWindow};
 use crate::filter::FilterConfig;
 use crate::motion::{MotionReading, MotionSource};
@@ -44,12 +46,6 @@ const MAX_GAP: TimeDelta = TimeDelta::from_millis(1_500);
 const GYRO_PATIENCE: TimeDelta = TimeDelta::from_millis(500);
 /// The wheel for an odometer that reports metres: that of a LEGO robot.
 const ODOMETER_RADIUS_M: f64 = 0.028;
-/// A fix is believed to be this good at least, however large the covariance that it brings: that may be in millimetres.
-const MAX_FIX_SIGMA_M: f64 = 0.2;
-/// A heading that is less certain is no heading.
-const MAX_HEADING_SIGMA_RAD: f64 = 0.5;
-/// A gyro's bias is known no better than this.
-const MIN_BIAS_SIGMA_RAD_PER_S: f64 = 0.02;
 
 /// The detector of one robot.
 #[derive(Clone, Debug)]
@@ -68,31 +64,10 @@ pub struct WiringMonitor {
     evidence: Evidence,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Settings {
-    geometry: DriveGeometry,
-    gyro_bias_rad_per_s: f64,
-    gyro_bias_sigma_rad_per_s: f64,
-    fix_sigma_m: f64,
-    heading_sigma_rad: f64,
-    max_wheel_rad_per_s: f64,
-    backlash_rad: f64,
-}
-
 impl WiringMonitor {
     pub fn new(config: &FilterConfig) -> Self {
-        let bias = config.gyro_bias_prior();
-        let backlash = config.calibration.backlash_rad;
         Self {
-            settings: Settings {
-                geometry: config.geometry,
-                gyro_bias_rad_per_s: bias.value,
-                gyro_bias_sigma_rad_per_s: bias.sigma.max(MIN_BIAS_SIGMA_RAD_PER_S),
-                fix_sigma_m: config.noise.fix_position_m.hypot(config.noise.fix_persistent_m),
-                heading_sigma_rad: config.noise.fix_heading_rad,
-                max_wheel_rad_per_s: config.params.max_wheel_rad_per_s,
-                backlash_rad: backlash.value.abs() + 2.0 * backlash.sigma,
-            },
+            settings: Settings::new(config),
             source: None,
             last_reading: None,
             wheels: MotionLog::new(WHEEL_SPACING_RAD),

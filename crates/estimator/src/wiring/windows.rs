@@ -10,13 +10,16 @@
 
 use posebridge_telemetry::{BrickClock, Fix, SensorId, Timestamp, quantities::wrap_rad};
 
-use super::Settings;
 use super::evidence::{Comparison, Comparisons};
 use super::fault::Hypothesis;
 use super::finding::RatioKind;
 use super::motion_log::MotionLog;
-use super::{MAX_FIX_SIGMA_M, MAX_HEADING_SIGMA_RAD};
+use super::settings::Settings;
 
+/// A fix is believed to be this good at least, however large the covariance that it brings: that may be in millimetres.
+const MAX_FIX_SIGMA_M: f64 = 0.2;
+/// A heading that is less certain is no heading.
+const MAX_HEADING_SIGMA_RAD: f64 = 0.5;
 /// Share of a turn by which geometry, gyro scale and slip may falsify it.
 const TURN_TOLERANCE: f64 = 0.12;
 /// The same for a path.

@@ -81,7 +81,7 @@ impl TableRow<'_> {
     fn field(&self, index: usize) -> Result<&str, RowError> {
         let count = self.fields.len();
         self.fields.get(index).copied().ok_or_else(|| {
-            let detail = format!("{} is wanted, the row has {count} columns", self.column_name(index));
+            let detail = format!("{} is wanted, the row has {count}", self.column_name(index));
             RowError::new(BadRowReason::MissingColumn, detail)
         })
     }
