@@ -308,6 +308,21 @@ mod tests {
     }
 
     #[test]
+    fn one_window_does_not_tell_two_faults_apart_and_three_do() {
+        let mut evidence = windows(4, &[WiringFault::GyroReversed, WiringFault::WheelsSwapped], [1.0, -1.0]);
+        let mut add_window = || {
+            evidence.add(WindowKind::Gyro, |index, _| {
+                let fits = index.is_some_and(|index| WiringFault::ALL[index] == WiringFault::WheelsSwapped);
+                turn(if fits { 0.1 } else { 100.0 }, [1.0, -1.0])
+            });
+            evidence.take_finding()
+        };
+        assert_eq!(add_window(), None);
+        assert_eq!(add_window(), None);
+        assert_eq!(add_window().unwrap().fault(), Some(WiringFault::WheelsSwapped));
+    }
+
+    #[test]
     fn what_explains_by_standing_still_is_not_supported() {
         assert_eq!(windows(20, &[WiringFault::WheelsSwapped], [0.0, 0.0]).take_finding(), None);
     }
