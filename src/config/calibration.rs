@@ -6,6 +6,7 @@ use posebridge_telemetry::{Calibration, MountedSensor, Mountings, SensorNoise, U
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
 use super::mounting::in_degrees;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -28,6 +29,24 @@ impl LowerBound {
     }
 }
 
+/// The keys that are a position's standard deviation, and those that are an angle's.
+const POSITION_SIGMAS: [&str; 4] = ["fix_position_m", "fix_persistent_m", "landmark_range_m", "wall_range_m"];
+const ANGLE_SIGMAS: [&str; 3] = ["fix_heading_rad", "compass_rad", "landmark_bearing_rad"];
+const MAX_ANGLE_SIGMA_RAD: f64 = std::f64::consts::PI;
+
+/// Refuses noise that must be in another unit: larger than the arena, or than half a turn.
+fn check_magnitude(key: &str, value: f64) -> Result<()> {
+    if POSITION_SIGMAS.contains(&key) {
+        check_length(&format!("robot.noise.{key}"), value, MAX_POSITION_SIGMA_M)?;
+    }
+    ensure!(
+        !ANGLE_SIGMAS.contains(&key) || value <= MAX_ANGLE_SIGMA_RAD,
+        "`robot.noise.{key}` is {value}, must be at most {MAX_ANGLE_SIGMA_RAD:.4} rad; did you mean {:.4}, which is {value} degrees?",
+        value.to_radians()
+    );
+    Ok(())
+}
+
 macro_rules! noise_table {
     ($($(#[$doc:meta])* $key:ident = $default:expr, $least:ident;)+) => {
         /// Noise, one standard deviation each.
@@ -47,6 +66,7 @@ macro_rules! noise_table {
         impl RobotNoise {
             pub fn checked(&self) -> Result<SensorNoise> {
                 $(LowerBound::$least.check(stringify!($key), self.$key)?;)+
+                $(check_magnitude(stringify!($key), self.$key)?;)+
                 self.check_ranges()?;
                 Ok(SensorNoise { $($key: self.$key,)+ })
             }

@@ -4,6 +4,7 @@
 
 mod bricks;
 mod calibration;
+mod lengths;
 mod link;
 mod load;
 mod mounting;
@@ -16,6 +17,7 @@ mod sections;
 mod sensor;
 mod signing;
 mod station;
+mod wiring;
 
 pub use bricks::{
     Ev3Distance, Ev3Section, FixSection, LineSection, NxtSection, NxtSensorKind, NxtSensorSection, Place,
@@ -41,3 +43,4 @@ pub use sections::{
 pub use sensor::SensorSection;
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{CameraConfig, ClockConfig, Config, StationSection};
+pub use wiring::{CameraUnitName, GyroUnitName, RobotWiring};

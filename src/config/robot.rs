@@ -6,15 +6,17 @@ use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_station::ThermometerConfig;
 use posebridge_telemetry::{
-    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose,
+    Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, Wiring,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
+use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
 use super::mounting::RobotMounting;
 use super::sensor::SensorSection;
+use super::wiring::RobotWiring;
 
 /// A robot's geometry, noise and calibration; `[robot]` of a configuration, of a robot profile and of a recording's descriptor.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -39,6 +41,9 @@ pub struct RobotFile {
     /// Where its sensors sit.
     #[serde(skip_serializing_if = "is_at_mid_axle")]
     pub mounting: RobotMounting,
+    /// What is connected or counted otherwise than by the conventions.
+    #[serde(skip_serializing_if = "RobotWiring::is_conventional")]
+    pub wiring: RobotWiring,
     /// Where it starts; without it the first fixes decide.
     pub start: Option<RobotStart>,
     /// A LEGO NXT's motors and sensors, for a link with brick = "nxt" or "nxt-push".
@@ -92,6 +97,7 @@ impl Default for RobotFile {
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             mounting: RobotMounting::default(),
+            wiring: RobotWiring::default(),
             start: None,
             nxt: None,
             ev3: None,
@@ -112,6 +118,13 @@ impl RobotFile {
         ] {
             ensure!(value.is_finite() && value > 0.0, "`robot.{key}` is {value}, must be a positive number");
         }
+        for (key, value_m, limit_m) in [
+            ("left_wheel_radius_m", self.left_wheel_radius_m, MAX_WHEEL_RADIUS_M),
+            ("right_wheel_radius_m", self.right_wheel_radius_m, MAX_WHEEL_RADIUS_M),
+            ("track_width_m", self.track_width_m, MAX_TRACK_WIDTH_M),
+        ] {
+            check_length(&format!("robot.{key}"), value_m, limit_m)?;
+        }
         Ok(DriveGeometry {
             left_wheel_radius: Meters(self.left_wheel_radius_m),
             right_wheel_radius: Meters(self.right_wheel_radius_m),
@@ -129,6 +142,10 @@ impl RobotFile {
         Ok(Calibration { mountings: self.mounting.checked()?, ..calibration })
     }
 
+    pub fn wiring(&self) -> Wiring {
+        self.wiring.to_wiring()
+    }
+
     pub fn start(&self) -> Result<Option<StartPose>> {
         let Some(start) = self.start else {
             return Ok(None);
@@ -138,6 +155,12 @@ impl RobotFile {
         {
             ensure!(value.is_finite() && value > 0.0, "`robot.start.{key}` is {value}, must be more than zero");
         }
+        check_length("robot.start.position_sigma_m", start.position_sigma_m, MAX_POSITION_SIGMA_M)?;
+        let heading_sigma_deg = start.heading_sigma_deg;
+        ensure!(
+            heading_sigma_deg <= MAX_HEADING_SIGMA_DEG,
+            "`robot.start.heading_sigma_deg` is {heading_sigma_deg}, must be at most {MAX_HEADING_SIGMA_DEG}: an unknown heading"
+        );
         let heading = Heading::from_rad(start.heading_deg.to_radians());
         Ok(Some(StartPose {
             pose: Pose::new(Meters(start.x_m), Meters(start.y_m), heading),
@@ -176,6 +199,11 @@ impl RobotFile {
         }
     }
 }
+
+/// No wheel of a robot that stands on a floor is larger.
+const MAX_WHEEL_RADIUS_M: f64 = 1.0;
+const MAX_TRACK_WIDTH_M: f64 = 10.0;
+const MAX_HEADING_SIGMA_DEG: f64 = 180.0;
 
 /// One thermometer. Those that are not listed are learnt from what they show.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]

@@ -188,6 +188,7 @@ impl Config {
             filter: self.filter.name.clone(),
             compared_filters: self.filter.compared()?,
             filter_config: self.filter_config_of(robot)?,
+            wiring: robot.wiring(),
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,

@@ -73,6 +73,10 @@ pub struct RunArgs {
     /// At the end, write a robot profile with the learned calibration, for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
+    /// At the end, print what was found to be connected, counted or configured wrongly, with the lines of the configuration
+    /// that undo it (docs/getting-started.md).
+    #[arg(long)]
+    pub fix_wiring: bool,
     /// Stop after this number of seconds.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub duration: Option<f64>,

@@ -27,3 +27,4 @@ pub mod station_loop;
 pub mod tlog_writer;
 pub mod tui;
 pub mod viewers;
+pub mod wiring_fix;

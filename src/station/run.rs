@@ -11,8 +11,9 @@ use super::recording_files::RECORDING;
 use super::run_report::{finish, report_learned};
 use super::session::session;
 use super::tui::tty::ensure_terminal;
+use super::wiring_fix::wiring_text;
 use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
-use crate::console::print_line;
+use crate::console::{print_line, print_result};
 use crate::exit::{DeferredErrors, ExitStage, Failure};
 use crate::runtime::run_in_runtime;
 
@@ -27,6 +28,9 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let mut failures = DeferredErrors::default();
     failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
     failures.record(report_learned(args, &config, &session));
+    if args.fix_wiring {
+        failures.record(print_result(&wiring_text(&session.wiring)).context("the wiring is not printed"));
+    }
     let has_observations = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
     if !has_observations {

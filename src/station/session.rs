@@ -23,6 +23,7 @@ use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
 use super::viewers::{Viewers, reserve_dashboard};
+use super::wiring_fix::WiringReport;
 use crate::config::Config;
 use crate::console::print_line;
 use crate::exit::{DeferredErrors, ExitStage, Failure, Signals};
@@ -34,6 +35,7 @@ pub(super) struct Session {
     pub(super) recorded: RecordedFiles,
     pub(super) simulations: Vec<FinishedSimulation>,
     pub(super) learned: Vec<LearnedCalibration>,
+    pub(super) wiring: Vec<WiringReport>,
     pub(super) signing_result: Result<()>,
     pub(super) failures: DeferredErrors,
 }
@@ -108,6 +110,7 @@ pub(super) async fn session(
     let driven = stop_bricks(embedded, &stop).while_running()?;
     let kept = station_loop.save_signing_state();
     let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;
+    let wiring = WiringReport::of_session(&station_loop.station, config);
     station_loop.record_truth();
     let closed = close(station_loop).while_running()?;
     viewers.finish().while_running()?;
@@ -118,6 +121,7 @@ pub(super) async fn session(
         recorded: closed.recorded,
         simulations: driven,
         learned,
+        wiring,
         signing_result: kept,
         failures: closed.failures,
     })

@@ -35,18 +35,27 @@ impl DataSet {
         if runs.is_empty() {
             bail!("no run of `{name}` begins with `{prefix}`; there are: {}", descriptor.runs.join(", "));
         }
-        let own_folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let own_folder = parent.unwrap_or(Path::new(".")).to_owned();
         Ok(Self { descriptor, runs, root: flags.data.clone().unwrap_or(own_folder) })
     }
 
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
-        let options = LoadOptions { run, geometry, use_every: flags.use_every };
+        let options = LoadOptions { run, geometry, wiring: robot.wiring(), use_every: flags.use_every };
         let mut open = |relative: &Path| std::fs::read(self.root.join(relative));
         let run = dataset::load(&self.descriptor, options, &mut open)
             .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
-        ensure!(!run.observations.is_empty(), "run `{}` holds no observation", run.name);
+        ensure!(
+            !run.observations.is_empty(),
+            "run `{}` holds no observation: {}",
+            run.name,
+            run.bad_rows.listed.first().map_or_else(
+                || "no row follows the headers of its files".to_owned(),
+                |first| format!("{first} ({} rows could not be used)", run.bad_rows.total())
+            )
+        );
         let mut config = filter_config(&robot, &filter, world_of(&run))?;
         config.start = run.start.or(config.start);
         Ok(RobotRun { run, robot, filter, filter_config: config })

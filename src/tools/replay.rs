@@ -22,6 +22,7 @@ use crate::config::{CalibrationEntry, CalibrationKey, Provenance, learnable_keys
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
+use crate::station::wiring_fix::wiring_text;
 
 pub use self::result::{
     FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun, SmoothingSpan,
@@ -31,6 +32,9 @@ pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
     let replayed = if is_own(&args.session.recording) { own::replay(args)? } else { foreign::replay(args)? };
     print(args, &replayed, timer.now() - Timestamp::ZERO).while_running()?;
+    if args.fix_wiring {
+        print_result(&format!("\n{}", wiring_text(&replayed.wiring))).while_running()?;
+    }
     save_calibration(args, &replayed, timer.utc_start()).while_running()
 }
 

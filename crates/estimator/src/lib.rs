@@ -24,6 +24,7 @@ pub mod smoother;
 pub mod tracking;
 pub mod update;
 mod validation;
+pub mod wiring;
 
 pub use filter::{Filter, FilterCommand, FilterConfig};
 pub use params::{PARAMS, Param, Params};

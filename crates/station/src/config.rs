@@ -9,7 +9,7 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
-use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta};
+use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta, Wiring};
 
 /// The configuration of a station. The same configuration and the same inputs give the same outputs.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +43,8 @@ pub struct RobotConfig {
     pub compared_filters: Vec<String>,
     /// Geometry, noise, start and tunables of the filter.
     pub filter_config: FilterConfig,
+    /// How its sensors are connected; what a message says is corrected by it.
+    pub wiring: Wiring,
     /// Whether the robot's own description replaces the configured geometry.
     pub description: DescriptionPolicy,
     /// Position of the camera's tag on the robot, if fixes are of a tag and not of mid-axle.

@@ -1,9 +1,11 @@
-//! Extracts observations from messages, with the clock of their stamps.
+//! Extracts observations from messages, with the clock of their stamps. This is the only place that corrects them by the robot's wiring.
 
 use posebridge_protocol::message::{
     Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
 };
-use posebridge_telemetry::{Body, DriveGeometry, Fix, ObservationKind, Point2, PositionCovariance, Radians, SensorId};
+use posebridge_telemetry::{
+    Body, DriveGeometry, Fix, GyroUnit, ObservationKind, Point2, PositionCovariance, Radians, SensorId, Wiring,
+};
 
 use crate::config::RobotConfig;
 
@@ -44,15 +46,32 @@ impl UnalignedObservation {
 pub(crate) struct ObservationExtractor {
     pub(crate) geometry: DriveGeometry,
     pub(crate) tag_in_body: Point2<Body>,
+    pub(crate) wiring: Wiring,
 }
 
 impl ObservationExtractor {
     pub(crate) const fn new(config: &RobotConfig) -> Self {
-        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body }
+        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body, wiring: config.wiring }
     }
 
     /// The observations in a message: none, one or two.
     pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
+        self.extract_uncorrected(message).map(|observation| observation.map(|observation| self.correct(observation)))
+    }
+
+    fn correct(&self, observation: UnalignedObservation) -> UnalignedObservation {
+        UnalignedObservation {
+            observed: self.wiring.correct(observation.observed, &self.geometry),
+            gyro_turn: observation.gyro_turn.and_then(|turn| match self.wiring.gyro_unit {
+                GyroUnit::RadiansPerSecond => Some(Radians(self.wiring.gyro.sign() * turn.0)),
+                // The period of the integral on the wire is in radians.
+                GyroUnit::DegreesPerSecond => None,
+            }),
+            ..observation
+        }
+    }
+
+    fn extract_uncorrected(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
         #[expect(clippy::wildcard_enum_match_arm, reason = "most messages observe nothing")]
         match message {
             Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
@@ -164,7 +183,7 @@ fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{Heading, Meters};
+    use posebridge_telemetry::{CameraUnit, Heading, Meters, Polarity, RadiansPerSecond, WheelOrder};
 
     const INTERPRETER: ObservationExtractor = ObservationExtractor {
         geometry: DriveGeometry {
@@ -174,6 +193,15 @@ mod tests {
             tick: Radians(0.5),
         },
         tag_in_body: Point2::new(Meters(0.07), Meters(0.0)),
+        wiring: Wiring {
+            wheels: WheelOrder::AsNamed,
+            left: Polarity::Normal,
+            right: Polarity::Normal,
+            gyro: Polarity::Normal,
+            gyro_unit: GyroUnit::RadiansPerSecond,
+            camera_y: Polarity::Normal,
+            camera_unit: CameraUnit::Meters,
+        },
     };
 
     fn fix_with(covariance: Option<[f64; 4]>) -> Fix {
@@ -217,6 +245,30 @@ mod tests {
         assert_eq!(reading.sensor, SensorId::COMPASS);
         assert_eq!(reading.clock_source, ClockSource::Robot);
         assert_eq!(reading.observed, ObservationKind::CompassHeading(heading));
+    }
+
+    #[test]
+    fn what_a_message_says_is_corrected_by_the_wiring() {
+        let wiring = Wiring { gyro: Polarity::Reversed, camera_y: Polarity::Reversed, ..INTERPRETER.wiring };
+        let extractor = ObservationExtractor { wiring, ..INTERPRETER };
+        let inertial = Inertial {
+            stamp: WireStamp::Micros64(7),
+            turn_rate: Some(RadiansPerSecond(0.5)),
+            turn: Some(Radians(2.0)),
+            wheel_accelerations: None,
+        };
+        let [Some(gyro), None] = extractor.extract(&Message::Inertial(inertial)) else {
+            panic!("a gyro is one reading");
+        };
+        assert_eq!(gyro.observed, ObservationKind::TurnRate(RadiansPerSecond(-0.5)));
+        assert_eq!(gyro.gyro_turn, Some(Radians(-2.0)));
+        let in_degrees = Wiring { gyro_unit: GyroUnit::DegreesPerSecond, ..INTERPRETER.wiring };
+        let extractor = ObservationExtractor { wiring: in_degrees, ..INTERPRETER };
+        let [Some(gyro), None] = extractor.extract(&Message::Inertial(inertial)) else {
+            panic!("a gyro is one reading");
+        };
+        assert_eq!(gyro.observed, ObservationKind::TurnRate(RadiansPerSecond(0.5_f64.to_radians())));
+        assert_eq!(gyro.gyro_turn, None);
     }
 
     #[test]

@@ -212,7 +212,8 @@ impl Station {
             .robots
             .of_fix(&self.config, endpoint, sender.address, tag)
             .map(|index| self.robots.get(index).extractor);
-        ObservationExtractor { tag_in_body: robot.map_or(unknown.tag_in_body, |robot| robot.tag_in_body), ..unknown }
+        let robot = robot.unwrap_or(unknown);
+        ObservationExtractor { tag_in_body: robot.tag_in_body, wiring: robot.wiring, ..unknown }
     }
 
     /// A duplicate from another link of the group adds only a bound of its sender's clock.
@@ -423,10 +424,14 @@ impl Station {
             self.transmitter().send_published(index, &message);
         }
         let slip_began = report.slip_began;
+        let finding = self.robots.get_mut(index).check_wiring(&observation);
         self.emit(Event::ObservationFused { robot, record: report.record });
         if slip_began {
             let text = "wheels slip: gyro and wheels disagree";
             self.report_own_text(severity::WARNING, self.robots.labelled(index, text));
+        }
+        if let Some(text) = finding {
+            self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
         }
     }
 

@@ -1,11 +1,12 @@
 //! One robot: its clock, its estimator, and its publisher.
 
+use posebridge_estimator::wiring::{WiringFinding, WiringMonitor};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntry, find_filter};
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, FusionOutcome, HostClock, Observation,
-    Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp,
+    Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
 };
 
 use crate::clock_alignment::ClockAlignment;
@@ -65,6 +66,8 @@ pub struct Robot {
     pub(crate) estimator: Estimator,
     pub(crate) compared: ComparedEstimators,
     pub(crate) publisher: EstimatePublisher,
+    wiring_monitor: WiringMonitor,
+    wiring_findings: Vec<WiringFinding>,
     /// The endpoint and the instant of its last message.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
     /// Observers with their own clocks that have sent fixes of it, in the order of their first: each is a sensor of its
@@ -89,6 +92,8 @@ impl Robot {
             estimator: Estimator::new(filters.own, &config.filter_config),
             compared: ComparedEstimators::new(&filters.compared, &config.filter_config),
             publisher: EstimatePublisher::new(links),
+            wiring_monitor: WiringMonitor::new(&config.filter_config),
+            wiring_findings: Vec::new(),
             last_seen: None,
             cameras: Vec::new(),
             description: config.description,
@@ -134,6 +139,16 @@ impl Robot {
     /// The filter's nominal geometry: the configured one, or the one that the robot has described.
     pub const fn geometry(&self) -> DriveGeometry {
         self.estimator.config.geometry
+    }
+
+    /// How its sensors are configured to be connected.
+    pub const fn wiring(&self) -> Wiring {
+        self.extractor.wiring
+    }
+
+    /// What is connected, counted or configured wrongly, in the order in which it was found.
+    pub fn wiring_findings(&self) -> &[WiringFinding] {
+        &self.wiring_findings
     }
 
     /// The names of the filters that run beside its own.
@@ -184,6 +199,7 @@ impl Robot {
         if geometry != self.estimator.config.geometry {
             self.extractor.geometry = geometry;
             self.estimator.set_geometry(geometry);
+            self.wiring_monitor.set_geometry(geometry);
             self.compared.push(EstimatorInput::SetGeometry(geometry));
         }
     }
@@ -213,6 +229,18 @@ impl Robot {
         self.estimator.observe(observation)
     }
 
+    /// Compares an observation with those of the other sensors; a text when that shows something that is connected, counted or
+    /// configured wrongly.
+    pub(crate) fn check_wiring(&mut self, observation: &Observation) -> Option<String> {
+        if self.estimator.switched_off.contains(&observation.sensor) {
+            return None;
+        }
+        let finding = self.wiring_monitor.observe(observation)?;
+        let text = finding.to_string();
+        self.wiring_findings.push(finding);
+        Some(text)
+    }
+
     /// [`FusionOutcome::Malformed`] and no change if a number is not finite or a sigma is negative.
     pub(crate) fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         self.compared.push(EstimatorInput::SetPose(*start));
@@ -234,6 +262,7 @@ impl Robot {
     pub(crate) fn restart_clock(&mut self) {
         self.compared.push(EstimatorInput::RestartClock);
         self.estimator.restart_clock();
+        self.wiring_monitor.restart_clock();
     }
 }
 

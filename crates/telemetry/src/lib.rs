@@ -23,6 +23,7 @@ pub mod robot;
 pub mod severity;
 pub mod simulator;
 pub mod spaces;
+pub mod wiring;
 
 pub use clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
 pub use command::{Command, FilterComparison, OnlineCalibration, ParameterName, ParameterStorage, Request};
@@ -45,3 +46,4 @@ pub use robot::{
 };
 pub use simulator::{SimulatorCommand, SlippingWheel, SteeringSource};
 pub use spaces::{Arena, Body, Camera, Odom, Point2, Pose, Tag, Transform2};
+pub use wiring::{CameraUnit, GyroUnit, Polarity, WheelOrder, Wiring};

@@ -20,6 +20,7 @@ use crate::station::event_collector::{EventCollector, MAX_INTERPOLATION_GAP};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
 use crate::station::per_robot::PerRobot;
+use crate::station::wiring_fix::WiringReport;
 use crate::tools::dataset::{DataSet, RobotRun, report_bad_rows};
 use crate::tools::score::{Scorer, pose_at};
 
@@ -81,6 +82,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
             if Some(filter) == filters.last() {
                 write_run_charts(args, &robot_run, &collector, replayed.smoothed.last()).while_running()?;
             }
+            if Some(filter) == filters.last() {
+                replayed.wiring.extend(one.wiring.clone());
+            }
             scored = Some((one.duration, one.observations));
             gathered.add(one, collector);
         }
@@ -128,6 +132,7 @@ pub struct ReplayScores {
     /// Without the correction of the estimated delay.
     pub uncorrected: ErrorSummary,
     pub learned: Option<LearnedCalibration>,
+    pub wiring: Option<WiringReport>,
     /// From the first to the last replayed observation.
     pub duration: TimeDelta,
     pub observations: u64,
@@ -180,6 +185,8 @@ pub fn replay_run(
             name: None,
             filter: filter.to_owned(),
             filter_config: robot_run.filter_config.clone(),
+            // The observations are corrected already.
+            wiring: robot_run.robot.wiring(),
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
@@ -230,14 +237,12 @@ pub fn replay_run(
     bar.finish_and_clear();
     scorer.finish(&lane.station);
     let (name, robot) = (&robot_run.run.name, &robot_run.robot);
+    let replayed = lane.station.robots().first();
     Ok(ReplayScores {
         errors: summarise(&scorer.errors),
         uncorrected: summarise(&scorer.uncorrected),
-        learned: lane
-            .station
-            .robots()
-            .first()
-            .and_then(|entry| LearnedCalibration::of_robot(entry, name, robot, &prior)),
+        learned: replayed.and_then(|entry| LearnedCalibration::of_robot(entry, name, robot, &prior)),
+        wiring: replayed.map(|entry| WiringReport::of_robot(entry, name.clone(), robot)),
         duration: recorded,
         observations,
     })

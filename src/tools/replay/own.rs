@@ -27,6 +27,7 @@ use crate::station::observer::create;
 use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::station::recorded_session::RecordingWarnings;
 use crate::station::signing::recorded_station_config;
+use crate::station::wiring_fix::WiringReport;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, StationOptions, TlogSource};
 
@@ -110,6 +111,7 @@ fn summarize<'m>(
     let mut result =
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
     for (index, (config, (station, collectors))) in configs.iter().zip(replays).enumerate() {
+        result.wiring = WiringReport::of_session(station, config);
         let entries = collectors.into_entries();
         let has_several = entries.len() > 1;
         for (position, RobotEntry { robot: id, label, value: collector }) in entries.into_iter().enumerate() {

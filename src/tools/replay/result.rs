@@ -18,6 +18,7 @@ use crate::config::RobotFile;
 use crate::flags::{SessionFlags, not_negative, positive};
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 use crate::station::learned_calibration::{LearnedCalibration, with_geometry};
+use crate::station::wiring_fix::WiringReport;
 use crate::tools::score::{EstimateSource, Scorer};
 
 /// Flags of `replay`.
@@ -38,6 +39,10 @@ pub struct ReplayArgs {
     /// Write a robot profile with the calibration that the last learning filter found, for `run --robot`.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
+    /// At the end, print what was found to be connected, counted or configured wrongly, with the lines of the configuration
+    /// that undo it (docs/getting-started.md).
+    #[arg(long, conflicts_with = "json")]
+    pub fix_wiring: bool,
     /// Also compute the path of each run from all of it: the pose at each instant given what came later as well.
     #[arg(long, conflicts_with_all = ["from", "to"])]
     pub smooth: bool,
@@ -94,6 +99,8 @@ pub struct ReplayResult {
     /// Replayed time over all runs, counted once and not for each estimator.
     pub duration: TimeDelta,
     pub changed_settings: Vec<String>,
+    /// Of the last estimator, for each run and robot.
+    pub wiring: Vec<WiringReport>,
 }
 
 pub struct SmoothedRun {

@@ -77,7 +77,7 @@ impl MotionReading {
     }
 
     /// Travel from this reading to the next one, `dt_s` later; `None` when they are of different kinds.
-    pub(super) fn travel_to(&self, next: &Self, dt_s: f64, geometry: &DriveGeometry) -> Option<WheelTravel> {
+    pub(crate) fn travel_to(&self, next: &Self, dt_s: f64, geometry: &DriveGeometry) -> Option<WheelTravel> {
         match (*self, *next) {
             (Self::Wheels { left_rad: left, right_rad: right }, Self::Wheels { left_rad, right_rad }) => {
                 Some(WheelTravel::from_rotation(left_rad - left, right_rad - right, geometry))

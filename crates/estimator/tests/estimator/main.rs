@@ -28,3 +28,4 @@ mod smoother_oracle;
 mod support;
 mod thermometer;
 mod update;
+mod wiring;

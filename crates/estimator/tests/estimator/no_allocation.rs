@@ -3,6 +3,7 @@
 use std::hint::black_box;
 
 use allocation_counter::measure;
+use posebridge_estimator::wiring::WiringMonitor;
 use posebridge_estimator::{FILTERS, Filter, FilterConfig};
 use posebridge_telemetry::{
     Arena, BeaconId, Celsius, FusionOutcome, LandmarkId, Meters, MetersPerSecond, MetersPerSecondSquared, Observation,
@@ -127,6 +128,21 @@ fn the_flagship_with_every_state_allocates_nothing_even_while_it_seeks_its_headi
     assert_eq!(counted.count_total, 0, "{counted:?}");
     let latest = lost.estimate_at(stamp(WARM_UP + MEASURED - 1)).unwrap();
     assert!(latest.validity.position && !latest.validity.heading);
+}
+
+#[test]
+fn the_detector_of_wiring_faults_allocates_nothing() {
+    let mut monitor = WiringMonitor::new(&config());
+    let counted = measure(|| {
+        for k in 0..MEASURED {
+            black_box(monitor.observe(&gyro(k)));
+            black_box(monitor.observe(&wheels(k)));
+            if k >= LATE_STEPS {
+                black_box(monitor.observe(&fix(k - LATE_STEPS)));
+            }
+        }
+    });
+    assert_eq!(counted.count_total, 0, "{counted:?}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use posebridge_telemetry::{
     Arena, BeaconId, BrickClock, DriveGeometry, LandmarkId, Meters, Observation, ObservationKind, Point2, Pose,
-    SensorId, StartPose, TimeDelta, Timestamp,
+    SensorId, StartPose, TimeDelta, Timestamp, Wiring,
 };
 
 use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
@@ -25,6 +25,8 @@ pub struct LoadOptions<'a> {
     pub run: &'a str,
     /// Converts ticks and lengths of the wheels to rotation.
     pub geometry: DriveGeometry,
+    /// Corrects wheels, gyro and fixes.
+    pub wiring: Wiring,
     /// Passes every n-th fix to the filter, 0 for none; `None` takes the descriptor's number.
     pub use_every: Option<usize>,
 }
@@ -232,7 +234,10 @@ impl RunLoader<'_> {
     ) -> Result<(), LoadError> {
         let common = stream.common();
         let items = self.scan(&common, bind)?;
-        let timed = items.into_iter().map(|(moment, observed)| timed_observation(&common, sensor, moment, observed));
+        let LoadOptions { wiring, geometry, .. } = self.options;
+        let timed = items
+            .into_iter()
+            .map(|(moment, observed)| timed_observation(&common, sensor, moment, wiring.correct(observed, &geometry)));
         self.dataset_run.observations.extend(timed);
         Ok(())
     }
@@ -261,6 +266,7 @@ impl RunLoader<'_> {
         let first = stream.use_first.unwrap_or(0);
         for (index, (moment, fix)) in items.into_iter().enumerate() {
             let stamp = Timestamp::from_nanos(moment.stamp_nanos);
+            let fix = self.options.wiring.correct_fix(fix);
             let withheld = WithheldFix { time: stamp, fix };
             self.all_fixes.push(withheld);
             let is_used = index >= first && every > 0 && (index - first).is_multiple_of(every);
@@ -302,6 +308,7 @@ impl RunLoader<'_> {
         let mut items = Vec::new();
         for row in table.ordered_rows() {
             let mut read = || {
+                row.check_width()?;
                 let stamp = table.time_nanos(&row)?;
                 let arrival_nanos = table.arrival(&row)?.unwrap_or(stamp);
                 let value = reader(&row, clock.classify(stamp))?;

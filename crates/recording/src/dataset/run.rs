@@ -58,6 +58,8 @@ const MAX_LISTED_ROWS: usize = 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum BadRowReason {
     MissingColumn,
+    /// More fields than the header has, as decimal commas make them.
+    ExtraColumn,
     NotNumeric,
     TimeBackwards,
     /// Equal to the previous row, where an interval is needed.
@@ -76,6 +78,7 @@ impl BadRowReason {
     pub const fn name(self) -> &'static str {
         match self {
             Self::MissingColumn => "missing column",
+            Self::ExtraColumn => "more columns than the header",
             Self::NotNumeric => "not a number",
             Self::TimeBackwards => "time goes back",
             Self::ZeroInterval => "zero interval",
@@ -164,6 +167,17 @@ pub enum LoadError {
     /// Larger than any recording of a small robot.
     #[error("{path} unpacks to more than 1 GiB")]
     TooLarge { path: String },
-    #[error("{path}: there is no column `{column}`, the header has: {known}")]
-    NoColumn { path: String, column: String, known: String },
+    #[error("{path}:{line}: there is no column `{column}`, the header has: {known}{hint}")]
+    NoColumn {
+        path: String,
+        /// Of the header, from 1.
+        line: usize,
+        column: String,
+        known: String,
+        /// What may be wrong instead; empty if nothing is known.
+        hint: &'static str,
+    },
+    /// A file whose descriptor names header lines.
+    #[error("{path} is empty: line {line} should be the header")]
+    Empty { path: String, line: usize },
 }

@@ -57,6 +57,8 @@ struct TableFormat {
     comment: Option<String>,
     filter: Option<(usize, String)>,
     order: RowOrder,
+    /// The time is a column by name, and one line is one row of fields for each name.
+    has_names: bool,
 }
 
 #[derive(Debug)]
@@ -71,30 +73,57 @@ pub(super) struct TableRow<'a> {
     /// From 1.
     pub(super) line: usize,
     fields: Vec<&'a str>,
+    /// Of the header; empty without one, or if the descriptor numbers the columns.
+    names: &'a [String],
 }
 
 impl TableRow<'_> {
     fn field(&self, index: usize) -> Result<&str, RowError> {
         let count = self.fields.len();
         self.fields.get(index).copied().ok_or_else(|| {
-            let detail = format!("column {index} is wanted, the row has {count}");
+            let detail = format!("{} is wanted, the row has {count}", self.column_name(index));
             RowError::new(BadRowReason::MissingColumn, detail)
         })
     }
 
     fn number(&self, index: usize) -> Result<f64, RowError> {
         let text = self.field(index)?;
-        text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| not_numeric(text))
+        text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| self.not_numeric(index, text))
+    }
+
+    /// A column as in the header, or its number from 0.
+    fn column_name(&self, index: usize) -> String {
+        self.names.get(index).map_or_else(|| format!("column {index}"), |name| format!("column `{name}`"))
+    }
+
+    fn not_numeric(&self, index: usize, text: &str) -> RowError {
+        let shown: String = text.chars().take(MAX_QUOTED_CHARS).collect();
+        let with_point = text.replacen(',', ".", 1);
+        let hint = if text.contains(',') && with_point.parse::<f64>().is_ok() {
+            format!(": a decimal comma; write {with_point}")
+        } else {
+            String::new()
+        };
+        RowError::new(BadRowReason::NotNumeric, format!("{}: `{shown}`{hint}", self.column_name(index)))
+    }
+
+    /// Rejects a row with more fields than the header has.
+    pub(super) fn check_width(&self) -> Result<(), RowError> {
+        let (names, fields) = (self.names.len(), self.fields.len());
+        let is_wider = names > 0 && self.fields.iter().skip(names).any(|field| !field.is_empty());
+        if !is_wider {
+            return Ok(());
+        }
+        let detail = format!(
+            "{fields} for {names}: decimal commas? Separate columns by semicolons (`delimiter = \"semicolon\"`) and write numbers with a \
+             point"
+        );
+        Err(RowError::new(BadRowReason::ExtraColumn, detail))
     }
 }
 
 /// Longest excerpt of a bad field in a message.
 const MAX_QUOTED_CHARS: usize = 40;
-
-fn not_numeric(text: &str) -> RowError {
-    let shown: String = text.chars().take(MAX_QUOTED_CHARS).collect();
-    RowError::new(BadRowReason::NotNumeric, format!("`{shown}`"))
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct BoundColumn<D> {
@@ -111,7 +140,7 @@ impl<D> BoundColumn<D> {
     pub(super) fn read_id(&self, row: &TableRow<'_>) -> Result<u32, RowError> {
         let value = self.read(row)?;
         let id = value as u32;
-        if f64::from(id) == value { Ok(id) } else { Err(not_numeric(row.field(self.index)?)) }
+        if f64::from(id) == value { Ok(id) } else { Err(row.not_numeric(self.index, row.field(self.index)?)) }
     }
 }
 
@@ -139,6 +168,9 @@ impl BoundHeadingColumns {
 impl DatasetTable {
     /// Skips the header lines and binds the columns that the file entry itself names.
     pub(super) fn new(path: String, text: String, entry: &FileEntry) -> Result<Self, LoadError> {
+        if entry.header_lines > 0 && text.trim().is_empty() {
+            return Err(LoadError::Empty { path, line: entry.header_lines });
+        }
         let mut table = Self {
             names: header_names(&text, entry),
             path,
@@ -149,6 +181,8 @@ impl DatasetTable {
                 comment: entry.comment.clone(),
                 filter: None,
                 order: entry.order,
+                has_names: entry.delimiter != Delimiter::Whitespace
+                    && entry.time.as_ref().is_some_and(|time| matches!(time.column, ColumnRef::Name(_))),
             },
             time: None,
             arrival_nanos: None,
@@ -182,10 +216,23 @@ impl DatasetTable {
                 let found = self.names.iter().position(|known| known == name);
                 found.ok_or_else(|| LoadError::NoColumn {
                     path: self.path.clone(),
+                    line: self.format.header_lines,
                     column: name.clone(),
                     known: self.names.join(", "),
+                    hint: self.delimiter_hint(),
                 })
             }
+        }
+    }
+
+    /// What a header that is one column looks like with another delimiter.
+    fn delimiter_hint(&self) -> &'static str {
+        match self.names.as_slice() {
+            [] => "; `header_lines` is 0, so columns have numbers and no names",
+            [only] if only.contains(';') => "; `delimiter = \"semicolon\"` would split it",
+            [only] if only.contains('\t') => "; `delimiter = \"tab\"` would split it",
+            [only] if only.contains(',') => "; `delimiter = \"comma\"` would split it",
+            _ => "",
         }
     }
 
@@ -237,7 +284,8 @@ impl DatasetTable {
         {
             return None;
         }
-        Some(TableRow { line, fields })
+        let names = if self.format.has_names { self.names.as_slice() } else { &[] };
+        Some(TableRow { line, fields, names })
     }
 
     /// Time base of the data.
@@ -257,7 +305,7 @@ impl DatasetTable {
     fn read_time(&self, time: &BoundTimeColumn, row: &TableRow<'_>) -> Result<i64, RowError> {
         let part = |index: usize, unit: TimeUnit| {
             let text = row.field(index)?;
-            decimal_nanos(text, unit.exponent()).ok_or_else(|| not_numeric(text))
+            decimal_nanos(text, unit.exponent()).ok_or_else(|| row.not_numeric(index, text))
         };
         let mut nanos = part(time.index, time.unit)?;
         if let Some((index, unit)) = time.plus {

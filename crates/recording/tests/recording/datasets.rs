@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use posebridge_recording::dataset::{DatasetRun, Descriptor, LoadError, LoadOptions, load};
-use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians};
+use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians, Wiring};
 use proptest::prelude::*;
 
 /// Wheels of 10 cm and 5 cm radius, half a metre apart, a tick of 0.1 rad: numbers that are easy to follow.
@@ -41,7 +41,7 @@ fn try_load(descriptor: &Descriptor, run: &str, files: &[(&str, String)]) -> Res
         let found = files.iter().find(|(name, _)| Path::new(name) == path);
         found.map(|(_, text)| text.clone().into_bytes()).ok_or_else(|| std::io::ErrorKind::NotFound.into())
     };
-    load(descriptor, LoadOptions { run, geometry: GEOMETRY, use_every: None }, &mut open)
+    load(descriptor, LoadOptions { run, geometry: GEOMETRY, wiring: Wiring::default(), use_every: None }, &mut open)
 }
 
 fn load_rows(rest: &str, rows: &str) -> DatasetRun {
@@ -111,7 +111,7 @@ fn an_option_says_which_fixes_are_used() {
     for (use_every, used) in
         [(None, &[1.0, 4.0, 7.0][..]), (Some(1), &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]), (Some(0), &[])]
     {
-        let options = LoadOptions { run: "only", geometry: GEOMETRY, use_every };
+        let options = LoadOptions { run: "only", geometry: GEOMETRY, wiring: Wiring::default(), use_every };
         let run = load(&descriptor, options, &mut open).unwrap();
         let observed = run.observations.iter().map(|timed| {
             let ObservationKind::Fix(fix) = timed.observation.measurement else { panic!("{timed:?}") };
@@ -232,7 +232,7 @@ proptest! {
         let descriptor = parse(EVERYTHING);
         let gzip = [&[0x1F, 0x8B][..], &bytes].concat();
         for bytes in [bytes, gzip] {
-            let options = LoadOptions { run: "only", geometry: GEOMETRY, use_every: None };
+            let options = LoadOptions { run: "only", geometry: GEOMETRY, wiring: Wiring::default(), use_every: None };
             let mut open = |_: &Path| Ok(bytes.clone());
             let loaded = load(&descriptor, options, &mut open);
             prop_assert!(loaded.is_ok() || bytes.starts_with(&[0x1F, 0x8B]));

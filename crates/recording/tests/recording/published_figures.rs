@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use posebridge_recording::dataset::{BadRowReason, DatasetRun, Descriptor, LoadOptions};
 use posebridge_telemetry::{
-    BrickClock, DriveGeometry, Fix, Meters, ObservationKind, Odom, Pose as OdomPose, Timestamp,
+    BrickClock, DriveGeometry, Fix, Meters, ObservationKind, Odom, Pose as OdomPose, Timestamp, Wiring,
 };
 
 use crate::dead_reckoning::{
@@ -22,7 +22,7 @@ fn foreign_data() -> Option<PathBuf> {
 
 fn load_with(data: &Path, descriptor: &Descriptor, run: &str, geometry: DriveGeometry) -> DatasetRun {
     let use_every = None;
-    let options = LoadOptions { run, geometry, use_every };
+    let options = LoadOptions { run, geometry, wiring: Wiring::default(), use_every };
     load_from(data, descriptor, options)
 }
 

@@ -9,7 +9,7 @@ use posebridge_station::{
 };
 use posebridge_telemetry::{
     Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
-    Timestamp,
+    Timestamp, Wiring,
 };
 
 pub(crate) const LINK: LinkId = LinkId(3);
@@ -40,6 +40,7 @@ pub(crate) fn config() -> StationConfig {
                 arena_map: std::sync::Arc::default(),
                 slow_sensor: SlowSensor::UNKNOWN,
             },
+            wiring: Wiring::default(),
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
