@@ -1,9 +1,10 @@
 //! The command line: every command of the program, and what executes it.
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use posebridge_link::TRANSPORTS;
 use posebridge_sim::impairment::PROFILES;
 
+use crate::examples::add_examples;
 use crate::exit::Failure;
 #[cfg(feature = "lab")]
 use crate::lab::{self, calibrate::CalibrateArgs, experiments::LabArgs, identify::IdentifyArgs, tune::TuneArgs};
@@ -42,6 +43,18 @@ pub struct Cli {
     /// Without a subcommand: the flags of `run`.
     #[command(flatten, next_help_heading = "Without a command, the options of `run`")]
     pub run: RunArgs,
+}
+
+impl Cli {
+    /// Parses the program's arguments; prints the help or an error and exits where there is nothing to execute.
+    pub fn from_args() -> Self {
+        Self::from_arg_matches(&program().get_matches()).unwrap_or_else(|error| error.exit())
+    }
+}
+
+/// The whole command line with its help.
+pub fn program() -> clap::Command {
+    add_examples(Cli::command())
 }
 
 /// The subcommands.
@@ -122,8 +135,8 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Doctor(args) => tools::doctor::execute(&args),
         Command::Init(args) => tools::init::execute(&args),
         Command::Config(args) => tools::config::execute(&args),
-        Command::Completions(args) => tools::man::print_completions(&args, Cli::command()),
-        Command::Man(args) => tools::man::execute(&args, Cli::command()),
+        Command::Completions(args) => tools::man::print_completions(&args, program()),
+        Command::Man(args) => tools::man::execute(&args, program()),
     }
 }
 

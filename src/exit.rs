@@ -77,29 +77,57 @@ impl DeferredErrors {
     }
 }
 
-/// Handlers of Ctrl-C and SIGTERM, installed at the start so that no signal is lost while links open.
+/// Handlers of Ctrl-C, SIGTERM and SIGHUP, installed at the start so that no signal is lost while links open.
 pub(crate) struct Signals {
     interrupt: tokio::signal::unix::Signal,
     terminate: tokio::signal::unix::Signal,
+    /// The terminal was closed, or an ssh ended; `None` under `nohup`, which ignores that.
+    hangup: Option<tokio::signal::unix::Signal>,
 }
 
 impl Signals {
     pub(crate) fn listen() -> Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let hangup = if ignores_hangup(&status) { None } else { Some(signal(SignalKind::hangup())?) };
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())?, hangup })
     }
 
     pub(crate) async fn received(&mut self) {
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
+            () = hung_up(&mut self.hangup) => {}
         }
     }
+}
+
+async fn hung_up(hangup: &mut Option<tokio::signal::unix::Signal>) {
+    match hangup {
+        Some(hangup) => {
+            hangup.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+/// Whether a process with this `/proc/PID/status` was started to ignore SIGHUP. Source: proc_pid_status(5), SigIgn.
+fn ignores_hangup(status: &str) -> bool {
+    const SIGHUP_BIT: u64 = 1;
+    let masks = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    masks.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & SIGHUP_BIT != 0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nohup_is_heeded() {
+        assert!(ignores_hangup("Name:\tposebridge\nSigIgn:\t0000000000001001\nSigCgt:\t0000000000000440\n"));
+        assert!(!ignores_hangup("SigBlk:\t0000000000000001\nSigIgn:\t0000000000001000\n"));
+        assert!(!ignores_hangup(""));
+    }
 
     #[test]
     fn all_that_failed_is_told_and_what_is_too_much_is_counted() {

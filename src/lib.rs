@@ -5,6 +5,7 @@
 pub mod cli;
 pub mod config;
 pub mod console;
+mod examples;
 pub mod exit;
 pub mod flags;
 #[cfg(feature = "lab")]

@@ -3,7 +3,6 @@
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
-use clap::Parser;
 use posebridge::cli::{Cli, execute};
 use posebridge::console::{LogWriter, print_line};
 use tracing_subscriber::filter::{LevelFilter, Targets};
@@ -11,7 +10,7 @@ use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::from_args();
     let log = tracing_subscriber::fmt::layer().with_writer(|| LogWriter).with_ansi(std::io::stderr().is_terminal());
     tracing_subscriber::registry().with(log.with_filter(log_filter())).init();
     match execute(cli) {

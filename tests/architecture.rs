@@ -56,7 +56,7 @@ const PARTS: &[(&str, &[&str])] = &[
     ("station", &["station", "virtual_station.rs"]),
     ("tools", &["tools"]),
     ("lab", &["lab"]),
-    ("cli", &["cli.rs", "lib.rs", "main.rs"]),
+    ("cli", &["cli.rs", "examples.rs", "lib.rs", "main.rs"]),
 ];
 
 /// Foreign crates that bring a runtime, a socket, a port or a thread; only crates that are not pure may name them directly.

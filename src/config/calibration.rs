@@ -6,7 +6,7 @@ use posebridge_telemetry::{Calibration, MountedSensor, Mountings, SensorNoise, U
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
+use super::lengths::{POSITION_SIGMA, check_length};
 use super::mounting::in_degrees;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -37,7 +37,7 @@ const MAX_ANGLE_SIGMA_RAD: f64 = std::f64::consts::PI;
 /// Refuses noise that must be in another unit: larger than the arena, or than half a turn.
 fn check_magnitude(key: &str, value: f64) -> Result<()> {
     if POSITION_SIGMAS.contains(&key) {
-        check_length(&format!("robot.noise.{key}"), value, MAX_POSITION_SIGMA_M)?;
+        check_length(&format!("robot.noise.{key}"), value, &POSITION_SIGMA)?;
     }
     ensure!(
         !ANGLE_SIGMAS.contains(&key) || value <= MAX_ANGLE_SIGMA_RAD,

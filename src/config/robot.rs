@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bricks::{Ev3Section, LineSection, NxtSection};
 use super::calibration::{RobotCalibration, RobotNoise};
-use super::lengths::{MAX_POSITION_SIGMA_M, check_length};
+use super::lengths::{POSITION_SIGMA, TRACK_WIDTH, WHEEL_RADIUS, check_length};
 use super::mounting::RobotMounting;
 use super::sensor::SensorSection;
 use super::wiring::RobotWiring;
@@ -118,12 +118,12 @@ impl RobotFile {
         ] {
             ensure!(value.is_finite() && value > 0.0, "`robot.{key}` is {value}, must be a positive number");
         }
-        for (key, value_m, limit_m) in [
-            ("left_wheel_radius_m", self.left_wheel_radius_m, MAX_WHEEL_RADIUS_M),
-            ("right_wheel_radius_m", self.right_wheel_radius_m, MAX_WHEEL_RADIUS_M),
-            ("track_width_m", self.track_width_m, MAX_TRACK_WIDTH_M),
+        for (key, value_m, limits) in [
+            ("left_wheel_radius_m", self.left_wheel_radius_m, WHEEL_RADIUS),
+            ("right_wheel_radius_m", self.right_wheel_radius_m, WHEEL_RADIUS),
+            ("track_width_m", self.track_width_m, TRACK_WIDTH),
         ] {
-            check_length(&format!("robot.{key}"), value_m, limit_m)?;
+            check_length(&format!("robot.{key}"), value_m, &limits)?;
         }
         Ok(DriveGeometry {
             left_wheel_radius: Meters(self.left_wheel_radius_m),
@@ -155,7 +155,7 @@ impl RobotFile {
         {
             ensure!(value.is_finite() && value > 0.0, "`robot.start.{key}` is {value}, must be more than zero");
         }
-        check_length("robot.start.position_sigma_m", start.position_sigma_m, MAX_POSITION_SIGMA_M)?;
+        check_length("robot.start.position_sigma_m", start.position_sigma_m, &POSITION_SIGMA)?;
         let heading_sigma_deg = start.heading_sigma_deg;
         ensure!(
             heading_sigma_deg <= MAX_HEADING_SIGMA_DEG,
@@ -200,9 +200,6 @@ impl RobotFile {
     }
 }
 
-/// No wheel of a robot that stands on a floor is larger.
-const MAX_WHEEL_RADIUS_M: f64 = 1.0;
-const MAX_TRACK_WIDTH_M: f64 = 10.0;
 const MAX_HEADING_SIGMA_DEG: f64 = 180.0;
 
 /// One thermometer. Those that are not listed are learnt from what they show.

@@ -122,15 +122,19 @@ impl EventCollector {
         (self.quantity_steps.taken() > 0).then(|| self.quantity_steps.to_string())
     }
 
+    /// In the arena; empty for a robot that was never found there.
     pub fn track(&self) -> PoseTrack {
-        track_of(self.estimates.items())
+        track_of(self.estimates.items().iter().filter(|estimate| !estimate.is_relative()))
     }
 
+    /// Those parts that count from the same origin as the robot's own estimates.
     pub fn compared_tracks(&self) -> Vec<ComparedTrack> {
-        let compared = self.compared.iter();
-        compared
-            .map(|compared| ComparedTrack { filter: compared.name, track: track_of(compared.estimates.items()) })
-            .collect()
+        let is_shown = on_map(self.estimates.items());
+        let compared = self.compared.iter().map(|compared| {
+            let shown = compared.estimates.items().iter().filter(|estimate| is_shown(estimate));
+            ComparedTrack { filter: compared.name, track: track_of(shown) }
+        });
+        compared.collect()
     }
 }
 
@@ -138,9 +142,8 @@ fn has_heading(estimate: &Estimate) -> bool {
     estimate.is_relative() || estimate.validity.heading
 }
 
-fn track_of(estimates: &[Estimate]) -> PoseTrack {
-    let shown = estimates.iter().filter(|estimate| on_map(estimate, estimates));
-    let samples = shown.map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
+fn track_of<'e>(estimates: impl Iterator<Item = &'e Estimate>) -> PoseTrack {
+    let samples = estimates.map(|estimate| TimedPose { time: estimate.stamp, pose: estimate.pose });
     PoseTrack::new(samples, MAX_INTERPOLATION_GAP)
 }
 

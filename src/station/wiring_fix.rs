@@ -135,7 +135,12 @@ fn wiring_lines(before: RobotWiring, after: RobotWiring) -> String {
 /// The texts of several robots, for the end of a run.
 pub fn wiring_text(reports: &[WiringReport]) -> String {
     let texts: Vec<String> = reports.iter().map(WiringReport::to_toml).collect();
-    texts.join("\n")
+    if let [only] = texts.as_slice() {
+        return only.clone();
+    }
+    // Tables of several robots are no file: each belongs to a `[[robot]]` block.
+    let lines = texts.iter().flat_map(|text| text.lines());
+    lines.map(|line| if line.starts_with('#') { format!("{line}\n") } else { format!("#   {line}\n") }).collect()
 }
 
 #[cfg(test)]

@@ -188,7 +188,7 @@ struct ExportSession {
 struct CollectedPoses {
     /// All of one origin: the arena's, or else where the robot started.
     estimates: Vec<TimedPose>,
-    is_relative: bool,
+    is_located: bool,
     observations: Vec<Observation>,
     retains_observations: bool,
     restarts: u64,
@@ -209,11 +209,19 @@ impl CollectedPoses {
 }
 
 impl CollectedPoses {
-    /// Poses that are relative to where the robot started end where it is found in the arena.
+    /// With truth only those in the arena: there is nothing to compare the others with.
+    fn poses(self, truth: Option<&PoseTrack>) -> Vec<TimedPose> {
+        if self.is_located || truth.is_none() { self.estimates } else { Vec::new() }
+    }
+
+    /// Poses in the arena take the place of those that are relative to where the robot started.
     fn on_estimate(&mut self, estimate: &Estimate) {
-        if self.is_relative != estimate.is_relative() {
-            self.is_relative = estimate.is_relative();
+        if !self.is_located && !estimate.is_relative() {
+            self.is_located = true;
             self.estimates.clear();
+        }
+        if self.is_located == estimate.is_relative() {
+            return;
         }
         if estimate.is_relative() || estimate.validity.heading {
             self.estimates.push(TimedPose { time: estimate.stamp, pose: estimate.pose });
@@ -339,14 +347,14 @@ fn robot_poses(
         && let Some(only) = robots.pop()
     {
         let hindsight = hindsight(name, only.robot, &only.value)?;
-        return Ok(vec![RobotPoses { label: None, hindsight, estimates: only.value.estimates, truth }]);
+        return Ok(vec![RobotPoses { label: None, hindsight, estimates: only.value.poses(truth.as_ref()), truth }]);
     }
     let needs_truth = args.formats.contains(&Format::Tum);
     let robots = robots.into_iter().map(|robot| {
         let known = needs_truth.then(|| GroundTruth::load(name, recording, args.truth.as_deref(), robot.robot));
         let truth = known.transpose()?.and_then(|known| known.truth);
         let hindsight = hindsight(&robot.label, robot.robot, &robot.value)?;
-        Ok(RobotPoses { label: Some(robot.label), hindsight, estimates: robot.value.estimates, truth })
+        Ok(RobotPoses { label: Some(robot.label), hindsight, estimates: robot.value.poses(truth.as_ref()), truth })
     });
     robots.collect()
 }

@@ -3,9 +3,9 @@
 use std::process::Command;
 
 use crate::support::{read_text, run};
-use clap::{CommandFactory, ValueEnum};
+use clap::ValueEnum;
 use clap_complete::Shell;
-use posebridge::cli::Cli;
+use posebridge::cli::program;
 use posebridge::tools::man::pages;
 
 /// The program's definition and those of all its subcommands, each with the name of its page.
@@ -17,7 +17,7 @@ fn definitions() -> Vec<(String, clap::Command)> {
         }
     }
     let mut all = Vec::new();
-    add(&Cli::command(), "posebridge", &mut all);
+    add(&program(), "posebridge", &mut all);
     all
 }
 
@@ -30,7 +30,7 @@ fn every_subcommand_has_a_page_that_names_its_flags_and_is_roff_without_fault() 
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     run(folder, &["man", "--out", "man1"]);
-    let made = pages(Cli::command()).unwrap();
+    let made = pages(program()).unwrap();
     let definitions = definitions();
     assert_eq!(std::fs::read_dir(folder.join("man1")).unwrap().count(), definitions.len());
     assert_eq!(made.len(), definitions.len());

@@ -70,7 +70,7 @@ fn every_byte_that_arrived_is_recorded_and_no_torn_frame_is_believed() {
     terminal = PseudoTerminal::open_as(&name);
     let remainder = &first.torn[first.torn.len() / 2..];
     let second = talk(&mut brick, terminal, MESSAGES + 1, remainder);
-    station.interrupt();
+    station.hang_up();
 
     let recorded = recorded(&folder.path().join("run/recording.mcap"));
     assert_eq!(recorded.len(), 2, "the link was up so often");

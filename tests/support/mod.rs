@@ -197,21 +197,27 @@ impl RunningProgram {
 
     /// Asks it to end, as Ctrl-C does, and returns its standard output.
     pub(crate) fn interrupt(mut self) -> String {
-        self.send_interrupt();
+        self.send(Signal::SIGINT);
+        self.output()
+    }
+
+    /// The same as the end of its terminal.
+    pub(crate) fn hang_up(mut self) -> String {
+        self.send(Signal::SIGHUP);
         self.output()
     }
 
     /// The same for a run that may end badly: exit code, standard output and what it said since it was last waited for.
     pub(crate) fn interrupted(mut self) -> (Option<i32>, String, String) {
-        self.send_interrupt();
+        self.send(Signal::SIGINT);
         let heard = self.output.len();
         let (status, printed) = self.wait_for_end();
         (status.code(), printed, self.output.split_off(heard))
     }
 
-    fn send_interrupt(&self) {
+    fn send(&self, signal: Signal) {
         let pid = Pid::from_raw(i32::try_from(self.child.id()).expect("a process id"));
-        kill(pid, Signal::SIGINT).expect("it can be signalled");
+        kill(pid, signal).expect("it can be signalled");
     }
 
     /// Waits for its end and returns its standard output.

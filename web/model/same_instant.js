@@ -3,8 +3,9 @@
 
 // Beyond this many rows the robot's clock began again in between.
 const MOST_ROWS = 256;
-// Between samples that are further apart nothing is known.
+// Between samples that are further apart nothing is known; of a long recording only every so many-th sample is shown.
 const MOST_GAP_S = 0.5;
+const MOST_SPACINGS = 4;
 
 /** The last row up to a time whose instant is one that the truth has told as well; -1 when there is none. */
 export function comparableRow(estimates, truth, until_s) {
@@ -25,7 +26,7 @@ export function readTruth(into, truth, until_s, robot_s, [x, y, heading]) {
   const { columns } = truth;
   const before = Math.max(truth.begin, after - 1);
   const gap_s = columns.robot_s[after] - columns.robot_s[before];
-  if (gap_s > MOST_GAP_S) return false;
+  if (gap_s > Math.max(MOST_GAP_S, MOST_SPACINGS * truth.spacing_s())) return false;
   const share = gap_s > 0 ? (robot_s - columns.robot_s[before]) / gap_s : 1;
   const between = (name) => columns[name][before] + share * (columns[name][after] - columns[name][before]);
   const turn_rad = columns[heading][after] - columns[heading][before];

@@ -260,7 +260,7 @@ class ArenaPanel {
     drawGrid(context, camera);
     drawPath(context, camera, view.path);
     this.others.draw(context, camera);
-    for (const trail of this.trails) drawTrail(context, camera, trail, ...rows(trail.track, view));
+    for (const trail of this.trails) if (this.#isOnMap(trail, view)) drawTrail(context, camera, trail, ...rows(trail.track, view));
     if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);
     if (this.odometry.has) drawRobot(context, camera, this.odometry, { colour: 'odometry', width: 1.5, dash: DASHES.odometry });
     if (this.truth.has) drawRobot(context, camera, this.truth, { colour: 'truth', width: 1.5 });
@@ -268,8 +268,14 @@ class ArenaPanel {
     this.others.drawChosenName(context);
     this.poseInput.draw(context);
     if (this.pose.has && this.#hasLens()) {
-      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
+      this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has && this.pose.is_relative !== 1 ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
     }
+  }
+
+  // A filter that has not found the robot yet counts from elsewhere.
+  #isOnMap({ track }, view) {
+    const row = track.columns.is_relative ? track.rowUntil(view.until_s) : -1;
+    return row < 0 || !this.pose.has || Object.is(track.columns.is_relative[row], this.pose.is_relative);
   }
 
   #paintEstimate(view) {

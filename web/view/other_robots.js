@@ -36,8 +36,10 @@ export class OtherRobots {
       const { estimates } = robot;
       const row = estimates.rowUntil(until_s);
       if (row < 0) continue;
-      const { t_s, x_m, y_m, heading_rad } = estimates.columns;
+      const { t_s, x_m, y_m, heading_rad, is_relative } = estimates.columns;
       if (Number.isNaN(x_m[row] + y_m[row])) continue;
+      // Each that is relative to its start has an origin of its own.
+      if (robot !== chosen && (is_relative[row] === 1 || isRelative(chosen, until_s))) continue;
       this.places[this.count] ??= {};
       const place = this.places[this.count];
       place.robot = robot;
@@ -47,7 +49,7 @@ export class OtherRobots {
       place.y_m = y_m[row];
       place.heading_rad = heading_rad[row] || 0;
       place.end = row + 1;
-      place.begin = estimates.rowAt(t_s[row] - TRAIL_S);
+      place.begin = estimates.sameFrom('is_relative', estimates.rowAt(t_s[row] - TRAIL_S), place.end);
       this.count += 1;
     }
     this.places.length = this.count;
@@ -192,4 +194,9 @@ function halfLength_px(camera) {
 
 function covers(one, other) {
   return one.left < other.right && other.left < one.right && one.top < other.bottom && other.top < one.bottom;
+}
+
+function isRelative(robot, until_s) {
+  const row = robot ? robot.estimates.rowUntil(until_s) : -1;
+  return row >= 0 && robot.estimates.columns.is_relative[row] === 1;
 }

@@ -25,16 +25,20 @@ export class PoseInput {
       act(event);
     }, { capture: true });
     listen('pointerdown', (event) => {
+      if (!event.isPrimary || event.button !== 0) return;
       canvas.setPointerCapture(event.pointerId);
-      this.from = this.to = place(event);
+      this.to = place(event);
+      // On the floor: the map may move on below the pointer.
+      this.from = camera.toArena(this.to.x_px, this.to.y_px);
       onMove();
     });
     listen('pointermove', (event) => {
-      if (!this.from) return;
+      if (!this.from || !event.isPrimary) return;
       this.to = place(event);
       onMove();
     });
     listen('pointerup', (event) => {
+      if (!this.from || !event.isPrimary) return;
       this.to = place(event);
       const pose = this.#pose();
       if (pose) onPose(pose);
@@ -60,7 +64,8 @@ export class PoseInput {
 
   draw(context) {
     if (!this.from) return;
-    const { from, to } = this;
+    const { to } = this;
+    const from = this.#fromOnMap();
     const angle = Math.atan2(to.y_px - from.y_px, to.x_px - from.x_px);
     context.strokeStyle = palette.estimate;
     context.lineWidth = 3;
@@ -75,9 +80,14 @@ export class PoseInput {
     context.stroke();
   }
 
+  #fromOnMap() {
+    return { x_px: this.camera.toX(this.from.x_m), y_px: this.camera.toY(this.from.y_m) };
+  }
+
   #pose() {
-    if (!this.from || Math.hypot(this.to.x_px - this.from.x_px, this.to.y_px - this.from.y_px) < SHORTEST_PX) return null;
-    const from = this.camera.toArena(this.from.x_px, this.from.y_px);
+    const onMap = this.#fromOnMap();
+    if (Math.hypot(this.to.x_px - onMap.x_px, this.to.y_px - onMap.y_px) < SHORTEST_PX) return null;
+    const { from } = this;
     const to = this.camera.toArena(this.to.x_px, this.to.y_px);
     return { x_m: from.x_m, y_m: from.y_m, heading_rad: Math.atan2(to.y_m - from.y_m, to.x_m - from.x_m) };
   }

@@ -106,9 +106,7 @@ impl Transport {
     pub const fn summary(self) -> &'static str {
         match self {
             Self::Serial => "a serial port: USB, UART, a bound Bluetooth port, or a pseudo-terminal of another program",
-            Self::Bluetooth => {
-                "a paired Bluetooth device by its address; needs a program built with `--features bluetooth`"
-            }
+            Self::Bluetooth => "a paired Bluetooth device by its address",
             Self::Pty => "a pseudo-terminal that we make: others open the path like a serial port",
             Self::Tcp => "a TCP client, or a server for many clients where the link listens",
             Self::Udp => "UDP: without a host it listens and replies to its peers, with a host it sends there first",

@@ -4,8 +4,8 @@ use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
-    Address, Estimate, Event, HostClock, LinkId, Observation, ObservationKind, Priority, ReceiveError, TimeDelta,
-    Timestamp, severity,
+    Address, Estimate, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, Priority, ReceiveError,
+    TimeDelta, Timestamp, severity,
 };
 
 use crate::clock::align::Alignment;
@@ -424,7 +424,9 @@ impl Station {
             self.transmitter().send_published(index, &message);
         }
         let slip_began = report.slip_began;
-        let finding = self.robots.get_mut(index).check_wiring(&observation);
+        // A damaged one says nothing of the wiring.
+        let is_sound = report.record.outcome != FusionOutcome::Malformed;
+        let finding = if is_sound { self.robots.get_mut(index).check_wiring(&observation) } else { None };
         self.emit(Event::ObservationFused { robot, record: report.record });
         if slip_began {
             let text = "wheels slip: gyro and wheels disagree";

@@ -200,6 +200,8 @@ impl Robot {
             self.extractor.geometry = geometry;
             self.estimator.set_geometry(geometry);
             self.wiring_monitor.set_geometry(geometry);
+            // They were about the geometry before.
+            self.wiring_findings.clear();
             self.compared.push(EstimatorInput::SetGeometry(geometry));
         }
     }

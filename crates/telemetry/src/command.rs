@@ -54,6 +54,8 @@ pub enum Command {
     Simulator(SimulatorCommand),
 }
 
+/// No arena is as wide in metres, and nobody turns a robot so often in degrees.
+const MAX_TYPED: f64 = 10_000.0;
 /// How well a person places a robot by eye.
 const BY_EYE_POSITION_SIGMA_M: f64 = 0.05;
 const BY_EYE_HEADING_SIGMA_RAD: f64 = std::f64::consts::PI / 18.0;
@@ -69,7 +71,7 @@ impl Command {
         let parts = text.split([',', ' ']).filter(|part| !part.is_empty());
         let numbers: Vec<f64> = parts.map(|part| part.parse().unwrap_or(f64::NAN)).collect();
         match numbers.as_slice() {
-            [x_m, y_m, heading_deg] if numbers.iter().all(|number| number.is_finite()) => {
+            [x_m, y_m, heading_deg] if numbers.iter().all(|number| number.abs() <= MAX_TYPED) => {
                 Ok(Pose::new(Meters(*x_m), Meters(*y_m), Heading::from_rad(heading_deg.to_radians())))
             }
             _ => Err(format!(

@@ -198,7 +198,7 @@ impl TerminalLoop {
         let notice = match Command::parse_pose(typed) {
             Err(_) => "no pose: type x and y in metres and the heading in degrees",
             Ok(pose) if self.inputs.commands.send(self.commanded_robot(), Command::set_pose_by_eye(pose)) => {
-                "the pose is set"
+                "the pose is sent"
             }
             Ok(_) => TOO_MANY_COMMANDS,
         };

@@ -169,13 +169,14 @@ impl WiringMonitor {
             self.gyro.push(time, [0.0]);
             return;
         };
-        let (dt, before_rad) = (time - last.time, last.totals[0]);
+        let (dt, mut before_rad) = (time - last.time, last.totals[0]);
         if dt <= TimeDelta::ZERO {
             return;
         }
         if dt > MAX_GAP {
             self.gyro.clear();
             self.turn_start = None;
+            before_rad = 0.0;
         }
         self.gyro.push(time, [before_rad + rate_rad_per_s * dt.as_secs_f64()]);
     }

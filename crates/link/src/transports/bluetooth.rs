@@ -19,7 +19,7 @@ mod radio {
     ) -> std::future::Ready<Result<Box<dyn Connection>, OpenError>> {
         std::future::ready(Err(OpenError::TransportNotBuilt {
             what: "Bluetooth",
-            advice: "build it with `cargo build --release --features bluetooth`, or bind the device with \
+            advice: "build it with the feature `bluetooth`, or bind the device with \
                      `sudo rfcomm bind 0 ADDRESS` and use serial:///dev/rfcomm0",
         }))
     }

@@ -13,8 +13,7 @@ async fn a_program_without_bluetooth_reports_how_to_get_it() {
     assert!(!error.is_transient() && error.prevents_start());
     assert_eq!(
         error.to_string(),
-        "Bluetooth is not built into this program: build it with `cargo build --release --features bluetooth`, or \
-         bind the device with `sudo rfcomm bind 0 ADDRESS` and use serial:///dev/rfcomm0"
+        "Bluetooth is not built into this program: build it with the feature `bluetooth`, or bind the device with `sudo rfcomm bind 0 ADDRESS` and use serial:///dev/rfcomm0"
     );
 }
 

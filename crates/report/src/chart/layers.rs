@@ -48,7 +48,7 @@ pub(super) fn open_figure(layers: &RunLayers<'_>, height_px: f64) -> Svg {
 
 fn key_figures(layers: &RunLayers<'_>) -> String {
     let Some(truth) = layers.truth else {
-        let is_relative = layers.estimates.last().is_some_and(Estimate::is_relative);
+        let is_relative = !layers.estimates.is_empty() && layers.estimates.iter().all(Estimate::is_relative);
         let origin = if is_relative { "relative to where the robot started; " } else { "" };
         return format!("{origin}no truth known: errors cannot be told");
     };
@@ -177,19 +177,21 @@ impl DrawableLayers {
 
     /// A correction jump ends a line, so that no stroke suggests a path which was never driven.
     fn estimate_lines(&mut self, estimates: &[Estimate]) -> Polylines {
+        let is_shown = on_map(estimates);
         estimates
             .chunk_by(|a, b| a.reset_counter == b.reset_counter && a.is_relative() == b.is_relative())
-            .filter(|part| part.iter().all(|estimate| on_map(estimate, estimates)))
+            .filter(|part| part.iter().all(is_shown))
             .map(|part| self.points(part.iter().map(|estimate| estimate.pose.origin())))
             .filter(|line| !line.is_empty())
             .collect()
     }
 
     fn ellipses_of(&mut self, estimates: &[Estimate]) -> Vec<Vec<Point2<Arena>>> {
+        let is_shown = on_map(estimates);
         estimates
             .iter()
             .step_by(estimates.len().div_ceil(MAX_ELLIPSES).max(1))
-            .filter(|estimate| on_map(estimate, estimates) && is_drawable(estimate.pose.origin()))
+            .filter(|estimate| is_shown(estimate) && is_drawable(estimate.pose.origin()))
             .filter_map(|estimate| {
                 let ellipse = ellipse_of(estimate);
                 self.dropped += usize::from(ellipse.is_none());
@@ -206,9 +208,10 @@ pub(super) fn ellipse_of(estimate: &Estimate) -> Option<Ellipse> {
     Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS)
 }
 
-/// Whether an estimate counts from the same origin as the last of a run: the arena's, or else where the robot started.
-pub fn on_map(estimate: &Estimate, run: &[Estimate]) -> bool {
-    run.last().is_none_or(|last| last.is_relative() == estimate.is_relative())
+/// The estimates of a run that count from one origin: the arena's, or, where the robot was never found there, its start.
+pub fn on_map(run: &[Estimate]) -> impl Fn(&Estimate) -> bool + Copy + use<> {
+    let is_relative = run.iter().all(Estimate::is_relative);
+    move |estimate| estimate.is_relative() == is_relative
 }
 
 pub(super) fn is_drawable(point: Point2<Arena>) -> bool {

@@ -161,9 +161,10 @@ const MAX_ELLIPSES: usize = 14;
 
 /// Axes of the detail, around the widest ellipse; `None` if there is nothing to magnify.
 fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<PlotPanel> {
+    let is_shown = on_map(estimates);
     let (half_axis_m, center) = estimates
         .iter()
-        .filter(|estimate| on_map(estimate, estimates) && is_drawable(estimate.pose.origin()))
+        .filter(|estimate| is_shown(estimate) && is_drawable(estimate.pose.origin()))
         .filter_map(|estimate| Some((ellipse_of(estimate)?.semi_major_m, estimate.pose.origin())))
         .max_by(|a, b| a.0.total_cmp(&b.0))?;
     let width_m = (HALF_AXES_ACROSS * half_axis_m).max(MIN_WIDTH_M);
@@ -178,10 +179,11 @@ fn detail_panel(area: Rect, map: &PlotPanel, estimates: &[Estimate]) -> Option<P
 
 /// Evenly selected ellipses whose centres lie inside the detail.
 fn detail_ellipses(detail: &PlotPanel, estimates: &[Estimate]) -> Vec<Vec<Point2<Arena>>> {
+    let is_shown = on_map(estimates);
     let inside: Vec<&Estimate> = estimates
         .iter()
         .filter(|estimate| {
-            on_map(estimate, estimates) && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
+            is_shown(estimate) && detail.x.contains(estimate.pose.x.0) && detail.y.contains(estimate.pose.y.0)
         })
         .collect();
     inside

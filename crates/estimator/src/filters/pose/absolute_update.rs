@@ -86,7 +86,7 @@ impl AbsoluteUpdate<'_> {
         let source = state.observer_frames.number_of(self.record.sensor);
         let sigma_m = (0.5 * noise.position.trace()).sqrt();
         let measured = FixMeasurement { fix, noise, exposure, source };
-        if !state.is_located && state.status.last_motion.is_none() {
+        if !state.is_located && !state.motion_evidence.has_been_heard {
             // Nobody has seen a relative pose yet: this is where the robot starts, and no reset.
             return initialize_from_fix(state, &measured, layout);
         }

@@ -4,7 +4,7 @@ use posebridge_telemetry::{BrickClock, FusionRecord, MountedSensor, TimeDelta, T
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, ROUNDING, WINDOW_TURN};
-use super::state::{PoseState, Slip, linearize_gyro_window};
+use super::state::{MotionEvidence, PoseState, Slip, linearize_gyro_window};
 use crate::filter::FilterConfig;
 use crate::models::differential_drive::{WheelTravel, body_step, step_noise};
 use crate::models::planar_speeds::Acceleration;
@@ -47,6 +47,7 @@ pub fn update_motion<const N: usize>(
         }
     }
     state.status.last_motion = Some(stamp);
+    state.motion_evidence = MotionEvidence { has_been_heard: true, may_turn: true };
     let length_s = context.config.params.gyro_window_s;
     match state.window {
         None => {
@@ -73,6 +74,7 @@ pub fn update_turn_rate<const N: usize>(state: &mut PoseState<N>, rate_rad_per_s
     let known = |row: usize| speed::Speed { value: state.mean[row], variance: state.covariance[(row, row)] };
     let reading = speed::gyro_reading(rate_rad_per_s, known(GYRO_BIAS), known(GYRO_SCALE), &context.config.noise);
     state.turn.observe(reading);
+    state.motion_evidence.may_turn = true;
     let stamp = state.speeds_predicted_to.unwrap_or(Timestamp::ZERO);
     let stands = state.tick_activity.changed_at.is_some_and(|last| stamp - last >= STANDING)
         && state.status.last_motion.is_some_and(|last| stamp - last < STANDING);

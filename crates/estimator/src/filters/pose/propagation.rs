@@ -290,8 +290,12 @@ impl<const N: usize> PoseState<N> {
     }
 
     fn move_unobserved(&mut self, from: Timestamp<BrickClock>, to: Timestamp<BrickClock>, config: &FilterConfig) {
-        // Until it is first heard a robot rests: a camera that sees it earlier must not make its start less certain.
-        let Some(last) = self.status.last_motion else { return };
+        // A camera that sees a robot before it is heard must not make the heading of its start less certain.
+        if !self.motion_evidence.may_turn {
+            self.inflate_pose_covariance(UNOBSERVED_M_PER_SQRT_S.powi(2) * (to - from).as_secs_f64(), 0.0);
+            return;
+        }
+        let last = self.status.last_motion.unwrap_or(from);
         let held_to = (last + SPEED_HOLD).clamp(from, to);
         if held_to > from {
             self.move_by_speeds((from - last).as_secs_f64().max(0.0), (held_to - last).as_secs_f64(), config);

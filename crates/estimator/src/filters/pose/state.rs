@@ -78,6 +78,15 @@ pub struct Slip {
     pub wheels_stood: bool,
 }
 
+/// What says that the robot moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionEvidence {
+    /// A motion reading was ever used: from then on others know a pose of this robot.
+    pub has_been_heard: bool,
+    /// A sensor of its own was heard since it was switched on. Before that it does not turn.
+    pub may_turn: bool,
+}
+
 /// Everything that a replay must restore.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseState<const N: usize> {
@@ -96,6 +105,7 @@ pub struct PoseState<const N: usize> {
     /// By an absolute observation or a start; until then the pose is relative to where the robot was switched on.
     pub is_located: bool,
     pub status: TrackingStatus,
+    pub motion_evidence: MotionEvidence,
     pub tick_activity: TickActivity,
     /// The latest slip of the wheels.
     pub slip: Option<Slip>,
@@ -129,6 +139,7 @@ impl<const N: usize> PoseState<N> {
             window: None,
             is_located: false,
             status: TrackingStatus::default(),
+            motion_evidence: MotionEvidence::default(),
             tick_activity: TickActivity::default(),
             slip: None,
             last_acceleration: None,
@@ -212,6 +223,7 @@ impl<const N: usize> PoseState<N> {
         self.stamp = None;
         self.speeds_predicted_to = None;
         self.status.forget_stamps();
+        self.motion_evidence.may_turn = false;
         self.tick_activity = TickActivity::default();
         self.last_acceleration = None;
         self.forget_alternatives();

@@ -226,6 +226,7 @@ fn the_variance_of_held_speeds_enters_the_pose_as_the_speeds_do() {
     let context = UpdateContext::new(&config, CORE_STATES);
     for mut state in odd_states::<CORE_STATES>() {
         state.covariance = correlated();
+        state.motion_evidence.may_turn = true;
         (state.forward.variance, state.turn.variance) = (0.04, 0.5);
         let moved = |start: &PoseState<CORE_STATES>| {
             let mut moved = *start;

@@ -87,6 +87,21 @@ fn a_fix_before_the_first_wheel_reading_leaves_the_heading_as_well_known_as_it_w
     assert_eq!(estimate.reset_counter, 0);
 }
 
+/// A robot whose wheels nobody hears is followed by its fixes all the same.
+#[test]
+fn a_robot_that_is_only_seen_is_followed() {
+    let mut filter = PoseFilter::<SMALL_STATES>::new(&started_at(0.0, 0.0, 0.0));
+    let mut accepted = 0;
+    for k in 0..100 {
+        let x_m = 0.02 * f64::from(k);
+        let outcome = filter.observe(&fix_at(i64::from(100 * k), fix_of(x_m, 0.0, 0.0))).outcome;
+        accepted += i32::from(outcome == FusionOutcome::Accepted);
+    }
+    let estimate = filter.estimate_at(stamp_of(9_900)).unwrap();
+    assert!(accepted > 90, "{accepted}");
+    assert!((estimate.pose.x.0 - 1.98).abs() < 0.05, "{estimate:?}");
+}
+
 /// Until the robot is found, its pose counts from where it stood; the covariance is that of its motion.
 #[test]
 fn a_robot_that_nobody_has_seen_has_a_pose_relative_to_its_start() {
@@ -104,7 +119,12 @@ fn a_robot_that_nobody_has_seen_has_a_pose_relative_to_its_start() {
         assert!(driven.is_relative() && !driven.validity.position, "{name}");
         // The filters of paper 1 smooth the speed from rest and lag behind it.
         assert!((driven.pose.x.0 - way_m).abs() < 0.2 * way_m && driven.pose.y.0.abs() < 1e-3, "{name}: {driven:?}");
-        assert!(driven.x_sigma_m() < 0.2 * way_m && driven.heading_sigma_rad() < 0.2, "{name}: {driven:?}");
+        // Those of the papers claim what their printed matrices say.
+        let is_own = name == "pose";
+        assert!(
+            !is_own || (driven.x_sigma_m() < 0.2 * way_m && driven.heading_sigma_rad() < 0.2),
+            "{name}: {driven:?}"
+        );
         if filter.observe(&fix_at(1_950, fix_of(5.0, 6.0, 1.0))).outcome == FusionOutcome::Unused {
             continue;
         }

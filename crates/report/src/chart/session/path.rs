@@ -68,12 +68,13 @@ fn pairs(points: &[Point2<Arena>]) -> Vec<(f64, f64)> {
 }
 
 fn ellipses(estimates: &[Estimate]) -> Vec<Vec<(f64, f64)>> {
+    let is_shown = on_map(estimates);
     let evenly = estimates.iter().step_by(estimates.len().div_ceil(MAX_ELLIPSES).max(1));
     let drawn = evenly.filter_map(|estimate| {
         let [[xx_m2, xy_m2, ..], [_, yy_m2, ..], ..] = estimate.covariance;
         let ellipse = Ellipse::from_covariance(xx_m2, xy_m2, yy_m2, SIGMAS_95)?;
         let corners = ellipse.corners(estimate.pose.origin());
-        let is_drawn = on_map(estimate, estimates) && corners.iter().all(|corner| is_drawable(*corner));
+        let is_drawn = is_shown(estimate) && corners.iter().all(|corner| is_drawable(*corner));
         is_drawn.then(|| pairs(&corners))
     });
     drawn.collect()
