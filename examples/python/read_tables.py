@@ -15,8 +15,8 @@ import pandas as pd
 def sensors(folder):
     """Of each sensor: observations, the share that was used, and the mean NIS per degree of freedom, which is 1 for an honest filter."""
     fusion = pd.read_csv(pathlib.Path(folder) / "fusion.csv")
-    # Slip is seen in what was used all the same.
-    fusion["used"] = fusion["verdict"].isin(["accepted", "slip"])
+    # Slip is seen in what was used all the same, and so is a reset.
+    fusion["used"] = fusion["verdict"].isin(["accepted", "slip", "reset to"])
     of_each = fusion.groupby("sensor_name")
     judged = fusion[fusion["used"] & (fusion["degrees_of_freedom"] > 0)].groupby("sensor_name")
     return pd.DataFrame({

@@ -105,10 +105,13 @@ class Recording(unittest.TestCase):
         self.assertEqual(set(decoded), set(FOXGLOVE))
         records = (
             (message.log_time, json.loads(message.data)) for _, _, message in self.reader().iter_messages(topics=["posebridge/estimate"]))
-        # A viewer would draw a pose that nobody knows.
-        estimates = [(at, record) for at, record in records if record["is_position_valid"]]
+        estimates = list(records)
         odometry = decoded["/posebridge/odometry"]
         self.assertGreater(len(odometry), 50)
+        # Until the robot is seen its pose counts from where it started.
+        frames = ["arena" if record["is_position_valid"] else "start" for _, record in estimates]
+        self.assertEqual([value.frame_id for _, value in odometry], frames)
+        self.assertEqual(set(frames), {"arena", "start"})
         self.assertEqual([at for at, _ in odometry], [at for at, _ in estimates])
         tables = self.tables()
         for (_, theirs), (_, ours) in zip(odometry, estimates):

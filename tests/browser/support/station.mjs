@@ -27,8 +27,10 @@ export class Program {
     this.said = '';
     this.printed = '';
     this.ended = new Promise((resolve) => child.once('close', (code) => resolve(code)));
-    child.stdout.on('data', (bytes) => { this.printed += bytes; });
-    child.stderr.on('data', (bytes) => { this.said += bytes; });
+    this.waiting = [];
+    const heard = () => { for (const tell of this.waiting.splice(0)) tell(); };
+    child.stdout.on('data', (bytes) => { this.printed += bytes; heard(); });
+    child.stderr.on('data', (bytes) => { this.said += bytes; heard(); });
   }
 
   get pid() {
@@ -48,9 +50,7 @@ export class Program {
   async #findsInTime(pattern) {
     while (!pattern.test(this.text)) {
       if (this.child.exitCode !== null) assert.fail(`ended without ${pattern}:\n${this.text}`);
-      const more = new Promise((resolve) => {
-        for (const stream of [this.child.stdout, this.child.stderr]) stream.once('data', resolve);
-      });
+      const more = new Promise((resolve) => { this.waiting.push(resolve); });
       await Promise.race([more, this.ended]);
     }
     return this.text.match(pattern);
