@@ -1,8 +1,8 @@
 //! Finds what is connected, counted or configured wrongly on a robot, from the ratio between gyro, wheels and fixes.
 //!
 //! It gets the observations of one robot as they come, and gives a [`WiringFinding`] once when one fault explains what the
-//! sensors disagree about, within two turns or two metres. It corrects nothing and changes no estimate. See [`evidence`] for
-//! the decision, [`windows`] for the comparisons.
+//! sensors disagree about, within two turns or two metres. It corrects nothing and changes no estimate. See `evidence` for
+//! the decision, `windows` for the comparisons.
 
 mod evidence;
 mod fault;
