@@ -17,6 +17,11 @@ function isOfDriver(message) {
   return message.location().url === '' && message.text().startsWith(" Note that 'script-src' was not explicitly set");
 }
 
+// The other half of the same: an error that comes from no script of the page.
+function isEvalOfDriver(error) {
+  return error.name === 'EvalError' && !String(error.stack).includes('://');
+}
+
 // A complaint with the line that it is about: some come without any other hint.
 function where(message) {
   const { url, lineNumber, columnNumber } = message.location();
@@ -58,7 +63,7 @@ export class Browser {
       if (isOfDriver(message) || forgives.some((text) => message.text().includes(text))) return;
       this.complaints.push(where(message));
     });
-    page.on('pageerror', (error) => this.complaints.push(String(error)));
+    page.on('pageerror', (error) => { if (!isEvalOfDriver(error)) this.complaints.push(String(error)); });
     await page.goto(address, { waitUntil: 'domcontentloaded' });
     return page;
   }
