@@ -6,7 +6,7 @@ use posebridge_estimator::numerics::chi_square::chi_square_quantile;
 use posebridge_estimator::{EstimatedQuantity, Filter, FilterCommand, FilterConfig, FilterEntry, Params};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
-    OnlineCalibration, ScalarEstimate, SensorId, SensorSwitch, StartPose, TimeDelta, Timestamp,
+    OnlineCalibration, ScalarEstimate, SensorId, SensorSwitch, StartPose, Timestamp,
 };
 
 /// Most components of a fix: x, y and heading.
@@ -21,7 +21,6 @@ pub(crate) struct Estimator {
     filter: Box<dyn Filter>,
     pub(crate) switched_off: BTreeSet<SensorId>,
     pub(crate) online_calibration: OnlineCalibration,
-    slip_watch: SlipWatch,
     /// Normalised innovation squared of the last fix over its gate, above 1 if it was rejected; 0 before the first.
     pub(crate) fix_ratio: f64,
     /// The gate of a fix with one, two and three components.
@@ -32,8 +31,6 @@ pub(crate) struct FusionReport {
     pub(crate) record: FusionRecord,
     /// The observation's sensor is enabled.
     pub(crate) is_used: bool,
-    /// The wheels have begun to slip; reported once per episode.
-    pub(crate) slip_began: bool,
 }
 
 impl Estimator {
@@ -44,7 +41,6 @@ impl Estimator {
             filter: (entry.build)(config),
             switched_off: BTreeSet::new(),
             online_calibration: OnlineCalibration::Enabled,
-            slip_watch: SlipWatch::default(),
             fix_ratio: 0.0,
             fix_gates: fix_gates(&config.params),
         }
@@ -55,15 +51,14 @@ impl Estimator {
         if self.switched_off.contains(&observation.sensor) {
             let Observation { sensor, stamp, .. } = *observation;
             let record = FusionRecord::new(sensor, observation.measurement.kind(), stamp, FusionOutcome::Unused);
-            return FusionReport { record, is_used: false, slip_began: false };
+            return FusionReport { record, is_used: false };
         }
         let record = self.filter.observe(observation);
         let components = usize::from(record.degrees_of_freedom);
         if matches!(observation.measurement, ObservationKind::Fix(_)) && components > 0 {
             self.fix_ratio = record.nis / self.fix_gates[components.min(MAX_FIX_COMPONENTS) - 1];
         }
-        let slip_began = record.outcome == FusionOutcome::Slip && self.slip_watch.observe(record.stamp);
-        FusionReport { record, is_used: true, slip_began }
+        FusionReport { record, is_used: true }
     }
 
     pub(crate) const fn quantity(&self) -> EstimatedQuantity {
@@ -144,36 +139,12 @@ fn fix_gates(params: &Params) -> [f64; MAX_FIX_COMPONENTS] {
     [1, 2, 3].map(|components| chi_square_quantile(components, params.gate_probability))
 }
 
-/// Time without slip after which an episode ends: ten of the gyro's usual windows of 0.2 s.
-const SLIP_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
-/// Consecutive windows with slip that are no coincidence. A single one happens by chance once in a thousand, or by
-/// backlash where a wheel changes direction.
-const MIN_CONSECUTIVE: u32 = 3;
-
-/// Counts consecutive motion observations with slip.
-#[derive(Clone, Copy, Debug, Default)]
-struct SlipWatch {
-    last: Option<Timestamp<BrickClock>>,
-    consecutive: u32,
-}
-
-impl SlipWatch {
-    /// Records an observation with slip, and returns whether to warn people.
-    fn observe(&mut self, stamp: Timestamp<BrickClock>) -> bool {
-        let last = self.last.replace(stamp);
-        // A brick that was restarted begins with an earlier stamp.
-        let goes_on = last.is_some_and(|last| (TimeDelta::ZERO..=SLIP_TIMEOUT).contains(&(stamp - last)));
-        self.consecutive = if goes_on { self.consecutive.saturating_add(1) } else { 1 };
-        self.consecutive == MIN_CONSECUTIVE
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::test_config::config;
     use posebridge_estimator::find_filter;
-    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Radians, SensorNoise};
+    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Radians, SensorNoise, TimeDelta};
 
     fn estimator() -> Estimator {
         let noise = SensorNoise {
@@ -247,14 +218,5 @@ mod tests {
         let after = estimator.latest_estimate().expect("it goes on");
         assert!((after.pose.x.0 - before.pose.x.0).abs() < 1e-9, "{} {}", after.pose.x.0, before.pose.x.0);
         assert_eq!(estimator.config.geometry.track_width, Meters(0.2));
-    }
-
-    #[test]
-    fn a_run_of_gated_fixes_is_reported_once_and_a_single_one_never() {
-        let mut watch = SlipWatch::default();
-        let reported = [0, 100, 250, 400, 2_400, 4_401, 9_000, 9_200, 9_300, 50, 60, 70]
-            .map(|millis| watch.observe(Timestamp::from_millis(millis)));
-        let expected = [false, false, true, false, false, false, false, false, true, false, false, true];
-        assert_eq!(reported, expected);
     }
 }

@@ -18,6 +18,7 @@ mod estimate_messages;
 mod estimate_publisher;
 mod estimator;
 mod fix_requests;
+mod fusion_alarms;
 mod link_context;
 mod message_requests;
 mod observation_extractor;

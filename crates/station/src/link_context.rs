@@ -6,7 +6,7 @@ use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::frame_verifier::FrameVerifier;
 use posebridge_protocol::framing::FramerConfig;
 use posebridge_protocol::routing::LinkSharing;
-use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealth, Timestamp};
+use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealth, TimeDelta, Timestamp};
 
 use crate::config::{AcceptedVersions, LinkConfig};
 use crate::decoder::Decoder;
@@ -23,7 +23,42 @@ pub(crate) struct LinkContext {
     pub(crate) ground_stations: BTreeSet<PeerId>,
     /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
+    pub(crate) losses: LossAlarm,
 }
+
+/// Says when a link loses so many frames that a robot notices.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LossAlarm {
+    reported: Option<Timestamp<HostClock>>,
+    was_receiving: bool,
+}
+
+impl LossAlarm {
+    /// Compares two reports of the link, a second apart; `None` if few frames were lost between them, if it was said lately, or if the
+    /// sender has just come back: what it sent meanwhile is another event.
+    pub(crate) fn observe(
+        &mut self,
+        now: Timestamp<HostClock>,
+        before: &LinkHealth,
+        after: &LinkHealth,
+    ) -> Option<String> {
+        let lost = after.frames_lost.saturating_sub(before.frames_lost);
+        let all = lost + after.frames_in.saturating_sub(before.frames_in);
+        let was_receiving = std::mem::replace(&mut self.was_receiving, after.frames_in > before.frames_in);
+        let is_due = was_receiving && self.reported.is_none_or(|reported| now - reported >= LOSS_REPEAT);
+        if !is_due || lost < MIN_LOST_FRAMES || (lost as f64) < MIN_LOST_SHARE * all as f64 {
+            return None;
+        }
+        self.reported = Some(now);
+        Some(format!("lost {lost} of {all} frames in a second: let the robot send less often, or bring it nearer"))
+    }
+}
+
+/// Fewer lost frames than this, or a smaller share, harm no estimate.
+const MIN_LOST_FRAMES: u64 = 5;
+const MIN_LOST_SHARE: f64 = 0.1;
+/// Time after which a loss that lasts is reported again.
+const LOSS_REPEAT: TimeDelta = TimeDelta::from_millis(30_000);
 
 impl LinkContext {
     pub(crate) fn new(config: &LinkConfig) -> Self {
@@ -39,6 +74,7 @@ impl LinkContext {
             verifier: FrameVerifier::new(config.signing.clone()),
             decoder: Decoder::default(),
             ground_stations: BTreeSet::new(),
+            losses: LossAlarm::default(),
             codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
         }
     }

@@ -423,16 +423,12 @@ impl Station {
         for message in robot_entry.publisher.publish_record(now, &report.record, &robot_entry.clocks) {
             self.transmitter().send_published(index, &message);
         }
-        let slip_began = report.slip_began;
+        let alarm = self.robots.get_mut(index).alarms.observe(&report.record);
         // A damaged one says nothing of the wiring.
         let is_sound = report.record.outcome != FusionOutcome::Malformed;
         let finding = if is_sound { self.robots.get_mut(index).check_wiring(&observation) } else { None };
         self.emit(Event::ObservationFused { robot, record: report.record });
-        if slip_began {
-            let text = "wheels slip: gyro and wheels disagree";
-            self.report_own_text(severity::WARNING, self.robots.labelled(index, text));
-        }
-        if let Some(text) = finding {
+        for text in [alarm, finding].into_iter().flatten() {
             self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
         }
     }

@@ -15,6 +15,7 @@ use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::{Estimator, FusionReport};
 use crate::fix_requests::MAX_CAMERAS;
+use crate::fusion_alarms::FusionAlarms;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
@@ -66,6 +67,7 @@ pub struct Robot {
     pub(crate) estimator: Estimator,
     pub(crate) compared: ComparedEstimators,
     pub(crate) publisher: EstimatePublisher,
+    pub(crate) alarms: FusionAlarms,
     wiring_monitor: WiringMonitor,
     wiring_findings: Vec<WiringFinding>,
     /// The endpoint and the instant of its last message.
@@ -92,6 +94,7 @@ impl Robot {
             estimator: Estimator::new(filters.own, &config.filter_config),
             compared: ComparedEstimators::new(&filters.compared, &config.filter_config),
             publisher: EstimatePublisher::new(links),
+            alarms: FusionAlarms::default(),
             wiring_monitor: WiringMonitor::new(&config.filter_config),
             wiring_findings: Vec::new(),
             last_seen: None,
@@ -238,7 +241,7 @@ impl Robot {
             return None;
         }
         let finding = self.wiring_monitor.observe(observation)?;
-        let text = finding.to_string();
+        let text = format!("{finding} (--fix-wiring prints the lines that undo it)");
         self.wiring_findings.push(finding);
         Some(text)
     }

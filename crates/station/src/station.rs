@@ -400,6 +400,9 @@ impl Station {
             };
             let robot = self.robots.get(index).id;
             self.emit(Event::EstimateUpdated { robot, estimate: *estimate });
+            if let Some(text) = self.robots.get_mut(index).alarms.observe_estimate(estimate) {
+                self.report_own_text(severity::NOTICE, self.robots.labelled(index, &text));
+            }
             self.robots.get_mut(index).compared.push_published(estimate);
             self.publish_estimate(index, robot.link, estimate);
             if self.links.len() > 1 || !self.links.contains_key(&robot.link) {
@@ -463,7 +466,9 @@ impl Station {
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
+        let before = link.health;
         let sources = link.refresh_health();
+        let losses = link.losses.observe(self.time.now, &before, &link.health);
         // With several robots on a link the first represents it.
         if let Some(index) = self.robots.at_home(home, &self.router).first() {
             let clock = &self.robots.get(*index).clocks.aligner;
@@ -472,6 +477,9 @@ impl Station {
         }
         let health = link.health;
         self.emit(Event::Health { link: id, health, sources });
+        if let Some(text) = losses {
+            self.report_own_text(severity::WARNING, format!("link {id} {text}"));
+        }
     }
 
     /// Emits an event, also as a text for ground stations.

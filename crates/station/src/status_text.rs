@@ -12,8 +12,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use posebridge_protocol::message::{Message, TextPart};
 use posebridge_protocol::routing::FrameRouter;
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkId, LinkState, RobotId, SensorId, TimeDelta,
-    Timestamp, severity,
+    Address, Event, FusionOutcome, FusionRecord, HostClock, LinkId, LinkState, RobotId, SensorId, TimeDelta, Timestamp,
+    severity,
 };
 
 use crate::link_context::LinkContext;
@@ -41,7 +41,6 @@ enum Topic {
     RobotLost(RobotIndex),
     RobotNamed(RobotIndex),
     Restart(RobotIndex),
-    Reset(RobotIndex),
     FixRejected(RobotIndex, SensorId),
     SenderText(SenderRole),
     Report,
@@ -59,7 +58,6 @@ impl Topic {
             | Self::RobotLost(_)
             | Self::RobotNamed(_)
             | Self::Restart(_)
-            | Self::Reset(_)
             | Self::FixRejected(_, _) => (1, TOPIC_INTERVAL),
         }
     }
@@ -85,7 +83,6 @@ pub(crate) struct StatusTextQueue {
     rate_limits: BTreeMap<Topic, TopicRateLimit>,
     pending: Vec<PendingText>,
     last_text_id: u16,
-    reset_counters: BTreeMap<RobotIndex, u8>,
     /// Robots with a reported loss and an unreported return.
     lost_robots: BTreeSet<RobotIndex>,
 }
@@ -209,11 +206,6 @@ impl StatusTextQueue {
                 let (topic, severity, text) = text_for_record(index, record)?;
                 Some((topic, severity, context.robots.labelled(index, &text)))
             }
-            Event::EstimateUpdated { estimate, robot } => {
-                let index = context.robots.find(*robot).unwrap_or_default();
-                let (topic, severity, text) = self.text_for_reset(index, estimate)?;
-                Some((topic, severity, context.robots.labelled(index, &text)))
-            }
             Event::Text { source, severity, text } => {
                 let sender = if *source == context.own_address {
                     SenderRole::Station
@@ -226,6 +218,7 @@ impl StatusTextQueue {
                 Some((Topic::SenderText(sender), *severity, text.clone()))
             }
             Event::ObservationAligned { .. }
+            | Event::EstimateUpdated { .. }
             | Event::ObservationCompared { .. }
             | Event::EstimateCompared { .. }
             | Event::QuantityUpdated { .. }
@@ -235,15 +228,6 @@ impl StatusTextQueue {
             | Event::Health { .. }
             | Event::ReceiveError { .. } => None,
         }
-    }
-
-    fn text_for_reset(&mut self, robot: RobotIndex, estimate: &Estimate) -> Option<(Topic, u8, String)> {
-        let counter = estimate.reset_counter;
-        let before = self.reset_counters.insert(robot, counter);
-        if before.is_none_or(|before| before == counter) {
-            return None;
-        }
-        Some((Topic::Reset(robot), severity::NOTICE, estimate.describe_reset()))
     }
 }
 

@@ -167,12 +167,21 @@ impl Event {
         let described = match self {
             Self::RobotDetected { robot } => (INFO, format!("robot {} detected", robot.path())),
             Self::RobotNamed { robot, name } => (INFO, format!("robot {} is {name}", robot.path())),
-            Self::RobotLost { robot, silence } => {
-                (WARNING, format!("robot {} lost: silent for {:.1} s", robot.path(), silence.as_secs_f64()))
+            Self::RobotLost { robot, silence } => (
+                WARNING,
+                format!(
+                    "robot {} lost: silent for {:.1} s; look at its battery, its program and the link",
+                    robot.path(),
+                    silence.as_secs_f64()
+                ),
+            ),
+            Self::BrickRestarted { robot } => {
+                (WARNING, format!("robot {} restarted: its clock began anew, the pose is kept", robot.path()))
             }
-            Self::BrickRestarted { robot } => (WARNING, format!("robot {} restarted", robot.path())),
             Self::Link { link, state: LinkState::Up } => (INFO, format!("link {link} is up")),
-            Self::Link { link, state: LinkState::Down } => (WARNING, format!("link {link} is down")),
+            Self::Link { link, state: LinkState::Down } => {
+                (WARNING, format!("link {link} is down: look at plug and power; it is opened again by itself"))
+            }
             Self::Text { source, severity, text } => (*severity, format!("{source}: {text}")),
             Self::ObservationAligned { .. }
             | Self::ObservationFused { .. }
@@ -297,13 +306,16 @@ mod tests {
     fn an_event_text_has_the_severity_of_its_kind_and_a_status_text_that_of_its_sender() {
         let robot = RobotId { link: LinkId(0), address: Address::new(1, 25) };
         let silence = TimeDelta::from_millis(5_040);
+        const LOST: &str = "robot 0/1/25 lost: silent for 5.0 s; look at its battery, its program and the link";
+        const RESTARTED: &str = "robot 0/1/25 restarted: its clock began anew, the pose is kept";
+        const DOWN: &str = "link 3 is down: look at plug and power; it is opened again by itself";
         let cases = [
             (Event::RobotDetected { robot }, INFO, "robot 0/1/25 detected"),
             (Event::RobotNamed { robot, name: "ada".to_owned() }, INFO, "robot 0/1/25 is ada"),
-            (Event::RobotLost { robot, silence }, WARNING, "robot 0/1/25 lost: silent for 5.0 s"),
-            (Event::BrickRestarted { robot }, WARNING, "robot 0/1/25 restarted"),
+            (Event::RobotLost { robot, silence }, WARNING, LOST),
+            (Event::BrickRestarted { robot }, WARNING, RESTARTED),
             (Event::Link { link: LinkId(3), state: LinkState::Up }, INFO, "link 3 is up"),
-            (Event::Link { link: LinkId(3), state: LinkState::Down }, WARNING, "link 3 is down"),
+            (Event::Link { link: LinkId(3), state: LinkState::Down }, WARNING, DOWN),
             (Event::Text { source: robot.address, severity: 2, text: "motor hot".to_owned() }, 2, "1/25: motor hot"),
         ];
         for (event, severity, text) in cases {

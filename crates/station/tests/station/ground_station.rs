@@ -180,7 +180,7 @@ fn a_lost_robot_sends_no_heartbeats_and_its_loss_is_reported() {
         assert_eq!(received.lost(source), 0, "{source}");
     }
     let texts = received.texts();
-    assert!(texts.contains(&"robot 3/1/25 lost: silent for 5.0 s"), "{texts:?}");
+    assert!(texts.contains(&"robot 3/1/25 lost: silent for 5.0 s; look at its b"), "{texts:?}");
     assert!(texts.contains(&"robot 3/1/25 detected again"), "{texts:?}");
     // On the robot's own link the station is present all the time: a peer may wait for it.
     assert!(ReceivedFrames::on(&station, LINK).times(STATION, is_beat).len() >= 22);
