@@ -24,6 +24,7 @@ use posebridge::station::live_status::LiveView;
 use posebridge::station::observer::Observer;
 use posebridge::station::recorder::Recorder;
 use posebridge::station::requests::RequestHandler;
+use posebridge::station::setup::SetupChecklists;
 use posebridge::station::station_loop::{StationLoop, StopConditions};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkSet, LinkUrl};
 use posebridge_protocol::dialect::{Encoder, decode};
@@ -303,6 +304,7 @@ async fn start_station_loop(
         tlog: None,
         observer: Observer::start(None, LiveView::silent()).expect("an observer"),
         dashboard: None,
+        setup: SetupChecklists::default(),
         failures: DeferredErrors::default(),
         input_count: 0,
         signing: None,

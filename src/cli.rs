@@ -1,9 +1,10 @@
 //! The command line: every command of the program, and what executes it.
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ColorChoice, CommandFactory, FromArgMatches, Parser, Subcommand};
 use posebridge_link::TRANSPORTS;
 use posebridge_sim::impairment::PROFILES;
 
+use crate::console::set_colour;
 use crate::examples::add_examples;
 use crate::exit::Failure;
 #[cfg(feature = "lab")]
@@ -34,12 +35,16 @@ use crate::{station, tools};
     about,
     long_about,
     args_conflicts_with_subcommands = true,
+    max_term_width = 80,
     after_long_help = links_help()
 )]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Option<Command>,
+    /// Colours in results.
+    #[arg(long, global = true, value_name = "WHEN", default_value_t = ColorChoice::Auto)]
+    pub color: ColorChoice,
     /// Without a subcommand: the flags of `run`.
     #[command(flatten, next_help_heading = "Without a command, the options of `run`")]
     pub run: RunArgs,
@@ -113,6 +118,7 @@ pub enum Command {
 
 /// Without a subcommand executes `run`.
 pub fn execute(cli: Cli) -> Result<(), Failure> {
+    set_colour(cli.color);
     match cli.command.unwrap_or(Command::Run(cli.run)) {
         Command::Run(args) => station::run::execute(&args),
         Command::Sim(args) => tools::sim::execute(&args),

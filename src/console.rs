@@ -5,9 +5,11 @@
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Mutex, PoisonError, TryLockError};
+use std::sync::{Mutex, OnceLock, PoisonError, TryLockError};
 
+use clap::ColorChoice;
 use indicatif::{ProgressBar, ProgressStyle};
+use posebridge_report::colour::Colour;
 
 /// Bound of the messages for the terminal view, which polls twenty times a second; further ones are only retained.
 const QUEUE_LINES: usize = 256;
@@ -103,6 +105,27 @@ fn capture(line: &str) -> Option<RedirectMode> {
         redirection.retained.push_back(line.to_owned());
     }
     Some(redirection.route)
+}
+
+static COLOUR_CHOICE: OnceLock<ColorChoice> = OnceLock::new();
+
+/// Sets `--color` for the rest of the program.
+pub fn set_colour(choice: ColorChoice) {
+    // The command line is parsed once.
+    let _is_first = COLOUR_CHOICE.set(choice).is_ok();
+}
+
+/// Colours of results on stdout: by default on a terminal, unless NO_COLOR is set to anything (no-color.org).
+pub fn colour() -> Colour {
+    let is_wanted = match COLOUR_CHOICE.get().copied().unwrap_or_default() {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => {
+            let is_refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+            std::io::stdout().is_terminal() && !is_refused
+        }
+    };
+    if is_wanted { Colour::Ansi } else { Colour::Plain }
 }
 
 /// Prints a result on stdout. A broken pipe is not an error.

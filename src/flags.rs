@@ -23,6 +23,14 @@ pub struct ConfigFlags {
     pub settings: Vec<Setting>,
 }
 
+/// How much a command that evaluates a run prints.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct DetailFlags {
+    /// Print the tables of sources and links as well.
+    #[arg(long, short)]
+    pub verbose: bool,
+}
+
 /// Flags that choose what to read of a recording of a real robot.
 #[derive(Args, Clone, Debug)]
 pub struct DataFlags {

@@ -7,7 +7,7 @@ use clap::Args;
 use posebridge_telemetry::{Arena, Command, Pose};
 
 use crate::config::PLOTJUGGLER_ADDRESS;
-use crate::flags::{ConfigFlags, DashboardFlags, LinkFlags, positive};
+use crate::flags::{ConfigFlags, DashboardFlags, DetailFlags, LinkFlags, positive};
 
 /// Flags of `run`.
 #[derive(Args, Clone, Debug, Default)]
@@ -70,6 +70,9 @@ pub struct RunArgs {
     /// without `robot.start` a robot counts from where it starts, until it is seen.
     #[arg(long, value_name = "X,Y,DEGREES", value_parser = Command::parse_pose, allow_hyphen_values = true)]
     pub set_pose: Option<Pose<Arena>>,
+    /// How much is printed at the end.
+    #[command(flatten)]
+    pub detail: DetailFlags,
     /// At the end, write a robot profile with the learned calibration, for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,

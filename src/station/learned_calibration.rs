@@ -5,11 +5,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use posebridge_recording::robot_names::RobotNames;
+use posebridge_report::tables::{TextTable, wrapped};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Calibration, DriveGeometry};
 
 use super::per_robot::file_parts;
-use crate::config::{CalibratedRobot, Config, Provenance, RobotFile, learnable_keys};
+use crate::config::{CalibratedRobot, CalibrationKey, Config, Provenance, RobotFile, learnable_keys};
 
 /// A robot's calibration before and after a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,29 +60,44 @@ pub fn with_geometry(robot: &RobotFile, used: DriveGeometry) -> RobotFile {
 /// A constant whose sigma did not shrink below this share of its prior's was not learned.
 const LEARNED_SHARE: f64 = 0.99;
 
-/// One line for each constant that was learned, and one with the names of those that were not; empty without any.
+impl LearnedCalibration {
+    /// Keys of the constants that were open and were learned.
+    pub fn learned_keys(&self) -> Vec<&'static str> {
+        learnable_keys().filter(|entry| self.has_learned(entry)).map(|entry| entry.key).collect()
+    }
+
+    fn has_learned(&self, entry: &CalibrationKey) -> bool {
+        let (before, after) = ((entry.read)(&self.prior), (entry.read)(&self.calibration));
+        before.sigma > 0.0 && after.sigma <= LEARNED_SHARE * before.sigma
+    }
+
+    /// Keys of the constants that were open and are as before.
+    fn unlearned_keys(&self) -> Vec<&'static str> {
+        let open = learnable_keys().filter(|entry| (entry.read)(&self.prior).sigma > 0.0);
+        open.filter(|entry| !self.has_learned(entry)).map(|entry| entry.key).collect()
+    }
+}
+
+/// A table of the constants that were learned in each run, and a line with the names of those that were not; empty without any.
 pub fn learned_table(runs: &[LearnedCalibration]) -> String {
     let mut text = String::new();
     for learned in runs {
-        let mut unlearned = Vec::new();
-        for entry in learnable_keys() {
-            let (before, after) = ((entry.read)(&learned.prior), (entry.read)(&learned.calibration));
-            if before.sigma <= 0.0 {
-                continue;
-            }
-            if after.sigma > LEARNED_SHARE * before.sigma {
-                unlearned.push(entry.key);
-                continue;
-            }
+        if runs.len() > 1 {
             // Writing to a String cannot fail.
-            let _ = writeln!(
-                text,
-                "learned  {:<20} {:+.5} ± {:.5}   before {:+.5} ± {:.5}   {}",
-                entry.key, after.value, after.sigma, before.value, before.sigma, learned.run
-            );
+            let _ = writeln!(text, "{}", learned.run);
         }
+        let mut table = TextTable::new(["learned", "value", "± sigma", "before", "± sigma"]);
+        for entry in learnable_keys().filter(|entry| learned.has_learned(entry)) {
+            let values = [&learned.calibration, &learned.prior].map(|calibration| (entry.read)(calibration));
+            let cells = values.iter().flat_map(|known| [format!("{:+.5}", known.value), format!("{:.5}", known.sigma)]);
+            table.push(std::iter::once(entry.key.to_owned()).chain(cells));
+        }
+        if !learned.learned_keys().is_empty() {
+            text += &table.render();
+        }
+        let unlearned = learned.unlearned_keys();
         if !unlearned.is_empty() {
-            let _ = writeln!(text, "still as configured, because the run does not show them: {}", unlearned.join(", "));
+            text += &wrapped("not shown  ", &unlearned.join(", "));
         }
     }
     text
@@ -133,10 +149,11 @@ mod tests {
         let mut learned = learned();
         learned.prior.gyro_scale = known(0.0, 0.01);
         learned.calibration.gyro_scale = known(0.0, 0.01);
-        let table = learned_table(&[learned]);
-        assert_eq!(table.matches("learned  ").count(), 1, "{table}");
-        assert!(table.contains("track_scale          +0.11610 ± 0.00420"), "{table}");
-        assert!(table.ends_with("still as configured, because the run does not show them: gyro_scale\n"), "{table}");
+        let table = learned_table(std::slice::from_ref(&learned));
+        let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(rows[1], ["track_scale", "+0.11610", "0.00420", "+0.00000", "0.10000"]);
+        assert_eq!(rows[2], ["not", "shown", "gyro_scale"], "{table}");
+        assert_eq!(learned.learned_keys(), ["track_scale"]);
     }
 
     #[test]

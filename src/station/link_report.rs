@@ -5,8 +5,6 @@ use std::fmt::Write as _;
 use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_telemetry::{LinkCounter, LinkHealth, LinkId, SourceHealth, TimeDelta};
 
-const GUTTER: &str = "  ";
-
 const PROBLEM_COUNTERS: [LinkCounter; 13] = [
     LinkCounter::CHECKSUM_ERRORS,
     LinkCounter::GARBAGE_BYTES,
@@ -75,7 +73,7 @@ pub fn condition(report: &LinkReport) -> String {
             parts.push(format!("{} {count}", counter.label));
         }
     }
-    parts.join(GUTTER)
+    parts.join(", ")
 }
 
 fn losses(report: &LinkReport) -> String {
@@ -172,7 +170,7 @@ mod tests {
     fn a_condition_names_what_went_wrong_and_whose_frames_are_missing() {
         assert_eq!(
             condition(&report()),
-            "round trip 31.2 ms  lost 3 (1/1: 3)  garbage bytes 12  passed on to it 7  thinned 4  not sent 5  waiting 9"
+            "round trip 31.2 ms, lost 3 (1/1: 3), garbage bytes 12, passed on to it 7, thinned 4, not sent 5, waiting 9"
         );
         assert_eq!(condition(&LinkReport::default()), "lost 0");
     }
@@ -185,7 +183,7 @@ mod tests {
             let line = text.lines().find(|line| line.starts_with(start));
             line.unwrap_or_default().split_whitespace().collect()
         };
-        assert_eq!(row("link 0 "), ["link", "0", "300", "3", "0", "12", "0", "0", "0", "0", "0", "31.25", "-"]);
+        assert_eq!(row("link 0 "), ["link", "0", "300", "3", "0", "12", "0", "0", "0", "0"]);
         assert_eq!(row("link 0 1/1 "), ["link", "0", "1/1", "97", "3", "3.00"]);
         assert_eq!(row("link 0 1/100"), ["link", "0", "1/100", "203", "0", "0.00"]);
         assert!(text.contains("link 1"));

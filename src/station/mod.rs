@@ -21,6 +21,7 @@ pub mod requests;
 pub mod run;
 pub mod run_report;
 mod session;
+pub mod setup;
 pub mod signing;
 pub mod simulator;
 pub mod station_loop;

@@ -169,6 +169,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
         switched_off: station.first_robot().switched_off().map(|sensor| sensor.0).collect(),
         is_comparing: station.first_robot().compared_filters().next().is_some(),
         simulator: None,
+        setup: Vec::new(),
     }
 }
 

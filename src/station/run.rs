@@ -1,6 +1,8 @@
 //! `posebridge run`: the station, until Ctrl-C, `--duration`, `--until-silent`, or with `--laps` the last lap of the embedded simulated
 //! brick. At the end come tables and two figures, with a simulated brick also the errors.
 
+use std::path::Path;
+
 use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
 use posebridge_report::tables::source_table;
@@ -8,13 +10,15 @@ use posebridge_report::tables::source_table;
 use super::args::RunArgs;
 use super::links::LapLimit;
 use super::recording_files::RECORDING;
-use super::run_report::{finish, report_learned};
+use super::run_report::{finish, save_learned};
 use super::session::session;
+use super::setup::RobotSetup;
 use super::tui::tty::ensure_terminal;
 use super::wiring_fix::wiring_text;
 use crate::config::{self, Config, LinkSection, LinkTarget, RobotProfile, Setting, load_scenario};
 use crate::console::{print_line, print_result};
 use crate::exit::{DeferredErrors, ExitStage, Failure};
+use crate::flags::{ConfigFlags, DashboardFlags, LinkFlag, LinkFlags};
 use crate::runtime::run_in_runtime;
 
 pub fn execute(args: &RunArgs) -> Result<(), Failure> {
@@ -26,8 +30,8 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let session = run_in_runtime(session(args, &config, RECORDING, laps)).before_start()??;
     // What cannot be drawn or saved must not cost the rest.
     let mut failures = DeferredErrors::default();
-    failures.record(finish(&config, &session.folder, &session.collectors, &session.simulations, &session.recorded));
-    failures.record(report_learned(args, &config, &session));
+    failures.record(finish(args, &config, &session));
+    failures.record(save_learned(args, &config, &session));
     if args.fix_wiring {
         failures.record(print_result(&wiring_text(&session.wiring)).context("the wiring is not printed"));
     }
@@ -53,6 +57,24 @@ pub fn record(args: &RunArgs, file_name: &str) -> Result<String, Failure> {
     let sources = robots.first().map_or_else(String::new, |robot| source_table(&robot.value.sources));
     session.into_result().while_running()?;
     Ok(sources)
+}
+
+/// Runs a station for some seconds, without recording and page. `links` replace those of the configuration, if there are any.
+pub fn check_setup(config: &Path, links: &[String], duration_s: f64) -> Result<Vec<RobotSetup>, Failure> {
+    let links = links.iter().map(|url| LinkFlag { url: url.clone(), role: ConnectRole::Dial });
+    let args = RunArgs {
+        config: ConfigFlags { config: Some(config.to_owned()), ..ConfigFlags::default() },
+        links: LinkFlags(links.collect()),
+        duration: Some(duration_s),
+        no_record: true,
+        page: DashboardFlags { no_dashboard: true, ..DashboardFlags::default() },
+        ..RunArgs::default()
+    };
+    let config = configuration(&args).before_start()?;
+    let session = run_in_runtime(session(&args, &config, RECORDING, LapLimit::Endless)).before_start()??;
+    // It is empty without a recording.
+    drop(std::fs::remove_dir(&session.folder));
+    Ok(session.setup)
 }
 
 /// Applies the command line's flags.

@@ -1,25 +1,27 @@
-//! The end of a run: tables of errors, two figures, and the estimated calibration.
+//! The end of a run: the result in a few lines, tables of errors, two figures, and the estimated calibration.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use posebridge_report::metrics::{PathError, errors_of_estimates, errors_of_track, path_error, summarise};
-use posebridge_report::tables::{RobotErrors, RobotRow, robots_table, run_table, source_table};
-use posebridge_report::{ErrorSummary, FIGURES, PoseTrack, RunLayers, RunRow, TimedPose};
+use posebridge_report::tables::{RobotErrors, RobotRow, robots_table, run_table, source_table, wrapped};
+use posebridge_report::{
+    ErrorSummary, FIGURES, FilterVerdict, PoseTrack, RunAnswer, RunLayers, RunRow, TimedPose, source_verdicts,
+};
 use posebridge_sim::{Simulation, Steering, TruthSample};
 use posebridge_telemetry::{Arena, Point2, TimeDelta};
 
 use super::args::RunArgs;
 use super::event_collector::{EventCollector, MAX_INTERPOLATION_GAP};
-use super::learned_calibration::{learned_table, save_all};
+use super::learned_calibration::{LearnedCalibration, learned_table, save_all};
 use super::link_report;
 use super::links::FinishedSimulation;
 use super::per_robot::PerRobot;
-use super::recording_files::RecordedFiles;
 use super::session::Session;
 use crate::config::{Config, Provenance};
-use crate::console::print_result;
+use crate::console::{colour, print_result};
+use crate::flags::DetailFlags;
 use crate::virtual_station;
 
 pub struct SimulationTruth {
@@ -57,6 +59,8 @@ pub fn errors(collector: &EventCollector, truth: &SimulationTruth) -> (ErrorSumm
     (estimate, odometry)
 }
 
+pub const BRICK_ODOMETRY: &str = "the brick's odometry";
+
 /// The error table of a run with known truth; `other` is the same world with the other steering.
 fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&SimulationTruth>) -> String {
     let (estimate, odometry) = errors(collector, truth);
@@ -65,17 +69,15 @@ fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&Sim
         .iter()
         .map(|compared| (compared.name, summarise(&errors_of_estimates(compared.estimates.items(), &truth.track))))
         .collect();
-    let mut rows = vec![
-        RunRow { name: "brick's own odometry", errors: &odometry },
-        RunRow { name: "estimate", errors: &estimate },
-    ];
+    let mut rows =
+        vec![RunRow { name: BRICK_ODOMETRY, errors: &odometry }, RunRow { name: "estimate", errors: &estimate }];
     rows.extend(compared.iter().map(|(name, errors)| RunRow { name, errors }));
     let mut text = run_table(&rows);
     // Writing to a String cannot fail.
     let _ = writeln!(text, "\npath error when steering by     rms mm    max mm");
     for run in other.into_iter().chain([truth]) {
         let name = match run.steering {
-            Steering::Odometry => "the brick's own odometry",
+            Steering::Odometry => BRICK_ODOMETRY,
             Steering::Estimate => "the estimate",
         };
         let millimetres = |metres: Option<f64>| metres.map_or_else(|| "-".to_owned(), |m| format!("{:.1}", m * 1e3));
@@ -88,25 +90,24 @@ fn table(collector: &EventCollector, truth: &SimulationTruth, other: Option<&Sim
 /// With more robots the calibrations are not printed line by line.
 const MAX_LEARNED_TABLES: usize = 4;
 
-pub(super) fn finish(
-    config: &Config,
-    folder: &Path,
-    collectors: &PerRobot<EventCollector>,
-    simulations: &[FinishedSimulation],
-    recorded: &RecordedFiles,
-) -> Result<()> {
-    let robots = robots_of(collectors, simulations);
-    let mut text = String::new();
-    if let [robot] = robots.as_slice() {
-        text += &one_robot(config, robot)?;
+/// Prints the result first, then tables, then the files; draws the pictures.
+pub(super) fn finish(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
+    let folder = &session.folder;
+    let robots = robots_of(&session.collectors, &session.simulations);
+    let mut text = if let [robot] = robots.as_slice() {
+        one_robot(args.detail, config, robot, &session.learned)?
     } else {
-        text += &several_robots(&robots);
-    }
+        several_robots(args.detail, &robots)
+    };
+    text += "\n";
+    text += &learned_text(&session.learned);
+    text += "\n";
     let drawn = draw(folder, &robots);
     for picture in drawn.iter().flatten() {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "picture    {}", picture.display());
     }
+    let recorded = &session.recorded;
     for (recording, kept) in &recorded.inputs {
         let (file, inputs) = (recording.display(), kept.inputs);
         let parts = match kept.parts {
@@ -125,6 +126,14 @@ pub(super) fn finish(
     }
     print_result(&text)?;
     drawn.map(drop).context("not all pictures are drawn")
+}
+
+/// The constants that were learned, for few robots one by one.
+fn learned_text(learned: &[LearnedCalibration]) -> String {
+    if learned.len() <= MAX_LEARNED_TABLES {
+        return learned_table(learned);
+    }
+    format!("learned    of {} robots: `posebridge replay RECORDING --json` lists it\n", learned.len())
 }
 
 struct RobotOutcome<'r> {
@@ -166,15 +175,21 @@ fn robots_of<'r>(
     robots.collect()
 }
 
-fn one_robot(config: &Config, robot: &RobotOutcome<'_>) -> Result<String> {
+fn one_robot(
+    detail: DetailFlags,
+    config: &Config,
+    robot: &RobotOutcome<'_>,
+    learned: &[LearnedCalibration],
+) -> Result<String> {
     let RobotOutcome { collector, simulation, truth, .. } = robot;
-    let mut text = source_table(&collector.sources);
-    if let Some(steps) = collector.quantity_steps_text() {
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "filter     {steps}");
-    }
-    // Writing to a String cannot fail.
-    let _ = write!(text, "\n{}\n", link_report::tables(collector.links.iter()));
+    let errors = truth.as_ref().map(|truth| errors(collector, truth));
+    let mut text = answer_text(
+        collector,
+        errors.as_ref().map_or(&ErrorSummary::default(), |(estimate, _)| estimate),
+        errors.as_ref().map(|(_, odometry)| (BRICK_ODOMETRY, odometry)),
+        learned.first(),
+    );
+    text += "\n";
     if let (Some(simulated), Some(truth)) = (simulation, truth) {
         let complete = simulated.is_complete.then(|| simulate_other_steering(config, simulated));
         let other = complete.transpose()?;
@@ -182,14 +197,51 @@ fn one_robot(config: &Config, robot: &RobotOutcome<'_>) -> Result<String> {
         text += &table(collector, truth, other.as_ref());
         text += "\n";
     }
+    if detail.verbose {
+        text += &source_table(&collector.sources);
+        text += "\n";
+    }
+    text += &links_text(detail, collector);
     Ok(text)
 }
 
-fn several_robots(robots: &[RobotOutcome<'_>]) -> String {
+/// Pose, verdict and what was learned, or the state of a filter of another quantity.
+pub fn answer_text(
+    collector: &EventCollector,
+    errors: &ErrorSummary,
+    baseline: Option<(&str, &ErrorSummary)>,
+    learned: Option<&LearnedCalibration>,
+) -> String {
+    let estimates = collector.estimates.items();
+    let steps = collector.quantity_steps_text().map(|steps| wrapped("quantity   ", &steps));
+    if let Some(steps) = steps.as_ref().filter(|_| estimates.is_empty()) {
+        return steps.clone();
+    }
+    let answer = RunAnswer {
+        errors,
+        baseline,
+        last: estimates.last(),
+        verdict: FilterVerdict::new(errors, 1, source_verdicts(&collector.sources)),
+        learned: learned.map(LearnedCalibration::learned_keys).unwrap_or_default(),
+    };
+    answer.text(colour()) + &steps.unwrap_or_default()
+}
+
+fn links_text(detail: DetailFlags, collector: &EventCollector) -> String {
+    let links = collector.links.iter();
+    if detail.verbose {
+        return link_report::tables(links) + "\n";
+    }
+    links
+        .map(|(id, report)| wrapped(&format!("{:<11}", format!("link {id}")), &link_report::condition(report)))
+        .collect()
+}
+
+fn several_robots(detail: DetailFlags, robots: &[RobotOutcome<'_>]) -> String {
     let rows: Vec<RobotRow> = robots.iter().map(RobotOutcome::row).collect();
     let mut text = robots_table(&rows) + "\n";
     if let Some(first) = robots.first() {
-        text += &(link_report::tables(first.collector.links.iter()) + "\n");
+        text += &links_text(detail, first.collector);
         let covered = first.simulation.and_then(|simulated| covered_by_tables(&simulated.simulation));
         text += &covered.unwrap_or_default();
     }
@@ -228,16 +280,8 @@ fn draw(folder: &Path, robots: &[RobotOutcome<'_>]) -> Result<Vec<PathBuf>> {
     drawn.collect()
 }
 
-pub(super) fn report_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
+pub(super) fn save_learned(args: &RunArgs, config: &Config, session: &Session) -> Result<()> {
     let learned = &session.learned;
-    if learned.len() <= MAX_LEARNED_TABLES {
-        print_result(&learned_table(learned))?;
-    } else {
-        print_result(&format!(
-            "learned    of {} robots: `posebridge replay RECORDING --json` lists it\n",
-            learned.len()
-        ))?;
-    }
     let Some(path) = &args.save_calibration else {
         return Ok(());
     };

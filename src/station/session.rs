@@ -18,6 +18,7 @@ use super::per_robot::PerRobot;
 use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
+use super::setup::{RobotSetup, SetupChecklists};
 use super::signing::{SigningSession, warn_of_open_listeners};
 use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
@@ -36,6 +37,8 @@ pub(super) struct Session {
     pub(super) simulations: Vec<FinishedSimulation>,
     pub(super) learned: Vec<LearnedCalibration>,
     pub(super) wiring: Vec<WiringReport>,
+    /// At the end, of each robot.
+    pub(super) setup: Vec<RobotSetup>,
     pub(super) signing_result: Result<()>,
     pub(super) failures: DeferredErrors,
 }
@@ -103,6 +106,7 @@ pub(super) async fn session(
             .with_bricks(reachable),
         truth,
         dashboard,
+        setup: SetupChecklists::default(),
         first_pose: args.set_pose,
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
@@ -111,6 +115,7 @@ pub(super) async fn session(
     let kept = station_loop.save_signing_state();
     let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;
     let wiring = WiringReport::of_session(&station_loop.station, config);
+    let setup = station_loop.setup.items(timer.now(), &station_loop.station);
     station_loop.record_truth();
     let closed = close(station_loop).while_running()?;
     viewers.finish().while_running()?;
@@ -122,6 +127,7 @@ pub(super) async fn session(
         simulations: driven,
         learned,
         wiring,
+        setup,
         signing_result: kept,
         failures: closed.failures,
     })

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use posebridge_dashboard::StationStatus;
 use posebridge_link::{DeadlineTimer, HostTimer, LinkEvent, LinkSet, OutgoingFrame};
 use posebridge_recording::container::TruthSample;
 use posebridge_station::Station;
@@ -17,6 +18,7 @@ use super::observer::Observer;
 use super::page_history::station_status;
 use super::recorder::Recorder;
 use super::requests::RequestHandler;
+use super::setup::SetupChecklists;
 use super::signing::SigningStateWriter;
 use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
@@ -51,6 +53,7 @@ pub struct StationLoop {
     pub tlog: Option<TlogRecorder>,
     pub observer: Observer,
     pub dashboard: Option<DashboardHandle>,
+    pub setup: SetupChecklists,
     /// Errors of a recording or telemetry log that ended before the run.
     pub failures: DeferredErrors,
     pub signing: Option<SigningStateWriter>,
@@ -153,7 +156,8 @@ impl StationLoop {
 
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
-            let status = station_status(&self.station, self.recorder.as_ref());
+            let setup = self.setup.rows(now, &self.station);
+            let status = StationStatus { setup, ..station_status(&self.station, self.recorder.as_ref()) };
             dashboard.publish_status(now, status, self.requests.overrides());
         }
     }
@@ -210,6 +214,7 @@ impl StationLoop {
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);
         self.observer.push(now, &events);
+        self.setup.observe(now, &events);
         let placed = self.place_first_robot(&events);
         if let Some(keeper) = &mut self.signing {
             keeper.save_if_due(now, &self.station);

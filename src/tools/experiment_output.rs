@@ -7,7 +7,7 @@ use posebridge_report::page::ReportBlock;
 use posebridge_report::report::Report;
 
 use super::raster;
-use crate::console::{print_line, print_result};
+use crate::console::{colour, print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 
 /// The flags that every experiment has.
@@ -58,7 +58,7 @@ impl OutputArgs {
         }
         let path = folder.join(format!("{name}.html"));
         write(&path, page.html().as_bytes())?;
-        let text = if self.json { format!("{}\n", report.json()) } else { report.text() };
+        let text = if self.json { format!("{}\n", report.json()) } else { report.text_in(colour()) };
         print_result(&text).while_running()?;
         print_line(&format!("page: {}", path.display()));
         Ok(())

@@ -3,9 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use clap::{Args, Command};
+use clap::builder::PossibleValuesParser;
+use clap::{Arg, Args, Command, Id};
 use clap_mangen::Man;
+use posebridge_protocol::bricks::BRICK_PROTOCOLS;
+use posebridge_sim::impairment::PROFILES;
 
+use crate::config::ROBOTS;
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 
@@ -24,7 +28,55 @@ pub struct CompletionsArgs {
     pub shell: clap_complete::Shell,
 }
 
-pub fn print_completions(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
+/// Values that a shell offers for an argument, in whichever command it stands. The program itself takes others as well, such as files.
+const OFFERED_VALUES: &[(&str, ListValues)] = &[
+    ("filter", filters),
+    ("filters", filters),
+    ("compare", filters),
+    ("estimators", filters),
+    ("brick", || BRICK_PROTOCOLS.iter().map(|protocol| protocol.name).collect()),
+    ("impair", impairments),
+    ("profile", impairments),
+    ("profiles", impairments),
+    ("scenario", || posebridge_sim::BUNDLED.iter().map(|(name, _)| *name).collect()),
+    ("scenarios", || posebridge_sim::montecarlo::SCENARIOS.iter().map(|(name, _)| *name).collect()),
+];
+
+type ListValues = fn() -> Vec<&'static str>;
+
+/// The same for the positional argument of `init`.
+const ROBOT_OF_INIT: &str = "robot";
+
+fn filters() -> Vec<&'static str> {
+    posebridge_estimator::FILTERS.iter().map(|entry| entry.name).collect()
+}
+
+fn impairments() -> Vec<&'static str> {
+    PROFILES.iter().map(|(name, _)| *name).collect()
+}
+
+fn offer_values(command: Command) -> Command {
+    let is_init = command.get_name() == "init";
+    let ids: Vec<(Id, bool)> = command.get_arguments().map(|arg| (arg.get_id().clone(), is_a_name(arg))).collect();
+    let mut command = command;
+    for (id, is_a_name) in ids {
+        let listed = OFFERED_VALUES.iter().find(|(name, _)| id == *name).map(|(_, values)| values());
+        let robots = || ROBOTS.iter().map(|robot| robot.name).collect();
+        let values = listed.or_else(|| (is_init && id == ROBOT_OF_INIT).then(robots));
+        if let Some(values) = values.filter(|_| is_a_name) {
+            command = command.mut_arg(id, |arg| arg.value_parser(PossibleValuesParser::new(values)));
+        }
+    }
+    command.mut_subcommands(offer_values)
+}
+
+/// Not a file, and not one of values that are listed already.
+fn is_a_name(arg: &Arg) -> bool {
+    arg.get_value_parser().type_id() == std::any::TypeId::of::<String>()
+}
+
+pub fn print_completions(args: &CompletionsArgs, program: Command) -> Result<(), Failure> {
+    let mut program = offer_values(program);
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "posebridge", &mut script);
     print_result(&String::from_utf8_lossy(&script)).while_running()

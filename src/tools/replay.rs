@@ -12,21 +12,25 @@ use std::fmt::Write as _;
 
 use anyhow::{Result, bail};
 use posebridge_link::HostTimer;
-use posebridge_report::tables::{SmoothRow, estimator_table, smooth_table, source_table};
-use posebridge_report::{EstimatorRow, SourceTally};
+use posebridge_report::tables::{SmoothRow, estimator_table, smooth_table, source_table, wrapped};
+use posebridge_report::{EstimatorRow, RunAnswer, SourceTally};
 use posebridge_telemetry::{TimeDelta, Timestamp};
 use serde::Serialize;
 
 use super::own_recording::is_own;
 use crate::config::{CalibrationEntry, CalibrationKey, Provenance, learnable_keys};
-use crate::console::{print_line, print_result};
+use crate::console::{colour, print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
+use crate::station::run_report::BRICK_ODOMETRY;
 use crate::station::wiring_fix::wiring_text;
 
 pub use self::result::{
     FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun, SmoothingSpan,
 };
+
+/// The filter that integrates the wheels alone.
+const ODOMETRY: &str = "odometry";
 
 pub fn execute(args: &ReplayArgs) -> Result<(), Failure> {
     let timer = HostTimer::start();
@@ -79,24 +83,37 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
         .outcomes
         .iter()
         .zip(&labels)
-        .map(|(outcome, name)| EstimatorRow { name, errors: &outcome.errors, runs: runs as u64 })
+        .map(|(outcome, name)| EstimatorRow {
+            name,
+            errors: &outcome.errors,
+            runs: runs as u64,
+            sources: &outcome.sources,
+        })
         .collect();
-    let mut text = format!("{}: {} observations, {runs} run(s)\n\n", replayed.recording, replayed.observations);
+    let mut text = wrapped(&answer_heading(replayed), "");
+    text += &answer(replayed).unwrap_or_default();
+    text += "\n";
     text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
         if let Some(rms_m) = outcome.position_rms_uncorrected_m {
-            // Writing to a String cannot fail.
-            let _ = writeln!(
-                text,
-                "{}: judged at the fixes' stamps less the delay that it has learned; at the stamps themselves {:.1} mm rms",
-                outcome.name,
-                rms_m * 1e3
+            let rms_mm = rms_m * 1e3;
+            text += &wrapped(
+                "",
+                &format!(
+                    "{}: judged at the fixes' stamps less the delay that it has learned; at the stamps themselves {rms_mm:.1} mm rms",
+                    outcome.name
+                ),
             );
         }
     }
     for (outcome, label) in replayed.outcomes.iter().zip(&labels) {
-        // Writing to a String cannot fail.
-        let _ = write!(text, "\n{label}\n{}{}", source_table(&outcome.sources), learned_table(&outcome.learned));
+        let is_short = outcome.learned.len() <= 1 || args.detail.verbose;
+        let learned = if is_short { learned_table(&outcome.learned) } else { String::new() };
+        let sources = if args.detail.verbose { source_table(&outcome.sources) } else { String::new() };
+        if !(learned.is_empty() && sources.is_empty()) {
+            // Writing to a String cannot fail.
+            let _ = write!(text, "\n{label}\n{sources}{learned}");
+        }
     }
     for (name, runs) in [("smooth", &replayed.smoothed), ("fixed lag", &replayed.lagged)] {
         if !runs.is_empty() {
@@ -111,6 +128,36 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
     }
     print_result(&text)?;
     Ok(())
+}
+
+fn answer_heading(replayed: &ReplayResult) -> String {
+    let runs = match replayed.runs.len() {
+        0 | 1 => String::new(),
+        runs => format!(", mean of {runs} runs"),
+    };
+    format!("{}: {} observations{runs}", replayed.recording, replayed.observations)
+}
+
+/// The result of the first robot: by the filter with the smallest error, or by the first one where no truth is known.
+fn answer(replayed: &ReplayResult) -> Option<String> {
+    let first = replayed.outcomes.first()?;
+    let of_robot = || replayed.outcomes.iter().filter(|outcome| outcome.robot == first.robot);
+    let error_m = |outcome: &&FilterResult| outcome.errors.position_rms_m.unwrap_or(f64::INFINITY);
+    let best = of_robot().min_by(|one, other| error_m(one).total_cmp(&error_m(other)))?;
+    let odometry = of_robot().find(|outcome| outcome.name == ODOMETRY && outcome.name != best.name);
+    let baseline = odometry.map(|outcome| (ODOMETRY, &outcome.errors));
+    let recorded = replayed.odometry.as_ref().map(|errors| (BRICK_ODOMETRY, errors));
+    let learned = best.learned.last().map(LearnedCalibration::learned_keys).unwrap_or_default();
+    let answer = RunAnswer {
+        errors: &best.errors,
+        baseline: baseline.or(recorded),
+        last: best.last.as_ref(),
+        verdict: best.verdict(replayed.runs.len()),
+        learned,
+    };
+    let name = if of_robot().count() > 1 || first.robot.is_some() { best.label() } else { String::new() };
+    let heading = if name.is_empty() { String::new() } else { format!("best       {name}\n") };
+    Some(heading + &answer.text(colour()))
 }
 
 /// User plus system time of this process.
@@ -168,6 +215,8 @@ struct Estimator<'a> {
     position_rms_uncorrected_m: Option<f64>,
     heading_rms_rad: Option<f64>,
     anees: Option<f64>,
+    consistency: &'static str,
+    verdict: String,
     sources: Vec<SourceEntry>,
     calibration: Option<BTreeMap<&'a str, CalibrationEntries>>,
 }
@@ -188,6 +237,7 @@ pub(super) struct SourceEntry {
     mean_nis_per_dof: Option<f64>,
     degrees_of_freedom: u64,
     consistency: &'static str,
+    due: Option<[f64; 2]>,
 }
 
 /// The JSON object as one line of text.
@@ -200,7 +250,7 @@ fn json_text(replayed: &ReplayResult, wall: TimeDelta, cpu: TimeDelta) -> Result
         recorded_seconds: replayed.duration.as_secs_f64(),
         times_real_time: (wall > TimeDelta::ZERO).then(|| replayed.duration.as_secs_f64() / wall.as_secs_f64()),
         changed: &replayed.changed_settings,
-        estimators: replayed.outcomes.iter().map(estimator).collect(),
+        estimators: replayed.outcomes.iter().map(|outcome| estimator(outcome, replayed.runs.len())).collect(),
         runs: &replayed.runs,
         bad_rows: replayed.bad_rows,
         smooth: smooth(&replayed.smoothed),
@@ -209,8 +259,9 @@ fn json_text(replayed: &ReplayResult, wall: TimeDelta, cpu: TimeDelta) -> Result
     Ok(serde_json::to_string(&report)?)
 }
 
-fn estimator(outcome: &FilterResult) -> Estimator<'_> {
+fn estimator(outcome: &FilterResult, runs: usize) -> Estimator<'_> {
     let errors = &outcome.errors;
+    let verdict = outcome.verdict(runs);
     Estimator {
         name: &outcome.name,
         robot: outcome.robot.as_deref(),
@@ -220,6 +271,8 @@ fn estimator(outcome: &FilterResult) -> Estimator<'_> {
         position_rms_uncorrected_m: outcome.position_rms_uncorrected_m,
         heading_rms_rad: errors.heading_rms_rad,
         anees: errors.anees,
+        consistency: verdict.finding.as_text(),
+        verdict: verdict.to_string(),
         sources: outcome.sources.iter().map(source).collect(),
         calibration: calibration(&outcome.learned),
     }
@@ -264,6 +317,7 @@ fn calibration_entries(learned: &LearnedCalibration) -> CalibrationEntries {
 }
 
 pub(super) fn source(tally: &SourceTally) -> SourceEntry {
+    let verdict = tally.verdict();
     SourceEntry {
         name: tally.sensor.name(),
         used: tally.used + tally.reset_to,
@@ -276,6 +330,7 @@ pub(super) fn source(tally: &SourceTally) -> SourceEntry {
         unused: tally.unused,
         mean_nis_per_dof: tally.mean_nis_per_dof(),
         degrees_of_freedom: tally.degrees_of_freedom(),
-        consistency: tally.consistency().as_text(),
+        consistency: verdict.finding.as_text(),
+        due: verdict.band.map(|band| [band.low, band.high]),
     }
 }

@@ -4,9 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::Result;
+use posebridge_report::PoseTrack;
 use posebridge_report::chart::session::{CalibrationSample, ClockSample, ErrorSample, InnovationSample, LinkSample};
-use posebridge_report::metrics::InnovationTest;
-use posebridge_report::{PoseTrack, SourceTally};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{
     Estimate, Event, FusionRecord, HostClock, LinkId, ReceiveError, SensorId, SignatureError, TimeDelta, Timestamp,
@@ -25,7 +24,6 @@ const LEARNED_PERIOD: TimeDelta = TimeDelta::from_millis(200);
 pub struct SourceHistory {
     pub sensor: SensorId,
     pub kind: &'static str,
-    pub test: InnovationTest,
     pub samples: ThinnedSeries<InnovationSample>,
 }
 
@@ -92,11 +90,6 @@ impl SessionHistory {
         })
     }
 
-    pub fn tally(&self, sensor: SensorId) -> Option<&SourceTally> {
-        let mut tallies = self.collector.sources.iter();
-        tallies.find(|tally| tally.sensor == sensor)
-    }
-
     pub fn length(&self) -> TimeDelta {
         self.last - self.origin
     }
@@ -107,16 +100,13 @@ impl SessionHistory {
             self.sources.push(SourceHistory {
                 sensor: record.sensor,
                 kind: record.kind,
-                test: InnovationTest::default(),
                 samples: ThinnedSeries::with_capacity(MAX_SAMPLES),
             });
             self.sources.len() - 1
         });
-        if let Some(source) = self.sources.get_mut(index) {
-            source.test.add(record);
-            if let Some(sample) = InnovationSample::from_record(t_s, record) {
-                source.samples.push(sample);
-            }
+        let sample = InnovationSample::from_record(t_s, record);
+        if let Some((source, sample)) = self.sources.get_mut(index).zip(sample) {
+            source.samples.push(sample);
         }
     }
 
@@ -211,7 +201,6 @@ pub struct EventTimeline {
     pub omitted: u64,
     /// Events that are listed only once.
     pushed_once: BTreeSet<String>,
-    resets: Option<u8>,
     is_dead_reckoning: Option<bool>,
 }
 
@@ -234,10 +223,6 @@ impl EventTimeline {
     }
 
     fn on_estimate(&mut self, t_s: f64, estimate: &Estimate) {
-        let before = self.resets.replace(estimate.reset_counter);
-        if before.is_some_and(|before| before != estimate.reset_counter) {
-            self.push(t_s, estimate.describe_reset());
-        }
         let before = self.is_dead_reckoning.replace(estimate.is_dead_reckoning);
         // Before the first fix everything is dead reckoning: nothing has happened.
         if before.is_some_and(|before| before != estimate.is_dead_reckoning) {

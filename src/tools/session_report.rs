@@ -8,12 +8,11 @@ use posebridge_report::chart::session::{
     self, CalibrationSeries, InnovationSeries, display_unit, learning, render_clock, render_errors, render_innovations,
     render_link,
 };
-use posebridge_report::metrics::{InnovationVerdict, VerdictTone};
 use posebridge_report::page::{ReportBlock, ReportFigure};
 use posebridge_report::report::Report;
 use posebridge_report::tables::{EstimatorRow, NO_VALUE, estimator_table, runs_table};
-use posebridge_report::{ErrorSummary, PoseTrack, RunLayers, SourceTally};
-use posebridge_telemetry::{Calibration, LinkCounter, SensorId, TimeDelta, UncertainValue};
+use posebridge_report::{ErrorSummary, FilterVerdict, PoseTrack, RunLayers, SourceTally, source_verdicts};
+use posebridge_telemetry::{Calibration, LinkCounter, TimeDelta, UncertainValue};
 use serde_json::{Map, Value, json};
 
 use super::session_history::SessionHistory;
@@ -65,46 +64,9 @@ pub struct RunSummary {
     pub smoothed: Option<SmoothedRun>,
 }
 
-#[derive(Clone, Copy, Debug)]
-pub struct SourceSummary {
-    pub sensor: SensorId,
-    /// As in `replay`.
-    pub tally: SourceTally,
-    pub assessment: InnovationVerdict,
-}
-
 impl RunSummary {
-    pub fn source_summaries(&self) -> Vec<SourceSummary> {
-        let sources = self.history.sources.iter();
-        sources
-            .filter_map(|source| {
-                Some(SourceSummary {
-                    sensor: source.sensor,
-                    tally: *self.history.tally(source.sensor)?,
-                    assessment: source.test.evaluate(),
-                })
-            })
-            .collect()
-    }
-
-    /// The verdict on the whole run: bad if any sensor's is, good if at least one could be tested.
-    pub fn verdict(&self) -> (VerdictTone, &'static str, String) {
-        let verdicts = self.source_summaries();
-        let with = |tone: VerdictTone| {
-            let these = verdicts.iter().filter(|one| one.assessment.tone() == tone);
-            these.map(|one| one.sensor.name()).collect::<Vec<_>>()
-        };
-        let (bad, good) = (with(VerdictTone::Bad), with(VerdictTone::Good));
-        if !bad.is_empty() {
-            let text = format!("look at {}: what to do stands with it below", bad.join(", "));
-            return (VerdictTone::Bad, "Not all is well:", text);
-        }
-        if good.is_empty() {
-            let text = "no sensor has been predicted often enough to judge the filter by it".to_owned();
-            return (VerdictTone::Inconclusive, "Nothing to judge by:", text);
-        }
-        let text = format!("what the filter claims fits what it saw of {}", good.join(", "));
-        (VerdictTone::Good, "All is well:", text)
+    pub fn verdict(&self) -> FilterVerdict {
+        FilterVerdict::new(&self.errors, 1, source_verdicts(&self.history.collector.sources))
     }
 }
 
@@ -149,14 +111,20 @@ fn add_summary(report: &mut Report, session: &SessionSummary) {
         report.page_only(ReportBlock::List(session.notes.clone()));
     }
     let runs = session.runs.iter();
-    let rows: Vec<EstimatorRow<'_>> =
-        runs.map(|run| EstimatorRow { name: &run.name, errors: &run.errors, runs: 1 }).collect();
+    let rows: Vec<EstimatorRow<'_>> = runs
+        .map(|run| EstimatorRow {
+            name: &run.name,
+            errors: &run.errors,
+            runs: 1,
+            sources: &run.history.collector.sources,
+        })
+        .collect();
     report.code(runs_table(&rows));
 }
 
 fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
-    let (tone, word, text) = run.verdict();
-    report.verdict(tone, word, text);
+    let verdict = run.verdict();
+    report.verdict(verdict.tone(), "Filter:", verdict.to_string());
     report.paragraph(in_figures(run));
     report.page_only(ReportBlock::FigureGrid(main_pictures(run, index)));
     add_compared(report, run);
@@ -188,9 +156,6 @@ fn in_figures(run: &RunSummary) -> String {
     if let Some(heading_rad) = errors.heading_rms_rad {
         // Writing to a String cannot fail.
         let _ = write!(text, " The heading is {:.2} degrees off.", heading_rad.to_degrees());
-    }
-    if let Some(anees) = errors.anees {
-        let _ = write!(text, " ANEES {anees:.2}: 1 is honest, more is too sure.");
     }
     if let Some(smoothed) = &run.smoothed {
         text += &in_hindsight(smoothed);
@@ -246,7 +211,7 @@ fn main_pictures(run: &RunSummary, index: usize) -> Vec<ReportFigure> {
         index,
         "path",
         session::render_path(&layers),
-        "The path. An ellipse holds the robot in 95 of 100 cases, if the claims are honest.",
+        "The path. An ellipse holds the robot in 95 of 100 cases, if its claims are right.",
     )];
     if let Some(truth) = &run.truth {
         pictures.push(picture(
@@ -271,7 +236,7 @@ fn add_compared(report: &mut Report, run: &RunSummary) {
     let rows: Vec<EstimatorRow<'_>> = compared
         .iter()
         .zip(&errors)
-        .map(|(filter, errors)| EstimatorRow { name: filter.name, errors, runs: 1 })
+        .map(|(filter, errors)| EstimatorRow { name: filter.name, errors, runs: 1, sources: &filter.sources })
         .collect();
     report.code(estimator_table(&rows));
     let nis = compared.iter().flat_map(|filter| {
@@ -286,17 +251,18 @@ fn add_compared(report: &mut Report, run: &RunSummary) {
 }
 
 fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
-    let verdicts = run.source_summaries();
-    if verdicts.is_empty() {
+    let tallies = &run.history.collector.sources;
+    if tallies.is_empty() {
         return;
     }
     report.page_only(ReportBlock::Subheading("Sensors".to_owned()));
-    for one in &verdicts {
-        report.verdict(one.assessment.tone(), format!("{}:", one.sensor.name()), one.assessment.to_string());
+    for tally in tallies {
+        let verdict = tally.verdict();
+        report.verdict(verdict.tone(), format!("{}:", tally.sensor.name()), verdict.to_string());
     }
     let headings = ["sensor"].into_iter().chain(SourceTally::COUNT_HEADINGS).chain(["NIS/dof", "dof", "correlation"]);
     let headings: Vec<&str> = headings.collect();
-    report.page_only(ReportBlock::table(&headings, verdicts.iter().map(source_row).collect()));
+    report.page_only(ReportBlock::table(&headings, tallies.iter().map(source_row).collect()));
     let predicted = run.history.sources.iter().filter(|source| !source.samples.items().is_empty());
     let pictures = predicted.map(|source| {
         let name = source.sensor.name();
@@ -319,16 +285,12 @@ fn add_sources(report: &mut Report, run: &RunSummary, index: usize) {
     }
 }
 
-fn source_row(verdict: &SourceSummary) -> Vec<String> {
-    let tally = &verdict.tally;
+fn source_row(tally: &SourceTally) -> Vec<String> {
     let number = |value: Option<f64>| value.map_or_else(|| NO_VALUE.to_owned(), |value| format!("{value:.3}"));
     let counts = tally.counts().into_iter().map(|count| count.to_string());
-    let consistency = [
-        number(tally.mean_nis_per_dof()),
-        tally.degrees_of_freedom().to_string(),
-        number(verdict.assessment.correlation),
-    ];
-    std::iter::once(verdict.sensor.name().to_owned()).chain(counts).chain(consistency).collect()
+    let consistency =
+        [number(tally.mean_nis_per_dof()), tally.degrees_of_freedom().to_string(), number(tally.verdict().correlation)];
+    std::iter::once(tally.sensor.name().to_owned()).chain(counts).chain(consistency).collect()
 }
 
 fn calibration_blocks(run: &RunSummary, index: usize) -> Vec<ReportBlock> {
@@ -454,14 +416,15 @@ fn run(run: &RunSummary) -> Value {
         "name": run.name,
         "length_s": history.length().as_secs_f64(),
         "observations": history.collector.observations,
-        "verdict": run.verdict().2,
+        "consistency": run.verdict().finding.as_text(),
+        "verdict": run.verdict().to_string(),
         "yardstick": reference,
         "position_rms_m": errors.position_rms_m,
         "position_max_m": errors.position_max_m,
         "position_end_m": errors.position_end_m,
         "heading_rms_rad": errors.heading_rms_rad,
         "anees": errors.anees,
-        "sources": run.source_summaries().iter().map(source).collect::<Vec<_>>(),
+        "sources": history.collector.sources.iter().map(source).collect::<Vec<_>>(),
         "calibration": run.learned.as_ref().map(calibration),
         "smooth": run.smoothed.as_ref().map(smooth),
         "links": links(run),
@@ -470,21 +433,21 @@ fn run(run: &RunSummary) -> Value {
     })
 }
 
-fn source(verdict: &SourceSummary) -> Value {
-    let (tally, judgement) = (&verdict.tally, &verdict.assessment);
+fn source(tally: &SourceTally) -> Value {
+    let verdict = tally.verdict();
     json!({
-        "name": verdict.sensor.name(),
+        "name": tally.sensor.name(),
         "used": tally.used + tally.reset_to,
         "gated": tally.gated,
         "too_old": tally.too_old,
         "mean_nis_per_dof": tally.mean_nis_per_dof(),
         "degrees_of_freedom": tally.degrees_of_freedom(),
-        "finding": judgement.finding.as_text(),
-        "due": judgement.band.map(|band| [band.low, band.high]),
-        "correlation": judgement.correlation,
-        "correlation_bound": judgement.correlation_bound,
-        "gated_share": judgement.gated_share,
-        "verdict": judgement.to_string(),
+        "finding": verdict.finding.as_text(),
+        "due": verdict.band.map(|band| [band.low, band.high]),
+        "correlation": verdict.correlation,
+        "correlation_bound": verdict.correlation_bound,
+        "gated_share": verdict.gated_share,
+        "verdict": verdict.to_string(),
     })
 }
 

@@ -18,16 +18,20 @@ before(async () => {
 
 after(() => browser.close());
 
-// Runs `use(page, station, folder)` with a brick that stands in for a real one: the station knows nothing of a simulator.
+async function startBrick(port) {
+  return Program.start(['sim', 'square', '--brick', 'nxt', '--listen', `tcp://127.0.0.1:${port}`], await newFolder());
+}
+
+// Runs `use(page, station, folder, {brick, port})` with a brick that stands in for a real one: the station knows nothing of a simulator.
 async function withBrick(use, ...args) {
-  const brick = Program.start(['sim', 'square', '--brick', 'nxt', '--listen', 'tcp://127.0.0.1:0'], await newFolder());
+  const brick = await startBrick(0);
   const [, port] = await brick.finds(/listening on 127\.0\.0\.1:(\d+)/);
   const folder = await newFolder();
   const station = Program.start(['run', '--brick', 'nxt', '--link', `tcp://127.0.0.1:${port}`, '--out', 'session', '--events', 'events.jsonl', '--dashboard', '127.0.0.1:0', ...args], folder);
   try {
     const page = await browser.open(await station.address());
     await waitForState(page, 'live');
-    await use(page, station, folder);
+    await use(page, station, folder, { brick, port });
     await page.close();
   } finally {
     await station.remove();
@@ -98,4 +102,27 @@ test('--set-pose is a command at the first estimate', async () => {
     await station.finds(/pose set to x -2\.000 m, y 3\.000 m, 90\.0 deg/);
     assert.equal(await station.stop(), 0);
   }, '--set-pose', '-2,3,90');
+});
+
+test('the set-up checklist is red while the link is pulled, and green when it is back', async () => {
+  const stepsAre = (page, state) => page.waitForFunction(([names, wanted]) => {
+    const lines = [...document.querySelectorAll('.setup li')];
+    const found = (name) => lines.find((line) => line.querySelector('.step').textContent === name)?.dataset.state;
+    return names.every((name) => found(name) === wanted);
+  }, [['link open', 'bytes come', 'wheel counts move'], state]);
+  await withBrick(async (page, station, folder, { brick, port }) => {
+    await stepsAre(page, 'ok');
+    await brick.remove();
+    await stepsAre(page, 'problem');
+    const line = page.locator('.setup li', { hasText: 'link open' });
+    assert.equal(await line.isVisible(), true);
+    assert.match(await line.textContent(), /posebridge doctor/);
+    const again = await startBrick(port);
+    try {
+      await stepsAre(page, 'ok');
+      assert.equal(await station.stop(), 0);
+    } finally {
+      await again.remove();
+    }
+  });
 });

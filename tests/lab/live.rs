@@ -205,7 +205,7 @@ fn a_live_square_is_recorded_and_its_recording_says_the_same_again() {
     // The live page tells how to have it without the robot.
     let page = read_text(folder, "out/lab-nxt-square.html");
     assert!(page.contains("posebridge lab nxt-square --recording out/live.mcap"));
-    assert!(run(folder, &["replay", "out/live.mcap"]).contains("wheels"));
+    assert!(run(folder, &["replay", "out/live.mcap", "--verbose"]).contains("wheels"));
 }
 
 #[test]

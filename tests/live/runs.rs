@@ -87,8 +87,16 @@ fn each_second_has_a_line_of_errors_and_an_interrupted_run_ends_with_tables() {
         }
     }
     let tables = run.interrupt();
-    for part in ["brick's own odometry", "path error", "track.svg"] {
+    for part in ["the brick's odometry", "path error", "track.svg"] {
         assert!(tables.contains(part), "{tables}");
+    }
+    // The result comes first, live and in replay.
+    let replayed = crate::support::run(folder, &["replay", "run/recording.mcap"]);
+    for text in [&tables, &replayed] {
+        let head: Vec<&str> = text.lines().take(5).collect();
+        let head = head.join(" ");
+        assert!(head.contains(" mm off (rms)") && head.contains("filter     "), "{text}");
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
     }
     let samples = read_truth(&std::fs::read(folder.join("run/recording.mcap")).unwrap()).unwrap();
     assert!(samples.len() > 7 * 15, "{} samples of the truth", samples.len());

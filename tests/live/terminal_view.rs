@@ -227,7 +227,7 @@ fn assert_tables(person: TerminalUser) {
     let (status, left) = person.wait_for_exit();
     assert_eq!(status.code(), Some(0), "{left}");
     for words in
-        ["brick's own odometry", "picture    run/track.svg", "recording  run/recording.mcap", "learned  radius_scale"]
+        ["the brick's odometry", "picture    run/track.svg", "recording  run/recording.mcap", "learned    radius_scale"]
     {
         assert!(left.contains(words), "{words} in\n{left}");
     }

@@ -68,7 +68,7 @@ fn in_hindsight_the_start_is_known_and_the_outlier_left_out() {
     let table = run(folder, &["replay", "by-hand.toml", "--smooth", "--figure", "track.svg"]);
     let row = table.lines().find(|line| line.starts_with("straight  "));
     let cells: Vec<&str> = row.unwrap().split_whitespace().collect();
-    assert_eq!(cells[5..7], ["10", "1"], "{table}");
+    assert_eq!(cells[4..6], ["10", "1"], "{table}");
     assert!(read_text(folder, "track.svg").contains("smoothed path"));
     assert!(!run(folder, &["replay", "by-hand.toml"]).contains("smooth"), "not asked for");
 

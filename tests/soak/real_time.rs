@@ -103,7 +103,7 @@ impl SoakSetup {
         let mut by_air = relay(&[&brick, "--listen", udp], "datagrams.toml", "4");
         let at = address(&by_air.wait_for("station end listening on"));
         write_text(folder, "station.toml", &STATION.replace("RELAY", &at));
-        let mut station = start(&["run", "--config", "station.toml", "--out", "run"]);
+        let mut station = start(&["run", "--config", "station.toml", "--out", "run", "--verbose"]);
         // Its terminal is there once it hears anybody.
         station.wait_for("robot 1/1/1 detected");
         // The station owns it: a relay that opens it waits where it is full, as it is after a stall, and drops nothing.

@@ -10,6 +10,7 @@ export const ESTIMATE_COLUMNS = [
   'forward_m_per_s', 'turn_rad_per_s', 'reset_counter', 'is_dead_reckoning', 'fix_age_s',
   'is_relative', 'is_heading_known',
 ];
+const TALLY_COLUMNS = ['seen', 'gated', 'late', 'nis', 'consistency'];
 const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'verdict', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
 
 // 80 s at the 50 Hz at which a station sends; the map shows 60 s.
@@ -160,6 +161,7 @@ class Source {
     this.capacity = capacity;
     this.track = new Track(FUSION_COLUMNS, capacity);
     this.verdicts = new Words();
+    this.findings = new Words();
     /** kind -> counts over time: a sensor may be heard in more than one way. */
     this.counts = new Map();
   }
@@ -184,9 +186,9 @@ class Source {
     const kind = String(tally.kind).slice(0, 40);
     if (!this.counts.has(kind)) {
       if (this.counts.size >= MOST_KINDS) return;
-      this.counts.set(kind, new Track(['seen', 'gated', 'late'], Math.max(64, this.capacity / 8)));
+      this.counts.set(kind, new Track(TALLY_COLUMNS, Math.max(64, this.capacity / 8)));
     }
-    this.counts.get(kind).append(tally);
+    this.counts.get(kind).append({ ...tally, consistency: this.findings.number(tally.consistency) });
   }
 
   /** How many came until a time, `seen`, `gated` or `late`; NaN where the station has said nothing. */
@@ -197,6 +199,17 @@ class Source {
       if (row >= 0) sum = (Number.isNaN(sum) ? 0 : sum) + track.columns[name][row];
     }
     return sum;
+  }
+
+  /** Mean NIS and verdict of the latest until a time; null where nothing was predicted. */
+  judged(until_s) {
+    for (const track of this.counts.values()) {
+      const row = track.rowUntil(until_s);
+      if (row >= 0 && !Number.isNaN(track.columns.nis[row])) {
+        return { nis: track.columns.nis[row], consistency: this.findings.text(track.columns.consistency[row]) };
+      }
+    }
+    return null;
   }
 
   /** What became of the last one until a time; empty before the first. */

@@ -8,6 +8,7 @@ const MOST_ROBOTS = 64;
 // Live; of a recording as many as the station sends.
 const MOST_LOG_LINES = 300;
 const MOST_TEXT = 400;
+const MOST_SETUP_ROWS = 16 * MOST_ROBOTS;
 const TRUTH_COLUMNS = ['robot_s', 'x_m', 'y_m', 'heading_rad', 'odometry_x_m', 'odometry_y_m', 'odometry_heading_rad'];
 
 export class Session {
@@ -20,6 +21,8 @@ export class Session {
     this.truths = new Map();
     this.errors = new Map();
     this.links = [];
+    /** Steps of setting up each robot. */
+    this.setup = [];
     this.clock = null;
     this.log = [];
     this.logged = 0;
@@ -34,6 +37,7 @@ export class Session {
     for (const sample of list(frame.truth)) this.#truth(sample);
     for (const part of list(frame.robots)) this.#robot(part);
     if (Array.isArray(frame.links)) this.links = frame.links.filter(isRecord).slice(0, 64);
+    if (Array.isArray(frame.setup)) this.setup = frame.setup.filter(isRecord).slice(0, MOST_SETUP_ROWS).map(setupRow);
     if (isRecord(frame.clock)) this.clock = frame.clock;
     for (const line of list(frame.log)) this.#line(line);
     if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
@@ -151,4 +155,10 @@ function textOf(id) {
 
 export function isRecord(value) {
   return typeof value === 'object' && value !== null && !Array.isArray(value);
+}
+
+// Each step as text, whatever it is.
+function setupRow(row) {
+  const text = (value) => String(value ?? '').slice(0, 300);
+  return { robot: text(row.robot), step: text(row.step), state: text(row.state), figure: text(row.figure), advice: text(row.advice) };
 }

@@ -11,6 +11,7 @@ import { parameters } from './parameters.js';
 import { quantity, thermometers } from './quantities.js';
 import { recordings } from './recordings.js';
 import { robots } from './robots.js';
+import { setup } from './setup.js';
 import { simulator } from './simulator.js';
 
 /**
@@ -19,5 +20,5 @@ import { simulator } from './simulator.js';
  * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
 export const PANELS = [
-  robots, arena, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
+  setup, robots, arena, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
 ];

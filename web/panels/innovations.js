@@ -16,8 +16,6 @@ const BAND_SHARE = 0.6;
 // And where marks beyond the chart stand.
 const EDGE = 0.93;
 const RANGE_STEPS = [1, 1.5, 2, 3, 4, 5, 7];
-// Counted over this many used observations.
-const SHARE_OVER = 200;
 
 // Components of an innovation by the observation's kind, as docs/maths/pose.md orders them; for fixes they are those of the robot's body.
 const COMPONENTS = new Map([
@@ -52,7 +50,7 @@ class InnovationsPanel {
     body.append(
       this.empty,
       element('div', { class: 'scroll' }, element('table', { class: 'sources' },
-        element('thead', {}, element('tr', {}, ...['source', 'seen', 'gated', 'late', 'NIS inside', 'last', 'use'].map((text) => element('th', { scope: 'col', text })))),
+        element('thead', {}, element('tr', {}, ...['source', 'seen', 'gated', 'late', 'NIS', 'verdict', 'last', 'use'].map((text) => element('th', { scope: 'col', text })))),
         this.table)),
       this.host,
     );
@@ -81,9 +79,10 @@ class InnovationsPanel {
     }
     for (const [sensor, source] of sources) {
       const row = this.rows.get(sensor) ?? this.#newRow(source, view.robot);
-      const share = insideBand(source.track, view.until_s);
+      const judged = source.judged(view.until_s);
       for (const name of ['seen', 'gated', 'late']) setText(row[name], count(source.counted(name, view.until_s)));
-      setText(row.inside, Number.isNaN(share) ? '–' : `${fixed(100 * share, 0)} %`);
+      setText(row.nis, judged ? fixed(judged.nis, 2) : '–');
+      setText(row.consistency, judged?.consistency ?? '–');
       const verdict = source.verdict(view.until_s);
       setText(row.last, verdict);
       row.line.dataset.verdict = verdict;
@@ -100,10 +99,10 @@ class InnovationsPanel {
     });
     const isUsed = this.station.isUsed(name, robot);
     use.checked = isUsed;
-    const cells = { seen: cell(), gated: cell(), late: cell(), inside: cell(), last: element('td') };
+    const cells = { seen: cell(), gated: cell(), late: cell(), nis: cell(), consistency: element('td'), last: element('td', { class: 'last' }) };
     const line = element('tr', {},
       element('th', { scope: 'row' }, element('label', {}, radio, ` ${name}`)),
-      cells.seen, cells.gated, cells.late, cells.inside, cells.last, element('td', {}, use));
+      cells.seen, cells.gated, cells.late, cells.nis, cells.consistency, cells.last, element('td', {}, use));
     this.table.append(line);
     const row = { line, radio, use, isUsed, ...cells };
     this.rows.set(source.sensor, row);
@@ -261,20 +260,6 @@ function fill(columns, track, from, to, set) {
     at += 1;
   }
   return at;
-}
-
-// Share of the last observations whose NIS lies inside its band; NaN without any.
-function insideBand(track, until_s) {
-  let inside = 0;
-  let all = 0;
-  for (let row = track.rowAfter(until_s) - 1; row >= track.begin && all < SHARE_OVER; row -= 1) {
-    const band = nisBand(track.columns.dof[row]);
-    const nis = track.columns.nis[row];
-    if (!band || Number.isNaN(nis)) continue;
-    all += 1;
-    if (nis >= band[0] && nis <= band[1]) inside += 1;
-  }
-  return all > 0 ? inside / all : NaN;
 }
 
 // A range to both sides of zero in which the widest band takes its share; it goes in steps and does not tremble.

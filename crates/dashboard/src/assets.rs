@@ -48,6 +48,7 @@ assets![
     "panels/quantities.js",
     "panels/recordings.js",
     "panels/robots.js",
+    "panels/setup.js",
     "panels/simulator.js",
     "replay.js",
     "station.js",

@@ -8,7 +8,7 @@ use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
 use crate::counters::{ServerCounter, ServerCounters};
-use crate::model::{CalibrationRow, ParameterValue, SimulatorNow};
+use crate::model::{CalibrationRow, ParameterValue, SetupRow, SimulatorNow};
 
 /// Most batches that wait before further ones are dropped and counted: half a minute of a brick that sends 200 times a
 /// second. The reader polls fifty times a second.
@@ -41,6 +41,8 @@ pub struct StationStatus {
     pub is_comparing: bool,
     /// `None` without a simulated brick.
     pub simulator: Option<SimulatorNow>,
+    /// The steps of each robot, or of the robot that has not been heard yet.
+    pub setup: Vec<SetupRow>,
 }
 
 /// Calibration and disabled sensors of a robot.

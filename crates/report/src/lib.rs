@@ -18,19 +18,23 @@
 //! assert_eq!(summary.position_end_m, Some(0.001));
 //! ```
 
+pub mod answer;
 pub mod chart;
+pub mod colour;
 mod markup;
 pub mod metrics;
 pub mod page;
 pub mod quantity;
 pub mod report;
+pub mod setup_checklist;
 pub mod tables;
 pub mod track;
 
+pub use self::answer::RunAnswer;
 pub use self::chart::{ComparedTrack, FIGURES, Figure, FixMark, RunLayers, on_map};
 pub use self::metrics::{
-    Consistency, ConsistencyBand, ErrorSummary, PoseError, RecentNis, SourceTally, mean_over_runs, summarise,
-    tally_sources,
+    Consistency, ConsistencyBand, ErrorSummary, FilterVerdict, PoseError, RecentInnovations, SourceTally,
+    mean_over_runs, source_verdicts, summarise, tally_sources,
 };
 pub use self::tables::{EstimatorRow, RunRow};
 pub use self::track::{PoseTrack, SmoothedPath, TimedPose};

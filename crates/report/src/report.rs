@@ -14,14 +14,11 @@
 use serde_json::{Map, Value, json};
 
 use super::chart::{Plot, render_plot};
+use super::colour::Colour;
 use super::metrics::VerdictTone;
 use super::page::{ReportBlock, ReportPage};
 use super::quantity::{Format, Quantity, Unit};
-use super::tables::{NO_VALUE, TextTable};
-
-const LINE_WIDTH: usize = 80;
-/// Between two columns of a [`TextTable`].
-const GUTTER_WIDTH: usize = 2;
+use super::tables::{NO_VALUE, TextTable, wrapped};
 
 enum Cell {
     Text(String),
@@ -277,12 +274,17 @@ impl Report {
         self.json.insert(key.to_owned(), value);
     }
 
-    /// Plain text for a terminal: the title, then the sections, with a line feed at the end.
+    /// Plain text: the title, then the sections, with a line feed at the end.
     pub fn text(&self) -> String {
+        self.text_in(Colour::Plain)
+    }
+
+    /// Text for a terminal.
+    pub fn text_in(&self, colour: Colour) -> String {
         let mut text = self.title.clone() + "\n";
         let mut above: Option<&ReportBlock> = None;
         for section in &self.sections {
-            let part = section.text();
+            let part = section.text(colour);
             if part.is_empty() {
                 continue;
             }
@@ -312,19 +314,26 @@ impl Report {
 }
 
 impl Section {
-    fn text(&self) -> String {
+    fn text(&self, colour: Colour) -> String {
         if self.is_page_only {
             return String::new();
         }
         match &self.block {
             ReportBlock::Heading(text) | ReportBlock::Subheading(text) => format!("{text}\n"),
-            ReportBlock::Text(text) => wrapped(text),
+            ReportBlock::Text(text) => wrapped("", text),
             ReportBlock::PreformattedText(text) => text.trim_end_matches('\n').to_owned() + "\n",
-            ReportBlock::List(lines) => lines.iter().map(|line| wrapped(line)).collect(),
-            ReportBlock::Verdict { word, text, .. } => wrapped(&format!("{word} {text}")),
+            ReportBlock::List(lines) => lines.iter().map(|line| wrapped("", line)).collect(),
+            ReportBlock::Verdict { tone, word, text } => {
+                let plain = wrapped("", &format!("{word} {text}"));
+                plain.replacen(word, &colour.paint(*tone, word), 1)
+            }
             ReportBlock::Table { header, rows } if header.is_empty() => values_text(rows),
             ReportBlock::Table { header, rows } | ReportBlock::CodeTable { header, rows } => {
-                table_text(header, rows, self.labels)
+                let mut table = TextTable::new(header.iter().cloned()).labels(self.labels);
+                for row in rows {
+                    table.push(row.iter().cloned());
+                }
+                table.render()
             }
             ReportBlock::Figure { .. } | ReportBlock::FigureGrid(_) => String::new(),
         }
@@ -338,57 +347,9 @@ fn values_text(rows: &[Vec<String>]) -> String {
     lines.collect::<Vec<_>>().concat()
 }
 
-/// Columns that do not fit into a line continue below, after the columns that identify the row.
-fn table_text(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
-    let all = || std::iter::once(header).chain(rows.iter().map(Vec::as_slice));
-    let width = |column: usize| {
-        let cells = all().filter_map(|row| row.get(column));
-        GUTTER_WIDTH + cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
-    };
-    let label_width: usize = (0..labels).map(width).sum();
-    let (mut parts, mut part, mut used) = (Vec::new(), (0..labels).collect::<Vec<_>>(), label_width);
-    for column in labels..header.len() {
-        if part.len() > labels && used + width(column) > LINE_WIDTH + GUTTER_WIDTH {
-            parts.push(std::mem::replace(&mut part, (0..labels).collect()));
-            used = label_width;
-        }
-        used += width(column);
-        part.push(column);
-    }
-    parts.push(part);
-    let part_text = |part: &Vec<usize>| {
-        let cells =
-            |row: &[String]| -> Vec<String> { part.iter().filter_map(|column| row.get(*column).cloned()).collect() };
-        let mut table = TextTable::new(cells(header));
-        for row in rows {
-            table.push(cells(row));
-        }
-        table.render()
-    };
-    parts.iter().map(part_text).collect::<Vec<_>>().join("\n")
-}
-
-/// Wraps at spaces; a longer word gets its own line.
-fn wrapped(text: &str) -> String {
-    let mut lines = String::new();
-    let mut column = 0;
-    for word in text.split_whitespace() {
-        let length = word.chars().count();
-        if column > 0 && column + 1 + length > LINE_WIDTH {
-            lines.push('\n');
-            column = 0;
-        } else if column > 0 {
-            lines.push(' ');
-            column += 1;
-        }
-        lines.push_str(word);
-        column += length;
-    }
-    lines + "\n"
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::tables::LINE_WIDTH;
     use super::*;
 
     const MM: Format = Format::new(Unit::Millimetres, 1);
@@ -463,7 +424,7 @@ mod tests {
     #[test]
     fn a_paragraph_breaks_between_words_before_the_line_is_full() {
         let (line, long) = ("x".repeat(LINE_WIDTH - 2), "w".repeat(LINE_WIDTH + 5));
-        assert_eq!(wrapped(&format!("{line} a b\n{long} y")), format!("{line} a\nb\n{long}\ny\n"));
-        assert_eq!(wrapped(""), "\n");
+        assert_eq!(wrapped("", &format!("{line} a b\n{long} y")), format!("{line} a\nb\n{long}\ny\n"));
+        assert_eq!(wrapped("", ""), "\n");
     }
 }

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use posebridge_telemetry::TimeDelta;
 
-use super::metrics::{ErrorSummary, SourceTally};
+use super::metrics::{ErrorSummary, FilterVerdict, SourceTally, source_verdicts};
 
 pub const NO_VALUE: &str = "-";
 
@@ -15,7 +15,7 @@ fn or_no_value<T>(value: Option<T>, show: impl FnOnce(T) -> String) -> String {
     value.map_or_else(|| NO_VALUE.to_owned(), show)
 }
 
-fn millimetres(metres: Option<f64>) -> String {
+pub(crate) fn millimetres(metres: Option<f64>) -> String {
     or_no_value(metres, |metres| number(metres * 1e3))
 }
 
@@ -55,17 +55,46 @@ pub fn three_digits(value: Option<f64>) -> String {
     }
 }
 
+/// Columns of a terminal.
+pub const LINE_WIDTH: usize = 80;
 const GUTTER: &str = "  ";
+
+/// A label and text beside it, wrapped at spaces to [`LINE_WIDTH`]; a longer word gets its own line.
+pub fn wrapped(label: &str, text: &str) -> String {
+    let indent = label.chars().count();
+    let (mut lines, mut column) = (label.to_owned(), indent);
+    for word in text.split_whitespace() {
+        let length = word.chars().count();
+        if column > indent && column + 1 + length > LINE_WIDTH {
+            lines.push('\n');
+            lines.push_str(&" ".repeat(indent));
+            column = indent;
+        } else if column > indent {
+            lines.push(' ');
+            column += 1;
+        }
+        lines.push_str(word);
+        column += length;
+    }
+    lines + "\n"
+}
 
 /// Rows of cells under a header.
 #[derive(Clone, Debug)]
 pub struct TextTable {
     rows: Vec<Vec<String>>,
+    labels: usize,
 }
 
 impl TextTable {
     pub fn new(header: impl IntoIterator<Item = impl Into<String>>) -> Self {
-        Self { rows: vec![header.into_iter().map(Into::into).collect()] }
+        Self { rows: vec![header.into_iter().map(Into::into).collect()], labels: 1 }
+    }
+
+    /// Number of leading columns that identify a row (default 1).
+    #[must_use]
+    pub fn labels(self, labels: usize) -> Self {
+        Self { labels, ..self }
     }
 
     /// Appends a row; missing cells at its end stay blank.
@@ -73,7 +102,23 @@ impl TextTable {
         self.rows.push(row.into_iter().collect());
     }
 
-    /// One line per row, each with a line feed and without trailing spaces.
+    /// Leaves out the columns in which no row has a value.
+    #[must_use]
+    pub fn without_empty_columns(mut self) -> Self {
+        let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
+        let has_value = |column: &usize| {
+            let cells = self.rows.iter().skip(1).filter_map(|row| row.get(*column));
+            cells.into_iter().any(|cell| cell != NO_VALUE)
+        };
+        let kept: Vec<usize> = (0..columns).filter(|column| *column < self.labels || has_value(column)).collect();
+        for row in &mut self.rows {
+            *row = kept.iter().filter_map(|column| row.get(*column).cloned()).collect();
+        }
+        self
+    }
+
+    /// One line per row, each with a line feed and without trailing spaces. Columns that do not fit into a line continue below, after
+    /// those that identify the row.
     pub fn render(&self) -> String {
         let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let widths: Vec<usize> = (0..columns)
@@ -82,14 +127,40 @@ impl TextTable {
                 cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
             })
             .collect();
-        self.rows.iter().map(|row| line(row, &widths)).collect()
+        let parts = self.parts(&widths);
+        let text = parts.iter().map(|part| {
+            let lines = self.rows.iter().map(|row| line(row, part, &widths));
+            lines.collect::<String>()
+        });
+        text.collect::<Vec<_>>().join("\n")
+    }
+
+    /// The columns of each part of the table that fits into a line.
+    fn parts(&self, widths: &[usize]) -> Vec<Vec<usize>> {
+        let labels: Vec<usize> = (0..self.labels.min(widths.len())).collect();
+        let width_of = |part: &[usize]| {
+            let cells: usize = part.iter().filter_map(|column| widths.get(*column)).sum();
+            cells + GUTTER.len() * part.len().saturating_sub(1)
+        };
+        let (mut parts, mut part) = (Vec::new(), labels.clone());
+        for column in labels.len()..widths.len() {
+            part.push(column);
+            if width_of(&part) > LINE_WIDTH && part.len() > labels.len() + 1 {
+                part.pop();
+                parts.push(std::mem::replace(&mut part, labels.clone()));
+                part.push(column);
+            }
+        }
+        parts.push(part);
+        parts
     }
 }
 
-fn line(row: &[String], widths: &[usize]) -> String {
+fn line(row: &[String], columns: &[usize], widths: &[usize]) -> String {
     let mut line = String::new();
-    for (column, (cell, width)) in row.iter().zip(widths).enumerate() {
-        let padded = if column == 0 { format!("{cell:<width$}") } else { format!("{GUTTER}{cell:>width$}") };
+    for (index, column) in columns.iter().enumerate() {
+        let (Some(cell), Some(width)) = (row.get(*column), widths.get(*column)) else { continue };
+        let padded = if index == 0 { format!("{cell:<width$}") } else { format!("{GUTTER}{cell:>width$}") };
         line.push_str(&padded);
     }
     line.trim_end().to_owned() + "\n"
@@ -105,7 +176,7 @@ pub struct RunRow<'a> {
 
 /// Accuracy of each row in millimetres and degrees; the last column is the ratio of the first row's rms position error to the row's.
 pub fn run_table(rows: &[RunRow<'_>]) -> String {
-    let mut table = TextTable::new(["position error", "rms mm", "max mm", "end mm", "heading rms deg", "better by"]);
+    let mut table = TextTable::new(["position error", "rms mm", "max mm", "end mm", "heading deg", "better by"]);
     let reference_m = rows.first().and_then(|row| row.errors.position_rms_m);
     for row in rows {
         let errors = row.errors;
@@ -139,16 +210,8 @@ pub struct RobotErrors {
 }
 
 pub fn robots_table(rows: &[RobotRow]) -> String {
-    let mut table = TextTable::new([
-        "robot",
-        "observations",
-        "estimates",
-        "odometry rms mm",
-        "estimate rms mm",
-        "max mm",
-        "heading rms deg",
-        "ANEES",
-    ]);
+    let mut table =
+        TextTable::new(["robot", "received", "sent", "odometry mm", "estimate mm", "max mm", "heading deg", "ANEES"]);
     for row in rows {
         let mut cells = vec![row.label.clone(), row.observations.to_string(), row.estimates.to_string()];
         if let Some(RobotErrors { odometry, estimate }) = &row.errors {
@@ -183,6 +246,13 @@ pub struct EstimatorRow<'a> {
     pub errors: &'a ErrorSummary,
     /// Number of independent runs; determines the ANEES band.
     pub runs: u64,
+    pub sources: &'a [SourceTally],
+}
+
+impl EstimatorRow<'_> {
+    pub fn verdict(&self) -> FilterVerdict {
+        FilterVerdict::new(self.errors, self.runs, source_verdicts(self.sources))
+    }
 }
 
 pub fn estimator_table(rows: &[EstimatorRow<'_>]) -> String {
@@ -195,31 +265,35 @@ pub fn runs_table(rows: &[EstimatorRow<'_>]) -> String {
 }
 
 fn accuracy_table(what: &str, rows: &[EstimatorRow<'_>]) -> String {
-    let mut table =
-        TextTable::new([what, "samples", "rms mm", "max mm", "end mm", "heading rms deg", "ANEES", "its claims are"]);
+    let mut table = TextTable::new([what, "rms mm", "max mm", "end mm", "heading deg", "ANEES", "verdict"]);
     for row in rows {
         let errors = row.errors;
         table.push([
             row.name.to_owned(),
-            errors.samples.to_string(),
             millimetres(errors.position_rms_m),
             millimetres(errors.position_max_m),
             millimetres(errors.position_end_m),
             degrees(errors.heading_rms_rad),
             two_digits(errors.anees),
-            errors.consistency(row.runs).as_text().to_owned(),
+            row.verdict().finding.as_text().to_owned(),
         ]);
     }
-    table.render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
+    table.without_empty_columns().render() + &footnotes(rows.iter().map(|row| (row.name, row.errors)))
 }
 
-/// Fusion outcomes of each sensor, and whether its configured noise is too small or too large.
+/// Fusion outcomes of each sensor, and whether its configured noise is too small or too large. An outcome that no observation had is
+/// left out.
 pub fn source_table(tallies: &[SourceTally]) -> String {
-    let headings = ["source"].into_iter().chain(SourceTally::COUNT_HEADINGS).chain(["NIS/dof", "the filter is"]);
-    let mut table = TextTable::new(headings);
-    for tally in tallies {
-        let counts = tally.counts().into_iter().map(|count| count.to_string());
-        let assessment = [two_digits(tally.mean_nis_per_dof()), tally.consistency().as_text().to_owned()];
+    let counts: Vec<[u64; 8]> = tallies.iter().map(SourceTally::counts).collect();
+    let has = |outcome: &usize| *outcome == 0 || counts.iter().any(|counts| counts[*outcome] > 0);
+    let shown: Vec<usize> = (0..SourceTally::COUNT_HEADINGS.len()).filter(has).collect();
+    let headings = shown.iter().map(|outcome| SourceTally::COUNT_HEADINGS[*outcome]);
+    let mut table = TextTable::new(["source"].into_iter().chain(headings).chain(["NIS/dof", "due", "verdict"]));
+    for (tally, counts) in tallies.iter().zip(&counts) {
+        let counts = shown.iter().map(|outcome| counts[*outcome].to_string());
+        let verdict = tally.verdict();
+        let due = or_no_value(verdict.band, |band| format!("{:.2}-{:.2}", band.low, band.high));
+        let assessment = [two_digits(verdict.mean_nis_per_dof), due, verdict.finding.as_text().to_owned()];
         let name = format!("{} ({})", tally.sensor.name(), tally.sensor);
         table.push(std::iter::once(name).chain(counts).chain(assessment));
     }
@@ -257,13 +331,11 @@ pub struct SmoothRow<'a> {
 
 /// Accuracy in millimetres and degrees; below, the runs without a path and the unused sources.
 pub fn smooth_table(name: &str, rows: &[SmoothRow<'_>]) -> String {
-    let mut table =
-        TextTable::new([name, "samples", "rms mm", "max mm", "heading rms deg", "used", "left out", "iterations", "s"]);
+    let mut table = TextTable::new([name, "rms mm", "max mm", "heading deg", "used", "left out", "iterations", "s"]);
     for row in rows {
         let errors = row.errors;
         table.push([
             row.run.to_owned(),
-            errors.samples.to_string(),
             millimetres(errors.position_rms_m),
             millimetres(errors.position_max_m),
             degrees(errors.heading_rms_rad),
@@ -342,8 +414,8 @@ mod tests {
             ],
         );
         let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
-        assert_eq!(lines[1], ["one", "17", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
-        assert_eq!(lines[2], ["two", "0", "-", "-", "-", "-", "-", "-", "0.00"]);
+        assert_eq!(lines[1], ["one", "12.5", "31.0", "-", "40", "2", "6", "1.23"]);
+        assert_eq!(lines[2], ["two", "-", "-", "-", "-", "-", "-", "0.00"]);
         let expected = "one: not converged: it still moves\n\
                     one: of no use to the smoother: compass (3), range (20)\n\
                     two: no smoothed path: it is empty\n";

@@ -8,10 +8,10 @@ use posebridge_estimator::smoother::OfflineError;
 use posebridge_lab::accuracy::{DriveScore, FilterScore, ReferenceDrive, Requirement, Verdict, bound_text};
 use posebridge_lab::statistics::RunningMean;
 use posebridge_link::HostTimer;
+use posebridge_report::SourceTally;
 use posebridge_report::chart::{AccuracyChart, AccuracyMark, AccuracyPanel, render_accuracy_chart};
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::report::{Report, Table};
-use posebridge_report::{ConsistencyBand, SourceTally};
 use posebridge_sim::montecarlo::{Drive, Limits, SCENARIOS, Scenario};
 use posebridge_telemetry::TimeDelta;
 use serde_json::{Value, json};
@@ -242,8 +242,8 @@ fn estimator_table<'a>(rows: &'a [EstimatorRow<'a>]) -> Table<'a, EstimatorRow<'
         })
         .number("claimed_rms_m", "claimed", mm, |row| row.scores.score.claimed_rms_m())
         .number("anees", "ANEES", three, |row| row.scores.score.anees())
-        .data("anees_band", |row| json!(row.scores.score.band().map(|ConsistencyBand { low, high }| [low, high])))
-        .text("consistency", "its claims are", |row| row.scores.score.consistency().as_text().to_owned())
+        .data("anees_band", |row| json!(row.scores.score.verdict().anees.map(|(_, band)| [band.low, band.high])))
+        .text("consistency", "verdict", |row| row.scores.score.verdict().finding.to_string())
         .data("sources", |row| row.scores.score.sources.iter().map(source_json).collect())
         .data("recoveries_s", |row| json!(row.scores.score.disturbances.recoveries_s))
         .data("resets", |row| json!(row.scores.score.disturbances.resets))
@@ -292,7 +292,7 @@ fn source_json(tally: &SourceTally) -> Value {
         "too_old": tally.too_old,
         "unused": tally.unused,
         "mean_nis_per_dof": tally.mean_nis_per_dof(),
-        "consistency": tally.consistency().as_text(),
+        "consistency": tally.verdict().finding.as_text(),
     })
 }
 

@@ -7,9 +7,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SimulatorFacts, TruthPoint,
+    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SetupRow, SimulatorFacts, TruthPoint,
 };
-use posebridge_report::RecentNis;
 use posebridge_telemetry::severity::NOTICE;
 
 /// A class has fewer.
@@ -30,6 +29,7 @@ pub struct Model {
     truth: RecentPoints<TruthPoint>,
     errors: Option<ErrorsRow>,
     pub links: Vec<LinkRow>,
+    setup: Vec<SetupRow>,
     pub clock: Option<ClockRow>,
     pub recording: Option<RecordingNow>,
     /// Oldest first.
@@ -77,6 +77,9 @@ impl Model {
         if let Some(errors) = &frame.errors {
             self.errors = Some(errors.clone());
         }
+        if let Some(setup) = &frame.setup {
+            self.setup.clone_from(setup);
+        }
         if let Some(links) = &frame.links {
             self.links.clone_from(links);
         }
@@ -118,6 +121,16 @@ impl Model {
         let shown = self.visible_robots();
         let last = shown.len().checked_sub(1)?;
         shown.get(self.selection.robot.min(last)).copied()
+    }
+
+    /// The steps of the selected robot, or of the one that has not been heard yet; none once they are complete, and with a simulator.
+    pub fn setup_rows(&self) -> Vec<&SetupRow> {
+        let robot = self.selected_robot().map_or("", |robot| robot.id.as_str());
+        let rows_of = |id: &str| -> Vec<&SetupRow> { self.setup.iter().filter(|row| row.robot == id).collect() };
+        let own = rows_of(robot);
+        let rows = if own.is_empty() { rows_of("") } else { own };
+        let is_complete = rows.iter().all(|row| matches!(row.state.as_str(), "ok" | "optional"));
+        if is_complete || self.simulator.is_some() { Vec::new() } else { rows }
     }
 
     pub fn selected_truth(&self) -> Option<&RecentPoints<TruthPoint>> {
@@ -179,7 +192,10 @@ pub struct Robot {
 pub struct SourceModel {
     pub count: u64,
     pub gated: u64,
-    pub nis: RecentNis,
+    /// Mean NIS per degree of freedom of the latest; `None` where nothing was predicted.
+    pub nis: Option<f64>,
+    /// What the latest say of the filter.
+    pub consistency: String,
     pub last_verdict: String,
 }
 
@@ -223,6 +239,12 @@ impl Robot {
         for record in &part.fusion {
             self.on_fusion(record);
         }
+        for tally in part.tallies.iter().filter(|tally| tally.nis.get().is_some()) {
+            if let Some(source) = self.sources.get_mut(&tally.sensor) {
+                source.nis = tally.nis.get();
+                source.consistency.clone_from(&tally.consistency);
+            }
+        }
         if let Some(calibration) = &part.calibration {
             // A history has one row a second for each; the last one counts.
             for row in calibration {
@@ -242,14 +264,7 @@ impl Robot {
         let source = self.sources.entry(record.sensor.clone()).or_default();
         source.count += 1;
         source.last_verdict.clone_from(&record.verdict);
-        match record.verdict.as_str() {
-            "gated" => source.gated += 1,
-            "accepted" | "slip" => {
-                let nis = record.nis.get().unwrap_or(f64::NAN);
-                source.nis.push(nis, u64::from(record.dof));
-            }
-            _ => {}
-        }
+        source.gated += u64::from(record.verdict == "gated");
     }
 }
 

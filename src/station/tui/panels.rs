@@ -3,7 +3,6 @@
 //! A panel draws a [`Model`] into a part of a buffer. It has no terminal and no clock: the same model gives the same cells.
 
 use posebridge_dashboard::model::{CalibrationRow, ClockRow, EstimatePoint, LinkRow, LogLine, Number, QuantityPoint};
-use posebridge_report::Consistency;
 use posebridge_telemetry::QuantitySteps;
 use posebridge_telemetry::severity::WARNING;
 use ratatui::buffer::Buffer;
@@ -26,6 +25,7 @@ pub struct Panel {
 pub const PANELS: &[Panel] = &[
     Panel { title: "Arena", lines: |_| usize::from(u16::MAX), draw: arena::draw },
     Panel { title: "Pose", lines: |_| 4, draw: draw_pose },
+    Panel { title: "Set-up", lines: |model| model.setup_rows().len(), draw: draw_setup },
     Panel { title: "Robots", lines: robot_lines, draw: draw_robots },
     Panel {
         title: "Sources and NIS",
@@ -102,6 +102,25 @@ fn quantity_lines(point: &QuantityPoint, verdict: &str) -> [Line<'static>; 2] {
     [Line::from(value + &rate), Line::from(steps)]
 }
 
+/// State, step, and what to do, or the figure where nothing is left to do.
+fn draw_setup(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
+    let lines = model.setup_rows().into_iter().map(|row| {
+        let role = match row.state.as_str() {
+            "ok" => StyleRole::Good,
+            "problem" => StyleRole::Bad,
+            "waiting" => StyleRole::Late,
+            _ => StyleRole::Quiet,
+        };
+        let is_open = matches!(row.state.as_str(), "problem" | "waiting");
+        let detail = if is_open { &row.advice } else { &row.figure };
+        Line::from(vec![
+            Span::styled(format!("{:<8} ", row.state), theme.style(role)),
+            Span::raw(format!("{}: {}", row.step, sanitize(detail))),
+        ])
+    });
+    Paragraph::new(lines.collect::<Vec<_>>()).render(area, buffer);
+}
+
 /// Robots listed in the overview; the full-screen panel shows as many as fit.
 const MAX_LINES: usize = 8;
 /// Age of the last estimate from which a robot counts as silent, as on the page (web/model/silence.js).
@@ -156,7 +175,7 @@ fn robot_row(robot: &Robot, now_s: f64, selected: Option<&str>, theme: Theme) ->
 }
 
 /// Seen, gated, NIS, consistency, last.
-const SOURCE_WIDTHS: [u16; 5] = [5, 5, 4, 10, 8];
+const SOURCE_WIDTHS: [u16; 5] = [5, 5, 4, 15, 8];
 const GAPS: u16 = SOURCE_WIDTHS.len() as u16;
 /// `landmarks`: this width leaves the other columns complete in a terminal of 80 columns.
 const NAME_AT_LEAST: usize = 9;
@@ -168,7 +187,7 @@ fn draw_sources(model: &Model, theme: Theme, area: Rect, buffer: &mut Buffer) {
     let most = usize::from(remaining).max(NAME_AT_LEAST);
     let name_width = longest.unwrap_or(0).clamp(NAME_AT_LEAST, most);
     let rows = sources.into_iter().map(|(name, source)| source_row(truncate(name, name_width), source, theme));
-    let head = Row::new(["source", " seen", "gated", " NIS", "filter is", "last"]);
+    let head = Row::new(["source", " seen", "gated", " NIS", "verdict", "last"]);
     let [observed, gated, nis, claims, _last] = SOURCE_WIDTHS.map(Constraint::Length);
     let name = Constraint::Length(name_width as u16);
     Table::new(rows, [name, observed, gated, nis, claims, Constraint::Min(0)])
@@ -186,9 +205,13 @@ fn truncate(name: &str, columns: usize) -> String {
 }
 
 fn source_row(name: String, source: &SourceModel, theme: Theme) -> Row<'static> {
-    let nis = source.nis.mean_per_degree();
-    let nis = nis.map_or_else(|| "–".to_owned(), four_digits);
-    let (claims, role) = consistency_label(source.nis.consistency());
+    let nis = source.nis.map_or_else(|| "–".to_owned(), four_digits);
+    let role = match source.consistency.as_str() {
+        "consistent" => StyleRole::Good,
+        "over-confident" => StyleRole::Bad,
+        "under-confident" => StyleRole::Late,
+        _ => StyleRole::Quiet,
+    };
     let right = |text: String| Cell::from(Text::from(text).right_aligned());
     let last_role = match source.last_verdict.as_str() {
         "accepted" | "unused" => StyleRole::Quiet,
@@ -199,7 +222,7 @@ fn source_row(name: String, source: &SourceModel, theme: Theme) -> Row<'static> 
         right(source.count.to_string()),
         right(source.gated.to_string()),
         right(nis),
-        Cell::from(claims).style(theme.style(role)),
+        Cell::from(source.consistency.clone()).style(theme.style(role)),
         Cell::from(source.last_verdict.clone()).style(theme.style(last_role)),
     ])
 }
@@ -210,16 +233,6 @@ fn four_digits(number: f64) -> String {
         ..9.995 => format!("{number:.2}"),
         ..99.95 => format!("{number:.1}"),
         _ => format!("{number:.0}"),
-    }
-}
-
-/// Short text of a consistency verdict, as in docs/dashboard.md.
-const fn consistency_label(verdict: Consistency) -> (&'static str, StyleRole) {
-    match verdict {
-        Consistency::OverConfident => ("too sure", StyleRole::Bad),
-        Consistency::Consistent => ("honest", StyleRole::Good),
-        Consistency::UnderConfident => ("too unsure", StyleRole::Late),
-        Consistency::Undetermined => ("–", StyleRole::Quiet),
     }
 }
 

@@ -14,7 +14,9 @@ pub struct DiagnosticContext {
     pub user: UserPermissions,
     /// `None` checks the embedded default and opens no link.
     pub config: Option<PathBuf>,
-    /// Links to listen on, as given.
+    /// The configuration of the robot to set up.
+    pub robot: Option<PathBuf>,
+    /// Links to listen on, as given; with a robot its links.
     pub links: Vec<String>,
     /// Listening time for each link and each speed.
     pub listen_for_s: f64,

@@ -185,7 +185,8 @@ async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> Lis
 const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
 
 pub(super) fn check_listening(context: &DiagnosticContext) -> Vec<CheckResult> {
-    if context.links.is_empty() {
+    // The set-up of a robot opens them itself.
+    if context.links.is_empty() || context.robot.is_some() {
         return vec![CheckResult::skipped(
             "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
         )];

@@ -6,6 +6,7 @@ mod context;
 mod host;
 mod links;
 pub mod serial_ports;
+mod setup;
 
 use std::path::PathBuf;
 
@@ -28,6 +29,10 @@ pub struct DoctorArgs {
     /// Check this configuration file and try to open its links.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Run a station with this configuration, such as that of `posebridge init`, for at least 10 seconds, and go through the
+    /// set-up of the robot: link, bytes, frames, wheels, clock, gyro, camera, estimate. URLs replace the links of the file.
+    #[arg(long, value_name = "FILE")]
+    pub robot: Option<PathBuf>,
     /// Time to listen on each link, and at each baud rate of a serial port, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = up_to_an_hour)]
     pub listen_for: f64,
@@ -47,6 +52,7 @@ pub const CHECKS: &[Check] = &[
     Check { name: "receive-buffer", run: host::check_receive_buffer },
     Check { name: "configuration", run: links::check_configuration },
     Check { name: "listening", run: links::check_listening },
+    Check { name: "set-up", run: setup::check_setup },
 ];
 
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +69,7 @@ pub fn execute(args: &DoctorArgs) -> Result<(), Failure> {
         user: UserPermissions::current(),
         config: args.config.clone(),
         links: args.links.clone(),
+        robot: args.robot.clone(),
         listen_for_s: args.listen_for,
     };
     let findings = run_checks(&context);

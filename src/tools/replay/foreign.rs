@@ -4,7 +4,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_report::metrics::summarise;
 use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_over_runs};
 use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Station, StationConfig};
-use posebridge_telemetry::{Address, Input, Observation, Point2, TimeDelta};
+use posebridge_telemetry::{Address, Estimate, Input, Observation, Point2, TimeDelta};
 
 use super::own::{changed_settings, profile_settings};
 use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothedRun, SmoothingSpan};
@@ -144,6 +144,7 @@ struct ScoreTotals {
     uncorrected: Vec<ErrorSummary>,
     learned: Vec<LearnedCalibration>,
     sources: Vec<SourceTally>,
+    last: Option<Estimate>,
 }
 
 impl ScoreTotals {
@@ -151,6 +152,7 @@ impl ScoreTotals {
         self.errors.push(scored.errors);
         self.uncorrected.push(scored.uncorrected);
         self.learned.extend(scored.learned);
+        self.last = collector.estimates.items().last().copied();
         for tally in collector.sources {
             let mut known = self.sources.iter_mut();
             match known.find(|known| known.sensor == tally.sensor) {
@@ -168,6 +170,7 @@ impl ScoreTotals {
             position_rms_uncorrected_m: mean_over_runs(&self.uncorrected).position_rms_m,
             learned: self.learned,
             sources: self.sources,
+            last: self.last,
         }
     }
 }

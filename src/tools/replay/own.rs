@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, Result, anyhow, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_recording::container::{RecordingHeader, RecordingReader};
-use posebridge_report::metrics::{errors_of_estimates, summarise};
+use posebridge_report::metrics::{errors_of_estimates, errors_of_track, summarise};
 use posebridge_report::{ErrorSummary, PoseTrack};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Estimate, HostClock, Input, RobotId, TimeDelta, Timestamp};
@@ -128,6 +128,10 @@ fn summarize<'m>(
             if index == 0 {
                 result.observations += collector.observations;
             }
+            if index == 0 && position == 0 {
+                let tracks = known.odometry.as_ref().zip(truth);
+                result.odometry = tracks.map(|(odometry, truth)| summarise(&errors_of_track(odometry, truth)));
+            }
             if index + 1 == configs.len() {
                 filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
                 let run = label.as_deref().unwrap_or(WHOLE_RUN);
@@ -148,6 +152,7 @@ fn summarize<'m>(
                 position_rms_uncorrected_m: None,
                 learned: learned.into_iter().collect(),
                 sources: collector.sources,
+                last: collector.estimates.items().last().copied(),
             });
             result.outcomes.extend(collector.compared.into_iter().map(|compared| FilterResult {
                 name: compared.name.to_owned(),
@@ -155,6 +160,7 @@ fn summarize<'m>(
                 errors: errors_of(compared.estimates.items(), truth),
                 position_rms_uncorrected_m: None,
                 learned: Vec::new(),
+                last: compared.estimates.items().last().copied(),
                 sources: compared.sources,
             }));
         }

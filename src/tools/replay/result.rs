@@ -11,11 +11,11 @@ use posebridge_link::HostTimer;
 use posebridge_recording::dataset::DatasetRun;
 use posebridge_report::metrics::summarise;
 use posebridge_report::tables::SmoothRow;
-use posebridge_report::{ErrorSummary, PoseTrack, SmoothedPath, SourceTally};
+use posebridge_report::{ErrorSummary, FilterVerdict, PoseTrack, SmoothedPath, SourceTally, source_verdicts};
 use posebridge_telemetry::{BrickClock, Calibration, Estimate, Observation, ObservationKind, TimeDelta, Timestamp};
 
 use crate::config::RobotFile;
-use crate::flags::{SessionFlags, not_negative, positive};
+use crate::flags::{DetailFlags, SessionFlags, not_negative, positive};
 use crate::station::event_collector::MAX_INTERPOLATION_GAP;
 use crate::station::learned_calibration::{LearnedCalibration, with_geometry};
 use crate::station::wiring_fix::WiringReport;
@@ -55,6 +55,9 @@ pub struct ReplayArgs {
     /// Print one JSON object instead of tables (docs/reports.md).
     #[arg(long)]
     pub json: bool,
+    /// How much is printed.
+    #[command(flatten)]
+    pub detail: DetailFlags,
 }
 
 impl ReplayArgs {
@@ -76,9 +79,16 @@ pub struct FilterResult {
     pub learned: Vec<LearnedCalibration>,
     /// Over all runs.
     pub sources: Vec<SourceTally>,
+    /// The last of the last run.
+    pub last: Option<Estimate>,
 }
 
 impl FilterResult {
+    /// `runs` independent ones.
+    pub fn verdict(&self, runs: usize) -> FilterVerdict {
+        FilterVerdict::new(&self.errors, runs as u64, source_verdicts(&self.sources))
+    }
+
     /// With its robot if there are several.
     pub fn label(&self) -> String {
         self.robot.as_ref().map_or_else(|| self.name.clone(), |robot| format!("{} {robot}", self.name))
@@ -92,6 +102,8 @@ pub struct ReplayResult {
     pub observations: u64,
     pub bad_rows: u64,
     pub outcomes: Vec<FilterResult>,
+    /// Errors of the brick's own odometry, if it is known beside the truth; of the first robot.
+    pub odometry: Option<ErrorSummary>,
     /// One per run; empty unless requested.
     pub smoothed: Vec<SmoothedRun>,
     /// With a fixed lag; likewise.

@@ -38,6 +38,9 @@ pub struct Frame {
     /// How the simulated brick was set last, when that has changed and once a second; absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<SimulatorNow>,
+    /// The set-up checklist of each robot, when it has changed and once a second; absent in a recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub setup: Option<Vec<SetupRow>>,
     /// The recording that is being written, `null` if none is; once a second, else absent.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "present")]
     pub recording: Option<Option<RecordingNow>>,
@@ -75,6 +78,7 @@ impl Frame {
             && self.switched_off.is_none()
             && self.is_comparing.is_none()
             && self.simulator.is_none()
+            && self.setup.is_none()
             && self.recording.is_none()
     }
 }
@@ -307,6 +311,26 @@ pub struct TallyPoint {
     pub gated: u64,
     /// Number of them that came 0.15 s or more behind the filter's time.
     pub late: u64,
+    /// Mean normalised innovation squared per degree of freedom of the last 200 used ones; `null` where nothing was predicted.
+    pub nis: Number,
+    /// What these say of the filter: `too little data`, `consistent`, `over-confident` or `under-confident`.
+    pub consistency: String,
+}
+
+/// A step of setting up a robot.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetupRow {
+    /// The robot's id; empty before any robot is heard.
+    pub robot: String,
+    /// Its name, such as `link open`.
+    pub step: String,
+    /// `ok`, `optional`, `waiting` or `problem`; the first two are complete.
+    pub state: String,
+    /// What was measured.
+    pub figure: String,
+    /// What to do; empty if nothing.
+    pub advice: String,
 }
 
 /// Something that was learned about a robot.

@@ -78,6 +78,7 @@ pub const VIEWS: &[ViewEntry] = &[
     ViewEntry { name: "log", build: |config| Box::new(log::Log::new(config)) },
     ViewEntry { name: "parameters", build: |_| Box::new(status::parameters()) },
     ViewEntry { name: "switches", build: |_| Box::new(status::Switches::default()) },
+    ViewEntry { name: "setup", build: |_| Box::new(status::setup()) },
     ViewEntry { name: "simulator", build: |_| Box::new(status::simulator()) },
 ];
 

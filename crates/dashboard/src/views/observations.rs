@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use posebridge_report::RecentInnovations;
 use posebridge_telemetry::{
     Event, Fix, FusionOutcome, FusionRecord, Heading, HostClock, ObservationKind, RobotId, SensorId, TimeDelta,
     Timestamp,
@@ -124,14 +125,15 @@ const TALLY_SHARE: usize = 10;
 
 type SourceKey = (RobotId, (SensorId, &'static str));
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct SourceCounts {
     seen: u64,
     gated: u64,
     late: u64,
+    recent: RecentInnovations,
 }
 
-/// Counts of observations by source: all, gated and late. They are exact, however much the lines are thinned.
+/// Counts of observations by source: all, gated and late, and the verdict on the latest. They are exact, however much the lines are thinned.
 pub(super) struct Tallies {
     counts: BoundedMap<SourceKey, SourceCounts>,
     /// Once a second for a recording; a live session needs only the counts.
@@ -155,13 +157,14 @@ impl Tallies {
             tally.seen += 1;
             tally.gated += u64::from(record.outcome == FusionOutcome::Gated);
             tally.late += u64::from(record.lag >= MIN_LATE_LAG);
+            tally.recent.push(record);
         }
     }
 
     fn record_second(&mut self) {
         for (source, tally) in &self.counts.entries {
             let (_, (sensor, kind)) = *source;
-            let point = tally_point(self.last, sensor, kind, *tally);
+            let point = tally_point(self.last, sensor, kind, tally);
             self.seconds.push(self.last, *source, point, PointPriority::Normal);
         }
         // A message has the current counts.
@@ -170,7 +173,7 @@ impl Tallies {
 
     fn add_counts(&self, frame: &mut Frame) {
         for ((robot, (sensor, kind)), tally) in &self.counts.entries {
-            let point = tally_point(self.last, *sensor, kind, *tally);
+            let point = tally_point(self.last, *sensor, kind, tally);
             frame.robot(&robot_name(*robot)).tallies.push(point);
         }
     }
@@ -207,7 +210,8 @@ impl View for Tallies {
     }
 }
 
-fn tally_point(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, tally: SourceCounts) -> TallyPoint {
+fn tally_point(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, tally: &SourceCounts) -> TallyPoint {
+    let verdict = tally.recent.verdict();
     TallyPoint {
         t_s: seconds_of(at),
         sensor: sensor.name().to_owned(),
@@ -215,5 +219,7 @@ fn tally_point(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, t
         seen: tally.seen,
         gated: tally.gated,
         late: tally.late,
+        nis: verdict.mean_nis_per_dof.unwrap_or(f64::NAN).into(),
+        consistency: verdict.finding.as_text().to_owned(),
     }
 }

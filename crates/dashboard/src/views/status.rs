@@ -5,7 +5,7 @@ use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
 use super::retained_series::{BoundedMap, PointPriority, RetainedSeries};
 use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::StationStatus;
-use crate::model::{CalibrationRow, Frame, ParameterValue, SimulatorNow, seconds_of};
+use crate::model::{CalibrationRow, Frame, ParameterValue, SetupRow, SimulatorNow, seconds_of};
 
 /// A part of the status that is sent when it changes, and once a second.
 pub(super) struct StatusPart<T> {
@@ -30,6 +30,11 @@ pub(super) fn parameters() -> StatusPart<Vec<ParameterValue>> {
 
 pub(super) fn is_comparing() -> StatusPart<bool> {
     StatusPart::new(|status| Some(status.is_comparing), |frame, is_comparing| frame.is_comparing = is_comparing)
+}
+
+/// The steps of setting up each robot; none in a recording.
+pub(super) fn setup() -> StatusPart<Vec<SetupRow>> {
+    StatusPart::new(|status| (!status.setup.is_empty()).then(|| status.setup.clone()), |frame, rows| frame.setup = rows)
 }
 
 /// Steering source and link profile of the simulated brick.

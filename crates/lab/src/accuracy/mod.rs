@@ -25,7 +25,7 @@ use posebridge_estimator::smoother::{
 use posebridge_estimator::{Filter, FilterConfig};
 use posebridge_report::metrics::consistency::nees;
 use posebridge_report::metrics::{
-    Anees, Consistency, ConsistencyBand, PoseError, SourceTally, add_to_tallies, merge_tally,
+    ErrorSummary, FilterVerdict, PoseError, SourceTally, add_to_tallies, merge_tally, source_verdicts,
 };
 use posebridge_report::quantity::{Format, Unit};
 use posebridge_report::tables::NO_VALUE;
@@ -85,7 +85,7 @@ fn source_text(tally: &SourceTally) -> Option<String> {
         Some(share) if share > 0.0 => format!(", {:.1} % gated", share * 100.0),
         Some(_) | None => String::new(),
     };
-    Some(format!("{} {mean:.2} {}{gated}", tally.sensor.name(), tally.consistency().as_text()))
+    Some(format!("{} {mean:.2} {}{gated}", tally.sensor.name(), tally.verdict().finding))
 }
 
 /// The bound of a scenario with a note: what it leaves out, or why there is none.
@@ -245,19 +245,16 @@ impl FilterScore {
         self.all.nees.mean().map(|mean| mean / POSE_DEGREES_OF_FREEDOM)
     }
 
-    /// The 95 % interval of a consistent estimator's ANEES over this number of runs, if each run were one sample. The mean over a run
-    /// varies less: outside the band is inconsistent, inside does not prove consistency.
-    pub fn band(&self) -> Option<ConsistencyBand> {
-        ConsistencyBand::of_runs(self.runs)
-    }
-
-    pub fn consistency(&self) -> Consistency {
-        let outcome = Anees {
-            value: self.anees(),
+    /// A run counts as one sample, and the mean over a run varies less: outside the band is inconsistent, inside does not prove
+    /// consistency.
+    pub fn verdict(&self) -> FilterVerdict {
+        let errors = ErrorSummary {
+            anees: self.anees(),
             samples: self.all.nees.count as usize,
-            refused: self.refused_covariances as usize,
+            refused_covariances: self.refused_covariances as usize,
+            ..ErrorSummary::default()
         };
-        Consistency::of_anees(&outcome, self.runs)
+        FilterVerdict::new(&errors, self.runs, source_verdicts(&self.sources))
     }
 }
 

@@ -85,7 +85,7 @@ fn a_constant_error_is_its_own_root_mean_square() {
     // By hand: (9 + 16 + 0.01) / 0.25 / 3.
     assert!((result.anees().unwrap() - 25.01 / 0.75).abs() < 1e-9);
     assert_eq!(result.claimed_rms_m(), Some(0.5_f64.sqrt()));
-    assert_eq!(result.consistency(), Consistency::OverConfident);
+    assert_eq!(result.verdict().finding, Consistency::OverConfident);
     assert_eq!(result.sources[0].mean_nis_per_dof(), Some(1.5));
 }
 
@@ -118,8 +118,8 @@ fn an_honest_estimator_is_called_consistent() {
         all.merge(&score(&at_rest(), &mut toy));
     }
     assert!((all.anees().unwrap() - 1.0).abs() < 1e-12);
-    assert_eq!(all.consistency(), Consistency::Consistent);
-    let band = all.band().unwrap();
+    assert_eq!(all.verdict().finding, Consistency::Consistent);
+    let (_, band) = all.verdict().anees.unwrap();
     assert!(band.low < 1.0 && band.high > 1.0 && band.high < 1.7);
 }
 
@@ -133,7 +133,7 @@ fn what_cannot_be_scored_is_counted_and_said() {
     assert_eq!(far.steps_not_finite, 8);
     let boast = score(&at_rest(), &mut ToyFilter::at(0.0, 0.0, 3.1, 0.0));
     assert_eq!((boast.steps(), boast.refused_covariances), (8, 8));
-    assert_eq!(boast.consistency(), Consistency::OverConfident);
+    assert_eq!(boast.verdict().finding, Consistency::OverConfident);
     lost.merge(&boast);
     let footnotes = [
         "toy: steps left out, no estimate: 4",

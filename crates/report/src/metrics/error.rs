@@ -6,7 +6,7 @@
 use posebridge_estimator::numerics::statistics::{mean, root_mean_square};
 use posebridge_telemetry::{Arena, Estimate, Heading, Point2, Pose};
 
-use super::consistency::{Anees, Consistency, nees};
+use super::consistency::{Anees, nees};
 use crate::track::PoseTrack;
 
 /// Estimated minus true pose at one instant.
@@ -113,29 +113,21 @@ pub struct ErrorSummary {
     pub anees: Option<f64>,
 }
 
-impl ErrorSummary {
-    /// Tests the claimed covariance over independent runs (1 for a single run).
-    pub fn consistency(&self, runs: u64) -> Consistency {
-        let outcome = Anees { value: self.anees, samples: self.samples, refused: self.refused_covariances };
-        Consistency::of_anees(&outcome, runs)
-    }
-}
-
 /// Errors must be in time order. Each heading error is wrapped into (-pi, pi] first.
 pub fn summarise(errors: &[PoseError]) -> ErrorSummary {
     let finite = || errors.iter().filter(|error| error.is_finite());
     let distances_m: Vec<f64> = finite().map(PoseError::position_m).collect();
     let turns_rad = finite().filter_map(|error| error.heading_rad).map(|turn_rad| Heading::from_rad(turn_rad).rad());
-    let honesty = anees(errors);
+    let claims = anees(errors);
     ErrorSummary {
         samples: distances_m.len(),
         dropped: errors.len() - distances_m.len(),
-        refused_covariances: honesty.refused,
+        refused_covariances: claims.refused,
         position_rms_m: root_mean_square(&distances_m),
         position_max_m: distances_m.iter().copied().reduce(f64::max),
         position_end_m: distances_m.last().copied(),
         heading_rms_rad: root_mean_square(&turns_rad.collect::<Vec<f64>>()),
-        anees: honesty.value,
+        anees: claims.value,
     }
 }
 

@@ -5,14 +5,13 @@
 
 pub mod consistency;
 pub mod error;
-pub mod innovations;
+pub mod sources;
+pub mod verdict;
 
-pub use self::consistency::{
-    Anees, Consistency, ConsistencyBand, NeesError, RecentNis, SourceTally, add_to_tallies, merge_tally, nees,
-    tally_sources,
-};
+pub use self::consistency::{Anees, Consistency, ConsistencyBand, NeesError, nees};
 pub use self::error::{
     ErrorSummary, PathError, PoseError, anees, errors_of_estimates, errors_of_track, mean_over_runs, path_error,
     summarise,
 };
-pub use self::innovations::{InnovationFinding, InnovationTest, InnovationVerdict, VerdictTone};
+pub use self::sources::{RecentInnovations, SourceTally, add_to_tallies, merge_tally, source_verdicts, tally_sources};
+pub use self::verdict::{FilterVerdict, SourceVerdict, VerdictTone};

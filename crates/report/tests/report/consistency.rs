@@ -1,8 +1,10 @@
 //! The consistency figures over seeded draws: honest claims lie inside the chi-square band, others outside.
 
-use posebridge_report::metrics::{anees, nees};
-use posebridge_report::{Consistency, PoseError, SourceTally, tally_sources};
-use posebridge_telemetry::{FusionOutcome, SensorId};
+use posebridge_report::metrics::{VerdictTone, anees, nees};
+use posebridge_report::{
+    Consistency, ErrorSummary, FilterVerdict, PoseError, SourceTally, source_verdicts, summarise, tally_sources,
+};
+use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, Timestamp};
 use proptest::prelude::*;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -44,7 +46,8 @@ fn honest_claims_lie_inside_the_band_and_wrong_ones_on_the_right_side() {
     {
         let outcome = anees(&errors_claiming(scale));
         assert_eq!((outcome.samples, outcome.refused), (100, 0));
-        assert_eq!(Consistency::of_anees(&outcome, RUNS), verdict, "claims {scale} times the truth: {outcome:?}");
+        let judged = FilterVerdict::new(&summarise(&errors_claiming(scale)), RUNS, Vec::new());
+        assert_eq!(judged.finding, verdict, "claims {scale} times the truth: {outcome:?}");
     }
 }
 
@@ -59,7 +62,7 @@ fn innovations_of_an_honest_sensor_are_consistent_and_of_a_noisier_one_are_not()
             let nis = (0..2).map(|_| (sigmas * normal(&mut random)).powi(2)).sum();
             tally.add(&record(SensorId::CAMERA, FusionOutcome::Accepted, nis));
         }
-        assert_eq!(tally.consistency(), verdict, "{:?}", tally.mean_nis_per_dof());
+        assert_eq!(tally.verdict().finding, verdict, "{:?}", tally.mean_nis_per_dof());
     }
 }
 
@@ -81,7 +84,7 @@ fn an_innovation_that_is_not_a_number_does_not_poison_the_mean() {
     let mut tally = SourceTally::new(SensorId::GYRO);
     tally.add(&record(SensorId::GYRO, FusionOutcome::Accepted, f64::NAN));
     assert_eq!((tally.used, tally.mean_nis_per_dof()), (1, None));
-    assert_eq!(tally.consistency(), Consistency::Undetermined);
+    assert_eq!(tally.verdict().finding, Consistency::TooLittleData);
 }
 
 #[test]
@@ -94,6 +97,69 @@ fn tallies_come_in_the_order_of_the_sensors() {
     let tallies = tally_sources(&records);
     assert_eq!(tallies.iter().map(|tally| tally.sensor).collect::<Vec<_>>(), [SensorId::WHEELS, SensorId::CAMERA]);
     assert_eq!((tallies[0].rebased, tallies[1].reset_to), (1, 1));
+}
+
+/// A source of `count` innovations that are alternately this many standard deviations off, to either side in a fixed pattern.
+fn source(sensor: SensorId, count: u32, sigmas: f64) -> SourceTally {
+    let mut tally = SourceTally::new(sensor);
+    for index in 0..count {
+        // + + - -: neighbours are as often alike as opposed.
+        let innovation = if index / 2 % 2 == 0 { sigmas } else { -sigmas };
+        tally.add(&FusionRecord {
+            innovation: [innovation, 0.0, 0.0],
+            innovation_covariance: [[1.0, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+            nis: sigmas * sigmas,
+            degrees_of_freedom: 1,
+            ..FusionRecord::new(sensor, "fix", Timestamp::ZERO, FusionOutcome::Accepted)
+        });
+    }
+    tally
+}
+
+fn errors(anees: Option<f64>) -> ErrorSummary {
+    ErrorSummary { anees, samples: 100, ..ErrorSummary::default() }
+}
+
+#[test]
+fn the_truth_decides_and_a_source_that_disagrees_is_explained_in_the_same_line() {
+    let sources = [source(SensorId::WHEELS, 400, 0.7), source(SensorId::CAMERA, 400, 1.0)];
+    let verdict = FilterVerdict::new(&errors(Some(1.0)), 1, source_verdicts(&sources));
+    assert_eq!(
+        verdict.to_string(),
+        "consistent: ANEES 1.00, due 0.07 to 3.12; more noise is set than wheels (NIS 0.49) has, and the pose does not suffer by it"
+    );
+    let verdict = FilterVerdict::new(&errors(Some(9.0)), 1, source_verdicts(&sources[1..]));
+    assert_eq!((verdict.finding, verdict.tone()), (Consistency::OverConfident, VerdictTone::Bad));
+    assert!(verdict.to_string().contains("no innovation shows it"), "{verdict}");
+    let verdict = FilterVerdict::new(&errors(Some(1.0)), 1, source_verdicts(&[source(SensorId::CAMERA, 400, 2.0)]));
+    assert!(verdict.to_string().contains("too little noise is set for camera (NIS 4.00)"), "{verdict}");
+}
+
+#[test]
+fn without_truth_the_sources_decide() {
+    let (good, over, under, few) = (
+        source(SensorId::CAMERA, 400, 1.0),
+        source(SensorId::GYRO, 400, 2.0),
+        source(SensorId::WHEELS, 400, 0.5),
+        source(SensorId::COMPASS, 3, 5.0),
+    );
+    for (sources, finding, text) in [
+        (vec![good, over, under], Consistency::OverConfident, "over-confident: by the innovations of gyro (NIS 4.00)"),
+        (vec![good, under], Consistency::UnderConfident, "under-confident: by the innovations of wheels (NIS 0.25)"),
+        (vec![good, few], Consistency::Consistent, "consistent: by the innovations of camera (NIS 1.00)"),
+        (vec![few], Consistency::TooLittleData, "too little data: no truth, and no source"),
+    ] {
+        let verdict = FilterVerdict::new(&errors(None), 1, source_verdicts(&sources));
+        assert_eq!(verdict.finding, finding);
+        assert!(verdict.to_string().starts_with(text), "{verdict}");
+    }
+}
+
+#[test]
+fn a_broken_covariance_is_never_called_consistent() {
+    let broken = ErrorSummary { refused_covariances: 1, ..errors(Some(1.0)) };
+    let verdict = FilterVerdict::new(&broken, 20, Vec::new());
+    assert_eq!(verdict.to_string(), "over-confident: 1 covariances are not positive definite");
 }
 
 proptest! {

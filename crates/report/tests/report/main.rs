@@ -4,6 +4,7 @@ mod charts;
 mod consistency;
 mod metrics;
 mod sample_run;
+mod setup_checklist;
 mod tables;
 
 use posebridge_telemetry::{FusionOutcome, FusionRecord, SensorId, Timestamp};

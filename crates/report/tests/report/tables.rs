@@ -1,7 +1,8 @@
 //! The tables, letter by letter.
 
+use posebridge_report::colour::Colour;
 use posebridge_report::tables::{EstimatorRow, RunRow, estimator_table, run_table, source_table};
-use posebridge_report::{ErrorSummary, tally_sources};
+use posebridge_report::{ErrorSummary, FilterVerdict, RunAnswer, tally_sources};
 use posebridge_telemetry::{FusionOutcome, SensorId};
 
 use crate::record;
@@ -49,7 +50,7 @@ fn a_run_without_truth() {
 fn estimators_against_each_other() {
     let boaster = ErrorSummary { anees: Some(4.1), ..estimate() };
     let broken = ErrorSummary { refused_covariances: 3, dropped: 0, position_max_m: Some(1e300), ..estimate() };
-    let row = |name, errors| EstimatorRow { name, errors, runs: 20 };
+    let row = |name, errors| EstimatorRow { name, errors, runs: 20, sources: &[] };
     let table = estimator_table(&[
         row("pose", &estimate()),
         row("ekf5", &boaster),
@@ -57,6 +58,24 @@ fn estimators_against_each_other() {
         row("wheel-kf", &odometry()),
     ]);
     insta::assert_snapshot!(table);
+}
+
+#[test]
+fn the_answer_has_pose_verdict_and_what_was_learned_in_80_columns() {
+    let (errors, odometry) = (estimate(), odometry());
+    let answer = |errors, baseline| RunAnswer {
+        errors,
+        baseline,
+        last: None,
+        verdict: FilterVerdict::new(errors, 1, Vec::new()),
+        learned: vec!["radius_scale", "radius_difference", "track_scale", "gyro_scale", "backlash_rad"],
+    };
+    let text = answer(&errors, Some(("the brick's own odometry", &odometry))).text(Colour::Plain);
+    insta::assert_snapshot!(text);
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+    let worse = answer(&odometry, Some(("wheels", &errors))).text(Colour::Ansi);
+    assert!(worse.contains("29.2 times worse than wheels"), "{worse}");
+    assert!(worse.contains("\x1b[33mtoo little data\x1b[0m"), "{worse}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::axes::{CLAIM, ESTIMATE, ValueRange};
 use super::plot::{Axes, Curve, CurveShape, curve_stroke};
 use super::strip::render_strip;
 use crate::metrics::PoseError;
-use crate::metrics::innovations::variance;
+use crate::metrics::sources::variance;
 use crate::track::PoseTrack;
 
 pub use self::innovations::render_innovations;
