@@ -24,6 +24,7 @@ trap 'rm -rf "$made"' EXIT
 
 # All rows, whatever the environment says: the lists are complete.
 env -u ROWS "$here/golden.sh" "$binary" "$here/../.." - "$made/out"
+python3 "$here/line_widths.py" "$made/out"/text-*/stdout "$made/out"/help*/stdout
 lists=(manifest events-manifest help-manifest)
 if $renew; then
     for list in "${lists[@]}"; do

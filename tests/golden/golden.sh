@@ -82,6 +82,7 @@ for filter in dynamic range-kf; do
     row "filter-$filter-ev3" replay ../.in/ev3.mcap --filter "$filter" --json
 done
 row optiodom replay "$repo/config/recordings/optiodom.toml" --data "$repo/tests/data" --json
+row optiodom-fixes replay "$repo/config/recordings/optiodom-fixes.toml" --data "$repo/tests/data" --json
 row tlog-inspect inspect ../.in/mixed.tlog --json
 row tlog-import import ../.in/mixed.tlog --out imported.mcap
 row lab-accuracy lab accuracy --scenario camera-10hz --runs 4 --seed 1 --json
@@ -100,6 +101,33 @@ row calibrate-path calibrate path ../.in/square.mcap --json
 row calibrate-rest calibrate rest ../.in/square.mcap --json
 row tune tune --sim camera-10hz --runs 2 --seed 1 --json
 row tune-recording tune --recording ../.in/square.mcap --json
+# What people read: check.sh looks whether every line fits a terminal of 80 columns.
+for name in "${recordings[@]}"; do
+    file="../.in/$name.mcap" key=()
+    [[ $name == signed ]] && key=(--key ../.in/signed.key)
+    row "text-replay-$name" replay "$file" "${key[@]}" --verbose --fix-wiring
+    row "text-compare-$name" replay "$file" "${key[@]}" --filter odometry --filter ekf5-camera-corrected --filter pose
+    row "text-report-$name" report "$file" "${key[@]}" --out .
+    row "text-inspect-$name" inspect "$file"
+done
+row text-replay-optiodom replay "$repo/config/recordings/optiodom-fixes.toml" --data "$repo/tests/data"
+row text-report-optiodom report "$repo/config/recordings/optiodom-fixes.toml" --data "$repo/tests/data" --run circular/250620202104/run-01 --out .
+row text-inspect-tlog inspect ../.in/mixed.tlog
+row text-lab-accuracy lab accuracy --scenario camera-10hz --runs 4 --seed 1
+row text-lab-nxt-square lab nxt-square --runs 4 --seed 1
+row text-lab-thermometer lab thermometer --runs 10 --seed 1
+row text-lab-wall lab wall --runs 4 --seed 1
+row text-lab-indirect lab indirect --runs 4 --robots 8 --seed 1
+row text-lab-links lab links --runs 2 --seed 1
+row text-umbmark calibrate umbmark --sim --runs 2 --seed 1
+row text-calibrate-path calibrate path ../.in/square.mcap
+row text-calibrate-rest calibrate rest ../.in/square.mcap
+row text-identify-rest identify rest --sim camera-10hz --seed 1
+row text-identify-step identify step --sim thermometer
+row text-identify-step-recording identify step --recording ../.in/ev3.mcap
+row text-identify-delay identify delay --recording ../.in/square.mcap
+row text-tune tune --sim camera-10hz --runs 2 --seed 1
+
 row config-print config print
 row config-keys config schema
 # The keys without what is said of them.
