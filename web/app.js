@@ -1,6 +1,7 @@
 // The page: stream in, session in the middle, panels out. One loop draws everything, with the screen.
 
 import { Session } from './model/session.js';
+import { timeAxis } from './model/time_axis.js';
 import { silence_s } from './model/silence.js';
 import { hasChoice } from './model/robot_list.js';
 import { PANELS } from './panels/index.js';
@@ -11,6 +12,7 @@ import { element, setText } from './view/dom.js';
 import { headline } from './view/headline.js';
 import { readPalette } from './view/palette.js';
 import { followTheme } from './view/theme.js';
+import { TimeBar } from './view/time_bar.js';
 
 const NOTICE_MS = 6000;
 // A clock that is known so badly says nothing about now.
@@ -41,6 +43,9 @@ const station = new Station({
 });
 const replay = new Replay(document.getElementById('replay-bar'), showMode);
 const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, path: [], hasSimulator: false };
+
+const timeBar = new TimeBar(document.getElementById('time-bar'));
+timeAxis.onChange = () => { isStale = true; };
 
 readPalette();
 const panels = PANELS.map(buildPanel);
@@ -98,6 +103,7 @@ function frame(now_ms) {
       if (built.isAnimated && built.isVisible) draw(built);
     }
     showHeadline();
+    timeBar.draw();
   }
   drawNext();
 }
@@ -111,6 +117,8 @@ function look() {
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
   view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.silence_s = silence_s(view.robot?.published, view.until_s);
+  const { begin_s, now_s } = view.session;
+  timeAxis.look(Number.isNaN(begin_s) ? view.until_s : begin_s, now_s, view.until_s);
   view.path = station.path();
   view.hasSimulator = station.simulator !== null;
 }

@@ -11,6 +11,7 @@ export const ESTIMATE_COLUMNS = [
   'is_relative', 'is_heading_known',
 ];
 const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'verdict', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
+const FUSION_PEAKS = ['nis', 'innovation0', 'innovation1', 'innovation2'];
 
 // 80 s at the 50 Hz at which a station sends; the map shows 60 s.
 export const LIVE_CAPACITY = 4096;
@@ -138,7 +139,7 @@ export class Robot {
     if (!known) {
       if (this.calibration.size >= MOST_CALIBRATED) return;
       known = { name, unit: String(entry.unit ?? '').slice(0, 20), value: NaN, sigma: NaN, isLearned: false, last_s: -Infinity,
-        track: new Track(['value', 'sigma'], Math.max(CALIBRATION_CAPACITY, this.capacity / 8)) };
+        track: new Track(['value', 'sigma'], Math.max(CALIBRATION_CAPACITY, this.capacity / 8), ['value', 'sigma']) };
       this.calibration.set(name, known);
     }
     const t_s = Number.isFinite(entry.t_s) ? entry.t_s : now_s;
@@ -158,7 +159,7 @@ class Source {
     this.sensor = sensor;
     this.kind = kind;
     this.capacity = capacity;
-    this.track = new Track(FUSION_COLUMNS, capacity);
+    this.track = new Track(FUSION_COLUMNS, capacity, FUSION_PEAKS);
     this.verdicts = new Words();
     /** kind -> counts over time: a sensor may be heard in more than one way. */
     this.counts = new Map();

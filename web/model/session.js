@@ -15,6 +15,8 @@ export class Session {
     this.capacity = capacity;
     this.mostLogLines = mostLogLines;
     this.now_s = 0;
+    /** The first instant of which anything was told; NaN before. */
+    this.begin_s = NaN;
     this.robots = new Map();
     /** id of a robot -> where it really was; under '' that of the only simulated brick. */
     this.truths = new Map();
@@ -37,6 +39,7 @@ export class Session {
     if (isRecord(frame.clock)) this.clock = frame.clock;
     for (const line of list(frame.log)) this.#line(line);
     if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
+    if (Number.isNaN(this.begin_s)) this.begin_s = this.span()?.from_s ?? NaN;
     this.revision += 1;
   }
 
