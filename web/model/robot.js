@@ -43,6 +43,8 @@ export class Robot {
     // Of a recording as many come as of estimates, live there are fewer.
     this.recordCapacity = capacity > LIVE_CAPACITY ? capacity : capacity / 2;
     this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], this.recordCapacity);
+    /** Dead reckoning by its wheels, of one that is not simulated. */
+    this.odometry = new Track(['x_m', 'y_m', 'heading_rad', 'is_relative'], this.recordCapacity);
     /** filter -> track of its positions, of those that run beside the one that sends, in the order in which they were heard. */
     this.compared = new Map();
     /** How all filters do, the one that sends first; see ComparisonRow of the station. */
@@ -79,6 +81,7 @@ export class Robot {
       this.switchesTold += 1;
     }
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
+    for (const point of list(part.odometry)) this.odometry.append(point);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
     for (const point of list(part.compared)) this.#compared(point.filter)?.append(point);

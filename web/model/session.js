@@ -23,6 +23,9 @@ export class Session {
     this.errors = new Map();
     this.links = [];
     this.clock = null;
+    /** When links and clock were told last. */
+    this.links_s = NaN;
+    this.clock_s = NaN;
     this.log = [];
     this.logged = 0;
     this.dropped = 0;
@@ -35,8 +38,14 @@ export class Session {
     if (Number.isFinite(frame.now_s)) this.now_s = Math.max(this.now_s, frame.now_s);
     for (const sample of list(frame.truth)) this.#truth(sample);
     for (const part of list(frame.robots)) this.#robot(part);
-    if (Array.isArray(frame.links)) this.links = frame.links.filter(isRecord).slice(0, 64);
-    if (isRecord(frame.clock)) this.clock = frame.clock;
+    if (Array.isArray(frame.links)) {
+      this.links = frame.links.filter(isRecord).slice(0, 64);
+      this.links_s = this.now_s;
+    }
+    if (isRecord(frame.clock)) {
+      this.clock = frame.clock;
+      this.clock_s = this.now_s;
+    }
     for (const line of list(frame.log)) this.#line(line);
     if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
     if (Number.isNaN(this.begin_s)) this.begin_s = this.span()?.from_s ?? NaN;

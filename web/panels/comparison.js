@@ -25,12 +25,13 @@ class ComparisonPanel {
     this.isComparing = null;
     this.box = element('input', { type: 'checkbox', on: { change: () => station.command({ command: 'compare-filters', on: this.box.checked }) } });
     this.table = element('tbody');
+    this.ended = element('p', { class: 'note', text: 'As at the end of the recording.', hidden: true });
     this.host = element('div', { class: 'scroll', hidden: true }, element('table', {},
       element('thead', {}, element('tr', {}, ...COLUMNS.map(([text, title], index) => element('th', { scope: 'col', class: index > 0 && 'number', text, title })))),
       this.table));
     body.append(
       element('label', { class: 'hand' }, this.box, ' Run further filters beside the one that sends'),
-      this.host);
+      this.ended, this.host);
   }
 
   draw(view) {
@@ -41,6 +42,7 @@ class ComparisonPanel {
     }
     const known = view.robot?.comparison ?? [];
     this.host.hidden = known.length === 0;
+    this.ended.hidden = !view.isReplay || known.length === 0;
     const names = new Set(known.map(({ filter }) => filter));
     for (const [name, row] of this.rows) {
       if (names.has(name)) continue;

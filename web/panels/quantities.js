@@ -106,7 +106,7 @@ class QuantitiesPanel {
         shown = new ShownQuantity(this, one, name);
         this.shown.set(one, shown);
       }
-      shown.draw(robot, name, view.until_s);
+      shown.draw(robot, name, view);
     }
   }
 }
@@ -127,10 +127,10 @@ class ShownQuantity {
     if (panel.shown.size < MOST_CHARTS) this.values = this.#valueChart(name);
   }
 
-  draw(robot, name, until_s) {
+  draw(robot, name, { until_s, isReplay }) {
     const { quantity: one, panel } = this;
     const now = one.at(until_s);
-    const state = stateOf(robot, now);
+    const state = stateOf(robot, now, isReplay);
     setText(this.title, name);
     this.row.dataset.state = state.kind;
     this.row.dataset.verdict = now?.isRefused ? 'refused' : 'used';
@@ -229,10 +229,11 @@ function share({ steps, predicted }) {
   return steps > 0 ? `${fixed((100 * predicted) / steps, 0)} % of ${steps}` : '–';
 }
 
-function stateOf(robot, now) {
+function stateOf(robot, now, isReplay) {
   if (!now) return { kind: 'waiting', text: '–' };
-  if (robot.lost_s >= now.t_s) return { kind: 'lost', text: 'lost' };
-  return now.silent_s > 0 ? { kind: 'silent', text: `silent for ${Math.floor(now.silent_s)} s` } : { kind: 'live', text: 'live' };
+  const since = now.silent_s > 0 ? ` for ${Math.floor(now.silent_s)} s` : '';
+  if (robot.lost_s >= now.t_s) return { kind: 'lost', text: `lost${since}` };
+  return since ? { kind: 'silent', text: `silent${since}` } : { kind: 'live', text: isReplay ? 'heard' : 'live' };
 }
 
 // Times, upper and lower end of the band, estimate, used and refused readings. uPlot ends a line at null, and draws on through what is undefined.

@@ -1,7 +1,7 @@
 // Recordings: start, stop, download, look at again.
 
 import { button, element, setText } from '../view/dom.js';
-import { bytes } from '../view/format.js';
+import { age, bytes } from '../view/format.js';
 
 export const recordings = {
   id: 'recordings',
@@ -26,9 +26,11 @@ class RecordingsPanel {
     );
   }
 
-  draw() {
+  draw({ stalled_s }) {
     const { recording, recordings: known } = this.station;
-    setText(this.state, recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.');
+    const state = recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.';
+    setText(this.state, stalled_s > 0 ? `${age(stalled_s)} ago: ${state}` : state);
+    this.state.classList.toggle('stale', stalled_s > 0);
     this.start.disabled = Boolean(recording);
     this.stop.disabled = !recording;
     if (known !== this.known) {

@@ -8,9 +8,9 @@ const COLUMNS = [['robot'], ['state'], ['last fix', 'number'], ['95 % within', '
 
 const STATES = new Map([
   ['waiting', () => 'no estimate'],
-  ['live', () => 'live'],
+  ['live', (row, isReplay) => (isReplay ? 'heard' : 'live')],
   ['silent', (row) => `silent for ${Math.floor(row.silent_s)} s`],
-  ['lost', () => 'lost'],
+  ['lost', (row) => (row.silent_s > 0 ? `lost for ${Math.floor(row.silent_s)} s` : 'lost')],
 ]);
 
 export const robots = {
@@ -40,7 +40,7 @@ class RobotsPanel {
     }
     for (const robot of known) {
       const row = this.rows.get(robot.id) ?? this.#newRow(robot.id);
-      show(row, robot);
+      show(row, robot, view.isReplay);
       this.#mark(row, robot.id === view.robot?.id);
     }
   }
@@ -69,10 +69,10 @@ class RobotsPanel {
   }
 }
 
-function show(row, robot) {
+function show(row, robot, isReplay) {
   setText(row.name, robot.name || robot.id);
   setText(row.address, robot.name ? robot.id : '');
-  setText(row.state, STATES.get(robot.state)(robot));
+  setText(row.state, STATES.get(robot.state)(robot, isReplay));
   if (row.line.dataset.state !== robot.state) row.line.dataset.state = robot.state;
   setText(row.fix, fixed(robot.fixAge_s, 1, 's'));
   setText(row.sigma, millimetres(robot.sigma_m));

@@ -27,6 +27,8 @@ export class FakeStation {
     this.simulator = { steering: 'estimate', link_profile: null };
     this.replay = null;
     this.refusal = null;
+    this.isSilent = false;
+    this.arena = { landmarks: [], beacons: [], walls: [] };
   }
 
   /** Listens on loopback; the port of an earlier `open` is taken again. */
@@ -36,11 +38,14 @@ export class FakeStation {
     this.sockets.on('connection', (socket) => socket.send(JSON.stringify(this.hello())));
     await new Promise((resolve) => this.server.listen(this.port ?? 0, '127.0.0.1', resolve));
     this.port = this.server.address().port;
+    // As the program, which says something at least once a second; unless it shall be silent.
+    this.heart = setInterval(() => { if (!this.isSilent) this.send({ type: 'frame', now_s: this.now_s }); }, 500);
     this.address = `http://127.0.0.1:${this.port}/`;
   }
 
   /** Ends at once, as a killed program would. */
   async close() {
+    clearInterval(this.heart);
     for (const socket of this.sockets.clients) socket.terminate();
     this.server.closeAllConnections();
     await new Promise((resolve) => this.server.close(resolve));
@@ -54,6 +59,7 @@ export class FakeStation {
     return {
       type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false,
       simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      arena: this.arena,
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
       robots: this.robots.map((id) => ({ id, name: this.names[id] ?? null })),

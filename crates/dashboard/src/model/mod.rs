@@ -5,8 +5,8 @@ mod frame;
 pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, Number, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint, SimulatorNow,
-    TallyPoint, TruthPoint,
+    LinkRow, LogLine, Number, OdometryPoint, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint,
+    SimulatorNow, TallyPoint, TruthPoint,
 };
 
 use schemars::JsonSchema;
@@ -52,6 +52,8 @@ pub struct Hello {
     pub needs_token: bool,
     /// The simulated brick, `null` if the station has none of its own.
     pub simulator: Option<SimulatorFacts>,
+    /// What stands in the arena by the configuration.
+    pub arena: ArenaRow,
     /// Sensors that were heard.
     pub sources: Vec<SourceRow>,
     /// Every tunable.
@@ -62,6 +64,30 @@ pub struct Hello {
     pub recordings: Vec<RecordingRow>,
     /// The last minute, thinned.
     pub history: Frame,
+}
+
+/// What stands in the arena.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArenaRow {
+    /// Points that a camera can tell apart.
+    pub landmarks: Vec<PlaceRow>,
+    /// Radio beacons.
+    pub beacons: Vec<PlaceRow>,
+    /// Straight walls, each from x_m, y_m to x_m, y_m.
+    pub walls: Vec<[[f64; 2]; 2]>,
+}
+
+/// A landmark or a beacon.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceRow {
+    /// The number under which it is seen.
+    pub id: u32,
+    /// East.
+    pub x_m: f64,
+    /// North.
+    pub y_m: f64,
 }
 
 /// What the simulated brick of this station does.

@@ -26,7 +26,7 @@ pub(super) fn view(name: &str) -> Box<dyn View> {
 }
 
 fn view_with_retention(name: &str, keep: RetentionPolicy) -> Box<dyn View> {
-    let setting = ViewConfig { links: vec!["sim://square".to_owned()], retention: keep };
+    let setting = ViewConfig { links: vec!["sim://square".to_owned()], retention: keep, dead_reckoning: None };
     let entry = VIEWS.iter().find(|entry| entry.name == name).unwrap();
     (entry.build)(&setting)
 }
@@ -175,7 +175,12 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
         unit: "rad/s".to_owned(),
     }];
     let status = StationStatus {
-        robots: vec![RobotStatus { robot: robot(), calibration: learned.clone(), switched_off: vec![1] }],
+        robots: vec![RobotStatus {
+            robot: robot(),
+            calibration: learned.clone(),
+            switched_off: vec![1],
+            ..RobotStatus::default()
+        }],
         parameters: vec![ParameterValue { name: "gate_prob".to_owned(), value: 0.999 }],
         switched_off: vec![3],
         simulator: Some(SimulatorNow { steering: "odometry".to_owned(), link_profile: Some("usb".to_owned()) }),
@@ -206,8 +211,8 @@ fn what_is_known_of_a_robot_is_told_of_that_one_and_only_once_it_is_estimated() 
     let row = |value| vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }];
     let status = StationStatus {
         robots: vec![
-            RobotStatus { robot: robot(), calibration: row(1.0), switched_off: vec![] },
-            RobotStatus { robot: second, calibration: row(2.0), switched_off: vec![3] },
+            RobotStatus { robot: robot(), calibration: row(1.0), switched_off: vec![], ..RobotStatus::default() },
+            RobotStatus { robot: second, calibration: row(2.0), switched_off: vec![3], ..RobotStatus::default() },
         ],
         ..StationStatus::default()
     };
@@ -280,7 +285,8 @@ fn tallies_count_what_is_thinned_as_well() {
 fn of_a_recording_it_is_kept_how_what_was_learned_went() {
     let status_with = |value| {
         let row = CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() };
-        let status = RobotStatus { robot: robot(), calibration: vec![row], switched_off: vec![] };
+        let status =
+            RobotStatus { robot: robot(), calibration: vec![row], switched_off: vec![], ..RobotStatus::default() };
         StationStatus { robots: vec![status], ..StationStatus::default() }
     };
     let mut live = view("calibration");

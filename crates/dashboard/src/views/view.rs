@@ -2,6 +2,7 @@
 
 use posebridge_telemetry::{Address, Event, HostClock, LinkId, RobotId, TimeDelta, Timestamp};
 
+use crate::api::DeadReckoningBuilder;
 use crate::feed::{SimulatedTruth, StationStatus};
 use crate::model::Frame;
 
@@ -71,11 +72,12 @@ impl RetentionPolicy {
     }
 }
 
-/// The links and the history length of a view.
+/// The links, the history length and the program's functions of a view.
 #[derive(Clone, Debug)]
 pub struct ViewConfig {
     pub links: Vec<String>,
     pub retention: RetentionPolicy,
+    pub dead_reckoning: Option<DeadReckoningBuilder>,
 }
 
 impl ViewConfig {
