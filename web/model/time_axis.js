@@ -1,6 +1,7 @@
 // The time axis that all charts share: which span they show, and the instant at which somebody points in one of them.
 
 export const MINUTE_S = 60;
+const LEAST_S = 10;
 // A shorter drag is a click.
 const SHORTEST_S = 0.05;
 
@@ -50,7 +51,8 @@ export class TimeAxis {
   }
 
   #usual(begin_s, end_s, until_s) {
-    if (this.base === 'minute') return [until_s - MINUTE_S, until_s];
+    // It grows to a minute, so that the beginning of a run is not squeezed into a corner.
+    if (this.base === 'minute') return [Math.max(until_s - MINUTE_S, Math.min(begin_s, until_s - LEAST_S)), until_s];
     return [Math.min(begin_s, end_s - 1), end_s];
   }
 }

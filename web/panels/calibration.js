@@ -2,7 +2,7 @@
 
 import { timeAxis } from '../model/time_axis.js';
 import { Chart } from '../view/chart.js';
-import { button, element, setText } from '../view/dom.js';
+import { button, element, scrolled, setText } from '../view/dom.js';
 import { withSigma } from '../view/format.js';
 
 const HEIGHT_PX = 36;
@@ -18,7 +18,7 @@ export const calibration = {
     const empty = element('p', { class: 'note', text: 'Nothing was learned yet.' });
     const rows = new Map();
     const ask = (command) => () => station.commandRobot({ command });
-    body.append(empty, element('div', { class: 'scroll' }, element('table', {},
+    body.append(empty, scrolled('Learned numbers', element('table', {},
       element('thead', {}, element('tr', {}, ...['number', 'value ± sigma', 'how it went, 2 σ'].map((text) => element('th', { scope: 'col', text })))), table)),
     element('div', { class: 'actions' },
       button('Freeze', ask('freeze-calibration'), { title: 'Keep what was learned as it is' }),

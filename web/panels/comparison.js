@@ -1,7 +1,7 @@
 // Filters side by side: whether they run, and of each its error, its claim and its NIS. Their paths are drawn on the map.
 
 import { ComparedColours } from '../view/palette.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { fixed, millimetres } from '../view/format.js';
 
 const COLUMNS = [
@@ -26,9 +26,10 @@ class ComparisonPanel {
     this.box = element('input', { type: 'checkbox', on: { change: () => station.command({ command: 'compare-filters', on: this.box.checked }) } });
     this.table = element('tbody');
     this.ended = element('p', { class: 'note', text: 'As at the end of the recording.', hidden: true });
-    this.host = element('div', { class: 'scroll', hidden: true }, element('table', {},
+    this.host = scrolled('Compared filters', element('table', {},
       element('thead', {}, element('tr', {}, ...COLUMNS.map(([text, title], index) => element('th', { scope: 'col', class: index > 0 && 'number', text, title })))),
       this.table));
+    this.host.hidden = true;
     body.append(
       element('label', { class: 'hand' }, this.box, ' Run further filters beside the one that sends'),
       this.ended, this.host);

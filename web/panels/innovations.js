@@ -4,7 +4,7 @@ import { nisBand } from '../model/chi_square.js';
 import { MARKS, isRefused } from '../model/marks.js';
 import { timeAxis } from '../model/time_axis.js';
 import { Chart, roundUp } from '../view/chart.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { compact, count, fixed } from '../view/format.js';
 
 // More points are thinned.
@@ -55,7 +55,7 @@ class InnovationsPanel {
     this.empty = element('p', { class: 'note', text: 'No observation has come yet.' });
     body.append(
       this.empty,
-      element('div', { class: 'scroll' }, element('table', { class: 'sources' },
+      scrolled('Sources', element('table', { class: 'sources' },
         element('thead', {}, element('tr', {}, ...['source', 'seen', 'gated', 'late', 'NIS inside', 'last', 'use'].map((text) => element('th', { scope: 'col', text })))),
         this.table)),
       this.host,

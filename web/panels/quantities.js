@@ -6,7 +6,7 @@ import { hasChoice } from '../model/robot_list.js';
 import { SILENT_FROM_S, SILENT_SPACINGS } from '../model/silence.js';
 import { timeAxis } from '../model/time_axis.js';
 import { Chart, roundUp } from '../view/chart.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { compact, fixed, withSigma } from '../view/format.js';
 
 // More are listed but not drawn.
@@ -82,7 +82,7 @@ class QuantitiesPanel {
     this.limit = element('p', { class: 'note', text: `The first ${MOST_CHARTS} have charts.`, hidden: true });
     const head = columns.map(({ text, title, kind }) => element('th', { scope: 'col', class: kind, text, title }));
     body.append(
-      element('div', { class: 'scroll' }, element('table', { class: 'quantities' },
+      scrolled(`Table of each ${heading}`, element('table', { class: 'quantities' },
         element('thead', {}, element('tr', {}, element('th', { scope: 'col', text: heading }), ...head)), this.table)),
       this.charts, this.limit,
       element('p', { class: 'note keys' },

@@ -1,6 +1,6 @@
 // Recordings: start, stop, download, look at again.
 
-import { button, element, setText } from '../view/dom.js';
+import { button, element, scrolled, setText } from '../view/dom.js';
 import { age, bytes } from '../view/format.js';
 
 export const recordings = {
@@ -19,10 +19,10 @@ class RecordingsPanel {
     this.known = null;
     this.sizes = new Map();
     body.append(
-      element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Read the list of recordings anew' })),
+      element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Look again for recordings' })),
       this.state,
-      element('div', { class: 'scroll' }, element('table', {},
-        element('thead', {}, element('tr', {}, ...['recording', 'begun', 'size', ''].map((text) => element('th', { scope: 'col', text })))), this.table)),
+      scrolled('Recordings of this run', element('table', {},
+        element('thead', {}, element('tr', {}, ...['recording', 'begun', 'size', 'actions'].map((text) => element('th', { scope: 'col', text })))), this.table)),
     );
   }
 

@@ -1,7 +1,7 @@
 // All robots that are heard: how each is, and which one the other panels show.
 
 import { hasChoice, robotRows } from '../model/robot_list.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { fixed, millimetres } from '../view/format.js';
 
 const COLUMNS = [['robot'], ['state'], ['last fix', 'number'], ['95 % within', 'number'], ['resets', 'number']];
@@ -25,7 +25,7 @@ class RobotsPanel {
     this.station = station;
     this.rows = new Map();
     this.table = element('tbody');
-    body.append(element('div', { class: 'scroll' }, element('table', {},
+    body.append(scrolled('List of robots', element('table', {},
       element('thead', {}, element('tr', {}, ...COLUMNS.map(([text, kind = '']) => element('th', { scope: 'col', class: kind, text })))),
       this.table)));
   }

@@ -61,12 +61,12 @@ export function drawArena(context, camera, { walls, landmarks, beacons }) {
     context.lineTo(camera.toX(to[0]), camera.toY(to[1]));
   }
   stroke(context, palette.wall, WALL_PX, []);
-  context.fillStyle = palette.faint;
   context.font = '11px system-ui, sans-serif';
   for (const [draw, places] of [[drawLandmark, landmarks], [drawBeacon, beacons]]) {
     for (const { id, x_m, y_m } of places) {
       const [x, y] = [camera.toX(x_m), camera.toY(y_m)];
       draw(context, x, y);
+      context.fillStyle = palette.place;
       context.fillText(String(id), x + PLACE_PX + 3, y + 4);
     }
   }
@@ -80,7 +80,7 @@ export function drawWall(context, x, y) {
 }
 
 export function drawLandmark(context, x, y) {
-  context.fillStyle = palette.faint;
+  context.fillStyle = palette.place;
   context.beginPath();
   polygon(context, x, y, 1.2 * PLACE_PX, 3, -Math.PI / 2);
   context.fill();
@@ -91,7 +91,7 @@ export function drawBeacon(context, x, y) {
   context.arc(x, y, PLACE_PX, 0, 2 * Math.PI);
   context.moveTo(x + 1, y);
   context.arc(x, y, 1, 0, 2 * Math.PI);
-  stroke(context, palette.faint, 1.6, []);
+  stroke(context, palette.place, 1.6, []);
 }
 
 /** Rows `from` to `to` of a track, by the names of its columns. */

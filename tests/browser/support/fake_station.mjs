@@ -58,7 +58,7 @@ export class FakeStation {
   hello() {
     return {
       type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false,
-      simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      simulator: this.simulator && { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
       arena: this.arena,
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
@@ -87,12 +87,20 @@ export class FakeStation {
     const isSecond = Math.round(t_s / 0.02) % 50 === 0;
     return {
       type: 'frame', now_s: t_s,
-      robots: this.robots.map((id, index) => ({ ...robotAt(id, t_s, placeOf(index)), ...(this.names[id] ? { name: this.names[id] } : {}) })),
-      truth: this.robots.map((id, index) => ({ ...truthAt(t_s, placeOf(index)), ...(this.robots.length > 1 ? { robot: id } : {}) })),
+      robots: this.robots.map((id, index) => this.#robot(id, t_s, index)),
+      truth: this.simulator === null ? [] : this.robots.map((id, index) => ({ ...truthAt(t_s, placeOf(index)), ...(this.robots.length > 1 ? { robot: id } : {}) })),
       ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) }, switched_off: this.switchedOff, simulator: this.simulator } : {}),
       log: isSecond ? [{ t_s, severity: 6, text: `second ${Math.round(t_s)}` }] : [],
       dropped: 0,
     };
+  }
+
+  // Of a real robot nobody knows the truth; of it the station says where its wheels alone put it.
+  #robot(id, t_s, index) {
+    const part = { ...robotAt(id, t_s, placeOf(index)), ...(this.names[id] ? { name: this.names[id] } : {}) };
+    if (this.simulator !== null) return part;
+    const [x_m, y_m, heading_rad] = truthAt(t_s, placeOf(index)).odometry;
+    return { ...part, scores: [], odometry: [{ t_s, x_m, y_m, heading_rad, is_relative: false }] };
   }
 
   /** Waits until the commands that came fulfil a condition, and gives the last one. */
