@@ -142,6 +142,8 @@ test('the map of a real robot has odometry, fixes and what stands in the arena, 
     assert.deepEqual(texts.slice(0, 5), ['odometry', 'estimate, 95 % ellipse, heading cone', 'wall', 'landmark', 'beacon']);
     const state = await page.evaluate(async () => (await (await fetch('v1/state')).json()).robots[0]);
     assert.equal(state.truth, null, 'nobody knows the truth');
+    // The station learns a robot's geometry once a second: the odometry of a shorter recording may not have begun.
+    await seeing(page, '#pose', () => Number(document.getElementById('pose').dataset.t_s) > 4);
     await page.getByRole('button', { name: 'Stop the recording' }).click();
     await seeing(page, '#recordings', () => document.getElementById('recording-state').textContent === 'Not recording.');
     await page.getByRole('button', { name: /^Replay / }).first().click();

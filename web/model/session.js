@@ -48,7 +48,7 @@ export class Session {
     }
     for (const line of list(frame.log)) this.#line(line);
     if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
-    if (Number.isNaN(this.begin_s)) this.begin_s = this.span()?.from_s ?? NaN;
+    if (Number.isNaN(this.begin_s)) this.begin_s = this.#firstTold();
     this.revision += 1;
   }
 
@@ -106,6 +106,15 @@ export class Session {
       else high = middle;
     }
     return this.logged - this.log.length + low;
+  }
+
+  // Of what charts show there may be more than of what the map shows.
+  #firstTold() {
+    const tracks = [...this.errors.values()].map(({ track }) => track);
+    for (const robot of this.robots.values()) for (const known of [...robot.sources.values(), ...robot.calibration.values()]) tracks.push(known.track);
+    const firsts = tracks.filter((track) => track.length > 0).map((track) => track.columns.t_s[track.begin]);
+    const first_s = Math.min(this.span()?.from_s ?? Infinity, ...firsts);
+    return Number.isFinite(first_s) ? first_s : NaN;
   }
 
   #truth(sample) {

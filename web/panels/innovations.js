@@ -69,9 +69,9 @@ class InnovationsPanel {
     this.#showSwitches(view.robot);
     const source = sources.get(this.chosen) ?? firstWithNis(sources);
     if (!source) return;
-    this.chosen = source.sensor;
+    // Until somebody chooses, one that is heard later may be the better first.
     for (const [sensor, row] of this.rows) {
-      if (row.radio.checked !== (sensor === this.chosen)) row.radio.checked = sensor === this.chosen;
+      if (row.radio.checked !== (sensor === source.sensor)) row.radio.checked = sensor === source.sensor;
     }
     this.#chartsFor(source, view.robot.id);
     this.#drawCharts(source);

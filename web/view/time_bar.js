@@ -1,4 +1,4 @@
-// Says which span of time the charts show, and at which instant somebody points; buttons for those who do not drag.
+// The bar at the bottom of the page. Says which span of time the charts show, and at which instant somebody points; buttons for those who do not drag.
 
 import { timeAxis } from '../model/time_axis.js';
 import { button, element, setText } from './dom.js';

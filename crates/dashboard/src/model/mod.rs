@@ -62,7 +62,7 @@ pub struct Hello {
     pub robots: Vec<RobotRow>,
     /// Recordings of this run.
     pub recordings: Vec<RecordingRow>,
-    /// The last minute, thinned.
+    /// The last minute, thinned; of errors, observations and calibration also the run before it, thinned more.
     pub history: Frame,
 }
 

@@ -65,11 +65,14 @@ impl RetentionPolicy {
     }
 
     pub(super) fn shared_by(self, robots: usize) -> Self {
-        self.map_points(|points| {
-            let all = points * ROBOTS_WITH_ALL_POINTS;
-            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
-        })
+        self.map_points(|points| shared_points(points, robots))
     }
+}
+
+/// The points of one of some robots.
+pub(super) fn shared_points(points: usize, robots: usize) -> usize {
+    let all = points * ROBOTS_WITH_ALL_POINTS;
+    (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
 }
 
 /// The links, the history length and the program's functions of a view.
