@@ -129,7 +129,7 @@ export class Chart {
         bind: { dblclick: () => () => { timeAxis.show(timeAxis.base); return null; } },
       },
       hooks: { setSelect: [(plot) => this.#chosen(plot)], draw: [(plot) => this.#markNow(plot)] },
-      padding: shape.isSmall ? [2, 0, 2, 0] : [8, 6, 0, 0],
+      padding: shape.isSmall ? [2, 0, 2, 0] : [8, 12, 0, 0],
       scales: {
         x: { time: false, range: () => this.window },
         y: { distr: y.isLog ? 3 : 1, range: () => this.range },
