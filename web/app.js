@@ -1,6 +1,7 @@
 // The page: stream in, session in the middle, panels out. One loop draws everything, with the screen.
 
 import { Session } from './model/session.js';
+import { timeAxis } from './model/time_axis.js';
 import { silence_s } from './model/silence.js';
 import { hasChoice } from './model/robot_list.js';
 import { PANELS } from './panels/index.js';
@@ -8,16 +9,21 @@ import { Replay } from './replay.js';
 import { Station } from './station.js';
 import { Stream } from './stream.js';
 import { element, setText } from './view/dom.js';
+import { age } from './view/format.js';
 import { headline } from './view/headline.js';
 import { readPalette } from './view/palette.js';
 import { followTheme } from './view/theme.js';
+import { TimeBar } from './view/time_bar.js';
 
 const NOTICE_MS = 6000;
+// A station says something at least once a second.
+const STALLED_FROM_S = 1.5;
 // A clock that is known so badly says nothing about now.
 const MOST_AHEAD_S = 1;
 const CONNECTION_WORDS = {
   connecting: 'connecting',
   live: 'connected',
+  stalled: 'the station says nothing',
   lost: 'connection lost, trying again',
   refused: 'the station was restarted: open the address that it prints now',
 };
@@ -25,11 +31,14 @@ const CONNECTION_WORDS = {
 const page = {
   headline: document.getElementById('headline'),
   connection: document.getElementById('connection'),
+  connectionAge: document.getElementById('connection-age'),
   silence: document.getElementById('silence'),
   announcer: document.getElementById('announcer'),
 };
 
 let session = new Session();
+let connection = 'connecting';
+let heard_ms = performance.now();
 let shownRobot = null;
 let isStale = true;
 let turn = 0;
@@ -40,7 +49,10 @@ const station = new Station({
   robot: () => (replay.isOn ? null : chosenRobot(session)?.id ?? null),
 });
 const replay = new Replay(document.getElementById('replay-bar'), showMode);
-const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, path: [], hasSimulator: false };
+const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, stalled_s: 0, path: [], arena: null, hasSimulator: false };
+
+const timeBar = new TimeBar(document.getElementById('time-bar'));
+timeAxis.onChange = () => { isStale = true; };
 
 readPalette();
 const panels = PANELS.map(buildPanel);
@@ -50,17 +62,18 @@ followTheme(document.getElementById('theme'), () => {
   isStale = true;
 });
 hideToken();
-new Stream(streamAddress(), { onMessage: take, onState: showConnection }).open();
+new Stream(streamAddress(), { onMessage: take, onState: (state) => { connection = state; isStale = true; } }).open();
 requestAnimationFrame(frame);
 
 function buildPanel({ id, title, isAnimated, isLive, isOfRobot, isShown, build }) {
   const body = element('div', { class: 'body' });
   const rest = element('p', { class: 'note', text: 'These act on the live robot: go back to live to use them.', hidden: true });
   const of = element('span', { class: 'of' });
-  const heading = element('h2', { id: `${id}-title` }, title, of);
+  const old = element('span', { class: 'old' });
+  const heading = element('h2', { id: `${id}-title` }, title, of, old);
   const section = element('section', { class: 'panel', id, 'aria-labelledby': `${id}-title` }, heading, rest, body);
   document.getElementById('panels').append(section);
-  const built = { section, body, rest, of, isShown, isOfRobot: Boolean(isOfRobot), isLive: Boolean(isLive), isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
+  const built = { section, body, rest, of, old, isShown, isOfRobot: Boolean(isOfRobot), isLive: Boolean(isLive), isAnimated: Boolean(isAnimated), isVisible: true, isDue: true, panel: build(body, station) };
   new IntersectionObserver((entries) => {
     built.isVisible = entries[entries.length - 1].isIntersecting;
     built.isDue = true;
@@ -70,6 +83,7 @@ function buildPanel({ id, title, isAnimated, isLive, isOfRobot, isShown, build }
 }
 
 function take(message) {
+  heard_ms = performance.now();
   if (message.type === 'hello') {
     session = new Session();
     station.greet(message);
@@ -88,18 +102,34 @@ function frame(now_ms) {
     replay.advance(now_ms);
     isStale = true;
   }
-  if (isStale) {
+  // While nobody says anything all that is shown becomes older.
+  if (isStale || stalled_s() > 0) {
     isStale = false;
     look();
     for (const built of panels) {
       built.isDue = true;
       if (built.isShown) built.section.hidden = !built.isShown(view);
-      if (built.isOfRobot) setText(built.of, view.isOneOfMany ? ` of ${view.robot.label}` : '');
+      if (built.isOfRobot) showRobot(built);
       if (built.isAnimated && built.isVisible) draw(built);
     }
     showHeadline();
+    timeBar.draw();
   }
   drawNext();
+}
+
+// Of which robot a panel is, and how old what it shows.
+function showRobot({ section, of, old }) {
+  const isOld = view.silence_s > 0;
+  setText(of, view.isOneOfMany ? ` of ${view.robot.label}` : '');
+  setText(old, isOld ? ` ${age(view.silence_s)} old` : '');
+  if (section.classList.contains('stale') !== isOld) section.classList.toggle('stale', isOld);
+}
+
+// For how long the station has said nothing; 0 as long as that is as usual.
+function stalled_s() {
+  const stalled_s = (performance.now() - heard_ms) / 1000;
+  return stalled_s >= STALLED_FROM_S ? stalled_s : 0;
 }
 
 // What the panels are shown: the live session or the replayed one, at its time.
@@ -109,9 +139,13 @@ function look() {
   view.robot = chosenRobot(view.session);
   view.isOneOfMany = hasChoice(view.session);
   view.errors = view.robot ? view.session.errors.get(view.robot.id) : null;
+  view.stalled_s = stalled_s();
   view.until_s = replay.isOn ? replay.until_s : liveTime();
   view.silence_s = silence_s(view.robot?.published, view.until_s);
+  const { begin_s, now_s } = view.session;
+  timeAxis.look(Number.isNaN(begin_s) ? view.until_s : begin_s, now_s, view.until_s);
   view.path = station.path();
+  view.arena = station.arena;
   view.hasSimulator = station.simulator !== null;
 }
 
@@ -129,7 +163,7 @@ function select(id) {
 
 // Now, or the instant of the latest estimate when the robot's clock has that a little later.
 function liveTime() {
-  const { now_s } = view.session;
+  const now_s = view.session.now_s + view.stalled_s;
   const published = view.robot?.published;
   if (!published || published.length === 0) return now_s;
   const last_s = published.columns.t_s[published.end - 1];
@@ -156,6 +190,7 @@ function showHeadline() {
   setText(page.headline, headline(view));
   page.silence.hidden = view.silence_s === 0;
   if (view.silence_s > 0) setText(page.silence, `robot silent for ${Math.floor(view.silence_s)} s`);
+  showConnection();
 }
 
 // Live or a recording: what acts on the live robot rests while another one is shown.
@@ -169,9 +204,13 @@ function showMode() {
   isStale = true;
 }
 
-function showConnection(state) {
-  page.connection.dataset.state = state;
+// The age stands apart: what is read aloud on every change shall not change every second.
+function showConnection() {
+  const state = connection === 'live' && view.stalled_s > 0 ? 'stalled' : connection;
+  if (page.connection.dataset.state !== state) page.connection.dataset.state = state;
   setText(page.connection, CONNECTION_WORDS[state]);
+  const isOld = state !== 'live' && view.stalled_s > 0;
+  setText(page.connectionAge, isOld && station.isGreeted ? `last heard ${Math.floor(view.stalled_s)} s ago` : '');
 }
 
 async function startReplay(name) {

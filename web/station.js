@@ -5,6 +5,7 @@ import { list } from './model/robot.js';
 
 const MOST_PARAMETERS = 200;
 const MOST_SWITCHES = 256;
+const MOST_PLACES = 1000;
 
 export class Station {
   /**
@@ -16,6 +17,8 @@ export class Station {
     this.isGreeted = false;
     this.version = '';
     this.simulator = null;
+    /** What stands in the arena. */
+    this.arena = arenaOf(null);
     this.sources = new Map();
     this.parameters = new Map();
     this.recordings = [];
@@ -34,6 +37,7 @@ export class Station {
     this.isGreeted = true;
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
+    this.arena = arenaOf(hello.arena);
     this.#takeSources(hello.sources);
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);
@@ -162,6 +166,14 @@ export class Station {
     }
     return null;
   }
+}
+
+// Landmarks, beacons and walls; what is not as agreed is left out.
+function arenaOf(said) {
+  const isPlace = (place) => isRecord(place) && Number.isFinite(place.x_m) && Number.isFinite(place.y_m);
+  const isWall = (ends) => Array.isArray(ends) && ends.length === 2 && ends.flat().length === 4 && ends.flat().every(Number.isFinite);
+  const places = (rows) => list(rows).filter(isPlace).slice(0, MOST_PLACES);
+  return { landmarks: places(said?.landmarks), beacons: places(said?.beacons), walls: list(said?.walls).filter(isWall).slice(0, MOST_PLACES) };
 }
 
 function isParameter(entry) {

@@ -3,6 +3,7 @@
 //! drop and count when full. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
+mod dead_reckoning;
 pub mod event_collector;
 pub mod input_file;
 pub mod learned_calibration;

@@ -12,6 +12,7 @@ use posebridge_station::{Robot, Station};
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{Address, Calibration, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
+use super::dead_reckoning::dead_reckoning;
 use super::input_file::InputFile;
 use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_bytes};
 use super::recorder::Recorder;
@@ -67,14 +68,16 @@ struct PageHistoryBuilder {
 
 impl PageHistoryBuilder {
     fn new(config: &Config, samples: Vec<container::TruthSample>) -> Result<Self> {
+        let is_simulated = !samples.is_empty();
         let mut truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>> = BTreeMap::new();
         for sample in samples {
             truth.entry(sample.robot).or_default().push_back(sample);
         }
         let links = config.links.iter().map(|link| link.url.clone());
+        let odometry = if is_simulated { None } else { dead_reckoning(config.filter_config()?) };
         Ok(Self {
             station: Station::new(recorded_station_config(config, &[])?, Timestamp::ZERO)?,
-            views: SessionViews::new(links.collect()),
+            views: SessionViews::new(links.collect(), odometry),
             truth,
             clocks: BTreeMap::new(),
             begun: None,
@@ -144,7 +147,7 @@ impl PageHistoryBuilder {
         self.publish_status();
         let begun = self.begun.unwrap_or(Timestamp::ZERO);
         let mut history = self.views.history();
-        let mut noted = SessionViews::new(Vec::new());
+        let mut noted = SessionViews::new(Vec::new(), None);
         for text in notes.into_lines() {
             // What is missing makes the replay another one than the live run.
             let event = Event::Text { source, severity: WARNING, text };
@@ -176,6 +179,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
 fn robot_status(robot: &Robot) -> RobotStatus {
     RobotStatus {
         robot: robot.id(),
+        geometry: Some(robot.geometry()),
         calibration: robot.calibration().map_or_else(Vec::new, |learned| calibration_rows(&learned)),
         switched_off: robot.switched_off().map(|sensor| sensor.0).collect(),
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use posebridge_dashboard::model::{ParameterRow, SimulatorFacts, SimulatorNow};
+use posebridge_dashboard::model::{ArenaRow, ParameterRow, PlaceRow, SimulatorFacts, SimulatorNow};
 use posebridge_dashboard::{
     BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTap, FrameTaps,
     ListenAddress, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
@@ -16,11 +16,12 @@ use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
 use posebridge_sim::impairment::PROFILES;
 use posebridge_sim::{Scenario, Simulation, Steering};
-use posebridge_telemetry::{Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, Event, HostClock, Input, Point2, RobotId, TimeDelta, Timestamp};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
+use super::dead_reckoning::dead_reckoning;
 use super::page_history;
 use super::plotjuggler::{self, PlotJuggler, SendCounts};
 use super::requests::SimulatorOverrides;
@@ -249,12 +250,20 @@ fn truth_of(mut taps: Vec<TruthTap>) -> Box<dyn FnMut() -> Option<SimulatedTruth
 }
 
 fn facts_of(config: &Config, embedded: Option<&EmbeddedBricks>) -> Result<StationInfo> {
-    let params = config.filter_config()?.params;
+    let filter = config.filter_config()?;
+    let map = Arc::clone(&filter.arena_map);
+    let place = |id: u32, at: &Point2<Arena>| PlaceRow { id, x_m: at.x.0, y_m: at.y.0 };
     Ok(StationInfo {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         links: config.links.iter().map(|link| link.url.clone()).collect(),
-        parameters: parameter_rows(&params),
+        parameters: parameter_rows(&filter.params),
         simulator: embedded.map(simulator_facts),
+        arena: ArenaRow {
+            landmarks: map.landmarks.iter().map(|(id, at)| place(id.0, at)).collect(),
+            beacons: map.beacons.iter().map(|(id, at)| place(id.0, at)).collect(),
+            walls: map.walls.iter().map(|wall| [wall.from, wall.to].map(|end| [end.x.0, end.y.0])).collect(),
+        },
+        dead_reckoning: if embedded.is_some() { None } else { dead_reckoning(filter) },
         token: if config.dashboard.always_token { TokenPolicy::Always } else { TokenPolicy::RemoteOnly },
     })
 }

@@ -18,14 +18,18 @@ import { Stream } from './web/stream.js';
 import * as format from './web/view/format.js';
 import { headline } from './web/view/headline.js';
 
+function part(track, name) {
+  return track.columns[name].subarray(track.begin, track.end);
+}
+
 test('a track keeps the newest samples, sorted, in one piece', () => {
   const track = new Track(['x_m'], 10);
   for (let step = 0; step < 35; step += 1) track.append({ t_s: step, x_m: 2 * step });
   assert.equal(track.length, 10);
-  assert.deepEqual([...track.part('t_s', track.begin, track.end)], [25, 26, 27, 28, 29, 30, 31, 32, 33, 34]);
-  assert.deepEqual([...track.part('x_m', track.begin, track.end)].at(-1), 68);
+  assert.deepEqual([...part(track, 't_s')], [25, 26, 27, 28, 29, 30, 31, 32, 33, 34]);
+  assert.deepEqual([...part(track, 'x_m')].at(-1), 68);
   track.append({ t_s: 31.5, x_m: 1 });
-  assert.deepEqual([...track.part('t_s', track.begin, track.end)], [26, 27, 28, 29, 30, 31, 31.5, 32, 33, 34]);
+  assert.deepEqual([...part(track, 't_s')], [26, 27, 28, 29, 30, 31, 31.5, 32, 33, 34]);
   assert.equal(track.columns.x_m[track.rowUntil(31.7)], 1);
 });
 
@@ -60,7 +64,7 @@ test('a track grows to its capacity and no further', () => {
     sizes.add(track.columns.x_m.length);
   }
   assert.deepEqual([...sizes], [256, 512, 1024, 2000]);
-  const kept = [...track.part('x_m', track.begin, track.end)];
+  const kept = [...part(track, 'x_m')];
   assert.deepEqual([kept.length, kept[0], kept.at(-1)], [1000, 18_000, 19_998]);
 });
 
@@ -73,6 +77,27 @@ test('a track finds rows by time', () => {
   assert.equal(track.rowUntil(99) - track.begin, 3);
 });
 
+test('a track with peaks keeps the whole run in the same room: what is new in full, of what is old every peak', () => {
+  const track = new Track(['a', 'b'], 100, ['a', 'b']);
+  const spikes = new Map([[137, { a: 50 }], [1234, { a: -60 }], [2000, { b: 70 }]]);
+  for (let step = 0; step < 5000; step += 1) track.append({ t_s: step / 10, a: Math.sin(step), b: 0, ...spikes.get(step) });
+  assert.equal(track.rows, 200);
+  const times = [...part(track, 't_s')];
+  assert.equal(times[0], 0);
+  assert.deepEqual(times.slice(-100), Array.from({ length: 100 }, (_, index) => (4900 + index) / 10));
+  for (const [step, spike] of spikes) {
+    const row = times.indexOf(step / 10);
+    for (const [name, value] of Object.entries(spike)) assert.equal(part(track, name)[row], value, `${name} at ${step}`);
+  }
+  assert.ok(times.every((t_s, row) => row === 0 || t_s > times[row - 1]));
+  assert.ok(Math.abs(track.spacing_s() - 0.1) < 1e-9, 'that of what is kept in full');
+  // A chart of the whole run has fewer points and the same peaks; the choice is the same when the window moves on a little.
+  const shown = track.shown(0, 500, 60);
+  assert.ok(shown.length <= 70, `${shown.length}`);
+  for (const step of spikes.keys()) assert.ok(shown.includes(track.begin + times.indexOf(step / 10)), `${step}`);
+  assert.equal(track.shown(490, 500, 200).length, 100);
+});
+
 test('what is no number becomes a gap, and a sample without a time is refused', () => {
   const track = new Track(['x_m'], 4);
   assert.equal(track.append({ t_s: null, x_m: 1 }), false);
@@ -80,7 +105,7 @@ test('what is no number becomes a gap, and a sample without a time is refused', 
   assert.equal(track.append({ t_s: 'soon', x_m: 1 }), false);
   for (const x_m of [null, 'far', Infinity, {}]) assert.equal(track.append({ t_s: 1, x_m }), true);
   assert.equal(track.length, 4);
-  assert.ok([...track.part('x_m', track.begin, track.end)].every(Number.isNaN));
+  assert.ok([...part(track, 'x_m')].every(Number.isNaN));
 });
 
 // Simpson's rule over the density of chi-square; x = u^2 takes the pole at zero of one degree of freedom away.

@@ -1,7 +1,7 @@
 // A real robot's page: a LEGO brick that no camera sees, over a TCP link, with the real program on both ends.
 
 import assert from 'node:assert/strict';
-import { readFile } from 'node:fs/promises';
+import { readFile, writeFile } from 'node:fs/promises';
 import path from 'node:path';
 import { after, before, test } from 'node:test';
 import { Browser } from './support/browser.mjs';
@@ -18,18 +18,28 @@ before(async () => {
 
 after(() => browser.close());
 
-async function startBrick(port) {
-  return Program.start(['sim', 'square', '--brick', 'nxt', '--listen', `tcp://127.0.0.1:${port}`], await newFolder());
+async function startBrick(kind, port) {
+  return Program.start(['sim', 'square', '--brick', kind, '--listen', `tcp://127.0.0.1:${port}`], await newFolder());
 }
 
 // Runs `use(page, station, folder, {brick, port})` with a brick that stands in for a real one: the station knows nothing of a simulator.
-async function withBrick(use, ...args) {
-  const brick = await startBrick(0);
+function withBrick(use, ...args) {
+  return withRobot('nxt', null, use, ...args);
+}
+
+// The same with a brick of a kind, and a configuration.
+async function withRobot(kind, config, use, ...args) {
+  const brick = await startBrick(kind, 0);
   const [, port] = await brick.finds(/listening on 127\.0\.0\.1:(\d+)/);
   const folder = await newFolder();
-  const station = Program.start(['run', '--brick', 'nxt', '--link', `tcp://127.0.0.1:${port}`, '--out', 'session', '--events', 'events.jsonl', '--dashboard', '127.0.0.1:0', ...args], folder);
+  if (config !== null) {
+    await writeFile(path.join(folder, 'robot.toml'), config);
+    args.push('--config', 'robot.toml');
+  }
+  const station = Program.start(['run', ...(kind === 'nxt' ? ['--brick', 'nxt'] : []), '--link', `tcp://127.0.0.1:${port}`, '--out', 'session', '--events', 'events.jsonl', '--dashboard', '127.0.0.1:0', ...args], folder);
   try {
-    const page = await browser.open(await station.address());
+    // The test reads the map's pixels, the page does not.
+    const page = await browser.open(await station.address(), { forgives: ['willReadFrequently'] });
     await waitForState(page, 'live');
     await use(page, station, folder, { brick, port });
     await page.close();
@@ -55,7 +65,10 @@ test('a robot that nobody sees has numbers at once, counted from its start', asy
     assert.match(await page.locator('#headline').textContent(), /relative to where it started$/);
     // Of a real robot nobody knows the truth, and there is no brick to play with.
     for (const id of ['simulator', 'error']) assert.equal(await page.locator(`#${id}`).isVisible(), false, id);
-    assert.deepEqual(await page.locator('.legend li:visible').filter({ hasText: /truth|odometry/ }).count(), 0);
+    assert.equal(await page.locator('.legend li:visible').filter({ hasText: 'truth' }).count(), 0);
+    // But where its wheels alone say it is; nothing stands in its arena.
+    await seeing(page, '#pose', () => [...document.querySelectorAll('.legend li:not([hidden])')].some((item) => item.textContent === 'odometry'));
+    assert.equal(await page.locator('.legend li:visible').filter({ hasText: /wall|landmark|beacon/ }).count(), 0);
     await seeing(page, '#pose', () => Math.abs(Number(document.getElementById('pose').dataset.x_m)) > 0.1);
     assert.equal(await station.stop(), 0);
     const [heard] = (await eventsOf(folder, 'observed')).filter(({ kind }) => kind === 'wheel_angles');
@@ -117,12 +130,54 @@ test('the set-up checklist is red while the link is pulled, and green when it is
     const line = page.locator('.setup li', { hasText: 'link open' });
     assert.equal(await line.isVisible(), true);
     assert.match(await line.textContent(), /posebridge doctor/);
-    const again = await startBrick(port);
+    const again = await startBrick('nxt', port);
     try {
       await stepsAre(page, 'ok');
       assert.equal(await station.stop(), 0);
     } finally {
       await again.remove();
     }
+  });
+});
+
+const ARENA = `
+[world]
+landmarks = [{ id = 6, x_m = 1.2, y_m = 0.4 }]
+beacons = [{ id = 2, x_m = -0.3, y_m = 0.9 }]
+walls = [{ from = { x_m = -0.4, y_m = -0.3 }, to = { x_m = 1.4, y_m = -0.3 } }]
+`;
+
+// Runs in the page: whether all of these colours of the palette are drawn on the map.
+function areOnMap(names) {
+  const canvas = document.querySelector('.map canvas');
+  const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+  return names.every((name) => {
+    const hex = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+    const colour = [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+    for (let at = 0; at < data.length; at += 4) {
+      if (data[at + 3] > 200 && colour.every((part, index) => Math.abs(part - data[at + index]) < 12)) return true;
+    }
+    return false;
+  });
+}
+
+test('the map of a real robot has odometry, fixes and what stands in the arena, live and in a replay', async () => {
+  await withRobot('mavlink', ARENA, async (page, station) => {
+    const wanted = ['estimate', 'odometry', 'accepted', 'wall', 'place'];
+    await seeing(page, '#arena', areOnMap, wanted);
+    const texts = await page.locator('.legend li:visible').allTextContents();
+    assert.deepEqual(texts.slice(0, 5), ['odometry', 'estimate, 95 % ellipse, heading cone', 'wall', 'landmark', 'beacon']);
+    const state = await page.evaluate(async () => (await (await fetch('v1/state')).json()).robots[0]);
+    assert.equal(state.truth, null, 'nobody knows the truth');
+    // The station learns a robot's geometry once a second: the odometry of a shorter recording may not have begun.
+    await seeing(page, '#pose', () => Number(document.getElementById('pose').dataset.t_s) > 4);
+    await page.getByRole('button', { name: 'Stop the recording' }).click();
+    await seeing(page, '#recordings', () => document.getElementById('recording-state').textContent === 'Not recording.');
+    await page.getByRole('button', { name: /^Replay / }).first().click();
+    await page.getByRole('button', { name: 'Pause' }).click();
+    const scrubber = page.getByLabel('Time in the recording');
+    await scrubber.fill(await scrubber.getAttribute('max'));
+    await seeing(page, '#arena', areOnMap, wanted);
+    assert.equal(await station.stop(), 0);
   });
 });

@@ -3,7 +3,8 @@
 # network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..);
 # --install-only stops before the tests.
 #
-# POSEBRIDGE names another program to test than the one that is built here, CHROMIUM and FIREFOX other browsers. BROWSER_SCREENSHOTS=1 writes the
+# POSEBRIDGE names another program to test than the one that is built here, BROWSER_UI_DIR=$PWD/web the folder of the page instead of the one that is
+# in the program, CHROMIUM and FIREFOX other browsers. BROWSER_SCREENSHOTS=1 writes the
 # pictures of the README anew, BROWSER_SOAK_S=600 with BROWSER_TIMEOUT_MS=900000 lets the
 # test of memory look at ten minutes.
 set -euo pipefail

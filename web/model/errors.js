@@ -9,9 +9,11 @@ const RECENT_S = 1;
 // Of a long recording samples may be further apart.
 const RECENT_SPACINGS = 4;
 
+const COLUMNS = ['estimate_m', 'odometry_m', 'claim_m'];
+
 export class Errors {
   constructor(capacity) {
-    this.track = new Track(['estimate_m', 'odometry_m', 'claim_m'], capacity);
+    this.track = new Track(COLUMNS, capacity, COLUMNS);
   }
 
   /** Takes what the station says of an estimate; without a distance of the estimate none came for a while. */

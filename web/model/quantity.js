@@ -6,6 +6,7 @@ import { Track } from './track.js';
 import { Words } from './words.js';
 
 const COLUMNS = ['reading', 'mark', 'verdict', 'estimate', 'bound', 'rate', 'steps', 'predicted'];
+const PEAKS = ['reading', 'estimate', 'rate'];
 // A reading is looked for in so many points before the last one; steps without a reading have none.
 const MOST_STEPS_BACK = 1000;
 
@@ -17,7 +18,7 @@ export class Quantity {
     this.name = name;
     this.kind = kind;
     this.unit = unit;
-    this.track = new Track(COLUMNS, capacity);
+    this.track = new Track(COLUMNS, capacity, PEAKS);
     /** Whether it ever changed by itself: a thermometer's end does not. */
     this.hasRate = false;
   }

@@ -12,6 +12,7 @@ export const ESTIMATE_COLUMNS = [
 ];
 const TALLY_COLUMNS = ['seen', 'gated', 'late', 'nis', 'consistency'];
 const FUSION_COLUMNS = ['nis', 'dof', 'mark', 'verdict', 'is_slip', 'innovation0', 'innovation1', 'innovation2', 'sigma0', 'sigma1', 'sigma2'];
+const FUSION_PEAKS = ['nis', 'innovation0', 'innovation1', 'innovation2'];
 
 // 80 s at the 50 Hz at which a station sends; the map shows 60 s.
 export const LIVE_CAPACITY = 4096;
@@ -43,6 +44,8 @@ export class Robot {
     // Of a recording as many come as of estimates, live there are fewer.
     this.recordCapacity = capacity > LIVE_CAPACITY ? capacity : capacity / 2;
     this.fixes = new Track(['x_m', 'y_m', 'heading_rad', 'mark'], this.recordCapacity);
+    /** Dead reckoning by its wheels, of one that is not simulated. */
+    this.odometry = new Track(['x_m', 'y_m', 'heading_rad', 'is_relative'], this.recordCapacity);
     /** filter -> track of its positions, of those that run beside the one that sends, in the order in which they were heard. */
     this.compared = new Map();
     /** How all filters do, the one that sends first; see ComparisonRow of the station. */
@@ -79,6 +82,7 @@ export class Robot {
       this.switchesTold += 1;
     }
     for (const estimate of list(part.estimates)) this.estimates.append(estimate);
+    for (const point of list(part.odometry)) this.odometry.append(point);
     for (const fix of list(part.fixes)) this.#fix(fix);
     for (const record of list(part.fusion)) this.#record(record);
     for (const point of list(part.compared)) this.#compared(point.filter)?.append(point);
@@ -139,7 +143,7 @@ export class Robot {
     if (!known) {
       if (this.calibration.size >= MOST_CALIBRATED) return;
       known = { name, unit: String(entry.unit ?? '').slice(0, 20), value: NaN, sigma: NaN, isLearned: false, last_s: -Infinity,
-        track: new Track(['value', 'sigma'], Math.max(CALIBRATION_CAPACITY, this.capacity / 8)) };
+        track: new Track(['value', 'sigma'], Math.max(CALIBRATION_CAPACITY, this.capacity / 8), ['value', 'sigma']) };
       this.calibration.set(name, known);
     }
     const t_s = Number.isFinite(entry.t_s) ? entry.t_s : now_s;
@@ -159,7 +163,7 @@ class Source {
     this.sensor = sensor;
     this.kind = kind;
     this.capacity = capacity;
-    this.track = new Track(FUSION_COLUMNS, capacity);
+    this.track = new Track(FUSION_COLUMNS, capacity, FUSION_PEAKS);
     this.verdicts = new Words();
     this.findings = new Words();
     /** kind -> counts over time: a sensor may be heard in more than one way. */

@@ -16,6 +16,8 @@ export class Session {
     this.capacity = capacity;
     this.mostLogLines = mostLogLines;
     this.now_s = 0;
+    /** The first instant of which anything was told; NaN before. */
+    this.begin_s = NaN;
     this.robots = new Map();
     /** id of a robot -> where it really was; under '' that of the only simulated brick. */
     this.truths = new Map();
@@ -24,6 +26,9 @@ export class Session {
     /** Steps of setting up each robot. */
     this.setup = [];
     this.clock = null;
+    /** When links and clock were told last. */
+    this.links_s = NaN;
+    this.clock_s = NaN;
     this.log = [];
     this.logged = 0;
     this.dropped = 0;
@@ -36,11 +41,18 @@ export class Session {
     if (Number.isFinite(frame.now_s)) this.now_s = Math.max(this.now_s, frame.now_s);
     for (const sample of list(frame.truth)) this.#truth(sample);
     for (const part of list(frame.robots)) this.#robot(part);
-    if (Array.isArray(frame.links)) this.links = frame.links.filter(isRecord).slice(0, 64);
+    if (Array.isArray(frame.links)) {
+      this.links = frame.links.filter(isRecord).slice(0, 64);
+      this.links_s = this.now_s;
+    }
     if (Array.isArray(frame.setup)) this.setup = frame.setup.filter(isRecord).slice(0, MOST_SETUP_ROWS).map(setupRow);
-    if (isRecord(frame.clock)) this.clock = frame.clock;
+    if (isRecord(frame.clock)) {
+      this.clock = frame.clock;
+      this.clock_s = this.now_s;
+    }
     for (const line of list(frame.log)) this.#line(line);
     if (Number.isFinite(frame.dropped)) this.dropped = frame.dropped;
+    if (Number.isNaN(this.begin_s)) this.begin_s = this.#firstTold();
     this.revision += 1;
   }
 
@@ -98,6 +110,15 @@ export class Session {
       else high = middle;
     }
     return this.logged - this.log.length + low;
+  }
+
+  // Of what charts show there may be more than of what the map shows.
+  #firstTold() {
+    const tracks = [...this.errors.values()].map(({ track }) => track);
+    for (const robot of this.robots.values()) for (const known of [...robot.sources.values(), ...robot.calibration.values()]) tracks.push(known.track);
+    const firsts = tracks.filter((track) => track.length > 0).map((track) => track.columns.t_s[track.begin]);
+    const first_s = Math.min(this.span()?.from_s ?? Infinity, ...firsts);
+    return Number.isFinite(first_s) ? first_s : NaN;
   }
 
   #truth(sample) {

@@ -3,16 +3,24 @@
 // The newest `capacity` samples are kept. Columns grow to twice as much as that, so that a window is always one contiguous piece that a chart
 // takes as it is; when the end is reached, the kept half moves to the front. Nothing is allocated per sample: columns double, so that a class of
 // robots with short tracks costs little.
+//
+// A track with `peaks` keeps the whole run in the same room: its newest `capacity` samples in full, of older ones the peaks of these columns.
+
+import { bucketWidth_s, peakRows } from './peaks.js';
 
 // A late fix stands a few seconds behind others of its sensor: at 50 Hz and 3 s of history that is 150 rows.
 const MOST_ROWS_TO_MOVE = 256;
 const FIRST_ROWS = 256;
 
 export class Track {
-  /** @param {string[]} names columns besides `t_s`. @param {number} capacity samples that are kept. */
-  constructor(names, capacity) {
+  /** @param {string[]} names columns besides `t_s`. @param {number} capacity samples that are kept in full. @param {?string[]} peaks */
+  constructor(names, capacity, peaks = null) {
     this.names = ['t_s', ...names];
     this.capacity = capacity;
+    this.peaks = peaks;
+    /** Samples before `full_s` were thinned to buckets of `coarse_s`. */
+    this.full_s = -Infinity;
+    this.coarse_s = 0;
     this.columns = {};
     this.rows = Math.min(FIRST_ROWS, 2 * capacity);
     for (const name of this.names) this.columns[name] = new Float64Array(this.rows);
@@ -33,7 +41,7 @@ export class Track {
     const row = this.#rowFor(t_s);
     for (const name of this.names) this.columns[name][row] = numberOf(sample[name]);
     this.end += 1;
-    if (this.length > this.capacity) this.begin += 1;
+    if (!this.peaks && this.length > this.capacity) this.begin += 1;
     this.revision += 1;
     return true;
   }
@@ -44,10 +52,11 @@ export class Track {
     this.revision += 1;
   }
 
-  /** The mean time between two samples; 0 without two. Live it is short; of a long recording only every so many-th sample is kept. */
+  /** The mean time between two samples that are kept in full; 0 without two. Live it is short; of a long recording only every so many-th is kept. */
   spacing_s() {
-    if (this.length < 2) return 0;
-    return (this.columns.t_s[this.end - 1] - this.columns.t_s[this.begin]) / (this.length - 1);
+    const first = Math.max(this.begin, this.end - this.capacity);
+    if (this.end - first < 2) return 0;
+    return (this.columns.t_s[this.end - 1] - this.columns.t_s[first]) / (this.end - first - 1);
   }
 
   /** First row at or after a time; `end` when there is none. */
@@ -85,14 +94,17 @@ export class Track {
     return Math.max(row, from);
   }
 
-  /** A column's rows `from` to `to`, without a copy. */
-  part(name, from, to) {
-    return this.columns[name].subarray(from, to);
+  /** The rows of a span of time that a chart shows: all if they are no more than `most`, else the peaks of so many buckets. */
+  shown(from_s, to_s, most) {
+    const [from, to] = [this.rowAt(from_s), this.rowAfter(to_s)];
+    if (to - from <= most || !this.peaks) return Array.from({ length: to - from }, (_, index) => from + index);
+    return peakRows(this.columns, this.peaks, from, to, bucketWidth_s(to_s - from_s, most / (2 * this.peaks.length + 1)));
   }
 
   #makeRoom() {
     if (this.rows === 2 * this.capacity) {
-      this.#moveToFront();
+      if (this.peaks) this.#thin();
+      else this.#moveToFront();
       return;
     }
     this.rows = Math.min(2 * this.rows, 2 * this.capacity);
@@ -101,6 +113,22 @@ export class Track {
       longer.set(this.columns[name]);
       this.columns[name] = longer;
     }
+  }
+
+  // What is older than the newest `capacity` samples shall take half as much room as they.
+  #thin() {
+    const times = this.columns.t_s;
+    const full = this.end - this.capacity;
+    this.full_s = times[full];
+    this.coarse_s = bucketWidth_s(times[full] - times[this.begin], this.capacity / 2 / (2 * this.peaks.length + 1));
+    const rows = peakRows(this.columns, this.peaks, this.begin, full, this.coarse_s);
+    for (const name of this.names) {
+      const values = this.columns[name];
+      rows.forEach((row, at) => { values[at] = values[row]; });
+      values.copyWithin(rows.length, full, this.end);
+    }
+    this.begin = 0;
+    this.end = rows.length + this.capacity;
   }
 
   #moveToFront() {

@@ -4,7 +4,7 @@
 import { MARKS, MARK_WORDS } from '../model/marks.js';
 import { ESTIMATE_COLUMNS } from '../model/robot.js';
 import { comparableRow, readTruth } from '../model/same_instant.js';
-import { drawCone, drawEllipse, drawFixes, drawGrid, drawMark, drawPath, drawRobot, drawTrail } from '../view/arena_scene.js';
+import { drawArena, drawBeacon, drawCone, drawEllipse, drawFixes, drawGrid, drawLandmark, drawMark, drawPath, drawRobot, drawTrail, drawWall } from '../view/arena_scene.js';
 import { Box, Camera } from '../view/camera.js';
 import { button, element, setText } from '../view/dom.js';
 import { degrees, fixed, metres, millimetres } from '../view/format.js';
@@ -28,6 +28,8 @@ const READINGS = [
 const ESTIMATE = ESTIMATE_COLUMNS.map((name) => [name, name]);
 const TRUTH = ['x_m', 'y_m', 'heading_rad'];
 const ODOMETRY = TRUTH.map((name) => `odometry_${name}`);
+const OWN_ODOMETRY = TRUTH.map((name) => [name, name]);
+const STANDING = [['walls', 'wall', drawWall], ['landmarks', 'landmark', drawLandmark], ['beacons', 'beacon', drawBeacon]];
 
 export const arena = {
   id: 'arena',
@@ -126,14 +128,18 @@ class ArenaPanel {
   }
 
   #legend() {
-    const lines = [['truth', 'truth'], ['odometry', "brick's odometry"], ['estimate', 'estimate, 95 % ellipse, heading cone']];
+    const lines = [['truth', 'truth'], ['odometry', 'odometry'], ['estimate', 'estimate, 95 % ellipse, heading cone']];
     this.swatches = lines.map(([name, text]) => {
       const canvas = swatch();
       return { name, canvas, item: element('li', {}, canvas, text) };
     });
     this.markSwatches = [MARKS.accepted, MARKS.late, MARKS.gated, MARKS.tooOld, MARKS.resetTo].map((mark) => ({ mark, canvas: swatch(16) }));
+    this.standingSwatches = STANDING.map(([name, text, draw]) => {
+      const canvas = swatch(24);
+      return { name, draw, canvas, item: element('li', {}, canvas, text) };
+    });
     this.legend = element('ul', { class: 'legend', 'aria-label': 'Legend' },
-      ...this.swatches.map(({ item }) => item),
+      ...this.swatches.map(({ item }) => item), ...this.standingSwatches.map(({ item }) => item),
       ...this.markSwatches.map(({ mark, canvas }) => element('li', {}, canvas, `fix ${MARK_WORDS[mark]}`)));
     return this.legend;
   }
@@ -150,6 +156,7 @@ class ArenaPanel {
       context.lineTo(30, 6);
       context.stroke();
     }
+    for (const { draw, canvas } of this.standingSwatches) draw(sharp(canvas), 12, 6);
     for (const { mark, canvas } of this.markSwatches) drawMark(sharp(canvas), mark, 8, 6, 4.2);
   }
 
@@ -209,8 +216,11 @@ class ArenaPanel {
       this.robot = view.robot;
       this.known = truth;
       this.trails = trails(view, truth);
-      for (const { name, item } of this.swatches) item.hidden = name !== 'estimate' && !truth;
     }
+    const own = view.robot?.odometry;
+    const has = { estimate: true, truth: Boolean(truth), odometry: Boolean(truth) || own?.length > 0 };
+    for (const { name, item } of this.swatches) if (item.hidden === has[name]) item.hidden = !has[name];
+    for (const { name, item } of this.standingSwatches) item.hidden = view.arena[name].length === 0;
     this.others.read(view.session, view.robot, view.until_s);
     const estimates = view.robot?.estimates;
     const row = !estimates ? -1 : truth ? comparableRow(estimates, truth, view.until_s) : estimates.rowUntil(view.until_s);
@@ -219,7 +229,9 @@ class ArenaPanel {
     const isNow = this.pose.has && view.silence_s === 0;
     const robot_s = isNow ? this.pose.robot_s : truth?.columns.robot_s[truth.rowUntil(view.until_s)];
     this.truth.has = Boolean(truth) && readTruth(this.truth, truth, view.until_s, robot_s, TRUTH);
-    this.odometry.has = Boolean(truth) && readTruth(this.odometry, truth, view.until_s, robot_s, ODOMETRY);
+    this.odometry.has = truth
+      ? readTruth(this.odometry, truth, view.until_s, robot_s, ODOMETRY)
+      : readRow(this.odometry, own, own?.rowUntil(view.until_s) ?? -1, OWN_ODOMETRY);
   }
 
   #aim(view) {
@@ -230,6 +242,7 @@ class ArenaPanel {
     if (this.mode !== 'fit') return;
     this.box.clear();
     for (const [x_m, y_m] of view.path) this.box.add(x_m, y_m);
+    if (this.#isInArena()) addArena(this.box, view.arena);
     for (const trail of this.trails) {
       const [from, to] = rows(trail.track, view);
       const step = Math.max(1, Math.floor((to - from) / 200));
@@ -259,6 +272,7 @@ class ArenaPanel {
     context.clearRect(0, 0, camera.width_px, camera.height_px);
     drawGrid(context, camera);
     drawPath(context, camera, view.path);
+    if (this.#isInArena()) drawArena(context, camera, view.arena);
     this.others.draw(context, camera);
     for (const trail of this.trails) if (this.#isOnMap(trail, view)) drawTrail(context, camera, trail, ...rows(trail.track, view));
     if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);
@@ -270,6 +284,11 @@ class ArenaPanel {
     if (this.pose.has && this.#hasLens()) {
       this.lens.draw(context, camera, { estimate: this.pose, truth: this.truth.has && this.pose.is_relative !== 1 ? this.truth : null, fixes: view.robot.fixes, until_s: view.until_s, alpha: view.silence_s > 0 ? STALE_ALPHA : 1 });
     }
+  }
+
+  // What stands in the arena says nothing of a pose that counts from the robot's start.
+  #isInArena() {
+    return !this.pose.has || this.pose.is_relative !== 1;
   }
 
   // A filter that has not found the robot yet counts from elsewhere.
@@ -303,7 +322,7 @@ class ArenaPanel {
     setText(shown.get('sigma'), known(millimetres(estimate.major_m)));
     setText(shown.get('speed'), known(fixed(estimate.forward_m_per_s, 2, 'm/s')));
     setText(shown.get('fix'), known(fixText(estimate, fixAge)));
-    setText(shown.get('age'), view.silence_s > 0 ? `${fixed(view.silence_s, 1, 's')} old` : known('now'));
+    setText(shown.get('age'), view.silence_s > 0 ? `${fixed(view.silence_s, 1, 's')} old` : known(view.isReplay ? 'of this time' : 'now'));
     setText(shown.get('resets'), known(fixed(estimate.reset_counter, 0)));
     const data = this.output.dataset;
     data.robot = view.robot?.id ?? '';
@@ -321,6 +340,11 @@ class ArenaPanel {
     data.truth_x_m = this.truth.x_m;
     data.truth_y_m = this.truth.y_m;
   }
+}
+
+function addArena(box, { landmarks, beacons, walls }) {
+  for (const { x_m, y_m } of [...landmarks, ...beacons]) box.add(x_m, y_m);
+  for (const [x_m, y_m] of walls.flat()) box.add(x_m, y_m);
 }
 
 function fixText(estimate, age) {
@@ -349,6 +373,8 @@ function trails(view, truth) {
   if (truth) {
     shown.push({ track: truth, x: 'x_m', y: 'y_m', colour: 'truth', width: 3 });
     shown.push({ track: truth, x: 'odometry_x_m', y: 'odometry_y_m', colour: 'odometry', width: 1.8 });
+  } else if (view.robot) {
+    shown.push({ track: view.robot.odometry, x: 'x_m', y: 'y_m', colour: 'odometry', width: 1.8 });
   }
   for (const [filter, track] of view.robot?.compared ?? []) {
     shown.push({ track, x: 'x_m', y: 'y_m', stroke: ComparedColours.of(view.robot, filter), dash: ComparedColours.dash(view.robot, filter), width: 1.2 });

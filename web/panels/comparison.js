@@ -1,7 +1,7 @@
 // Filters side by side: whether they run, and of each its error, its claim and its NIS. Their paths are drawn on the map.
 
 import { ComparedColours } from '../view/palette.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { fixed, millimetres } from '../view/format.js';
 
 const COLUMNS = [
@@ -25,12 +25,14 @@ class ComparisonPanel {
     this.isComparing = null;
     this.box = element('input', { type: 'checkbox', on: { change: () => station.command({ command: 'compare-filters', on: this.box.checked }) } });
     this.table = element('tbody');
-    this.host = element('div', { class: 'scroll', hidden: true }, element('table', {},
+    this.ended = element('p', { class: 'note', text: 'As at the end of the recording.', hidden: true });
+    this.host = scrolled('Compared filters', element('table', {},
       element('thead', {}, element('tr', {}, ...COLUMNS.map(([text, title], index) => element('th', { scope: 'col', class: index > 0 && 'number', text, title })))),
       this.table));
+    this.host.hidden = true;
     body.append(
       element('label', { class: 'hand' }, this.box, ' Run further filters beside the one that sends'),
-      this.host);
+      this.ended, this.host);
   }
 
   draw(view) {
@@ -41,6 +43,7 @@ class ComparisonPanel {
     }
     const known = view.robot?.comparison ?? [];
     this.host.hidden = known.length === 0;
+    this.ended.hidden = !view.isReplay || known.length === 0;
     const names = new Set(known.map(({ filter }) => filter));
     for (const [name, row] of this.rows) {
       if (names.has(name)) continue;

@@ -1,10 +1,12 @@
 // How far odometry and estimate are from the truth of the simulated robot, over time, with what the estimate claims.
 
+import { timeAxis } from '../model/time_axis.js';
 import { Chart } from '../view/chart.js';
 import { element } from '../view/dom.js';
 import { DASHES } from '../view/palette.js';
 
-const WINDOW_S = 60;
+// More points than a minute of 50 estimates a second are thinned.
+const MOST_POINTS = 3200;
 // Below a tenth of a millimetre nobody looks; a logarithm needs a floor.
 const FLOOR_M = 1e-4;
 
@@ -33,12 +35,13 @@ export const error = {
       draw(view) {
         const track = view.errors?.track;
         if (!track) return;
-        const from_s = view.until_s - WINDOW_S;
-        const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];
-        data[0] = track.part('t_s', from, to);
-        ['claim_m', 'odometry_m', 'estimate_m'].forEach((name, index) => { data[index + 1] = withGaps(track.part(name, from, to)); });
+        const { from_s, to_s } = timeAxis.span;
+        const rows = track.shown(from_s, to_s, MOST_POINTS);
+        const { t_s, claim_m, odometry_m, estimate_m } = track.columns;
+        data[0] = rows.map((row) => t_s[row]);
+        [claim_m, odometry_m, estimate_m].forEach((values, index) => { data[index + 1] = withGaps(values, rows); });
         chart.range = decadesOf(data.slice(1));
-        chart.draw(data, from_s, view.until_s);
+        chart.draw(data);
       },
     };
   },
@@ -49,8 +52,8 @@ function key(colour, text) {
 }
 
 // A line ends where there is no number: uPlot takes null for that and draws through NaN.
-function withGaps(values) {
-  return Array.from(values, (value) => (Number.isNaN(value) ? null : value));
+function withGaps(values, rows) {
+  return rows.map((row) => (Number.isNaN(values[row]) ? null : values[row]));
 }
 
 // Whole decades that hold all values, from at least a millimetre to at least ten centimetres.

@@ -2,11 +2,13 @@
 
 import { nisBand } from '../model/chi_square.js';
 import { MARKS, isRefused } from '../model/marks.js';
+import { timeAxis } from '../model/time_axis.js';
 import { Chart, roundUp } from '../view/chart.js';
-import { element, setText } from '../view/dom.js';
-import { count, fixed } from '../view/format.js';
+import { element, scrolled, setText } from '../view/dom.js';
+import { compact, count, fixed } from '../view/format.js';
 
-const WINDOW_S = 30;
+// More points are thinned.
+const MOST_POINTS = 2048;
 const NIS_FLOOR = 1e-3;
 // A NIS beyond is drawn near the edge.
 const NIS_RANGE = [NIS_FLOOR, 100];
@@ -15,6 +17,8 @@ const NIS_MOST = 75;
 const BAND_SHARE = 0.6;
 // And where marks beyond the chart stand.
 const EDGE = 0.93;
+// The column of the values as they were, behind those that are drawn.
+const TRUE_VALUE = 5;
 const RANGE_STEPS = [1, 1.5, 2, 3, 4, 5, 7];
 
 // Components of an innovation by the observation's kind, as docs/maths/pose.md orders them; for fixes they are those of the robot's body.
@@ -49,7 +53,7 @@ class InnovationsPanel {
     this.empty = element('p', { class: 'note', text: 'No observation has come yet.' });
     body.append(
       this.empty,
-      element('div', { class: 'scroll' }, element('table', { class: 'sources' },
+      scrolled('Sources', element('table', { class: 'sources' },
         element('thead', {}, element('tr', {}, ...['source', 'seen', 'gated', 'late', 'NIS', 'verdict', 'last', 'use'].map((text) => element('th', { scope: 'col', text })))),
         this.table)),
       this.host,
@@ -63,12 +67,12 @@ class InnovationsPanel {
     this.#showSwitches(view.robot);
     const source = sources.get(this.chosen) ?? firstWithNis(sources);
     if (!source) return;
-    this.chosen = source.sensor;
+    // Until somebody chooses, one that is heard later may be the better first.
     for (const [sensor, row] of this.rows) {
-      if (row.radio.checked !== (sensor === this.chosen)) row.radio.checked = sensor === this.chosen;
+      if (row.radio.checked !== (sensor === source.sensor)) row.radio.checked = sensor === source.sensor;
     }
     this.#chartsFor(source, view.robot.id);
-    this.#drawCharts(source, view);
+    this.#drawCharts(source);
   }
 
   #rowsFor(sources, view) {
@@ -153,6 +157,7 @@ class InnovationsPanel {
   #innovationChart(name, text, unit) {
     const figure = element('figure', {}, element('figcaption', { text: `${name}, ${text}: observed − predicted, ${unit === 'rad' ? '°' : 'mm'}, 2 σ` }));
     this.host.append(figure);
+    const kept = buffers(5);
     const chart = new Chart(figure, {
       label: `Innovations of ${name}, ${text}, with their band of two sigma`,
       lines: [
@@ -162,14 +167,16 @@ class InnovationsPanel {
         { label: 'gated', colour: 'gated', mark: 'cross' },
       ],
       bands: [[1, 2]],
+      say: ([band, , used], row) => `${said(!Number.isNaN(used), kept[TRUE_VALUE][row], unit === 'rad' ? '°' : ' mm')}, 2 σ ${compact(band)}`,
       height: 130,
     });
-    return { chart, figure, scale: unit === 'rad' ? 180 / Math.PI : 1000, buffers: buffers(4) };
+    return { chart, figure, scale: unit === 'rad' ? 180 / Math.PI : 1000, buffers: kept };
   }
 
   #nisChart(name) {
     const figure = element('figure', {}, element('figcaption', { text: `${name}: NIS, 95 % (chi-square)` }));
     this.host.append(figure);
+    const kept = buffers(5);
     const chart = new Chart(figure, {
       label: `Normalised innovation squared of ${name} with its chi-square band`,
       lines: [
@@ -180,22 +187,27 @@ class InnovationsPanel {
       ],
       bands: [[1, 2]],
       y: { isLog: true },
+      say: ([most, least, used], row) => `${said(!Number.isNaN(used), kept[TRUE_VALUE][row], '')}, band ${compact(least)} to ${compact(most)}`,
       height: 130,
     });
-    return { chart, figure, scale: 1, buffers: buffers(4) };
+    return { chart, figure, scale: 1, buffers: kept };
   }
 
-  #drawCharts(source, view) {
+  #drawCharts(source) {
     const { track } = source;
-    const from_s = view.until_s - WINDOW_S;
-    const [from, to] = [track.rowAt(from_s), track.rowAfter(view.until_s)];
+    const { from_s, to_s } = timeAxis.span;
+    const shown = track.shown(from_s, to_s, MOST_POINTS);
     for (const { chart, index, scale, buffers: columns } of this.charts) {
-      const rows = index < 0 ? fillNis(columns, track, from, to) : fillInnovation(columns, track, { from, to, index, scale });
+      const rows = index < 0 ? fillNis(columns, track, shown) : fillInnovation(columns, track, shown, { index, scale });
       if (index < 0) chart.range = NIS_RANGE;
       else chart.range = clampTo(bandRange(columns[1], rows), columns, rows);
-      chart.draw(columns.map((column) => column.subarray(0, rows)), from_s, view.until_s);
+      chart.draw(columns.slice(0, TRUE_VALUE).map((column) => column.subarray(0, rows)));
     }
   }
+}
+
+function said(isUsed, value, unit) {
+  return `${isUsed ? 'used' : 'gated'} ${compact(value)}${unit}`;
 }
 
 function cell() {
@@ -203,7 +215,8 @@ function cell() {
 }
 
 function buffers(lines) {
-  return Array.from({ length: lines + 1 }, () => new Float64Array(2048));
+  // The first and the last bucket may lie partly outside of the span.
+  return Array.from({ length: lines + 1 }, () => new Float64Array(MOST_POINTS + 64));
 }
 
 function firstWithNis(sources) {
@@ -223,22 +236,22 @@ function componentsOf(source) {
   return Array.from({ length: Math.min(3, most) }, (_, index) => known[index] ?? [`component ${index + 1}`, 'm']);
 }
 
-// Copies the window, thinned to what the buffers hold; the newest rows are always among it.
-function fillInnovation(columns, track, { from, to, index, scale }) {
+function fillInnovation(columns, track, rows, { index, scale }) {
   const values = track.columns[`innovation${index}`];
   const sigmas = track.columns[`sigma${index}`];
-  return fill(columns, track, from, to, (at, row) => {
+  return fill(columns, track, rows, (at, row) => {
     const value = scale * values[row];
     const isGated = isRefused(track.columns.mark[row]);
     columns[1][at] = 2 * scale * sigmas[row];
     columns[2][at] = -2 * scale * sigmas[row];
     columns[3][at] = isGated ? NaN : value;
     columns[4][at] = isGated ? value : NaN;
+    columns[TRUE_VALUE][at] = value;
   });
 }
 
-function fillNis(columns, track, from, to) {
-  return fill(columns, track, from, to, (at, row) => {
+function fillNis(columns, track, rows) {
+  return fill(columns, track, rows, (at, row) => {
     const band = nisBand(track.columns.dof[row]);
     const nis = Math.min(NIS_MOST, Math.max(NIS_FLOOR, track.columns.nis[row]));
     const isGated = isRefused(track.columns.mark[row]);
@@ -246,14 +259,14 @@ function fillNis(columns, track, from, to) {
     columns[2][at] = band ? Math.max(NIS_FLOOR, band[0]) : NaN;
     columns[3][at] = isGated ? NaN : nis;
     columns[4][at] = isGated ? nis : NaN;
+    columns[TRUE_VALUE][at] = track.columns.nis[row];
   });
 }
 
-function fill(columns, track, from, to, set) {
+function fill(columns, track, rows, set) {
   const { t_s, nis } = track.columns;
-  const step = Math.max(1, Math.ceil((to - from) / columns[0].length));
   let at = 0;
-  for (let row = from; row < to; row += step) {
+  for (const row of rows) {
     if (Number.isNaN(nis[row])) continue;
     columns[0][at] = t_s[row];
     set(at, row);

@@ -1,7 +1,8 @@
 // Health of every link, and how well the robot's clock is known.
 
+import { staleness_s } from '../model/silence.js';
 import { element, setText } from '../view/dom.js';
-import { bytes, count, fixed } from '../view/format.js';
+import { age, bytes, count, fixed } from '../view/format.js';
 
 const FACTS = [
   ['in', (link) => `${bytes(link.bytes_in_per_s)}/s, ${fixed(link.frames_in_per_s, 0)} frames/s`],
@@ -52,12 +53,14 @@ export const links = {
             host.append(card.card);
           }
           setText(card.title, String(link.name ?? id).slice(0, 80));
-          setText(card.state, String(link.state ?? '').slice(0, 40));
+          card.showState(String(link.state ?? '').slice(0, 40), view.isReplay ? 0 : staleness_s(view.session.links_s, view.until_s));
           card.card.dataset.state = String(link.state ?? '').slice(0, 40);
           card.show(link);
         }
         clock.card.hidden = !view.session.clock;
-        if (view.session.clock) clock.show(view.session.clock);
+        if (!view.session.clock) return;
+        clock.showState('', view.isReplay ? 0 : staleness_s(view.session.clock_s, view.until_s));
+        clock.show(view.session.clock);
       },
     };
   },
@@ -71,5 +74,9 @@ function factList(name, facts) {
     element('header', {}, title, state),
     element('dl', {}, ...facts.map(([label], index) => element('div', {}, element('dt', { text: label }), values[index]))));
   const show = (record) => facts.forEach(([, text], index) => setText(values[index], text(record)));
-  return { card, title, state, show };
+  const showState = (text, old_s) => {
+    setText(state, [text, old_s > 0 ? `${age(old_s)} ago` : ''].filter(Boolean).join(' '));
+    if (card.classList.contains('stale') !== old_s > 0) card.classList.toggle('stale', old_s > 0);
+  };
+  return { card, title, showState, show };
 }

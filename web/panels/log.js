@@ -9,11 +9,12 @@ export const log = {
   id: 'log',
   title: 'Events',
   build(body) {
-    const lines = element('ol', { class: 'log', role: 'log', 'aria-live': 'off', tabindex: '0', 'aria-label': 'Events, newest first' });
+    const lines = element('ol');
+    const host = element('div', { class: 'log', role: 'log', 'aria-live': 'off', tabindex: '0', 'aria-label': 'Events, newest first' }, lines);
     const empty = element('p', { class: 'note', text: 'Nothing has happened yet.' });
     let shown = 0;
     let session = null;
-    body.append(empty, lines);
+    body.append(empty, host);
     return {
       draw(view) {
         if (view.session !== session) {

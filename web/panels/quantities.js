@@ -4,14 +4,15 @@
 import { isNotUsed } from '../model/marks.js';
 import { hasChoice } from '../model/robot_list.js';
 import { SILENT_FROM_S, SILENT_SPACINGS } from '../model/silence.js';
+import { timeAxis } from '../model/time_axis.js';
 import { Chart, roundUp } from '../view/chart.js';
-import { element, setText } from '../view/dom.js';
-import { fixed, withSigma } from '../view/format.js';
+import { element, scrolled, setText } from '../view/dom.js';
+import { compact, fixed, withSigma } from '../view/format.js';
 
 // More are listed but not drawn.
 const MOST_CHARTS = 8;
-// Points of a line; a chart is some 400 pixels wide.
-const MOST_POINTS = 600;
+// More points are thinned; a chart is some 400 pixels wide.
+const MOST_POINTS = 1500;
 // Of the whole height, at the edge: where marks beyond the chart stand.
 const EDGE = 0.03;
 // A band may take so many times the height of the lines.
@@ -49,7 +50,7 @@ export const quantity = {
   isOfRobot: true,
   isShown: ({ robot }) => Boolean(robot?.quantity),
   build: (body) => new QuantitiesPanel(body, {
-    heading: 'quantity', columns: FILTER_COLUMNS, window_s: 30, leastWindow_s: 10, line: 'estimate',
+    heading: 'quantity', columns: FILTER_COLUMNS, line: 'estimate',
     of: ({ robot }) => (robot?.quantity ? [{ robot, quantity: robot.quantity }] : []),
     nameOf: (quantity) => titleOf(quantity),
   }),
@@ -60,7 +61,7 @@ export const thermometers = {
   title: 'Thermometers',
   isShown: ({ session }) => session.thermometers().length > 0,
   build: (body) => new QuantitiesPanel(body, {
-    heading: 'thermometer', columns: THERMOMETER_COLUMNS, window_s: 600, leastWindow_s: 20, line: 'predicted end',
+    heading: 'thermometer', columns: THERMOMETER_COLUMNS, line: 'predicted end',
     of: ({ session }) => session.thermometers(),
     nameOf: (quantity, robot, isOneOfMany) => (isOneOfMany ? `${quantity.name} of ${robot.label}` : quantity.name),
   }),
@@ -68,10 +69,8 @@ export const thermometers = {
 
 /** A row of the table and its charts for each of some quantities. */
 class QuantitiesPanel {
-  constructor(body, { heading, columns, window_s, leastWindow_s, line, of, nameOf }) {
+  constructor(body, { heading, columns, line, of, nameOf }) {
     this.columns = columns;
-    this.window_s = window_s;
-    this.leastWindow_s = leastWindow_s;
     this.line = line;
     this.of = of;
     this.nameOf = nameOf;
@@ -83,7 +82,7 @@ class QuantitiesPanel {
     this.limit = element('p', { class: 'note', text: `The first ${MOST_CHARTS} have charts.`, hidden: true });
     const head = columns.map(({ text, title, kind }) => element('th', { scope: 'col', class: kind, text, title }));
     body.append(
-      element('div', { class: 'scroll' }, element('table', { class: 'quantities' },
+      scrolled(`Table of each ${heading}`, element('table', { class: 'quantities' },
         element('thead', {}, element('tr', {}, element('th', { scope: 'col', text: heading }), ...head)), this.table)),
       this.charts, this.limit,
       element('p', { class: 'note keys' },
@@ -107,7 +106,7 @@ class QuantitiesPanel {
         shown = new ShownQuantity(this, one, name);
         this.shown.set(one, shown);
       }
-      shown.draw(robot, name, view.until_s);
+      shown.draw(robot, name, view);
     }
   }
 }
@@ -122,30 +121,33 @@ class ShownQuantity {
     panel.table.append(this.row);
     this.values = null;
     this.rates = null;
+    /** Refused readings as they were, row by row of the chart. */
+    this.refused = [];
     this.name = name;
     if (panel.shown.size < MOST_CHARTS) this.values = this.#valueChart(name);
   }
 
-  draw(robot, name, until_s) {
+  draw(robot, name, { until_s, isReplay }) {
     const { quantity: one, panel } = this;
     const now = one.at(until_s);
-    const state = stateOf(robot, now);
+    const state = stateOf(robot, now, isReplay);
     setText(this.title, name);
     this.row.dataset.state = state.kind;
     this.row.dataset.verdict = now?.isRefused ? 'refused' : 'used';
     panel.columns.forEach(({ read }, index) => setText(this.cells[index], now ? read({ quantity: one, now, state: state.text }) : '–'));
     if (!this.values) return;
     if (one.hasRate && !this.rates) this.rates = this.#rateChart(name);
-    const from_s = this.#windowFrom(until_s);
-    const [from, to] = [one.track.rowAt(from_s), one.track.rowAfter(until_s)];
-    const columns = columnsOf(one, from, to);
+    const { from_s, to_s } = timeAxis.span;
+    const rows = one.track.shown(from_s, to_s, MOST_POINTS);
+    const columns = columnsOf(one, rows);
+    this.refused = [...columns[5]];
     this.values.chart.range = rangeOf(columns);
     clampMarks(columns[5], this.values.chart.range);
-    this.values.chart.draw(columns, from_s, until_s);
+    this.values.chart.draw(columns);
     if (!this.rates) return;
-    const rates = ratesOf(one, from, to);
+    const rates = ratesOf(one, rows);
     this.rates.chart.range = aroundZero(rates[1]);
-    this.rates.chart.draw(rates, from_s, until_s);
+    this.rates.chart.draw(rates);
   }
 
   remove() {
@@ -154,14 +156,6 @@ class ShownQuantity {
       made?.chart.remove();
       made?.figure.remove();
     }
-  }
-
-  // A window that grows to its full length, so that the beginning is not squeezed into a corner.
-  #windowFrom(until_s) {
-    const { track } = this.quantity;
-    const { window_s, leastWindow_s } = this.panel;
-    const first_s = track.length > 0 ? track.columns.t_s[track.begin] : until_s;
-    return Math.max(until_s - window_s, Math.min(first_s, until_s - leastWindow_s));
   }
 
   #valueChart(name) {
@@ -177,8 +171,19 @@ class ShownQuantity {
       ],
       bands: [[1, 2]],
       y: { format: compactTick },
+      say: (values, row) => this.#said(values, row),
       height: 190,
     });
+  }
+
+  // A refused reading beyond the chart stands at its edge, but is said as it was.
+  #said([upper, , value, used], row) {
+    const refused = this.refused[row];
+    const parts = [
+      Number.isFinite(value) ? `${this.panel.line} ${withSigma(value, upper - value)}` : '',
+      Number.isFinite(used) ? `used ${compact(used)}` : '', Number.isFinite(refused) ? `refused ${compact(refused)}` : '',
+    ];
+    return `${parts.filter(Boolean).join(', ')} ${this.quantity.unit}`;
   }
 
   #rateChart(name) {
@@ -187,6 +192,7 @@ class ShownQuantity {
     return this.#chart(`${rate}, ${unit}`, {
       label: `Rate of ${name} over time in ${unit}`,
       lines: [{ label: 'rate', colour: 'estimate', width: 1.8 }],
+      unit,
       y: { format: compactTick },
       height: 190,
     });
@@ -223,19 +229,20 @@ function share({ steps, predicted }) {
   return steps > 0 ? `${fixed((100 * predicted) / steps, 0)} % of ${steps}` : '–';
 }
 
-function stateOf(robot, now) {
+function stateOf(robot, now, isReplay) {
   if (!now) return { kind: 'waiting', text: '–' };
-  if (robot.lost_s >= now.t_s) return { kind: 'lost', text: 'lost' };
-  return now.silent_s > 0 ? { kind: 'silent', text: `silent for ${Math.floor(now.silent_s)} s` } : { kind: 'live', text: 'live' };
+  const since = now.silent_s > 0 ? ` for ${Math.floor(now.silent_s)} s` : '';
+  if (robot.lost_s >= now.t_s) return { kind: 'lost', text: `lost${since}` };
+  return since ? { kind: 'silent', text: `silent${since}` } : { kind: 'live', text: isReplay ? 'heard' : 'live' };
 }
 
 // Times, upper and lower end of the band, estimate, used and refused readings. uPlot ends a line at null, and draws on through what is undefined.
-function columnsOf({ track, name }, from, to) {
+function columnsOf({ track, name }, rows) {
   const { t_s, reading: readings, mark, estimate: estimates, bound } = track.columns;
   const columns = [[], [], [], [], [], []];
   // Of several readings in one step only the last has the estimate; a thermometer without one is one whose end nobody can tell.
   const none = name === '' ? undefined : null;
-  eachShown(track, from, to, (row) => {
+  eachShown(track, rows, (row) => {
     const isKnown = !Number.isNaN(estimates[row]);
     const refused = isNotUsed(mark[row]);
     push(columns, [
@@ -247,22 +254,21 @@ function columnsOf({ track, name }, from, to) {
   return columns;
 }
 
-function ratesOf({ track }, from, to) {
+function ratesOf({ track }, rows) {
   const { t_s, rate } = track.columns;
   const columns = [[], []];
-  eachShown(track, from, to, (row) => push(columns, [t_s[row], Number.isNaN(rate[row]) ? undefined : rate[row]]), (gap_s) => push(columns, [gap_s, null]));
+  eachShown(track, rows, (row) => push(columns, [t_s[row], Number.isNaN(rate[row]) ? undefined : rate[row]]), (gap_s) => push(columns, [gap_s, null]));
   return columns;
 }
 
-// Thins the rows of a window, but never refused readings; between two that are far apart there is a gap: nothing was heard.
-function eachShown(track, from, to, show, showGap) {
-  const { t_s, mark } = track.columns;
-  const step = Math.max(1, Math.ceil((to - from) / MOST_POINTS));
-  const most_s = Math.max(SILENT_FROM_S, SILENT_SPACINGS * step * track.spacing_s());
+// Between two rows that are far apart there is a gap: nothing was heard. What was thinned has as much as two buckets between its rows.
+function eachShown(track, rows, show, showGap) {
+  const { t_s } = track.columns;
+  const width_s = rows.length > 1 ? (t_s[rows.at(-1)] - t_s[rows[0]]) / rows.length : 0;
+  const usual_s = Math.max(SILENT_FROM_S, SILENT_SPACINGS * track.spacing_s(), SILENT_SPACINGS * width_s);
   let last_s = NaN;
-  for (let row = from; row < to; row += 1) {
-    // At multiples of the step, whatever row the window begins with: else the line would tremble.
-    if (row % step > 0 && !isNotUsed(mark[row]) && row < to - 1) continue;
+  for (const row of rows) {
+    const most_s = last_s < track.full_s ? Math.max(usual_s, 2 * track.coarse_s) : usual_s;
     if (t_s[row] - last_s > most_s) showGap((last_s + t_s[row]) / 2);
     last_s = t_s[row];
     show(row);

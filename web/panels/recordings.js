@@ -1,7 +1,7 @@
 // Recordings: start, stop, download, look at again.
 
-import { button, element, setText } from '../view/dom.js';
-import { bytes } from '../view/format.js';
+import { button, element, scrolled, setText } from '../view/dom.js';
+import { age, bytes } from '../view/format.js';
 
 export const recordings = {
   id: 'recordings',
@@ -19,16 +19,18 @@ class RecordingsPanel {
     this.known = null;
     this.sizes = new Map();
     body.append(
-      element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Read the list of recordings anew' })),
+      element('div', { class: 'actions' }, this.start, this.stop, button('Look again', () => this.#renew(), { 'aria-label': 'Look again for recordings' })),
       this.state,
-      element('div', { class: 'scroll' }, element('table', {},
-        element('thead', {}, element('tr', {}, ...['recording', 'begun', 'size', ''].map((text) => element('th', { scope: 'col', text })))), this.table)),
+      scrolled('Recordings of this run', element('table', {},
+        element('thead', {}, element('tr', {}, ...['recording', 'begun', 'size', 'actions'].map((text) => element('th', { scope: 'col', text })))), this.table)),
     );
   }
 
-  draw() {
+  draw({ stalled_s }) {
     const { recording, recordings: known } = this.station;
-    setText(this.state, recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.');
+    const state = recording ? `Recording ${recording.name}, ${bytes(recording.bytes)}` : 'Not recording.';
+    setText(this.state, stalled_s > 0 ? `${age(stalled_s)} ago: ${state}` : state);
+    this.state.classList.toggle('stale', stalled_s > 0);
     this.start.disabled = Boolean(recording);
     this.stop.disabled = !recording;
     if (known !== this.known) {

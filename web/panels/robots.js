@@ -1,16 +1,16 @@
 // All robots that are heard: how each is, and which one the other panels show.
 
 import { hasChoice, robotRows } from '../model/robot_list.js';
-import { element, setText } from '../view/dom.js';
+import { element, scrolled, setText } from '../view/dom.js';
 import { fixed, millimetres } from '../view/format.js';
 
 const COLUMNS = [['robot'], ['state'], ['last fix', 'number'], ['95 % within', 'number'], ['resets', 'number']];
 
 const STATES = new Map([
   ['waiting', () => 'no estimate'],
-  ['live', () => 'live'],
+  ['live', (row, isReplay) => (isReplay ? 'heard' : 'live')],
   ['silent', (row) => `silent for ${Math.floor(row.silent_s)} s`],
-  ['lost', () => 'lost'],
+  ['lost', (row) => (row.silent_s > 0 ? `lost for ${Math.floor(row.silent_s)} s` : 'lost')],
 ]);
 
 export const robots = {
@@ -25,7 +25,7 @@ class RobotsPanel {
     this.station = station;
     this.rows = new Map();
     this.table = element('tbody');
-    body.append(element('div', { class: 'scroll' }, element('table', {},
+    body.append(scrolled('List of robots', element('table', {},
       element('thead', {}, element('tr', {}, ...COLUMNS.map(([text, kind = '']) => element('th', { scope: 'col', class: kind, text })))),
       this.table)));
   }
@@ -40,7 +40,7 @@ class RobotsPanel {
     }
     for (const robot of known) {
       const row = this.rows.get(robot.id) ?? this.#newRow(robot.id);
-      show(row, robot);
+      show(row, robot, view.isReplay);
       this.#mark(row, robot.id === view.robot?.id);
     }
   }
@@ -69,10 +69,10 @@ class RobotsPanel {
   }
 }
 
-function show(row, robot) {
+function show(row, robot, isReplay) {
   setText(row.name, robot.name || robot.id);
   setText(row.address, robot.name ? robot.id : '');
-  setText(row.state, STATES.get(robot.state)(robot));
+  setText(row.state, STATES.get(robot.state)(robot, isReplay));
   if (row.line.dataset.state !== robot.state) row.line.dataset.state = robot.state;
   setText(row.fix, fixed(robot.fixAge_s, 1, 's'));
   setText(row.sigma, millimetres(robot.sigma_m));

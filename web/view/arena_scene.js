@@ -50,6 +50,50 @@ export function drawPath(context, camera, path) {
   stroke(context, palette.path, 1.5, DASHES.path);
 }
 
+const WALL_PX = 3;
+const PLACE_PX = 5;
+
+/** What stands in the arena: walls as lines, landmarks as triangles, beacons as rings, with their numbers. */
+export function drawArena(context, camera, { walls, landmarks, beacons }) {
+  context.beginPath();
+  for (const [from, to] of walls) {
+    context.moveTo(camera.toX(from[0]), camera.toY(from[1]));
+    context.lineTo(camera.toX(to[0]), camera.toY(to[1]));
+  }
+  stroke(context, palette.wall, WALL_PX, []);
+  context.font = '11px system-ui, sans-serif';
+  for (const [draw, places] of [[drawLandmark, landmarks], [drawBeacon, beacons]]) {
+    for (const { id, x_m, y_m } of places) {
+      const [x, y] = [camera.toX(x_m), camera.toY(y_m)];
+      draw(context, x, y);
+      context.fillStyle = palette.place;
+      context.fillText(String(id), x + PLACE_PX + 3, y + 4);
+    }
+  }
+}
+
+export function drawWall(context, x, y) {
+  context.beginPath();
+  context.moveTo(x - 2 * PLACE_PX, y);
+  context.lineTo(x + 2 * PLACE_PX, y);
+  stroke(context, palette.wall, WALL_PX, []);
+}
+
+export function drawLandmark(context, x, y) {
+  context.fillStyle = palette.place;
+  context.beginPath();
+  polygon(context, x, y, 1.2 * PLACE_PX, 3, -Math.PI / 2);
+  context.fill();
+}
+
+export function drawBeacon(context, x, y) {
+  context.beginPath();
+  context.arc(x, y, PLACE_PX, 0, 2 * Math.PI);
+  context.moveTo(x + 1, y);
+  context.arc(x, y, 1, 0, 2 * Math.PI);
+  stroke(context, palette.place, 1.6, []);
+}
+
 /** Rows `from` to `to` of a track, by the names of its columns. */
 export function drawTrail(context, camera, trail, from, to) {
   const xs = trail.track.columns[trail.x];

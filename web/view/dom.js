@@ -13,6 +13,11 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
+/** A box in which a table scrolls sideways by itself; the keyboard reaches it as well. */
+export function scrolled(label, table) {
+  return element('div', { class: 'scroll', role: 'region', tabindex: '0', 'aria-label': label }, table);
+}
+
 /** A button that does not submit. */
 export function button(text, onClick, properties = {}) {
   return element('button', { type: 'button', text, on: { click: onClick }, ...properties });

@@ -59,3 +59,17 @@ export function clockTime(t_s) {
   const minutes = Math.floor(whole_s / 60);
   return `${minutes}:${(whole_s - 60 * minutes).toFixed(1).padStart(4, '0')}`;
 }
+
+/** The same in whole seconds, with hours of a long session. */
+export function shortTime(t_s) {
+  const whole_s = Math.round(Math.max(0, t_s));
+  const [hours, minutes, seconds] = [Math.floor(whole_s / 3600), Math.floor(whole_s / 60) % 60, whole_s % 60];
+  const two = (value) => String(value).padStart(2, '0');
+  return hours > 0 ? `${hours}:${two(minutes)}:${two(seconds)}` : `${minutes}:${two(seconds)}`;
+}
+
+/** How long ago, for what is old. */
+export function age(age_s) {
+  if (age_s < 10) return `${age_s.toFixed(1)} s`;
+  return age_s < 120 ? `${Math.floor(age_s)} s` : `${Math.floor(age_s / 60)} min`;
+}

@@ -3,7 +3,7 @@
 // They are those of M. Okabe and K. Ito, Color Universal Design (2008), which stay apart for colour-blind readers; lines differ in their
 // dashes and marks in their shape as well.
 
-const NAMES = ['truth', 'odometry', 'estimate', 'ellipse', 'accepted', 'late', 'gated', 'old', 'reset', 'ink', 'faint', 'grid', 'panel', 'path', 'other'];
+const NAMES = ['truth', 'odometry', 'estimate', 'ellipse', 'accepted', 'late', 'gated', 'old', 'reset', 'ink', 'faint', 'grid', 'panel', 'path', 'other', 'wall', 'place'];
 
 export const palette = {};
 

@@ -1,13 +1,15 @@
 //! The inputs of the dashboard, and its start errors.
 
+use std::fmt;
 use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use posebridge_telemetry::{HostClock, Timestamp};
+use posebridge_telemetry::{DriveGeometry, HostClock, Observation, Odom, Pose, Timestamp};
 
 use crate::feed::SimulatedTruth;
-use crate::model::{Frame, ParameterRow, SimulatorFacts};
+use crate::model::{ArenaRow, Frame, ParameterRow, SimulatorFacts};
 use crate::taps::FrameTaps;
 
 /// Replays a recording and returns its trails, or an error message of one line.
@@ -27,6 +29,37 @@ pub enum TokenPolicy {
     Always,
 }
 
+/// Dead reckoning by the wheels of one robot.
+pub trait DeadReckoning: Send {
+    /// Returns the pose after an observation that moved it.
+    fn observe(&mut self, observation: &Observation) -> Option<Pose<Odom>>;
+
+    /// Goes on after a restart of the brick, whose clock and counters begin again.
+    fn restart_clock(&mut self);
+}
+
+type BuildDeadReckoning = dyn Fn(DriveGeometry) -> Box<dyn DeadReckoning> + Send + Sync;
+
+/// The program's dead reckoning, for robots that send no odometry of their own.
+#[derive(Clone)]
+pub struct DeadReckoningBuilder(Arc<BuildDeadReckoning>);
+
+impl DeadReckoningBuilder {
+    pub fn new(build: impl Fn(DriveGeometry) -> Box<dyn DeadReckoning> + Send + Sync + 'static) -> Self {
+        Self(Arc::new(build))
+    }
+
+    pub(crate) fn build(&self, geometry: DriveGeometry) -> Box<dyn DeadReckoning> {
+        (self.0)(geometry)
+    }
+}
+
+impl fmt::Debug for DeadReckoningBuilder {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("DeadReckoningBuilder")
+    }
+}
+
 /// The properties of the station that do not change while it runs.
 #[derive(Clone, Debug, Default)]
 pub struct StationInfo {
@@ -35,6 +68,9 @@ pub struct StationInfo {
     pub parameters: Vec<ParameterRow>,
     /// `None` without a simulated brick.
     pub simulator: Option<SimulatorFacts>,
+    pub arena: ArenaRow,
+    /// `None` where bricks send their own odometry with their truth.
+    pub dead_reckoning: Option<DeadReckoningBuilder>,
     pub token: TokenPolicy,
 }
 

@@ -27,6 +27,7 @@ assets![
     "model/chi_square.js",
     "model/errors.js",
     "model/marks.js",
+    "model/peaks.js",
     "model/quantity.js",
     "model/robot.js",
     "model/robot_list.js",
@@ -34,6 +35,7 @@ assets![
     "model/session.js",
     "model/silence.js",
     "model/slider.js",
+    "model/time_axis.js",
     "model/track.js",
     "model/words.js",
     "panels/arena.js",
@@ -70,6 +72,7 @@ assets![
     "view/palette.js",
     "view/pose_input.js",
     "view/theme.js",
+    "view/time_bar.js",
 ];
 
 const INDEX: &str = "index.html";

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Pose, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Event, HostClock, Pose, RobotId, TimeDelta, Timestamp};
 use tokio::sync::Notify;
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::mpsc::{self, Receiver, Sender};
@@ -45,10 +45,12 @@ pub struct StationStatus {
     pub setup: Vec<SetupRow>,
 }
 
-/// Calibration and disabled sensors of a robot.
-#[derive(Clone, Debug, PartialEq)]
+/// Geometry, calibration and disabled sensors of a robot.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotStatus {
     pub robot: RobotId,
+    /// `None` if only its other parts are known.
+    pub geometry: Option<DriveGeometry>,
     pub calibration: Vec<CalibrationRow>,
     pub switched_off: Vec<u8>,
 }

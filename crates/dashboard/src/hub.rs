@@ -8,7 +8,7 @@ use posebridge_telemetry::{
     Event, FusionOutcome, HostClock, LinkHealth, LinkId, RobotId, SensorId, TimeDelta, Timestamp,
 };
 
-use crate::api::StationInfo;
+use crate::api::{DeadReckoningBuilder, StationInfo};
 use crate::counters::{ServerCounter, ServerCounters};
 use crate::feed::{EventBatch, SimulatedTruth, StationStatus};
 use crate::limits::{HISTORY_DURATION, MAX_HISTORY_POINTS, MAX_REPLAY_POINTS, SECOND};
@@ -17,7 +17,7 @@ use crate::model::{
     SourceRow, State, TruthPoint, seconds_of,
 };
 use crate::token::AccessToken;
-use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, ViewInput, ViewSet};
+use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, ViewConfig, ViewInput, ViewSet};
 
 /// Most kinds of records that are counted; a robot has about a dozen.
 const MAX_OUTCOME_COUNTS: usize = 512;
@@ -50,7 +50,11 @@ impl Hub {
     pub(crate) fn new(info: StationInfo, token: Option<&AccessToken>) -> Self {
         let retention = RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS };
         Self {
-            views: ViewSet::new(info.links.clone(), retention),
+            views: ViewSet::new(&ViewConfig {
+                links: info.links.clone(),
+                retention,
+                dead_reckoning: info.dead_reckoning.clone(),
+            }),
             info,
             needs_token: token.is_some(),
             latest: LatestState::default(),
@@ -65,7 +69,9 @@ impl Hub {
     }
 
     pub(crate) fn push_batch(&mut self, batch: &EventBatch) {
-        for event in batch.events.iter().filter(|event| event.is_for_viewers()) {
+        // Observations that nobody is shown move the odometry.
+        let is_used = |event: &&Event| event.is_for_viewers() || matches!(event, Event::ObservationAligned { .. });
+        for event in batch.events.iter().filter(is_used) {
             self.count_event(event, batch);
             self.views.observe(batch.now, ViewInput::Event(event));
         }
@@ -106,6 +112,7 @@ impl Hub {
             now_s,
             needs_token: self.needs_token,
             simulator: self.info.simulator.clone(),
+            arena: self.info.arena.clone(),
             sources: self.sources(),
             parameters: self.parameters(),
             robots: self.robots(),
@@ -324,9 +331,9 @@ pub struct SessionViews {
 }
 
 impl SessionViews {
-    pub fn new(links: Vec<String>) -> Self {
+    pub fn new(links: Vec<String>, dead_reckoning: Option<DeadReckoningBuilder>) -> Self {
         let retention = RetentionPolicy::WholeSession { max_points: MAX_REPLAY_POINTS };
-        Self { views: ViewSet::new(links, retention), last: Timestamp::ZERO }
+        Self { views: ViewSet::new(&ViewConfig { links, retention, dead_reckoning }), last: Timestamp::ZERO }
     }
 
     pub fn push_event(&mut self, now: Timestamp<HostClock>, event: &Event) {

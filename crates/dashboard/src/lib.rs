@@ -26,7 +26,7 @@ mod thread;
 mod token;
 pub mod views;
 
-pub use api::{DashboardInputs, DashboardStartError, StationInfo, TokenPolicy};
+pub use api::{DashboardInputs, DashboardStartError, DeadReckoning, DeadReckoningBuilder, StationInfo, TokenPolicy};
 pub use feed::{EventBatch, EventFeed, RobotStatus, SimulatedTruth, StationStatus};
 pub use hub::SessionViews;
 pub use schema::schema;

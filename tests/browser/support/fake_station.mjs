@@ -27,6 +27,8 @@ export class FakeStation {
     this.simulator = { steering: 'estimate', link_profile: null };
     this.replay = null;
     this.refusal = null;
+    this.isSilent = false;
+    this.arena = { landmarks: [], beacons: [], walls: [] };
   }
 
   /** Listens on loopback; the port of an earlier `open` is taken again. */
@@ -36,11 +38,14 @@ export class FakeStation {
     this.sockets.on('connection', (socket) => socket.send(JSON.stringify(this.hello())));
     await new Promise((resolve) => this.server.listen(this.port ?? 0, '127.0.0.1', resolve));
     this.port = this.server.address().port;
+    // As the program, which says something at least once a second; unless it shall be silent.
+    this.heart = setInterval(() => { if (!this.isSilent) this.send({ type: 'frame', now_s: this.now_s }); }, 500);
     this.address = `http://127.0.0.1:${this.port}/`;
   }
 
   /** Ends at once, as a killed program would. */
   async close() {
+    clearInterval(this.heart);
     for (const socket of this.sockets.clients) socket.terminate();
     this.server.closeAllConnections();
     await new Promise((resolve) => this.server.close(resolve));
@@ -53,7 +58,8 @@ export class FakeStation {
   hello() {
     return {
       type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false,
-      simulator: { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      simulator: this.simulator && { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      arena: this.arena,
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
       robots: this.robots.map((id) => ({ id, name: this.names[id] ?? null })),
@@ -81,12 +87,20 @@ export class FakeStation {
     const isSecond = Math.round(t_s / 0.02) % 50 === 0;
     return {
       type: 'frame', now_s: t_s,
-      robots: this.robots.map((id, index) => ({ ...robotAt(id, t_s, placeOf(index)), ...(this.names[id] ? { name: this.names[id] } : {}) })),
-      truth: this.robots.map((id, index) => ({ ...truthAt(t_s, placeOf(index)), ...(this.robots.length > 1 ? { robot: id } : {}) })),
+      robots: this.robots.map((id, index) => this.#robot(id, t_s, index)),
+      truth: this.simulator === null ? [] : this.robots.map((id, index) => ({ ...truthAt(t_s, placeOf(index)), ...(this.robots.length > 1 ? { robot: id } : {}) })),
       ...(isSecond ? { links: [LINK], clock: CLOCK, recording: { name: 'now.mcap', bytes: Math.round(4000 * t_s) }, switched_off: this.switchedOff, simulator: this.simulator } : {}),
       log: isSecond ? [{ t_s, severity: 6, text: `second ${Math.round(t_s)}` }] : [],
       dropped: 0,
     };
+  }
+
+  // Of a real robot nobody knows the truth; of it the station says where its wheels alone put it.
+  #robot(id, t_s, index) {
+    const part = { ...robotAt(id, t_s, placeOf(index)), ...(this.names[id] ? { name: this.names[id] } : {}) };
+    if (this.simulator !== null) return part;
+    const [x_m, y_m, heading_rad] = truthAt(t_s, placeOf(index)).odometry;
+    return { ...part, scores: [], odometry: [{ t_s, x_m, y_m, heading_rad, is_relative: false }] };
   }
 
   /** Waits until the commands that came fulfil a condition, and gives the last one. */

@@ -7,6 +7,7 @@ import os from 'node:os';
 import path from 'node:path';
 
 const PROGRAM = process.env.POSEBRIDGE;
+const UI_DIR = process.env.BROWSER_UI_DIR;
 // Only a test that fails waits so long.
 const PATIENCE_MS = 60_000;
 
@@ -18,7 +19,8 @@ export function newFolder() {
 export class Program {
   /** Starts it in a folder, which `remove` deletes. */
   static start(args, folder) {
-    return new Program(spawn(PROGRAM, args, { cwd: folder, stdio: ['ignore', 'pipe', 'pipe'] }), folder);
+    const page = UI_DIR && args[0] === 'run' ? ['--ui-dir', UI_DIR] : [];
+    return new Program(spawn(PROGRAM, [...args, ...page], { cwd: folder, stdio: ['ignore', 'pipe', 'pipe'] }), folder);
   }
 
   constructor(child, folder) {

@@ -97,6 +97,9 @@ pub struct RobotFrame {
     pub lost_t_s: Option<f64>,
     /// Estimates, oldest first.
     pub estimates: Vec<EstimatePoint>,
+    /// Where its wheels alone say it is, for a robot that is not simulated; absent without news.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub odometry: Vec<OdometryPoint>,
     /// Camera fixes.
     pub fixes: Vec<FixPoint>,
     /// What became of each observation.
@@ -169,6 +172,22 @@ pub struct EstimatePoint {
     pub is_relative: bool,
     /// False while the heading may be any.
     pub is_heading_known: bool,
+}
+
+/// Dead reckoning by the wheels alone. It begins at the estimate, and again where the estimate is first one in the arena.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct OdometryPoint {
+    /// When it was made, in seconds of the session.
+    pub t_s: f64,
+    /// East, in metres.
+    pub x_m: Number,
+    /// North, in metres.
+    pub y_m: Number,
+    /// Counter-clockwise from east, in (-pi, pi].
+    pub heading_rad: Number,
+    /// It counts from where the robot's motion was first observed, as the estimate does.
+    pub is_relative: bool,
 }
 
 /// A quantity at an instant: what was read, and what a filter makes of it.

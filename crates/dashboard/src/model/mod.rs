@@ -5,7 +5,7 @@ mod frame;
 pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, Number, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint, SetupRow,
+    LinkRow, LogLine, Number, OdometryPoint, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint, SetupRow,
     SimulatorNow, TallyPoint, TruthPoint,
 };
 
@@ -52,6 +52,8 @@ pub struct Hello {
     pub needs_token: bool,
     /// The simulated brick, `null` if the station has none of its own.
     pub simulator: Option<SimulatorFacts>,
+    /// What stands in the arena by the configuration.
+    pub arena: ArenaRow,
     /// Sensors that were heard.
     pub sources: Vec<SourceRow>,
     /// Every tunable.
@@ -60,8 +62,32 @@ pub struct Hello {
     pub robots: Vec<RobotRow>,
     /// Recordings of this run.
     pub recordings: Vec<RecordingRow>,
-    /// The last minute, thinned.
+    /// The last minute, thinned; of errors, observations and calibration also the run before it, thinned more.
     pub history: Frame,
+}
+
+/// What stands in the arena.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArenaRow {
+    /// Points that a camera can tell apart.
+    pub landmarks: Vec<PlaceRow>,
+    /// Radio beacons.
+    pub beacons: Vec<PlaceRow>,
+    /// Straight walls, each from x_m, y_m to x_m, y_m.
+    pub walls: Vec<[[f64; 2]; 2]>,
+}
+
+/// A landmark or a beacon.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceRow {
+    /// The number under which it is seen.
+    pub id: u32,
+    /// East.
+    pub x_m: f64,
+    /// North.
+    pub y_m: f64,
 }
 
 /// What the simulated brick of this station does.

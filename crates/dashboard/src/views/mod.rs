@@ -7,6 +7,7 @@ mod comparison;
 mod links;
 mod log;
 mod observations;
+mod odometry;
 mod quantities;
 mod retained_series;
 mod robots;
@@ -26,9 +27,8 @@ pub use view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, parse
 pub(crate) struct ViewSet(Vec<Box<dyn View>>);
 
 impl ViewSet {
-    pub(crate) fn new(links: Vec<String>, retention: RetentionPolicy) -> Self {
-        let config = ViewConfig { links, retention };
-        Self(VIEWS.iter().map(|entry| (entry.build)(&config)).collect())
+    pub(crate) fn new(config: &ViewConfig) -> Self {
+        Self(VIEWS.iter().map(|entry| (entry.build)(config)).collect())
     }
 
     pub(crate) fn observe(&mut self, now: Timestamp<HostClock>, input: ViewInput<'_>) {
@@ -63,6 +63,7 @@ pub const VIEWS: &[ViewEntry] = &[
     // First, so that the robots are in the order of detection.
     ViewEntry { name: "robots", build: |_| Box::new(robots::Robots::default()) },
     ViewEntry { name: "estimates", build: |config| Box::new(robots::estimates(config)) },
+    ViewEntry { name: "odometry", build: |config| Box::new(odometry::Odometry::new(config)) },
     ViewEntry { name: "fixes", build: |config| Box::new(observations::fixes(config)) },
     ViewEntry { name: "fusion", build: |config| Box::new(observations::fusion(config)) },
     ViewEntry { name: "tallies", build: |config| Box::new(observations::Tallies::new(config)) },

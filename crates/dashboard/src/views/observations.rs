@@ -8,7 +8,7 @@ use posebridge_telemetry::{
     Timestamp,
 };
 
-use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeriesMap, SeriesView};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, OlderPolicy, PointPriority, RetainedSeriesMap, SeriesView};
 use super::view::{FrameContent, View, ViewConfig, ViewInput, robot_name};
 use crate::limits::SECOND;
 use crate::model::{FixPoint, Frame, FusionPoint, Number, TallyPoint, seconds_of};
@@ -67,6 +67,8 @@ pub(super) fn priority_of(verdict: FusionOutcome) -> PointPriority {
 
 /// Divisor of the history for one source: a robot has about four, and all together should remain a small message.
 const FUSION_SHARE: usize = 3;
+/// Of one source, before the last minute of a live session.
+const OLDER_FUSION_POINTS: usize = 200;
 /// Sources have separate series, so that a fast one does not displace a slow one; each with a NIS and without.
 const MAX_SERIES: usize = 2 * 4 * MAX_ROBOTS;
 
@@ -81,7 +83,10 @@ pub(super) fn fusion(config: &ViewConfig) -> SeriesView<(), FusionKey, FusionPoi
     let policy = config.retention.map_points(|points| points / FUSION_SHARE);
     SeriesView {
         state: (),
-        points: RetainedSeriesMap::new(policy, MAX_SERIES),
+        points: RetainedSeriesMap::new(policy, MAX_SERIES).with_older(OlderPolicy {
+            max_points: OLDER_FUSION_POINTS,
+            weight: |point| point.nis.get().unwrap_or(f64::NAN),
+        }),
         observe: |(), now, event| {
             let Event::ObservationFused { robot, record } = event else {
                 return None;

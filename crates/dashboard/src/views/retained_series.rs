@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, VecDeque};
 
 use posebridge_telemetry::{Event, HostClock, RobotId, TimeDelta, Timestamp};
 
-use super::view::{FrameContent, RetentionPolicy, View, ViewInput, robot_name};
+use super::view::{FrameContent, RetentionPolicy, View, ViewInput, robot_name, shared_points};
 use crate::model::{Frame, RobotFrame};
 
 /// Points of one kind in a message; there are fifty messages a second, so a brick that sends 200 times a second has four.
@@ -49,10 +49,79 @@ impl Downsampler {
     }
 }
 
+/// What a live series keeps of the points that leave its window: of each group of consecutive ones the one of most weight. When they
+/// are too many the groups double.
+#[derive(Clone, Debug)]
+struct OlderPoints<T> {
+    policy: OlderPolicy<T>,
+    robots: usize,
+    kept: Vec<T>,
+    group_size: usize,
+    group: Option<T>,
+    grouped: usize,
+}
+
+#[derive(Debug)]
+pub(super) struct OlderPolicy<T> {
+    pub(super) max_points: usize,
+    /// NaN counts as least.
+    pub(super) weight: fn(&T) -> f64,
+}
+
+impl<T> Clone for OlderPolicy<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for OlderPolicy<T> {}
+
+impl<T> OlderPoints<T> {
+    const fn new(policy: OlderPolicy<T>) -> Self {
+        Self { policy, robots: 1, kept: Vec::new(), group_size: 1, group: None, grouped: 0 }
+    }
+
+    fn push(&mut self, point: T) {
+        let group = self.group.take();
+        let heavier = self.heavier(group, point);
+        self.grouped += 1;
+        if self.grouped < self.group_size {
+            self.group = Some(heavier);
+            return;
+        }
+        self.grouped = 0;
+        self.kept.push(heavier);
+        while self.kept.len() >= shared_points(self.policy.max_points, self.robots).max(2) {
+            self.halve();
+        }
+    }
+
+    fn halve(&mut self) {
+        let mut points = std::mem::take(&mut self.kept).into_iter();
+        while let Some(first) = points.next() {
+            let kept = match points.next() {
+                Some(second) => self.heavier(Some(first), second),
+                None => first,
+            };
+            self.kept.push(kept);
+        }
+        self.group_size *= 2;
+    }
+
+    fn heavier(&self, first: Option<T>, second: T) -> T {
+        let weight = |point: &T| Some((self.policy.weight)(point)).filter(|weight| !weight.is_nan());
+        match first {
+            Some(first) if weight(&second) <= weight(&first) => first,
+            Some(_) | None => second,
+        }
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(super) struct RetainedSeries<T> {
     policy: RetentionPolicy,
     kept: VecDeque<RetainedPoint<T>>,
+    older: Option<OlderPoints<T>>,
     last: Option<Timestamp<HostClock>>,
     normal: Downsampler,
     important: Downsampler,
@@ -65,11 +134,25 @@ impl<T: Clone> RetainedSeries<T> {
         Self {
             policy,
             kept: VecDeque::new(),
+            older: None,
             last: None,
             normal: Downsampler::NONE,
             important: Downsampler::NONE,
             pending: Vec::new(),
             dropped: 0,
+        }
+    }
+
+    /// Keeps older points of a live session as well.
+    pub(super) fn with_older(mut self, policy: Option<OlderPolicy<T>>) -> Self {
+        self.older = policy.map(OlderPoints::new);
+        self
+    }
+
+    /// As many robots share the older points.
+    pub(super) const fn share_older(&mut self, robots: usize) {
+        if let Some(older) = &mut self.older {
+            older.robots = robots;
         }
     }
 
@@ -104,7 +187,8 @@ impl<T: Clone> RetainedSeries<T> {
 
     /// Oldest first.
     pub(super) fn retained(&self) -> Vec<T> {
-        self.kept.iter().map(|one| one.point.clone()).collect()
+        let older = self.older.iter().flat_map(|older| older.kept.iter());
+        older.chain(self.kept.iter().map(|one| &one.point)).cloned().collect()
     }
 
     pub(super) const fn dropped(&self) -> u64 {
@@ -120,7 +204,9 @@ impl<T: Clone> RetainedSeries<T> {
         self.last = Some(now);
         self.kept.push_back(one);
         while self.kept.len() > max_points || self.kept.front().is_some_and(|oldest| now - oldest.at > duration) {
-            self.kept.pop_front();
+            if let (Some(gone), Some(older)) = (self.kept.pop_front(), &mut self.older) {
+                older.push(gone.point);
+            }
         }
     }
 
@@ -190,21 +276,30 @@ impl<K: Ord, V> Default for BoundedMap<K, V> {
 #[derive(Clone, Debug)]
 pub(super) struct RetainedSeriesMap<K, T> {
     policy: RetentionPolicy,
+    older: Option<OlderPolicy<T>>,
     series: BoundedMap<(RobotId, K), RetainedSeries<T>>,
     robots: BTreeSet<RobotId>,
 }
 
 impl<K: Ord + Copy, T: Clone> RetainedSeriesMap<K, T> {
     pub(super) const fn new(policy: RetentionPolicy, max_series: usize) -> Self {
-        Self { policy, series: BoundedMap::new(max_series), robots: BTreeSet::new() }
+        Self { policy, older: None, series: BoundedMap::new(max_series), robots: BTreeSet::new() }
+    }
+
+    /// Keeps older points of a live session as well, of each series.
+    pub(super) const fn with_older(mut self, policy: OlderPolicy<T>) -> Self {
+        self.older = Some(policy);
+        self
     }
 
     pub(super) fn push(&mut self, now: Timestamp<HostClock>, key: (RobotId, K), point: T, priority: PointPriority) {
-        let Some(series) = self.series.get_or_insert(key, || RetainedSeries::new(self.policy)) else {
+        let new = || RetainedSeries::new(self.policy).with_older(self.older);
+        let Some(series) = self.series.get_or_insert(key, new) else {
             return;
         };
         self.robots.insert(key.0);
         series.set_policy(self.policy.shared_by(self.robots.len()));
+        series.share_older(self.robots.len());
         series.push(now, point, priority);
     }
 
@@ -296,6 +391,22 @@ mod tests {
             trail.push(at(millis), millis, PointPriority::Keep);
         }
         assert_eq!(trail.retained(), (990..1_000).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn of_older_points_the_highest_stay() {
+        let window = RetentionPolicy::SlidingWindow { duration: TimeDelta::from_millis(1_000), max_points: 1_000 };
+        let older = OlderPolicy { max_points: 100, weight: |(_, height): &(i64, f64)| *height };
+        let mut trail = RetainedSeries::new(window).with_older(Some(older));
+        for millis in 0..90_000 {
+            let height = if millis % 10_000 == 7 { 9.0 } else { f64::NAN };
+            trail.push(at(millis), (millis, height), PointPriority::Normal);
+        }
+        let kept = trail.retained();
+        assert!((1_050..1_101).contains(&kept.len()), "{}", kept.len());
+        assert_eq!(kept.iter().filter(|(_, height)| *height > 0.0).count(), 9);
+        assert!(kept.is_sorted_by_key(|(millis, _)| *millis));
+        assert!(kept.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 4_096));
     }
 
     #[test]

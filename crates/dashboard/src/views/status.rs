@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
 
-use super::retained_series::{BoundedMap, PointPriority, RetainedSeries};
+use super::retained_series::{BoundedMap, OlderPolicy, PointPriority, RetainedSeries};
 use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
 use crate::feed::StationStatus;
 use crate::model::{CalibrationRow, Frame, ParameterValue, SetupRow, SimulatorNow, seconds_of};
@@ -113,6 +113,9 @@ impl View for Switches {
 /// Divisor of a recording's points, because a calibration has about eight numbers.
 const CALIBRATION_SHARE: usize = 8;
 
+/// Of a live session.
+const OLDER_CALIBRATIONS: usize = 200;
+
 pub(super) struct Calibrations {
     policy: RetentionPolicy,
     robots: BoundedMap<RobotId, RobotCalibration>,
@@ -120,7 +123,7 @@ pub(super) struct Calibrations {
 
 struct RobotCalibration {
     rows: Vec<CalibrationRow>,
-    /// Once a second for a recording; of a live session the current values.
+    /// Once a second; of a long session fewer.
     history: RetainedSeries<Vec<CalibrationRow>>,
     /// Only robots with an estimate are shown.
     is_estimated: bool,
@@ -129,23 +132,28 @@ struct RobotCalibration {
 
 impl Calibrations {
     pub(super) fn new(setting: &ViewConfig) -> Self {
-        // Live the current values are all that is needed.
+        // Live one is current; the others are older.
         let policy = setting.retention.for_seconds(1, CALIBRATION_SHARE);
         Self { policy, robots: BoundedMap::default() }
     }
 
     fn robot(&mut self, robot: RobotId) -> Option<&mut RobotCalibration> {
         self.robots.get_or_insert(robot, || RobotCalibration::new(self.policy));
-        let policy = self.policy.shared_by(self.robots.entries.len());
+        let robots = self.robots.entries.len();
+        let policy = self.policy.shared_by(robots);
         let known = self.robots.entries.get_mut(&robot)?;
         known.history.set_policy(policy);
+        known.history.share_older(robots);
         Some(known)
     }
 }
 
 impl RobotCalibration {
-    const fn new(policy: RetentionPolicy) -> Self {
-        Self { rows: Vec::new(), history: RetainedSeries::new(policy), is_estimated: false, has_changed: false }
+    fn new(policy: RetentionPolicy) -> Self {
+        // As many as the page keeps of the beginning; they change slowly.
+        let older = OlderPolicy { max_points: OLDER_CALIBRATIONS, weight: |_: &Vec<CalibrationRow>| 0.0 };
+        let history = RetainedSeries::new(policy).with_older(Some(older));
+        Self { rows: Vec::new(), history, is_estimated: false, has_changed: false }
     }
 
     fn push_rows(&mut self, now: Timestamp<HostClock>, rows: &[CalibrationRow]) {

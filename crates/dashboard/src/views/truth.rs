@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use posebridge_telemetry::{Arena, BrickClock, Event, HostClock, Point2, Pose, RobotId, TimeDelta, Timestamp};
 
-use super::retained_series::{BoundedMap, MAX_ROBOTS, PointPriority, RetainedSeries};
+use super::retained_series::{BoundedMap, MAX_ROBOTS, OlderPolicy, PointPriority, RetainedSeries};
 use super::robots::estimate_point;
 use super::truth_samples::{SampleOrder, TruthSamples, odometry_error};
 use super::view::{FrameContent, RetentionPolicy, View, ViewConfig, ViewInput, robot_name};
@@ -15,6 +15,8 @@ use crate::model::{ErrorsRow, Frame, Number, ScorePoint, TruthPoint, seconds_of}
 
 /// Estimates that wait for the sample after their instant, which comes within 50 ms.
 const MAX_WAITING_ESTIMATES: usize = 32;
+/// Before the last minute of a live session.
+const OLDER_SCORES: usize = 400;
 /// Without a comparable estimate for this long, its error is unknown: the link or the robot is down.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 
@@ -39,10 +41,12 @@ impl Truth {
     }
 
     fn robot(&mut self, key: Option<RobotId>) -> Option<&mut RobotTruth> {
-        let policy = self.policy.shared_by(self.robots.entries.len());
+        let robots = self.robots.entries.len();
+        let policy = self.policy.shared_by(robots);
         let truth = self.robots.entries.get_mut(&key)?;
         truth.points.set_policy(policy);
         truth.scores.set_policy(policy);
+        truth.scores.share_older(robots);
         Some(truth)
     }
 
@@ -93,10 +97,14 @@ struct PendingEstimate {
 }
 
 impl RobotTruth {
-    const fn new(policy: RetentionPolicy) -> Self {
+    fn new(policy: RetentionPolicy) -> Self {
+        let older = OlderPolicy {
+            max_points: OLDER_SCORES,
+            weight: |score: &ScorePoint| score.estimate_m.get().unwrap_or(f64::NAN),
+        };
         Self {
             points: RetainedSeries::new(policy),
-            scores: RetainedSeries::new(policy),
+            scores: RetainedSeries::new(policy).with_older(Some(older)),
             samples: TruthSamples::new(),
             waiting: VecDeque::new(),
             odometry_m: f64::NAN,

@@ -2,6 +2,7 @@
 
 use posebridge_telemetry::{Address, Event, HostClock, LinkId, RobotId, TimeDelta, Timestamp};
 
+use crate::api::DeadReckoningBuilder;
 use crate::feed::{SimulatedTruth, StationStatus};
 use crate::model::Frame;
 
@@ -64,18 +65,22 @@ impl RetentionPolicy {
     }
 
     pub(super) fn shared_by(self, robots: usize) -> Self {
-        self.map_points(|points| {
-            let all = points * ROBOTS_WITH_ALL_POINTS;
-            (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
-        })
+        self.map_points(|points| shared_points(points, robots))
     }
 }
 
-/// The links and the history length of a view.
+/// The points of one of some robots.
+pub(super) fn shared_points(points: usize, robots: usize) -> usize {
+    let all = points * ROBOTS_WITH_ALL_POINTS;
+    (all / robots.max(ROBOTS_WITH_ALL_POINTS)).max(points.min(1))
+}
+
+/// The links, the history length and the program's functions of a view.
 #[derive(Clone, Debug)]
 pub struct ViewConfig {
     pub links: Vec<String>,
     pub retention: RetentionPolicy,
+    pub dead_reckoning: Option<DeadReckoningBuilder>,
 }
 
 impl ViewConfig {
