@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# Installs a wheel into an empty virtual environment and a .deb into an empty folder, and tries both programs: try.sh FILE.whl FILE.deb
+# Needs Python 3.11 with venv, and dpkg-deb.
+set -euo pipefail
+
+root="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
+wheel="$(realpath "$1")"
+deb="$(realpath "$2")"
+folder="$(mktemp -d)"
+trap 'rm -rf "$folder"' EXIT
+
+# A title, the program, the descriptor of the recording that comes with it, and the folder with its files. The program sees no Rust.
+try_program() {
+    local home="$folder/home of $1"
+    printf '\n== %s\n' "$1"
+    shift
+    mkdir "$home"
+    (cd "$home" && env -i HOME="$home" PATH=/usr/bin:/bin "$python" "$root/contrib/package/try_program.py" "$root/Cargo.toml" "$@")
+}
+
+python3 -m venv "$folder/venv"
+python="$folder/venv/bin/python"
+"$folder/venv/bin/pip" install --quiet --disable-pip-version-check --no-index "$wheel"
+try_program wheel "$folder/venv/bin/posebridge" "$root/config/recordings/optiodom.toml" "$root/tests/data"
+
+dpkg-deb -x "$deb" "$folder/root"
+share="$folder/root/usr/share"
+try_program .deb "$folder/root/usr/bin/posebridge" "$share/posebridge/optiodom.toml" "$share/posebridge"
+
+printf '\n== what lies where in the .deb\n'
+cmp "$folder/venv/bin/posebridge" "$folder/root/usr/bin/posebridge"
+cmp "$root/contrib/udev/70-posebridge.rules" "$folder/root/usr/lib/udev/rules.d/70-posebridge.rules"
+bash -n "$share/bash-completion/completions/posebridge"
+[[ -s "$share/zsh/vendor-completions/_posebridge" && -s "$share/fish/vendor_completions.d/posebridge.fish" ]]
+gunzip --test "$share/man/man1"/posebridge*.1.gz
+if command -v man >/dev/null; then
+    man --warnings --local-file "$share/man/man1/posebridge-run.1.gz" >"$folder/page" 2>"$folder/complaints"
+    grep --quiet 'posebridge-run' "$folder/page"
+    [[ ! -s "$folder/complaints" ]] || { cat "$folder/complaints" >&2; exit 1; }
+fi
+started="$(sed -n 's/^ExecStart=\([^ ]*\) .*/\1/p' "$folder/root/usr/lib/systemd/system/posebridge.service")"
+[[ -n "$started" && -x "$folder/root$started" ]] || { printf 'the unit starts %s, which is not in the .deb\n' "${started:-nothing}" >&2; exit 1; }
+dpkg-deb --field "$deb" Package Version Architecture Depends Installed-Size
