@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds the wheel and the .deb, then tries both: try.sh. Needs cargo, Python 3 with venv, Debian's dpkg-dev and xz-utils, and once the
-# network, for maturin and cargo-deb. Everything that it makes lies under target/package, the two files in target/package/out.
+# Builds the wheel and the .deb, then tries both: try.sh. Needs cargo, Python 3 with venv, Debian's binutils, dpkg-dev and xz-utils, and
+# once the network, for maturin and cargo-deb. The two files are in target/package/out.
 set -euo pipefail
 
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
@@ -56,9 +56,10 @@ install_maturin
 install_cargo_deb
 
 rm -rf "$out"
-# This builds the program, in the profile `dist`: optimised across crates, stripped. The .deb takes the same file.
+# This builds the program, in the profile `dist`: optimised across crates. The .deb takes the same file.
 (cd "$here" && "$maturin" build --out "$out")
 program="$CARGO_TARGET_DIR/dist/posebridge"
+[[ "$(readelf --sections "$program")" != *.symtab* ]] || fail "$program is not stripped"
 write_assets
 # It warns that contrib/package has no unit: it looks there for others than that of write_assets.
 (cd "$root" && "$cargo_deb" --no-build --no-strip --locked --output "$out/")

@@ -9,6 +9,11 @@ deb="$(realpath "$2")"
 folder="$(mktemp -d)"
 trap 'rm -rf "$folder"' EXIT
 
+fail() {
+    printf 'package: %s\n' "$1" >&2
+    exit 1
+}
+
 # A title, the program, the descriptor of the recording that comes with it, and the folder with its files. The program sees no Rust.
 try_program() {
     local home="$folder/home of $1"
@@ -27,17 +32,17 @@ dpkg-deb -x "$deb" "$folder/root"
 share="$folder/root/usr/share"
 try_program .deb "$folder/root/usr/bin/posebridge" "$share/posebridge/optiodom.toml" "$share/posebridge"
 
-printf '\n== what lies where in the .deb\n'
+printf '\n== files of the .deb\n'
 cmp "$folder/venv/bin/posebridge" "$folder/root/usr/bin/posebridge"
 cmp "$root/contrib/udev/70-posebridge.rules" "$folder/root/usr/lib/udev/rules.d/70-posebridge.rules"
-bash -n "$share/bash-completion/completions/posebridge"
-[[ -s "$share/zsh/vendor-completions/_posebridge" && -s "$share/fish/vendor_completions.d/posebridge.fish" ]]
-gunzip --test "$share/man/man1"/posebridge*.1.gz
+for file in bash-completion/completions/posebridge zsh/vendor-completions/_posebridge fish/vendor_completions.d/posebridge.fish; do
+    [[ -s "$share/$file" ]] || fail "there is no /usr/share/$file"
+done
+gunzip --test "$share/man/man1/posebridge.1.gz" "$share/man/man1/posebridge-run.1.gz"
 if command -v man >/dev/null; then
-    man --warnings --local-file "$share/man/man1/posebridge-run.1.gz" >"$folder/page" 2>"$folder/complaints"
-    grep --quiet 'posebridge-run' "$folder/page"
-    [[ ! -s "$folder/complaints" ]] || { cat "$folder/complaints" >&2; exit 1; }
+    man --local-file "$share/man/man1/posebridge-run.1.gz" >"$folder/page"
+    grep --quiet 'posebridge run' "$folder/page" || fail "man does not show posebridge-run(1)"
 fi
 started="$(sed -n 's/^ExecStart=\([^ ]*\) .*/\1/p' "$folder/root/usr/lib/systemd/system/posebridge.service")"
-[[ -n "$started" && -x "$folder/root$started" ]] || { printf 'the unit starts %s, which is not in the .deb\n' "${started:-nothing}" >&2; exit 1; }
+[[ -n "$started" && -x "$folder/root$started" ]] || fail "the unit starts ${started:-nothing}, which is not in the .deb"
 dpkg-deb --field "$deb" Package Version Architecture Depends Installed-Size
