@@ -302,13 +302,14 @@ impl ReceiveError {
 mod tests {
     use super::*;
 
+    const LOST: &str = "robot 0/1/25 lost: silent for 5.0 s; look at its battery, its program and the link";
+    const RESTARTED: &str = "robot 0/1/25 restarted: its clock began anew, the pose is kept";
+    const DOWN: &str = "link 3 is down: look at plug and power; it is opened again by itself";
+
     #[test]
     fn an_event_text_has_the_severity_of_its_kind_and_a_status_text_that_of_its_sender() {
         let robot = RobotId { link: LinkId(0), address: Address::new(1, 25) };
         let silence = TimeDelta::from_millis(5_040);
-        const LOST: &str = "robot 0/1/25 lost: silent for 5.0 s; look at its battery, its program and the link";
-        const RESTARTED: &str = "robot 0/1/25 restarted: its clock began anew, the pose is kept";
-        const DOWN: &str = "link 3 is down: look at plug and power; it is opened again by itself";
         let cases = [
             (Event::RobotDetected { robot }, INFO, "robot 0/1/25 detected"),
             (Event::RobotNamed { robot, name: "ada".to_owned() }, INFO, "robot 0/1/25 is ada"),

@@ -5,8 +5,8 @@ mod frame;
 pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, Number, OdometryPoint, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint, SetupRow,
-    SimulatorNow, TallyPoint, TruthPoint,
+    LinkRow, LogLine, Number, OdometryPoint, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint,
+    SetupRow, SimulatorNow, TallyPoint, TruthPoint,
 };
 
 use schemars::JsonSchema;
