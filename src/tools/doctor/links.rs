@@ -333,6 +333,13 @@ fn classify(endpoint: &str, received: &ListenResult) -> CheckResult {
         Protocol::Nmea => {
             CheckResult::warning(description, "this is a satellite receiver: the robot is on another port")
         }
+        Protocol::Rosserial | Protocol::MicroRos => CheckResult::warning(
+            description,
+            "posebridge does not read ROS messages: let the board send MAVLink, or print its counts (docs/protocols/boards.md)",
+        ),
+        Protocol::Columns => {
+            CheckResult::ok(format!("{description}; `posebridge init --guide` finds what each column is"))
+        }
         Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
             let is_read = found.protocol.codec().and_then(brick_protocol).is_some();
             if is_read {
