@@ -145,7 +145,9 @@ pub enum WheelEvidence {
     Names,
     /// They are the columns that counted.
     Motion,
-    /// They are the first two that may count.
+    /// They are the only two that may count.
+    Only,
+    /// They are the first two of several that may count.
     Order,
     /// There are no two columns for them.
     None,
@@ -237,6 +239,7 @@ fn guess_wheels(table: &ColumnTable, guesses: &mut [Option<ColumnGuess>]) -> Whe
     let (moved, possible) = (free(has_counted), free(may_count));
     let (pair, reason, evidence) = match (&moved[..], &possible[..]) {
         ([left, right, ..], _) => ([*left, *right], "it counted", WheelEvidence::Motion),
+        (_, [left, right]) => ([*left, *right], "the only whole numbers left", WheelEvidence::Only),
         (_, [left, right, ..]) => ([*left, *right], "whole numbers, in this order", WheelEvidence::Order),
         _ => return WheelEvidence::None,
     };

@@ -47,6 +47,8 @@ fn without_names_the_columns_that_count_are_the_wheels_and_the_noise_is_the_gyro
     assert_eq!(guessed(&text, None), (expected.to_vec(), WheelEvidence::Motion));
     let (_, at_rest) = guessed(&lines(|n| format!("{n} 7900 0 0")), None);
     assert_eq!(at_rest, WheelEvidence::Order, "the battery may be a wheel until one has moved");
+    let (columns, only) = guessed(&lines(|n| format!("{n} 0 0 0.{n}")), None);
+    assert_eq!((columns[1].as_str(), only), ("left_ticks", WheelEvidence::Only));
     let (_, none) = guessed(&lines(|n| format!("{n}.5 {n}.25")), None);
     assert_eq!(none, WheelEvidence::None);
 }

@@ -19,6 +19,15 @@ pub enum GuideStep {
 
 impl GuideStep {
     pub const ALL: [Self; 3] = [Self::WheelTurn, Self::Straight, Self::SpotTurn];
+
+    /// The word for it in flags and messages.
+    pub const fn flag_name(self) -> &'static str {
+        match self {
+            Self::WheelTurn => "wheel",
+            Self::Straight => "straight",
+            Self::SpotTurn => "turn",
+        }
+    }
 }
 
 /// How far each motion goes, and what is known without it.
@@ -73,6 +82,7 @@ pub struct SetupGuide {
     done: Vec<GuideStep>,
     next: usize,
     was_moving: bool,
+    last_motion: Option<Motion>,
     figures: HandFigures,
 }
 
@@ -84,6 +94,7 @@ impl SetupGuide {
             done: Vec::new(),
             next: 0,
             was_moving: false,
+            last_motion: None,
             figures: HandFigures::default(),
         }
     }
@@ -135,9 +146,27 @@ impl SetupGuide {
         }
     }
 
+    /// Goes to this step, whatever was done before.
+    pub fn go_to(&mut self, step: GuideStep) {
+        self.next = self.settings.steps.iter().position(|other| *other == step).unwrap_or(self.next);
+    }
+
+    /// Takes the last motion for that of the present step, too.
+    pub fn repeat_motion(&mut self) -> Option<GuideEvent> {
+        self.last_motion.and_then(|motion| self.apply(&motion))
+    }
+
+    /// Forgets what was done.
+    pub fn restart(&mut self) {
+        self.next = 0;
+        self.done.clear();
+        self.figures = HandFigures::default();
+    }
+
     /// Takes a motion for that of the present step.
     pub fn apply(&mut self, motion: &Motion) -> Option<GuideEvent> {
         let step = self.step()?;
+        self.last_motion = Some(*motion);
         let result = match step {
             GuideStep::WheelTurn => WheelTurn::new(motion, Side::Left, self.settings.wheel_turns)
                 .map(|wheel| self.figures.wheel = Some(wheel)),
