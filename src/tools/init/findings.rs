@@ -95,6 +95,7 @@ impl Findings {
                 self.line("ticks per turn", &format!("{value}"), from);
                 self.set(ROBOT, "ticks_per_turn", float(value), from);
             }
+            None if Self::unit(figures) == WheelUnit::Meters => {}
             None => {
                 self.line(
                     "ticks per turn",
@@ -138,10 +139,11 @@ impl Findings {
 
     /// A gear between motor and wheel makes a known number wrong.
     fn check_known_ticks(&mut self, figures: &DriveFigures, motions: &HandFigures) {
-        let (Some(wheel), Some(used)) = (motions.wheel, figures.ticks_per_turn) else {
+        let counted = motions.wheel.and_then(|wheel| wheel.ticks_per_turn);
+        let (Some(counted), Some(used)) = (counted, figures.ticks_per_turn) else {
             return;
         };
-        let counted = wheel.ticks_per_turn.value;
+        let counted = counted.value;
         if (counted / used.value - 1.0).abs() > KNOWN_TICKS_TOLERANCE {
             self.notes.push(format!(
                 "the turned wheel counted {counted:.0} in a turn, where {} were expected: with gears give --ticks-per-turn",

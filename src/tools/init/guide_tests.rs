@@ -165,10 +165,14 @@ fn what_a_board_prints_otherwise_is_found_and_corrected() {
 }
 
 #[test]
-fn a_robot_that_reports_metres_and_one_whose_gyro_is_in_degrees_are_told_apart() {
-    let (config, lines, _) = guided(scenario(2, Personality::Mavlink, "[brick]\nwire = \"standard\""), &flags(&[]));
-    assert!(lines.iter().any(|line| line.contains("a metre is")), "{lines:?}");
-    assert!(config.robot.calibration.radius_scale.value.abs() < 0.02);
+fn a_robot_that_reports_metres_knows_its_wheels_and_not_its_track() {
+    let (config, lines, simulation) =
+        guided(scenario(2, Personality::Mavlink, "[brick]\nwire = \"standard\""), &flags(&[]));
+    assert!(lines[0].contains("a metre is"), "{lines:?}");
+    let [left_m, right_m, track_m] = simulation.true_geometry_m();
+    let scale = 0.5 * (left_m + right_m) / simulation.scenario().robot.wheel_radius_m;
+    assert!((1.0 + config.robot.calibration.radius_scale.value - scale).abs() < 0.01);
+    assert!((config.robot.track_width_m / track_m - 1.0).abs() < 0.02);
 }
 
 #[test]

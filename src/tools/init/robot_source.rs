@@ -122,12 +122,12 @@ pub(super) fn brick_of(protocol: Protocol) -> Result<&'static str> {
 
 /// A table of the columns: an example, what each is taken for, and why.
 pub(super) fn column_lines(table: &ColumnTable, guesses: &[ColumnGuess]) -> Vec<String> {
-    let head = format!("  {:>2}  {:<12} {:>12}  {:<16} because", "", "name", "last value", "taken for");
+    let head = format!("  {:>2}  {:<10} {:>12}  {:<16} because", "", "name", "last value", "taken for");
     let rows = table.columns.iter().zip(guesses).zip(1..).map(|((column, guess), number)| {
         let last = column.values.last().map_or_else(String::new, f64::to_string);
-        let name: String = column.name.chars().filter(|c| !c.is_control()).take(12).collect();
+        let name: String = column.name.chars().filter(|c| !c.is_control()).take(10).collect();
         let taken_for = guess.column.to_string();
-        format!("  {number:>2}  {name:<12} {last:>12.12}  {taken_for:<16} {}", guess.reason)
+        format!("  {number:>2}  {name:<10} {last:>12.12}  {taken_for:<16} {}", guess.reason)
     });
     std::iter::once(head).chain(rows).collect()
 }

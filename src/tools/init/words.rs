@@ -51,12 +51,10 @@ fn done(step: GuideStep, guide: &SetupGuide) -> String {
     let backward = |polarity: Polarity| if polarity == Polarity::Reversed { ", backwards" } else { "" };
     match step {
         GuideStep::WheelTurn => figures.wheel.map_or_else(String::new, |wheel| {
-            format!(
-                "the {} counter counted {:.0} in a turn{}",
-                wheel.counter.name(),
-                wheel.ticks_per_turn.value,
-                backward(wheel.polarity)
-            )
+            let counted = wheel
+                .ticks_per_turn
+                .map_or("moved".to_owned(), |ticks| format!("counted {:.0} in a turn", ticks.value));
+            format!("the {} counter {counted}{}", wheel.counter.name(), backward(wheel.polarity))
         }),
         GuideStep::Straight => figures.straight.map_or_else(String::new, |straight| {
             let [left, right] = straight.m_per_count;

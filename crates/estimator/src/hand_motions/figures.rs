@@ -84,28 +84,25 @@ pub struct WheelTurn {
     /// The counter that counted.
     pub counter: Side,
     pub polarity: Polarity,
-    pub ticks_per_turn: Measured,
+    /// `None` of a robot that reports metres.
+    pub ticks_per_turn: Option<Measured>,
 }
 
 impl WheelTurn {
-    pub fn new(motion: &Motion, wheel: Side, turns: f64) -> Result<Self, MotionProblem> {
+    pub fn new(motion: &Motion, unit: WheelUnit, wheel: Side, turns: f64) -> Result<Self, MotionProblem> {
         let [left, right] = motion.change;
         let counter = if left.abs() > right.abs() { Side::Left } else { Side::Right };
         let (counted, other) = if counter == Side::Left { (left, right) } else { (right, left) };
         if other.abs() > MAX_OTHER_SHARE * counted.abs() {
             return Err(MotionProblem::BothWheels { left, right });
         }
-        if counted.abs() < MIN_COUNTS {
+        if unit == WheelUnit::Counts && counted.abs() < MIN_COUNTS {
             return Err(MotionProblem::TooFew(counted.abs()));
         }
         let value = counted.abs() / turns;
         let relative = (WHEEL_MARK_RAD / (TAU * turns)).hypot(COUNT_SIGMA / counted.abs());
-        Ok(Self {
-            wheel,
-            counter,
-            polarity: polarity(counted),
-            ticks_per_turn: Measured { value, sigma: value * relative },
-        })
+        let ticks_per_turn = (unit == WheelUnit::Counts).then_some(Measured { value, sigma: value * relative });
+        Ok(Self { wheel, counter, polarity: polarity(counted), ticks_per_turn })
     }
 
     pub const fn order(&self) -> WheelOrder {

@@ -168,7 +168,7 @@ impl SetupGuide {
         let step = self.step()?;
         self.last_motion = Some(*motion);
         let result = match step {
-            GuideStep::WheelTurn => WheelTurn::new(motion, Side::Left, self.settings.wheel_turns)
+            GuideStep::WheelTurn => WheelTurn::new(motion, self.log.unit(), Side::Left, self.settings.wheel_turns)
                 .map(|wheel| self.figures.wheel = Some(wheel)),
             GuideStep::Straight => StraightRoll::new(motion, self.log.unit(), self.settings.straight_m)
                 .map(|straight| self.figures.straight = Some(straight)),
@@ -194,7 +194,7 @@ impl SetupGuide {
     pub fn result(&self, known_ticks_per_turn: f64) -> DriveFigures {
         let HandFigures { wheel, straight, spot } = self.figures;
         let order = wheel.map(|wheel| wheel.order()).or(spot.map(|spot| spot.order)).unwrap_or(WheelOrder::AsNamed);
-        let counted = wheel.map(|wheel| wheel.ticks_per_turn);
+        let counted = wheel.and_then(|wheel| wheel.ticks_per_turn);
         let given = self.settings.ticks_per_turn.map(|value| Measured { value, sigma: 0.0 });
         let ticks_per_turn = given.or(counted);
         let used = ticks_per_turn.map_or(known_ticks_per_turn, |ticks| ticks.value.round());
