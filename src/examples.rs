@@ -58,7 +58,7 @@ const EXAMPLES: &[Examples] = &[
     (&["key"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["key", "new"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["doctor"], ["posebridge doctor", "posebridge doctor serial:///dev/ttyUSB0 --listen-for 10"]),
-    (&["init"], ["posebridge init nxt-56mm", "posebridge init arduino-2wd --link serial:///dev/ttyACM0"]),
+    (&["init"], ["posebridge init nxt-56mm", "posebridge init --guide --link serial:///dev/ttyACM0"]),
     (&["config"], ["posebridge config print", "posebridge config check --config posebridge.toml"]),
     (&["config", "print"], ["posebridge config print", "posebridge config print --set robot.track_width_m=0.118"]),
     (&["config", "check"], ["posebridge config check --config posebridge.toml", "posebridge config check --set filter.gate_prob=0.99"]),

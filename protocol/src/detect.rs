@@ -4,8 +4,11 @@
 //! MAVLink 2    one frame with the right checksum
 //! MAVLink 1    two such frames, or one that is more than half of the bytes: noise gives three in 20 MB
 //! NMEA 0183    one sentence with the right checksum
+//! rosserial    two messages with the right checksums, or one that is more than half of the bytes
+//! micro-ROS    the same
 //! EV3, NXT     lengths lead from telegram to telegram to the end
 //! text         19 of 20 bytes printable ASCII or white space, and a line end
+//! columns      text, and most of its lines have the same number of numbers ([`text_columns`](crate::text_columns))
 //! ```
 //! The first row that fits is the result. Only telegrams that a brick sends are considered.
 //!
@@ -14,10 +17,13 @@
 //! MINDSTORMS NXT Bluetooth Developer Kit, appendix 1 (length) and 2 (reply 02, opcode, status; message write 80 09); EV3
 //! Communication Developer Kit, section 3 (length, message counter, reply type; system command 81 9E writes a mailbox).
 
+mod ros;
+
 use posebridge_telemetry::Timestamp;
 
 use crate::bricks::nxt::NxtStatus;
 use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
+use crate::text_columns::ColumnTable;
 
 /// Detects the protocol of `bytes`, in the order of their arrival; datagrams are concatenated.
 pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
@@ -34,6 +40,12 @@ pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
     let nmea = nmea_sentences(bytes);
     if nmea.frames > 0 {
         return nmea.detection(Protocol::Nmea);
+    }
+    for (protocol, tally) in [(Protocol::Rosserial, ros::rosserial(bytes)), (Protocol::MicroRos, ros::micro_ros(bytes))]
+    {
+        if tally.frames >= 2 || 2 * tally.bytes > bytes.len() {
+            return tally.detection(protocol);
+        }
     }
     if let Some((protocol, tally)) = detect_telegrams(bytes) {
         return tally.detection(protocol);
@@ -96,11 +108,15 @@ fn text_lines(bytes: &[u8]) -> Option<UnitCounts> {
         .then_some(UnitCounts { frames: memchr::memchr_iter(end, bytes).count(), bytes: complete_bytes })
 }
 
-/// Text, or the announcement of an EV3 by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
+/// Text, with numbers in columns or not, or the announcement of an EV3 by UDP in lines of text (LEGO MINDSTORMS EV3 Communication Developer Kit, WiFi).
 fn text_protocol(bytes: &[u8]) -> Protocol {
     const ANNOUNCEMENT: &[u8] = b"Protocol: EV3";
     let announces = bytes.windows(ANNOUNCEMENT.len()).any(|window| window == ANNOUNCEMENT);
-    if announces { Protocol::Ev3 } else { Protocol::Text }
+    match ColumnTable::read(bytes) {
+        _ if announces => Protocol::Ev3,
+        Some(_) => Protocol::Columns,
+        None => Protocol::Text,
+    }
 }
 
 /// A protocol that a link may carry.
@@ -112,7 +128,13 @@ pub enum Protocol {
     /// EV3 telegrams, or the brick's announcement by UDP.
     Ev3,
     Nmea,
+    /// ROS 1 on a board. Not decoded.
+    Rosserial,
+    /// ROS 2 on a board. Not decoded.
+    MicroRos,
     Text,
+    /// Text with numbers in columns.
+    Columns,
     /// Another protocol, or the wrong baud rate.
     Unrecognized,
     NoData,
@@ -126,7 +148,10 @@ impl Protocol {
             Self::Nxt => "NXT telegrams",
             Self::Ev3 => "EV3 telegrams",
             Self::Nmea => "NMEA 0183",
+            Self::Rosserial => "rosserial",
+            Self::MicroRos => "micro-ROS",
             Self::Text => "lines of text",
+            Self::Columns => "numbers in columns",
             Self::Unrecognized => "noise",
             Self::NoData => "silence",
         }
@@ -139,13 +164,14 @@ impl Protocol {
             Self::Nxt => Some("nxt"),
             Self::Ev3 => Some("ev3"),
             Self::Text => Some("line"),
-            Self::Nmea | Self::Unrecognized | Self::NoData => None,
+            Self::Columns => Some("columns"),
+            Self::Nmea | Self::Rosserial | Self::MicroRos | Self::Unrecognized | Self::NoData => None,
         }
     }
 
     /// Whether its frames have checksums, so that a few of them are proof.
     pub const fn is_checked(self) -> bool {
-        matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea)
+        matches!(self, Self::Mavlink2 | Self::Mavlink1 | Self::Nmea | Self::Rosserial | Self::MicroRos)
     }
 
     pub const fn is_known(self) -> bool {

@@ -12,3 +12,4 @@ pub mod routing;
 pub mod session;
 pub mod signing;
 pub mod statistics;
+pub mod text_columns;

@@ -52,8 +52,8 @@ const RANGES: &[(f64, f64, &str)] = &[
         "acceleration_m_per_s2 back_emf_v_s_per_rad battery_v cutoff_m duration_s fast_pwm inertia_kg_m2 longest_s most_pwm patch_size_m
          period_s
          pwm radius_m range_deg_per_s reference_pwm rise_90_s side_m speed_m_per_s stale_after_s start_m steady_m_per_s step_s
-         still_m_per_s tangent_scale target_m tick_deg torque_n_m_per_v track_width_m tuned_kp_pwm_per_m turn_rate_rad_per_s
-         wheel_radius_m",
+         still_m_per_s straight_m tangent_scale target_m tick_deg torque_n_m_per_v track_width_m tuned_kp_pwm_per_m turn_rate_rad_per_s
+         turns wheel_radius_m wheel_turns",
     ),
     (
         -LARGEST,

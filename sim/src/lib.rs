@@ -28,6 +28,7 @@ mod clock;
 mod config_file;
 mod firmware;
 pub mod frame_accelerometers;
+mod hand;
 mod history;
 pub mod impairment;
 mod mavlink_node;

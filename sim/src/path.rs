@@ -147,6 +147,8 @@ impl Path {
             Course::FigureEight { radius_m } => Self::smooth(start, smooth_laps, &[1.0 / radius_m, -1.0 / radius_m]),
             Course::Waypoints { points_m } if is_endless => round_trip(start, points_m),
             Course::Waypoints { points_m } => waypoints(start, points_m, laps),
+            // The hand does not follow a path.
+            Course::ByHand(_) => Self { legs: Vec::new(), lap: Vec::new(), lap_legs: 0, is_closed: false },
         }
     }
 
@@ -202,7 +204,11 @@ impl Path {
         (best.0, best.1)
     }
 
+    /// Zero where there is no path to be off.
     pub(crate) fn distance_m(&self, point: Point2<Arena>) -> f64 {
+        if self.lap.is_empty() {
+            return 0.0;
+        }
         self.lap.iter().map(|segment| segment.project(point).distance_m).fold(f64::INFINITY, f64::min)
     }
 

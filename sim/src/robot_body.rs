@@ -14,6 +14,7 @@
 use posebridge_telemetry::{Arena, Body, Heading, Meters, Pose, SlippingWheel, TimeDelta, Transform2};
 
 use crate::clock::{STEP, STEP_S};
+use crate::hand::FloorContact;
 use crate::motor::{Backlash, Motor};
 use crate::random::RandomStream;
 use crate::scenario::{ErrorSettings, Scenario};
@@ -29,8 +30,11 @@ const LOWEST_BATTERY_V: f64 = 5.0;
 pub(crate) struct RobotBody {
     motors: PerWheel<Motor>,
     backlash: PerWheel<Backlash>,
-    radius_m: PerWheel<f64>,
-    track_m: f64,
+    /// The same play while the wheels turn the shafts.
+    play_by_hand: PerWheel<Backlash>,
+    wheels_by_hand_rad: PerWheel<f64>,
+    pub(crate) radius_m: PerWheel<f64>,
+    pub(crate) track_m: f64,
     pub(crate) battery_v: f64,
     battery_drop_v_per_step: f64,
     slip: WheelSlip,
@@ -53,6 +57,8 @@ impl RobotBody {
         Self {
             motors: radius_m.map(|r| Motor::new(&robot.motor, 0.5 * robot.mass_kg * r * r)),
             backlash: PerWheel { left: backlash, right: backlash },
+            play_by_hand: PerWheel { left: backlash, right: backlash },
+            wheels_by_hand_rad: PerWheel::default(),
             radius_m,
             track_m,
             battery_v: robot.battery_v,
@@ -74,6 +80,21 @@ impl RobotBody {
             motor.step(battery_v * duty);
             play.follow(motor.angle_rad)
         });
+        self.roll(rotation);
+    }
+
+    /// A hand turns the wheels by these angles, and with them the motors' shafts.
+    pub(crate) fn step_by_hand(&mut self, rotation: PerWheel<f64>, contact: FloorContact) {
+        self.wheels_by_hand_rad = self.wheels_by_hand_rad.zip(rotation).map(|(angle, step)| angle + step);
+        let shafts = self.play_by_hand.as_mut().zip(self.wheels_by_hand_rad).map(|(play, angle)| play.follow(angle));
+        self.motors.as_mut().zip(shafts).map(|(motor, step)| motor.angle_rad += step);
+        match contact {
+            FloorContact::Rolling => self.roll(rotation),
+            FloorContact::Lifted => self.wheel_speed_m_per_s = PerWheel::default(),
+        }
+    }
+
+    fn roll(&mut self, rotation: PerWheel<f64>) {
         let rolled = self.radius_m.zip(rotation).map(|(r, angle)| r * angle);
         self.wheel_speed_m_per_s = rolled.map(|travel| travel / STEP_S);
         let grip = self.lost_grip.as_mut().map(GripLoss::next);

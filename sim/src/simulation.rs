@@ -16,11 +16,12 @@ use posebridge_telemetry::{
 use crate::camera::{CAMERA, Camera, CameraFix};
 use crate::clock::{STEP, SkewedClock};
 use crate::firmware::Twist;
+use crate::hand::Hand;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
 use crate::personality::{Brick, BrickTime};
 use crate::robot_body::{Displacement, RobotBody};
-use crate::scenario::{DriveEnd, Scenario, Steering};
+use crate::scenario::{Course, DriveEnd, Scenario, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::PerWheel;
 
@@ -77,6 +78,8 @@ pub struct Simulation {
     path: Path,
     polyline: Vec<Point2<Arena>>,
     body: RobotBody,
+    /// Moves the robot instead of its motors.
+    hand: Option<Hand>,
     board: SensorBoard,
     brick_clock: SkewedClock,
     brick: Brick,
@@ -108,10 +111,17 @@ impl Simulation {
             DriveEnd::LastLap => HistoryPolicy::All,
             DriveEnd::Never => HistoryPolicy::Recent,
         };
+        let body = RobotBody::new(&scenario, path.start());
+        let hand = if let Course::ByHand(motions) = &scenario.path {
+            Some(Hand::new(scenario.seed, *motions, &scenario.drive, body.radius_m, body.track_m))
+        } else {
+            None
+        };
         let mut simulation = Self {
             world: TimeDelta::ZERO,
             polyline: path.polyline(),
-            body: RobotBody::new(&scenario, path.start()),
+            body,
+            hand,
             board: SensorBoard::new(&scenario),
             brick_clock,
             brick,
@@ -150,7 +160,13 @@ impl Simulation {
     pub fn step(&mut self) {
         self.world += STEP;
         let when = self.brick_time();
-        self.body.step(self.duty);
+        match &mut self.hand {
+            Some(hand) => {
+                let (rotation, contact) = hand.step();
+                self.body.step_by_hand(rotation, contact);
+            }
+            None => self.body.step(self.duty),
+        }
         self.board.sample(&self.body);
         self.duty = self.brick.step(when, &mut self.board, &self.body);
         for (instant, pose) in std::mem::take(&mut self.brick.estimates) {
@@ -243,9 +259,12 @@ impl Simulation {
         self.world
     }
 
-    /// Whether the path is complete and the robot stands.
+    /// Whether the path is complete and the robot stands; by hand, whether all motions are done.
     pub fn is_finished(&self) -> bool {
-        self.brick.program.follower.is_finished() && self.body.is_at_rest()
+        match &self.hand {
+            Some(hand) => hand.is_finished(),
+            None => self.brick.program.follower.is_finished() && self.body.is_at_rest(),
+        }
     }
 
     /// Completed laps of an endless drive ([`DriveEnd::Never`](crate::scenario::DriveEnd::Never)).
@@ -282,6 +301,12 @@ impl Simulation {
     /// All sent fixes; an endless drive keeps only the last ones.
     pub fn camera_fixes(&self) -> &[CameraFix] {
         self.camera.as_ref().map_or(&[], |camera| &camera.log)
+    }
+
+    /// The true radii of the left and of the right wheel, and the true track width, in metres: the geometry that a calibration should
+    /// find.
+    pub const fn true_geometry_m(&self) -> [f64; 3] {
+        [self.body.radius_m.left, self.body.radius_m.right, self.body.track_m]
     }
 
     pub fn start_pose(&self) -> Pose<Arena> {

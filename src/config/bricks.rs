@@ -322,7 +322,8 @@ pub struct LineSection {
     /// Pairs of a name and a value instead, such as t:123|l:45: what each name means.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub keys: BTreeMap<String, String>,
-    /// What stands between columns or pairs: one of , ; | : = or a space.
+    /// What stands between columns or pairs: one of , ; | : = or a space; "words" is anything that is no number. A link with brick =
+    /// "columns" takes the numbers, whatever this says.
     pub separator: String,
     /// What stands between a name and its value.
     pub key_separator: String,
@@ -332,6 +333,8 @@ pub struct LineSection {
     pub estimate_interval_ms: u32,
     /// How old a line without a time may be when it arrives.
     pub delay_ms: u32,
+    /// Of a column gyro_counts: what the gyro reads at one degree per second.
+    pub gyro_counts_per_deg_per_s: f64,
 }
 
 impl Default for LineSection {
@@ -344,6 +347,7 @@ impl Default for LineSection {
             checksum_required: false,
             estimate_interval_ms: 0,
             delay_ms: 40,
+            gyro_counts_per_deg_per_s: TextLineSettings::default().gyro_counts_per_deg_per_s,
         }
     }
 }
@@ -373,6 +377,7 @@ impl LineSection {
             estimate_interval: (self.estimate_interval_ms > 0)
                 .then(|| TimeDelta::from_millis(i64::from(self.estimate_interval_ms))),
             delay: TimeDelta::from_millis(i64::from(self.delay_ms)),
+            gyro_counts_per_deg_per_s: self.gyro_counts_per_deg_per_s,
         };
         settings.validate()?;
         Ok(settings)
@@ -388,7 +393,7 @@ fn column(name: &str) -> Result<Column> {
 
 fn separator(text: &str) -> Result<Separator> {
     let Some(separator) = Separator::from_text(text) else {
-        bail!("`{text}` separates nothing here; there are: , ; | : = and a space")
+        bail!("`{text}` separates nothing here; there are: , ; | : =, a space and words")
     };
     Ok(separator)
 }

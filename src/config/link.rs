@@ -296,6 +296,8 @@ pub fn load_link_profile(name_or_file: &str) -> Result<LinkProfile> {
 
 /// The protocol that needs no brick codec.
 const MAVLINK: &str = "mavlink";
+/// The protocol that reads numbers by their order and no names.
+const COLUMNS: &str = "columns";
 
 /// `None` for MAVLink.
 pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSection) -> Result<Option<BrickLink>> {
@@ -318,6 +320,11 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSec
     ] {
         ensure!(!is_set, "`{key}` belongs to MAVLink, and `brick = \"{name}\"` speaks none; take one of them away");
     }
+    let has_keys = robot.line.as_ref().is_some_and(|line| !line.keys.is_empty());
+    ensure!(
+        name != COLUMNS || !has_keys,
+        "`[robot.line]` has `keys`, which `brick = \"{name}\"` does not read: write `brick = \"line\"`, or `columns` in place of `keys`"
+    );
     let settings = CodecSettings {
         fixes: CameraJsonSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
         ..codec_settings(robot)?

@@ -34,7 +34,10 @@ pub use mounting::RobotMounting;
 pub use profile::{CalibratedRobot, ProfileFilter, Provenance, RobotProfile, utc_date};
 pub use robot::{RobotFile, RobotStart, RobotThermometer};
 pub use robot_blocks::{RobotBlockSection, RobotMatchSection};
-pub use robots::{BundledRobot, ROBOTS, TemplateLink, UnknownRobot, list as list_of_robots, template};
+pub use robots::{
+    BundledRobot, ROBOTS, TemplateLink, TemplateValue, UnknownRobot, list as list_of_robots, template, template_of,
+    with_values,
+};
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use sections::{
     DashboardSection, FilterSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace, RecordSection,

@@ -52,7 +52,7 @@ pub struct RobotFile {
     /// A LEGO EV3's motors and sensors, for a link with brick = "ev3".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ev3: Option<Ev3Section>,
-    /// The lines of a board that prints, for a link with brick = "line".
+    /// The lines of a board that prints, for a link with brick = "line" or "columns".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<LineSection>,
     /// What is known of the thermometers without a `[[robot.thermometer]]`; the file of --sensor.

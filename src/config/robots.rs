@@ -48,13 +48,15 @@ pub fn list() -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TemplateLink {
     pub url: String,
     pub is_listening: bool,
     /// Origin of the URL, for the comment after it.
     pub origin: String,
     pub notes: Vec<String>,
+    /// Nobody gave it.
+    pub is_guess: bool,
 }
 
 /// A header with its lines; the lines before the first header have none.
@@ -66,10 +68,16 @@ struct TomlSection<'a> {
     lines: Vec<&'a str>,
 }
 
-/// The configuration of a robot at this link; `file` is the name in its comments.
+/// The configuration of a bundled robot at this link; `file` is the name in its comments.
 pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String {
+    let name = robot.name;
+    template_of(&format!("{name}; made by `posebridge init {name}`"), robot.text, link, file)
+}
+
+/// The configuration of the robot of `own_text`, a file like those of `config/robots/`; `robot` says what it is and where it is from.
+pub fn template_of(robot: &str, own_text: &str, link: &TemplateLink, file: &str) -> String {
     let (_, default) = blocks_of(DEFAULT_TOML);
-    let (preamble, own) = blocks_of(robot.text);
+    let (preamble, own) = blocks_of(own_text);
     let mut text = head_of(robot, file);
     let mut waiting = Some(preamble);
     for (index, block) in default.iter().enumerate() {
@@ -91,13 +99,54 @@ pub fn template(robot: BundledRobot, link: &TemplateLink, file: &str) -> String 
     text
 }
 
-fn head_of(robot: BundledRobot, file: &str) -> String {
+/// A value for a robot's file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TemplateValue {
+    /// Such as `robot.noise`.
+    pub section: &'static str,
+    pub key: &'static str,
+    /// As TOML writes it.
+    pub value: String,
+    /// Where it is from; empty for none.
+    pub comment: String,
+}
+
+/// The text of a robot's file with these values in place of its own, below another introduction. Sections that it lacks are appended.
+pub fn with_values(robot_text: &str, introduction: &[String], values: &[TemplateValue]) -> String {
+    let (_, sections) = blocks_of(robot_text);
+    let mut text: String = introduction.iter().map(|line| format!("# {line}\n")).collect();
+    let line_of = |value: &TemplateValue| {
+        let TemplateValue { key, value, comment, .. } = value;
+        if comment.is_empty() { format!("{key} = {value}") } else { format!("{key} = {value}    # {comment}") }
+    };
+    for section in &sections {
+        let name = name_of(section.header);
+        let own = || values.iter().filter(|value| value.section == name);
+        let mut lines: Vec<String> = section.above.iter().chain([&section.header]).map(ToString::to_string).collect();
+        let is_replaced = |line: &&&str| key_of(line).is_some_and(|key| own().any(|value| value.key == key));
+        lines.extend(own().map(line_of));
+        lines.extend(section.lines.iter().filter(|line| !is_replaced(line)).map(ToString::to_string));
+        push_part(&mut text, &lines);
+    }
+    let is_known = |name: &str| sections.iter().any(|section| name_of(section.header) == name);
+    let mut added: Vec<&str> = Vec::new();
+    for value in values.iter().filter(|value| !is_known(value.section)) {
+        if !added.contains(&value.section) {
+            added.push(value.section);
+            let own = values.iter().filter(|other| other.section == value.section);
+            let lines: Vec<String> = [format!("[{}]", value.section)].into_iter().chain(own.map(line_of)).collect();
+            push_part(&mut text, &lines);
+        }
+    }
+    text
+}
+
+fn head_of(robot: &str, file: &str) -> String {
     format!(
-        "# posebridge, for the robot {}; made by `posebridge init {}`.\n\
+        "# posebridge, for the robot {robot}.\n\
          # A line with `# ` before a key is the default, or an example: take `# ` away to change it. An unknown key is an error.\n\
          #   run it:    posebridge run --config {file}\n\
-         #   check it:  posebridge config check --config {file}\n",
-        robot.name, robot.name
+         #   check it:  posebridge config check --config {file}\n"
     )
 }
 
@@ -270,6 +319,7 @@ mod tests {
             is_listening: false,
             origin: "from the test".to_owned(),
             notes: vec!["a note".to_owned()],
+            is_guess: false,
         }
     }
 

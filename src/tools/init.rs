@@ -1,6 +1,15 @@
 //! `posebridge init`: writes a commented configuration for a robot.
 //! The file is `config/default.toml` merged with the robot's own file ([`template`]). It is loaded like any configuration before it is
-//! written, so that it is known to be valid. Nothing else is opened or changed.
+//! written, so that it is known to be valid. Without `--guide` and `--from` nothing else is opened or changed; with them the values are
+//! those of three motions by hand.
+
+mod args;
+mod findings;
+mod live;
+mod recorded;
+mod robot_source;
+mod session;
+mod words;
 
 use std::fs::OpenOptions;
 use std::io::{BufRead, ErrorKind, IsTerminal, Write};
@@ -9,10 +18,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 
+use self::args::GuideFlags;
+use self::findings::Findings;
+use self::live::GuidedRobot;
 use super::doctor::serial_ports::{SerialPort, serial_ports};
-use crate::config::{self, BundledRobot, Config, LinkSection, ROBOTS, TemplateLink, list_of_robots, template};
-use crate::console::{print_line, print_result};
+use crate::config::{
+    self, BundledRobot, Config, LinkSection, ROBOTS, TemplateLink, list_of_robots, template, template_of, with_values,
+};
+use crate::console::{print_line, print_lines, print_result};
 use crate::exit::{ExitStage, Failure};
+use crate::runtime::run_in_runtime;
 
 /// Flags of `init`.
 #[derive(Args, Clone, Debug)]
@@ -32,6 +47,9 @@ pub struct InitArgs {
     /// Overwrite an existing file.
     #[arg(long)]
     pub force: bool,
+    /// Of the guide.
+    #[command(flatten)]
+    pub guide: GuideFlags,
 }
 
 pub fn robots_help() -> String {
@@ -41,22 +59,78 @@ pub fn robots_help() -> String {
 const STDOUT: &str = "-";
 
 pub fn execute(args: &InitArgs) -> Result<(), Failure> {
+    if args.guide.guide || args.guide.from.is_some() {
+        return execute_guide(args);
+    }
     let robot = robot(args).before_start()?;
     let link = link(args, robot).before_start()?;
-    let is_stdout = args.out.as_os_str() == STDOUT;
-    let file = if is_stdout { "FILE".to_owned() } else { args.out.display().to_string() };
-    let text = template(robot, &link, &file);
-    let loaded = config::load_text("of posebridge init", &text, &[]).before_start()?;
-    loaded.config.validate().before_start()?;
-    if is_stdout {
-        return print_result(&text).while_running();
+    let text = template(robot, &link, &file_name(args));
+    write_checked(args, &text, robot.name, &link).before_start()
+}
+
+/// Measures the robot and writes what was found.
+fn execute_guide(args: &InitArgs) -> Result<(), Failure> {
+    let base = args.robot.as_deref().map(BundledRobot::from_name).transpose().before_start()?;
+    // An Arduino's port where nobody names one; what it speaks is heard.
+    let link = link(args, base.unwrap_or(ROBOTS[0])).before_start()?;
+    if !args.force && file_name(args) != STDOUT_FILE && args.out.exists() {
+        return Err(exists_already(&args.out)).before_start();
     }
-    write(args, &text).before_start()?;
+    let guided = match &args.guide.from {
+        Some(path) => recorded::run(path, link, base, &args.guide).while_running()?,
+        None => run_in_runtime(live::run(link, base, &args.guide)).before_start()?.while_running()?,
+    };
+    write_findings(args, &guided).while_running()
+}
+
+fn write_findings(args: &InitArgs, guided: &GuidedRobot) -> Result<()> {
+    let findings = Findings::of(guided)?;
+    print_lines(&[String::new(), "What was found:".to_owned()]);
+    print_lines(&findings.lines);
+    for note in &findings.notes {
+        print_line(&format!("note: {note}"));
+    }
+    let text = guided_text(guided, &findings, &file_name(args));
+    write_checked(args, &text, "my robot", &guided.source.link)
+}
+
+/// The configuration with what was found; `file` is the name in its comments.
+fn guided_text(guided: &GuidedRobot, findings: &Findings, file: &str) -> String {
+    let source = &guided.source;
+    let introduction = [
+        format!("Measured by motions by hand; it speaks {}.", source.speaks),
+        format!("Noise and what else was not measured are assumed, those of {}:", source.base.name),
+        source.base.summary().to_owned(),
+    ];
+    let own = with_values(source.base.text, &introduction, &findings.values);
+    template_of("that you moved; made by `posebridge init --guide`", &own, &source.link, file)
+}
+
+const STDOUT_FILE: &str = "FILE";
+
+/// The file's name in its own comments.
+fn file_name(args: &InitArgs) -> String {
+    if args.out.as_os_str() == STDOUT { STDOUT_FILE.to_owned() } else { args.out.display().to_string() }
+}
+
+/// Loads the text like any configuration, then writes it.
+fn write_checked(args: &InitArgs, text: &str, robot: &str, link: &TemplateLink) -> Result<()> {
+    let loaded = config::load_text("of posebridge init", text, &[])?;
+    loaded.config.validate()?;
+    if args.out.as_os_str() == STDOUT {
+        return Ok(print_result(text)?);
+    }
+    write(args, text)?;
+    let file = file_name(args);
     print_line(&format!(
-        "wrote `{file}`: {}, at {} ({})\nrun it with: posebridge run --config {file}",
-        robot.name, link.url, link.origin
+        "wrote `{file}`: {robot}, at {} ({})\nrun it with: posebridge run --config {file}",
+        link.url, link.origin
     ));
     Ok(())
+}
+
+fn exists_already(path: &Path) -> anyhow::Error {
+    anyhow!("`{}` is there already: name another file with --out, or write over it with --force", path.display())
 }
 
 fn robot(args: &InitArgs) -> Result<BundledRobot> {
@@ -78,7 +152,7 @@ fn link(args: &InitArgs, robot: BundledRobot) -> Result<TemplateLink> {
         url: url.to_owned(),
         is_listening,
         origin: "as given to `posebridge init`".to_owned(),
-        notes: Vec::new(),
+        ..TemplateLink::default()
     };
     if let Some(url) = &args.link {
         return Ok(template_link(url, false));
@@ -102,7 +176,7 @@ fn write(args: &InitArgs, text: &str) -> Result<()> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-            bail!("`{name}` is there already: name another file with --out, or write over it with --force")
+            return Err(exists_already(path));
         }
         Err(error) => return Err(error).with_context(|| format!("cannot write `{name}`")),
     };
@@ -175,6 +249,7 @@ fn guess(usual: &LinkSection, root: &Path) -> TemplateLink {
         is_listening: usual.listen,
         origin: origin.to_owned(),
         notes,
+        is_guess: true,
     };
     let Some(device) = serial_device(&usual.url) else {
         return as_usual("how this robot is usually reached", Vec::new());
@@ -192,6 +267,7 @@ fn guess(usual: &LinkSection, root: &Path) -> TemplateLink {
         is_listening: false,
         origin: format!("a guess: {} is there", describe_port(first)),
         notes: describe_ports(&further, "also there:"),
+        is_guess: true,
     }
 }
 
@@ -232,6 +308,9 @@ fn describe_port(port: &SerialPort) -> String {
         None => device.to_string(),
     }
 }
+
+#[cfg(test)]
+mod guide_tests;
 
 #[cfg(test)]
 mod tests {

@@ -42,6 +42,8 @@ pub enum BrickKind {
     NxtPush,
     /// Direct commands of a LEGO EV3 with its original firmware.
     Ev3,
+    /// Lines of text from a board that prints; it hears nothing.
+    Line,
 }
 
 /// The camera's own link to the station, where brick and camera do not share one.
@@ -59,7 +61,7 @@ pub struct CameraLink {
 /// Flags of `sim`.
 #[derive(Args, Clone, Debug)]
 pub struct SimArgs {
-    /// Scenario: square, circle, figure-eight, waypoints, straight, rough, thermometer, or a TOML file.
+    /// Scenario: square, circle, figure-eight, waypoints, straight, rough, thermometer, by-hand, or a TOML file.
     #[arg(default_value = "square")]
     pub scenario: String,
     /// The link to the station.
@@ -133,6 +135,7 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
             BrickKind::Nxt => Personality::Nxt,
             BrickKind::NxtPush => Personality::NxtPush,
             BrickKind::Ev3 => Personality::Ev3,
+            BrickKind::Line => Personality::Line,
         });
     }
     check_links(args, scenario.brick.personality)?;
@@ -173,7 +176,7 @@ fn for_system(text: &str, system: u8) -> String {
 fn check_links(args: &SimArgs, personality: Personality) -> Result<()> {
     let has_camera_link = args.camera.camera_listen.is_some() || args.camera.camera_link.is_some();
     if has_camera_link && personality.shares_link_with_camera() {
-        bail!("the camera shares the brick's link; it has one of its own with --brick nxt, nxt-push or ev3 only");
+        bail!("the camera shares the brick's link; it has one of its own with --brick nxt, nxt-push, ev3 or line only");
     }
     if args.announce.is_some() && personality != Personality::Ev3 {
         bail!("--announce is for --brick ev3; other bricks do not announce themselves");
@@ -281,6 +284,7 @@ mod tests {
             ("nxt", Personality::Nxt),
             ("nxt-push", Personality::NxtPush),
             ("ev3", Personality::Ev3),
+            ("line", Personality::Line),
         ];
         for (name, personality) in cases {
             let scenario = scenario_of(&["--brick", name]).unwrap();

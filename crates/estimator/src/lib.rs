@@ -12,6 +12,7 @@
 
 mod filter;
 pub mod filters;
+pub mod hand_motions;
 pub mod history;
 pub mod models;
 pub mod motion;

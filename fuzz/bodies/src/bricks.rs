@@ -73,7 +73,8 @@ pub(crate) fn check_line(data: &[u8]) {
     };
     // A layout that is refused is read all the same: nothing may break by it.
     let _ = settings.validate();
-    run("line", &CodecSettings { line: settings, ..CodecSettings::default() }, operands);
+    let name = if options & 64 == 0 { "line" } else { "columns" };
+    run(name, &CodecSettings { line: settings, ..CodecSettings::default() }, operands);
 }
 
 /// Input: framing and quality, then operations as above; odd lengths come from another sender than even ones.

@@ -39,6 +39,11 @@ pub const BRICK_PROTOCOLS: &[BrickProtocol] = &[
         open: text_line::open,
     },
     BrickProtocol {
+        name: "columns",
+        summary: "the numbers in lines of text, whatever stands between them",
+        open: text_line::open_columns,
+    },
+    BrickProtocol {
         name: "camera-json",
         summary: "no brick but cameras that say in lines of JSON where the robot is",
         open: camera_json::open,

@@ -132,6 +132,42 @@ fn text_is_lines_that_ended() {
     check(b"abcdefghi\n\xFFbcdefgh\n", Protocol::Unrecognized, 0, 0);
 }
 
+/// What rosserial_python's SerialClient sends: the request for topics and the stop; and, by wiki.ros.org/rosserial/Overview/Protocol,
+/// the request for the time (topic 10) that a board sends first.
+#[test]
+fn messages_of_rosserial_are_recognised_by_both_of_their_checks() {
+    let (topics, stop) = (from_hex("fffe 0000 ff 0000 ff"), from_hex("fffe 0000 ff 0b00 f4"));
+    let time = from_hex("fffe 0800 f7 0a00 0000000000000000 f5");
+    check(&topics, Protocol::Rosserial, 1, 8);
+    let stream = [&time[..], &topics, &stop, &time].concat();
+    check(&stream, Protocol::Rosserial, 4, 48);
+    check_any_window(&stream.repeat(3), Protocol::Rosserial, 70);
+    let mut wrong = time.clone();
+    wrong[9] ^= 1;
+    assert_eq!(recognise(&wrong.repeat(3)).protocol, Protocol::Unrecognized);
+}
+
+/// Made by a Python program from the description of the serial transport; its CRC gives the check value BB3D of CRC-16/ARC. The second
+/// payload has both bytes that are escaped.
+#[test]
+fn frames_of_micro_ros_are_recognised_by_their_crc() {
+    let create = from_hex("7e010018008000000000011000585243450100010faabbccdd810000023f8e");
+    let heartbeat = from_hex("7e01000d00810000000b0105007d5e007d5d0080a30e");
+    check(&create, Protocol::MicroRos, 1, 31);
+    check(&heartbeat.repeat(3), Protocol::MicroRos, 3, 66);
+    check_any_window(&[&create[..], &heartbeat].concat().repeat(3), Protocol::MicroRos, 110);
+    let mut wrong = create.clone();
+    wrong[20] ^= 1;
+    assert_eq!(recognise(&wrong.repeat(3)).protocol, Protocol::Unrecognized);
+}
+
+#[test]
+fn lines_with_as_many_numbers_each_are_columns() {
+    let lines = b"t=1 l=5 r=6\nt=2 l=5 r=6\nt=3 l=5 r=6\nt=4";
+    check(lines, Protocol::Columns, 3, 36);
+    assert_eq!(recognise(b"ready\n1 of 2\nset 3 4 5\ndone\n").protocol, Protocol::Text);
+}
+
 #[test]
 fn silence_is_not_noise() {
     check(b"", Protocol::NoData, 0, 0);

@@ -21,4 +21,5 @@ mod resync;
 mod routing;
 mod session;
 mod signing;
+mod text_columns;
 mod text_line;

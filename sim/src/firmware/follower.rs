@@ -126,7 +126,8 @@ impl Follower {
             DriveEnd::LastLap => self.path.length_m(),
             DriveEnd::Never => self.path.lap_length_m(),
         };
-        ((self.completed_m + self.along_m) / total_m).clamp(0.0, 1.0)
+        // Without a path there is nothing to drive.
+        if total_m > 0.0 { ((self.completed_m + self.along_m) / total_m).clamp(0.0, 1.0) } else { 1.0 }
     }
 
     pub(crate) fn clock_restarted(&mut self) {

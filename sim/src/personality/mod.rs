@@ -1,4 +1,4 @@
-//! The protocol of a simulated brick: MAVLink, or the native protocols of LEGO bricks.
+//! The protocol of a simulated brick: MAVLink, the native protocols of LEGO bricks, or lines of text.
 //!
 //! A [`Brick`] is the driving program and the [`BrickEmulation`] around it. The LEGO bricks are emulations of their firmware, which
 //! also decides whether the program runs at all, and what the motors do when it does not. They follow the makers' documents and share
@@ -8,6 +8,7 @@ mod ev3;
 mod lego;
 mod nxt;
 mod plugged_sensors;
+mod text_board;
 
 use std::collections::VecDeque;
 
@@ -18,6 +19,7 @@ use self::ev3::Ev3;
 use self::lego::{FirmwarePass, LegoFirmware};
 use self::nxt::Nxt;
 use self::plugged_sensors::PluggedSensors;
+use self::text_board::TextBoard;
 use crate::firmware::{BrickMessenger, Program};
 use crate::path::Path;
 use crate::robot_body::RobotBody;
@@ -31,6 +33,7 @@ pub use self::ev3::beacon as ev3_beacon;
 enum BrickEmulation {
     Mavlink(Box<BrickMessenger>),
     Lego(Box<dyn LegoFirmware>),
+    Text(TextBoard),
 }
 
 #[derive(Debug)]
@@ -63,6 +66,7 @@ impl Brick {
                 Personality::Mavlink => BrickEmulation::Mavlink(Box::new(BrickMessenger::new(scenario, now))),
                 Personality::Nxt | Personality::NxtPush => BrickEmulation::Lego(Box::new(Nxt::new(scenario, now))),
                 Personality::Ev3 => BrickEmulation::Lego(Box::new(Ev3::new(scenario))),
+                Personality::Line => BrickEmulation::Text(TextBoard::new(scenario, now)),
             },
             duty: PerWheel::default(),
             program_restarts: restart_interval.map(|interval| (interval, interval)),
@@ -76,6 +80,10 @@ impl Brick {
             BrickEmulation::Mavlink(messenger) => {
                 self.duty = self.program.step(when.now, board.counts());
                 messenger.step(when.now, board);
+            }
+            BrickEmulation::Text(printer) => {
+                self.duty = self.program.step(when.now, board.counts());
+                printer.step(when.now, board, &mut self.outgoing);
             }
             BrickEmulation::Lego(firmware) => {
                 self.senses.step(body, 0.5 * (self.duty.left + self.duty.right));
@@ -133,6 +141,7 @@ impl Brick {
         self.program.restart(when.now);
         match &mut self.emulation {
             BrickEmulation::Mavlink(messenger) => messenger.restart(when.now, PerWheel::default()),
+            BrickEmulation::Text(printer) => printer.restart(when.now),
             BrickEmulation::Lego(firmware) => firmware.restart(&mut FirmwarePass {
                 sim_time: when.sim_time,
                 now: when.now,
@@ -150,7 +159,7 @@ impl Brick {
     pub(crate) fn next_bytes(&mut self) -> Option<Vec<u8>> {
         match &mut self.emulation {
             BrickEmulation::Mavlink(messenger) => messenger.node.next_bytes(),
-            BrickEmulation::Lego(_) => self.outgoing.pop_front(),
+            BrickEmulation::Lego(_) | BrickEmulation::Text(_) => self.outgoing.pop_front(),
         }
     }
 

@@ -7,6 +7,7 @@ mod loading;
 mod robot;
 mod sensors;
 mod side_by_side;
+mod text_board;
 
 use std::io;
 use std::path::Path;
@@ -24,10 +25,11 @@ pub use robot::{
 pub use sensors::{
     AccelerometerSettings, Blackout, CameraImages, CameraOrder, CameraSettings, GyroSettings, ThermometerSettings,
 };
+pub use text_board::{TextBoardSettings, TextField, TextPart};
 
 /// Name and TOML text of every bundled scenario. Adding one: a file in `config/scenarios/` and its name here.
-pub const BUNDLED: &[(&str, &str)] =
-    bundle!("scenarios": "square", "circle", "figure-eight", "waypoints", "straight", "rough", "thermometer");
+pub const BUNDLED: &[(&str, &str)] = bundle!("scenarios": "square", "circle", "figure-eight", "waypoints", "straight", "rough", "thermometer",
+    "by-hand");
 
 /// The pose by which the brick steers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -54,6 +56,7 @@ pub struct Scenario {
     pub gyro: GyroSettings,
     pub accelerometer: AccelerometerSettings,
     pub brick: BrickSettings,
+    pub text_board: TextBoardSettings,
     pub camera: CameraSettings,
     #[serde(deserialize_with = "sensors::thermometer")]
     pub thermometer: Option<ThermometerSettings>,
@@ -163,6 +166,24 @@ pub enum Course {
         #[serde(deserialize_with = "loading::waypoints")]
         points_m: Vec<[f64; 2]>,
     },
+    /// A person moves the robot; its motors do nothing.
+    ByHand(HandMotions),
+}
+
+/// The motions that `posebridge init --guide` asks for, with rests between: the left wheel turned by hand, straight on, on the spot to
+/// the left.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HandMotions {
+    pub wheel_turns: f64,
+    pub straight_m: f64,
+    pub turns: f64,
+}
+
+impl Default for HandMotions {
+    fn default() -> Self {
+        Self { wheel_turns: 1.0, straight_m: 1.0, turns: 1.0 }
+    }
 }
 
 impl Default for Course {
@@ -241,7 +262,7 @@ pub struct DriveSettings {
     pub turn_rate_rad_per_s: f64,
     /// Rest before the first movement, in which a station estimates the gyro's bias.
     pub rest_s: f64,
-    /// Rest before and after each turn in place.
+    /// Rest before and after each turn in place, and after each motion by hand.
     pub pause_s: f64,
     /// Rest at the end of each lap; of all laps on a path without a stop.
     pub rest_after_lap_s: f64,

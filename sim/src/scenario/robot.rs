@@ -216,6 +216,8 @@ pub enum Personality {
     NxtPush,
     /// The direct and system commands of an unmodified LEGO EV3. The camera has a separate link.
     Ev3,
+    /// A board that prints lines of text (`[text_board]`) and hears nothing. The camera has a separate link.
+    Line,
 }
 
 impl Personality {
@@ -227,7 +229,7 @@ impl Personality {
     /// Default turn-around of its radio.
     pub(crate) const fn turn_around_ms(self) -> f64 {
         match self {
-            Self::Mavlink => 0.0,
+            Self::Mavlink | Self::Line => 0.0,
             // LEGO's own figure for the Bluetooth chip of the NXT, which the RWTH Aachen toolbox waits for.
             Self::Nxt | Self::NxtPush => 30.0,
             // No trustworthy figure is published; ours, from the 20 to 60 ms that people report.

@@ -294,7 +294,7 @@ proptest! {
     fn no_bytes_confuse_a_brick_for_good(
         bytes in prop::collection::vec(any::<u8>(), 0..400),
         chunk in 1_usize..50,
-        personality in prop::sample::select(vec![Personality::Mavlink, Personality::Nxt, Personality::Ev3]),
+        personality in prop::sample::select(vec![Personality::Mavlink, Personality::Nxt, Personality::Ev3, Personality::Line]),
     ) {
         let mut simulation = lego(personality, BrickProgram::None);
         for chunk_bytes in bytes.chunks(chunk) {
@@ -309,6 +309,7 @@ proptest! {
             }),
             Personality::Nxt | Personality::NxtPush => (BATTERY.to_vec(), |bytes| bytes.len() == 7),
             Personality::Ev3 => (CLOCK.to_vec(), |bytes| bytes.len() == 9),
+            Personality::Line => (Vec::new(), |bytes| bytes.starts_with(b"5")),
         };
         simulation.receive(&request);
         prop_assert!(is_answer(&run(&mut simulation, 200).concat()));
@@ -327,6 +328,7 @@ proptest! {
                 Personality::Mavlink => encoded(&TIME_REQUEST).repeat(3),
                 Personality::Nxt | Personality::NxtPush => BATTERY.to_vec(),
                 Personality::Ev3 => CLOCK.to_vec(),
+                Personality::Line => Vec::new(),
             };
             // A whole request, then something whose length is right.
             let bytes = [&request[..], &(body.len() as u16).to_le_bytes(), &body].concat();
@@ -335,7 +337,7 @@ proptest! {
             match personality {
                 // In which order brick and camera answer depends on the pieces.
                 Personality::Mavlink => vec![count(&messages(&received), |message| matches!(message, Message::TimeSync(_))) as u8],
-                Personality::Nxt | Personality::NxtPush | Personality::Ev3 => received,
+                Personality::Nxt | Personality::NxtPush | Personality::Ev3 | Personality::Line => received,
             }
         };
         let whole = answers(usize::MAX);

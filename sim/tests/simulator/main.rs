@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "test code stops at the first surprise")]
 
 mod bricks;
+mod by_hand;
 mod camera;
 mod drives;
 mod impairment_properties;

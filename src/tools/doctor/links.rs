@@ -10,7 +10,7 @@ use posebridge_link::{
 };
 use posebridge_protocol::bricks::brick_protocol;
 use posebridge_protocol::detect::{Protocol, ProtocolDetection, recognise};
-use posebridge_telemetry::{LinkId, TimeDelta};
+use posebridge_telemetry::{HostClock, LinkId, TimeDelta, Timestamp};
 
 use super::context::{CheckResult, DiagnosticContext};
 use crate::config::{self, Config, LinkTarget, load_scenario};
@@ -135,14 +135,16 @@ const MAX_BYTES: usize = 1 << 20;
 const DETECT_INTERVAL_BYTES: usize = 256;
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-struct ListenResult {
+pub(in crate::tools) struct ListenResult {
     /// In the order of arrival.
-    bytes: Vec<u8>,
-    lost_reason: Option<String>,
+    pub(in crate::tools) bytes: Vec<u8>,
+    /// Arrival of the first and of the last bytes.
+    pub(in crate::tools) arrivals: Option<[Timestamp<HostClock>; 2]>,
+    pub(in crate::tools) lost_reason: Option<String>,
 }
 
 impl ListenResult {
-    fn detect(&self) -> ProtocolDetection {
+    pub(in crate::tools) fn detect(&self) -> ProtocolDetection {
         recognise(&self.bytes)
     }
 
@@ -153,7 +155,7 @@ impl ListenResult {
 }
 
 /// Listens for `listen_for`, or until the protocol is certain.
-async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> ListenResult {
+pub(in crate::tools) async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> ListenResult {
     let end = timer.now() + listen_for;
     let mut received = ListenResult::default();
     let mut next_look = DETECT_INTERVAL_BYTES;
@@ -163,7 +165,11 @@ async fn listen(port: &mut Link, timer: HostTimer, listen_for: TimeDelta) -> Lis
             () = timer.sleep_until(end) => return received,
         };
         match event {
-            LinkEvent::Bytes { bytes, .. } => received.bytes.extend_from_slice(&bytes),
+            LinkEvent::Bytes { bytes, arrival, .. } => {
+                let [first, _] = received.arrivals.unwrap_or([arrival; 2]);
+                received.arrivals = Some([first, arrival]);
+                received.bytes.extend_from_slice(&bytes);
+            }
             LinkEvent::Down { reason, .. } => {
                 received.lost_reason = Some(reason);
                 return received;
@@ -258,10 +264,7 @@ async fn try_speeds(
     if first.detect().protocol != Protocol::Unrecognized {
         return at_own;
     }
-    for baud in SPEEDS_BAUD.into_iter().filter(|baud| *baud != own_baud) {
-        let Some(other) = at_speed(url, baud) else {
-            return at_own;
-        };
+    for other in other_speeds(url) {
         match attempt(&other).await {
             Err(verdict) => return verdict,
             Ok(received) if received.detect().protocol.is_known() => {
@@ -285,6 +288,15 @@ fn role_of(url: &LinkUrl) -> ConnectRole {
         "tcp" if host.is_empty() => ConnectRole::Listen,
         _ => ConnectRole::Dial,
     }
+}
+
+/// The same link at each other usual speed; none where the speed does not matter.
+pub(in crate::tools) fn other_speeds(url: &LinkUrl) -> Vec<LinkUrl> {
+    if url.transport().scheme() != "serial" || fixed_speed_kind(url.path()).is_some() {
+        return Vec::new();
+    }
+    let own_baud = baud_of(url);
+    SPEEDS_BAUD.into_iter().filter(|baud| *baud != own_baud).filter_map(|baud| at_speed(url, baud)).collect()
 }
 
 fn baud_of(url: &LinkUrl) -> u32 {
@@ -333,6 +345,13 @@ fn classify(endpoint: &str, received: &ListenResult) -> CheckResult {
         ),
         Protocol::Nmea => {
             CheckResult::warning(description, "this is a satellite receiver: the robot is on another port")
+        }
+        Protocol::Rosserial | Protocol::MicroRos => CheckResult::warning(
+            description,
+            "posebridge does not read ROS messages: let the board send MAVLink, or print its counts (docs/protocols/boards.md)",
+        ),
+        Protocol::Columns => {
+            CheckResult::ok(format!("{description}; `posebridge init --guide` finds what each column is"))
         }
         Protocol::Mavlink2 | Protocol::Nxt | Protocol::Ev3 | Protocol::Text => {
             let is_read = found.protocol.codec().and_then(brick_protocol).is_some();

@@ -4,7 +4,7 @@
 
 mod context;
 mod host;
-mod links;
+pub(in crate::tools) mod links;
 pub mod serial_ports;
 mod setup;
 

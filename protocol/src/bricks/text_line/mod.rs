@@ -5,6 +5,7 @@
 //! least the time is compared with the host's.
 
 mod clock;
+pub(crate) mod numbers;
 mod row;
 mod settings;
 
@@ -17,7 +18,9 @@ use posebridge_telemetry::{
 };
 
 use self::clock::{BoardClock, SubstituteClock};
+pub(crate) use self::row::strip_checksum;
 use self::row::{BoardReading, ChecksumStatus, LineError, exclusive_or};
+pub(crate) use self::settings::QuantityKind;
 pub use self::settings::{
     ChecksumPolicy, Column, ColumnSign, LayoutError, LineLayout, QUANTITIES, Quantity, Separator, TextLineSettings,
 };
@@ -60,8 +63,22 @@ struct TextLineCodec {
 }
 
 pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    open_with(settings.line.clone())
+}
+
+/// For boards that print for people: the numbers of a line are its columns, whatever stands between them, and lines without a number are
+/// skipped.
+pub(super) fn open_columns(settings: &CodecSettings) -> Box<dyn BrickCodec> {
+    let mut settings = settings.line.clone();
+    if let LineLayout::Columns { separator, .. } = &mut settings.layout {
+        *separator = Separator::Words;
+    }
+    open_with(settings)
+}
+
+fn open_with(settings: TextLineSettings) -> Box<dyn BrickCodec> {
     Box::new(TextLineCodec {
-        settings: settings.line.clone(),
+        settings,
         splitter: LineSplitter::default(),
         last_byte: Timestamp::ZERO,
         may_be_truncated: true,
@@ -142,7 +159,7 @@ impl BrickCodec for TextLineCodec {
 impl TextLineCodec {
     fn handle_line(&mut self, now: Timestamp<HostClock>, line: &[u8], sink: CodecEventSink<'_>) {
         let is_cut = std::mem::replace(&mut self.may_be_truncated, false);
-        let read = row::strip_checksum(line, self.settings.checksum).and_then(|(text, proof)| {
+        let read = strip_checksum(line, self.settings.checksum).and_then(|(text, proof)| {
             let unknown = &mut self.unknown;
             let row = row::parse_row(text, &self.settings, &mut |name| {
                 if unknown.len() < MAX_UNKNOWN && unknown.insert(name.to_owned()) {
@@ -156,6 +173,7 @@ impl TextLineCodec {
             Ok((row, proof)) if !is_cut || proof == ChecksumStatus::Verified => self.handle_row(now, &row, sink),
             // The rest of a line may look complete; it is not reported.
             Ok(_) => self.count_unframed(line.len() as u32, sink),
+            Err(LineError::NoNumber) => {}
             Err(flaw) => {
                 self.reject(line, flaw, sink);
                 if !is_cut {

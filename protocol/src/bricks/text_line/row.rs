@@ -2,6 +2,7 @@
 
 use std::ops::Neg;
 
+use super::numbers::numbers;
 use super::settings::{ChecksumPolicy, Column, ColumnSign, LineLayout, Quantity, Separator, TextLineSettings};
 use crate::message::WireStamp;
 
@@ -27,7 +28,7 @@ pub(super) struct BoardReading {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum LineError {
+pub(crate) enum LineError {
     #[error("it is no text")]
     NotText,
     #[error("its checksum is {found:02X} and not {expected:02X}")]
@@ -40,18 +41,21 @@ pub(super) enum LineError {
     Duplicate(Quantity),
     #[error("it has {found} values and not {expected}")]
     Count { found: usize, expected: usize },
+    /// A line for people.
+    #[error("it has no number")]
+    NoNumber,
     #[error("`{0}` is no number that can be")]
     InvalidNumber(Quantity),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ChecksumStatus {
+pub(crate) enum ChecksumStatus {
     Verified,
     Absent,
 }
 
 /// The text of a line without `$` and checksum, and whether it had a checksum.
-pub(super) fn strip_checksum(line: &[u8], checksum: ChecksumPolicy) -> Result<(&str, ChecksumStatus), LineError> {
+pub(crate) fn strip_checksum(line: &[u8], checksum: ChecksumPolicy) -> Result<(&str, ChecksumStatus), LineError> {
     let is_text = |byte: &u8| matches!(byte, 0x20..=0x7E | b'\t');
     let text = std::str::from_utf8(line)
         .ok()
@@ -89,22 +93,32 @@ pub(super) fn parse_row(
     unknown: &mut dyn FnMut(&str),
 ) -> Result<BoardReading, LineError> {
     match &settings.layout {
-        LineLayout::Columns { columns, separator } => parse_columns(text, columns, *separator),
+        LineLayout::Columns { columns, separator } => {
+            parse_columns(text, columns, *separator, settings.gyro_counts_per_deg_per_s)
+        }
         LineLayout::Pairs { keys, separator, key_separator } => {
             let pairs = pairs(text, *separator, *key_separator);
-            parse_pairs(&pairs, keys, unknown)
+            parse_pairs(&pairs, keys, settings.gyro_counts_per_deg_per_s, unknown)
         }
     }
 }
 
-fn parse_columns(text: &str, columns: &[Column], separator: Separator) -> Result<BoardReading, LineError> {
-    let values: Vec<&str> = split(text, separator).collect();
+fn parse_columns(
+    text: &str,
+    columns: &[Column],
+    separator: Separator,
+    gyro_counts_per_deg_per_s: f64,
+) -> Result<BoardReading, LineError> {
+    let values: Vec<&str> = split(text, separator);
+    if separator == Separator::Words && values.is_empty() {
+        return Err(LineError::NoNumber);
+    }
     if values.len() != columns.len() {
         return Err(LineError::Count { found: values.len(), expected: columns.len() });
     }
     let mut row = BoardReading::default();
     for (column, value) in columns.iter().zip(values) {
-        row.set(*column, value).ok_or(LineError::InvalidNumber(column.quantity))?;
+        row.set(*column, value, gyro_counts_per_deg_per_s).ok_or(LineError::InvalidNumber(column.quantity))?;
     }
     Ok(row)
 }
@@ -112,6 +126,7 @@ fn parse_columns(text: &str, columns: &[Column], separator: Separator) -> Result
 fn parse_pairs(
     pairs: &[(&str, &str)],
     keys: &[(String, Column)],
+    gyro_counts_per_deg_per_s: f64,
     unknown: &mut dyn FnMut(&str),
 ) -> Result<BoardReading, LineError> {
     let mut row = BoardReading::default();
@@ -121,7 +136,7 @@ fn parse_pairs(
         if values.next().is_some() {
             return Err(LineError::Duplicate(column.quantity));
         }
-        row.set(*column, value).ok_or(LineError::InvalidNumber(column.quantity))?;
+        row.set(*column, value, gyro_counts_per_deg_per_s).ok_or(LineError::InvalidNumber(column.quantity))?;
     }
     for (name, _) in pairs {
         if !keys.iter().any(|(key, _)| key == name) {
@@ -134,15 +149,17 @@ fn parse_pairs(
 /// Names and values. If both separators are the same, names and values alternate.
 fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&str, &str)> {
     if separator == key_separator {
-        let fields: Vec<&str> = split(text, separator).collect();
+        let fields: Vec<&str> = split(text, separator);
         let pairs = fields.chunks(2).filter_map(|pair| match pair {
             [key, value] => Some((*key, *value)),
             _ => None,
         });
         return pairs.collect();
     }
-    let pairs = split(text, separator).filter_map(|pair| match key_separator {
+    let pairs = split(text, separator).into_iter().filter_map(|pair| match key_separator {
         Separator::Blank => pair.split_once([' ', '\t']),
+        // Words are between numbers: no name is left.
+        Separator::Words => None,
         Separator::Comma | Separator::Semicolon | Separator::Pipe | Separator::Colon | Separator::Equals => {
             pair.split_once(key_separator.text())
         }
@@ -151,20 +168,23 @@ fn pairs(text: &str, separator: Separator, key_separator: Separator) -> Vec<(&st
 }
 
 /// The parts of a text, trimmed. Several blanks are one.
-fn split(text: &str, separator: Separator) -> impl Iterator<Item = &str> {
-    let is_blank = separator == Separator::Blank;
-    let is_between = move |c: char| {
-        if is_blank { c == ' ' || c == '\t' } else { separator.text().contains(c) }
-    };
-    text.split(is_between).map(str::trim_ascii).filter(move |part| !(is_blank && part.is_empty()))
+fn split(text: &str, separator: Separator) -> Vec<&str> {
+    match separator {
+        Separator::Words => numbers(text).into_iter().map(|number| number.text).collect(),
+        Separator::Blank => text.split_ascii_whitespace().collect(),
+        Separator::Comma | Separator::Semicolon | Separator::Pipe | Separator::Colon | Separator::Equals => {
+            text.split(separator.text()).map(str::trim_ascii).collect()
+        }
+    }
 }
 
 impl BoardReading {
     /// Stores a value; `None` if it is not a valid number for its quantity.
-    fn set(&mut self, column: Column, value: &str) -> Option<()> {
+    fn set(&mut self, column: Column, value: &str, gyro_counts_per_deg_per_s: f64) -> Option<()> {
         match column.quantity {
             Quantity::TimeMs => self.time = Some(WireStamp::Millis32(counter(value)?)),
             Quantity::TimeUs => self.time = Some(WireStamp::Micros32(counter(value)?)),
+            Quantity::TimeS => self.time = Some(WireStamp::Micros32(micros(parse_float(value)?)?)),
             Quantity::LeftTicks => self.left = Some(signed(parse_integer(value)?, column.sense)),
             Quantity::RightTicks => self.right = Some(signed(parse_integer(value)?, column.sense)),
             Quantity::GyroDegPerS => {
@@ -172,6 +192,10 @@ impl BoardReading {
             }
             Quantity::GyroRadPerS => {
                 self.turn_rate_rad_per_s = Some(rate(parse_float(value)?, column.sense)?);
+            }
+            Quantity::GyroCounts => {
+                let deg_per_s = parse_float(value)? / gyro_counts_per_deg_per_s;
+                self.turn_rate_rad_per_s = Some(rate(deg_per_s.to_radians(), column.sense)?);
             }
             Quantity::DistanceMm => self.range_m = range(parse_float(value)? / 1_000.0),
             Quantity::DistanceCm => self.range_m = range(parse_float(value)? / 100.0),
@@ -204,6 +228,12 @@ fn parse_integer(text: &str) -> Option<i64> {
 fn counter(text: &str) -> Option<u32> {
     let value = parse_integer(text).filter(|value| *value >= 0)?;
     Some(value as u32)
+}
+
+/// Seconds as microseconds, modulo the counter's period.
+fn micros(seconds: f64) -> Option<u32> {
+    let micros = (seconds * 1e6).round();
+    (0.0..=MAX_COUNT as f64).contains(&micros).then_some(micros as u64 as u32)
 }
 
 fn rate(rad_per_s: f64, sense: ColumnSign) -> Option<f64> {

@@ -14,7 +14,12 @@ pub struct TextLineSettings {
     pub estimate_interval: Option<TimeDelta>,
     /// Largest age of a line without a time at its arrival: its values are from any time within this interval before.
     pub delay: TimeDelta,
+    /// Of a column `gyro_counts`: what the gyro reads at one degree per second.
+    pub gyro_counts_per_deg_per_s: f64,
 }
+
+/// MPU-6050 at its range of ±250 degrees per second: data sheet, 6.1.
+const DEFAULT_GYRO_COUNTS: f64 = 131.0;
 
 impl Default for TextLineSettings {
     fn default() -> Self {
@@ -24,12 +29,13 @@ impl Default for TextLineSettings {
             checksum: ChecksumPolicy::Optional,
             estimate_interval: None,
             delay: TimeDelta::from_millis(40),
+            gyro_counts_per_deg_per_s: DEFAULT_GYRO_COUNTS,
         }
     }
 }
 
 impl TextLineSettings {
-    /// Rejects a repeated quantity, one wheel without the other, and a layout without any measurement.
+    /// Rejects a repeated quantity, one wheel without the other, a layout without any measurement, and a gyro without a scale.
     pub fn validate(&self) -> Result<(), LayoutError> {
         let columns: Vec<Column> = self.layout.columns().collect();
         let has_column = |quantity: Quantity| columns.iter().any(|column| column.quantity == quantity);
@@ -38,6 +44,9 @@ impl TextLineSettings {
         }
         if has_column(Quantity::LeftTicks) != has_column(Quantity::RightTicks) {
             return Err(LayoutError::SingleWheel);
+        }
+        if !(self.gyro_counts_per_deg_per_s.is_finite() && self.gyro_counts_per_deg_per_s > 0.0) {
+            return Err(LayoutError::GyroScale(self.gyro_counts_per_deg_per_s));
         }
         for (index, column) in columns.iter().enumerate() {
             let kind = column.quantity.kind();
@@ -51,7 +60,7 @@ impl TextLineSettings {
 }
 
 /// Why a layout is invalid.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LayoutError {
     #[error(
@@ -63,6 +72,8 @@ pub enum LayoutError {
     /// The same quantity again, or in another unit.
     #[error("the layout has `{0}` and the same quantity before it")]
     Duplicate(Quantity),
+    #[error("`gyro_counts_per_deg_per_s` is {0}, must be more than zero")]
+    GyroScale(f64),
 }
 
 /// The quantities in a line and their separators.
@@ -91,7 +102,8 @@ impl fmt::Display for LineLayout {
         match self {
             Self::Columns { columns, separator } => {
                 for (index, column) in columns.iter().enumerate() {
-                    let between = if index > 0 { separator.text() } else { "" };
+                    let text = if *separator == Separator::Words { " .. " } else { separator.text() };
+                    let between = if index > 0 { text } else { "" };
                     write!(f, "{between}{column}")?;
                 }
             }
@@ -158,10 +170,14 @@ pub enum Quantity {
     TimeMs,
     /// Microseconds of the board's clock, a whole number that wraps at 2^32: Arduino's `micros()`.
     TimeUs,
+    /// Seconds of the board's clock, with a fraction.
+    TimeS,
     LeftTicks,
     RightTicks,
     GyroDegPerS,
     GyroRadPerS,
+    /// A gyro's own numbers; [`TextLineSettings::gyro_counts_per_deg_per_s`] has their scale.
+    GyroCounts,
     /// Range straight ahead in millimetres; zero and less mean none.
     DistanceMm,
     /// Range straight ahead in centimetres; zero and less mean none.
@@ -176,10 +192,12 @@ pub enum Quantity {
 pub const QUANTITIES: &[(&str, Quantity)] = &[
     ("time_ms", Quantity::TimeMs),
     ("time_us", Quantity::TimeUs),
+    ("time_s", Quantity::TimeS),
     ("left_ticks", Quantity::LeftTicks),
     ("right_ticks", Quantity::RightTicks),
     ("gyro_deg_per_s", Quantity::GyroDegPerS),
     ("gyro_rad_per_s", Quantity::GyroRadPerS),
+    ("gyro_counts", Quantity::GyroCounts),
     ("distance_mm", Quantity::DistanceMm),
     ("distance_cm", Quantity::DistanceCm),
     ("distance_m", Quantity::DistanceM),
@@ -189,7 +207,7 @@ pub const QUANTITIES: &[(&str, Quantity)] = &[
 
 /// The physical quantity, whatever its unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum QuantityKind {
+pub(crate) enum QuantityKind {
     Time,
     Left,
     Right,
@@ -200,12 +218,12 @@ pub(super) enum QuantityKind {
 }
 
 impl Quantity {
-    pub(super) const fn kind(self) -> QuantityKind {
+    pub(crate) const fn kind(self) -> QuantityKind {
         match self {
-            Self::TimeMs | Self::TimeUs => QuantityKind::Time,
+            Self::TimeMs | Self::TimeUs | Self::TimeS => QuantityKind::Time,
             Self::LeftTicks => QuantityKind::Left,
             Self::RightTicks => QuantityKind::Right,
-            Self::GyroDegPerS | Self::GyroRadPerS => QuantityKind::TurnRate,
+            Self::GyroDegPerS | Self::GyroRadPerS | Self::GyroCounts => QuantityKind::TurnRate,
             Self::DistanceMm | Self::DistanceCm | Self::DistanceM => QuantityKind::Range,
             Self::TemperatureC => QuantityKind::Temperature,
             Self::Ignore => QuantityKind::Ignored,
@@ -234,11 +252,13 @@ pub enum Separator {
     Equals,
     /// Any run of spaces and tabs.
     Blank,
+    /// Anything that is no number.
+    Words,
 }
 
 impl Separator {
     pub fn from_text(text: &str) -> Option<Self> {
-        let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank];
+        let all = [Self::Comma, Self::Semicolon, Self::Pipe, Self::Colon, Self::Equals, Self::Blank, Self::Words];
         if text == "\t" {
             return Some(Self::Blank);
         }
@@ -253,6 +273,7 @@ impl Separator {
             Self::Colon => ":",
             Self::Equals => "=",
             Self::Blank => " ",
+            Self::Words => "words",
         }
     }
 }
@@ -304,7 +325,7 @@ mod tests {
 
     #[test]
     fn a_separator_is_found_by_its_text() {
-        for text in [",", ";", "|", ":", "=", " "] {
+        for text in [",", ";", "|", ":", "=", " ", "words"] {
             assert_eq!(Separator::from_text(text).map(Separator::text), Some(text));
         }
         assert_eq!(Separator::from_text("\t"), Some(Separator::Blank));

@@ -19,7 +19,7 @@ fn golden(name: &str) -> Vec<u8> {
 }
 
 fn listen_result(bytes: &[u8]) -> ListenResult {
-    ListenResult { bytes: bytes.to_vec(), lost_reason: None }
+    ListenResult { bytes: bytes.to_vec(), ..ListenResult::default() }
 }
 
 fn listener() -> LinkListener {
@@ -50,7 +50,7 @@ fn every_protocol_gets_its_verdict() {
 
 #[test]
 fn a_link_that_is_lost_in_silence_says_why() {
-    let lost = ListenResult { bytes: vec![], lost_reason: Some("the other end is gone".to_owned()) };
+    let lost = ListenResult { lost_reason: Some("the other end is gone".to_owned()), ..ListenResult::default() };
     let verdict = classify("here", &lost);
     assert_eq!(verdict.status, Status::Problem);
     assert!(verdict.message.contains("the other end is gone"));
