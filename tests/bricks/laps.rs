@@ -61,7 +61,8 @@ fn the_estimate_is_five_times_better_than_odometry_closes_the_square_and_claims_
 
 #[test]
 fn every_bundled_scenario_ends_and_is_followed_better_with_the_station() {
-    for (name, _) in posebridge_sim::BUNDLED {
+    // A robot that a person moves by hand has no path to follow.
+    for (name, _) in posebridge_sim::BUNDLED.iter().filter(|(name, _)| *name != "by-hand") {
         let run = drive(name, 3, Steering::Estimate, &VirtualLink::default());
         assert!(run.simulation.is_finished(), "{name}");
         let [estimate_mm, odometry_mm] = errors_mm(&run);

@@ -117,7 +117,7 @@ test('--set-pose is a command at the first estimate', async () => {
   }, '--set-pose', '-2,3,90');
 });
 
-test('the set-up checklist is red while the link is pulled, and green when it is back', async () => {
+test('the set-up checklist is red while the link is pulled, and goes when it is back', async () => {
   const stepsAre = (page, state) => page.waitForFunction(([names, wanted]) => {
     const lines = [...document.querySelectorAll('.setup li')];
     const found = (name) => lines.find((line) => line.querySelector('.step').textContent === name)?.dataset.state;
@@ -132,7 +132,8 @@ test('the set-up checklist is red while the link is pulled, and green when it is
     assert.match(await line.textContent(), /posebridge doctor/);
     const again = await startBrick('nxt', port);
     try {
-      await stepsAre(page, 'ok');
+      // It is complete, and makes room for the rest.
+      await page.locator('#setup').waitFor({ state: 'hidden' });
       assert.equal(await station.stop(), 0);
     } finally {
       await again.remove();

@@ -24,7 +24,8 @@ trap 'rm -rf "$made"' EXIT
 
 # All rows, whatever the environment says: the lists are complete.
 env -u ROWS "$here/golden.sh" "$binary" "$here/../.." - "$made/out"
-python3 "$here/line_widths.py" "$made/out"/text-*/stdout "$made/out"/help*/stdout
+# A schema and a script are for programs.
+printf "%s\0" "$made/out"/{text,help}*/stdout | grep -zv -e help-schema -e help-complete | xargs -0 python3 "$here/line_widths.py"
 lists=(manifest events-manifest help-manifest)
 if $renew; then
     for list in "${lists[@]}"; do

@@ -16,6 +16,8 @@ export const setup = {
     body.append(list);
     return {
       draw(view) {
+        // The map below shall not move while somebody drags on it.
+        if (document.querySelector('#arena:active')) return;
         for (const step of steps(view)) {
           const line = lines.get(step.step) ?? newLine(step.step, list, lines);
           line.item.dataset.state = step.state;
