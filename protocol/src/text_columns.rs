@@ -86,7 +86,8 @@ fn row_of(text: &str) -> TextRow<'_> {
         let Some(value) = number.text.parse::<f64>().ok().filter(|value| value.is_finite()) else {
             continue;
         };
-        row.labels.push(label_of(text.get(end..number.at).unwrap_or_default(), end == 0));
+        let between = text.get(end..number.at).unwrap_or_default();
+        row.labels.push(label_of(if end == 0 { between } else { without_unit(between) }));
         row.values.push(value);
         row.texts.push(number.text);
         end = number.at + number.text.len();
@@ -97,15 +98,20 @@ fn row_of(text: &str) -> TextRow<'_> {
 /// Units that may stand behind a number, before the next one's name.
 const UNITS: &[&str] = &["ms", "us", "s", "mm", "cm", "m", "deg", "rad", "dps", "ticks", "V", "mV", "C"];
 
-/// The name between two numbers: what stands behind the last separator, without the first one's unit.
-fn label_of(between: &str, is_first: bool) -> &str {
-    let mut label = between.rsplit([',', ';', '|', '\t']).next().unwrap_or(between);
-    let has_separator = label.len() < between.len();
-    let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    if !is_first && !has_separator {
-        let unit = label.split(|c| !is_word(c)).next().unwrap_or_default();
-        label = if UNITS.contains(&unit) { label.strip_prefix(unit).unwrap_or(label) } else { label };
-    }
+const fn is_word(c: char) -> bool {
+    c.is_ascii_alphanumeric() || c == '_'
+}
+
+/// The text behind a number, without the number's unit.
+fn without_unit(behind: &str) -> &str {
+    let text = behind.trim_start();
+    let unit = text.split(|c| !is_word(c)).next().unwrap_or_default();
+    if UNITS.contains(&unit) { text.strip_prefix(unit).unwrap_or(text) } else { text }
+}
+
+/// The name before a number: what stands behind the last separator.
+fn label_of(before: &str) -> &str {
+    let label = before.rsplit([',', ';', '|', '\t']).next().unwrap_or(before);
     label.trim_matches(|c: char| !is_word(c))
 }
 

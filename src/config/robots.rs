@@ -114,7 +114,9 @@ pub struct TemplateValue {
 /// The text of a robot's file with these values in place of its own, below another introduction. Sections that it lacks are appended.
 pub fn with_values(robot_text: &str, introduction: &[String], values: &[TemplateValue]) -> String {
     let (_, sections) = blocks_of(robot_text);
-    let mut text: String = introduction.iter().map(|line| format!("# {line}\n")).collect();
+    let mut text = String::new();
+    let comments: Vec<String> = introduction.iter().map(|line| format!("# {line}")).collect();
+    push_part(&mut text, &comments);
     let line_of = |value: &TemplateValue| {
         let TemplateValue { key, value, comment, .. } = value;
         if comment.is_empty() { format!("{key} = {value}") } else { format!("{key} = {value}    # {comment}") }

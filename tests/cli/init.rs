@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::Stdio;
 
 use crate::support::terminal::PseudoTerminal;
+use crate::support::virtual_drive::record_drive;
 use crate::support::{RunningProgram, assert_refused, errors_mm, posebridge, read_text, run, used, write_text};
-use crate::virtual_drive::record_drive;
 use posebridge::config::{BundledRobot, LinkSection, RobotProfile, load_text};
 use posebridge::virtual_station;
 use posebridge_sim::{Scenario, Simulation};
@@ -127,7 +127,6 @@ fn assert_measured(folder: &Path, file: &str, personality: &str) {
     }
     let driven = virtual_station::run(scenario, config.station_config().unwrap()).unwrap();
     let [off_mm, _] = errors_mm(&driven);
-    println!("{file}: off by {off_mm:.1} mm");
     assert!(off_mm < 20.0, "{file}: {off_mm}");
 }
 

@@ -5,8 +5,6 @@
 mod http;
 #[path = "../support/mod.rs"]
 mod support;
-#[path = "../support/virtual_drive.rs"]
-mod virtual_drive;
 
 mod commands;
 mod contrib;

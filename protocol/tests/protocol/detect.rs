@@ -142,7 +142,7 @@ fn messages_of_rosserial_are_recognised_by_both_of_their_checks() {
     let stream = [&time[..], &topics, &stop, &time].concat();
     check(&stream, Protocol::Rosserial, 4, 48);
     check_any_window(&stream.repeat(3), Protocol::Rosserial, 70);
-    let mut wrong = time.clone();
+    let mut wrong = time;
     wrong[9] ^= 1;
     assert_eq!(recognise(&wrong.repeat(3)).protocol, Protocol::Unrecognized);
 }
@@ -156,7 +156,7 @@ fn frames_of_micro_ros_are_recognised_by_their_crc() {
     check(&create, Protocol::MicroRos, 1, 31);
     check(&heartbeat.repeat(3), Protocol::MicroRos, 3, 66);
     check_any_window(&[&create[..], &heartbeat].concat().repeat(3), Protocol::MicroRos, 110);
-    let mut wrong = create.clone();
+    let mut wrong = create;
     wrong[20] ^= 1;
     assert_eq!(recognise(&wrong.repeat(3)).protocol, Protocol::Unrecognized);
 }

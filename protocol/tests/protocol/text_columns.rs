@@ -112,7 +112,8 @@ fn decoded(layout: &[&str], text: &str, chunk: usize) -> Vec<String> {
                 found.push(format!("{stamp} {} {}", ticks.left.0, ticks.right.0));
             }
             CodecEvent::Message { message: Message::Inertial(inertial), .. } => {
-                found.push(format!("{:.1} deg/s", inertial.turn_rate.unwrap().0.to_degrees()));
+                let rate = inertial.turn_rate.expect("a rate is said");
+                found.push(format!("{:.1} deg/s", rate.0.to_degrees()));
             }
             CodecEvent::StatusText { text, .. } => found.push(text),
             _ => {}

@@ -1,7 +1,9 @@
 //! What the motions show, in words and as values of a configuration.
 
 use anyhow::Result;
-use posebridge_estimator::hand_motions::{DriveFigures, GyroScale, HandFigures, Measured, WheelUnit};
+use posebridge_estimator::hand_motions::{
+    DriveFigures, GyroScale, HandFigures, Measured, WheelUnit, usual_gyro_counts,
+};
 use posebridge_telemetry::{Polarity, WheelOrder};
 
 use super::live::GuidedRobot;
@@ -24,10 +26,6 @@ const KNOWN_TICKS_TOLERANCE: f64 = 0.1;
 const REPORTED_TOLERANCE: f64 = 0.02;
 /// Least sigma of a learned scale: a person does not measure better.
 const MIN_SCALE_SIGMA: f64 = 0.005;
-/// Scales of usual gyros, counts at one degree per second: MPU-6050 and L3GD20, by their data sheets.
-const USUAL_GYRO_COUNTS: [f64; 7] = [131.0, 65.5, 32.8, 16.4, 114.3, 57.1, 14.3];
-const USUAL_TOLERANCE: f64 = 0.05;
-
 const ROBOT: &str = "robot";
 const WIRING: &str = "robot.wiring";
 const CALIBRATION: &str = "robot.calibration";
@@ -122,19 +120,16 @@ impl Findings {
                 self.line("wheels", &assumed, &format!("assumed, of {}", source.base.name));
             }
         }
-        match figures.track_m {
-            Some(track) => {
-                let shown = millimetres(track);
-                self.line("track", &shown, "on the spot");
-                self.set(ROBOT, "track_width_m", metres(track.value), format!("{shown}, on the spot"));
-                let relative = (track.sigma / track.value).max(MIN_SCALE_SIGMA);
-                self.set(CALIBRATION, "track_scale", sigma(relative), "the same for a heading");
-            }
-            None => {
-                let assumed = format!("{:.0} mm", 1e3 * base.track_width_m);
-                self.line("track", &assumed, &format!("assumed, of {}", source.base.name));
-            }
-        }
+        let Some(track) = figures.track_m else {
+            let assumed = format!("{:.0} mm", 1e3 * base.track_width_m);
+            self.line("track", &assumed, &format!("assumed, of {}", source.base.name));
+            return;
+        };
+        let shown = millimetres(track);
+        self.line("track", &shown, "on the spot");
+        self.set(ROBOT, "track_width_m", metres(track.value), format!("{shown}, on the spot"));
+        let relative = (track.sigma / track.value).max(MIN_SCALE_SIGMA);
+        self.set(CALIBRATION, "track_scale", sigma(relative), "the same for a heading");
     }
 
     /// A gear between motor and wheel makes a known number wrong.
@@ -267,8 +262,7 @@ impl Findings {
         if unit != "gyro_counts" {
             return unit.trim_start_matches("gyro_").replace("_per_", "/");
         }
-        let usual = USUAL_GYRO_COUNTS.into_iter().find(|usual| (per_deg_per_s / usual - 1.0).abs() < USUAL_TOLERANCE);
-        let counts = usual.unwrap_or(per_deg_per_s);
+        let counts = usual_gyro_counts(per_deg_per_s);
         let comment = format!("{per_deg_per_s:.1} counted in the turn on the spot");
         self.set(LINE, "gyro_counts_per_deg_per_s", format!("{counts:.1}"), comment);
         format!("{counts:.1} counts at 1 degree/s")

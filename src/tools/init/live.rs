@@ -169,7 +169,7 @@ async fn identify(
             received = opened.listen(listen_for).await;
             protocol = received.detect().protocol;
             if protocol.is_known() {
-                opened.template.origin = "the speed at which the robot was understood".to_owned();
+                "the speed at which the robot was understood".clone_into(&mut opened.template.origin);
                 break;
             }
         }
@@ -198,7 +198,7 @@ async fn probe(opened: &mut OpenLink, flags: &GuideFlags, answers: &mut Answers)
         return Ok(Protocol::NoData);
     }
     for (brick, expected) in [("nxt", Protocol::Nxt), ("ev3", Protocol::Ev3)] {
-        print_line(&format!("asking whether it is an {}", brick.to_uppercase()));
+        print_line(&format!("asking: is it an {}?", brick.to_uppercase()));
         let source = RobotSource::new(opened.template.clone(), String::new(), brick, None)?;
         let mut session = GuideSession::new(source.station_config()?, flags.settings(&source), opened.timer.now())?;
         session.handle(opened.timer.now(), &Input::Link { link: LinkId(0), state: LinkState::Up });
@@ -277,7 +277,7 @@ async fn map_columns(
     let guessed: Vec<String> = mapping.guesses.iter().map(|guess| guess.column.to_string()).collect();
     let columns = loop {
         let answer = if answers.has_person() {
-            answers.ask("Enter takes this; or write all names, such as time_ms,left_ticks,right_ticks,ignore:").await?
+            answers.ask("Enter takes this; or write all names, such as time_ms,left_ticks,right_ticks:").await?
         } else {
             String::new()
         };
@@ -370,7 +370,7 @@ impl GuideLoop<'_> {
             "a" => self.session.guide.repeat(),
             "s" => self.session.guide.skip(),
             "q" => bail!("stopped before the last motion; nothing was written"),
-            _ => print_line("Enter: the motion is over; a: the one before again; s: leave it out; q: stop"),
+            _ => print_line("  that is none of the answers:"),
         }
         self.prompt();
         Ok(Vec::new())
@@ -387,7 +387,10 @@ impl GuideLoop<'_> {
 
     fn prompt(&self) {
         if let Some(step) = self.session.guide.step() {
-            print_lines(&words::prompt_lines(step, self.session.guide.settings(), self.answers.has_person()));
+            print_lines(&words::prompt_lines(step, self.session.guide.settings()));
+            if self.answers.has_person() {
+                print_line(words::KEYS);
+            }
         }
     }
 

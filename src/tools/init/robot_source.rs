@@ -136,7 +136,7 @@ pub(super) fn column_lines(table: &ColumnTable, guesses: &[ColumnGuess]) -> Vec<
 pub(super) fn check_columns(names: &[String], count: usize) -> Result<()> {
     ensure!(
         names.len() == count,
-        "--columns names {}, and a line has {count} numbers; write `ignore` for those that are not used",
+        "{} columns are named, and a line has {count} numbers; write `ignore` for those that are not used",
         names.len()
     );
     for name in names {

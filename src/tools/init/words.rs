@@ -3,7 +3,10 @@
 use posebridge_estimator::hand_motions::{GuideEvent, GuideSettings, GuideStep, Measured, SetupGuide, WheelUnit};
 use posebridge_telemetry::Polarity;
 
-pub(super) fn prompt_lines(step: GuideStep, settings: &GuideSettings, has_person: bool) -> Vec<String> {
+/// For a person at a terminal, below a prompt.
+pub(super) const KEYS: &str = "  (Enter: it is over now; a: the one before again; s: leave it out; q: stop)";
+
+pub(super) fn prompt_lines(step: GuideStep, settings: &GuideSettings) -> Vec<String> {
     let turns = |turns: f64| if turns == 1.0 { "one full turn".to_owned() } else { format!("{turns} full turns") };
     let (title, what) = match step {
         GuideStep::WheelTurn => (
@@ -30,12 +33,9 @@ pub(super) fn prompt_lines(step: GuideStep, settings: &GuideSettings, has_person
     };
     let number = settings.steps.iter().position(|other| *other == step).map_or(1, |index| index + 1);
     let count = settings.steps.len();
-    let mut lines = vec![String::new(), format!("Motion {number} of {count}: {title}")];
-    lines.extend(wrapped(&format!("{what} Then leave it for {} s.", settings.rest.as_secs_f64())));
-    if has_person {
-        lines.push("  (Enter: it is over now; a: the one before again; s: leave it out; q: stop)".to_owned());
-    }
-    lines
+    let lines = [String::new(), format!("Motion {number} of {count}: {title}")];
+    let asked = wrapped(&format!("{what} Then leave it for {} s.", settings.rest.as_secs_f64()));
+    lines.into_iter().chain(asked).collect()
 }
 
 pub(super) fn event_lines(event: &GuideEvent, guide: &SetupGuide) -> Vec<String> {

@@ -236,3 +236,14 @@ impl GyroScale {
         }
     }
 }
+
+/// What usual gyros count at one degree per second: MPU-6050 and L3GD20 at their ranges, by their data sheets.
+const USUAL_GYRO_COUNTS: [f64; 7] = [131.0, 65.5, 32.8, 16.4, 114.3, 57.1, 14.3];
+/// A turn by hand and a gyro's scale err by less.
+const USUAL_TOLERANCE: f64 = 0.05;
+
+/// The scale of a usual gyro that is near, else the measured one; both in counts at one degree per second.
+pub fn usual_gyro_counts(measured: f64) -> f64 {
+    let is_near = |usual: &f64| (measured / usual - 1.0).abs() < USUAL_TOLERANCE;
+    USUAL_GYRO_COUNTS.into_iter().find(is_near).unwrap_or(measured)
+}

@@ -10,6 +10,8 @@ mod log;
 #[cfg(test)]
 mod tests;
 
-pub use self::figures::{GyroScale, Measured, MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn};
+pub use self::figures::{
+    GyroScale, Measured, MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn, usual_gyro_counts,
+};
 pub use self::guide::{DriveFigures, GuideEvent, GuideSettings, GuideStep, HandFigures, SetupGuide};
 pub use self::log::{Motion, MotionLog, WheelUnit};
