@@ -18,41 +18,43 @@
 //! Communication Developer Kit, section 3 (length, message counter, reply type; system command 81 9E writes a mailbox).
 
 mod ros;
+mod unit_counts;
 
 use posebridge_telemetry::Timestamp;
 
 use crate::bricks::nxt::NxtStatus;
 use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use crate::text_columns::ColumnTable;
+use unit_counts::UnitCounts;
 
 /// Detects the protocol of `bytes`, in the order of their arrival; datagrams are concatenated.
 pub fn recognise(bytes: &[u8]) -> ProtocolDetection {
     if bytes.is_empty() {
-        return UnitCounts::default().detection(Protocol::NoData);
+        return ProtocolDetection::new(Protocol::NoData, UnitCounts::default());
     }
     let (v1, v2) = mavlink(bytes);
     if v2.frames > 0 && v2.bytes >= v1.bytes {
-        return v2.detection(Protocol::Mavlink2);
+        return ProtocolDetection::new(Protocol::Mavlink2, v2);
     }
     if v1.frames >= 2 || 2 * v1.bytes > bytes.len() {
-        return v1.detection(Protocol::Mavlink1);
+        return ProtocolDetection::new(Protocol::Mavlink1, v1);
     }
     let nmea = nmea_sentences(bytes);
     if nmea.frames > 0 {
-        return nmea.detection(Protocol::Nmea);
+        return ProtocolDetection::new(Protocol::Nmea, nmea);
     }
     for (protocol, tally) in [(Protocol::Rosserial, ros::rosserial(bytes)), (Protocol::MicroRos, ros::micro_ros(bytes))]
     {
         if tally.frames >= 2 || 2 * tally.bytes > bytes.len() {
-            return tally.detection(protocol);
+            return ProtocolDetection::new(protocol, tally);
         }
     }
     if let Some((protocol, tally)) = detect_telegrams(bytes) {
-        return tally.detection(protocol);
+        return ProtocolDetection::new(protocol, tally);
     }
     match text_lines(bytes) {
-        Some(lines) => lines.detection(text_protocol(bytes)),
-        None => UnitCounts::default().detection(Protocol::Unrecognized),
+        Some(lines) => ProtocolDetection::new(text_protocol(bytes), lines),
+        None => ProtocolDetection::new(Protocol::Unrecognized, UnitCounts::default()),
     }
 }
 
@@ -189,20 +191,9 @@ pub struct ProtocolDetection {
     pub frame_bytes: usize,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct UnitCounts {
-    pub(super) frames: usize,
-    pub(super) bytes: usize,
-}
-
-impl UnitCounts {
-    const fn add(&mut self, bytes: usize) {
-        self.frames += 1;
-        self.bytes += bytes;
-    }
-
-    const fn detection(self, protocol: Protocol) -> ProtocolDetection {
-        ProtocolDetection { protocol, frames: self.frames, frame_bytes: self.bytes }
+impl ProtocolDetection {
+    const fn new(protocol: Protocol, units: UnitCounts) -> Self {
+        Self { protocol, frames: units.frames, frame_bytes: units.bytes }
     }
 }
 

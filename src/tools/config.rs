@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use clap::{Args, Subcommand};
+use posebridge_report::tables::wrapped;
 
 use crate::config::{self, Config, Loaded};
 use crate::console::print_result;
@@ -60,7 +61,8 @@ pub fn params() -> String {
     for row in posebridge_estimator::PARAMS {
         let range = format!("{} to {}", row.range.start(), row.range.end());
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{:<16} {:>8}   {range:<18} {:<7} {}", row.key, row.default, row.unit, row.doc);
+        let _ = writeln!(text, "{:<16} {:>8}   {range:<18} {}", row.key, row.default, row.unit);
+        text += &wrapped("    ", row.doc);
     }
     text
 }

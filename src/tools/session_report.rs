@@ -110,6 +110,12 @@ fn add_summary(report: &mut Report, session: &SessionSummary) {
     if !session.notes.is_empty() {
         report.page_only(ReportBlock::List(session.notes.clone()));
     }
+    for run in &session.runs {
+        let verdict = run.verdict();
+        let label = if session.runs.len() > 1 { format!("{}:", run.name) } else { "Filter:".to_owned() };
+        report.verdict(verdict.tone(), label, verdict.to_string());
+        report.paragraph(in_figures(run));
+    }
     let runs = session.runs.iter();
     let rows: Vec<EstimatorRow<'_>> = runs
         .map(|run| EstimatorRow {
@@ -123,9 +129,6 @@ fn add_summary(report: &mut Report, session: &SessionSummary) {
 }
 
 fn add_run(report: &mut Report, run: &RunSummary, index: usize) {
-    let verdict = run.verdict();
-    report.verdict(verdict.tone(), "Filter:", verdict.to_string());
-    report.paragraph(in_figures(run));
     report.page_only(ReportBlock::FigureGrid(main_pictures(run, index)));
     add_compared(report, run);
     add_sources(report, run, index);

@@ -115,7 +115,7 @@ test('a car at a wall: readings, estimate, refused ones and its silence', async 
     assert.ok(await page.evaluate(() => document.documentElement.scrollWidth) <= 360);
     await page.close();
     assert.equal(await station.stop(), 0);
-    assert.match(station.text, /filter {5}last reading accepted, [123] % of \d+ steps by prediction alone/);
+    assert.match(station.text, /quantity {3}last reading accepted, [123] % of \d+ steps by prediction alone/);
   } finally {
     await station.remove();
     await car.remove();

@@ -186,6 +186,12 @@ impl Report {
         self.name
     }
 
+    /// The result in a sentence, before all else.
+    pub fn answer(&mut self, text: impl Into<String>) {
+        let block = ReportBlock::Text(text.into());
+        self.sections.insert(0, Section { block, labels: 0, is_page_only: false });
+    }
+
     pub fn heading(&mut self, text: impl Into<String>) {
         self.add(ReportBlock::Heading(text.into()));
     }

@@ -13,7 +13,7 @@
 
 use crc::{CRC_16_ARC, Crc, Table};
 
-use super::UnitCounts;
+use super::unit_counts::UnitCounts;
 
 const SYNC: u8 = 0xFF;
 const VERSIONS: [u8; 2] = [0xFE, 0xFF];

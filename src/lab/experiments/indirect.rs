@@ -270,6 +270,18 @@ fn report(headline: String, command: String, truth: &str, found: &RoundsResult) 
          about that, and what does it change to feed the error back?",
     );
     report.command(command);
+    let median_m = |row: &&RowResult| row.summary.median_m;
+    let is_fused = |row: &&RowResult| row.row.sensors != SensorSet::Wheels;
+    let best = found.rows.iter().filter(is_fused).min_by(|one, other| median_m(one).total_cmp(&median_m(other)));
+    if let Some((wheels, best)) = found.rows.iter().find(|row| !is_fused(row)).zip(best) {
+        report.answer(format!(
+            "At the end the wheels alone are {:.0} mm off (median); nearest is {} {}, {:.0} mm.",
+            wheels.summary.median_m * 1e3,
+            best.row.filter,
+            best.row.sensors.name(),
+            best.summary.median_m * 1e3
+        ));
+    }
     report.heading(headline);
     report.table("rows", &table(&found.rows));
     report.paragraph(format!(

@@ -272,6 +272,18 @@ fn report(clock: &[ClockRow], pose: &[PoseRow]) -> Report {
     );
     add_clock(&mut report, clock);
     add_pose(&mut report, pose);
+    let errors = || pose.iter().filter_map(|row| row.position_rms_m);
+    let span = errors().reduce(f64::min).zip(errors().reduce(f64::max));
+    let odometry_m = pose.iter().filter_map(|row| row.odometry_rms_m).reduce(f64::max);
+    if let (Some((least_m, most_m)), Some(odometry_m)) = (span, odometry_m) {
+        report.answer(format!(
+            "Over {} links the estimate is {:.1} to {:.1} mm off (rms), the brick's odometry up to {:.1} mm.",
+            pose.len(),
+            least_m * 1e3,
+            most_m * 1e3,
+            odometry_m * 1e3
+        ));
+    }
     report.figure(render_accuracy_chart(&chart(pose)), "Position error of a lap over each link, for each circumstance");
     report
 }

@@ -12,17 +12,14 @@ use super::live::GuidedRobot;
 use super::robot_source::{RobotSource, brick_of};
 use super::session::GuideSession;
 use super::*;
-use crate::cli::{Cli, Command};
 use crate::config::{LineSection, RobotWiring, load_text};
 
 /// The flags of a command line.
 fn flags(arguments: &[&str]) -> GuideFlags {
-    use clap::Parser;
-    let all = [&["posebridge", "init", "--guide"], arguments].concat();
-    match Cli::try_parse_from(all).unwrap().command {
-        Some(Command::Init(args)) => args.guide,
-        other => panic!("{other:?}"),
-    }
+    use clap::{Args, Command, FromArgMatches};
+    let all = [&["init", "--guide"], arguments].concat();
+    let matches = InitArgs::augment_args(Command::new("init")).try_get_matches_from(all).unwrap();
+    InitArgs::from_arg_matches(&matches).unwrap().guide
 }
 
 fn scenario(seed: u64, personality: Personality, settings: &str) -> Scenario {

@@ -6,7 +6,7 @@ use posebridge_protocol::dialect::message_name;
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::statistics::{MessageStatistics, SenderStatistics, TrafficStatistics};
 use posebridge_recording::tlog::ByteOrder;
-use posebridge_report::tables::{NO_VALUE, TextTable};
+use posebridge_report::tables::{NO_VALUE, TextTable, wrapped};
 use posebridge_telemetry::{HostClock, Timestamp};
 use serde_json::{Map, Value, json};
 
@@ -273,11 +273,11 @@ fn own_text(facts: &RecordingFacts) -> String {
     }
     for (id, link) in &facts.links {
         let brick = link.brick.as_deref().unwrap_or("mavlink");
-        let _ = writeln!(
-            text,
-            "link {id}  {}  {brick}  {} bytes in {} chunks, up {} times, down {} times",
+        let facts = format!(
+            "{}  {brick}  {} bytes in {} chunks, up {} times, down {} times",
             link.url, link.bytes, link.chunks, link.ups, link.downs
         );
+        text += &wrapped(&format!("link {id}     "), &facts);
     }
     for damage in &facts.damages {
         let _ = writeln!(text, "damaged: {damage}");

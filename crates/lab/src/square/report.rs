@@ -190,6 +190,25 @@ impl SquareReport {
             .number("", "heading rms", degrees, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Heading))
             .number("", "v rms", SPEED, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Forward))
             .number("", "w rms", TURN, |(ranking, method, _)| ranking.rms(*method, ErrorMetric::Turn));
+        let position = |(ranking, method, _): &&(&MethodRanking, usize, &str)| {
+            ranking.rms(*method, ErrorMetric::Position).unwrap_or(f64::INFINITY)
+        };
+        let ends = [
+            rows.iter().min_by(|one, other| position(one).total_cmp(&position(other))),
+            rows.iter().max_by(|one, other| position(one).total_cmp(&position(other))),
+        ];
+        if let [Some(best), Some(worst)] = ends {
+            let text = |row: &(&MethodRanking, usize, &str)| {
+                row.0.rms(row.1, ErrorMetric::Position).map_or_else(|| "-".to_owned(), |rms_m| mm.text(rms_m))
+            };
+            report.answer(format!(
+                "Nearest: {} with {} rms; farthest: {} with {}.",
+                best.2,
+                text(best),
+                worst.2,
+                text(worst)
+            ));
+        }
         report.heading("How far off");
         report.table("", &table);
         let diverged = rows.iter().filter_map(|(ranking, method, name)| {
@@ -209,8 +228,8 @@ impl SquareReport {
             .text("", "compared by", |reading| reading.metric.name().to_owned())
             .labels(2)
             .number("", "raw > wheel-kf", SHARE, move |reading| step(reading, 0))
-            .number("", "wheel-kf > velocity-kf", SHARE, move |reading| step(reading, 1))
-            .number("", "velocity-kf > ekf5", SHARE, move |reading| step(reading, 2))
+            .number("", "wheel-kf > speeds", SHARE, move |reading| step(reading, 1))
+            .number("", "speeds > ekf5", SHARE, move |reading| step(reading, 2))
             .text("", "all three", |reading| share_text(reading.order.all_hold, reading.order.drives))
             .text("", "on average", |reading| if reading.order.holds_on_average() { "yes" } else { "no" }.to_owned());
         report.heading("Other readings of the paper, with its matrices");

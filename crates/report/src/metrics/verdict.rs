@@ -165,25 +165,36 @@ impl FilterVerdict {
         let mut text = String::new();
         let (over, under) = (self.names(Consistency::OverConfident), self.names(Consistency::UnderConfident));
         // Writing to a String cannot fail.
-        if self.anees.is_some() && self.finding == Consistency::OverConfident && over.is_empty() {
-            match self.most_gated() {
+        match self.finding {
+            // Without truth it is the sources that decide.
+            _ if self.anees.is_none() => {}
+            Consistency::Consistent => {
+                if !over.is_empty() {
+                    let _ = write!(text, "; too little noise is set for {over}, and the other sources make up for it");
+                }
+                if !under.is_empty() {
+                    let _ = write!(text, "; more noise is set than {under} has, and the pose does not suffer by it");
+                }
+            }
+            Consistency::OverConfident if !over.is_empty() => {
+                let _ = write!(text, "; {over} shows it, too");
+            }
+            Consistency::OverConfident => match self.most_gated() {
                 Some((name, share)) => {
+                    let share = share * 100.0;
                     let _ = write!(
                         text,
-                        "; the gate refused {:.1} % of {name}: the robot was moved, or it has outliers",
-                        share * 100.0
+                        "; the gate refused {share:.1} % of {name}: the robot was moved, or it has outliers"
                     );
                 }
                 None => {
                     text += "; no innovation shows it: the sources share an error, such as a frame, a delay or a camera that is off";
                 }
+            },
+            Consistency::UnderConfident if !over.is_empty() => {
+                let _ = write!(text, "; too little noise is set for {over} all the same");
             }
-        }
-        if !over.is_empty() && self.finding != Consistency::OverConfident {
-            let _ = write!(text, "; too little noise is set for {over}, and the other sources make up for it");
-        }
-        if !under.is_empty() && self.finding != Consistency::UnderConfident {
-            let _ = write!(text, "; more noise is set than {under} has, and the pose does not suffer by it");
+            Consistency::UnderConfident | Consistency::TooLittleData => {}
         }
         text
     }

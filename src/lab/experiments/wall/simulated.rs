@@ -215,6 +215,24 @@ fn add_approaches(report: &mut Report, prepared: &SimulatedSetup, driven: &[Appr
         .count("nearer_than_line", "nearer", |row| row.against_line.nearer)
         .data("faster_than_line", |row| json!(row.against_line.faster))
         .count("nearer_and_faster_than_line", "and faster", |row| row.against_line.both);
+    let mut near: Vec<(&str, u32, u32)> = Vec::new();
+    for row in driven {
+        let (name, summary) = (row.case.source.name(), &row.summary);
+        let known = near.iter_mut().find(|(known, ..)| *known == name);
+        match known {
+            Some((_, near, runs)) => {
+                *near += summary.near as u32;
+                *runs += summary.runs as u32;
+            }
+            None => near.push((name, summary.near as u32, summary.runs as u32)),
+        }
+    }
+    let shares = near.iter().map(|(name, near, runs)| format!("{near} of {runs} approaches by {name}"));
+    report.answer(format!(
+        "Within {:.0} mm of the target ended {}.",
+        1e3 * NEAR_WALL_M,
+        shares.collect::<Vec<_>>().join(", ")
+    ));
     report.table("approaches", &table);
     pictures::add(report, &pictures::approaches(&prepared.scene, driven));
     if let Some(plot) = pictures::control_periods(driven) {
