@@ -22,6 +22,8 @@ const MAX_COLUMNS: usize = 64;
 const MIN_ROW_SHARE: f64 = 0.6;
 /// Bounds memory and time: a quarter of an hour at 50 lines per second.
 const MAX_ROWS: usize = 45_000;
+/// As of the lines that a board prints.
+const MAX_LINE_BYTES: usize = 256;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TextColumn {
@@ -37,6 +39,8 @@ pub struct TextColumn {
 pub struct ColumnTable {
     pub columns: Vec<TextColumn>,
     pub rows: usize,
+    /// It goes on after the most rows that are read.
+    pub is_cut: bool,
 }
 
 /// A line with its numbers.
@@ -50,11 +54,13 @@ impl ColumnTable {
     /// The rows of `bytes`; `None` if they are no text with numbers in columns. The first line may be the rear part of one: it is no row
     /// where there are others.
     pub fn read(bytes: &[u8]) -> Option<Self> {
-        let mut lines: Vec<&[u8]> = bytes.split(|byte| matches!(byte, b'\n' | b'\r')).collect();
         // What has no end is no line yet.
-        lines.pop();
-        let texts = lines.into_iter().filter(|line| !line.is_empty()).take(MAX_ROWS);
-        let texts: Vec<&str> = texts
+        let end = bytes.iter().rposition(|byte| matches!(byte, b'\n' | b'\r')).unwrap_or(0);
+        let lines = bytes.get(..end)?.split(|byte| matches!(byte, b'\n' | b'\r'));
+        let mut lines = lines.filter(|line| !line.is_empty() && line.len() <= MAX_LINE_BYTES);
+        let texts: Vec<&str> = lines
+            .by_ref()
+            .take(MAX_ROWS)
             .filter_map(|line| strip_checksum(line, ChecksumPolicy::Optional).ok().map(|(text, _)| text))
             .collect();
         let rows: Vec<TextRow<'_>> = texts.iter().map(|text| row_of(text)).collect();
@@ -75,7 +81,7 @@ impl ColumnTable {
                 is_whole: whole.iter().filter_map(|row| row.texts.get(index)).all(|text| is_whole(text)),
             }
         });
-        Some(Self { columns: columns.collect(), rows: whole.len() })
+        Some(Self { columns: columns.collect(), rows: whole.len(), is_cut: lines.next().is_some() })
     }
 }
 

@@ -156,7 +156,9 @@ fn answer(replayed: &ReplayResult) -> Option<String> {
         learned,
     };
     let name = if of_robot().count() > 1 || first.robot.is_some() { best.label() } else { String::new() };
-    let heading = if name.is_empty() { String::new() } else { format!("best       {name}\n") };
+    let is_compared = of_robot().filter(|outcome| outcome.errors.position_rms_m.is_some()).count() > 1;
+    let label = if is_compared { "best" } else { "of" };
+    let heading = if name.is_empty() { String::new() } else { format!("{label:<11}{name}\n") };
     Some(heading + &answer.text(colour()))
 }
 

@@ -19,6 +19,11 @@ const MAX_STEP_RAD: f64 = 20.0;
 /// After so much driving the wiring monitor has decided.
 const ENOUGH_TRAVEL_M: f64 = 2.0;
 const ENOUGH_TURN_RAD: f64 = 4.0 * std::f64::consts::PI;
+/// A slower motion may be noise.
+const MIN_SPEED_M_PER_S: f64 = 0.02;
+const MIN_TURN_RAD_PER_S: f64 = 0.1;
+/// Of a link that only keeps itself alive fewer frames leave.
+const MIN_SENT_PER_S: f64 = 3.0;
 /// Two estimates further apart are not joined by one motion.
 const MAX_ESTIMATE_GAP: TimeDelta = TimeDelta::from_millis(500);
 /// A larger share of damaged frames loses information that a robot steers by.
@@ -171,18 +176,25 @@ impl SetupChecklist {
                 self.on_observation(now, &observation.measurement);
             }
             Event::ObservationFused { record, .. } if record.kind == "fix" => self.fix_lag = record.lag,
-            Event::BrickClockAligned { uncertainty, round_trip, .. } => {
+            // A codec of a board without a clock answers for it, in no time.
+            Event::BrickClockAligned { uncertainty, round_trip: Some(round_trip), .. }
+                if *round_trip > TimeDelta::ZERO =>
+            {
                 self.clock_uncertainty = Some(*uncertainty);
-                if round_trip.is_some() {
-                    self.answers.add(now);
-                }
+                self.answers.add(now);
+            }
+            // Counters and clock begin anew.
+            Event::BrickRestarted { .. } => {
+                self.last_angles = None;
+                self.last_estimate = None;
+                self.clock_uncertainty = None;
             }
             Event::EstimateUpdated { estimate, .. } => {
                 self.estimates.add(now);
                 let step = self.last_estimate.map(|last| estimate.stamp - last);
                 if let Some(step) = step.filter(|step| *step > TimeDelta::ZERO && *step <= MAX_ESTIMATE_GAP) {
-                    self.travel_m += (estimate.forward_speed.0 * step.as_secs_f64()).abs();
-                    self.turn_rad += (estimate.turn_rate.0 * step.as_secs_f64()).abs();
+                    self.travel_m += motion_above(MIN_SPEED_M_PER_S, estimate.forward_speed.0) * step.as_secs_f64();
+                    self.turn_rad += motion_above(MIN_TURN_RAD_PER_S, estimate.turn_rate.0) * step.as_secs_f64();
                 }
                 self.last_estimate = Some(estimate.stamp);
             }
@@ -241,7 +253,10 @@ impl SetupChecklist {
 
     fn wheels_item(&self, now: Timestamp<HostClock>) -> ChecklistItem {
         let [left_rad, right_rad] = self.rotation_rad;
-        let has_moved = left_rad.min(right_rad) >= MIN_ROTATION_RAD || self.travel_m > 0.05 || self.turn_rad > 0.5;
+        let has_moved = match self.last_angles {
+            Some(_) => left_rad.min(right_rad) >= MIN_ROTATION_RAD,
+            None => self.travel_m > 0.05 || self.turn_rad > 0.5,
+        };
         if self.wheels.count == 0 {
             let advice = "let the robot send its wheel counts: PB_WHEEL_TICKS, WHEEL_DISTANCE or a line of text";
             return item(SetupStep::Wheels, StepState::Waiting, "no counts yet", advice);
@@ -274,6 +289,10 @@ impl SetupChecklist {
 
     fn clock_item(&self) -> ChecklistItem {
         let Some(uncertainty) = self.clock_uncertainty else {
+            if self.wheels.count > 0 {
+                let advice = "let the robot answer TIMESYNC, which bounds its clock from both sides";
+                return item(SetupStep::Clock, StepState::Optional, "by the arrival of what it sends", advice);
+            }
             return item(
                 SetupStep::Clock,
                 StepState::Waiting,
@@ -299,7 +318,7 @@ impl SetupChecklist {
                 SetupStep::Wiring,
                 StepState::Problem,
                 finding,
-                "`--fix-wiring` prints the lines of the configuration",
+                "`--fix-wiring` prints the lines of the configuration; then start the station again",
             );
         }
         if !self.gyro.is_recent(now) && !self.fixes.is_recent(now) {
@@ -340,16 +359,18 @@ impl SetupChecklist {
         if !self.estimates.is_recent(now) {
             return item(SetupStep::Estimate, StepState::Waiting, "no estimate", "it follows the first wheel counts");
         }
+        // Heartbeats and requests for the time are fewer.
         let rate = link.map_or(0.0, |link| link.rate(|health| health.frames_out));
-        if rate > 0.0 {
-            return item(SetupStep::Estimate, StepState::Done, format!("{rate:.0} frames/s"), "");
+        if rate >= MIN_SENT_PER_S {
+            let figure = format!("{:.0} estimates/s, the link sends {rate:.0} frames/s", self.estimates.rate_hz());
+            return item(SetupStep::Estimate, StepState::Done, figure, "");
         }
         let figure = format!("{:.0} estimates/s, none sent", self.estimates.rate_hz());
         item(
             SetupStep::Estimate,
             StepState::Optional,
             figure,
-            "a board with lines of text gets them by `estimate_interval_ms`",
+            "`outputs` of the link send it, to a board with lines of text `estimate_interval_ms`",
         )
     }
 
@@ -376,6 +397,10 @@ impl SetupChecklist {
     }
 }
 
+fn motion_above(least: f64, speed: f64) -> f64 {
+    Some(speed.abs()).filter(|speed| *speed >= least).unwrap_or(0.0)
+}
+
 fn item(step: SetupStep, state: StepState, figure: impl Into<String>, advice: &'static str) -> ChecklistItem {
     ChecklistItem { step, state, figure: figure.into(), advice }
 }
@@ -393,7 +418,6 @@ fn link_item(link: Option<&LinkActivity>) -> ChecklistItem {
 
 fn frames_item(link: Option<&LinkActivity>) -> ChecklistItem {
     let health = link.map(LinkActivity::latest).unwrap_or_default();
-    let damaged = health.checksum_errors as f64 / (health.frames_in + health.checksum_errors).max(1) as f64;
     if health.frames_in == 0 {
         if health.bytes_in == 0 {
             return item(SetupStep::Frames, StepState::Waiting, "none yet", "first bytes have to come");
@@ -402,7 +426,13 @@ fn frames_item(link: Option<&LinkActivity>) -> ChecklistItem {
         let advice = "another baud rate or protocol: `posebridge doctor URL` names it, `--brick` sets it";
         return item(SetupStep::Frames, StepState::Problem, figure, advice);
     }
-    let rate = link.map_or(0.0, |link| link.rate(|health| health.frames_in));
+    let now = |count| link.map_or(0.0, |link| link.rate(count));
+    let (rate, damaged) = (now(|health| health.frames_in), now(|health| health.checksum_errors));
+    if rate <= 0.0 && now(|health| health.bytes_in) > 0.0 {
+        let advice = "the bytes that come now are no frames: has the robot changed its baud rate or its program?";
+        return item(SetupStep::Frames, StepState::Problem, "none any more", advice);
+    }
+    let damaged = if rate + damaged > 0.0 { damaged / (rate + damaged) } else { 0.0 };
     let figure = format!("{rate:.0} frames/s, {:.1} % damaged", damaged * 100.0);
     if damaged > MAX_DAMAGED_SHARE {
         let advice = "a shorter cable, a lower baud rate, or less noise near the radio";

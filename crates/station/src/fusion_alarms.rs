@@ -19,6 +19,8 @@ const MIN_CONSECUTIVE: u32 = 3;
 const SLIP_DELAY: TimeDelta = TimeDelta::from_millis(600);
 /// A sensor that contradicts the pose for so long, and so often, is no coincidence.
 const MIN_CONTRADICTION: TimeDelta = TimeDelta::from_millis(500);
+/// Observations further apart belong to two contradictions.
+const MAX_GAP: TimeDelta = TimeDelta::from_millis(2_000);
 /// Time after which a contradiction that lasts is reported again.
 const REPEAT: TimeDelta = TimeDelta::from_millis(10_000);
 
@@ -36,6 +38,7 @@ pub(crate) struct FusionAlarms {
 #[derive(Clone, Copy, Debug)]
 struct Contradiction {
     since: Timestamp<BrickClock>,
+    last: Timestamp<BrickClock>,
     count: u32,
     reported: Option<Timestamp<BrickClock>>,
 }
@@ -56,7 +59,9 @@ impl FusionAlarms {
             | FusionOutcome::Rebased
             | FusionOutcome::Unused => {}
         }
-        let since = self.pending_slip.filter(|_| self.contradictions.is_empty())?;
+        let is_recent = |run: &Contradiction| (TimeDelta::ZERO..=MAX_GAP).contains(&(stamp - run.last));
+        let is_contradicted = self.contradictions.values().any(is_recent);
+        let since = self.pending_slip.filter(|_| !is_contradicted)?;
         // A brick that was restarted begins with an earlier stamp.
         if (TimeDelta::ZERO..SLIP_DELAY).contains(&(stamp - since)) {
             return None;
@@ -67,12 +72,14 @@ impl FusionAlarms {
 
     fn observe_gated(&mut self, record: &FusionRecord) -> Option<String> {
         let FusionRecord { sensor, stamp, .. } = *record;
-        let run = self.contradictions.entry(sensor).or_insert(Contradiction { since: stamp, count: 0, reported: None });
-        if stamp < run.since {
-            // After a restart of the brick's clock.
-            *run = Contradiction { since: stamp, count: 0, reported: None };
+        let begun = Contradiction { since: stamp, last: stamp, count: 0, reported: None };
+        let run = self.contradictions.entry(sensor).or_insert(begun);
+        // After a gap, or a restart of the brick's clock, another one begins.
+        if !(TimeDelta::ZERO..=MAX_GAP).contains(&(stamp - run.last)) {
+            *run = begun;
         }
         run.count += 1;
+        run.last = stamp;
         let lasts = stamp - run.since;
         let is_due = run.reported.is_none_or(|reported| stamp - reported >= REPEAT);
         if run.count < MIN_CONSECUTIVE || lasts < MIN_CONTRADICTION || !is_due {
@@ -160,6 +167,17 @@ mod tests {
         let said = texts(both);
         assert_eq!(said.len(), 1, "{said:?}");
         assert!(said[0].starts_with("camera contradicts the pose for 0.5 s"), "{said:?}");
+    }
+
+    #[test]
+    fn a_camera_that_sees_nothing_any_more_contradicts_nothing() {
+        let gated = [0, 60_000, 60_500, 60_900].map(|millis| (SensorId::CAMERA, millis, FusionOutcome::Gated));
+        let said = texts(gated);
+        assert_eq!(said.len(), 1, "{said:?}");
+        assert!(said[0].starts_with("camera contradicts the pose for 0.9 s"), "{said:?}");
+        let one_outlier = std::iter::once((SensorId::CAMERA, 0, FusionOutcome::Gated));
+        let slip = (50..80).map(|step| (SensorId::WHEELS, 100 * step, FusionOutcome::Slip));
+        assert_eq!(texts(one_outlier.chain(slip)).len(), 1);
     }
 
     #[test]

@@ -191,8 +191,10 @@ pub(in crate::tools) async fn listen(port: &mut Link, timer: HostTimer, listen_f
 const SPEEDS_BAUD: [u32; 8] = [115_200, 57_600, 9_600, 38_400, 19_200, 230_400, 460_800, 921_600];
 
 pub(super) fn check_listening(context: &DiagnosticContext) -> Vec<CheckResult> {
-    // The set-up of a robot opens them itself.
-    if context.links.is_empty() || context.robot.is_some() {
+    if context.robot.is_some() {
+        return vec![CheckResult::skipped("the set-up below opens the links itself")];
+    }
+    if context.links.is_empty() {
         return vec![CheckResult::skipped(
             "no link was given: `posebridge doctor serial:///dev/ttyUSB0` listens there",
         )];

@@ -46,7 +46,7 @@ impl Findings {
         findings.add_geometry(figures, source, base);
         findings.check_known_ticks(figures, motions);
         findings.add_wiring(figures, motions);
-        findings.add_gyro(figures, source);
+        findings.add_gyro(figures, motions, source);
         findings
     }
 
@@ -181,13 +181,18 @@ impl Findings {
                 self.set(WIRING, key, "true".to_owned(), "it counted down while the robot rolled forward");
             }
         }
-        let shown = if words.is_empty() { "both wheels count forward".to_owned() } else { words.join(", ") };
+        let shown = match (words.as_slice(), motions.straight) {
+            ([], Some(_)) => "both wheels count forward".to_owned(),
+            ([], None) => "not measured: no straight roll".to_owned(),
+            _ => words.join(", "),
+        };
         self.line("wiring", &shown, "");
     }
 
-    fn add_gyro(&mut self, figures: &DriveFigures, source: &RobotSource) {
+    fn add_gyro(&mut self, figures: &DriveFigures, motions: &HandFigures, source: &RobotSource) {
         let Some(Measured { value: ratio, .. }) = figures.gyro_ratio else {
-            self.line("gyro", "none was heard", "");
+            let shown = if motions.spot.is_some() { "none was heard" } else { "not measured: no turn on the spot" };
+            self.line("gyro", shown, "");
             return;
         };
         let scale = GyroScale::from_ratio(ratio);

@@ -16,13 +16,15 @@ use super::robot_source::{RobotSource, check_columns, column_lines, with_raw_cou
 use super::session::GuideSession;
 use super::words;
 use crate::config::{BundledRobot, Overlay, TemplateLink, config_with_overlay};
-use crate::console::print_lines;
+use crate::console::{print_line, print_lines};
 use crate::station::input_file::{InputFile, InputKind};
 use crate::station::recorded_session::for_each_input;
 use crate::station::signing::recorded_station_config;
 use crate::tools::import::{self, StationOptions};
 
 const MAX_TABLE_BYTES: u64 = 256 << 20;
+/// A longer pause of a logger is another recording.
+const MAX_STEP_S: f64 = 3_600.0;
 const MAVLINK: &str = "mavlink";
 
 /// Reads the file. `link` is the link for the configuration, where the file names none.
@@ -116,7 +118,19 @@ impl Player {
         player.handle(Timestamp::ZERO, &Input::Link { link: LinkId(0), state: LinkState::Up });
         let times = &table.columns.get(time).context("a column of the time")?.values;
         let start = times.first().copied().unwrap_or(0.0);
+        if table.is_cut {
+            print_line(&format!("`{name}`: only the first {} rows are read", table.rows));
+        }
+        let mut before = start;
         for (row, at) in times.iter().enumerate() {
+            let step_s = (at - before) * unit_s;
+            ensure!(
+                (0.0..=MAX_STEP_S).contains(&step_s),
+                "`{name}`, row {}: the time goes from {before} to {at}, which is {step_s} s; cut the table there, or name the \
+                 column of the time with --columns",
+                row + 1
+            );
+            before = *at;
             let values = table.columns.iter().filter_map(|column| column.values.get(row));
             let line: Vec<String> = values.map(f64::to_string).collect();
             let arrival = Timestamp::ZERO + TimeDelta::from_secs_f64((at - start) * unit_s);

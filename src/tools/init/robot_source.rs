@@ -107,8 +107,8 @@ pub(super) fn brick_of(protocol: Protocol) -> Result<&'static str> {
             "posebridge does not read ROS messages: let the board send MAVLink, or print its counts (docs/protocols/boards.md)"
         }
         Protocol::Text => {
-            "no numbers stand in columns there: print one line of numbers for each reading (docs/protocols/boards.md), or name the \
-             layout with `--brick line` and [robot.line]"
+            "no numbers stand in columns there: print one line of numbers for each reading (docs/protocols/boards.md), or \
+             name the layout in [robot.line] of a file by `posebridge init NAME`, without the guide"
         }
         Protocol::NoData => {
             "is the robot on and its program running? A LEGO brick without a program answers only when it is asked: --probe asks"

@@ -66,7 +66,7 @@ impl GuideSession {
             && !self.texts_seen.contains(text)
         {
             self.texts_seen.push(text.clone());
-            self.texts.push(text.clone());
+            self.texts.push(text.escape_debug().to_string());
         }
         None
     }

@@ -72,6 +72,8 @@ pub enum MotionProblem {
     NotOnSpot { left: f64, right: f64 },
     #[error("the counts are those of a turn to the right, where it was to turn to the left")]
     Clockwise,
+    #[error("the wheels counted the other way than the wheel that was turned: one of the two motions was backwards")]
+    AgainstWheel,
     #[error("{0} counts are too few for a figure: move further")]
     TooFew(f64),
 }

@@ -170,8 +170,20 @@ impl SetupGuide {
         let result = match step {
             GuideStep::WheelTurn => WheelTurn::new(motion, self.log.unit(), Side::Left, self.settings.wheel_turns)
                 .map(|wheel| self.figures.wheel = Some(wheel)),
-            GuideStep::Straight => StraightRoll::new(motion, self.log.unit(), self.settings.straight_m)
-                .map(|straight| self.figures.straight = Some(straight)),
+            GuideStep::Straight => {
+                let wheel = self.figures.wheel;
+                let is_against = |straight: &StraightRoll| {
+                    wheel.is_some_and(|wheel| straight.polarity[wheel.counter.index()] != wheel.polarity)
+                };
+                let rolled = StraightRoll::new(motion, self.log.unit(), self.settings.straight_m);
+                rolled.and_then(|straight| {
+                    if is_against(&straight) {
+                        return Err(MotionProblem::AgainstWheel);
+                    }
+                    self.figures.straight = Some(straight);
+                    Ok(())
+                })
+            }
             GuideStep::SpotTurn => {
                 // Without a straight roll the counters are taken for forward and of one size.
                 let straight = self.figures.straight.unwrap_or(UNKNOWN_ROLL);

@@ -141,8 +141,10 @@ impl FilterVerdict {
         Self { finding, anees, refused_covariances: errors.refused_covariances, sources }
     }
 
+    /// Without truth no better than that of its worst source.
     pub fn tone(&self) -> VerdictTone {
-        self.finding.into()
+        let is_any_bad = self.sources.iter().any(|(_, verdict)| verdict.tone() == VerdictTone::Bad);
+        if self.anees.is_none() && is_any_bad { VerdictTone::Bad } else { self.finding.into() }
     }
 
     fn names(&self, finding: Consistency) -> String {
@@ -166,8 +168,17 @@ impl FilterVerdict {
         let (over, under) = (self.names(Consistency::OverConfident), self.names(Consistency::UnderConfident));
         // Writing to a String cannot fail.
         match self.finding {
-            // Without truth it is the sources that decide.
-            _ if self.anees.is_none() => {}
+            // Without truth it is the sources that decide, and what their mean does not show.
+            _ if self.anees.is_none() => {
+                for (sensor, verdict) in &self.sources {
+                    if let Some(share) = verdict.gated_share.filter(|_| verdict.has_many_gated()) {
+                        let _ = write!(text, "; the gate refused {:.0} % of {}", share * 100.0, sensor.name());
+                    }
+                    if verdict.has_correlation() {
+                        let _ = write!(text, "; successive innovations of {} are correlated", sensor.name());
+                    }
+                }
+            }
             Consistency::Consistent => {
                 if !over.is_empty() {
                     let _ = write!(text, "; too little noise is set for {over}, and the other sources make up for it");
