@@ -117,23 +117,24 @@ test('--set-pose is a command at the first estimate', async () => {
   }, '--set-pose', '-2,3,90');
 });
 
-test('the set-up checklist is red while the link is pulled, and goes when it is back', async () => {
-  const stepsAre = (page, state) => page.waitForFunction(([names, wanted]) => {
+test('the set-up checklist is red while the link is pulled, and gone when all is well', async () => {
+  const stepsAre = (page, expected) => page.waitForFunction((wanted) => {
     const lines = [...document.querySelectorAll('.setup li')];
     const found = (name) => lines.find((line) => line.querySelector('.step').textContent === name)?.dataset.state;
-    return names.every((name) => found(name) === wanted);
-  }, [['link open', 'bytes come', 'wheel counts move'], state]);
+    return Object.entries(wanted).every(([name, state]) => found(name) === state);
+  }, expected);
   await withBrick(async (page, station, folder, { brick, port }) => {
-    await stepsAre(page, 'ok');
+    const list = page.locator('#setup');
+    await list.waitFor({ state: 'visible' });
+    await list.waitFor({ state: 'hidden' });
     await brick.remove();
-    await stepsAre(page, 'problem');
+    await stepsAre(page, { 'link open': 'problem', 'bytes come': 'problem', 'wheel counts move': 'problem' });
     const line = page.locator('.setup li', { hasText: 'link open' });
     assert.equal(await line.isVisible(), true);
     assert.match(await line.textContent(), /posebridge doctor/);
     const again = await startBrick('nxt', port);
     try {
-      // It is complete, and makes room for the rest.
-      await page.locator('#setup').waitFor({ state: 'hidden' });
+      await list.waitFor({ state: 'hidden' });
       assert.equal(await station.stop(), 0);
     } finally {
       await again.remove();
