@@ -138,7 +138,9 @@ class GroundStation(Common):
     def ranges(self):
         """Of each parameter its range, as people are told."""
         lines = posebridge(self.folder, "config", "params").splitlines()
-        found = (re.match(r"(\w+) +\S+ +(\S+) to (\S+) ", line) for line in lines)
+        # What each is for stands in the indented lines below it.
+        lines = (line for line in lines if not line.startswith(" "))
+        found = (re.match(r"(\w+) +\S+ +(\S+) to (\S+)", line) for line in lines)
         return {match[1]: (float(match[2]), float(match[3])) for match in found}
 
     def test_all_of_it_on_a_signed_link(self):
