@@ -29,13 +29,13 @@ struct HandMotion {
 }
 
 #[derive(Clone, Debug)]
-pub(crate) struct Hand {
+pub(crate) struct HandMover {
     motions: Vec<HandMotion>,
     next: usize,
     steps_done: u32,
 }
 
-impl Hand {
+impl HandMover {
     pub(crate) fn new(
         seed: u64,
         asked: HandMotions,

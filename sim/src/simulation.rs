@@ -16,7 +16,7 @@ use posebridge_telemetry::{
 use crate::camera::{CAMERA, Camera, CameraFix};
 use crate::clock::{STEP, SkewedClock};
 use crate::firmware::Twist;
-use crate::hand::Hand;
+use crate::hand::HandMover;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
 use crate::personality::{Brick, BrickTime};
@@ -79,7 +79,7 @@ pub struct Simulation {
     polyline: Vec<Point2<Arena>>,
     body: RobotBody,
     /// Moves the robot instead of its motors.
-    hand: Option<Hand>,
+    hand: Option<HandMover>,
     board: SensorBoard,
     brick_clock: SkewedClock,
     brick: Brick,
@@ -113,7 +113,7 @@ impl Simulation {
         };
         let body = RobotBody::new(&scenario, path.start());
         let hand = if let Course::ByHand(motions) = &scenario.path {
-            Some(Hand::new(scenario.seed, *motions, &scenario.drive, body.radius_m, body.track_m))
+            Some(HandMover::new(scenario.seed, *motions, &scenario.drive, body.radius_m, body.track_m))
         } else {
             None
         };

@@ -1,10 +1,8 @@
 //! What the motions show, in words and as values of a configuration.
 
 use anyhow::Result;
-use posebridge_estimator::hand_motions::{
-    DriveFigures, GyroScale, HandFigures, Measured, WheelUnit, usual_gyro_counts,
-};
-use posebridge_telemetry::{Polarity, WheelOrder};
+use posebridge_estimator::hand_motions::{DriveFigures, GyroScale, HandFigures, WheelUnit, usual_gyro_counts};
+use posebridge_telemetry::{Polarity, UncertainValue, WheelOrder};
 
 use super::live::GuidedRobot;
 use super::robot_source::RobotSource;
@@ -82,12 +80,12 @@ impl Findings {
     fn add_geometry(&mut self, figures: &DriveFigures, source: &RobotSource, base: &RobotFile) {
         self.set(ROBOT, "adopt_description", "false".to_owned(), "these figures were measured");
         match figures.ticks_per_turn {
-            Some(Measured { value, sigma }) if sigma > 0.0 => {
+            Some(UncertainValue { value, sigma }) if sigma > 0.0 => {
                 let shown = format!("{value:.0} ± {}", (sigma.ceil()));
                 self.line("ticks per turn", &shown, "one wheel by hand");
                 self.set(ROBOT, "ticks_per_turn", float(value.round()), format!("{shown}, one wheel turned by hand"));
             }
-            Some(Measured { value, .. }) => {
+            Some(UncertainValue { value, .. }) => {
                 let from =
                     if source.known_ticks_per_turn() == Some(value) { "its motors count degrees" } else { "given" };
                 self.line("ticks per turn", &format!("{value}"), from);
@@ -190,7 +188,7 @@ impl Findings {
     }
 
     fn add_gyro(&mut self, figures: &DriveFigures, motions: &HandFigures, source: &RobotSource) {
-        let Some(Measured { value: ratio, .. }) = figures.gyro_ratio else {
+        let Some(UncertainValue { value: ratio, .. }) = figures.gyro_ratio else {
             let shown = if motions.spot.is_some() { "none was heard" } else { "not measured: no turn on the spot" };
             self.line("gyro", shown, "");
             return;
@@ -274,7 +272,7 @@ impl Findings {
     }
 }
 
-fn millimetres(length: Measured) -> String {
+fn millimetres(length: UncertainValue) -> String {
     format!("{:.1} ± {:.1} mm", 1e3 * length.value, 1e3 * length.sigma)
 }
 

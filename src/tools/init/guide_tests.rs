@@ -187,7 +187,8 @@ fn motions_that_are_left_out_and_known_counts_stand_in_the_file() {
 /// The gyro's own numbers have a scale that the turn shows.
 #[test]
 fn a_gyro_of_unknown_scale_is_given_the_usual_one_that_is_near() {
-    use posebridge_estimator::hand_motions::{DriveFigures, HandFigures, Measured};
+    use posebridge_estimator::hand_motions::{DriveFigures, HandFigures};
+    use posebridge_telemetry::UncertainValue;
     let figures = |ratio: f64| DriveFigures {
         ticks_per_turn: None,
         radii_m: None,
@@ -195,7 +196,7 @@ fn a_gyro_of_unknown_scale_is_given_the_usual_one_that_is_near() {
         track_m: None,
         order: posebridge_telemetry::WheelOrder::AsNamed,
         polarity: [posebridge_telemetry::Polarity::Normal; 2],
-        gyro_ratio: Some(Measured { value: ratio, sigma: 0.01 }),
+        gyro_ratio: Some(UncertainValue { value: ratio, sigma: 0.01 }),
     };
     let cases = [
         ("gyro_counts", 131.0 / 131.0, "gyro_counts", Some("131.0")),

@@ -1,7 +1,8 @@
 //! What the guide says to a person.
 
-use posebridge_estimator::hand_motions::{GuideEvent, GuideSettings, GuideStep, Measured, SetupGuide, WheelUnit};
-use posebridge_telemetry::Polarity;
+use posebridge_estimator::hand_motions::{GuideEvent, GuideSettings, GuideStep, SetupGuide, WheelUnit};
+use posebridge_report::tables;
+use posebridge_telemetry::{Polarity, UncertainValue};
 
 /// For a person at a terminal, below a prompt.
 pub(super) const KEYS: &str = "  (Enter: it is over now; a: the one before again; s: leave it out; q: stop)";
@@ -73,7 +74,7 @@ fn done(step: GuideStep, guide: &SetupGuide) -> String {
             }
         }),
         GuideStep::SpotTurn => figures.spot.map_or_else(String::new, |spot| {
-            let Measured { value, .. } = spot.track_m;
+            let UncertainValue { value, .. } = spot.track_m;
             let gyro = spot.gyro_ratio.map_or_else(
                 || "no gyro was heard".to_owned(),
                 |ratio| format!("the gyro turned {:.3} times as far", ratio.value),
@@ -83,20 +84,7 @@ fn done(step: GuideStep, guide: &SetupGuide) -> String {
     }
 }
 
-const WIDTH: usize = 78;
-
 /// Lines of at most 80 columns, indented.
 fn wrapped(text: &str) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        match lines.last_mut() {
-            Some(line) if line.is_empty() => line.push_str(word),
-            Some(line) if line.len() + 1 + word.len() <= WIDTH => {
-                line.push(' ');
-                line.push_str(word);
-            }
-            _ => lines.push(word.to_owned()),
-        }
-    }
-    lines.into_iter().map(|line| format!("  {line}")).collect()
+    tables::wrapped("  ", text).lines().map(str::to_owned).collect()
 }

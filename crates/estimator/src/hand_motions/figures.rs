@@ -10,7 +10,7 @@
 
 use std::f64::consts::TAU;
 
-use posebridge_telemetry::{Polarity, WheelOrder};
+use posebridge_telemetry::{Polarity, UncertainValue, WheelOrder};
 
 use super::log::{Motion, WheelUnit};
 
@@ -26,13 +26,6 @@ const MAX_OTHER_SHARE: f64 = 0.1;
 const MIN_SAME_RATIO: f64 = 0.8;
 /// Fewer counts are too coarse for 2 %.
 const MIN_COUNTS: f64 = 20.0;
-
-/// A figure with one standard deviation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Measured {
-    pub value: f64,
-    pub sigma: f64,
-}
 
 /// A wheel, or the counter that is called so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +80,7 @@ pub struct WheelTurn {
     pub counter: Side,
     pub polarity: Polarity,
     /// `None` of a robot that reports metres.
-    pub ticks_per_turn: Option<Measured>,
+    pub ticks_per_turn: Option<UncertainValue>,
 }
 
 impl WheelTurn {
@@ -103,7 +96,7 @@ impl WheelTurn {
         }
         let value = counted.abs() / turns;
         let relative = (WHEEL_MARK_RAD / (TAU * turns)).hypot(COUNT_SIGMA / counted.abs());
-        let ticks_per_turn = (unit == WheelUnit::Counts).then_some(Measured { value, sigma: value * relative });
+        let ticks_per_turn = (unit == WheelUnit::Counts).then_some(UncertainValue { value, sigma: value * relative });
         Ok(Self { wheel, counter, polarity: polarity(counted), ticks_per_turn })
     }
 
@@ -123,7 +116,7 @@ fn polarity(forward: f64) -> Polarity {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StraightRoll {
     /// Metres per count, or per reported metre.
-    pub m_per_count: [Measured; 2],
+    pub m_per_count: [UncertainValue; 2],
     pub polarity: [Polarity; 2],
 }
 
@@ -133,7 +126,7 @@ impl StraightRoll {
         let m_per_count = motion.change.map(|counted| {
             let value = distance_m / counted.abs();
             let relative = (FLOOR_MARK_M / distance_m).hypot(count_sigma(unit) / counted.abs());
-            Measured { value, sigma: value * relative }
+            UncertainValue { value, sigma: value * relative }
         });
         Ok(Self { m_per_count, polarity: motion.change.map(polarity) })
     }
@@ -165,10 +158,10 @@ fn check_both(motion: &Motion, unit: WheelUnit) -> Result<(), MotionProblem> {
 /// A turn on the spot, to the left.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpotTurn {
-    pub track_m: Measured,
+    pub track_m: UncertainValue,
     pub order: WheelOrder,
     /// The gyro's turn over the true one; `None` without a gyro.
-    pub gyro_ratio: Option<Measured>,
+    pub gyro_ratio: Option<UncertainValue>,
 }
 
 impl SpotTurn {
@@ -201,9 +194,9 @@ impl SpotTurn {
         let sigma = (track_m * relative).hypot(counts[0].hypot(counts[1]) / angle_rad);
         let gyro_ratio = motion.gyro_turn.map(|turn| {
             let value = turn / angle_rad;
-            Measured { value, sigma: (value * HEADING_MARK_RAD / angle_rad).abs() }
+            UncertainValue { value, sigma: (value * HEADING_MARK_RAD / angle_rad).abs() }
         });
-        Ok(Self { track_m: Measured { value: track_m, sigma }, order: seen, gyro_ratio })
+        Ok(Self { track_m: UncertainValue { value: track_m, sigma }, order: seen, gyro_ratio })
     }
 }
 

@@ -2,9 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use posebridge_telemetry::{Observation, Polarity, TimeDelta, WheelOrder};
+use posebridge_telemetry::{Observation, Polarity, TimeDelta, UncertainValue, WheelOrder};
 
-use super::figures::{Measured, MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn};
+use super::figures::{MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn};
 use super::log::{Motion, MotionLog, WheelUnit};
 
 /// A motion that the guide asks for.
@@ -207,7 +207,7 @@ impl SetupGuide {
         let HandFigures { wheel, straight, spot } = self.figures;
         let order = wheel.map(|wheel| wheel.order()).or(spot.map(|spot| spot.order)).unwrap_or(WheelOrder::AsNamed);
         let counted = wheel.and_then(|wheel| wheel.ticks_per_turn);
-        let given = self.settings.ticks_per_turn.map(|value| Measured { value, sigma: 0.0 });
+        let given = self.settings.ticks_per_turn.map(|value| UncertainValue { value, sigma: 0.0 });
         let ticks_per_turn = given.or(counted);
         let used = ticks_per_turn.map_or(known_ticks_per_turn, |ticks| ticks.value.round());
         // The counter of each wheel.
@@ -217,8 +217,8 @@ impl SetupGuide {
         };
         let radii_m = straight.filter(|_| self.log.unit() == WheelUnit::Counts).map(|straight| {
             counters.map(|counter| {
-                let Measured { value, sigma } = straight.m_per_count[counter.index()];
-                Measured { value: value * used / TAU, sigma: sigma * used / TAU }
+                let UncertainValue { value, sigma } = straight.m_per_count[counter.index()];
+                UncertainValue { value: value * used / TAU, sigma: sigma * used / TAU }
             })
         });
         // A wheel in the air shows its sign; a roll shows both.
@@ -242,21 +242,21 @@ impl SetupGuide {
 }
 
 const UNKNOWN_ROLL: StraightRoll =
-    StraightRoll { m_per_count: [Measured { value: 1.0, sigma: 0.0 }; 2], polarity: [Polarity::Normal; 2] };
+    StraightRoll { m_per_count: [UncertainValue { value: 1.0, sigma: 0.0 }; 2], polarity: [Polarity::Normal; 2] };
 
 /// Geometry and wiring of a robot. The radii and the track do not depend on the hand that turned the wheel: a wrong number of ticks per turn
 /// makes a wrong radius, and the product of both is right.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveFigures {
     /// `None` where nobody knows or turned a wheel.
-    pub ticks_per_turn: Option<Measured>,
+    pub ticks_per_turn: Option<UncertainValue>,
     /// Of the left and of the right wheel.
-    pub radii_m: Option<[Measured; 2]>,
+    pub radii_m: Option<[UncertainValue; 2]>,
     /// True metres per metre that the robot reports, of a robot that reports distances.
-    pub reported_m: Option<[Measured; 2]>,
-    pub track_m: Option<Measured>,
+    pub reported_m: Option<[UncertainValue; 2]>,
+    pub track_m: Option<UncertainValue>,
     pub order: WheelOrder,
     /// Of the left and of the right wheel, behind `order`.
     pub polarity: [Polarity; 2],
-    pub gyro_ratio: Option<Measured>,
+    pub gyro_ratio: Option<UncertainValue>,
 }

@@ -10,8 +10,6 @@ mod log;
 #[cfg(test)]
 mod tests;
 
-pub use self::figures::{
-    GyroScale, Measured, MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn, usual_gyro_counts,
-};
+pub use self::figures::{GyroScale, MotionProblem, Side, SpotTurn, StraightRoll, WheelTurn, usual_gyro_counts};
 pub use self::guide::{DriveFigures, GuideEvent, GuideSettings, GuideStep, HandFigures, SetupGuide};
 pub use self::log::{Motion, MotionLog, WheelUnit};

@@ -3,7 +3,8 @@
 use std::f64::consts::TAU;
 
 use posebridge_telemetry::{
-    Observation, ObservationKind, Polarity, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp, WheelOrder,
+    Observation, ObservationKind, Polarity, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp, UncertainValue,
+    WheelOrder,
 };
 
 use super::*;
@@ -79,7 +80,7 @@ fn counted(turns: [f64; 2]) -> [f64; 2] {
     turns.map(|turn| (600.0 * turn).floor())
 }
 
-fn assert_near(found: Measured, expected: f64, relative: f64) {
+fn assert_near(found: UncertainValue, expected: f64, relative: f64) {
     assert!((found.value / expected - 1.0).abs() < relative, "{found:?} for {expected}");
     assert!(found.sigma > 0.0 && found.sigma < 0.03 * expected, "{found:?}");
 }
