@@ -2,15 +2,13 @@
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::channel;
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 
 use anyhow::Result;
 
 use crate::console::progress_bar;
-
-/// Bound of the results in the channel; a worker that is far ahead blocks.
-const RESULTS_UNDER_WAY: usize = 64;
 
 /// Runs every job; `ended` is called for each completed job, in the order of completion.
 ///
@@ -21,32 +19,39 @@ pub fn run_all<Job: Sync, Done: Send>(
     run: impl Fn(&Job) -> Done + Sync,
     mut ended: impl FnMut(),
 ) -> Vec<Done> {
+    let results: Vec<Mutex<Option<Done>>> = jobs.iter().map(|_| Mutex::new(None)).collect();
+    let run_job = |index: usize| {
+        let done = run(&jobs[index]);
+        *results[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(done);
+    };
+    run_numbers(jobs.len(), &run_job, &mut ended);
+    results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+}
+
+/// Calls `run` with every number below `count`, on all cores. It knows no type of job or result, so that it is compiled once.
+fn run_numbers(count: usize, run: &(dyn Fn(usize) + Sync), ended: &mut dyn FnMut()) {
     let next = AtomicUsize::new(0);
     let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let mut done: Vec<(usize, Done)> = Vec::with_capacity(jobs.len());
     thread::scope(|scope| {
-        let (sender, receiver) = sync_channel(RESULTS_UNDER_WAY);
-        for _ in 0..workers.min(jobs.len()) {
-            let sender = sender.clone();
-            let (next, run) = (&next, &run);
+        let (sender, receiver) = channel();
+        for _ in 0..workers.min(count) {
+            let (sender, next) = (sender.clone(), &next);
             scope.spawn(move || {
                 loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(job) = jobs.get(index) else { return };
-                    if sender.send((index, run(job))).is_err() {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    if number >= count {
+                        return;
+                    }
+                    run(number);
+                    if sender.send(()).is_err() {
                         return;
                     }
                 }
             });
         }
         drop(sender);
-        for result in receiver {
-            done.push(result);
-            ended();
-        }
+        receiver.into_iter().for_each(|()| ended());
     });
-    done.sort_by_key(|(index, _)| *index);
-    done.into_iter().map(|(_, done)| done).collect()
 }
 
 /// With a progress bar that counts in `units`.

@@ -32,32 +32,32 @@ enum Cell {
     Data(Value),
 }
 
-struct Column<'a, R> {
+struct Column {
     key: &'static str,
     /// A column without a heading is only in JSON.
     heading: Option<String>,
     format: Format,
-    cell: Box<dyn Fn(&R) -> Cell + 'a>,
+    cells: Vec<Cell>,
 }
 
-impl<R> Column<'_, R> {
-    fn text(&self, row: &R) -> String {
-        match (self.cell)(row) {
-            Cell::Text(text) => text,
+impl Column {
+    fn text(&self, row: usize) -> String {
+        match &self.cells[row] {
+            Cell::Text(text) => text.clone(),
             Cell::Count(count) => count.map_or_else(|| NO_VALUE.to_owned(), |count| count.to_string()),
-            Cell::Number(value) => self.format.number(value),
-            Cell::Uncertain { value, sigma } => self.format.uncertain_number(value, sigma),
+            Cell::Number(value) => self.format.number(*value),
+            Cell::Uncertain { value, sigma } => self.format.uncertain_number(*value, *sigma),
             Cell::Data(value) => value.to_string(),
         }
     }
 
-    fn json(&self, row: &R) -> Value {
-        match (self.cell)(row) {
+    fn json(&self, row: usize) -> Value {
+        match &self.cells[row] {
             Cell::Text(text) => json!(text),
             Cell::Count(count) => json!(count),
             Cell::Number(value) => json!(value),
             Cell::Uncertain { value, sigma } => json!({ "value": value, "sigma": sigma }),
-            Cell::Data(value) => value,
+            Cell::Data(value) => value.clone(),
         }
     }
 }
@@ -66,13 +66,13 @@ impl<R> Column<'_, R> {
 /// column there.
 pub struct Table<'a, R> {
     rows: &'a [R],
-    columns: Vec<Column<'a, R>>,
+    columns: Columns,
     labels: usize,
 }
 
 impl<'a, R> Table<'a, R> {
     pub const fn of(rows: &'a [R]) -> Self {
-        Self { rows, columns: Vec::new(), labels: 1 }
+        Self { rows, columns: Columns { columns: Vec::new(), rows: rows.len() }, labels: 1 }
     }
 
     /// Number of leading columns that identify a row (default 1): a text table too wide for a terminal continues below and repeats
@@ -81,12 +81,12 @@ impl<'a, R> Table<'a, R> {
         Self { labels, ..self }
     }
 
-    pub fn text(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> String + 'a) -> Self {
-        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Text(value(row)))
+    pub fn text(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> String) -> Self {
+        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), &|row| Cell::Text(value(row)))
     }
 
-    pub fn count(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> usize + 'a) -> Self {
-        self.optional_count(key, heading, move |row| Some(value(row)))
+    pub fn count(self, key: &'static str, heading: impl Into<String>, value: impl Fn(&R) -> usize) -> Self {
+        self.optional_count(key, heading, |row| Some(value(row)))
     }
 
     /// Integers; `None` is a dash in text and `null` in JSON.
@@ -94,9 +94,9 @@ impl<'a, R> Table<'a, R> {
         self,
         key: &'static str,
         heading: impl Into<String>,
-        value: impl Fn(&R) -> Option<usize> + 'a,
+        value: impl Fn(&R) -> Option<usize>,
     ) -> Self {
-        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), move |row| Cell::Count(value(row)))
+        self.column(key, Some(heading.into()), Format::new(Unit::None, 0), &|row| Cell::Count(value(row)))
     }
 
     /// Numbers in SI units; `None` is a dash in text and `null` in JSON.
@@ -105,9 +105,9 @@ impl<'a, R> Table<'a, R> {
         key: &'static str,
         heading: impl Into<String>,
         format: Format,
-        value: impl Fn(&R) -> Option<f64> + 'a,
+        value: impl Fn(&R) -> Option<f64>,
     ) -> Self {
-        self.column(key, Some(heading.into()), format, move |row| Cell::Number(value(row)))
+        self.column(key, Some(heading.into()), format, &|row| Cell::Number(value(row)))
     }
 
     /// Numbers with standard deviations; in JSON objects of `value` and `sigma`.
@@ -116,44 +116,51 @@ impl<'a, R> Table<'a, R> {
         key: &'static str,
         heading: impl Into<String>,
         format: Format,
-        value: impl Fn(&R) -> Option<f64> + 'a,
-        sigma: impl Fn(&R) -> Option<f64> + 'a,
+        value: impl Fn(&R) -> Option<f64>,
+        sigma: impl Fn(&R) -> Option<f64>,
     ) -> Self {
-        let cell = move |row: &R| Cell::Uncertain { value: value(row), sigma: sigma(row) };
-        self.column(key, Some(heading.into()), format, cell)
+        let cell = |row: &R| Cell::Uncertain { value: value(row), sigma: sigma(row) };
+        self.column(key, Some(heading.into()), format, &cell)
     }
 
     /// Only in JSON.
-    pub fn data(self, key: &'static str, value: impl Fn(&R) -> Value + 'a) -> Self {
-        self.column(key, None, Format::new(Unit::None, 0), move |row| Cell::Data(value(row)))
+    pub fn data(self, key: &'static str, value: impl Fn(&R) -> Value) -> Self {
+        self.column(key, None, Format::new(Unit::None, 0), &|row| Cell::Data(value(row)))
     }
 
-    fn column(
-        mut self,
-        key: &'static str,
-        heading: Option<String>,
-        format: Format,
-        cell: impl Fn(&R) -> Cell + 'a,
-    ) -> Self {
-        self.columns.push(Column { key, heading, format, cell: Box::new(cell) });
+    fn column(mut self, key: &'static str, heading: Option<String>, format: Format, cell: &dyn Fn(&R) -> Cell) -> Self {
+        let cells = self.rows.iter().map(cell).collect();
+        self.columns.columns.push(Column { key, heading, format, cells });
         self
     }
 
+    /// The rows as an array of objects, for JSON with another structure than that of [`Report::table`].
+    pub fn json(&self) -> Value {
+        self.columns.json()
+    }
+}
+
+/// The values of a table, without the type of its rows: a report has dozens of those.
+struct Columns {
+    columns: Vec<Column>,
+    rows: usize,
+}
+
+impl Columns {
     fn header(&self) -> Vec<String> {
-        let shown = |column: &Column<'_, R>| Some(column.format.append_unit(column.heading.as_deref()?));
+        let shown = |column: &Column| Some(column.format.append_unit(column.heading.as_deref()?));
         self.columns.iter().filter_map(shown).collect()
     }
 
     fn cells(&self) -> Vec<Vec<String>> {
         let shown = || self.columns.iter().filter(|column| column.heading.is_some());
-        self.rows.iter().map(|row| shown().map(|column| column.text(row)).collect()).collect()
+        (0..self.rows).map(|row| shown().map(|column| column.text(row)).collect()).collect()
     }
 
-    /// The rows as an array of objects, for JSON with another structure than that of [`Report::table`].
-    pub fn json(&self) -> Value {
+    fn json(&self) -> Value {
         let keyed = || self.columns.iter().filter(|column| !column.key.is_empty());
         let object = |row| keyed().map(|column| (column.key.to_owned(), column.json(row))).collect();
-        self.rows.iter().map(|row| Value::Object(object(row))).collect()
+        (0..self.rows).map(|row| Value::Object(object(row))).collect()
     }
 }
 
@@ -224,10 +231,11 @@ impl Report {
 
     /// With a non-empty key JSON gets an array of the rows.
     pub fn table<R>(&mut self, key: &'static str, table: &Table<'_, R>) {
-        let block = ReportBlock::Table { header: table.header(), rows: table.cells() };
-        self.sections.push(Section { block, labels: table.labels, is_page_only: false });
+        let (columns, labels) = (&table.columns, table.labels);
+        let block = ReportBlock::Table { header: columns.header(), rows: columns.cells() };
+        self.sections.push(Section { block, labels, is_page_only: false });
         if !key.is_empty() {
-            self.json.insert(key.to_owned(), table.json());
+            self.json.insert(key.to_owned(), columns.json());
         }
     }
 

@@ -55,15 +55,13 @@ impl PoseTrack {
     ///
     /// Samples further apart than `max_gap` form a gap without poses.
     pub fn new(samples: impl IntoIterator<Item = TimedPose>, max_gap: TimeDelta) -> Self {
-        let mut dropped = 0;
-        let mut samples: Vec<TimedPose> = samples
-            .into_iter()
-            .filter(|sample| {
-                let finite = sample.is_finite();
-                dropped += usize::from(!finite);
-                finite
-            })
-            .collect();
+        Self::sort(samples.into_iter().collect(), max_gap)
+    }
+
+    fn sort(mut samples: Vec<TimedPose>, max_gap: TimeDelta) -> Self {
+        let given = samples.len();
+        samples.retain(TimedPose::is_finite);
+        let dropped = given - samples.len();
         samples.sort_by_key(|sample| sample.time);
         samples.dedup_by(|later, kept| {
             let same_instant = later.time == kept.time;
