@@ -2,13 +2,16 @@
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::sync_channel;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 
 use anyhow::Result;
 
 use crate::console::progress_bar;
+
+/// Completed jobs that wait for `ended`; a worker that is far ahead blocks.
+const ENDS_WAITING: usize = 64;
 
 /// Runs every job; `ended` is called for each completed job, in the order of completion.
 ///
@@ -33,7 +36,7 @@ fn run_numbers(count: usize, run: &(dyn Fn(usize) + Sync), ended: &mut dyn FnMut
     let next = AtomicUsize::new(0);
     let workers = thread::available_parallelism().map_or(1, NonZeroUsize::get);
     thread::scope(|scope| {
-        let (sender, receiver) = channel();
+        let (sender, receiver) = sync_channel(ENDS_WAITING);
         for _ in 0..workers.min(count) {
             let (sender, next) = (sender.clone(), &next);
             scope.spawn(move || {
@@ -50,7 +53,9 @@ fn run_numbers(count: usize, run: &(dyn Fn(usize) + Sync), ended: &mut dyn FnMut
             });
         }
         drop(sender);
-        receiver.into_iter().for_each(|()| ended());
+        for () in receiver {
+            ended();
+        }
     });
 }
 

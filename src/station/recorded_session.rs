@@ -6,12 +6,13 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
+use indicatif::ProgressBar;
 use posebridge_recording::container::{self, PartHeader, ReadError, RecordingEnd, RecordingReader, RecordingWriter};
 use posebridge_telemetry::{BrickClock, Event, HostClock, Input, TimeDelta, Timestamp};
 
 use super::input_file::InputFile;
 use super::recording_parts::part_path;
-use crate::console::print_line;
+use crate::console::{print_line, progress_bar};
 
 /// Memory limit of a recording, which is processed in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -261,16 +262,43 @@ pub fn for_each_input(
     reader: &mut RecordingReader<'_>,
     mut take: impl FnMut(Timestamp<HostClock>, &Input) -> Result<()>,
 ) -> Result<()> {
-    for item in &mut *reader {
+    let progress = ReadProgress::new(reader)?;
+    while let Some(item) = reader.next() {
         match item {
             Ok((now, input)) => take(now, &input)?,
             Err(error) => print_line(&format!("{name}: {error}; what is whole is used")),
         }
+        progress.update(reader);
     }
+    drop(progress);
     if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
         print_line(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
     }
     Ok(())
+}
+
+/// A progress bar over the bytes of a recording; it vanishes when dropped.
+pub struct ReadProgress(ProgressBar);
+
+impl ReadProgress {
+    /// Bytes between two updates.
+    const STEP: u64 = 256 * 1024;
+
+    pub fn new(reader: &RecordingReader<'_>) -> Result<Self> {
+        Ok(Self(progress_bar(reader.size(), "bytes")?))
+    }
+
+    pub fn update(&self, reader: &RecordingReader<'_>) {
+        if reader.offset() >= self.0.position() + Self::STEP {
+            self.0.set_position(reader.offset());
+        }
+    }
+}
+
+impl Drop for ReadProgress {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
 }
 
 /// One instant by both clocks, and the rate between them.

@@ -212,19 +212,15 @@ pub fn answer_text(
     baseline: Option<(&str, &ErrorSummary)>,
     learned: Option<&LearnedCalibration>,
 ) -> String {
-    let estimates = collector.estimates.items();
-    let steps = collector.quantity_steps_text().map(|steps| wrapped("quantity   ", &steps));
-    if let Some(steps) = steps.as_ref().filter(|_| estimates.is_empty()) {
-        return steps.clone();
-    }
     let answer = RunAnswer {
         errors,
         baseline,
-        last: estimates.last(),
+        last: collector.estimates.items().last(),
+        quantity: collector.quantity_steps_text(),
         verdict: FilterVerdict::new(errors, 1, source_verdicts(&collector.sources)),
         learned: learned.map(LearnedCalibration::learned_keys).unwrap_or_default(),
     };
-    answer.text(colour()) + &steps.unwrap_or_default()
+    answer.text(colour())
 }
 
 fn links_text(detail: DetailFlags, collector: &EventCollector) -> String {

@@ -153,6 +153,7 @@ fn answer(replayed: &ReplayResult) -> Option<String> {
         baseline: baseline.or(recorded),
         last: best.last.as_ref(),
         verdict: best.verdict(replayed.runs.len()),
+        quantity: best.quantity.clone(),
         learned,
     };
     let name = if of_robot().count() > 1 || first.robot.is_some() { best.label() } else { String::new() };

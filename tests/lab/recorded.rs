@@ -171,6 +171,8 @@ fn a_thermometer_foretells_another_run_of_it() {
     for run in ["one.mcap:temp1", "two.mcap:temp1"] {
         assert!(lesson.contains(run), "{lesson}");
     }
+    let answer: Vec<&str> = lesson.lines().skip(2).take(2).collect();
+    assert!(answer[0].starts_with("2 steps, each predicted from the others: in the median"), "{lesson}");
     let alone = run(folder, &["lab", "thermometer", "--recording", "one.mcap"]);
     assert!(alone.contains("by nothing"), "{alone}");
     let save = ["identify", "step", "--recording", "one.mcap", "--save", "sensor.toml", "--resolution", "0.0625"];

@@ -18,13 +18,19 @@ pub struct RunAnswer<'a> {
     /// The pose at the end, for a run without truth.
     pub last: Option<&'a Estimate>,
     pub verdict: FilterVerdict,
+    /// The steps of a filter of one quantity, in words.
+    pub quantity: Option<String>,
     /// Keys of the constants that were learned.
     pub learned: Vec<&'a str>,
 }
 
 impl RunAnswer<'_> {
-    /// Pose, verdict and what was learned; lines of 80 columns.
+    /// Pose, verdict and what was learned, or the steps of a filter that makes no poses; lines of 80 columns.
     pub fn text(&self, colour: Colour) -> String {
+        let quantity = self.quantity.as_ref().map(|steps| wrapped("quantity   ", steps));
+        if let Some(quantity) = quantity.as_ref().filter(|_| self.last.is_none()) {
+            return quantity.clone();
+        }
         let finding = self.verdict.finding.as_text();
         let verdict = wrapped("filter     ", &self.verdict.to_string());
         let mut text = wrapped("pose       ", &self.pose());
@@ -32,7 +38,7 @@ impl RunAnswer<'_> {
         if !self.learned.is_empty() {
             text += &wrapped("learned    ", &self.learned.join(", "));
         }
-        text
+        text + &quantity.unwrap_or_default()
     }
 
     fn pose(&self) -> String {

@@ -8,7 +8,8 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use posebridge_estimator::FilterConfig;
 use posebridge_lab::identification::lesson::{
-    LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_sections,
+    LessonSection, RecordedPrediction, RecordedRun, SECTIONS, bound_run, bounds_section, recorded_answer,
+    recorded_sections, simulated_answer,
 };
 use posebridge_lab::identification::sensor_kind::RunSimilarity;
 use posebridge_lab::identification::{SensorChannel, StepOptions, TimedSample, estimate_noise, identify_step};
@@ -30,11 +31,11 @@ use crate::tools::own_recording;
 pub fn execute(args: &LabThermometerArgs) -> Result<(), Failure> {
     let folder = args.output.folder()?;
     check_columns(args).before_start()?;
-    let sections = if args.is_real() { recorded(args)? } else { simulated(args)? };
-    args.output.write_outcome(&folder, &report(args, &sections))
+    let (answer, sections) = if args.is_real() { recorded(args)? } else { simulated(args)? };
+    args.output.write_outcome(&folder, &report(args, answer, &sections))
 }
 
-fn simulated(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
+fn simulated(args: &LabThermometerArgs) -> Result<(String, Vec<LessonSection>), Failure> {
     let runs: Vec<u64> = (0..u64::from(args.runs)).collect();
     let bar = progress_bar((SECTIONS.len() + runs.len()) as u64, "parts").before_start()?;
     let mut sections = run_all(&SECTIONS, |make| make(args.seed), || bar.inc(1));
@@ -43,10 +44,10 @@ fn simulated(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
     let bound_runs = run_all(&runs, |run| bound_run(seed(run)), || bar.inc(1));
     bar.finish_and_clear();
     sections.push(bounds_section(&bound_runs));
-    Ok(sections)
+    Ok((simulated_answer(&sections), sections))
 }
 
-fn report(args: &LabThermometerArgs, sections: &[LessonSection]) -> Report {
+fn report(args: &LabThermometerArgs, answer: String, sections: &[LessonSection]) -> Report {
     let source = if args.is_real() {
         let names = args.recordings.iter().map(|path| path.display().to_string());
         let live = args.live.is_requested().then(|| "a live robot".to_owned());
@@ -56,6 +57,7 @@ fn report(args: &LabThermometerArgs, sections: &[LessonSection]) -> Report {
         format!("simulated sensor, seed {}", args.seed)
     };
     let mut report = Report::new("lab-thermometer", "The slow thermometer");
+    report.answer(answer);
     report.background("What will a slow sensor show in the end? docs/lab/thermometer.md has the theory and exercises.");
     report.paragraph(format!("Source: {source}"));
     for section in sections {
@@ -146,7 +148,7 @@ const DEFAULT_SIGMA_K: f64 = 0.03;
 
 const TASK: &str = "leave the thermometer as it is for a few seconds, bring it to something warm or cold at once, and leave it there until it has settled";
 
-fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
+fn recorded(args: &LabThermometerArgs) -> Result<(String, Vec<LessonSection>), Failure> {
     let live = args.live.record(&args.output, None, &args.settings, TASK)?;
     let (chosen, loaded) = match args.recordings.as_slice() {
         [descriptor] if live.is_none() && !own_recording::is_own(descriptor) && !is_table(descriptor) => {
@@ -169,7 +171,7 @@ fn recorded(args: &LabThermometerArgs) -> Result<Vec<LessonSection>, Failure> {
         run_all(&jobs, predict, || bar.inc(1)).into_iter().collect::<Result<_>>().while_running()?;
     bar.finish_and_clear();
     let used: Vec<RecordedRun> = runs.into_iter().filter(|run| chosen.identify.contains(&run.name)).collect();
-    Ok(recorded_sections(&used, &predicted))
+    Ok((recorded_answer(&predicted), recorded_sections(&used, &predicted)))
 }
 
 struct ThermometerRun {

@@ -17,7 +17,7 @@ use crate::config;
 use crate::console::progress_bar;
 use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, tlog_records};
-use crate::station::recorded_session::{continuation_names, missing_start};
+use crate::station::recorded_session::{ReadProgress, continuation_names, missing_start};
 use crate::tools::dataset::DataSet;
 
 #[derive(Debug, Default)]
@@ -190,7 +190,8 @@ pub(super) fn inspect_recording(file: InputFile, path: &Path) -> Result<FramedFa
         ..facts_of(reader.header())
     };
     let mut scanners: BTreeMap<(LinkId, PeerId), Framer> = BTreeMap::new();
-    for item in &mut reader {
+    let progress = ReadProgress::new(&reader)?;
+    while let Some(item) = reader.next() {
         match item {
             Ok((now, input)) => record_input(&mut framed, &mut facts, &mut scanners, now, &input),
             Err(error) if facts.damages.len() < MAX_DAMAGES => {
@@ -198,7 +199,9 @@ pub(super) fn inspect_recording(file: InputFile, path: &Path) -> Result<FramedFa
             }
             Err(_) => {}
         }
+        progress.update(&reader);
     }
+    drop(progress);
     for ((link, _), mut framer) in scanners {
         framer.finish(&mut |found| record_frame(&mut framed, link, found, facts.last));
         framed.bytes_outside += framer.counters().garbage_bytes;

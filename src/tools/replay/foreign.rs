@@ -145,6 +145,7 @@ struct ScoreTotals {
     learned: Vec<LearnedCalibration>,
     sources: Vec<SourceTally>,
     last: Option<Estimate>,
+    quantity: Option<String>,
 }
 
 impl ScoreTotals {
@@ -153,6 +154,7 @@ impl ScoreTotals {
         self.uncorrected.push(scored.uncorrected);
         self.learned.extend(scored.learned);
         self.last = collector.estimates.items().last().copied();
+        self.quantity = collector.quantity_steps_text();
         for tally in collector.sources {
             let mut known = self.sources.iter_mut();
             match known.find(|known| known.sensor == tally.sensor) {
@@ -171,6 +173,7 @@ impl ScoreTotals {
             learned: self.learned,
             sources: self.sources,
             last: self.last,
+            quantity: self.quantity,
         }
     }
 }

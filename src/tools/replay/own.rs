@@ -17,7 +17,7 @@ use super::watch::{
     ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
 };
 use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
-use crate::console::{print_line, progress_bar};
+use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
@@ -25,7 +25,7 @@ use crate::station::input_file::{InputFile, InputKind};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::observer::create;
 use crate::station::per_robot::{PerRobot, RobotEntry};
-use crate::station::recorded_session::RecordingWarnings;
+use crate::station::recorded_session::{ReadProgress, RecordingWarnings};
 use crate::station::signing::recorded_station_config;
 use crate::station::wiring_fix::WiringReport;
 use crate::tools::ground_truth::GroundTruth;
@@ -151,8 +151,9 @@ fn summarize<'m>(
                 errors: errors_of(collector.estimates.items(), truth),
                 position_rms_uncorrected_m: None,
                 learned: learned.into_iter().collect(),
-                sources: collector.sources,
                 last: collector.estimates.items().last().copied(),
+                quantity: collector.quantity_steps_text(),
+                sources: collector.sources,
             });
             result.outcomes.extend(collector.compared.into_iter().map(|compared| FilterResult {
                 name: compared.name.to_owned(),
@@ -161,6 +162,7 @@ fn summarize<'m>(
                 position_rms_uncorrected_m: None,
                 learned: Vec::new(),
                 last: compared.estimates.items().last().copied(),
+                quantity: None,
                 sources: compared.sources,
             }));
         }
@@ -190,9 +192,6 @@ pub fn smoothed(
     }
     smoothed
 }
-
-/// Bytes between two updates of the progress bar.
-const PROGRESS_STEP_BYTES: u64 = 256 * 1024;
 
 /// A posebridge recording in memory, or a telemetry log instead.
 pub struct OwnRecording {
@@ -361,7 +360,7 @@ impl ReplayCursor<'_, '_> {
 
 fn run_recorded(bytes: &[u8], cursor: &mut ReplayCursor<'_, '_>, notes: &mut RecordingWarnings) -> Result<()> {
     let mut reader = RecordingReader::open(bytes)?;
-    let bar = progress_bar(bytes.len() as u64, "bytes")?;
+    let progress = ReadProgress::new(&reader)?;
     notes.add_missing_start(reader.part_header());
     while let Some(item) = reader.next() {
         match item {
@@ -371,11 +370,9 @@ fn run_recorded(bytes: &[u8], cursor: &mut ReplayCursor<'_, '_>, notes: &mut Rec
         if cursor.is_finished {
             break;
         }
-        if reader.offset() >= bar.position() + PROGRESS_STEP_BYTES {
-            bar.set_position(reader.offset());
-        }
+        progress.update(&reader);
     }
-    bar.finish_and_clear();
+    drop(progress);
     if !cursor.is_finished {
         notes.add_ending(&reader.recording_end());
     }

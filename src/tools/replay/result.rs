@@ -81,6 +81,8 @@ pub struct FilterResult {
     pub sources: Vec<SourceTally>,
     /// The last of the last run.
     pub last: Option<Estimate>,
+    /// The steps of a filter of one quantity in the last run, in words.
+    pub quantity: Option<String>,
 }
 
 impl FilterResult {

@@ -92,6 +92,11 @@ impl<'a> RecordingReader<'a> {
         self.walker.offset() as u64
     }
 
+    /// Bytes of the file.
+    pub const fn size(&self) -> u64 {
+        self.walker.size() as u64
+    }
+
     /// How the file ends. Callable at any time; does not advance the iteration.
     pub fn recording_end(&self) -> RecordingEnd {
         match self.walker.end() {

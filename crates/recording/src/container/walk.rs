@@ -176,6 +176,10 @@ impl<'a> RecordWalker<'a> {
         Self { file, chunk: None }
     }
 
+    pub(super) const fn size(&self) -> usize {
+        self.file.bytes.len()
+    }
+
     /// Offset from the start of the file.
     pub(super) fn offset(&self) -> usize {
         let chunk = self.chunk.as_ref().map(|chunk| chunk.records.offset());

@@ -67,6 +67,7 @@ fn the_answer_has_pose_verdict_and_what_was_learned_in_80_columns() {
         errors,
         baseline,
         last: None,
+        quantity: None,
         verdict: FilterVerdict::new(errors, 1, Vec::new()),
         learned: vec!["radius_scale", "radius_difference", "track_scale", "gyro_scale", "backlash_rad"],
     };

@@ -10,7 +10,7 @@ mod paper_filter;
 mod section;
 
 use posebridge_estimator::models::slow_sensor::SensorDynamics;
-use posebridge_estimator::numerics::statistics::quantile;
+use posebridge_estimator::numerics::statistics::{mean, quantile};
 use posebridge_report::chart::{Curve, CurveShape};
 
 use self::section::{band, sample_points, seconds, settling_times_s, share_inside, temperatures};
@@ -18,6 +18,7 @@ use super::prediction::{EndPrediction, predict};
 use super::prior::StepDirection;
 use super::sensor_kind::{RunSimilarity, describe_sensor};
 use super::step::IdentifiedStep;
+use crate::statistics::median;
 
 pub use self::first::{BoundRun, bound_run, bounds_section};
 pub use self::section::LessonSection;
@@ -113,6 +114,53 @@ impl RecordedPrediction {
 
 /// A sensor has settled when this share of the step is left.
 const SETTLED_SHARE: f64 = 0.02;
+
+/// The result on the simulated sensor in two sentences; empty without the sections that it reads.
+pub fn simulated_answer(sections: &[LessonSection]) -> String {
+    let value = |section: &str, name: &str| {
+        sections.iter().find(|found| found.name == section).and_then(|found| found.value(name))
+    };
+    let settled = |method: &str| value("other_data", &format!("same_{method}_5_percent_s"));
+    let inside = value("bounds", "identified_rate_at_1");
+    answer_text("After another step", settled("estimated"), settled("shown"), inside.map(|rate| (rate, "runs")))
+}
+
+/// The result on recorded steps in two sentences: of the runs that others predict, else of those that nothing does.
+pub fn recorded_answer(predicted: &[(RecordedRun, RecordedPrediction)]) -> String {
+    let has_model = |run: &&RecordedPrediction| !run.identified_from.is_empty();
+    let all: Vec<&RecordedPrediction> = predicted.iter().map(|(_, run)| run).collect();
+    let modelled: Vec<&RecordedPrediction> = all.iter().copied().filter(has_model).collect();
+    let (runs, source) = if modelled.is_empty() { (all, "nothing") } else { (modelled, "the others") };
+    let middle = |settled: fn(&RecordedPrediction) -> Option<f64>| {
+        // A run that never settles counts as the longest.
+        median(runs.iter().map(|run| settled(run).unwrap_or(f64::INFINITY))).filter(|middle_s| middle_s.is_finite())
+    };
+    let steps = match runs.len() {
+        1 => format!("One step, predicted from {source}:"),
+        count => format!("{count} steps, each predicted from {source}: in the median"),
+    };
+    let inside = mean(runs.iter().filter_map(|run| run.inside)).map(|share| (share, "predictions"));
+    answer_text(&steps, middle(|run| run.predicted_s[1]), middle(|run| run.shown_s[1]), inside)
+}
+
+/// `inside`: the share of what has a 95 % bound that contains the end.
+fn answer_text(
+    subject: &str,
+    predicted_s: Option<f64>,
+    shown_s: Option<f64>,
+    inside: Option<(f64, &'static str)>,
+) -> String {
+    let after =
+        |settled_s: Option<f64>| settled_s.map_or_else(|| "never".to_owned(), |at_s| format!("after {at_s:.1} s"));
+    let inside =
+        inside.map(|(share, of)| format!(" The 95 % bound contained the end in {:.0} % of the {of}.", 100.0 * share));
+    format!(
+        "{subject} the prediction is within 5 % of the end {} and the sensor {}.{}",
+        after(predicted_s),
+        after(shown_s),
+        inside.unwrap_or_default()
+    )
+}
 
 pub fn recorded_sections(
     identified: &[RecordedRun],
