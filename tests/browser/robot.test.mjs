@@ -81,12 +81,13 @@ test('a pose is set by dragging on the map, and in numbers', async () => {
     await seeing(page, '#pose', hasPose);
     await page.getByRole('button', { name: 'Set pose' }).click();
     const map = page.locator('#arena canvas').first();
-    await map.scrollIntoViewIfNeeded();
-    const box = await map.boundingBox();
-    const [x, y] = [box.x + 0.4 * box.width, box.y + 0.6 * box.height];
-    await page.mouse.move(x, y);
+    const { width, height } = await map.boundingBox();
+    const [x, y] = [0.4 * width, 0.6 * height];
+    // The list above the map may change its height: where the map is now counts, and not where it was.
+    await map.hover({ position: { x, y } });
     await page.mouse.down();
-    await page.mouse.move(x, y - 60, { steps: 4 });
+    const box = await map.boundingBox();
+    await page.mouse.move(box.x + x, box.y + y - 60, { steps: 4 });
     await page.mouse.up();
     // Upwards on the map is north.
     await seeing(page, '#pose', () => document.getElementById('pose').dataset.is_relative === '0');
