@@ -22,7 +22,7 @@ pub struct RunArgs {
     /// addition to the other links. Can be repeated (docs/ground-stations.md).
     #[arg(long = "gcs", value_name = "URL")]
     pub ground_stations: Vec<String>,
-    /// Protocol of the robot on the first link: mavlink, nxt, nxt-push, ev3, line or camera-json (docs/protocols/mavlink.md).
+    /// Protocol of the robot on the first link: mavlink, nxt, nxt-push, ev3, line, columns or camera-json (docs/protocols/mavlink.md).
     #[arg(long, value_name = "PROTOCOL")]
     pub brick: Option<String>,
     /// Use the `[robot]` table of this file: a robot profile or the descriptor of a recording.

@@ -38,8 +38,15 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let has_observations = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
     if !has_observations {
+        let is_named = config.links.iter().any(|link| link.brick.is_some());
+        if let Some(brick) = config.robot.described_brick().filter(|_| !is_named) {
+            print_line(&format!(
+                "the robot's file has a table for --brick {brick}, and its link was taken for MAVLink: add --brick {brick}"
+            ));
+        }
         print_line(
-            "no robot was heard; `posebridge doctor` looks for ports, rights and settings, and `posebridge doctor URL` listens on a link",
+            "no robot was heard; `posebridge doctor` looks for ports, rights and settings, `posebridge doctor URL` listens on a link, and \
+             `posebridge init --guide --probe --link URL` asks a LEGO brick, which says nothing by itself",
         );
     }
     failures.into_result().while_running()
@@ -94,10 +101,16 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
     let flags = &args.links.0;
     if !flags.is_empty() {
+        // Another address of the file's robot, which speaks as it did.
+        let brick = config.links.first().and_then(|link| link.brick.clone());
         let links = flags
             .iter()
             .map(|flag| LinkSection { listen: flag.role == ConnectRole::Listen, ..LinkSection::new(&flag.url) });
         config.links = links.collect();
+        // A simulated robot knows what it speaks.
+        if let Some(first) = config.links.first_mut().filter(|first| !first.url.starts_with("sim://")) {
+            first.brick = brick;
+        }
     }
     for url in &args.ground_stations {
         let section = LinkSection::for_ground_stations(url);

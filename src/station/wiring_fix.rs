@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use posebridge_estimator::wiring::{WiringFault, WiringFinding};
 use posebridge_recording::robot_names::RobotNames;
+use posebridge_report::tables::wrapped;
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{DriveGeometry, Wiring};
 
@@ -43,6 +44,14 @@ impl WiringReport {
         }
     }
 
+    /// What was found, in words; `None` where nothing was.
+    pub fn summary(&self) -> Option<String> {
+        let of_robot = if self.robot.is_empty() { String::new() } else { format!("{}: ", self.robot) };
+        let findings: Vec<String> = self.findings.iter().map(ToString::to_string).collect();
+        (!findings.is_empty())
+            .then(|| format!("{of_robot}{} (--fix-wiring prints the lines that undo it)", findings.join("; ")))
+    }
+
     /// What was found, as comments, and the lines of a configuration that undo it.
     pub fn to_toml(&self) -> String {
         let of_robot = if self.robot.is_empty() { String::new() } else { format!(" of robot {}", self.robot) };
@@ -54,7 +63,8 @@ impl WiringReport {
         let mut faults = Vec::new();
         for finding in &self.findings {
             // Writing to a String cannot fail.
-            let _ = writeln!(text, "# wiring{of_robot}: {finding}");
+            let lines = wrapped("# ", &format!("wiring{of_robot}: {finding}"));
+            let _ = writeln!(text, "{}", lines.trim_end().replace("\n  ", "\n# "));
             faults.extend(finding.fault());
         }
         for fault in &faults {
@@ -129,7 +139,7 @@ fn wiring_lines(before: RobotWiring, after: RobotWiring) -> String {
         // Writing to a String cannot fail.
         let _ = writeln!(lines, "{key} = {value}");
     }
-    if lines.is_empty() { lines } else { format!("[robot.wiring]\n{lines}") }
+    if lines.is_empty() { lines } else { format!("# in [robot.wiring] of the robot's file:\n[robot.wiring]\n{lines}") }
 }
 
 /// The texts of several robots, for the end of a run.
@@ -192,6 +202,6 @@ mod tests {
         let mut undecided = report(&[WiringFault::WheelsSwapped]);
         undecided.findings[0].candidates.push(WiringFault::GyroReversed);
         let text = undecided.to_toml();
-        assert!(text.starts_with("# wiring: ") && text.lines().count() == 1, "{text}");
+        assert!(text.starts_with("# wiring: ") && text.lines().all(|line| line.starts_with("# ")), "{text}");
     }
 }

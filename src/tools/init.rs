@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
+use posebridge_report::tables::wrapped;
 
 use self::args::GuideFlags;
 use self::findings::Findings;
@@ -122,10 +123,8 @@ fn write_checked(args: &InitArgs, text: &str, robot: &str, link: &TemplateLink) 
     }
     write(args, text)?;
     let file = file_name(args);
-    print_line(&format!(
-        "wrote `{file}`: {robot}, at {} ({})\nrun it with: posebridge run --config {file}",
-        link.url, link.origin
-    ));
+    print_line(wrapped("", &format!("wrote `{file}`: {robot}, at {} ({})", link.url, link.origin)).trim_end());
+    print_line(&format!("run it with: posebridge run --config {file}"));
     Ok(())
 }
 

@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 use anyhow::{Result, bail};
 use posebridge_link::HostTimer;
 use posebridge_report::tables::{SmoothRow, estimator_table, smooth_table, source_table, wrapped};
-use posebridge_report::{EstimatorRow, RunAnswer, SourceTally};
+use posebridge_report::{EstimatorRow, RunAnswer, SourceTally, final_pose_text};
 use posebridge_telemetry::{TimeDelta, Timestamp};
 use serde::Serialize;
 
@@ -23,7 +23,7 @@ use crate::console::{colour, print_line, print_result};
 use crate::exit::{ExitStage, Failure};
 use crate::station::learned_calibration::{LearnedCalibration, learned_table, save_all};
 use crate::station::run_report::BRICK_ODOMETRY;
-use crate::station::wiring_fix::wiring_text;
+use crate::station::wiring_fix::{WiringReport, wiring_text};
 
 pub use self::result::{
     FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedResult, SmoothedRun, SmoothingSpan,
@@ -92,6 +92,9 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
         .collect();
     let mut text = wrapped(&answer_heading(replayed), "");
     text += &answer(replayed).unwrap_or_default();
+    for finding in replayed.wiring.iter().filter_map(WiringReport::summary) {
+        text += &wrapped("wiring     ", &finding);
+    }
     text += "\n";
     text += &estimator_table(&rows);
     for outcome in &replayed.outcomes {
@@ -138,12 +141,16 @@ fn answer_heading(replayed: &ReplayResult) -> String {
     format!("{}: {} observations{runs}", replayed.recording, replayed.observations)
 }
 
-/// The result of the first robot: by the filter with the smallest error, or by the first one where no truth is known.
+/// The result of the first robot: by the filter with the smallest error, or where no truth is known by the first one that is not
+/// odometry alone.
 fn answer(replayed: &ReplayResult) -> Option<String> {
     let first = replayed.outcomes.first()?;
     let of_robot = || replayed.outcomes.iter().filter(|outcome| outcome.robot == first.robot);
-    let error_m = |outcome: &&FilterResult| outcome.errors.position_rms_m.unwrap_or(f64::INFINITY);
-    let best = of_robot().min_by(|one, other| error_m(one).total_cmp(&error_m(other)))?;
+    let error_m = |outcome: &FilterResult| outcome.errors.position_rms_m.unwrap_or(f64::INFINITY);
+    let is_odometry = |outcome: &FilterResult| outcome.name == ODOMETRY;
+    let best = of_robot().min_by(|one, other| {
+        error_m(one).total_cmp(&error_m(other)).then_with(|| is_odometry(one).cmp(&is_odometry(other)))
+    })?;
     let odometry = of_robot().find(|outcome| outcome.name == ODOMETRY && outcome.name != best.name);
     let baseline = odometry.map(|outcome| (ODOMETRY, &outcome.errors));
     let recorded = replayed.odometry.as_ref().map(|errors| (BRICK_ODOMETRY, errors));
@@ -160,7 +167,14 @@ fn answer(replayed: &ReplayResult) -> Option<String> {
     let is_compared = of_robot().filter(|outcome| outcome.errors.position_rms_m.is_some()).count() > 1;
     let label = if is_compared { "best" } else { "of" };
     let heading = if name.is_empty() { String::new() } else { format!("{label:<11}{name}\n") };
-    Some(heading + &answer.text(colour()))
+    let mut text = heading + &answer.text(colour());
+    if !is_compared {
+        let others = of_robot().filter(|outcome| outcome.name != best.name);
+        for (name, last) in others.filter_map(|outcome| Some((outcome.label(), outcome.last?))) {
+            text += &wrapped("also       ", &format!("{name}: {}", final_pose_text(&last)));
+        }
+    }
+    Some(text)
 }
 
 /// User plus system time of this process.

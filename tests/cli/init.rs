@@ -176,9 +176,24 @@ fn the_motions_are_found_in_a_recording_and_in_a_table() {
     std::fs::write(folder.join("hand.csv"), &table).unwrap();
     run(folder, &["init", "--from", "hand.csv", "--rest-s", "1", "--out", "table.toml", "--link", "serial:board.tty"]);
     assert_measured(folder, "table.toml", "line");
+    // It rounds its gyro to whole degrees per second.
+    let table = read_text(folder, "table.toml");
+    assert!(table.contains("gyro_resolution_rad_per_s = 0.01745 "), "{table}");
+    // Two laps of a square: its wheels do not roll equally far at any time that could be one metre straight on.
+    record_drive(&folder.join("square.mcap"), Scenario::bundled("square").unwrap(), TimeDelta::from_millis(500));
+    write_text(folder, "commas.csv", "time_ms;left;right;gyro\n0;1;2;0,707\n20;3;4;0,707\n");
+    write_text(folder, "sparse.csv", "time_ms,left,right,cam_x,cam_y\n0,1,2,,\n20,3,4,0.5,0.5\n");
     assert_refused(
         folder,
         &[
+            (
+                "init --guide --yes --wait-s 0.1 --link serial:none.tty --out a.toml",
+                1,
+                &["did not come up within 0.1 s"],
+            ),
+            ("init --from square.mcap --out a.toml", 1, &["they did not roll equally far", "--motions wheel=2-6"]),
+            ("init --from commas.csv --out a.toml", 1, &["line 2: `0,707` has a decimal comma; write `0.707`"]),
+            ("init --from sparse.csv --out a.toml", 1, &["line 2: a cell is empty", "cut -d,"]),
             ("init --from hand.mcap --motions wheel=9-12 --out a.toml", 1, &["--motions wheel: both wheels counted"]),
             ("init --from hand.mcap --motions wheel=12-9 --out a.toml", 2, &["such as wheel=2-6"]),
             ("init --from found.toml --out a.toml", 1, &["--from reads a recording or a table"]),

@@ -59,20 +59,27 @@ impl RunAnswer<'_> {
     }
 
     fn last_pose(&self) -> String {
-        let Some(last) = self.last else { return "none: no estimate was made".to_owned() };
-        let position = last.pose.origin();
-        // Writing to a String cannot fail.
-        let mut text = format!("x {:.3} m, y {:.3} m", position.x.0, position.y.0);
-        if last.validity.heading || last.is_relative() {
-            let _ = write!(text, ", heading {:.1} degrees", last.pose.heading.rad().to_degrees());
+        match self.last {
+            Some(last) => final_pose_text(last) + "; no truth is known",
+            None => "none: no estimate was made".to_owned(),
         }
-        text += " at the end";
-        if let Some(ellipse) = last.ellipse_95() {
-            let _ = write!(text, ", ± {:.3} m (95 %)", ellipse.semi_major_m);
-        }
-        if last.is_relative() {
-            text += ", relative to where it started";
-        }
-        text + "; no truth is known"
     }
+}
+
+/// Where a robot was at the end, and how well that is known.
+pub fn final_pose_text(last: &Estimate) -> String {
+    let position = last.pose.origin();
+    // Writing to a String cannot fail.
+    let mut text = format!("x {:.3} m, y {:.3} m", position.x.0, position.y.0);
+    if last.validity.heading || last.is_relative() {
+        let _ = write!(text, ", heading {:.1} degrees", last.pose.heading.rad().to_degrees());
+    }
+    text += " at the end";
+    if let Some(ellipse) = last.ellipse_95() {
+        let _ = write!(text, ", ± {:.3} m (95 %)", ellipse.semi_major_m);
+    }
+    if last.is_relative() {
+        text += ", relative to where it started";
+    }
+    text
 }

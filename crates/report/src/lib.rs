@@ -30,7 +30,7 @@ pub mod setup_checklist;
 pub mod tables;
 pub mod track;
 
-pub use self::answer::RunAnswer;
+pub use self::answer::{RunAnswer, final_pose_text};
 pub use self::chart::{ComparedTrack, FIGURES, Figure, FixMark, RunLayers, on_map};
 pub use self::metrics::{
     Consistency, ConsistencyBand, ErrorSummary, FilterVerdict, PoseError, RecentInnovations, SourceTally,

@@ -19,7 +19,7 @@ use crate::runtime::run_in_runtime;
 
 /// Loads the configuration, then opens and closes each link of a given file.
 pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResult> {
-    let path = context.config.as_deref();
+    let path = context.config.as_deref().or(context.robot.as_deref());
     let name = path.map_or("the embedded default".to_owned(), |path| path.display().to_string());
     let loaded = match config::load(path, &[]) {
         Ok(loaded) => loaded,
@@ -32,7 +32,8 @@ pub(super) fn check_configuration(context: &DiagnosticContext) -> Vec<CheckResul
         Err(error) => return vec![invalid_config(&format!("{name}: {error:#}"))],
     };
     let mut verdicts = vec![CheckResult::ok(format!("{name} makes sense"))];
-    if path.is_some() {
+    // The links of a robot to set up are opened by its station.
+    if context.config.is_some() {
         verdicts.extend(open_links(&config, &targets));
     }
     verdicts

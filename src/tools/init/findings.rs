@@ -28,6 +28,9 @@ const ROBOT: &str = "robot";
 const WIRING: &str = "robot.wiring";
 const CALIBRATION: &str = "robot.calibration";
 const LINE: &str = "robot.line";
+const NOISE: &str = "robot.noise";
+/// A gyro with smaller steps does not round: 0.1 degrees/s.
+const MIN_GYRO_STEP_RAD_PER_S: f64 = 0.001_75;
 
 impl Findings {
     /// What the motions of a robot show.
@@ -229,6 +232,18 @@ impl Findings {
             self.set(WIRING, "reverse_gyro", "true".to_owned(), "it counted down in a turn to the left");
         }
         self.line("gyro", &format!("positive {direction}"), &unit);
+        // The unit itself, where there is one: a turn by hand is less exact.
+        let per_rad_per_s = match scale {
+            GyroScale::RadiansPerSecond => 1.0,
+            GyroScale::DegreesPerSecond => 1_f64.to_degrees(),
+            GyroScale::Other | GyroScale::Still => ratio.abs(),
+        };
+        let step_rad_per_s = figures.gyro_step.map(|step| step / per_rad_per_s);
+        if let Some(step) = step_rad_per_s.filter(|step| *step >= MIN_GYRO_STEP_RAD_PER_S) {
+            let shown = format!("{:.2} degrees/s", step.to_degrees());
+            self.line("", &format!("in steps of {shown}"), "");
+            self.set(NOISE, "gyro_resolution_rad_per_s", format!("{step:.5}"), format!("it reads in steps of {shown}"));
+        }
     }
 
     /// The quantity of the gyro's column that fits the turn; says its unit.

@@ -190,6 +190,7 @@ fn a_gyro_of_unknown_scale_is_given_the_usual_one_that_is_near() {
     use posebridge_estimator::hand_motions::{DriveFigures, HandFigures};
     use posebridge_telemetry::UncertainValue;
     let figures = |ratio: f64| DriveFigures {
+        gyro_step: None,
         ticks_per_turn: None,
         radii_m: None,
         reported_m: None,

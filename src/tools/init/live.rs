@@ -1,8 +1,9 @@
 //! The guide with a live robot: opens the link, finds out what it carries, and hands bytes and answers to the guide.
 
 use std::io::{BufRead, IsTerminal};
+use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use posebridge_estimator::hand_motions::{GuideEvent, GuideStep};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl, OutgoingFrame};
 use posebridge_protocol::detect::{Protocol, recognise};
@@ -96,7 +97,15 @@ pub(super) async fn run(link: TemplateLink, base: Option<BundledRobot>, flags: &
 async fn guide(link: TemplateLink, base: Option<BundledRobot>, flags: &GuideFlags) -> Result<GuidedRobot> {
     let timer = HostTimer::start();
     let mut answers = Answers::open(flags);
-    let mut opened = OpenLink::open(link, timer).await?;
+    let url = link.url.clone();
+    let wait = Duration::try_from_secs_f64(flags.wait_s).unwrap_or(Duration::MAX);
+    let opened = tokio::time::timeout(wait, OpenLink::open(link, timer)).await;
+    let mut opened = opened.map_err(|_elapsed| {
+        anyhow!(
+            "`{url}` did not come up within {} s; `posebridge doctor {url}` says more, --wait-s waits longer",
+            flags.wait_s
+        )
+    })??;
     let source = identify(&mut opened, base, flags, &mut answers).await?;
     let session = GuideSession::new(source.station_config()?, flags.settings(&source), timer.now())?;
     let mut loop_ =

@@ -47,6 +47,31 @@ pub(super) fn run(
     Ok(GuidedRobot { source: player.source, session: player.session })
 }
 
+/// Refuses what a reader of numbers in their order would misread: decimal commas, and cells without a number.
+fn check_cells(name: &str, text: &str) -> Result<()> {
+    for (index, line) in text.lines().enumerate() {
+        let (line, number) = (line.trim(), index + 1);
+        let delimiter = if line.contains(';') { ';' } else { ',' };
+        // A logger may end each line with its delimiter.
+        let mut cells = line.strip_suffix(delimiter).unwrap_or(line).split(delimiter).map(str::trim);
+        if delimiter == ';'
+            && let Some(cell) =
+                cells.clone().find(|cell| cell.contains(',') && cell.replace(',', ".").parse::<f64>().is_ok())
+        {
+            bail!(
+                "`{name}`, line {number}: `{cell}` has a decimal comma; write `{}` in all lines",
+                cell.replace(',', ".")
+            );
+        }
+        ensure!(
+            line.is_empty() || cells.all(|cell| !cell.is_empty()),
+            "`{name}`, line {number}: a cell is empty, and a line's numbers are taken in their order; leave such columns out, such as \
+             with `cut -d{delimiter} -f1-4`"
+        );
+    }
+    Ok(())
+}
+
 struct Player {
     source: RobotSource,
     session: GuideSession,
@@ -93,6 +118,7 @@ impl Player {
         let name = file.name.clone();
         let mut bytes = file.read_all(MAX_TABLE_BYTES)?;
         bytes.push(b'\n');
+        check_cells(&name, &String::from_utf8_lossy(&bytes))?;
         let table = ColumnTable::read(&bytes).with_context(|| {
             format!("`{name}` has no rows with the same number of numbers: it is no table that --from can read")
         })?;

@@ -22,8 +22,10 @@ const HEADING_MARK_RAD: f64 = 0.05;
 const COUNT_SIGMA: f64 = 0.41;
 /// Largest share of one wheel's counts that the other may have where one wheel is turned.
 const MAX_OTHER_SHARE: f64 = 0.1;
-/// Least ratio of the two wheels' counts where both roll as far: wheels of one robot differ by less.
-const MIN_SAME_RATIO: f64 = 0.8;
+/// Least ratio of the two wheels' counts in a turn on the spot, which by hand is never quite about the middle.
+const MIN_SPOT_RATIO: f64 = 0.8;
+/// The same on a straight line, where only the wheels' radii may differ.
+const MIN_STRAIGHT_RATIO: f64 = 0.95;
 /// Fewer counts are too coarse for 2 %.
 const MIN_COUNTS: f64 = 20.0;
 
@@ -122,7 +124,7 @@ pub struct StraightRoll {
 
 impl StraightRoll {
     pub fn new(motion: &Motion, unit: WheelUnit, distance_m: f64) -> Result<Self, MotionProblem> {
-        check_both(motion, unit)?;
+        check_both(motion, unit, MIN_STRAIGHT_RATIO)?;
         let m_per_count = motion.change.map(|counted| {
             let value = distance_m / counted.abs();
             let relative = (FLOOR_MARK_M / distance_m).hypot(count_sigma(unit) / counted.abs());
@@ -140,7 +142,7 @@ const fn count_sigma(unit: WheelUnit) -> f64 {
 }
 
 /// Both wheels counted, and about as far.
-fn check_both(motion: &Motion, unit: WheelUnit) -> Result<(), MotionProblem> {
+fn check_both(motion: &Motion, unit: WheelUnit, min_ratio: f64) -> Result<(), MotionProblem> {
     let [left, right] = motion.change;
     let (less, more) = (left.abs().min(right.abs()), left.abs().max(right.abs()));
     if less < MAX_OTHER_SHARE * more {
@@ -149,7 +151,7 @@ fn check_both(motion: &Motion, unit: WheelUnit) -> Result<(), MotionProblem> {
     if unit == WheelUnit::Counts && less < MIN_COUNTS {
         return Err(MotionProblem::TooFew(less));
     }
-    if less < MIN_SAME_RATIO * more {
+    if less < min_ratio * more {
         return Err(MotionProblem::Unequal { left, right });
     }
     Ok(())
@@ -173,7 +175,7 @@ impl SpotTurn {
         order: Option<WheelOrder>,
         turns: f64,
     ) -> Result<Self, MotionProblem> {
-        check_both(motion, unit)?;
+        check_both(motion, unit, MIN_SPOT_RATIO)?;
         let [left, right] = [0, 1].map(|side| motion.change[side] * straight.polarity[side].sign());
         if left * right > 0.0 {
             let [left, right] = motion.change;

@@ -237,6 +237,7 @@ impl SetupGuide {
             order,
             polarity,
             gyro_ratio: spot.and_then(|spot| spot.gyro_ratio),
+            gyro_step: self.log.gyro_step(),
         }
     }
 }
@@ -259,4 +260,6 @@ pub struct DriveFigures {
     /// Of the left and of the right wheel, behind `order`.
     pub polarity: [Polarity; 2],
     pub gyro_ratio: Option<UncertainValue>,
+    /// The smallest change between two readings of the gyro, in the unit of its readings; `None` without a gyro that changes.
+    pub gyro_step: Option<f64>,
 }

@@ -12,6 +12,8 @@ const JITTER: [f64; 2] = [1.0, 1e-9];
 const GYRO_MARGIN: TimeDelta = TimeDelta::from_millis(200);
 /// Longest part of a rest over which the gyro's bias is averaged.
 const MAX_BIAS_TIME: TimeDelta = TimeDelta::from_millis(10_000);
+/// Smaller changes of a rate are those of its conversion to another unit.
+const ROUNDING: f64 = 1e-9;
 /// A gyro that was silent for longer missed a part of a turn.
 const MAX_GYRO_GAP_S: f64 = 0.5;
 
@@ -63,6 +65,8 @@ pub struct MotionLog {
     unit: WheelUnit,
     wheels: Vec<WheelSample>,
     gyro: Vec<GyroSample>,
+    last_rate: Option<f64>,
+    gyro_step: Option<f64>,
     /// The counts of the present rest, or of the one before the present motion.
     base: Option<WheelSample>,
     last_change: Option<WheelSample>,
@@ -77,6 +81,8 @@ impl MotionLog {
             unit: WheelUnit::Counts,
             wheels: Vec::new(),
             gyro: Vec::new(),
+            last_rate: None,
+            gyro_step: None,
             base: None,
             last_change: None,
             is_moving: false,
@@ -97,6 +103,11 @@ impl MotionLog {
 
     pub const fn has_gyro(&self) -> bool {
         !self.gyro.is_empty()
+    }
+
+    /// The smallest change between two readings of the gyro, in its own unit: the step of a gyro that rounds.
+    pub const fn gyro_step(&self) -> Option<f64> {
+        self.gyro_step
     }
 
     /// The instant of the first and of the last reading of the wheels.
@@ -125,6 +136,9 @@ impl MotionLog {
     }
 
     fn push_gyro(&mut self, at: Timestamp<BrickClock>, rate: f64) {
+        let change = self.last_rate.map(|last| (rate - last).abs()).filter(|change| *change > ROUNDING);
+        self.gyro_step = self.gyro_step.into_iter().chain(change).reduce(f64::min);
+        self.last_rate = Some(rate);
         let last = self.gyro.last().copied();
         // The rate is the mean since the reading before.
         let (turn, interval_s) = last.map_or((0.0, 0.0), |last| (last.turn, (at - last.at).as_secs_f64()));

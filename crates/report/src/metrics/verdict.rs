@@ -15,6 +15,8 @@ use super::error::ErrorSummary;
 const MIN_CORRELATION: f64 = 0.1;
 /// A larger share of gated observations indicates a problem of the sensor or of its noise; by chance it would be 0.1 %.
 const MAX_GATED_SHARE: f64 = 0.05;
+/// A source of which the gate refuses more contradicts the filter, whatever the innovations that were let through are like.
+const MAX_CONTRADICTED_SHARE: f64 = 0.2;
 /// A smaller share than this happens by chance.
 const MIN_GATED_SHARE: f64 = 0.005;
 
@@ -62,6 +64,11 @@ impl SourceVerdict {
 
     pub fn has_many_gated(&self) -> bool {
         self.gated_share.is_some_and(|share| share > MAX_GATED_SHARE)
+    }
+
+    fn contradicts_filter(&self) -> bool {
+        self.finding == Consistency::OverConfident
+            || self.gated_share.is_some_and(|share| share > MAX_CONTRADICTED_SHARE)
     }
 
     pub fn tone(&self) -> VerdictTone {
@@ -148,7 +155,10 @@ impl FilterVerdict {
     }
 
     fn names(&self, finding: Consistency) -> String {
-        let these = self.sources.iter().filter(|(_, verdict)| verdict.finding == finding);
+        let is_contradiction = finding == Consistency::OverConfident && self.anees.is_none();
+        let is_named =
+            |verdict: &SourceVerdict| verdict.finding == finding || is_contradiction && verdict.contradicts_filter();
+        let these = self.sources.iter().filter(|(_, verdict)| is_named(verdict));
         let named = these.map(|(sensor, verdict)| match verdict.mean_nis_per_dof {
             Some(mean) => format!("{} (NIS {mean:.2})", sensor.name()),
             None => sensor.name().to_owned(),
@@ -211,10 +221,13 @@ impl FilterVerdict {
     }
 }
 
-/// A source that is over-confident outweighs one that is under-confident, and both a consistent one.
+/// A source that contradicts the filter outweighs one of which it claims too little, and both a consistent one.
 fn finding_of_sources(sources: &[(SensorId, SourceVerdict)]) -> Consistency {
+    if sources.iter().any(|(_, verdict)| verdict.contradicts_filter()) {
+        return Consistency::OverConfident;
+    }
     let is_any = |finding| sources.iter().any(|(_, verdict)| verdict.finding == finding);
-    let by_weight = [Consistency::OverConfident, Consistency::UnderConfident, Consistency::Consistent];
+    let by_weight = [Consistency::UnderConfident, Consistency::Consistent];
     by_weight.into_iter().find(|finding| is_any(*finding)).unwrap_or(Consistency::TooLittleData)
 }
 
