@@ -162,7 +162,10 @@ impl Args for LinkFlags {
             Arg::new(name).long(name).value_name("URL").action(ArgAction::Append).help(help)
         };
         command.args([
-            flag(LINK, "Connect to this link. Can be repeated. Replaces the links of the configuration"),
+            flag(
+                LINK,
+                "Connect to this link. Can be repeated. Replaces the addresses of the links in the configuration",
+            ),
             flag(LISTEN, "Wait for a connection on this link. Can be repeated"),
         ])
     }

@@ -111,7 +111,9 @@ impl Default for RobotFile {
 impl RobotFile {
     /// The protocol other than MAVLink of which it has a table; `None` without one or with several.
     pub fn described_brick(&self) -> Option<&'static str> {
-        let tables = [("nxt", self.nxt.is_some()), ("ev3", self.ev3.is_some()), ("columns", self.line.is_some())];
+        let text = self.line.as_ref().map(|line| if line.keys.is_empty() { "columns" } else { "line" });
+        let tables =
+            [("nxt", self.nxt.is_some()), ("ev3", self.ev3.is_some()), (text.unwrap_or("line"), text.is_some())];
         let mut described = tables.into_iter().filter_map(|(name, is_described)| is_described.then_some(name));
         described.next().filter(|_| described.next().is_none())
     }

@@ -266,7 +266,7 @@ pub fn for_each_input(
     while let Some(item) = reader.next() {
         match item {
             Ok((now, input)) => take(now, &input)?,
-            Err(error) => print_line(&format!("{name}: {error}; what is whole is used")),
+            Err(error) => progress.print(&format!("{name}: {error}; what is whole is used")),
         }
         progress.update(reader);
     }
@@ -283,9 +283,16 @@ pub struct ReadProgress(ProgressBar);
 impl ReadProgress {
     /// Bytes between two updates.
     const STEP: u64 = 256 * 1024;
+    /// Smaller recordings are read in less than two seconds.
+    const MIN_SIZE: u64 = 8 << 20;
 
     pub fn new(reader: &RecordingReader<'_>) -> Result<Self> {
-        Ok(Self(progress_bar(reader.size(), "bytes")?))
+        let is_long = reader.size() >= Self::MIN_SIZE;
+        Ok(Self(if is_long { progress_bar(reader.size(), "bytes")? } else { ProgressBar::hidden() }))
+    }
+
+    fn print(&self, line: &str) {
+        self.0.suspend(|| print_line(line));
     }
 
     pub fn update(&self, reader: &RecordingReader<'_>) {

@@ -38,7 +38,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     let has_observations = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
     if !has_observations {
-        let is_named = config.links.iter().any(|link| link.brick.is_some());
+        let is_named = config.links.iter().any(|link| link.brick.is_some() || link.url.starts_with("sim://"));
         if let Some(brick) = config.robot.described_brick().filter(|_| !is_named) {
             print_line(&format!(
                 "the robot's file has a table for --brick {brick}, and its link was taken for MAVLink: add --brick {brick}"
@@ -101,16 +101,14 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
     let flags = &args.links.0;
     if !flags.is_empty() {
-        // Another address of the file's robot, which speaks as it did.
-        let brick = config.links.first().and_then(|link| link.brick.clone());
-        let links = flags
-            .iter()
-            .map(|flag| LinkSection { listen: flag.role == ConnectRole::Listen, ..LinkSection::new(&flag.url) });
+        // Another address of what the file's link at this position leads to; nothing else leads to a simulated robot.
+        let is_simulated = |url: &str| url.starts_with("sim://");
+        let links = flags.iter().enumerate().map(|(index, flag)| {
+            let of_file = config.links.get(index).filter(|link| !is_simulated(&link.url) && !is_simulated(&flag.url));
+            let link = of_file.cloned().unwrap_or_else(|| LinkSection::new(&flag.url));
+            LinkSection { url: flag.url.clone(), listen: flag.role == ConnectRole::Listen, ..link }
+        });
         config.links = links.collect();
-        // A simulated robot knows what it speaks.
-        if let Some(first) = config.links.first_mut().filter(|first| !first.url.starts_with("sim://")) {
-            first.brick = brick;
-        }
     }
     for url in &args.ground_stations {
         let section = LinkSection::for_ground_stations(url);
@@ -139,4 +137,39 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     }
     config.validate()?;
     Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flag_is_another_address_of_the_link_at_its_position() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("robot.toml");
+        let text = "[[link]]\nurl = \"serial:brick.tty\"\nbrick = \"nxt\"\n[[link]]\nurl = \"udp://127.0.0.1:1\"\naccept_mavlink1 = true\n";
+        std::fs::write(&path, text).unwrap();
+        let links_of = |urls: &[&str]| {
+            let flags = urls.iter().map(|url| LinkFlag { url: (*url).to_owned(), role: ConnectRole::Dial });
+            let args = RunArgs {
+                config: ConfigFlags { config: Some(path.clone()), ..ConfigFlags::default() },
+                links: LinkFlags(flags.collect()),
+                ..RunArgs::default()
+            };
+            configuration(&args).unwrap().links
+        };
+        let links = links_of(&["tcp://127.0.0.1:2", "udp://127.0.0.1:3", "udp://127.0.0.1:4"]);
+        let kept: Vec<_> =
+            links.iter().map(|link| (link.url.as_str(), link.brick.as_deref(), link.accept_mavlink1)).collect();
+        assert_eq!(
+            kept,
+            [
+                ("tcp://127.0.0.1:2", Some("nxt"), false),
+                ("udp://127.0.0.1:3", None, true),
+                ("udp://127.0.0.1:4", None, false)
+            ]
+        );
+        // A simulated robot is another one.
+        assert_eq!(links_of(&["sim://square"])[0].brick, None);
+    }
 }

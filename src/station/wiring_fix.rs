@@ -44,12 +44,13 @@ impl WiringReport {
         }
     }
 
-    /// What was found, in words; `None` where nothing was.
-    pub fn summary(&self) -> Option<String> {
+    /// What was found, in words.
+    pub fn summaries(&self) -> impl Iterator<Item = String> {
         let of_robot = if self.robot.is_empty() { String::new() } else { format!("{}: ", self.robot) };
-        let findings: Vec<String> = self.findings.iter().map(ToString::to_string).collect();
-        (!findings.is_empty())
-            .then(|| format!("{of_robot}{} (--fix-wiring prints the lines that undo it)", findings.join("; ")))
+        self.findings.iter().map(move |finding| {
+            let cure = if finding.fault().is_some() { " (--fix-wiring prints the lines that undo it)" } else { "" };
+            format!("{of_robot}{finding}{cure}")
+        })
     }
 
     /// What was found, as comments, and the lines of a configuration that undo it.

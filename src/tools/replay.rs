@@ -7,7 +7,7 @@ pub mod own;
 mod result;
 pub mod watch;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use anyhow::{Result, bail};
@@ -92,7 +92,8 @@ fn print(args: &ReplayArgs, replayed: &ReplayResult, wall: TimeDelta) -> Result<
         .collect();
     let mut text = wrapped(&answer_heading(replayed), "");
     text += &answer(replayed).unwrap_or_default();
-    for finding in replayed.wiring.iter().filter_map(WiringReport::summary) {
+    let findings: BTreeSet<String> = replayed.wiring.iter().flat_map(WiringReport::summaries).collect();
+    for finding in findings {
         text += &wrapped("wiring     ", &finding);
     }
     text += "\n";
@@ -147,10 +148,9 @@ fn answer(replayed: &ReplayResult) -> Option<String> {
     let first = replayed.outcomes.first()?;
     let of_robot = || replayed.outcomes.iter().filter(|outcome| outcome.robot == first.robot);
     let error_m = |outcome: &FilterResult| outcome.errors.position_rms_m.unwrap_or(f64::INFINITY);
-    let is_odometry = |outcome: &FilterResult| outcome.name == ODOMETRY;
-    let best = of_robot().min_by(|one, other| {
-        error_m(one).total_cmp(&error_m(other)).then_with(|| is_odometry(one).cmp(&is_odometry(other)))
-    })?;
+    let rank = |outcome: &FilterResult| (outcome.last.is_none(), outcome.name == ODOMETRY);
+    let best = of_robot()
+        .min_by(|one, other| error_m(one).total_cmp(&error_m(other)).then_with(|| rank(one).cmp(&rank(other))))?;
     let odometry = of_robot().find(|outcome| outcome.name == ODOMETRY && outcome.name != best.name);
     let baseline = odometry.map(|outcome| (ODOMETRY, &outcome.errors));
     let recorded = replayed.odometry.as_ref().map(|errors| (BRICK_ODOMETRY, errors));

@@ -193,7 +193,7 @@ fn the_motions_are_found_in_a_recording_and_in_a_table() {
             ),
             ("init --from square.mcap --out a.toml", 1, &["they did not roll equally far", "--motions wheel=2-6"]),
             ("init --from commas.csv --out a.toml", 1, &["line 2: `0,707` has a decimal comma; write `0.707`"]),
-            ("init --from sparse.csv --out a.toml", 1, &["line 2: a cell is empty", "cut -d,"]),
+            ("init --from sparse.csv --out a.toml", 1, &["line 2: cell 4 is empty"]),
             ("init --from hand.mcap --motions wheel=9-12 --out a.toml", 1, &["--motions wheel: both wheels counted"]),
             ("init --from hand.mcap --motions wheel=12-9 --out a.toml", 2, &["such as wheel=2-6"]),
             ("init --from found.toml --out a.toml", 1, &["--from reads a recording or a table"]),

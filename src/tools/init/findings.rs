@@ -205,8 +205,16 @@ impl Findings {
             return;
         }
         let direction = if ratio < 0.0 { "to the right" } else { "to the left" };
+        // How many times the true rate the readings are, as they are configured now; exactly, where the unit is known.
+        let mut times = match scale {
+            GyroScale::RadiansPerSecond => 1.0,
+            GyroScale::DegreesPerSecond => 1_f64.to_degrees(),
+            GyroScale::Other | GyroScale::Still => ratio.abs(),
+        };
         let unit = if source.reads_text() {
-            self.column_unit(ratio, scale, source)
+            let (unit, of_column) = self.column_unit(ratio, scale, source);
+            times = of_column.unwrap_or(times);
+            unit
         } else {
             match scale {
                 GyroScale::DegreesPerSecond => {
@@ -232,13 +240,7 @@ impl Findings {
             self.set(WIRING, "reverse_gyro", "true".to_owned(), "it counted down in a turn to the left");
         }
         self.line("gyro", &format!("positive {direction}"), &unit);
-        // The unit itself, where there is one: a turn by hand is less exact.
-        let per_rad_per_s = match scale {
-            GyroScale::RadiansPerSecond => 1.0,
-            GyroScale::DegreesPerSecond => 1_f64.to_degrees(),
-            GyroScale::Other | GyroScale::Still => ratio.abs(),
-        };
-        let step_rad_per_s = figures.gyro_step.map(|step| step / per_rad_per_s);
+        let step_rad_per_s = figures.gyro_step.map(|step| step / times);
         if let Some(step) = step_rad_per_s.filter(|step| *step >= MIN_GYRO_STEP_RAD_PER_S) {
             let shown = format!("{:.2} degrees/s", step.to_degrees());
             self.line("", &format!("in steps of {shown}"), "");
@@ -246,22 +248,23 @@ impl Findings {
         }
     }
 
-    /// The quantity of the gyro's column that fits the turn; says its unit.
-    fn column_unit(&mut self, ratio: f64, scale: GyroScale, source: &RobotSource) -> String {
+    /// The quantity of the gyro's column that fits the turn: says its unit, and how many times the true rate the readings were.
+    fn column_unit(&mut self, ratio: f64, scale: GyroScale, source: &RobotSource) -> (String, Option<f64>) {
         let Some(line) = &source.line else {
-            return String::new();
+            return (String::new(), None);
         };
         let column = line.columns.iter().position(|name| name.trim_start_matches('-').starts_with("gyro_"));
         let Some(name) = column.and_then(|index| line.columns.get(index)) else {
-            return String::new();
+            return (String::new(), None);
         };
+        let readings_per_deg_per_s = |name: &str, counts: f64| match name.trim_start_matches('-') {
+            "gyro_deg_per_s" => 1.0,
+            "gyro_rad_per_s" => 1_f64.to_radians(),
+            _ => counts,
+        };
+        let configured = readings_per_deg_per_s(name, line.gyro_counts_per_deg_per_s);
         // What the column reads at one degree per second.
-        let per_deg_per_s = ratio.abs()
-            * match name.trim_start_matches('-') {
-                "gyro_deg_per_s" => 1.0,
-                "gyro_rad_per_s" => 1_f64.to_radians(),
-                _ => line.gyro_counts_per_deg_per_s,
-            };
+        let per_deg_per_s = ratio.abs() * configured;
         let unit = match (name.trim_start_matches('-'), scale) {
             ("gyro_deg_per_s" | "gyro_rad_per_s", GyroScale::RadiansPerSecond) => name.trim_start_matches('-'),
             _ => match GyroScale::from_ratio(per_deg_per_s.recip()) {
@@ -277,13 +280,14 @@ impl Findings {
         for value in self.values.iter_mut().filter(|value| value.section == LINE && value.key == "columns") {
             value.value.clone_from(&columns);
         }
-        if unit != "gyro_counts" {
-            return unit.trim_start_matches("gyro_").replace("_per_", "/");
-        }
         let counts = usual_gyro_counts(per_deg_per_s);
+        let times = Some(readings_per_deg_per_s(unit, counts) / configured);
+        if unit != "gyro_counts" {
+            return (unit.trim_start_matches("gyro_").replace("_per_", "/"), times);
+        }
         let comment = format!("{per_deg_per_s:.1} counted in the turn on the spot");
         self.set(LINE, "gyro_counts_per_deg_per_s", format!("{counts:.1}"), comment);
-        format!("{counts:.1} counts at 1 degree/s")
+        (format!("{counts:.1} counts at 1 degree/s"), times)
     }
 }
 

@@ -102,7 +102,7 @@ async fn guide(link: TemplateLink, base: Option<BundledRobot>, flags: &GuideFlag
     let opened = tokio::time::timeout(wait, OpenLink::open(link, timer)).await;
     let mut opened = opened.map_err(|_elapsed| {
         anyhow!(
-            "`{url}` did not come up within {} s; `posebridge doctor {url}` says more, --wait-s waits longer",
+            "`{url}` did not come up within {} s; `posebridge doctor` looks for ports and rights, --wait-s waits longer",
             flags.wait_s
         )
     })??;

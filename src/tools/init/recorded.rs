@@ -50,24 +50,26 @@ pub(super) fn run(
 /// Refuses what a reader of numbers in their order would misread: decimal commas, and cells without a number.
 fn check_cells(name: &str, text: &str) -> Result<()> {
     for (index, line) in text.lines().enumerate() {
-        let (line, number) = (line.trim(), index + 1);
-        let delimiter = if line.contains(';') { ';' } else { ',' };
+        let number = index + 1;
+        let delimiter = [';', '\t'].into_iter().find(|delimiter| line.contains(*delimiter)).unwrap_or(',');
         // A logger may end each line with its delimiter.
-        let mut cells = line.strip_suffix(delimiter).unwrap_or(line).split(delimiter).map(str::trim);
-        if delimiter == ';'
-            && let Some(cell) =
-                cells.clone().find(|cell| cell.contains(',') && cell.replace(',', ".").parse::<f64>().is_ok())
-        {
+        let line = line.trim_end().strip_suffix(delimiter).unwrap_or(line);
+        let cells: Vec<&str> = line.split(delimiter).map(str::trim).collect();
+        let with_point = |cell: &str| cell.replacen(',', ".", 1);
+        let is_number = |cell: &str| with_point(cell).parse::<f64>().is_ok();
+        // A row begins with a number; names, remarks and blank rows do not.
+        if cells.len() < 2 || !cells.first().is_some_and(|cell| is_number(cell)) {
+            continue;
+        }
+        if let Some(cell) = cells.iter().find(|cell| cell.contains(',') && is_number(cell)) {
+            bail!("`{name}`, line {number}: `{cell}` has a decimal comma; write `{}` in all lines", with_point(cell));
+        }
+        if let Some(empty) = cells.iter().position(|cell| cell.is_empty()) {
             bail!(
-                "`{name}`, line {number}: `{cell}` has a decimal comma; write `{}` in all lines",
-                cell.replace(',', ".")
+                "`{name}`, line {number}: cell {} is empty, and a line's numbers are taken in their order; leave such columns out",
+                empty + 1
             );
         }
-        ensure!(
-            line.is_empty() || cells.all(|cell| !cell.is_empty()),
-            "`{name}`, line {number}: a cell is empty, and a line's numbers are taken in their order; leave such columns out, such as \
-             with `cut -d{delimiter} -f1-4`"
-        );
     }
     Ok(())
 }

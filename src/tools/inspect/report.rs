@@ -231,7 +231,7 @@ fn summary(framed: &FramedFacts) -> String {
     let (census, bytes) = (&framed.census, framed.bytes);
     let all = census.all();
     if framed.own.is_some() && framed.bytes == 0 {
-        return "no MAVLink frames; `posebridge replay` decodes what the robot sent\n".to_owned();
+        return "no MAVLink frames\n".to_owned();
     }
     let mut text = format!("{} frames in {bytes} bytes", all.frames);
     if let Some(duration_s) = duration_s(all) {

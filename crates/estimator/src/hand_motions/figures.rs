@@ -26,6 +26,8 @@ const MAX_OTHER_SHARE: f64 = 0.1;
 const MIN_SPOT_RATIO: f64 = 0.8;
 /// The same on a straight line, where only the wheels' radii may differ.
 const MIN_STRAIGHT_RATIO: f64 = 0.95;
+/// The difference of two counts may be off by so many of its standard deviations.
+const COARSE_COUNTS: f64 = 5.0;
 /// Fewer counts are too coarse for 2 %.
 const MIN_COUNTS: f64 = 20.0;
 
@@ -151,7 +153,7 @@ fn check_both(motion: &Motion, unit: WheelUnit, min_ratio: f64) -> Result<(), Mo
     if unit == WheelUnit::Counts && less < MIN_COUNTS {
         return Err(MotionProblem::TooFew(less));
     }
-    if less < min_ratio * more {
+    if less < min_ratio * more - count_sigma(unit) * COARSE_COUNTS {
         return Err(MotionProblem::Unequal { left, right });
     }
     Ok(())

@@ -260,6 +260,6 @@ pub struct DriveFigures {
     /// Of the left and of the right wheel, behind `order`.
     pub polarity: [Polarity; 2],
     pub gyro_ratio: Option<UncertainValue>,
-    /// The smallest change between two readings of the gyro, in the unit of its readings; `None` without a gyro that changes.
+    /// The step of a gyro that rounds, in the unit of its readings; `None` of one that does not.
     pub gyro_step: Option<f64>,
 }

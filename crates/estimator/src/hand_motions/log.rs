@@ -1,5 +1,6 @@
 //! What wheels and gyro of one robot reported, and the motions between rests in it.
 
+use crate::numerics::quantization::find_quantization_step;
 use posebridge_telemetry::{BrickClock, Observation, ObservationKind, TimeDelta, Timestamp};
 
 /// Bounds memory: an hour at 50 readings per second.
@@ -12,8 +13,6 @@ const JITTER: [f64; 2] = [1.0, 1e-9];
 const GYRO_MARGIN: TimeDelta = TimeDelta::from_millis(200);
 /// Longest part of a rest over which the gyro's bias is averaged.
 const MAX_BIAS_TIME: TimeDelta = TimeDelta::from_millis(10_000);
-/// Smaller changes of a rate are those of its conversion to another unit.
-const ROUNDING: f64 = 1e-9;
 /// A gyro that was silent for longer missed a part of a turn.
 const MAX_GYRO_GAP_S: f64 = 0.5;
 
@@ -54,6 +53,7 @@ struct WheelSample {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct GyroSample {
     at: Timestamp<BrickClock>,
+    rate: f64,
     /// Integral of the rate up to here.
     turn: f64,
 }
@@ -65,8 +65,6 @@ pub struct MotionLog {
     unit: WheelUnit,
     wheels: Vec<WheelSample>,
     gyro: Vec<GyroSample>,
-    last_rate: Option<f64>,
-    gyro_step: Option<f64>,
     /// The counts of the present rest, or of the one before the present motion.
     base: Option<WheelSample>,
     last_change: Option<WheelSample>,
@@ -81,8 +79,6 @@ impl MotionLog {
             unit: WheelUnit::Counts,
             wheels: Vec::new(),
             gyro: Vec::new(),
-            last_rate: None,
-            gyro_step: None,
             base: None,
             last_change: None,
             is_moving: false,
@@ -105,9 +101,10 @@ impl MotionLog {
         !self.gyro.is_empty()
     }
 
-    /// The smallest change between two readings of the gyro, in its own unit: the step of a gyro that rounds.
-    pub const fn gyro_step(&self) -> Option<f64> {
-        self.gyro_step
+    /// The step of a gyro that rounds, in the unit of its readings; `None` of one that does not.
+    pub fn gyro_step(&self) -> Option<f64> {
+        let rates: Vec<f64> = self.gyro.iter().map(|sample| sample.rate).collect();
+        find_quantization_step(&rates)
     }
 
     /// The instant of the first and of the last reading of the wheels.
@@ -136,9 +133,6 @@ impl MotionLog {
     }
 
     fn push_gyro(&mut self, at: Timestamp<BrickClock>, rate: f64) {
-        let change = self.last_rate.map(|last| (rate - last).abs()).filter(|change| *change > ROUNDING);
-        self.gyro_step = self.gyro_step.into_iter().chain(change).reduce(f64::min);
-        self.last_rate = Some(rate);
         let last = self.gyro.last().copied();
         // The rate is the mean since the reading before.
         let (turn, interval_s) = last.map_or((0.0, 0.0), |last| (last.turn, (at - last.at).as_secs_f64()));
@@ -146,7 +140,7 @@ impl MotionLog {
             self.gyro.clear();
         }
         let covered_s = interval_s.clamp(0.0, MAX_GYRO_GAP_S);
-        self.gyro.push(GyroSample { at, turn: turn + rate * covered_s });
+        self.gyro.push(GyroSample { at, rate, turn: turn + rate * covered_s });
         limit(&mut self.gyro);
     }
 

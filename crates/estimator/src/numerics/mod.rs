@@ -3,4 +3,5 @@
 pub mod chi_square;
 pub mod cholesky;
 pub mod covariance;
+pub mod quantization;
 pub mod statistics;

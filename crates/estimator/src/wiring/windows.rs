@@ -32,8 +32,6 @@ const FIX_DELAY_S: f64 = 0.1;
 const MAX_TURN_RAD: f64 = 3.0;
 /// A smaller turn shows no ratio.
 const MIN_RATIO_TURN_RAD: f64 = 0.1;
-/// A wheel that moves by a smaller share of the other's way stands, or its counter does not count.
-const STANDING_SHARE: f64 = 0.01;
 /// A smaller factor leaves little of a motion.
 const SHRUNK: f64 = 0.1;
 /// A chord shows a direction if it is so many times longer than its noise.
@@ -70,12 +68,7 @@ impl TurnWindow {
         Self { travel_m, gyro_rad, duration_s, radius_m: radii_m[0].max(radii_m[1]) }
     }
 
-    /// Nothing while one wheel stands: a wheel without a counter would look like a gyro in another unit.
     pub(super) fn compare(&self, hypothesis: &Hypothesis, settings: &Settings) -> Comparisons {
-        let [left, right] = self.travel_m.map(f64::abs);
-        if left.min(right) < STANDING_SHARE * left.max(right) {
-            return [None, None, None];
-        }
         let track_m = settings.geometry.track_width.0;
         let [_, by_wheels] = hypothesis.body_motion(self.travel_m, track_m);
         let [_, without] = Hypothesis::CORRECT.body_motion(self.travel_m, track_m);

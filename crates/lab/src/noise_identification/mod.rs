@@ -25,8 +25,6 @@ pub use self::delay::{
     CameraSample, CumulativeMotion, DelayError, DelaySearch, FixDelay, cumulative_motion_of, find_delay,
 };
 pub use self::record::{RestError, RestRecord};
-pub use self::rest::{
-    MIN_STANDSTILL_S, RestIntervals, RestNoise, find_quantization_step, noise_at_rest, readings_at_rest, rest_noise,
-};
+pub use self::rest::{MIN_STANDSTILL_S, RestIntervals, RestNoise, noise_at_rest, readings_at_rest, rest_noise};
 pub use self::straight::{StraightError, StraightNoise, rounding_speed_sigma, straight_noise};
 pub use self::white_and_walk::{AllanPoint, NoiseDecomposition, allan_deviation, decompose_noise};

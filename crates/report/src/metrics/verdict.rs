@@ -67,8 +67,8 @@ impl SourceVerdict {
     }
 
     fn contradicts_filter(&self) -> bool {
-        self.finding == Consistency::OverConfident
-            || self.gated_share.is_some_and(|share| share > MAX_CONTRADICTED_SHARE)
+        let is_refused = self.gated_share.is_some_and(|share| share > MAX_CONTRADICTED_SHARE);
+        self.finding == Consistency::OverConfident || is_refused && self.finding != Consistency::TooLittleData
     }
 
     pub fn tone(&self) -> VerdictTone {
@@ -155,10 +155,7 @@ impl FilterVerdict {
     }
 
     fn names(&self, finding: Consistency) -> String {
-        let is_contradiction = finding == Consistency::OverConfident && self.anees.is_none();
-        let is_named =
-            |verdict: &SourceVerdict| verdict.finding == finding || is_contradiction && verdict.contradicts_filter();
-        let these = self.sources.iter().filter(|(_, verdict)| is_named(verdict));
+        let these = self.sources.iter().filter(|(_, verdict)| verdict.finding == finding);
         let named = these.map(|(sensor, verdict)| match verdict.mean_nis_per_dof {
             Some(mean) => format!("{} (NIS {mean:.2})", sensor.name()),
             None => sensor.name().to_owned(),
@@ -221,7 +218,7 @@ impl FilterVerdict {
     }
 }
 
-/// A source that contradicts the filter outweighs one of which it claims too little, and both a consistent one.
+/// A source that contradicts the filter outweighs one with too much noise, and both a consistent one.
 fn finding_of_sources(sources: &[(SensorId, SourceVerdict)]) -> Consistency {
     if sources.iter().any(|(_, verdict)| verdict.contradicts_filter()) {
         return Consistency::OverConfident;
@@ -243,7 +240,14 @@ impl fmt::Display for FilterVerdict {
             None if self.finding == Consistency::TooLittleData => {
                 return write!(f, "no truth, and no source was predicted often enough");
             }
-            None => write!(f, "by the innovations of {}", self.names(self.finding))?,
+            None => {
+                let names = self.names(self.finding);
+                if names.is_empty() {
+                    // Only the gate contradicts.
+                    return f.write_str(self.disagreement().trim_start_matches("; "));
+                }
+                write!(f, "by the innovations of {names}")?;
+            }
         }
         write!(f, "{}", self.disagreement())
     }

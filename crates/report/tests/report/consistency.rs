@@ -116,6 +116,14 @@ fn source(sensor: SensorId, count: u32, sigmas: f64) -> SourceTally {
     tally
 }
 
+/// With observations that the gate refused.
+fn gated(mut tally: SourceTally, count: u32) -> SourceTally {
+    for _ in 0..count {
+        tally.add(&record(tally.sensor, FusionOutcome::Gated, 400.0));
+    }
+    tally
+}
+
 fn errors(anees: Option<f64>) -> ErrorSummary {
     ErrorSummary { anees, samples: 100, ..ErrorSummary::default() }
 }
@@ -143,11 +151,20 @@ fn without_truth_the_sources_decide() {
         source(SensorId::WHEELS, 400, 0.5),
         source(SensorId::COMPASS, 3, 5.0),
     );
+    let refused = |count| gated(source(SensorId::CAMERA, 400, 1.0), count);
     for (sources, finding, text) in [
         (vec![good, over, under], Consistency::OverConfident, "over-confident: by the innovations of gyro (NIS 4.00)"),
         (vec![good, under], Consistency::UnderConfident, "under-confident: by the innovations of wheels (NIS 0.25)"),
         (vec![good, few], Consistency::Consistent, "consistent: by the innovations of camera (NIS 1.00)"),
         (vec![few], Consistency::TooLittleData, "too little data: no truth, and no source"),
+        // A fifth of 500, and one more.
+        (
+            vec![refused(100)],
+            Consistency::Consistent,
+            "consistent: by the innovations of camera (NIS 1.00); the gate refused 20 %",
+        ),
+        (vec![refused(101), under], Consistency::OverConfident, "over-confident: the gate refused 20 % of camera"),
+        (vec![gated(few, 3)], Consistency::TooLittleData, "too little data: no truth, and no source"),
     ] {
         let verdict = FilterVerdict::new(&errors(None), 1, source_verdicts(&sources));
         assert_eq!(verdict.finding, finding);

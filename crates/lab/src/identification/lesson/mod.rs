@@ -115,7 +115,7 @@ impl RecordedPrediction {
 /// A sensor has settled when this share of the step is left.
 const SETTLED_SHARE: f64 = 0.02;
 
-/// The result on the simulated sensor in two sentences; empty without the sections that it reads.
+/// The result on the simulated sensor in two sentences.
 pub fn simulated_answer(sections: &[LessonSection]) -> String {
     let value = |section: &str, name: &str| {
         sections.iter().find(|found| found.name == section).and_then(|found| found.value(name))
@@ -139,7 +139,7 @@ pub fn recorded_answer(predicted: &[(RecordedRun, RecordedPrediction)]) -> Strin
         1 => format!("One step, predicted from {source}:"),
         count => format!("{count} steps, each predicted from {source}: in the median"),
     };
-    let inside = mean(runs.iter().filter_map(|run| run.inside)).map(|share| (share, "predictions"));
+    let inside = mean(runs.iter().filter_map(|run| run.inside)).map(|share| (share, "predictions, on average"));
     answer_text(&steps, middle(|run| run.predicted_s[1]), middle(|run| run.shown_s[1]), inside)
 }
 
@@ -151,7 +151,7 @@ fn answer_text(
     inside: Option<(f64, &'static str)>,
 ) -> String {
     let after =
-        |settled_s: Option<f64>| settled_s.map_or_else(|| "never".to_owned(), |at_s| format!("after {at_s:.1} s"));
+        |settled_s: Option<f64>| settled_s.map_or_else(|| "at no time".to_owned(), |at_s| format!("after {at_s:.1} s"));
     let inside =
         inside.map(|(share, of)| format!(" The 95 % bound contained the end in {:.0} % of the {of}.", 100.0 * share));
     format!(
