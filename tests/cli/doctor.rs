@@ -165,6 +165,7 @@ fn the_object_has_its_keys_and_a_problem_is_exit_code_1_and_stands_in_the_report
     let line = report.lines().find(|line| line.starts_with("problem  listening ")).unwrap();
     assert!(line.contains("`ttyUSB0` has no scheme"), "{line}");
     assert!(report.contains("cure: docs/links.md"), "{report}");
+    assert!(report.lines().all(|line| line.chars().count() <= 80), "{report}");
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(stderr.contains("the doctor found"), "{stderr}");
 }

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
+use posebridge_report::tables::wrapped;
 use serde::Serialize;
 
 use crate::console::print_result;
@@ -133,14 +134,14 @@ fn format_finding(finding: &Finding, name_width: usize) -> String {
     let verdict = &finding.result;
     let (word, name) = (verdict.status.as_str(), finding.name);
     let head = format!("{word:STATUS_WIDTH$}  {name:name_width$}  ");
-    // A message may have lines of its own, such as the line of a file that is wrong.
     let indent = " ".repeat(head.len());
-    let what = verdict.message.replace('\n', &format!("\n{indent}"));
-    if verdict.advice.is_empty() {
-        format!("{head}{what}\n")
-    } else {
-        format!("{head}{what}\n{indent}cure: {}\n", verdict.advice)
+    // A message may have lines of its own, such as the line of a file that is wrong.
+    let labels = std::iter::once(head.as_str()).chain(std::iter::repeat(indent.as_str()));
+    let mut text: String = labels.zip(verdict.message.lines()).map(|(label, line)| wrapped(label, line)).collect();
+    if !verdict.advice.is_empty() {
+        text += &wrapped(&format!("{indent}cure: "), &verdict.advice);
     }
+    text
 }
 
 const STATUS_WIDTH: usize = "problem".len();

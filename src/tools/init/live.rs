@@ -8,6 +8,7 @@ use posebridge_estimator::hand_motions::{GuideEvent, GuideStep};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl, OutgoingFrame};
 use posebridge_protocol::detect::{Protocol, recognise};
 use posebridge_protocol::text_columns::{ColumnMapping, ColumnTable, WheelEvidence, guess_columns};
+use posebridge_report::tables::wrapped;
 use posebridge_telemetry::{HostClock, Input, LinkId, LinkState, TimeDelta, Timestamp};
 use tokio::sync::mpsc::{Receiver, channel};
 
@@ -73,7 +74,9 @@ impl Answers {
 
     /// The answer to a question; empty where nobody is asked.
     async fn ask(&mut self, question: &str) -> Result<String> {
-        print_line(question);
+        for line in question.lines() {
+            print_line(wrapped("", line).trim_end());
+        }
         match &mut self.0 {
             Some(receiver) => receiver.recv().await.context("no answer came; every question has a flag"),
             None => Ok(String::new()),
