@@ -101,7 +101,7 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     let mut config = config::load(args.config.config.as_deref(), &settings)?.config;
     let flags = &args.links.0;
     if !flags.is_empty() {
-        // Another address of what the file's link at this position leads to; nothing else leads to a simulated robot.
+        // Another address of what the file's link at this position leads to, unless one of both is simulated.
         let is_simulated = |url: &str| url.starts_with("sim://");
         let links = flags.iter().enumerate().map(|(index, flag)| {
             let of_file = config.links.get(index).filter(|link| !is_simulated(&link.url) && !is_simulated(&flag.url));

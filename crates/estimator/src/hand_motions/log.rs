@@ -1,7 +1,8 @@
 //! What wheels and gyro of one robot reported, and the motions between rests in it.
 
-use crate::numerics::quantization::find_quantization_step;
 use posebridge_telemetry::{BrickClock, Observation, ObservationKind, TimeDelta, Timestamp};
+
+use crate::numerics::quantization::find_quantization_step;
 
 /// Bounds memory: an hour at 50 readings per second.
 const MAX_SAMPLES: usize = 180_000;
