@@ -26,6 +26,7 @@ use posebridge::station::recorder::Recorder;
 use posebridge::station::requests::RequestHandler;
 use posebridge::station::setup::SetupChecklists;
 use posebridge::station::station_loop::{StationLoop, StopConditions};
+use posebridge::station::watchdog::{OnStall, Watchdog};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkSet, LinkUrl};
 use posebridge_protocol::dialect::{Encoder, decode};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
@@ -317,6 +318,7 @@ async fn start_station_loop(
         ),
         truth: Vec::new(),
         first_pose: None,
+        watchdog: Watchdog::start(timer, OnStall::Tell).expect("a watchdog"),
     };
     (station_loop, address)
 }

@@ -1,5 +1,5 @@
 //! Console output: messages on stderr, results on stdout, progress bars.
-//! Errors of writing to stderr are ignored. While the terminal view owns the screen, messages go to its event panel
+//! Errors of writing to stderr are ignored, and while a station runs nobody waits for it ([`crate::stderr_writer`]). While the terminal view owns the screen, messages go to its event panel
 //! ([`redirect_stderr`]). They are also retained and printed when the screen is restored, so that no message is lost with it.
 
 use std::collections::VecDeque;
@@ -10,6 +10,8 @@ use std::sync::{Mutex, OnceLock, PoisonError, TryLockError};
 use clap::ColorChoice;
 use indicatif::{ProgressBar, ProgressStyle};
 use posebridge_report::colour::Colour;
+
+use crate::stderr_writer;
 
 /// Bound of the messages for the terminal view, which polls twenty times a second; further ones are only retained.
 const QUEUE_LINES: usize = 256;
@@ -38,8 +40,7 @@ pub fn print_line(line: &str) {
     if capture(line) == Some(RedirectMode::Replace) {
         return;
     }
-    // There is nowhere left to report it.
-    drop(writeln!(std::io::stderr().lock(), "{line}"));
+    stderr_writer::write_line(line);
 }
 
 pub fn print_lines(lines: &[String]) {
@@ -128,8 +129,9 @@ pub fn colour() -> Colour {
     if is_wanted { Colour::Ansi } else { Colour::Plain }
 }
 
-/// Prints a result on stdout. A broken pipe is not an error.
+/// Prints a result on stdout, after the messages before it. A broken pipe is not an error.
 pub fn print_result(text: &str) -> std::io::Result<()> {
+    stderr_writer::flush();
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

@@ -2,6 +2,9 @@
 
 use anyhow::{Result, anyhow};
 
+/// Of a station whose loop stood still, with `--watchdog-exit`.
+pub const EXIT_CODE_OF_WATCHDOG: u8 = 3;
+
 #[derive(Debug)]
 pub enum Failure {
     /// Exit code 2.

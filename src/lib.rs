@@ -12,5 +12,6 @@ pub mod flags;
 pub mod lab;
 mod runtime;
 pub mod station;
+pub mod stderr_writer;
 pub mod tools;
 pub mod virtual_station;

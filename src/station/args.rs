@@ -73,6 +73,9 @@ pub struct RunArgs {
     /// How much is printed at the end.
     #[command(flatten)]
     pub detail: DetailFlags,
+    /// What happens when the station stands still.
+    #[command(flatten)]
+    pub watchdog: WatchdogFlags,
     /// At the end, write a robot profile with the learned calibration, for --robot.
     #[arg(long, value_name = "FILE.toml")]
     pub save_calibration: Option<PathBuf>,
@@ -86,6 +89,15 @@ pub struct RunArgs {
     /// Stop when no link has received a byte for this number of seconds. Counts from the first byte on.
     #[arg(long, value_name = "SECONDS", value_parser = positive)]
     pub until_silent: Option<f64>,
+}
+
+/// What happens when the station stands still.
+#[derive(Args, Clone, Debug, Default)]
+pub struct WatchdogFlags {
+    /// End with exit code 3 if the station stands still for a second, so that a supervisor can start it again. Without it that
+    /// is told only.
+    #[arg(long)]
+    pub watchdog_exit: bool,
 }
 
 /// What is shown besides the page.

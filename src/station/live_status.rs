@@ -4,7 +4,6 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_sim::TruthSample;
 use posebridge_telemetry::{
@@ -17,12 +16,12 @@ use super::event_collector::MAX_INTERPOLATION_GAP;
 use super::link_report::{LinkReport, condition};
 use super::simulator::TruthTap;
 use crate::console::print_line;
+use crate::stderr_writer::{StatusBlock, clear_status, show_status, shows_status};
 
 /// Interval of a plain line without a terminal.
 const PLAIN_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 /// Interval of the short error line with a simulated brick.
 const ERROR_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
-const BAR_STEPS: u64 = 1_000;
 
 /// Lines of robots in the block, so that it fits into a small terminal.
 const MAX_ROBOT_LINES: usize = 8;
@@ -38,7 +37,8 @@ struct RobotView {
 }
 
 pub struct LiveView {
-    bar: ProgressBar,
+    /// Whether the block stands at the bottom of the terminal; else there are periodic lines.
+    has_block: bool,
     progress: Option<watch::Receiver<f64>>,
     error_to_truth: Vec<ErrorToTruth>,
     now: Timestamp<HostClock>,
@@ -77,16 +77,8 @@ impl LinkView {
 
 impl LiveView {
     pub fn new(progress: Option<watch::Receiver<f64>>, error_to_truth: Vec<ErrorToTruth>) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
-        let template = match progress {
-            Some(_) => "{msg}\n  {wide_bar} {percent:>3} %",
-            None => "{msg}",
-        };
-        if let Ok(style) = ProgressStyle::with_template(template) {
-            bar.set_style(style);
-        }
         Self {
-            bar,
+            has_block: shows_status(),
             progress,
             error_to_truth,
             now: Timestamp::ZERO,
@@ -157,17 +149,13 @@ impl LiveView {
         if self.is_silent {
             return;
         }
-        if self.bar.is_hidden() {
+        if !self.has_block {
             self.write_plainly();
             return;
         }
-        if let Some(progress) = &self.progress {
-            let share = (*progress.borrow()).clamp(0.0, 1.0);
-            self.bar.set_position((share * BAR_STEPS as f64) as u64);
-        }
-        let off = self.error_line();
-        let off = off.map_or_else(String::new, |line| format!("\n  {line}"));
-        self.bar.set_message(self.block() + &off);
+        let errors = self.error_line().map_or_else(String::new, |line| format!("\n  {line}"));
+        let progress = self.progress.as_ref().map(|progress| *progress.borrow());
+        show_status(StatusBlock { text: self.block() + &errors, progress });
     }
 
     /// Prints a periodic line where the block is not shown.
@@ -192,7 +180,7 @@ impl LiveView {
         if let Some(repeated) = self.repeats.suppressed_summary() {
             self.print(&repeated);
         }
-        self.bar.finish_and_clear();
+        clear_status();
     }
 
     /// Prints a line; counts repetitions of the same one.
@@ -207,13 +195,8 @@ impl LiveView {
     }
 
     fn print(&self, line: &str) {
-        if self.is_silent {
-            return;
-        }
-        if self.bar.is_hidden() {
+        if !self.is_silent {
             print_line(line);
-        } else {
-            self.bar.println(line);
         }
     }
 

@@ -1,10 +1,11 @@
 //! `posebridge run`: the station.
 //! The station loop decodes, fuses and answers without a queue between socket and reply. All other consumers use bounded channels that
-//! drop and count when full. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
+//! drop and count when full, and whose readers may stand still: a terminal, a disk, a browser. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
 mod dead_reckoning;
 pub mod event_collector;
+pub mod event_file;
 pub mod input_file;
 pub mod learned_calibration;
 pub mod link_report;
@@ -29,4 +30,5 @@ pub mod station_loop;
 pub mod tlog_writer;
 pub mod tui;
 pub mod viewers;
+pub mod watchdog;
 pub mod wiring_fix;

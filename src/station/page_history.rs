@@ -173,6 +173,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
         is_comparing: station.first_robot().compared_filters().next().is_some(),
         simulator: None,
         setup: Vec::new(),
+        loop_stalls: 0,
     }
 }
 

@@ -13,7 +13,7 @@ use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
 use super::links::{FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
 use super::live_status::{ErrorToTruth, LiveView};
-use super::observer::Observer;
+use super::observer::{Observed, Observer};
 use super::per_robot::PerRobot;
 use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
@@ -24,10 +24,12 @@ use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
 use super::viewers::{Viewers, reserve_dashboard};
+use super::watchdog::{OnStall, Watchdog};
 use super::wiring_fix::WiringReport;
 use crate::config::Config;
 use crate::console::print_line;
 use crate::exit::{DeferredErrors, ExitStage, Failure, Signals};
+use crate::stderr_writer::BackgroundStderr;
 
 pub(super) struct Session {
     pub(super) timer: HostTimer,
@@ -61,6 +63,8 @@ pub(super) async fn session(
     file_name: &str,
     laps: LapLimit,
 ) -> Result<Session, Failure> {
+    // Before the first message: a terminal that takes none must not keep a robot waiting.
+    let _stderr = BackgroundStderr::start().before_start()?;
     let timer = HostTimer::start();
     let signing = SigningSession::open(config, timer.utc_start()).before_start()?;
     let station = build_station(args, config, &signing).before_start()?;
@@ -92,6 +96,7 @@ pub(super) async fn session(
     let current = recorder.as_ref().map(|_| recording);
     let viewers = Viewers::start(reserved, args, config, timer, &folder, embedded.as_ref());
     let (mut viewers, dashboard) = viewers.before_start()?;
+    let on_stall = if args.watchdog.watchdog_exit { OnStall::Exit } else { OnStall::Tell };
     let mut station_loop = StationLoop {
         station,
         links: ports,
@@ -108,6 +113,7 @@ pub(super) async fn session(
         dashboard,
         setup: SetupChecklists::default(),
         first_pose: args.set_pose,
+        watchdog: Watchdog::start(timer, on_stall).before_start()?,
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
     wait_for_end(&mut station_loop, &ending, signals, &mut viewers).await;
@@ -220,9 +226,10 @@ fn close(station_loop: StationLoop) -> Result<StoppedStation> {
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         print_line("the telemetry log has holes: the disk was too slow for it");
     }
-    let (collectors, dropped) = observer.finish()?;
+    let Observed { collectors, dropped, event_file } = observer.finish()?;
+    failures.record(event_file);
     if dropped > 0 {
-        tracing::warn!(dropped, "events were not shown because the terminal was slow");
+        tracing::warn!(dropped, "events are missing in the tables: this computer was too slow for them");
     }
     Ok(StoppedStation { collectors, recorded: RecordedFiles { inputs: recorded, tlog }, failures })
 }

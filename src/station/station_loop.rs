@@ -23,6 +23,7 @@ use super::signing::SigningStateWriter;
 use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
 use super::viewers::{DashboardHandle, next_command};
+use super::watchdog::{TURN_PERIOD, Watchdog};
 use crate::exit::DeferredErrors;
 
 /// Period of the link counters, equal to that of the health reports.
@@ -61,6 +62,7 @@ pub struct StationLoop {
     pub truth: Vec<TruthTap>,
     /// The pose of the first robot with an estimate, until it is set.
     pub first_pose: Option<Pose<Arena>>,
+    pub watchdog: Watchdog,
 }
 
 impl StationLoop {
@@ -79,6 +81,9 @@ impl StationLoop {
             let silent_at = ending.silence.and_then(|limit| last_byte.map(|last| last + limit));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
             let deadline = self.station.deadline().into_iter().chain(end_at).min();
+            let turned = self.timer.now();
+            self.report_stall(turned);
+            let wake_at = deadline.into_iter().chain([turned + TURN_PERIOD]).min();
             let (now, input) = tokio::select! {
                 // What came goes first; the station sees by its instant what is due, and the loop whether it has to end.
                 biased;
@@ -97,7 +102,13 @@ impl StationLoop {
                 }
                 command = next_command(&mut self.dashboard) => (self.timer.now(), command),
                 report = self.requests.next_report() => (self.timer.now(), report),
-                () = deadline_timer.wait_until(deadline) => (self.timer.now(), Input::Tick),
+                () = deadline_timer.wait_until(wake_at) => {
+                    let now = self.timer.now();
+                    if deadline.is_none_or(|deadline| now < deadline) {
+                        continue;
+                    }
+                    (now, Input::Tick)
+                }
                 () = &mut stopped => return,
             };
             if end_at.is_some_and(|end| now >= end) {
@@ -119,6 +130,13 @@ impl StationLoop {
     pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
         keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
+    }
+
+    fn report_stall(&mut self, now: Timestamp<HostClock>) {
+        if let Some(stall) = self.watchdog.turn(now) {
+            let text = format!("the station stood still for {:.1} s: robots got no estimates", stall.as_secs_f64());
+            self.handle(now, warning(text));
+        }
     }
 
     fn report_counters(&mut self, now: Timestamp<HostClock>) {
@@ -157,7 +175,8 @@ impl StationLoop {
     fn publish_status(&self, now: Timestamp<HostClock>) {
         if let Some(dashboard) = &self.dashboard {
             let setup = self.setup.rows(now, &self.station);
-            let status = StationStatus { setup, ..station_status(&self.station, self.recorder.as_ref()) };
+            let loop_stalls = self.watchdog.stalls();
+            let status = StationStatus { setup, loop_stalls, ..station_status(&self.station, self.recorder.as_ref()) };
             dashboard.publish_status(now, status, self.requests.overrides());
         }
     }

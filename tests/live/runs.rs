@@ -150,7 +150,7 @@ fn a_killed_station_comes_back_and_the_brick_goes_on() {
     let mut second = station(folder.path(), "second");
     second.wait_for("fix accepted");
     let table = second.interrupt();
-    assert!(table.contains("camera"), "{table}");
+    assert!(table.contains("filter     "), "{table}");
     let events = read_text(folder.path(), "second.txt");
     let brick_s = 1e-9 * events_named(&events, "observed")[0]["robot_ns"].as_f64().unwrap();
     // Its clock began at 5 s and was not restarted with the station.

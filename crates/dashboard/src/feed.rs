@@ -43,6 +43,8 @@ pub struct StationStatus {
     pub simulator: Option<SimulatorNow>,
     /// The steps of each robot, or of the robot that has not been heard yet.
     pub setup: Vec<SetupRow>,
+    /// How often the station loop stood still for longer than a second.
+    pub loop_stalls: u64,
 }
 
 /// Geometry, calibration and disabled sensors of a robot.

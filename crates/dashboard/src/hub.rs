@@ -40,6 +40,7 @@ pub(crate) struct Hub {
     pub(crate) recording: Option<String>,
     pub(crate) outcome_counts: OutcomeCounts,
     pub(crate) estimate_counts: BTreeMap<RobotId, u64>,
+    pub(crate) loop_stalls: u64,
     pub(crate) links: BTreeMap<LinkId, LinkHealth>,
     pub(crate) latency: LatencyHistogram,
     next_second: Timestamp<HostClock>,
@@ -62,6 +63,7 @@ impl Hub {
             recording: None,
             outcome_counts: BTreeMap::new(),
             estimate_counts: BTreeMap::new(),
+            loop_stalls: 0,
             links: BTreeMap::new(),
             latency: LatencyHistogram::default(),
             next_second: Timestamp::ZERO,
@@ -77,6 +79,7 @@ impl Hub {
         }
         if let Some(status) = &batch.status {
             self.recording.clone_from(&status.recording);
+            self.loop_stalls = status.loop_stalls;
             if let (Some(facts), Some(now)) = (&mut self.info.simulator, &status.simulator) {
                 facts.steering.clone_from(&now.steering);
                 facts.link_profile.clone_from(&now.link_profile);

@@ -64,6 +64,7 @@ pub(crate) fn page(hub: &Hub, counts: &ServerCounters) -> String {
     let mut page = String::with_capacity(8_192);
     robots(&mut page, hub, counts);
     latency(&mut page, hub);
+    stalls(&mut page, hub);
     links(&mut page, hub);
     server(&mut page, counts);
     page
@@ -120,6 +121,12 @@ fn latency(page: &mut String, hub: &Hub) {
     let name = "posebridge_estimates_total";
     head(page, name, "counter", "Estimates.");
     line(page, format_args!("{name} {count}"));
+}
+
+fn stalls(page: &mut String, hub: &Hub) {
+    let name = "posebridge_loop_stalls_total";
+    head(page, name, "counter", "Times that the station stood still for longer than a second.");
+    line(page, format_args!("{name} {}", hub.loop_stalls));
 }
 
 fn links(page: &mut String, hub: &Hub) {

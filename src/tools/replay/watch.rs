@@ -12,8 +12,8 @@ use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp
 use super::result::ReplayArgs;
 use crate::flags::SessionFlags;
 use crate::station::event_collector::EventCollector;
+use crate::station::event_file::write_event;
 use crate::station::live_status::LiveView;
-use crate::station::observer::write_event;
 use crate::station::per_robot::PerRobot;
 
 /// Observes the events of one estimator's station.
