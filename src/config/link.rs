@@ -223,6 +223,7 @@ fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
     Ok(LinkRules {
         group,
         forward: match link.forward {
+            ForwardChoice::ByRole => ForwardPolicy::ByRole,
             ForwardChoice::All => ForwardPolicy::All,
             ForwardChoice::Targeted => ForwardPolicy::Targeted,
             ForwardChoice::None => ForwardPolicy::Disabled,

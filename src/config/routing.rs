@@ -32,8 +32,10 @@ impl Default for RoutingSection {
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum ForwardChoice {
-    /// Everything that concerns it.
+    /// Robots' frames to ground stations, cameras' to a lone robot, ground stations' to all, those with a target to it.
     #[default]
+    ByRole,
+    /// Everything that concerns it, also from robot to robot.
     All,
     /// Only frames whose target was received from there.
     Targeted,

@@ -1,6 +1,6 @@
 //! The receiving side of one link: its state, its framers or its codec, its verifier, its counters.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::frame_verifier::FrameVerifier;
@@ -21,6 +21,11 @@ pub(crate) struct LinkContext {
     pub(crate) decoder: Decoder,
     /// Peers whose heartbeat has the type ground station.
     pub(crate) ground_stations: BTreeSet<PeerId>,
+    /// Whether it was said that there are too many.
+    pub(crate) has_named_ground_stations: bool,
+    /// Peers that have asked for parameters.
+    pub(crate) parameter_clients: BTreeSet<PeerId>,
+    forwarding: BTreeMap<PeerId, ForwardingBudget>,
     /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
     pub(crate) losses: LossAlarm,
@@ -54,6 +59,47 @@ impl LossAlarm {
     }
 }
 
+/// Peers of a small network, which may hear each other.
+const CROWD: usize = 16;
+
+/// Each gets the estimates of all robots. Those that came first are served.
+const MAX_GROUND_STATIONS: usize = 32;
+
+/// Copies of its frames that one peer may cause in a second, and at once: ten ground stations see all of a robot that sends a thousand
+/// frames a second.
+const FORWARDED_PER_SECOND: i64 = 10_000;
+
+/// What is left of a peer's forwarded copies.
+#[derive(Clone, Copy, Debug)]
+struct ForwardingBudget {
+    /// In copies times nanoseconds per second, so that no rounding adds up.
+    left: i64,
+    refilled: Timestamp<HostClock>,
+}
+
+const NANOS_PER_SEC: i64 = 1_000_000_000;
+const FULL_BUDGET: i64 = FORWARDED_PER_SECOND * NANOS_PER_SEC;
+
+impl Default for ForwardingBudget {
+    fn default() -> Self {
+        Self { left: FULL_BUDGET, refilled: Timestamp::ZERO }
+    }
+}
+
+impl ForwardingBudget {
+    fn charge(&mut self, now: Timestamp<HostClock>, copies: usize) -> bool {
+        let elapsed = (now - self.refilled).as_nanos().clamp(0, NANOS_PER_SEC);
+        self.refilled = self.refilled.max(now);
+        self.left = (self.left + elapsed * FORWARDED_PER_SECOND).min(FULL_BUDGET);
+        let cost = i64::try_from(copies).unwrap_or(i64::MAX).saturating_mul(NANOS_PER_SEC);
+        let is_covered = cost <= self.left;
+        if is_covered {
+            self.left -= cost;
+        }
+        is_covered
+    }
+}
+
 /// Fewer lost frames than this, or a smaller share, harm no estimate.
 const MIN_LOST_FRAMES: u64 = 5;
 const MIN_LOST_SHARE: f64 = 0.1;
@@ -74,6 +120,9 @@ impl LinkContext {
             verifier: FrameVerifier::new(config.signing.clone()),
             decoder: Decoder::default(),
             ground_stations: BTreeSet::new(),
+            has_named_ground_stations: false,
+            parameter_clients: BTreeSet::new(),
+            forwarding: BTreeMap::new(),
             losses: LossAlarm::default(),
             codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
         }
@@ -93,10 +142,39 @@ impl LinkContext {
                 self.framers.handle_link_loss();
                 self.verifier.handle_link_loss();
                 self.ground_stations.clear();
+                self.parameter_clients.clear();
+                self.forwarding.clear();
             }
             (LinkState::Up, LinkState::Up) => {}
         }
         self.state = state;
+    }
+
+    /// Whether so many peers send on the link that what is for all of them is too much for each: then only ground stations get it.
+    pub(crate) fn is_crowded(&self) -> bool {
+        self.framers.count() > CROWD
+    }
+
+    /// Notes a peer that calls itself a ground station; false if there are too many to serve.
+    pub(crate) fn add_ground_station(&mut self, peer: PeerId) -> bool {
+        let has_room = self.ground_stations.len() < MAX_GROUND_STATIONS || self.ground_stations.contains(&peer);
+        if has_room {
+            self.ground_stations.insert(peer);
+        }
+        has_room
+    }
+
+    /// Whether a peer may cause so many copies of one of its frames now; if so it is charged.
+    pub(crate) fn charge_forwarding(&mut self, now: Timestamp<HostClock>, peer: PeerId, copies: usize) -> bool {
+        self.forwarding.entry(peer).or_default().charge(now, copies)
+    }
+
+    /// Notes a peer that reads parameters, like a ground station. Beyond the limit the first of them makes room.
+    pub(crate) fn add_parameter_client(&mut self, peer: PeerId) {
+        if self.parameter_clients.len() >= CROWD && !self.parameter_clients.contains(&peer) {
+            self.parameter_clients.pop_first();
+        }
+        self.parameter_clients.insert(peer);
     }
 
     /// Whether a peer is alone on the link.
@@ -120,6 +198,8 @@ impl LinkContext {
         for peer in peers {
             self.verifier.forget(*peer);
             self.ground_stations.remove(peer);
+            self.parameter_clients.remove(peer);
+            self.forwarding.remove(peer);
         }
     }
 

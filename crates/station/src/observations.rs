@@ -4,10 +4,11 @@ use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, Priority, ReceiveError,
-    TimeDelta, Timestamp, severity,
+    Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkId, Observation, ObservationKind, Priority,
+    ReceiveError, TimeDelta, Timestamp, severity,
 };
 
+use crate::camera_table::FixAdmission;
 use crate::clock::align::Alignment;
 use crate::config::DescriptionPolicy;
 use crate::fix_requests::fix_request;
@@ -64,7 +65,19 @@ impl Station {
             && heartbeat.vehicle_type == MAV_TYPE_GCS
             && let Some(link) = self.links.get_mut(&received.endpoint.link)
         {
-            link.ground_stations.insert(received.endpoint.peer);
+            let is_served = link.add_ground_station(received.endpoint.peer);
+            if !is_served && !std::mem::replace(&mut link.has_named_ground_stations, true) {
+                let link = received.endpoint.link;
+                let text = format!("link {link} has too many ground stations: those that came last get no broadcasts");
+                self.report_own_text(severity::WARNING, text);
+            }
+        }
+        if matches!(
+            content,
+            Message::ParamRequestList { .. } | Message::ParamRequestRead { .. } | Message::ParamSet { .. }
+        ) && let Some(link) = self.links.get_mut(&received.endpoint.link)
+        {
+            link.add_parameter_client(received.endpoint.peer);
         }
         let origin = MessageOrigin {
             endpoint: received.endpoint,
@@ -210,7 +223,7 @@ impl Station {
         let unknown = ObservationExtractor::new(self.robots.config_for(&self.config, sender.home, sender.address));
         let robot = self
             .robots
-            .of_fix(&self.config, endpoint, sender.address, tag)
+            .of_fix(&self.config, endpoint, sender.address, tag, None)
             .map(|index| self.robots.get(index).extractor);
         let robot = robot.unwrap_or(unknown);
         ObservationExtractor { tag_in_body: robot.tag_in_body, wiring: robot.wiring, ..unknown }
@@ -340,7 +353,9 @@ impl Station {
             stamp_sigma: TimeDelta::ZERO,
             measurement: observation.observed,
         };
-        self.observe(index, source, received.host_time, aligned);
+        if self.observe(index, source, received.host_time, aligned) == FusionOutcome::Accepted {
+            self.robots.get_mut(index).cameras.record_accepted(self.time.now, None);
+        }
     }
 
     /// Converts the fix of an observer with its own clock: to the host's clock, then to that of the robot to which it
@@ -362,7 +377,8 @@ impl Station {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));
         }
-        let robot = self.robots.of_fix(&self.config, sender.received.endpoint, source, observation.tag);
+        let watched = self.robots.only_seen_by(self.time.now, host.observer);
+        let robot = self.robots.of_fix(&self.config, sender.received.endpoint, source, observation.tag, watched);
         let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
             Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
         });
@@ -370,13 +386,52 @@ impl Station {
             self.report_unaligned(link, source);
             return;
         };
-        let aligned = Observation {
-            sensor: self.robots.get_mut(index).camera_sensor(host.observer),
+        let mut aligned = Observation {
+            sensor: observation.sensor,
             stamp: time,
             stamp_sigma: sigma,
             measurement: observation.observed,
         };
-        self.observe(index, source, sender.received.host_time, aligned);
+        let arrival = sender.received.host_time;
+        let now = self.time.now;
+        if let ObservationKind::Fix(fix) = &mut aligned.measurement {
+            match self.robots.get_mut(index).admit_fix(now, host.observer, fix, time) {
+                FixAdmission::Use { sensor, reset_counter } => {
+                    aligned.sensor = sensor;
+                    fix.reset_counter = reset_counter;
+                }
+                FixAdmission::HoldBack { sensor, named_distance_m } => {
+                    aligned.sensor = sensor;
+                    self.hold_back(index, source, arrival, aligned);
+                    if let Some(distance_m) = named_distance_m {
+                        let text = format!(
+                            "camera {source} on link {link} sees it {distance_m:.1} m from where the others do: not used until it agrees"
+                        );
+                        self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
+                    }
+                    return;
+                }
+            }
+        }
+        let outcome = self.observe(index, source, arrival, aligned);
+        if matches!(outcome, FusionOutcome::Accepted | FusionOutcome::PoseReset) {
+            self.robots.get_mut(index).cameras.record_accepted(now, Some(host.observer));
+        }
+    }
+
+    /// Reports a fix that the filter is not given.
+    fn hold_back(
+        &mut self,
+        index: RobotIndex,
+        source: Address,
+        arrival: Timestamp<HostClock>,
+        observation: Observation,
+    ) {
+        let robot = self.robots.get(index).id;
+        self.emit(Event::ObservationAligned { robot, source, arrival, observation });
+        let kind = observation.measurement.kind();
+        let record = FusionRecord::new(observation.sensor, kind, observation.stamp, FusionOutcome::Unused);
+        self.emit(Event::ObservationFused { robot, record });
     }
 
     /// Handles the kept messages of a camera that is now identified.
@@ -401,7 +456,7 @@ impl Station {
         source: Address,
         arrival: Timestamp<HostClock>,
         observation: Observation,
-    ) {
+    ) -> FusionOutcome {
         let now = self.time.now;
         let robot = self.robots.get(index).id;
         self.emit(Event::ObservationAligned { robot, source, arrival, observation });
@@ -427,10 +482,12 @@ impl Station {
         // A damaged one says nothing of the wiring.
         let is_sound = report.record.outcome != FusionOutcome::Malformed;
         let finding = if is_sound { self.robots.get_mut(index).check_wiring(&observation) } else { None };
+        let outcome = report.record.outcome;
         self.emit(Event::ObservationFused { robot, record: report.record });
         for text in [alarm, finding].into_iter().flatten() {
             self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
         }
+        outcome
     }
 
     /// Requests fixes from cameras if an estimate is too uncertain; `None` is no estimate.

@@ -112,6 +112,10 @@ impl PeerFramers {
         self.deadlines.first().map(|(due, _)| *due)
     }
 
+    pub(crate) fn count(&self) -> usize {
+        self.present.len()
+    }
+
     pub(crate) fn present(&self) -> Vec<PeerId> {
         self.present.keys().copied().collect()
     }

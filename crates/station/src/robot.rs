@@ -5,16 +5,16 @@ use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntr
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, FusionOutcome, HostClock, Observation,
-    Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, Fix, FusionOutcome, HostClock,
+    Observation, Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
 };
 
+use crate::camera_table::{CameraTable, FixAdmission};
 use crate::clock_alignment::ClockAlignment;
 use crate::compared_estimators::{ComparedEstimators, EstimatorInput};
 use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::{Estimator, FusionReport};
-use crate::fix_requests::MAX_CAMERAS;
 use crate::fusion_alarms::FusionAlarms;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
@@ -72,9 +72,7 @@ pub struct Robot {
     wiring_findings: Vec<WiringFinding>,
     /// The endpoint and the instant of its last message.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
-    /// Observers with their own clocks that have sent fixes of it, in the order of their first: each is a sensor of its
-    /// own.
-    cameras: Vec<ObserverId>,
+    pub(crate) cameras: CameraTable,
     description: DescriptionPolicy,
     is_described: bool,
 }
@@ -98,7 +96,7 @@ impl Robot {
             wiring_monitor: WiringMonitor::new(&config.filter_config),
             wiring_findings: Vec::new(),
             last_seen: None,
-            cameras: Vec::new(),
+            cameras: CameraTable::default(),
             description: config.description,
             is_described: false,
         }
@@ -172,16 +170,17 @@ impl Robot {
         self.last_seen.is_some_and(|(_, last)| now - last < PEER_TIMEOUT)
     }
 
-    /// The sensor of a camera with its own clock: each has its own noise, gate and verdicts.
-    pub(crate) fn camera_sensor(&mut self, camera: ObserverId) -> SensorId {
-        let known = self.cameras.iter().position(|known| *known == camera);
-        let index = known.unwrap_or_else(|| {
-            if self.cameras.len() < MAX_CAMERAS {
-                self.cameras.push(camera);
-            }
-            self.cameras.len() - 1
-        });
-        SensorId::camera(index)
+    /// Decides about the fix of a camera with its own clock.
+    pub(crate) fn admit_fix(
+        &mut self,
+        now: Timestamp<HostClock>,
+        camera: ObserverId,
+        fix: &Fix,
+        stamp: Timestamp<BrickClock>,
+    ) -> FixAdmission {
+        let estimator = &self.estimator;
+        self.cameras
+            .admit(now, camera, fix, || estimator.estimate_at(stamp).filter(|estimate| estimate.validity.position))
     }
 
     pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {

@@ -11,7 +11,7 @@ use posebridge_telemetry::{
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::{BuildError, OutputKind, RobotBlockIndex, RobotConfig, StationConfig};
-use crate::observers::{ObserverAddress, Observers};
+use crate::observers::{ObserverAddress, ObserverId, Observers};
 use crate::robot::{Robot, RobotFilters};
 use crate::sender_identity::{ContestedMessages, MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities, only_one};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
@@ -138,21 +138,30 @@ impl RobotTable {
         only_one((0..self.len()).filter(|index| is_it(self.get(*index))))
     }
 
+    /// The only robot that a camera corrects at present.
+    pub(crate) fn only_seen_by(&self, now: Timestamp<HostClock>, camera: ObserverId) -> Option<RobotIndex> {
+        self.only(|robot| robot.cameras.is_seen_by(now, camera))
+    }
+
     /// The robot of a camera's fix; `None` if that is ambiguous, or if the robot is not known yet.
     ///
     /// A fix of a tag that the configuration assigns to a robot is for that robot. Any other is for the only robot on
-    /// its sender's endpoint, else for the only robot at all, else for the only one in its sender's system, unless that
-    /// one has another tag.
+    /// its sender's endpoint, else for the only robot at all, else for the only one in its sender's system, else for the one
+    /// that the sender has `watched` so far (a second robot, which anybody can invent, takes no camera from the first), unless
+    /// that one has another tag.
     pub(crate) fn of_fix(
         &self,
         config: &StationConfig,
         endpoint: Endpoint,
         sender: Address,
         tag: Option<u32>,
+        watched: Option<RobotIndex>,
     ) -> Option<RobotIndex> {
         let in_system = |robot: &Robot| robot.wire_address.system == sender.system;
-        let nearest =
-            || self.identities.only_at(endpoint).or_else(|| self.only(|_| true)).or_else(|| self.only(in_system));
+        let nearest = || {
+            let only = self.identities.only_at(endpoint).or_else(|| self.only(|_| true));
+            only.or_else(|| self.only(in_system)).or(watched)
+        };
         let Some(tag) = tag else {
             return nearest();
         };
@@ -430,7 +439,7 @@ mod tests {
         let ids: Vec<Address> = table.detected().iter().map(|robot| robot.id.address).collect();
         assert_eq!(ids, [(1, 1), (1, 2), (2, 1), (5, 1), (4, 7)].map(|(system, id)| Address::new(system, id)));
         let elsewhere = Endpoint { link: LinkId(9), peer: PeerId(0) };
-        let in_system = |system| table.of_fix(&config, elsewhere, Address::new(system, 100), None);
+        let in_system = |system| table.of_fix(&config, elsewhere, Address::new(system, 100), None, None);
         assert_eq!([1, 2].map(in_system), [None, Some(2)], "there are two in the first");
     }
 
@@ -451,7 +460,7 @@ mod tests {
         ] {
             let table = table_of(&config, &robots[..received]);
             let of_fix =
-                |tag| table.of_fix(&config, Endpoint { link: HOME, peer: PeerId(0) }, Address::new(9, 100), tag);
+                |tag| table.of_fix(&config, Endpoint { link: HOME, peer: PeerId(0) }, Address::new(9, 100), tag, None);
             assert_eq!(of_fix(None), of_none, "{received}");
             assert_eq!([7, 8, 9].map(|tag| of_fix(Some(tag))), expected, "{received}");
         }

@@ -421,9 +421,17 @@ impl Station {
                 continue;
             }
             let values = [(QUANTITY_NAME, estimate.value), (RATE_NAME, estimate.rate_per_s)];
+            // In a crowd what is for all goes to ground stations alone.
+            let is_crowded = self.links.get(&link).is_some_and(LinkContext::is_crowded);
+            let index = self.robots.find(robot).filter(|_| is_crowded);
+            let own_peer = index.and_then(|index| self.robots.identities.peer_on(index, link));
             for (stream, (name, value)) in QUANTITY_STREAMS.into_iter().zip(values) {
                 let named = NamedValue { stamp, name: ChannelName::from_bytes(name), value: value as f32 };
-                self.transmitter().send(link, &Message::NamedValue(named), Priority::Estimate { stream });
+                let (message, priority) = (Message::NamedValue(named), Priority::Estimate { stream });
+                if let Some(peer) = own_peer {
+                    self.transmitter().send_to_peer(Endpoint { link, peer }, &message, priority);
+                }
+                self.transmitter().send(link, &message, priority);
             }
         }
     }

@@ -5,8 +5,8 @@
 use std::collections::BTreeMap;
 
 use posebridge_protocol::dialect::{RenumberError, ids};
-use posebridge_protocol::message::Message;
-use posebridge_protocol::routing::{Endpoint, FrameRouter};
+use posebridge_protocol::message::{CommandAck, CommandInt, CommandLong, Message, SetMessageInterval, TimeSync};
+use posebridge_protocol::routing::{Endpoint, ForwardPolicy, FrameRouter};
 use posebridge_telemetry::{
     Address, HostClock, LinkId, LinkState, Output, PeerId, Priority, Recipients, RobotId, Timestamp,
 };
@@ -140,7 +140,8 @@ impl Transmitter<'_> {
         if index > 0 && matches!(sender, Sender::Station) && !is_at_home {
             sender = self.estimator_sender(index);
         }
-        let is_shared = !at_home.is_empty() && at_home != [index];
+        let is_crowded = self.links.get(&link).is_some_and(LinkContext::is_crowded);
+        let is_shared = is_crowded || (!at_home.is_empty() && at_home != [index]);
         let transmission = Transmission { link, sender, message, priority, to: Recipients::All };
         if is_shared {
             self.send_on_shared_link(index, transmission);
@@ -194,8 +195,17 @@ impl Transmitter<'_> {
             Sender::Station | Sender::Estimator(_) if link.codec.is_none() => self.router.record_sent(&bytes),
             Sender::Station | Sender::Estimator(_) => {}
         }
-        link.count_sent(&bytes);
-        self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+        let in_crowd = to == Recipients::All && link.is_crowded();
+        let Some(peers) = in_crowd.then(|| recipients_in_crowd(now, id, link, self.router, message)).flatten() else {
+            link.count_sent(&bytes);
+            self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+            return;
+        };
+        for peer in peers {
+            link.count_sent(&bytes);
+            let to = Recipients::Peer(peer);
+            self.outputs.push(Output::Transmit { link: id, to, priority, bytes: bytes.clone() });
+        }
     }
 
     /// Counts and forwards the routed frames of this input.
@@ -225,6 +235,16 @@ impl Transmitter<'_> {
             return;
         }
         let listeners = self.broadcast_listeners(id, frame.from);
+        let copies =
+            listeners.as_ref().map_or_else(|| self.links.get(&id).map_or(1, |link| link.framers.count()), Vec::len);
+        let sender = self.links.get_mut(&frame.from.link);
+        let may_be_copied = sender.is_none_or(|sender| sender.charge_forwarding(now, frame.from.peer, copies.max(1)));
+        if !may_be_copied {
+            if let Some(link) = self.links.get_mut(&id) {
+                link.health.rate_limited += 1;
+            }
+            return;
+        }
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
@@ -250,19 +270,25 @@ impl Transmitter<'_> {
     ///
     /// The twenty broadcasts per second of a robot or its camera must not be sent to every other robot: a weak robot
     /// has no time for them. So where several robots share the link only its ground stations get them, and nobody on
-    /// the link of one other robot without a known ground station. The broadcasts of a ground station are sent to all.
+    /// the link of one other robot without a known ground station. In a crowd, whose peers may be robots that have not shown it
+    /// yet, it is the ground stations alone, and a lone robot for those that are no robots. The broadcasts of a ground station are
+    /// sent to all.
     fn broadcast_listeners(&self, id: LinkId, from: Endpoint) -> Option<Vec<PeerId>> {
         let is_ground_station = self.sessions.vehicles(from.link).is_some()
             || self.links.get(&from.link)?.ground_stations.contains(&from.peer);
-        let robots = self.robots.at_home(id, self.router);
-        let is_of_other_robot = robots.first().is_some_and(|robot| {
-            let sender = self.robots.identities.only_at(from);
-            sender.is_some_and(|sender| sender != *robot)
-        });
-        if is_ground_station || (robots.len() < 2 && !is_of_other_robot) {
+        if is_ground_station || self.router.forward_policy(id) == ForwardPolicy::All {
             return None;
         }
-        let peers = self.links.get(&id)?.ground_stations.iter().copied();
+        let link = self.links.get(&id)?;
+        let robots = self.robots.at_home(id, self.router);
+        let sender = self.robots.identities.only_at(from);
+        let is_of_other_robot = robots.first().is_some_and(|robot| sender.is_some_and(|sender| sender != *robot));
+        if robots.len() < 2 && !is_of_other_robot && !link.is_crowded() {
+            return None;
+        }
+        let lone_robot =
+            if let ([robot], None) = (robots, sender) { self.robots.identities.peer_on(*robot, id) } else { None };
+        let peers = link.ground_stations.iter().copied().chain(lone_robot.filter(|_| link.is_crowded()));
         Some(peers.filter(|peer| (id, *peer) != (from.link, from.peer)).collect())
     }
 
@@ -333,6 +359,34 @@ impl Transmitter<'_> {
         link.health.forwarded += 1;
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
     }
+}
+
+/// The peers of a crowded link that get a message of the station for all; `None` for all of them. What each peer asks for must not be sent
+/// to each other one: the answers to five hundred robots would be a quarter of a million datagrams.
+#[expect(clippy::wildcard_enum_match_arm, reason = "what has no target is for those that watch")]
+fn recipients_in_crowd(
+    now: Timestamp<HostClock>,
+    id: LinkId,
+    link: &LinkContext,
+    router: &FrameRouter,
+    message: &Message,
+) -> Option<Vec<PeerId>> {
+    let target = match message {
+        Message::Heartbeat(_) => return None,
+        Message::TimeSync(sync) if sync.answer_nanos == 0 => return None,
+        Message::TimeSync(TimeSync { target, .. }) | Message::CommandAck(CommandAck { target, .. }) => *target,
+        Message::SetMessageInterval(SetMessageInterval { target, .. })
+        | Message::Command(CommandLong { target, .. })
+        | Message::CommandInt(CommandInt { target, .. }) => Some(*target),
+        _ => None,
+    };
+    if let Some(target) = target {
+        let peers = router.peers_of(now, id, target);
+        if !peers.is_empty() {
+            return Some(peers);
+        }
+    }
+    Some(link.ground_stations.union(&link.parameter_clients).copied().collect())
 }
 
 impl OutputKind {

@@ -10,7 +10,7 @@ mod rules;
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, HostClock, LinkId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
 pub use duplicates::has_timestamp;
 pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, ROUTE_LIFETIME, retarget, target_of};
@@ -197,6 +197,16 @@ impl FrameRouter {
         may_go.then_some((recipient.link, Recipients::Peer(recipient.peer))).into_iter().collect()
     }
 
+    pub fn forward_policy(&self, link: LinkId) -> ForwardPolicy {
+        self.config.links.get(&link).map_or(ForwardPolicy::ByRole, |rules| rules.forward)
+    }
+
+    /// The peers of a link where an address was heard.
+    pub fn peers_of(&self, now: Timestamp<HostClock>, link: LinkId, address: Address) -> Vec<PeerId> {
+        let endpoints = self.routes.to_component(now, address).into_iter();
+        endpoints.filter(|endpoint| endpoint.link == link).map(|endpoint| endpoint.peer).collect()
+    }
+
     /// Does work that is not urgent; call it after the replies to an input were sent.
     pub fn run_deferred_work(&mut self, now: Timestamp<HostClock>) {
         self.duplicates.sort_and_expire(now);
@@ -295,7 +305,7 @@ impl FrameRouter {
             return false;
         };
         let is_forwarded = match rules.forward {
-            ForwardPolicy::All => true,
+            ForwardPolicy::All | ForwardPolicy::ByRole => true,
             ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
             ForwardPolicy::Disabled => false,
         };

@@ -34,7 +34,10 @@ pub struct LinkRules {
 /// Which frames of other links are forwarded to a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ForwardPolicy {
+    /// Those that concern it, by the roles of sender and recipients, which only the caller of the router knows: robots to ground
+    /// stations, cameras to a lone robot, ground stations to all, never robot to robot.
     #[default]
+    ByRole,
     All,
     /// Only frames whose target has been received there.
     Targeted,

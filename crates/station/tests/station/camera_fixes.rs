@@ -208,18 +208,26 @@ fn a_fix_without_a_time_counts_at_its_arrival_less_the_declared_delay() {
 #[test]
 fn each_camera_is_a_sensor_of_its_own_with_a_clock_of_its_own() {
     let mut station = station_of(&three_links());
-    let exposed = at(1_250);
-    let tracked = frame(TRACKER, &Message::VisionPosition(tracked_fix(exposed, 0)));
-    station.bytes_from(at(1_300), TRACKER_LINK, PeerId::default(), &tracked);
-    station.bytes_from(at(1_301), JSON_LINK, PeerId::default(), &json_fix("camera", exposed));
-    let line = b"{\"camera\": \"plain\", \"x_m\": 0.01, \"y_m\": 0}\n";
-    station.bytes_from(at(1_302), JSON_LINK, PeerId::default(), line);
-    station.bytes_from(at(1_303), TRACKER_LINK, PeerId::default(), &tracked);
+    for k in 0..6 {
+        let exposed = at(1_250 + 20 * k);
+        let arrival = |offset_ms: i64| at(1_300 + 20 * k + offset_ms);
+        let tracked = frame(TRACKER, &Message::VisionPosition(tracked_fix(exposed, 0)));
+        station.bytes_from(arrival(0), TRACKER_LINK, PeerId::default(), &tracked);
+        station.bytes_from(arrival(1), JSON_LINK, PeerId::default(), &json_fix("camera", exposed));
+        let line = b"{\"camera\": \"plain\", \"x_m\": 0.01, \"y_m\": 0}\n";
+        station.bytes_from(arrival(2), JSON_LINK, PeerId::default(), line);
+    }
     let found: Vec<(SensorId, FusionOutcome)> =
         fixes(&station).iter().map(|(observation, verdict, _)| (observation.sensor, *verdict)).collect();
-    let names: Vec<&str> = found.iter().map(|(sensor, _)| sensor.name()).collect();
-    assert_eq!(names, ["camera", "camera 2", "camera 3", "camera"]);
-    assert!(found[..3].iter().all(|(_, verdict)| *verdict == FusionOutcome::Accepted), "{found:?}");
+    let verdicts = |camera: &str| {
+        let own = found.iter().filter(|(sensor, _)| sensor.name() == camera);
+        own.map(|(_, verdict)| *verdict).collect::<Vec<_>>()
+    };
+    assert_eq!(verdicts("camera"), [FusionOutcome::Accepted; 6]);
+    // While the first sees the robot the others have to agree with it a few times.
+    let mut newcomer = [FusionOutcome::Unused; 6];
+    newcomer[4..].fill(FusionOutcome::Accepted);
+    assert_eq!([verdicts("camera 2"), verdicts("camera 3")], [newcomer, newcomer]);
     // The clock of each is known: no stamp was refused.
     assert_eq!(station.count(|event| matches!(event, Event::ReceiveError { .. })), 0);
 }

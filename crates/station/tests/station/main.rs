@@ -23,6 +23,7 @@ mod redundant_links;
 mod routing;
 mod several_robots;
 mod signing;
+mod strangers;
 mod support;
 mod thermometers;
 mod wall_range;

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use crate::support::{AlignedObservation, BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, ticks};
+use crate::support::network::RemotePeer;
+use crate::support::{AlignedObservation, BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, messages, ticks};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{TransportKind, WireVersion};
-use posebridge_telemetry::{Address, Input, ObservationKind, PeerId, SourceHealth, TimeDelta};
+use posebridge_protocol::message::{Heartbeat, Message, TimeSync};
+use posebridge_telemetry::{Address, Input, ObservationKind, PeerId, Recipients, SourceHealth, TimeDelta};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -133,4 +135,63 @@ fn invented_peers_are_many_and_stay_cheap() {
     // Twenty in a millisecond: fewer than may wait at a time. Each is given up when its time has come.
     station.pass_until(at(6_000));
     assert_eq!(station.later_health(LINK).timeouts, 100_000);
+}
+
+/// Datagrams that a station sends to a crowd of this many robots in two seconds, as their transport would count them, and how many of them
+/// are estimates. Each robot says that it is there, asks for the time, and sends its wheels.
+fn datagrams_to_crowd(robots: u32) -> (usize, usize) {
+    let mut config = config();
+    config.links[0].framing = TransportKind::Datagram;
+    config.max_robots = 1_000;
+    let mut station = TestStation::new(&config);
+    let mut peers: Vec<RemotePeer> = (0..robots).map(|robot| RemotePeer::new(address(robot), LINK, robot)).collect();
+    let request = Message::TimeSync(TimeSync { answer_nanos: 0, request_nanos: 77, target: None });
+    for round in 0..40_u32 {
+        let begin = at(i64::from(round) * PERIOD_MS);
+        station.pass_until(begin);
+        for (number, peer) in (0_i64..).zip(&mut peers) {
+            let wheels = ticks(10_000 + round * PERIOD_MS as u32, number * 1_000 + i64::from(round), 0);
+            for message in [&HEARTBEAT, &request, &wheels] {
+                peer.send(&mut station, begin, message);
+            }
+        }
+    }
+    let mut datagrams = 0;
+    let mut estimates = 0;
+    for sent in station.sent() {
+        datagrams += match sent.to {
+            Recipients::All => robots as usize,
+            Recipients::AllExcept(_) => robots as usize - 1,
+            Recipients::Peer(_) => 1,
+        };
+        estimates += messages(sent.bytes).iter().filter(|message| matches!(message, Message::PlanarPose(_))).count();
+    }
+    (datagrams, estimates)
+}
+
+#[test]
+fn a_crowd_costs_each_robot_no_more_than_a_few_and_every_estimate_is_sent_to_its_robot_alone() {
+    let (few, _) = datagrams_to_crowd(20);
+    let (many, estimates) = datagrams_to_crowd(200);
+    assert_eq!(estimates, 200 * 40);
+    // Per robot: an estimate and an answer for each round, and some requests and signs of life of the station.
+    let [few, many] = [few / 20, many / 200];
+    assert!(many <= few + few / 10 && many < 150, "{few} datagrams for each of 20 robots, {many} for each of 200");
+}
+
+#[test]
+fn a_peer_that_calls_itself_a_ground_station_makes_no_flood_of_its_broadcasts() {
+    let mut config = config();
+    config.links[0].framing = TransportKind::Datagram;
+    let mut station = TestStation::new(&config);
+    let mut peers: Vec<RemotePeer> = (0..100).map(|robot| RemotePeer::new(address(robot), LINK, robot)).collect();
+    for peer in &mut peers {
+        peer.send(&mut station, at(0), &HEARTBEAT);
+    }
+    let gcs = Message::Heartbeat(Heartbeat { vehicle_type: 6, autopilot: 8, base_mode: 0, system_status: 4 });
+    let mut claimant = RemotePeer::new(Address::new(254, 190), LINK, 1_000);
+    let forwarded = (0..10_000).map(|k| claimant.send(&mut station, at(10 + k / 10), &gcs).len()).sum::<usize>();
+    // A hundred peers, of ten thousand copies a second.
+    assert!((100..=210).contains(&forwarded), "{forwarded}");
+    assert!(station.later_health(LINK).rate_limited > 9_000);
 }

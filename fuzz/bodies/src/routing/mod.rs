@@ -63,7 +63,8 @@ fn rules(operands: &mut Operands<'_>) -> RouterConfig {
 fn link_rules(byte: u8) -> LinkRules {
     let group = [None, Some(1), Some(2), None][usize::from(byte % 4)];
     let forward = match byte >> 2 & 3 {
-        0 | 1 => ForwardPolicy::All,
+        0 => ForwardPolicy::ByRole,
+        1 => ForwardPolicy::All,
         2 => ForwardPolicy::Targeted,
         _ => ForwardPolicy::Disabled,
     };

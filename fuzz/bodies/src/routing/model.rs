@@ -199,7 +199,7 @@ impl RouterModel {
     fn may_leave(&self, link: LinkId, target: MessageTarget, frame: &FrameRef<'_>) -> bool {
         self.rules(link).is_some_and(|rules| {
             let is_wanted = match rules.forward {
-                ForwardPolicy::All => true,
+                ForwardPolicy::All | ForwardPolicy::ByRole => true,
                 ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
                 ForwardPolicy::Disabled => false,
             };
