@@ -12,7 +12,9 @@ use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
 use posebridge_sim::Scenario;
 use posebridge_sim::impairment::LinkProfile;
-use posebridge_station::{AcceptedVersions, AnnouncedAs, BrickLink, LinkConfig, OUTPUTS, OutputInstant, OutputStream};
+use posebridge_station::{
+    AcceptedVersions, AnnouncedAs, BrickLink, LinkConfig, OUTPUTS, OutputInstant, OutputStream, PinPolicy,
+};
 use posebridge_telemetry::{LinkId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,6 +52,9 @@ pub struct LinkSection {
     /// How its frames are signed; without it frames of any sender that reaches the link are accepted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub signing: Option<SigningSection>,
+    /// Who may speak for a robot: first, address or key (docs/routing.md). Without it the station goes by what senders do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pin: Option<PinChoice>,
     /// Links with the same name lead to one robot, and one may stand in for another.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group: Option<String>,
@@ -65,6 +70,18 @@ pub struct LinkSection {
     /// How much of the others' frames and of our estimates may leave on it.
     #[serde(default)]
     pub limits: LimitsSection,
+}
+
+/// Who may speak for a robot on a link.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum PinChoice {
+    /// The UDP port or TCP connection that used its ids first, until it is silent for half a minute.
+    First,
+    /// The network address that did; the robot may come back from another port.
+    Address,
+    /// Whoever signs: on a link with `signing` that also takes unsigned frames, those speak for no robot.
+    Key,
 }
 
 /// One kind of message that leaves on a link.
@@ -127,6 +144,7 @@ impl LinkSection {
             ground_station: false,
             outputs: Some(outputs_for_bricks()),
             signing: None,
+            pin: None,
             group: None,
             forward: ForwardChoice::default(),
             filter_in: FrameFilterSection::default(),
@@ -166,10 +184,26 @@ impl LinkSection {
             accepted_versions: if self.accept_mavlink1 { AcceptedVersions::V1AndV2 } else { AcceptedVersions::V2 },
             send_version: if self.send_mavlink1 { WireVersion::V1 } else { WireVersion::V2 },
             outputs: outputs.collect::<Result<_>>().with_context(|| format!("link {index} `{}`", self.url))?,
+            pin: self.pin_policy().with_context(|| format!("link {index} `{}`", self.url))?,
             announced_as: if self.ground_station { AnnouncedAs::StationAndVehicle } else { AnnouncedAs::Station },
             signing: None,
             rules,
         })
+    }
+}
+
+impl LinkSection {
+    fn pin_policy(&self) -> Result<Option<PinPolicy>> {
+        let is_signed = self.signing.is_some();
+        ensure!(
+            self.pin != Some(PinChoice::Key) || is_signed,
+            "`pin = \"key\"` needs a key: add `signing`, or write `pin = \"address\"`"
+        );
+        Ok(self.pin.map(|pin| match pin {
+            PinChoice::First => PinPolicy::First,
+            PinChoice::Address => PinPolicy::Address,
+            PinChoice::Key => PinPolicy::Key,
+        }))
     }
 }
 

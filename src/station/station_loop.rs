@@ -9,7 +9,7 @@ use posebridge_recording::container::TruthSample;
 use posebridge_station::Station;
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
-    Arena, Command, Event, HostClock, Input, LinkId, LinkState, Output, Pose, Priority, TimeDelta, Timestamp,
+    Arena, Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Pose, Priority, TimeDelta, Timestamp,
 };
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -77,6 +77,7 @@ impl StationLoop {
         tokio::pin!(stopped);
         let mut deadline_timer = DeadlineTimer::new(self.timer);
         let mut clock_step = ClockStepDetector::default();
+        let mut newest_peers = NewestPeers::default();
         while !ending.stop.is_cancelled() && finished.len() < self.links.iter().len() {
             let silent_at = ending.silence.and_then(|limit| last_byte.map(|last| last + limit));
             let end_at = [ending.at, silent_at].into_iter().flatten().min();
@@ -113,6 +114,9 @@ impl StationLoop {
             };
             if end_at.is_some_and(|end| now >= end) {
                 return;
+            }
+            if let Some(address) = newest_peers.address_of_new(&self.links, &input) {
+                self.handle(now, address);
             }
             self.handle(now, input);
             if now >= next_counts {
@@ -323,6 +327,25 @@ fn changes_state(link: LinkId, input: &Input, states: &mut BTreeMap<LinkId, Link
         return states.insert(link, *state) != Some(*state);
     }
     true
+}
+
+/// The newest peer of each link: transports number peers in the order in which they come.
+#[derive(Debug, Default)]
+struct NewestPeers(BTreeMap<LinkId, PeerId>);
+
+impl NewestPeers {
+    /// The input that gives the address of a peer whose first bytes these are, if it has one.
+    fn address_of_new(&mut self, links: &LinkSet, input: &Input) -> Option<Input> {
+        let Input::Bytes { link, peer, .. } = *input else {
+            return None;
+        };
+        if self.0.get(&link).is_some_and(|newest| peer <= *newest) {
+            return None;
+        }
+        self.0.insert(link, peer);
+        let host = links.iter().find(|port| port.id() == link)?.peer_address(peer)?;
+        Some(Input::PeerAddress { link, peer, host })
+    }
 }
 
 fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {

@@ -3,7 +3,7 @@
 //! A transport opens a [`Connection`], and [`crate::Link`] drives it. A connection does not reopen itself: it reports
 //! its loss once, and the link drops it.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
 use std::task::{Context, Poll};
 
@@ -96,6 +96,11 @@ pub trait Connection: Send {
     /// A path that leads to the same device after it was unplugged and came back with another number; `None` if the link's
     /// target serves as well.
     fn stable_path(&self) -> Option<&Path> {
+        None
+    }
+
+    /// The network address of a peer; `None` where the transport has none, or the peer is forgotten.
+    fn peer_address(&self, _peer: PeerId) -> Option<IpAddr> {
         None
     }
 

@@ -6,12 +6,12 @@
 
 use std::fmt;
 use std::future::poll_fn;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 
-use posebridge_telemetry::{HostClock, LinkCounts, LinkId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, LinkCounts, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
 use crate::backoff::{Backoff, SessionSeed};
@@ -116,6 +116,11 @@ impl Link {
     /// The local socket address while the link is up; `None` where the transport has none.
     pub fn local_address(&self) -> Option<SocketAddr> {
         self.connection()?.local_address()
+    }
+
+    /// The network address of a peer; `None` where the transport has none, or the peer is forgotten.
+    pub fn peer_address(&self, peer: PeerId) -> Option<IpAddr> {
+        self.connection()?.peer_address(peer)
     }
 
     /// True while the link is up and accepts any peer at [`Link::local_address`]: TCP that listens, and UDP without a host to send

@@ -37,6 +37,15 @@ pub(crate) enum FixAdmission {
     },
 }
 
+/// What becomes of a camera that was never used, once another one was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Newcomers {
+    /// It may agree while another one sees the robot, and else is used at once.
+    OnProbation,
+    /// It is never used: on a link with `pin`.
+    Refused,
+}
+
 #[derive(Debug, Default)]
 pub(crate) struct CameraTable {
     /// Each is a sensor of its own, by its index. One that was never used makes room for another.
@@ -105,11 +114,20 @@ impl CameraTable {
         now: Timestamp<HostClock>,
         id: ObserverId,
         fix: &Fix,
+        newcomers: Newcomers,
         estimate: impl FnOnce() -> Option<Estimate>,
     ) -> FixAdmission {
         let is_watched = self.is_watched_by_other(now, id);
+        let has_other = self.cameras.iter().any(|camera| camera.id != id && camera.is_used);
         let index = self.find_or_add(now, id, fix.reset_counter);
         let (camera, sensor) = (&mut self.cameras[index], SensorId::camera(index));
+        if has_other && !camera.is_used && newcomers == Newcomers::Refused {
+            camera.disagreements = camera.disagreements.saturating_add(1);
+            let is_named = camera.disagreements == DISAGREEMENTS_TO_NAME;
+            let named_distance_m =
+                estimate().filter(|_| is_named).map(|estimate| estimate.pose.origin().distance(fix.position).0);
+            return FixAdmission::HoldBack { sensor, named_distance_m };
+        }
         let has_jumped = camera.counter != fix.reset_counter;
         camera.counter = fix.reset_counter;
         if !is_watched {

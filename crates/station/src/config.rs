@@ -11,6 +11,8 @@ use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
 use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta, Wiring};
 
+use crate::sender_pins::PinPolicy;
+
 /// The configuration of a station. The same configuration and the same inputs give the same outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StationConfig {
@@ -188,6 +190,8 @@ pub struct LinkConfig {
     pub announced_as: AnnouncedAs,
     /// `None` accepts all senders and signs nothing.
     pub signing: Option<SigningConfig>,
+    /// Who may speak for a robot; `None` goes by what senders do.
+    pub pin: Option<PinPolicy>,
     /// Routing between it and the other links.
     pub rules: LinkRules,
 }

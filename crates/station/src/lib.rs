@@ -34,6 +34,7 @@ mod receive_pass;
 mod robot;
 mod robot_table;
 mod sender_identity;
+mod sender_pins;
 mod sessions;
 mod station;
 mod status_text;
@@ -54,4 +55,5 @@ pub use config::{
     ThermometerConfig,
 };
 pub use robot::Robot;
+pub use sender_pins::PinPolicy;
 pub use station::Station;

@@ -1,16 +1,18 @@
 //! The receiving side of one link: its state, its framers or its codec, its verifier, its counters.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::net::IpAddr;
 
 use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::frame_verifier::FrameVerifier;
 use posebridge_protocol::framing::FramerConfig;
-use posebridge_protocol::routing::LinkSharing;
+use posebridge_protocol::routing::{LinkSharing, MAX_PEERS};
 use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealth, TimeDelta, Timestamp};
 
 use crate::config::{AcceptedVersions, LinkConfig};
 use crate::decoder::Decoder;
 use crate::peer_framers::PeerFramers;
+use crate::sender_pins::SenderPins;
 
 pub(crate) struct LinkContext {
     pub(crate) state: LinkState,
@@ -25,6 +27,9 @@ pub(crate) struct LinkContext {
     pub(crate) has_named_ground_stations: bool,
     /// Peers that have asked for parameters.
     pub(crate) parameter_clients: BTreeSet<PeerId>,
+    /// The addresses of peers, where the transport knows them.
+    hosts: BTreeMap<PeerId, IpAddr>,
+    pub(crate) pins: Option<SenderPins>,
     forwarding: BTreeMap<PeerId, ForwardingBudget>,
     /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
@@ -122,6 +127,8 @@ impl LinkContext {
             ground_stations: BTreeSet::new(),
             has_named_ground_stations: false,
             parameter_clients: BTreeSet::new(),
+            hosts: BTreeMap::new(),
+            pins: config.pin.map(SenderPins::new),
             forwarding: BTreeMap::new(),
             losses: LossAlarm::default(),
             codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
@@ -153,6 +160,18 @@ impl LinkContext {
     /// Whether so many peers send on the link that what is for all of them is too much for each: then only ground stations get it.
     pub(crate) fn is_crowded(&self) -> bool {
         self.framers.count() > CROWD
+    }
+
+    /// Notes the address of a peer. Beyond the limit the oldest is forgotten.
+    pub(crate) fn set_host(&mut self, peer: PeerId, host: IpAddr) {
+        if self.hosts.len() >= MAX_PEERS && !self.hosts.contains_key(&peer) {
+            self.hosts.pop_first();
+        }
+        self.hosts.insert(peer, host);
+    }
+
+    pub(crate) fn host(&self, peer: PeerId) -> Option<IpAddr> {
+        self.hosts.get(&peer).copied()
     }
 
     /// Notes a peer that calls itself a ground station; false if there are too many to serve.
@@ -200,6 +219,7 @@ impl LinkContext {
             self.ground_stations.remove(peer);
             self.parameter_clients.remove(peer);
             self.forwarding.remove(peer);
+            self.hosts.remove(peer);
         }
     }
 

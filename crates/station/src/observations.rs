@@ -1,5 +1,7 @@
 //! Observations in messages: from a message to the robot's clock, estimator and publisher.
 
+use std::net::IpAddr;
+
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
@@ -8,7 +10,7 @@ use posebridge_telemetry::{
     ReceiveError, TimeDelta, Timestamp, severity,
 };
 
-use crate::camera_table::FixAdmission;
+use crate::camera_table::{FixAdmission, Newcomers};
 use crate::clock::align::Alignment;
 use crate::config::DescriptionPolicy;
 use crate::fix_requests::fix_request;
@@ -17,6 +19,7 @@ use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};
 use crate::robot::described_geometry;
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
+use crate::sender_pins::{IdentityClaim, PinVerdict, SenderPins};
 use crate::station::Station;
 
 const MAV_TYPE_GCS: u8 = 6;
@@ -37,17 +40,23 @@ impl Station {
     /// Handles a message: sessions first, then its observations.
     pub(crate) fn handle_message(&mut self, received: ReceiveInfo, message: &ReceivedMessage) {
         let now = self.time.now;
-        let ReceivedMessage { source, duplicate_status, message: ref content } = *message;
+        let ReceivedMessage { source, duplicate_status, is_signed, message: ref content } = *message;
         // Redundant links are one: a robot, its clock and its observations know only the first of them.
         let home = self.router.first_of_group(received.endpoint.link);
         let known = self.robots.identities.find(received.endpoint, home, source);
         let observer = ObserverAddress { home, address: source };
-        self.sessions.handle(now, received.endpoint, message, known);
-        self.drain_sessions(received);
         let extractor = known.map(|index| self.robots.get(index).extractor);
         let extractor =
             extractor.unwrap_or_else(|| self.extractor_for_unknown(received.endpoint, observer, content.fix_tag()));
         let observations = extractor.extract(content);
+        let has_observation = observations.iter().flatten().next().is_some();
+        let peer = received.endpoint.peer;
+        let claim = IdentityClaim { ids: source, has_observation, peer, host: None, is_signed };
+        if !self.admit_claim(received.endpoint, claim) {
+            return;
+        }
+        self.sessions.handle(now, received.endpoint, message, known);
+        self.drain_sessions(received);
         if duplicate_status == DuplicateStatus::Duplicate {
             self.observe_copy(received, observer, known, content, &observations);
             // Robots that are built alike begin with the same bytes: it is no copy if its sender proves to be another one.
@@ -116,6 +125,35 @@ impl Station {
         }
     }
 
+    /// Whether the sender of a message may use these ids, on a link with pins. A refusal is counted, and told now and then.
+    fn admit_claim(&mut self, endpoint: Endpoint, claim: IdentityClaim) -> bool {
+        let now = self.time.now;
+        let Some(link) = self.links.get_mut(&endpoint.link) else {
+            return true;
+        };
+        let host = link.host(endpoint.peer);
+        let Some(pins) = &mut link.pins else {
+            return true;
+        };
+        let PinVerdict::Refused { owner, is_new } = pins.check(now, IdentityClaim { host, ..claim }) else {
+            return true;
+        };
+        link.health.rejected_frames += 1;
+        if is_new {
+            let name =
+                |host: Option<IpAddr>, other: &str| host.map_or_else(|| other.to_owned(), |host| host.to_string());
+            let text = format!(
+                "link {}: {} is {}: what {} sends with these ids is refused (pin)",
+                endpoint.link,
+                claim.ids,
+                name(owner, "another peer"),
+                name(host, "a stranger")
+            );
+            self.report_own_text(severity::WARNING, text);
+        }
+        false
+    }
+
     /// A robot was distinguished from others with its ids, and with it the cameras that share its connection.
     fn distinguish_cameras(&mut self, sender: &MessageSender, index: RobotIndex) {
         let MessageOrigin { endpoint, home, .. } = sender.origin;
@@ -181,7 +219,8 @@ impl Station {
         for event in events {
             match event {
                 CodecEvent::Message { from: source, message } => {
-                    let message = ReceivedMessage { source, duplicate_status: DuplicateStatus::New, message };
+                    let duplicate_status = DuplicateStatus::New;
+                    let message = ReceivedMessage { source, duplicate_status, is_signed: false, message };
                     self.handle_message(received, &message);
                 }
                 CodecEvent::ClockReply { from, sent, peer_nanos } => {
@@ -395,7 +434,13 @@ impl Station {
         let arrival = sender.received.host_time;
         let now = self.time.now;
         if let ObservationKind::Fix(fix) = &mut aligned.measurement {
-            match self.robots.get_mut(index).admit_fix(now, host.observer, fix, time) {
+            let pins = self.links.get(&sender.received.endpoint.link).and_then(|link| link.pins.as_ref());
+            let newcomers = if pins.is_some_and(SenderPins::keeps_first_camera) {
+                Newcomers::Refused
+            } else {
+                Newcomers::OnProbation
+            };
+            match self.robots.get_mut(index).admit_fix(now, host.observer, fix, time, newcomers) {
                 FixAdmission::Use { sensor, reset_counter } => {
                     aligned.sensor = sensor;
                     fix.reset_counter = reset_counter;

@@ -24,6 +24,8 @@ impl ReceiveInfo {
 pub(crate) struct ReceivedMessage {
     pub(crate) source: Address,
     pub(crate) duplicate_status: DuplicateStatus,
+    /// It has a signature, which was verified.
+    pub(crate) is_signed: bool,
     pub(crate) message: Message,
 }
 

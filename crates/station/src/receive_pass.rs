@@ -112,7 +112,13 @@ impl ReceivePass<'_> {
     fn decode(&mut self, frame: &FrameRef<'_>, duplicate_status: DuplicateStatus) {
         match self.decoder.decode(frame) {
             Ok(Some(message)) => {
-                self.batch.messages.push(ReceivedMessage { source: frame.source, duplicate_status, message });
+                let is_signed = self.verifier.is_signed() && is_signed(frame.raw);
+                self.batch.messages.push(ReceivedMessage {
+                    source: frame.source,
+                    duplicate_status,
+                    is_signed,
+                    message,
+                });
             }
             Ok(None) => {}
             Err(error) => {

@@ -9,7 +9,7 @@ use posebridge_telemetry::{
     Observation, Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
 };
 
-use crate::camera_table::{CameraTable, FixAdmission};
+use crate::camera_table::{CameraTable, FixAdmission, Newcomers};
 use crate::clock_alignment::ClockAlignment;
 use crate::compared_estimators::{ComparedEstimators, EstimatorInput};
 use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
@@ -177,10 +177,12 @@ impl Robot {
         camera: ObserverId,
         fix: &Fix,
         stamp: Timestamp<BrickClock>,
+        newcomers: Newcomers,
     ) -> FixAdmission {
         let estimator = &self.estimator;
-        self.cameras
-            .admit(now, camera, fix, || estimator.estimate_at(stamp).filter(|estimate| estimate.validity.position))
+        self.cameras.admit(now, camera, fix, newcomers, || {
+            estimator.estimate_at(stamp).filter(|estimate| estimate.validity.position)
+        })
     }
 
     pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {

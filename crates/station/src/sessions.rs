@@ -294,8 +294,12 @@ mod tests {
         take_outputs(&mut sessions);
         let outputs = (1..).zip(by).map(|(millis, (peer, duplicate_status))| {
             let endpoint = Endpoint { link: LINK, peer: PeerId(*peer) };
-            let received =
-                ReceivedMessage { source: SENDER, duplicate_status: *duplicate_status, message: message.clone() };
+            let received = ReceivedMessage {
+                source: SENDER,
+                duplicate_status: *duplicate_status,
+                is_signed: false,
+                message: message.clone(),
+            };
             sessions.handle(Timestamp::from_millis(millis), endpoint, &received, None);
             take_outputs(&mut sessions)
         });

@@ -119,6 +119,11 @@ impl Station {
                 self.receive(ReceiveInfo { endpoint, host_time: arrival }, FramerInput::Bytes(bytes));
             }
             Input::Link { link, state } => self.handle_link_state(*link, *state),
+            Input::PeerAddress { link, peer, host } => {
+                if let Some(link) = self.links.get_mut(link) {
+                    link.set_host(*peer, *host);
+                }
+            }
             Input::Port { link, counts } => {
                 if let Some(link) = self.links.get_mut(link) {
                     link.health.port = *counts;

@@ -3,6 +3,8 @@
 //! A recording is the sequence of [`Input`]s with their times, chunk boundaries included. The two types are in this crate
 //! because the recorder uses them and does not depend on the station.
 
+use std::net::IpAddr;
+
 use crate::command::{Command, Request};
 use crate::event::{Event, LinkState};
 use crate::ids::{LinkId, PeerId, RobotId};
@@ -22,6 +24,12 @@ pub enum Input {
     Link {
         link: LinkId,
         state: LinkState,
+    },
+    /// The address of a peer, given before its first bytes where the transport knows one.
+    PeerAddress {
+        link: LinkId,
+        peer: PeerId,
+        host: IpAddr,
     },
     /// The counters of a link's transport, given now and then for the link's health.
     Port {

@@ -261,7 +261,7 @@ fn record_input(
         }
         Input::Observation(_) => facts.observations += 1,
         Input::Command(_) | Input::RobotCommand { .. } => facts.commands += 1,
-        Input::Report { .. } | Input::Port { .. } | Input::Tick => {}
+        Input::Report { .. } | Input::Port { .. } | Input::PeerAddress { .. } | Input::Tick => {}
     }
 }
 

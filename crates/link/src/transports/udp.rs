@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::ops::Bound;
 use std::task::{Context, Poll, Waker};
 
@@ -285,6 +285,10 @@ impl Connection for UdpConnection {
 
     fn is_listening(&self) -> bool {
         self.is_listening
+    }
+
+    fn peer_address(&self, peer: PeerId) -> Option<IpAddr> {
+        self.peers.address_of(peer).map(|address| address.ip())
     }
 
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {

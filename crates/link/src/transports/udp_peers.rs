@@ -75,6 +75,10 @@ impl UdpPeerTable {
         self.by_address.get(&address).is_some_and(|peer| peer.window_datagrams > BUSY_DATAGRAMS)
     }
 
+    pub(super) fn address_of(&self, peer: PeerId) -> Option<SocketAddr> {
+        self.by_id.get(&peer).copied()
+    }
+
     /// True if `address` has not been forgotten.
     pub(super) fn contains(&self, address: SocketAddr) -> bool {
         self.by_address.contains_key(&address)

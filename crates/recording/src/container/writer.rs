@@ -164,6 +164,7 @@ impl<W: Write> RecordingWriter<W> {
             Input::Bytes { .. }
             | Input::Port { .. }
             | Input::Link { .. }
+            | Input::PeerAddress { .. }
             | Input::Observation(_)
             | Input::Report { .. }
             | Input::Tick => None,

@@ -2,6 +2,7 @@
 //! damage is reported and never replayed.
 
 use std::io::Cursor;
+use std::net::{Ipv4Addr, Ipv6Addr};
 
 use posebridge_recording::container::{
     FORMAT, INPUT_ENCODING, INPUT_TOPIC, PartHeader, ReadError, RecordingEnd, RecordingHeader, RecordingReader,
@@ -50,6 +51,8 @@ fn every_kind() -> Vec<Input> {
         Input::Link { link, state: LinkState::Up },
         Input::Link { link, state: LinkState::Down },
         Input::Port { link, counts: LinkCounts::default() },
+        Input::PeerAddress { link, peer: PeerId(7), host: Ipv4Addr::new(192, 168, 4, 2).into() },
+        Input::PeerAddress { link, peer: PeerId(8), host: Ipv6Addr::LOCALHOST.into() },
         Input::Command(set_pose),
         Input::Command(Command::SetParameter { name: ParameterName::from_bytes(b"gate_prob"), value: 0.9 }),
         Input::RobotCommand { robot: RobotId { link, address: Address::new(7, 1) }, command: set_pose },

@@ -1,12 +1,16 @@
 //! Strangers on an open port, who use the ids of a robot or its camera or invent some: what a robot that drives and is seen by a camera
 //! loses to them. It is driven twice, with and without the stranger.
 
+use std::net::Ipv4Addr;
+
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, ticks, vision_fix};
 use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::{Message, TimeSync, VisionFix, WireStamp};
-use posebridge_station::StationConfig;
-use posebridge_telemetry::{Address, Estimate, Event, FusionOutcome, Meters, RobotId, SensorId, TimeDelta};
+use posebridge_station::{PinPolicy, StationConfig};
+use posebridge_telemetry::{
+    Address, Estimate, Event, FusionOutcome, Input, Meters, PeerId, RobotId, SensorId, TimeDelta,
+};
 
 const CAMERA: Address = Address::new(1, 100);
 /// What the camera's clock shows at host zero, and the stranger's.
@@ -236,4 +240,76 @@ fn a_second_camera_that_agrees_is_used_and_one_that_stops_agreeing_is_not() {
     assert_eq!(named, 1);
     let off_m = liar.estimates().last().map(|estimate| (estimate.pose.x.0 - true_x_m(ENDS_AT_MS)).abs());
     assert!(off_m.is_some_and(|off_m| off_m < 0.02), "{off_m:?}");
+}
+
+fn pinned(policy: PinPolicy) -> StationConfig {
+    let mut config = open_port();
+    config.links[0].pin = Some(policy);
+    config
+}
+
+/// Counts that the robot never had, while it is silent.
+fn take_over(scene: &mut Scene) {
+    scene.strange(&ticks(scene.now_ms as u32 + 3, 5_000, 5_000));
+}
+
+#[test]
+fn a_pinned_robot_that_is_silent_for_a_second_is_not_taken_over() {
+    for policy in [PinPolicy::First, PinPolicy::Address] {
+        let mut scene = Scene::new(&pinned(policy), BRICK).drive(None);
+        let before = scene.estimates().len();
+        for _ in 0..20 {
+            scene.now_ms += PERIOD_MS;
+            take_over(&mut scene);
+        }
+        assert_eq!(scene.estimates().len(), before, "{policy:?}");
+        let counts = scene.now_ms * 360 / 880;
+        scene.robot.send(&mut scene.station, at(scene.now_ms + 5), &ticks(scene.now_ms as u32, counts, counts));
+        assert_eq!(scene.estimates().len(), before + 1, "{policy:?}");
+        assert_eq!(scene.station.engine.robots().len(), 1);
+        let refused = scene.station.texts().iter().filter(|text| text.ends_with("is refused (pin)")).count();
+        assert_eq!(refused, 1, "{policy:?}");
+        assert_eq!(scene.station.later_health(LINK).rejected_frames, 20);
+    }
+}
+
+#[test]
+fn a_pinned_address_lets_its_robot_come_back_from_another_port_and_no_other_host() {
+    for (policy, host, is_admitted) in
+        [(PinPolicy::Address, 7, true), (PinPolicy::Address, 8, false), (PinPolicy::First, 7, false)]
+    {
+        let mut scene = Scene::new(&pinned(policy), BRICK);
+        for (peer, last) in [(0, 7), (9, host)] {
+            let host = Ipv4Addr::new(192, 168, 4, last).into();
+            scene.station.handle(at(0), Input::PeerAddress { link: LINK, peer: PeerId(peer), host });
+        }
+        let mut scene = scene.drive(None);
+        let before = scene.estimates().len();
+        for _ in 0..20 {
+            scene.now_ms += PERIOD_MS;
+            take_over(&mut scene);
+        }
+        assert_eq!(scene.estimates().len() > before, is_admitted, "{policy:?} {host}");
+        let names_both =
+            scene.station.texts().iter().any(|text| text.contains("1/1 is 192.168.4.7: what 192.168.4.8 sends"));
+        assert_eq!(names_both, host == 8);
+    }
+}
+
+#[test]
+fn a_pinned_robot_has_one_camera_even_if_another_follows_the_estimate() {
+    let attack: Attack<'_> = &|scene| {
+        let off_m = if scene.now_ms < 8_000 { 0.0 } else { 0.02 };
+        let fix = vision_fix(scene.now_ms + STRANGER_AHEAD_MS, true_x_m(scene.now_ms) + off_m);
+        scene.strange(&Message::VisionPosition(fix));
+    };
+    assert_harmless(&pinned(PinPolicy::First), Address::new(7, 7), attack);
+}
+
+#[test]
+fn with_a_pinned_key_nothing_unsigned_speaks_for_a_robot() {
+    // No frame of this scene is signed, so that all of them are a stranger's.
+    let mut scene = Scene::new(&pinned(PinPolicy::Key), BRICK).drive(None);
+    assert_eq!(scene.estimates().len(), 0);
+    assert!(scene.station.later_health(LINK).rejected_frames > 300);
 }

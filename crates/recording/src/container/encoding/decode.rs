@@ -86,6 +86,12 @@ impl<'a> ByteReader<'a> {
                     }
                 },
             },
+            tag::PEER_ADDRESS => {
+                let (link, peer) = (LinkId(self.u16()?), PeerId(self.u32()?));
+                let text = self.remaining_text("the address of a peer")?;
+                let host = text.parse().map_err(|_unreadable| DecodeError::Text("the address of a peer"))?;
+                Input::PeerAddress { link, peer, host }
+            }
             tag::OBSERVATION => Input::Observation(self.observation()?),
             tag @ (tag::SET_POSE | tag::COMMAND | tag::SIMULATOR) => Input::Command(self.command(tag)?),
             tag::ROBOT_COMMAND => {

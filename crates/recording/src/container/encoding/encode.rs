@@ -4,13 +4,15 @@ use posebridge_telemetry::{
 };
 
 use super::{
-    ENCODING_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, put_numbers, simulator, tag,
+    ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind,
+    put_numbers, simulator, tag,
 };
 
 /// `bytes` must be empty.
 pub(in crate::container) fn encode(input: &Input, position: RecordPosition, bytes: &mut Vec<u8>) {
     bytes.push(match input {
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
+        Input::PeerAddress { .. } => PEER_ADDRESS_VERSION,
         Input::Bytes { .. }
         | Input::Port { .. }
         | Input::Link { .. }
@@ -41,6 +43,12 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
                 LinkState::Up => 1,
                 LinkState::Down => 0,
             });
+        }
+        Input::PeerAddress { link, peer, host } => {
+            bytes.push(tag::PEER_ADDRESS);
+            bytes.extend_from_slice(&link.0.to_le_bytes());
+            bytes.extend_from_slice(&peer.0.to_le_bytes());
+            bytes.extend_from_slice(host.to_string().as_bytes());
         }
         Input::Observation(observation) => {
             bytes.push(tag::OBSERVATION);

@@ -15,9 +15,10 @@ pub(super) use encode::encode;
 
 /// First byte of every message; incremented by a change of layout.
 const ENCODING_VERSION: u8 = 4;
-/// First byte of a message whose tag is new in this layout, so that an older program reports a newer file.
+/// First bytes of messages whose tag is new in their layout, so that an older program reports a newer file.
 const ROBOT_COMMAND_VERSION: u8 = 5;
-const NEWEST_VERSION: u8 = ROBOT_COMMAND_VERSION;
+const PEER_ADDRESS_VERSION: u8 = 6;
+const NEWEST_VERSION: u8 = PEER_ADDRESS_VERSION;
 /// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
 const CHECKSUM_BYTES: usize = 4;
@@ -38,6 +39,7 @@ mod tag {
     pub(super) const SIMULATOR: u8 = 9;
     /// A robot id and a command for it under one of the command tags.
     pub(super) const ROBOT_COMMAND: u8 = 10;
+    pub(super) const PEER_ADDRESS: u8 = 11;
 }
 
 /// The command that follows.

@@ -82,6 +82,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         outputs,
         announced_as: posebridge_station::AnnouncedAs::Station,
         signing: None,
+        pin: None,
         rules: posebridge_protocol::routing::LinkRules::default(),
     }
 }
