@@ -139,6 +139,33 @@ fn status_of(stream: &mut TcpStream) -> String {
 }
 
 #[test]
+fn idle_and_half_open_connections_keep_nobody_out() {
+    for policy in [TokenPolicy::RemoteOnly, TokenPolicy::Always] {
+        let played = TestStation::start(policy);
+        let address = played.address();
+        let url = played.dashboard.url().unwrap();
+        let authorization = url.split_once("token=").map(|(_, token)| format!("authorization: Bearer {token}\r\n"));
+        let authorization = authorization.unwrap_or_default();
+        let mut crowd: Vec<TcpStream> = (0..300).map(|_| connect(address)).collect();
+        for half_open in crowd.iter_mut().step_by(2) {
+            // It may have made room for another already.
+            drop(half_open.write_all(b"GET /v1/state HTTP/1.1\r\nx-slow: "));
+        }
+        for _ in 0..20 {
+            assert_eq!(request(address, "GET /v1/robots", &authorization, b"").status, 200, "{policy:?}");
+        }
+        let page = request(address, "GET /metrics", &authorization, b"").text();
+        let lines: Vec<&str> = page.lines().filter(|line| line.starts_with("posebridge_dashboard_conn")).collect();
+        // 192 of one address are there at a time.
+        let replaced =
+            lines.iter().find_map(|line| line.strip_prefix("posebridge_dashboard_connections_replaced_total "));
+        let replaced: f64 = replaced.unwrap().parse().unwrap();
+        assert!(replaced >= 108.0, "{lines:?}");
+        assert!(page.contains("refused_total{reason=\"connections\"} 0\n"), "{page}");
+    }
+}
+
+#[test]
 fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
     let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();

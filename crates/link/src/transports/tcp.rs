@@ -59,6 +59,9 @@ async fn dial(request: &OpenRequest) -> Result<Box<dyn Connection>, OpenError> {
 /// Most clients at a time: a class of robots with a few viewers each. A quarter is left for others than the largest one.
 const CLIENT_LIMITS: AdmissionLimits = AdmissionLimits { total: 256, per_client: 192 };
 
+/// Of the system's queue of clients that are not accepted yet; 128 without this.
+const MAX_WAITING_CLIENTS: i32 = 1_024;
+
 /// A client that sent something, and was sent something for itself, within this time is in use: as long as a UDP peer is known.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(10_000);
 
@@ -129,6 +132,8 @@ impl TcpServer {
         for address in resolve(host, port).await? {
             match TcpListener::bind(address).await {
                 Ok(listener) => {
+                    // Works without, then a crowd makes others try again after a second.
+                    drop(SockRef::from(&listener).listen(MAX_WAITING_CLIENTS));
                     let address = listener.local_addr().unwrap_or(address);
                     return Ok(Box::new(Self {
                         listener,
