@@ -243,13 +243,10 @@ mod tests {
             slots.extend(opened);
             became
         };
-        assert_eq!(readers(AccessRole::Operator, 1, 70), READER_LIMITS.per_client);
-        assert_eq!(
-            readers(AccessRole::Reader, 2, 20),
-            READER_LIMITS.total - OPERATOR_READERS - READER_LIMITS.per_client
-        );
-        assert_eq!(readers(AccessRole::Operator, 2, 20), OPERATOR_READERS);
-        assert_eq!(table.counts.value(ServerCounter::Clients), READER_LIMITS.total as u64);
+        assert_eq!(readers(AccessRole::Operator, 1, 70), 64, "of one address");
+        assert_eq!(readers(AccessRole::Reader, 2, 20), 8, "up to the last eight");
+        assert_eq!(readers(AccessRole::Operator, 2, 20), 8, "which are for operators");
+        assert_eq!(table.counts.value(ServerCounter::Clients), 80);
         slots.clear();
         assert_eq!(table.counts.value(ServerCounter::Clients), 0);
         assert_eq!(table.counts.value(ServerCounter::Connections), 0);
