@@ -25,7 +25,7 @@ const CONNECTION_WORDS = {
   live: 'connected',
   stalled: 'the station says nothing',
   lost: 'connection lost, trying again',
-  refused: 'the station was restarted: open the address that it prints now',
+  refused: 'the token holds no longer: open the address that the station prints now, or ask for a new token',
 };
 
 const page = {
@@ -67,7 +67,7 @@ requestAnimationFrame(frame);
 
 function buildPanel({ id, title, isAnimated, isLive, isOfRobot, isShown, build }) {
   const body = element('div', { class: 'body' });
-  const rest = element('p', { class: 'note', text: 'These act on the live robot: go back to live to use them.', hidden: true });
+  const rest = element('p', { class: 'note', hidden: true });
   const of = element('span', { class: 'of' });
   const old = element('span', { class: 'old' });
   const heading = element('h2', { id: `${id}-title` }, title, of, old);
@@ -87,6 +87,7 @@ function take(message) {
   if (message.type === 'hello') {
     session = new Session();
     station.greet(message);
+    showMode();
     session.apply(message.history);
     session.apply({ now_s: message.now_s });
   } else if (message.type === 'frame') {
@@ -193,13 +194,16 @@ function showHeadline() {
   showConnection();
 }
 
-// Live or a recording: what acts on the live robot rests while another one is shown.
+// Live or a recording: what acts on the live robot rests while another one is shown, and where this page may only look.
 function showMode() {
+  const isAtRest = replay.isOn || !station.canCommand;
+  const why = replay.isOn ? 'These act on the live robot: go back to live to use them.' : 'Your token only lets you look.';
   for (const { isLive, body, rest, panel } of panels) {
     if (!isLive) continue;
-    body.inert = replay.isOn;
-    rest.hidden = !replay.isOn;
-    if (replay.isOn) panel.rest?.();
+    body.inert = isAtRest;
+    rest.hidden = !isAtRest;
+    setText(rest, isAtRest ? why : '');
+    if (isAtRest) panel.rest?.();
   }
   isStale = true;
 }

@@ -16,6 +16,8 @@ export class Station {
     this.page = page;
     this.isGreeted = false;
     this.version = '';
+    /** Whether this page may give commands. */
+    this.canCommand = true;
     this.simulator = null;
     /** What stands in the arena. */
     this.arena = arenaOf(null);
@@ -35,6 +37,7 @@ export class Station {
   /** Takes what a connection begins with. */
   greet(hello) {
     this.isGreeted = true;
+    this.canCommand = hello.can_command !== false;
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
     this.arena = arenaOf(hello.arena);
@@ -121,6 +124,10 @@ export class Station {
     if (this.page.isReplay()) {
       this.page.announce('A recording is shown: go back to live to tell the station something.', true);
       return;
+    }
+    if (!this.canCommand) {
+      this.page.announce('Your token only lets you look: open the address of an operator to command the station.', true);
+      return false;
     }
     const answer = await this.#ask('v1/commands', { method: 'POST', headers: { 'Content-Type': 'application/json' }, body: JSON.stringify(command) });
     if (answer && command.command !== 'drive') this.page.announce(`${command.command}: sent`, false);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use posebridge_dashboard::ListenAddress;
 use posebridge_estimator::{
     EstimatedQuantity, FILTERS, FilterConfig, FilterEntry, Initialization, Params, find_filter,
@@ -264,11 +264,24 @@ pub struct DashboardSection {
     pub listen: String,
     /// Whether the token is needed on this computer as well, because it has several users.
     pub always_token: bool,
+    /// A file of tokens, one a line behind the role that it gives, `operator` or `reader`; made at the start if it is missing, and read again
+    /// while the station runs. Without it the tokens are new with every start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub token_file: Option<String>,
+    /// Names, each perhaps with a port, under which a reverse proxy serves the page, with TLS for instance. Every request needs a token then.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub public_names: Vec<String>,
 }
 
 impl Default for DashboardSection {
     fn default() -> Self {
-        Self { enabled: true, listen: DEFAULT_LISTEN.to_owned(), always_token: false }
+        Self {
+            enabled: true,
+            listen: DEFAULT_LISTEN.to_owned(),
+            always_token: false,
+            token_file: None,
+            public_names: Vec::new(),
+        }
     }
 }
 
@@ -277,12 +290,32 @@ impl DashboardSection {
         let address: SocketAddr = self.listen.parse().with_context(|| {
             format!("`dashboard.listen` is `{}`; give an IP address and a port, such as {DEFAULT_LISTEN}", self.listen)
         })?;
+        if let Some(name) = self.public_names.iter().find(|name| !is_host(name)) {
+            bail!(
+                "`dashboard.public_names` has `{name}`; give the name that people open, without a scheme and a path, such as \
+                 robots.example.org or robots.example.org:8443"
+            );
+        }
+        ensure!(
+            self.token_file.as_deref() != Some(""),
+            "`dashboard.token_file` is empty; give the path of a file, or leave the key out"
+        );
         Ok(if self.listen == DEFAULT_LISTEN {
             ListenAddress::FirstFree(address)
         } else {
             ListenAddress::Exact(address)
         })
     }
+}
+
+/// Whether this is a name or an address, perhaps with a port.
+fn is_host(text: &str) -> bool {
+    let (name, port) = match text.rsplit_once(':') {
+        Some((name, port)) if !port.contains(']') => (name, Some(port)),
+        _ => (text, None),
+    };
+    let is_part = |c: char| c.is_ascii_alphanumeric() || "-._[]:".contains(c);
+    !name.is_empty() && name.chars().all(is_part) && port.is_none_or(|port| port.parse::<u16>().is_ok())
 }
 
 /// Default address of PlotJuggler's UDP server. Source: its plugin `DataStreamUDP`.
@@ -351,6 +384,22 @@ mod tests {
         assert_eq!(default, ListenAddress::FirstFree("127.0.0.1:4680".parse().unwrap()));
         let other = "0.0.0.0:80".parse().unwrap();
         assert_eq!(listen("0.0.0.0:80").unwrap(), ListenAddress::Exact(other));
+    }
+
+    #[test]
+    fn a_public_name_is_a_host_and_perhaps_a_port() {
+        let checked = |name: &str| {
+            DashboardSection { public_names: vec![name.to_owned()], ..DashboardSection::default() }.checked()
+        };
+        for name in
+            ["robots.example.org", "robots.example.org:8443", "192.0.2.7:443", "[2001:db8::7]", "[2001:db8::7]:443"]
+        {
+            assert!(checked(name).is_ok(), "{name}");
+        }
+        for name in ["", "https://robots.example.org", "robots.example.org/", "a b", "robots:99999", "u@robots", ":80"]
+        {
+            assert!(checked(name).is_err(), "{name}");
+        }
     }
 
     #[test]

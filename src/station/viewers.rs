@@ -3,7 +3,7 @@
 //! runtime, is in `crates/dashboard`.
 
 use std::collections::VecDeque;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
@@ -179,7 +179,7 @@ fn start_dashboard(
     };
     let started = Dashboard::start(bound, facts, sources);
     let (dashboard, feed, commands) = started.context("starting the dashboard")?;
-    print_address(&dashboard, listen);
+    print_address(&dashboard, listen, config.dashboard.token_file.as_deref());
     if let (true, Some(url)) = (flags.open, dashboard.url()) {
         open_in_browser(url)?;
     }
@@ -196,7 +196,7 @@ fn listen_config(flags: &DashboardFlags, config: &Config) -> Result<Option<Liste
     Ok(is_enabled.then_some(configured))
 }
 
-fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {
+fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>, token_file: Option<&str>) {
     let Some(address) = dashboard.address() else {
         return;
     };
@@ -208,7 +208,12 @@ fn print_address(dashboard: &Dashboard, listen: Option<ListenAddress>) {
     for url in dashboard.urls() {
         print_line(&format!("dashboard: {url}"));
     }
-    if !address.ip().is_loopback() {
+    if let Some(url) = dashboard.reader_url() {
+        print_line(&format!("to look only: {url}"));
+    }
+    if let Some(file) = token_file.filter(|_| dashboard.needs_token()) {
+        print_line(&format!("the page asks for a token of `{file}`: put ?token=TOKEN behind the address"));
+    } else if !address.ip().is_loopback() {
         print_line("the address holds a token that lets anybody command this station, and it travels unencrypted");
     }
 }
@@ -265,6 +270,8 @@ fn facts_of(config: &Config, embedded: Option<&EmbeddedBricks>) -> Result<Statio
         },
         dead_reckoning: if embedded.is_some() { None } else { dead_reckoning(filter) },
         token: if config.dashboard.always_token { TokenPolicy::Always } else { TokenPolicy::RemoteOnly },
+        token_file: config.dashboard.token_file.as_ref().map(PathBuf::from),
+        public_names: config.dashboard.public_names.clone(),
     })
 }
 

@@ -32,6 +32,15 @@ install_browser() {
     export "$variable=/usr/bin/$package"
 }
 
+# HAProxy and openssl, for the recipe with TLS. Sets and exports HAPROXY.
+install_proxy() {
+    if [[ -z "${HAPROXY:-}" && ! -x /usr/sbin/haproxy ]] || ! command -v openssl >/dev/null; then
+        [[ "$(id -u)" == 0 ]] || fail "there is no haproxy or no openssl. Install them (apt-get install haproxy openssl)"
+        install_packages haproxy openssl >"$made/haproxy.log" 2>&1 || fail "apt-get does not install haproxy and openssl: $(tail -1 "$made/haproxy.log")"
+    fi
+    export HAPROXY="${HAPROXY:-/usr/sbin/haproxy}"
+}
+
 # With a font: without one there is no text to measure or to photograph.
 install_packages() {
     local apt=(env DEBIAN_FRONTEND=noninteractive apt-get -qq --yes --no-install-recommends)

@@ -364,6 +364,23 @@ test('what the station refuses is said on the page', async () => {
   });
 });
 
+test('a page that may only look sends no command and says why, until it may', async () => {
+  await withStation({}, async (page, station) => {
+    station.canCommand = false;
+    await page.reload();
+    await waitForState(page, 'live');
+    assert.equal(await page.locator('#simulator .body').evaluate((body) => body.inert), true);
+    await page.getByRole('button', { name: 'Begin anew' }).click();
+    await page.waitForFunction(() => document.querySelector('#announcer.error')?.textContent.startsWith('Your token only lets you look'));
+    assert.deepEqual(station.commands, []);
+    station.canCommand = true;
+    await page.reload();
+    await waitForState(page, 'live');
+    await page.getByRole('button', { name: 'Kidnap', exact: true }).click();
+    await lastOf(station, 1);
+  });
+});
+
 test('a recording is looked at with a scrubber and left again', async () => {
   await withStation({}, async (page, station) => {
     const made = new FakeStation();

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A browser on the page of the real program, over loopback. Needs cargo, Node 20 or newer with npm, Chromium and Firefox or apt, and once the
+# A browser on the page of the real program, over loopback. Needs cargo, Node 20 or newer with npm, Chromium, Firefox, HAProxy and openssl or apt, and once the
 # network: install.sh gets the rest. Everything that it makes lies under target/browser; arguments go to node (a test's file, --test-name-pattern=..);
 # --install-only stops before the tests.
 #
@@ -20,6 +20,7 @@ source "$here/install.sh"
 install_node_modules
 install_browser CHROMIUM chromium
 install_browser FIREFOX firefox-esr
+install_proxy
 if [[ "${1:-}" == --install-only ]]; then
     exit
 fi

@@ -11,6 +11,7 @@ use posebridge_telemetry::{DriveGeometry, HostClock, Observation, Odom, Pose, Ti
 use crate::feed::SimulatedTruth;
 use crate::model::{ArenaRow, Frame, ParameterRow, SimulatorFacts};
 use crate::taps::FrameTaps;
+use crate::token_file::TokenFileError;
 
 /// Replays a recording and returns its trails, or an error message of one line.
 pub(crate) type ReplayLoader = dyn Fn(&Path) -> Result<Frame, String> + Send + Sync;
@@ -72,6 +73,11 @@ pub struct StationInfo {
     /// `None` where bricks send their own odometry with their truth.
     pub dead_reckoning: Option<DeadReckoningBuilder>,
     pub token: TokenPolicy,
+    /// Holds the tokens; `None`: they are new with every start.
+    pub token_file: Option<PathBuf>,
+    /// Hosts, each perhaps with a port, under which a proxy serves the page. With any, every request needs a token: those of the proxy come
+    /// from this computer.
+    pub public_names: Vec<String>,
 }
 
 /// The program's functions for the dashboard.
@@ -101,6 +107,8 @@ pub enum DashboardStartError {
     Bind { address: SocketAddr, source: io::Error },
     #[error("no random bytes for a token")]
     Token { source: getrandom::Error },
+    #[error(transparent)]
+    TokenFile(#[from] TokenFileError),
     #[error("starting the dashboard's thread")]
     Thread { source: io::Error },
 }

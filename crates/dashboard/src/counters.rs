@@ -17,6 +17,8 @@ pub(crate) enum ServerCounter {
     /// Messages that slow readers in this process missed.
     TapFramesMissed,
     Commands,
+    /// Not in use, ended to make room for a new one.
+    ConnectionsReplaced,
     TooManyConnections,
     /// Rejected: too many readers of the stream.
     TooManyClients,
@@ -25,6 +27,10 @@ pub(crate) enum ServerCounter {
     WrongOrigin,
     /// Rejected: no token, or a wrong one.
     WrongToken,
+    /// Rejected: a command of somebody who may only look.
+    WrongRole,
+    /// Rejected: passed on by a proxy to a station that asks for no token.
+    UnknownProxy,
     /// Rejected: a request that is not HTTP, too large, too slow or malformed.
     BadRequest,
     NotFound,
@@ -52,11 +58,14 @@ pub(crate) const COUNTER_TABLE: &[CounterRow] = &[
     total_counter(ServerCounter::TapFramesMissed, "tap_frames_missed_total", "Messages that the terminal view or PlotJuggler's sender has missed because it was slow."),
     total_counter(ServerCounter::Commands, "commands_total", "Commands handed to the engine."),
     total_counter(ServerCounter::ClientsDropped, "clients_dropped_total", "Readers let go because they took nothing for too long or sent what is no WebSocket."),
+    total_counter(ServerCounter::ConnectionsReplaced, "connections_replaced_total", "Connections not in use that ended to make room for new ones."),
     refusal_counter(ServerCounter::TooManyConnections, "connections"),
     refusal_counter(ServerCounter::TooManyClients, "clients"),
     refusal_counter(ServerCounter::WrongHost, "host"),
     refusal_counter(ServerCounter::WrongOrigin, "origin"),
     refusal_counter(ServerCounter::WrongToken, "token"),
+    refusal_counter(ServerCounter::WrongRole, "role"),
+    refusal_counter(ServerCounter::UnknownProxy, "proxy"),
     refusal_counter(ServerCounter::BadRequest, "request"),
     refusal_counter(ServerCounter::NotFound, "not_found"),
     refusal_counter(ServerCounter::BadCommand, "command"),

@@ -16,7 +16,7 @@ use crate::model::{
     Counters, Frame, Hello, LatencyRow, ParameterRow, ParameterValue, RecordingNow, RecordingRow, RobotRow, RobotState,
     SourceRow, State, TruthPoint, seconds_of,
 };
-use crate::token::AccessToken;
+use crate::token::{AccessRole, TokenTable};
 use crate::views::{FrameContent, MAX_ROBOTS, RetentionPolicy, ViewConfig, ViewInput, ViewSet};
 
 /// Most kinds of records that are counted; a robot has about a dozen.
@@ -47,8 +47,8 @@ pub(crate) struct Hub {
 }
 
 impl Hub {
-    /// Readers need the token, if there is one.
-    pub(crate) fn new(info: StationInfo, token: Option<&AccessToken>) -> Self {
+    /// Readers need one of the tokens, if there are any.
+    pub(crate) fn new(info: StationInfo, tokens: Option<&TokenTable>) -> Self {
         let retention = RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS };
         Self {
             views: ViewSet::new(&ViewConfig {
@@ -57,7 +57,7 @@ impl Hub {
                 dead_reckoning: info.dead_reckoning.clone(),
             }),
             info,
-            needs_token: token.is_some(),
+            needs_token: tokens.is_some(),
             latest: LatestState::default(),
             sources: BTreeSet::new(),
             recording: None,
@@ -108,12 +108,13 @@ impl Hub {
         (!frame.is_empty()).then_some(frame)
     }
 
-    pub(crate) fn hello(&self, recordings: Vec<RecordingRow>) -> Hello {
+    pub(crate) fn hello(&self, recordings: Vec<RecordingRow>, role: AccessRole) -> Hello {
         let now_s = self.latest.state.now_s;
         Hello {
             version: self.info.version.clone(),
             now_s,
             needs_token: self.needs_token,
+            can_command: role == AccessRole::Operator,
             simulator: self.info.simulator.clone(),
             arena: self.info.arena.clone(),
             sources: self.sources(),

@@ -24,6 +24,7 @@ mod server;
 mod taps;
 mod thread;
 mod token;
+mod token_file;
 pub mod views;
 
 pub use api::{DashboardInputs, DashboardStartError, DeadReckoning, DeadReckoningBuilder, StationInfo, TokenPolicy};
@@ -33,4 +34,5 @@ pub use schema::schema;
 pub use taps::{CommandSubmitter, FrameTap, FrameTaps, TapPoll};
 pub use thread::{BoundListener, Dashboard, ListenAddress};
 pub use token::AccessToken;
+pub use token_file::{LineProblem, TokenFileError};
 pub use views::RetentionPolicy;

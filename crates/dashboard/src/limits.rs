@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use posebridge_telemetry::TimeDelta;
+use posebridge_telemetry::{AdmissionLimits, TimeDelta};
 
 /// 50 Hz: the rate of a brick, and enough for the eye.
 pub(crate) const TICK: Duration = Duration::from_millis(20);
@@ -10,10 +10,16 @@ pub(crate) const TICK: Duration = Duration::from_millis(20);
 pub(crate) const SECOND: TimeDelta = TimeDelta::from_millis(1_000);
 
 /// Most connections, readers of the stream included; a browser opens six. The usual limit is 1 024 file descriptors,
-/// and links and recordings need some.
-pub(crate) const MAX_CONNECTIONS: usize = 192;
-/// Most readers of the stream: a class with a browser each.
-pub(crate) const MAX_CLIENTS: usize = 64;
+/// and links and recordings need some. A quarter is left for others than the largest client.
+pub(crate) const CONNECTION_LIMITS: AdmissionLimits = AdmissionLimits { total: 256, per_client: 192 };
+/// Most readers of the stream: a class with a browser each, perhaps all behind one address.
+pub(crate) const READER_LIMITS: AdmissionLimits = AdmissionLimits { total: 80, per_client: 64 };
+/// Places among those for readers who may give commands.
+pub(crate) const OPERATOR_READERS: usize = 8;
+/// Between two looks at the file of tokens.
+pub(crate) const TOKEN_FILE_PERIOD: Duration = Duration::from_secs(1);
+/// For the last message to a reader whose token was revoked.
+pub(crate) const FAREWELL_TIMEOUT: Duration = Duration::from_millis(100);
 /// Timeout for the head of a request; loopback takes a millisecond, a bad WLAN a second.
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);

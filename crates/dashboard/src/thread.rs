@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
@@ -10,6 +11,7 @@ use nix::net::if_::InterfaceFlags;
 use posebridge_telemetry::Input;
 use socket2::SockRef;
 use tokio::sync::{Semaphore, mpsc};
+use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use crate::api::{DashboardInputs, DashboardStartError, HostClockSource, MAX_PORT_ATTEMPTS, StationInfo, TokenPolicy};
@@ -18,11 +20,18 @@ use crate::command::CommandContext;
 use crate::counters::ServerCounters;
 use crate::feed::EventFeed;
 use crate::hub::Hub;
-use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_CLIENTS, MAX_WAITING_COMMANDS, MAX_WAITING_QUERIES};
+use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_WAITING_COMMANDS, MAX_WAITING_QUERIES, TOKEN_FILE_PERIOD};
 use crate::recordings::RecordingFolder;
-use crate::server::{AppState, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
+use crate::server::{AppState, ConnectionTable, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
 use crate::taps::CommandSubmitter;
-use crate::token::AccessToken;
+use crate::token::{AccessRole, AccessToken, TokenTable};
+use crate::token_file;
+
+/// Of the system's queue of connections that are not accepted yet.
+const MAX_WAITING_CONNECTIONS: i32 = 1_024;
+
+/// For a replay, a list of recordings and the file of tokens.
+const MAX_FILE_THREADS: usize = 3;
 
 /// A running dashboard. It ends when [`Self::finish`] is called or it is dropped.
 #[derive(Debug)]
@@ -30,7 +39,9 @@ pub struct Dashboard {
     address: Option<SocketAddr>,
     /// Addresses of this computer for other clients.
     reachable: Vec<IpAddr>,
-    token: Option<AccessToken>,
+    tokens: Option<Arc<TokenTable>>,
+    /// Whether the tokens are in a file, where people find them.
+    has_token_file: bool,
     commander: CommandSubmitter,
     stop: CancellationToken,
     thread: Option<JoinHandle<()>>,
@@ -46,7 +57,8 @@ impl Dashboard {
     ) -> Result<(Self, EventFeed, mpsc::Receiver<Input>), DashboardStartError> {
         let address = bound.as_ref().map(|bound| bound.address);
         let reachable = bound.as_ref().map_or_else(Vec::new, BoundListener::reachable_addresses);
-        let token = token_for(address, facts.token)?;
+        let tokens = tokens_for(address, &facts)?.map(Arc::new);
+        let token_file = facts.token_file.clone();
         let counts = Arc::new(ServerCounters::default());
         let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
         let (query_sender, query_receiver) = mpsc::channel(MAX_WAITING_QUERIES);
@@ -56,10 +68,12 @@ impl Dashboard {
         let recordings = RecordingFolder::new(sources.recordings);
         let known = CommandContext::from_info(&facts);
         let clock: Arc<HostClockSource> = Arc::from(sources.clock);
-        let hub = Hub::new(facts, token.as_ref());
-        let served = bound.map(|bound| {
+        let connections = Arc::new(ConnectionTable::new(Arc::clone(&counts), Arc::clone(&clock)));
+        let guard = address.map(|address| RequestGuard::new(address, &facts.public_names, tokens.clone()));
+        let hub = Hub::new(facts, tokens.as_deref());
+        let served = bound.zip(guard).map(|(bound, guard)| {
             let app = AppState {
-                guard: RequestGuard::new(bound.address, token.clone()),
+                guard,
                 counts: Arc::clone(&counts),
                 queries: query_sender.clone(),
                 commands: commander.clone(),
@@ -70,10 +84,12 @@ impl Dashboard {
                 assets: Assets::new(sources.ui_dir),
                 replay: sources.replay,
                 replay_slot: Arc::new(Semaphore::new(1)),
-                reader_slots: Arc::new(Semaphore::new(MAX_CLIENTS)),
                 stop: stop.clone(),
             };
-            (bound.listener, app)
+            let watched = token_file.clone().zip(tokens.clone());
+            let watch =
+                watched.map(|(path, tokens)| TokenWatch { path, tokens, connections: Arc::clone(&connections) });
+            Server { listener: bound.listener, app, connections, watch }
         });
         let inlets = HubInputs {
             batches,
@@ -89,7 +105,8 @@ impl Dashboard {
             .name("dashboard".to_owned())
             .spawn(move || run(served, hub, inlets, &thread_stop))
             .map_err(|source| DashboardStartError::Thread { source })?;
-        let dashboard = Self { address, reachable, token, commander, stop, thread: Some(thread) };
+        let has_token_file = token_file.is_some();
+        let dashboard = Self { address, reachable, tokens, has_token_file, commander, stop, thread: Some(thread) };
         Ok((dashboard, feed, command_receiver))
     }
 
@@ -100,15 +117,33 @@ impl Dashboard {
     /// The URL for a browser of this computer, with the token if one is needed: print it once and keep it secret.
     /// `None` if it does not serve.
     pub fn url(&self) -> Option<String> {
-        self.urls().pop()
+        self.addresses_with(self.token_of(AccessRole::Operator)).pop()
     }
 
-    /// For all reachable addresses; that of this computer is last.
+    /// To print, for all reachable addresses; that of this computer is last. Without the tokens of a file, which people have already.
     pub fn urls(&self) -> Vec<String> {
+        self.addresses_with(self.token_of(AccessRole::Operator).filter(|_| !self.has_token_file))
+    }
+
+    /// The first of them for people who may only look; `None` if there is no such token that is new with this start.
+    pub fn reader_url(&self) -> Option<String> {
+        let token = self.token_of(AccessRole::Reader).filter(|_| !self.has_token_file)?;
+        self.addresses_with(Some(token)).into_iter().next()
+    }
+
+    /// Whether a browser on this computer needs a token as well.
+    pub const fn needs_token(&self) -> bool {
+        self.tokens.is_some()
+    }
+
+    fn token_of(&self, role: AccessRole) -> Option<AccessToken> {
+        self.tokens.as_ref()?.first(role)
+    }
+
+    fn addresses_with(&self, token: Option<AccessToken>) -> Vec<String> {
         let Some(address) = self.address else {
             return Vec::new();
         };
-        let token = self.token.as_ref();
         let query = token.map_or_else(String::new, |token| format!("?token={}", token.expose()));
         let found = self.reachable.iter();
         found.map(|ip| format!("http://{}/{query}", SocketAddr::new(*ip, address.port()))).collect()
@@ -136,20 +171,34 @@ impl Drop for Dashboard {
     }
 }
 
-fn token_for(address: Option<SocketAddr>, policy: TokenPolicy) -> Result<Option<AccessToken>, DashboardStartError> {
-    let is_open = |address: SocketAddr| address.ip().is_loopback() && policy == TokenPolicy::RemoteOnly;
+/// `None` if no request needs a token.
+fn tokens_for(address: Option<SocketAddr>, info: &StationInfo) -> Result<Option<TokenTable>, DashboardStartError> {
+    let is_open = |address: SocketAddr| {
+        address.ip().is_loopback() && info.token == TokenPolicy::RemoteOnly && info.public_names.is_empty()
+    };
     if address.is_none_or(is_open) {
         return Ok(None);
     }
-    let token = AccessToken::random().map_err(|source| DashboardStartError::Token { source })?;
-    Ok(Some(token))
+    let grants = match &info.token_file {
+        Some(path) => token_file::read_or_create(path)?,
+        None => token_file::random_grants().map_err(|source| DashboardStartError::Token { source })?,
+    };
+    Ok(Some(TokenTable::new(grants)))
 }
 
-/// `server` is the listening socket and the state of its handlers; `None` with readers in this process only.
-fn run(server: Option<(TcpListener, AppState)>, hub: Hub, inputs: HubInputs, stop: &CancellationToken) {
+/// The listening socket and what its handlers need.
+struct Server {
+    listener: TcpListener,
+    app: AppState,
+    connections: Arc<ConnectionTable>,
+    watch: Option<TokenWatch>,
+}
+
+/// `None` with readers in this process only.
+fn run(server: Option<Server>, hub: Hub, inputs: HubInputs, stop: &CancellationToken) {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .max_blocking_threads(2)
+        .max_blocking_threads(MAX_FILE_THREADS)
         .thread_name("dashboard-file")
         .build();
     let runtime = match runtime {
@@ -169,11 +218,11 @@ fn run(server: Option<(TcpListener, AppState)>, hub: Hub, inputs: HubInputs, sto
     runtime.shutdown_background();
 }
 
-async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: CancellationToken) {
-    let Some((socket, app)) = served else {
+async fn serve_if_bound(server: Option<Server>, stop: CancellationToken) {
+    let Some(Server { listener, app, connections, watch }) = server else {
         return stop.cancelled().await;
     };
-    let listener = match tokio::net::TcpListener::from_std(socket) {
+    let listener = match tokio::net::TcpListener::from_std(listener) {
         Ok(listener) => listener,
         Err(error) => {
             tracing::error!(%error, "the dashboard cannot listen");
@@ -181,7 +230,53 @@ async fn serve_if_bound(served: Option<(TcpListener, AppState)>, stop: Cancellat
         }
     };
     let counts = Arc::clone(&app.counts);
-    serve(listener, router(Arc::new(app)), counts, stop).await;
+    let served = serve(listener, router(Arc::new(app)), connections, counts, stop);
+    match watch {
+        Some(watch) => tokio::select! {
+            () = served => {}
+            () = watch.run() => {}
+        },
+        None => served.await,
+    }
+}
+
+/// Looks at the file of tokens once a second, and ends the sessions of those that were taken away.
+struct TokenWatch {
+    path: PathBuf,
+    tokens: Arc<TokenTable>,
+    connections: Arc<ConnectionTable>,
+}
+
+impl TokenWatch {
+    async fn run(self) {
+        let mut ticks = interval(TOKEN_FILE_PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut reported = None;
+        loop {
+            ticks.tick().await;
+            let path = self.path.clone();
+            let Ok(read) = tokio::task::spawn_blocking(move || token_file::read(&path)).await else {
+                continue;
+            };
+            match read {
+                Ok(grants) => {
+                    reported = None;
+                    let revoked = self.tokens.replace(grants);
+                    if !revoked.is_empty() {
+                        self.connections.end_grants(&revoked);
+                        tracing::info!(file = %self.path.display(), revoked = revoked.len(), "tokens of the page were revoked");
+                    }
+                }
+                Err(error) => {
+                    let why = error.to_string();
+                    if reported.as_ref() != Some(&why) {
+                        tracing::warn!("the page keeps the tokens that it has: {why}");
+                        reported = Some(why);
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// The address to listen on.
@@ -224,6 +319,8 @@ impl BoundListener {
     fn bind_address(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
+        // A new listen(2) on the same socket changes how many may wait: with the usual 128 a crowd makes others try again after a second.
+        SockRef::from(&listener).listen(MAX_WAITING_CONNECTIONS)?;
         let address = listener.local_addr()?;
         Ok(Self { listener, address })
     }

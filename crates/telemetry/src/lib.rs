@@ -6,6 +6,7 @@
 //!
 //! Conventions: x forward or east, y left or north, counter-clockwise positive, SI units, headings in (-pi, pi].
 
+pub mod admission;
 pub mod clock;
 pub mod command;
 pub mod ellipse;
@@ -25,6 +26,7 @@ pub mod simulator;
 pub mod spaces;
 pub mod wiring;
 
+pub use admission::{Admission, AdmissionLimits, ClientNetwork, ConnectionUse, Occupant};
 pub use clock::{BrickClock, CameraClock, HostClock, TimeDelta, Timestamp};
 pub use command::{Command, FilterComparison, OnlineCalibration, ParameterName, ParameterStorage, Request};
 pub use ellipse::Ellipse;

@@ -30,10 +30,10 @@ function where(message) {
 
 /** A browser with a profile of its own, which `close` deletes. */
 export class Browser {
-  static async launch() {
+  static async launch({ further = [], ignoreHTTPSErrors = false } = {}) {
     const profile = await mkdtemp(path.join(os.tmpdir(), 'posebridge-browser-'));
     const context = await chromium.launchPersistentContext(profile, {
-      executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', headless: true, args: ARGUMENTS, chromiumSandbox: false,
+      executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', headless: true, args: [...ARGUMENTS, ...further], ignoreHTTPSErrors, chromiumSandbox: false,
       viewport: { width: 1440, height: 1000 }, acceptDownloads: true,
     });
     return new Browser(profile, context);

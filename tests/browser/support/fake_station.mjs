@@ -28,6 +28,7 @@ export class FakeStation {
     this.replay = null;
     this.refusal = null;
     this.isSilent = false;
+    this.canCommand = true;
     this.arena = { landmarks: [], beacons: [], walls: [] };
   }
 
@@ -57,7 +58,7 @@ export class FakeStation {
 
   hello() {
     return {
-      type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false,
+      type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false, can_command: this.canCommand,
       simulator: this.simulator && { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
       arena: this.arena,
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),

@@ -3,6 +3,7 @@ use super::*;
 use posebridge_telemetry::{Address, ScalarEstimate};
 
 use crate::model::{Message, ParameterValue, SimulatorFacts, SimulatorNow};
+use crate::token::AccessRole;
 use crate::views::tests::{estimate, fused_event, truth};
 
 fn hub() -> Hub {
@@ -96,7 +97,7 @@ fn what_stands_reaches_the_first_message_and_the_parameters() {
     let frame = hub.next_frame(Timestamp::ZERO, recording_now).unwrap();
     assert_eq!(frame.recording, Some(Some(recording_now("recording.mcap"))));
     assert_eq!(hub.parameters()[0].value, 0.5);
-    let hello = hub.hello(vec![]);
+    let hello = hub.hello(vec![], AccessRole::Operator);
     assert_eq!(hello.parameters[0].value, 0.5);
     assert_eq!(hub.state(&ServerCounters::default()).recording, Some(recording_now("recording.mcap")));
 }
@@ -112,7 +113,7 @@ fn a_new_reader_is_told_what_is_switched_off_and_how_the_brick_is_set() {
     };
     hub.push_batch(&EventBatch { status: Some(status), ..batch(0, vec![fused_event(FusionOutcome::Accepted, 2)]) });
     hub.next_frame(Timestamp::ZERO, recording_now);
-    let hello = hub.hello(vec![]);
+    let hello = hub.hello(vec![], AccessRole::Operator);
     let facts = hello.simulator.unwrap();
     assert_eq!((facts.steering, facts.link_profile), (now_set.steering.clone(), now_set.link_profile.clone()));
     assert_eq!(hello.history.simulator, Some(now_set));
@@ -164,8 +165,10 @@ fn messages_are_read_again_as_what_they_were() {
     let mut hub = hub();
     hub.push_batch(&batch(0, vec![estimated_event()]));
     let frame = hub.next_frame(Timestamp::ZERO, recording_now).unwrap();
-    for message in [Message::Frame(Box::new(frame)), Message::Hello(Box::new(hub.hello(vec![RecordingRow::default()])))]
-    {
+    for message in [
+        Message::Frame(Box::new(frame)),
+        Message::Hello(Box::new(hub.hello(vec![RecordingRow::default()], AccessRole::Operator))),
+    ] {
         let text = serde_json::to_string(&message).unwrap();
         assert_eq!(serde_json::from_str::<Message>(&text).unwrap(), message);
     }

@@ -50,6 +50,8 @@ pub struct Hello {
     pub now_s: f64,
     /// Whether a token is needed to reach this station.
     pub needs_token: bool,
+    /// Whether this reader may give commands.
+    pub can_command: bool,
     /// The simulated brick, `null` if the station has none of its own.
     pub simulator: Option<SimulatorFacts>,
     /// What stands in the arena by the configuration.

@@ -1,4 +1,4 @@
-//! Accepts connections: a limited number at a time, each with a timeout for its first request.
+//! Accepts connections: a limited number at a time, each with a timeout for the head of a request.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,11 +13,11 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
+use super::connection_table::{ConnectionSlot, ConnectionTable};
 use crate::counters::{ServerCounter, ServerCounters};
-use crate::limits::{HEAD_TIMEOUT, MAX_CONNECTIONS, MAX_HEAD_BYTES, SEND_TIMEOUT, SOCKET_BUFFER_BYTES};
+use crate::limits::{HEAD_TIMEOUT, MAX_HEAD_BYTES, SEND_TIMEOUT, SOCKET_BUFFER_BYTES};
 
 /// For connections beyond the limit.
 const BUSY_RESPONSE: &[u8] =
@@ -26,19 +26,23 @@ const BUSY_RESPONSE: &[u8] =
 /// After a failed accept, for instance without a free file descriptor.
 const RETRY_DELAY: Duration = Duration::from_millis(100);
 
-pub(crate) async fn serve(listener: TcpListener, router: Router, counts: Arc<ServerCounters>, stop: CancellationToken) {
-    let slots = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+pub(crate) async fn serve(
+    listener: TcpListener,
+    router: Router,
+    connections: Arc<ConnectionTable>,
+    counts: Arc<ServerCounters>,
+    stop: CancellationToken,
+) {
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             () = stop.cancelled() => return,
         };
-        let Ok((stream, _)) = accepted else {
+        let Ok((stream, from)) = accepted else {
             tokio::time::sleep(RETRY_DELAY).await;
             continue;
         };
-        let Some(slot) = ConnectionSlot::acquire(&slots, &counts, ServerCounter::Connections) else {
-            counts.increment(ServerCounter::TooManyConnections);
+        let Some(slot) = connections.admit(from.ip()) else {
             // The client may not even read it.
             drop(stream.try_write(BUSY_RESPONSE));
             continue;
@@ -70,42 +74,20 @@ impl Connection {
             has_requested.store(true, Ordering::Relaxed);
             TowerToHyperService::new(router.clone()).call(request)
         });
-        let served = http1::Builder::new()
+        let connection = http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(HEAD_TIMEOUT)
             .max_buf_size(MAX_HEAD_BYTES)
             .serve_connection(TokioIo::new(stream), service)
-            .with_upgrades()
-            .await;
+            .with_upgrades();
+        let served = tokio::select! {
+            served = connection => served,
+            // Made room for another, or showed a token that was revoked. A stream ends by itself.
+            () = slot.end().cancelled() => return,
+        };
         // A connection that has had a request may end in any way.
         if served.is_err() && !has_requested.load(Ordering::Relaxed) {
             counts.increment(ServerCounter::BadRequest);
         }
-    }
-}
-
-/// One of a limited number of slots; dropping it frees the slot.
-pub(super) struct ConnectionSlot {
-    counts: Arc<ServerCounters>,
-    count: ServerCounter,
-    _permit: OwnedSemaphorePermit,
-}
-
-impl ConnectionSlot {
-    /// `None` if no slot is free.
-    pub(super) fn acquire(
-        semaphore: &Arc<Semaphore>,
-        counts: &Arc<ServerCounters>,
-        count: ServerCounter,
-    ) -> Option<Self> {
-        let permit = Arc::clone(semaphore).try_acquire_owned().ok()?;
-        counts.increment(count);
-        Some(Self { counts: Arc::clone(counts), count, _permit: permit })
-    }
-}
-
-impl Drop for ConnectionSlot {
-    fn drop(&mut self) {
-        self.counts.decrement(self.count);
     }
 }

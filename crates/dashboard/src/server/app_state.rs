@@ -23,6 +23,7 @@ use crate::limits::COMMANDS_PER_S;
 use crate::model::{RecordingRow, Refusal};
 use crate::recordings::RecordingFolder;
 use crate::taps::CommandSubmitter;
+use crate::token::AccessRole;
 
 pub(crate) struct AppState {
     pub(crate) guard: RequestGuard,
@@ -38,13 +39,17 @@ pub(crate) struct AppState {
     pub(crate) replay: Box<ReplayLoader>,
     /// One replay at a time, because it takes a core.
     pub(crate) replay_slot: Arc<Semaphore>,
-    pub(crate) reader_slots: Arc<Semaphore>,
     pub(crate) stop: CancellationToken,
 }
 
 impl AppState {
-    /// Sends a command to the station; returns its name, or the status and reason of a rejection.
-    pub(super) fn submit_command(&self, text: &[u8]) -> Result<&'static str, (StatusCode, String)> {
+    /// Sends a command of somebody with this role to the station; returns its name, or the status and reason of a rejection.
+    pub(super) fn submit_command(&self, role: AccessRole, text: &[u8]) -> Result<&'static str, (StatusCode, String)> {
+        if role != AccessRole::Operator {
+            self.counts.increment(ServerCounter::WrongRole);
+            let why = "this token only lets you look; a command needs the token of an operator".to_owned();
+            return Err((StatusCode::FORBIDDEN, why));
+        }
         let read = command::parse(text).and_then(|parsed| {
             self.command_context.validate(parsed.name, &parsed.command)?;
             Ok(parsed)

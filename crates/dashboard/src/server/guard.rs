@@ -2,10 +2,11 @@
 //!
 //! On loopback every local program has access, but not the page of a foreign origin that a browser has open: a request
 //! must name this station as its Host, which stops DNS rebinding, and its Origin, if it has one, must be the same. From
-//! other computers the station requires its token as well.
+//! other computers, and through a proxy, the station requires a token as well, which says what its owner may do.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr as _;
+use std::sync::Arc;
 
 use axum::extract::Request;
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, ORIGIN};
@@ -13,15 +14,22 @@ use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 
 use crate::counters::ServerCounter;
-use crate::token::AccessToken;
+use crate::token::{AccessRole, GrantId, TokenTable};
 
 /// Default of a Host header.
 const HTTP_PORT: u16 = 80;
 
+/// What proxies add to a request that they pass on.
+const PROXY_HEADERS: [&str; 6] =
+    ["forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip", "via"];
+
 #[derive(Debug)]
 pub(crate) struct RequestGuard {
     address: SocketAddr,
-    token: Option<AccessToken>,
+    /// Under which a proxy serves this station; with any port if there is none in a name.
+    public_names: Vec<Authority>,
+    /// `None` if everybody who can connect is an operator.
+    tokens: Option<Arc<TokenTable>>,
 }
 
 #[derive(Debug, PartialEq, Eq)]
@@ -31,16 +39,21 @@ pub(super) struct RequestDenial {
     pub(super) why: String,
 }
 
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum RequestAdmission {
-    Plain,
-    /// Serve the response, and set a cookie with the token from the URL.
-    WithCookie,
+/// What a request may do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct RequestAdmission {
+    pub(super) role: AccessRole,
+    /// Of the token that it showed.
+    pub(super) grant: Option<GrantId>,
+    /// To be set with the response: the token from the URL.
+    pub(super) cookie: Option<HeaderValue>,
 }
 
 impl RequestGuard {
-    pub(crate) const fn new(address: SocketAddr, token: Option<AccessToken>) -> Self {
-        Self { address, token }
+    /// `public_names` are hosts, each perhaps with a port; those that are none were refused with the configuration.
+    pub(crate) fn new(address: SocketAddr, public_names: &[String], tokens: Option<Arc<TokenTable>>) -> Self {
+        let public_names = public_names.iter().filter_map(|name| Authority::from_str(name).ok()).collect();
+        Self { address, public_names, tokens }
     }
 
     pub(super) fn check(&self, request: &Request) -> Result<RequestAdmission, RequestDenial> {
@@ -72,7 +85,15 @@ impl RequestGuard {
         }
         // From other computers this one may have any name; there the token decides.
         let is_port = named.port_u16().unwrap_or(HTTP_PORT) == self.address.port();
-        !self.address.ip().is_loopback() || (is_port && is_loopback(named.host()))
+        !self.address.ip().is_loopback() || (is_port && is_loopback(named.host())) || self.is_public_name(named)
+    }
+
+    fn is_public_name(&self, named: &Authority) -> bool {
+        let mut names = self.public_names.iter();
+        names.any(|name| {
+            name.host().eq_ignore_ascii_case(named.host())
+                && name.port_u16().is_none_or(|port| named.port_u16() == Some(port))
+        })
     }
 
     fn wrong_host(&self, found: &str) -> RequestDenial {
@@ -90,33 +111,39 @@ impl RequestGuard {
     }
 
     fn check_token(&self, request: &Request, host: &str) -> Result<RequestAdmission, RequestDenial> {
-        let Some(token) = &self.token else {
-            return Ok(RequestAdmission::Plain);
-        };
         let headers = request.headers();
+        let Some(tokens) = &self.tokens else {
+            if PROXY_HEADERS.iter().any(|name| headers.contains_key(*name)) {
+                return Err(unknown_proxy_denial());
+            }
+            return Ok(RequestAdmission { role: AccessRole::Operator, grant: None, cookie: None });
+        };
+        let admitted = |(grant, role)| RequestAdmission { role, grant: Some(grant), cookie: None };
         let bearer = headers.get(AUTHORIZATION);
         let bearer = bearer.and_then(|value| value.to_str().ok()?.split_once(' '));
         // The name of a scheme is case-insensitive (RFC 9110, section 11.1).
-        if bearer
-            .is_some_and(|(scheme, candidate)| scheme.eq_ignore_ascii_case("bearer") && token.matches(candidate.trim()))
-        {
-            return Ok(RequestAdmission::Plain);
+        let bearer = bearer.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"));
+        if let Some(found) = bearer.and_then(|(_, candidate)| tokens.find(candidate.trim())) {
+            return Ok(admitted(found));
         }
-        let name = self.cookie_name();
-        if cookies(headers, &name).any(|candidate| token.matches(candidate)) {
-            return Ok(RequestAdmission::Plain);
-        }
+        // Before the cookie: somebody may open an address with another role than the last one.
         let query = request.uri().query().unwrap_or_default();
         let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
-        if pairs.any(|(key, candidate)| key == "token" && token.matches(candidate)) {
-            return Ok(RequestAdmission::WithCookie);
+        let shown =
+            pairs.find_map(|(key, candidate)| Some((candidate, tokens.find(candidate).filter(|_| key == "token")?)));
+        if let Some((token, found)) = shown {
+            return Ok(RequestAdmission { cookie: self.cookie(token, headers), ..admitted(found) });
+        }
+        let name = self.cookie_name();
+        if let Some(found) = cookies(headers, &name).find_map(|candidate| tokens.find(candidate)) {
+            return Ok(admitted(found));
         }
         Err(RequestDenial {
             count: ServerCounter::WrongToken,
             status: StatusCode::UNAUTHORIZED,
             why: format!(
-                "this station wants the token that it printed when it started: http://{host}/?token=TOKEN, or the header \
-                 Authorization: Bearer TOKEN"
+                "this station wants a token, such as the one that it printed when it started: http://{host}/?token=TOKEN, or the \
+                 header Authorization: Bearer TOKEN"
             ),
         })
     }
@@ -127,10 +154,12 @@ impl RequestGuard {
         format!("posebridge_{}", self.address.port())
     }
 
-    pub(super) fn cookie(&self) -> Option<HeaderValue> {
-        let token = self.token.as_ref()?.expose();
+    /// A cookie with a valid token. What came over TLS is not sent again without: a proxy tells, and who lies about it has a useless cookie.
+    fn cookie(&self, token: &str, headers: &HeaderMap) -> Option<HeaderValue> {
         let name = self.cookie_name();
-        let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict");
+        let is_secure = headers.get("x-forwarded-proto").is_some_and(|value| value.as_bytes() == b"https");
+        let secure = if is_secure { "; Secure" } else { "" };
+        let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict{secure}");
         HeaderValue::from_str(&cookie).ok()
     }
 }
@@ -170,6 +199,16 @@ fn check_site(request: &Request) -> Result<(), RequestDenial> {
     if is_visit { Ok(()) } else { Err(foreign_origin_denial()) }
 }
 
+fn unknown_proxy_denial() -> RequestDenial {
+    RequestDenial {
+        count: ServerCounter::UnknownProxy,
+        status: StatusCode::FORBIDDEN,
+        why: "a proxy passed this request on, and this station asks for no token: write the proxy's public name into \
+              `dashboard.public_names` (docs/dashboard.md)"
+            .to_owned(),
+    }
+}
+
 fn foreign_origin_denial() -> RequestDenial {
     RequestDenial {
         count: ServerCounter::WrongOrigin,
@@ -194,9 +233,13 @@ mod tests {
 
     use axum::body::Body;
 
+    use crate::token::{AccessToken, TokenGrant};
+
     fn guard(token: Option<&AccessToken>) -> RequestGuard {
         let ip = if token.is_some() { "192.0.2.7" } else { "127.0.0.1" };
-        RequestGuard::new(format!("{ip}:4680").parse().unwrap(), token.cloned())
+        let grant = |token: &AccessToken| TokenGrant { token: token.clone(), role: AccessRole::Reader };
+        let tokens = token.map(|token| Arc::new(TokenTable::new(vec![grant(token)])));
+        RequestGuard::new(format!("{ip}:4680").parse().unwrap(), &[], tokens)
     }
 
     fn request(path: &str, headers: &[(&str, &str)]) -> Request {
@@ -310,9 +353,9 @@ mod tests {
         assert_eq!(with("cookie", &cookie(&token)), None);
         assert_eq!(with("cookie", &cookie(&other)), Some(ServerCounter::WrongToken));
         let by_query = format!("/?theme=dark&token={}", token.expose());
-        let admitted = guard.check(&request(&by_query, &[host]));
-        assert_eq!(admitted, Ok(RequestAdmission::WithCookie));
-        let cookie = guard.cookie().unwrap();
+        let admitted = guard.check(&request(&by_query, &[host])).unwrap();
+        assert_eq!(admitted.role, AccessRole::Reader);
+        let cookie = admitted.cookie.unwrap();
         let cookie = cookie.to_str().unwrap();
         let (value, attributes) = cookie.split_once("; ").unwrap();
         assert_eq!(attributes, "Path=/; HttpOnly; SameSite=Strict");
@@ -320,6 +363,35 @@ mod tests {
         // A foreign page has the browser's cookie, but its own origin.
         let foreign = [host, ("cookie", value), ("origin", "http://evil.example")];
         assert_eq!(refused(&guard, "/", &foreign), Some(ServerCounter::WrongOrigin));
+    }
+
+    #[test]
+    fn behind_a_proxy_the_public_name_is_this_station_and_cookies_stay_on_tls() {
+        let token = AccessToken::random().unwrap();
+        let grant = TokenGrant { token: token.clone(), role: AccessRole::Operator };
+        let names = ["robots.example".to_owned(), "other.example:8443".to_owned()];
+        let tokens = Some(Arc::new(TokenTable::new(vec![grant])));
+        let guard = RequestGuard::new("127.0.0.1:4680".parse().unwrap(), &names, tokens);
+        let path = format!("/?token={}", token.expose());
+        for host in ["robots.example", "Robots.Example:8443", "other.example:8443", "127.0.0.1:4680"] {
+            assert_eq!(refused(&guard, &path, &[("host", host)]), None, "{host}");
+            assert_eq!(refused(&guard, "/", &[("host", host)]), Some(ServerCounter::WrongToken), "{host}");
+        }
+        for host in ["evil.example", "other.example", "robots.example.evil.example"] {
+            assert_eq!(refused(&guard, &path, &[("host", host)]), Some(ServerCounter::WrongHost), "{host}");
+        }
+        let https = [("host", "robots.example"), ("origin", "https://robots.example"), ("x-forwarded-proto", "https")];
+        let cookie = guard.check(&request(&path, &https)).unwrap().cookie.unwrap();
+        assert!(cookie.to_str().unwrap().ends_with("; SameSite=Strict; Secure"));
+    }
+
+    #[test]
+    fn a_proxy_in_front_of_a_station_without_tokens_opens_it_to_nobody() {
+        let guard = guard(None);
+        for header in PROXY_HEADERS {
+            let headers = [("host", "localhost:4680"), (header, "192.0.2.9")];
+            assert_eq!(refused(&guard, "/v1/state", &headers), Some(ServerCounter::UnknownProxy), "{header}");
+        }
     }
 
     #[test]

@@ -14,14 +14,15 @@ use crate::limits::{MAX_WAITING_FRAMES, TICK};
 use crate::model::{Message, RecordingRow};
 use crate::recordings::RecordingFolder;
 use crate::taps::FrameTaps;
+use crate::token::AccessRole;
 
 /// Bound per tick; with more, the next message would be late.
 const MAX_BATCHES_PER_TICK: usize = 6_000;
 const MAX_TRUTH_PER_TICK: usize = 1_024;
 
 pub(crate) enum HubQuery {
-    /// The first message and a receiver of the following ones.
-    Hello(Vec<RecordingRow>, oneshot::Sender<StreamStart>),
+    /// The first message, to somebody with this role, and a receiver of the following ones.
+    Hello(Vec<RecordingRow>, AccessRole, oneshot::Sender<StreamStart>),
     Text(Topic, oneshot::Sender<String>),
     Recording(oneshot::Sender<Option<String>>),
 }
@@ -99,8 +100,8 @@ fn broadcast_frame(hub: &mut Hub, inputs: &mut HubInputs, frames: &broadcast::Se
 
 fn answer_query(hub: &Hub, counts: &ServerCounters, query: HubQuery, frames: &broadcast::Sender<Utf8Bytes>) {
     match query {
-        HubQuery::Hello(recordings, reply) => {
-            let hello = to_json(&Message::Hello(Box::new(hub.hello(recordings))));
+        HubQuery::Hello(recordings, role, reply) => {
+            let hello = to_json(&Message::Hello(Box::new(hub.hello(recordings, role))));
             // The client may have left.
             drop(reply.send(StreamStart { hello: hello.into(), frames: frames.subscribe() }));
         }

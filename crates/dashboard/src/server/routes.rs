@@ -2,10 +2,11 @@
 
 use std::future::{Ready, ready};
 use std::path::PathBuf;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 
-use axum::Router;
-use axum::body::{Body, Bytes};
+use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::rejection::{BytesRejection, PathRejection};
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
 use axum::http::header::{
@@ -16,11 +17,14 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse as _, Response};
 use axum::routing::{MethodRouter, get, post};
+use axum::{Extension, Router};
+use hyper::body::{Frame, SizeHint};
 use tokio::io::AsyncReadExt as _;
 use tokio::time::timeout;
 use tokio_util::io::ReaderStream;
 
 use super::app_state::{AppState, refusal_response, with_content_type};
+use super::connection_table::{ConnectionSlot, OpenRequest};
 use super::guard::RequestAdmission;
 use super::hub_task::{Topic, to_json};
 use super::stream;
@@ -66,10 +70,13 @@ fn text(topic: Topic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
 }
 
 /// Checks and routes a request; every response gets security headers for browsers.
-async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -> Response {
+async fn admit(State(app): State<Arc<AppState>>, mut request: Request, next: Next) -> Response {
     let admitted = app.guard.check(&request);
     let mut response = match admitted {
         Ok(admission) => {
+            let connection = request.extensions().get::<Arc<ConnectionSlot>>();
+            let open = connection.map(|connection| connection.begin_request(admission.grant));
+            request.extensions_mut().insert(admission.clone());
             let limit = if request.uri().path().ends_with("/replay") { REPLAY_TIMEOUT } else { REQUEST_TIMEOUT };
             let answer = timeout(limit, next.run(request)).await;
             let mut response = answer.unwrap_or_else(|_too_slow| {
@@ -77,10 +84,10 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
                 let why = "the request took too long".to_owned();
                 refusal_response(StatusCode::REQUEST_TIMEOUT, why)
             });
-            if let (RequestAdmission::WithCookie, Some(cookie)) = (admission, app.guard.cookie()) {
+            if let Some(cookie) = admission.cookie {
                 response.headers_mut().insert(SET_COOKIE, cookie);
             }
-            response
+            response.map(|body| Body::new(OpenBody { body, _open: open }))
         }
         Err(denial) => {
             app.counts.increment(denial.count);
@@ -101,6 +108,32 @@ async fn admit(State(app): State<Arc<AppState>>, request: Request, next: Next) -
         headers.insert(name, HeaderValue::from_static(value));
     }
     response
+}
+
+/// A body whose connection is in use until it was sent.
+struct OpenBody {
+    body: Body,
+    _open: Option<OpenRequest>,
+}
+
+impl HttpBody for OpenBody {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
 }
 
 fn accepts_page(headers: &HeaderMap) -> bool {
@@ -186,7 +219,12 @@ async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
 }
 
 /// The log shows the result.
-async fn command(State(app): SharedApp, headers: HeaderMap, body: Result<Bytes, BytesRejection>) -> Response {
+async fn command(
+    State(app): SharedApp,
+    Extension(admission): Extension<RequestAdmission>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
     if !is_json(&headers) {
         let why = "a command has the header Content-Type: application/json".to_owned();
         return app.bad_request(StatusCode::UNSUPPORTED_MEDIA_TYPE, why);
@@ -195,7 +233,7 @@ async fn command(State(app): SharedApp, headers: HeaderMap, body: Result<Bytes, 
         Ok(body) => body,
         Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
-    match app.submit_command(&body) {
+    match app.submit_command(admission.role, &body) {
         Ok(name) => {
             let accepted = Accepted { accepted: name.to_owned() };
             (StatusCode::ACCEPTED, axum::Json(accepted)).into_response()

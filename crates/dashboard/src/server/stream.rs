@@ -8,7 +8,7 @@ use std::sync::Arc;
 use axum::Extension;
 use axum::extract::State;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::ws::{Message as Packet, Utf8Bytes, WebSocket, WebSocketUpgrade};
+use axum::extract::ws::{CloseFrame, Message as Packet, Utf8Bytes, WebSocket, WebSocketUpgrade, close_code};
 use axum::http::StatusCode;
 use axum::response::Response;
 use tokio::sync::broadcast::error::RecvError;
@@ -16,12 +16,14 @@ use tokio::sync::oneshot;
 use tokio::time::{interval, timeout};
 use tungstenite::error::ProtocolError;
 
-use super::accept::ConnectionSlot;
 use super::app_state::{AppState, refusal_response};
+use super::connection_table::ConnectionSlot;
+use super::guard::RequestAdmission;
 use super::hub_task::{HubQuery, StreamStart};
 use crate::counters::ServerCounter;
-use crate::limits::{MAX_CLIENTS, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
+use crate::limits::{FAREWELL_TIMEOUT, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
 use crate::model::{Message, Refusal};
+use crate::token::AccessRole;
 
 /// End of a message if none were missed.
 const NONE_MISSED_SUFFIX: &str = "\"dropped\":0}";
@@ -29,6 +31,7 @@ const NONE_MISSED_SUFFIX: &str = "\"dropped\":0}";
 pub(super) async fn open(
     State(app): State<Arc<AppState>>,
     Extension(connection): Extension<Arc<ConnectionSlot>>,
+    Extension(admission): Extension<RequestAdmission>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let upgrade = match upgrade {
@@ -36,24 +39,31 @@ pub(super) async fn open(
         Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
     // Acquired here and not by the stream itself, which begins after the response.
-    let Some(slot) = ConnectionSlot::acquire(&app.reader_slots, &app.counts, ServerCounter::Clients) else {
+    if !connection.become_reader(admission.role) {
         app.counts.increment(ServerCounter::TooManyClients);
-        let why = format!("{MAX_CLIENTS} readers are here already; close one");
+        let why = "too many readers are here already; close one".to_owned();
         return refusal_response(StatusCode::SERVICE_UNAVAILABLE, why);
-    };
+    }
+    let open = connection.begin_request(admission.grant);
     upgrade
         .max_message_size(MAX_MESSAGE_BYTES)
         .max_frame_size(MAX_MESSAGE_BYTES)
         .max_write_buffer_size(WRITE_BUFFER_BYTES)
         .on_upgrade(move |socket| async move {
-            serve(app, socket).await;
-            drop((slot, connection));
+            serve(app, socket, admission.role, &connection).await;
+            drop(open);
         })
 }
 
-async fn serve(app: Arc<AppState>, socket: WebSocket) {
-    let mut client = StreamClient { app: Arc::clone(&app), socket, missed: 0, has_responded: true };
-    if client.run().await == StreamEnd::Dropped {
+async fn serve(app: Arc<AppState>, socket: WebSocket, role: AccessRole, connection: &ConnectionSlot) {
+    let mut client = StreamClient { app: Arc::clone(&app), socket, role, missed: 0, has_responded: true };
+    let ended = tokio::select! {
+        ended = client.run() => ended,
+        // At once, also where a message is stuck on its way to the reader.
+        () = connection.end().cancelled() => client.say_revoked().await,
+    };
+    connection.stop_reading();
+    if ended == StreamEnd::Dropped {
         app.counts.increment(ServerCounter::ClientsDropped);
     }
 }
@@ -69,6 +79,7 @@ enum StreamEnd {
 struct StreamClient {
     app: Arc<AppState>,
     socket: WebSocket,
+    role: AccessRole,
     missed: u64,
     /// Whether it has sent anything since the last ping.
     has_responded: bool,
@@ -78,7 +89,7 @@ impl StreamClient {
     async fn run(&mut self) -> StreamEnd {
         let rows = self.app.recording_rows().await;
         let (reply, answer) = oneshot::channel();
-        drop(self.app.queries.send(HubQuery::Hello(rows, reply)).await);
+        drop(self.app.queries.send(HubQuery::Hello(rows, self.role, reply)).await);
         let Ok(StreamStart { hello, mut frames }) = answer.await else {
             return StreamEnd::Closed;
         };
@@ -104,7 +115,7 @@ impl StreamClient {
         self.has_responded = true;
         match packet {
             None | Some(Ok(Packet::Close(_))) => Err(StreamEnd::Closed),
-            Some(Ok(Packet::Text(text))) => match self.app.submit_command(text.as_bytes()) {
+            Some(Ok(Packet::Text(text))) => match self.app.submit_command(self.role, text.as_bytes()) {
                 Ok(_) => Ok(()),
                 Err((_, why)) => self.send_error(why).await,
             },
@@ -139,6 +150,13 @@ impl StreamClient {
             return Err(StreamEnd::Dropped);
         }
         self.send(Packet::Ping(axum::body::Bytes::new())).await
+    }
+
+    async fn say_revoked(&mut self) -> StreamEnd {
+        let frame = CloseFrame { code: close_code::POLICY, reason: "the token was revoked".into() };
+        // The reader may not even read it.
+        drop(timeout(FAREWELL_TIMEOUT, self.socket.send(Packet::Close(Some(frame)))).await);
+        StreamEnd::Closed
     }
 
     async fn send_error(&mut self, error: String) -> Result<(), StreamEnd> {

@@ -139,6 +139,61 @@ fn status_of(stream: &mut TcpStream) -> String {
 }
 
 #[test]
+fn idle_and_half_open_connections_keep_nobody_out() {
+    for policy in [TokenPolicy::RemoteOnly, TokenPolicy::Always] {
+        let played = TestStation::start(policy);
+        let address = played.address();
+        let url = played.dashboard.url().unwrap();
+        let authorization = url.split_once("token=").map(|(_, token)| format!("authorization: Bearer {token}\r\n"));
+        let authorization = authorization.unwrap_or_default();
+        let mut crowd: Vec<TcpStream> = (0..300).map(|_| connect(address)).collect();
+        for half_open in crowd.iter_mut().step_by(2) {
+            // It may have made room for another already.
+            drop(half_open.write_all(b"GET /v1/state HTTP/1.1\r\nx-slow: "));
+        }
+        for _ in 0..20 {
+            assert_eq!(request(address, "GET /v1/robots", &authorization, b"").status, 200, "{policy:?}");
+        }
+        let page = request(address, "GET /metrics", &authorization, b"").text();
+        let number = |name: &str| -> f64 {
+            let line = page.lines().find_map(|line| line.strip_prefix("posebridge_dashboard_")?.strip_prefix(name));
+            line.unwrap().trim().parse().unwrap()
+        };
+        // 192 of one address are there at a time.
+        assert!(number("connections_replaced_total ") >= 108.0, "{page}");
+        assert!(number("connections ") <= 192.0, "those that made room were closed: {page}");
+        assert!(page.contains("refused_total{reason=\"connections\"} 0\n"), "{page}");
+    }
+}
+
+#[test]
+fn a_download_keeps_its_place_however_slowly_it_is_read() {
+    let played = TestStation::start(TokenPolicy::RemoteOnly);
+    let address = played.address();
+    // More than the system keeps for a reader.
+    let bytes = vec![7; 32_000_000];
+    played.record("recording.mcap", &bytes);
+    let ask = |path: &str| {
+        let mut stream = connect(address);
+        let request = format!("GET {path} HTTP/1.1\r\nhost: {address}\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        assert_eq!(status_of(&mut stream), "200");
+        stream
+    };
+    let mut download = ask("/v1/recordings/recording.mcap");
+    let _served: Vec<TcpStream> = (0..250).map(|_| ask("/v1/robots")).collect();
+    assert!(metric(address, "posebridge_dashboard_connections_replaced_total") >= 59.0);
+    let mut received = Vec::new();
+    while received.len() < bytes.len() {
+        let mut part = vec![0; 1_000_000];
+        let count = download.read(&mut part).unwrap();
+        assert!(count > 0, "closed after {} bytes", received.len());
+        received.extend_from_slice(&part[..count]);
+    }
+    assert!(received.ends_with(&bytes[..31_000_000]));
+}
+
+#[test]
 fn readers_that_come_all_at_once_are_no_more_than_there_is_room_for() {
     let played = TestStation::start(TokenPolicy::RemoteOnly);
     let address = played.address();

@@ -1,5 +1,9 @@
 //! Streams, commands, access and files.
 
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+
 use posebridge_dashboard::model::{Message, State};
 use posebridge_dashboard::{
     BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, FrameTaps, ListenAddress, StationInfo,
@@ -122,6 +126,108 @@ fn a_token_opens_the_station_and_a_wrong_one_does_not() {
     assert!(metrics.contains("refused_total{reason=\"token\"} 2\n"), "{metrics}");
     let hello_needs = request(address, "GET /v1/stream", &bearer, b"");
     assert_eq!(hello_needs.status, 400, "it is no upgrade, but it was let in");
+}
+
+#[test]
+fn who_may_only_look_sees_everything_and_commands_nothing() {
+    let played = TestStation::start(TokenPolicy::Always);
+    let address = played.address();
+    let token_in = |url: String| url.split_once("?token=").unwrap().1.to_owned();
+    let operator = token_in(played.dashboard.url().unwrap());
+    let reader = token_in(played.dashboard.reader_url().unwrap());
+    let json = "content-type: application/json\r\n";
+    let command = |token: &str| {
+        let headers = format!("{json}authorization: Bearer {token}\r\n");
+        request(address, "POST /v1/commands", &headers, br#"{"command":"reset-pose"}"#)
+    };
+    let refused = command(&reader);
+    assert_eq!(refused.status, 403);
+    assert_eq!(refused.error(), "this token only lets you look; a command needs the token of an operator");
+    let mut looking = StreamReader::open_as(address, &reader);
+    assert_eq!(looking.next()["can_command"], false);
+    looking.send(r#"{"command":"reset-pose"}"#);
+    let error = looking.wait_for(|message| message["type"] == "error");
+    assert_eq!(error["error"], "this token only lets you look; a command needs the token of an operator");
+    let bearer = format!("authorization: Bearer {reader}\r\n");
+    let metrics = request(address, "GET /metrics", &bearer, b"").text();
+    assert!(metrics.contains("refused_total{reason=\"role\"} 2\n"), "{metrics}");
+    let mut commands = played.commands;
+    assert!(commands.try_recv().is_err(), "nothing reached the station");
+    assert_eq!(StreamReader::open_as(address, &operator).next()["can_command"], true);
+    assert_eq!(command(&operator).status, 202);
+    assert_eq!(commands.try_recv().unwrap(), Input::Command(Command::ResetPose));
+}
+
+/// Replaces a file of tokens as a person would, for its owner alone.
+fn write_tokens(path: &Path, text: &str) {
+    let new = path.with_extension("new");
+    std::fs::write(&new, text).unwrap();
+    std::fs::set_permissions(&new, Permissions::from_mode(0o600)).unwrap();
+    std::fs::rename(&new, path).unwrap();
+}
+
+#[test]
+fn a_token_that_is_taken_out_of_its_file_ends_its_sessions_and_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tokens");
+    write_tokens(&path, "operator teacher-teacher-1\nreader student-student-1\n");
+    let facts = StationInfo { token: TokenPolicy::Always, token_file: Some(path.clone()), ..StationInfo::default() };
+    let played = TestStation::with(facts, ManualClock::running());
+    let address = played.address();
+    assert!(played.dashboard.urls().iter().all(|url| !url.contains("token")), "people have them already");
+    let mut teacher = StreamReader::open_as(address, "teacher-teacher-1");
+    teacher.next();
+    let student = StreamReader::open_as(address, "student-student-1");
+    // One that reads nothing, with more on its way than there is room for.
+    let stuck = StreamReader::open_as(address, "student-student-1");
+    for _ in 0..150 {
+        let events = (0..250).map(|line| text_event(&format!("{line:04}{}", "x".repeat(986))));
+        played.publish(events.collect());
+        teacher.wait_for(|message| message["log"].as_array().is_some_and(|log| !log.is_empty()));
+    }
+
+    write_tokens(&path, "operator teacher-teacher-1\nreader other-student-22\n");
+    assert_eq!(student.close_reason().as_deref(), Some("the token was revoked"));
+    let status = |token: &str| {
+        let bearer = format!("authorization: Bearer {token}\r\n");
+        request(address, "GET /v1/robots", &bearer, b"").status
+    };
+    assert_eq!((status("student-student-1"), status("other-student-22"), status("teacher-teacher-1")), (401, 200, 200));
+    let bearer = "authorization: Bearer teacher-teacher-1\r\n";
+    let clients = "posebridge_dashboard_clients 1\n";
+    while !request(address, "GET /metrics", bearer, b"").text().contains(clients) {
+        teacher.next();
+    }
+    let metrics = request(address, "GET /metrics", bearer, b"").text();
+    assert!(metrics.contains("clients_dropped_total 0\n"), "the stuck one was not waited for: {metrics}");
+    drop(stuck);
+}
+
+#[test]
+fn a_file_of_tokens_with_an_error_locks_nobody_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tokens");
+    write_tokens(&path, "operator teacher-teacher-1\nreader student-student-1\n");
+    let facts = StationInfo { token: TokenPolicy::Always, token_file: Some(path.clone()), ..StationInfo::default() };
+    let played = TestStation::with(facts, ManualClock::running());
+    let address = played.address();
+    let student = StreamReader::open_as(address, "student-student-1");
+    write_tokens(&path, "operatr teacher-teacher-1\n");
+    let status = |token: &str| {
+        let bearer = format!("authorization: Bearer {token}\r\n");
+        request(address, "GET /v1/robots", &bearer, b"").status
+    };
+    // Messages come at least fifty times a second: more than a look at the file goes by.
+    let mut teacher = StreamReader::open_as(address, "teacher-teacher-1");
+    teacher.next();
+    for number in 0..80 {
+        played.publish(vec![text_event(&format!("{number}"))]);
+        teacher.wait_for(|message| log_contains(&message["log"], &format!("1/1: {number}")));
+    }
+    assert_eq!((status("student-student-1"), status("teacher-teacher-1")), (200, 200));
+    write_tokens(&path, "");
+    assert_eq!(student.close_reason().as_deref(), Some("the token was revoked"));
+    assert_eq!(teacher.close_reason().as_deref(), Some("the token was revoked"));
 }
 
 #[test]

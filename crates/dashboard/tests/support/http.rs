@@ -121,7 +121,16 @@ pub(crate) struct StreamReader {
 impl StreamReader {
     /// Opens the stream.
     pub(crate) fn open(address: SocketAddr) -> Self {
-        let url = format!("ws://{address}/v1/stream");
+        Self::open_at(address, "/v1/stream")
+    }
+
+    /// Opens the stream with a token.
+    pub(crate) fn open_as(address: SocketAddr, token: &str) -> Self {
+        Self::open_at(address, &format!("/v1/stream?token={token}"))
+    }
+
+    fn open_at(address: SocketAddr, path: &str) -> Self {
+        let url = format!("ws://{address}{path}");
         let request = url.into_client_request().expect("a request");
         let (socket, _) = tungstenite::client(request, connect(address)).expect("the stream is opened");
         Self { socket }
@@ -165,6 +174,17 @@ impl StreamReader {
     /// The connection below, for what no WebSocket sends.
     pub(crate) fn raw(&mut self) -> &mut TcpStream {
         self.socket.get_mut()
+    }
+
+    /// Reads until the other side closes it; returns the reason that it gave.
+    pub(crate) fn close_reason(mut self) -> Option<String> {
+        loop {
+            match self.socket.read() {
+                Ok(Message::Close(frame)) => return frame.map(|frame| frame.reason.to_string()),
+                Ok(_) => {}
+                Err(_) => return None,
+            }
+        }
     }
 
     /// Reads until the other side ends it.

@@ -6,6 +6,7 @@
 mod adapters;
 mod bluetooth;
 mod conformance;
+mod crowd;
 mod ev3;
 mod file;
 mod flood;
