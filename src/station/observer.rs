@@ -26,7 +26,7 @@ pub struct Observer {
 }
 
 /// What remains of an observer.
-pub struct Observed {
+pub struct ObserverResults {
     pub collectors: PerRobot<EventCollector>,
     pub dropped: u64,
     /// Whether the event file is whole, if there is one.
@@ -59,11 +59,11 @@ impl Observer {
     }
 
     /// Ends the threads.
-    pub fn finish(self) -> Result<Observed> {
+    pub fn finish(self) -> Result<ObserverResults> {
         drop(self.sender);
         let collectors = self.thread.join().map_err(|_panic| anyhow!("the observer's thread died"))?;
         let event_file = self.file.map_or(Ok(()), EventFileWriter::finish);
-        Ok(Observed { collectors, dropped: self.dropped, event_file })
+        Ok(ObserverResults { collectors, dropped: self.dropped, event_file })
     }
 }
 

@@ -13,7 +13,7 @@ use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
 use super::links::{FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
 use super::live_status::{ErrorToTruth, LiveView};
-use super::observer::{Observed, Observer};
+use super::observer::{Observer, ObserverResults};
 use super::per_robot::PerRobot;
 use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
@@ -226,7 +226,7 @@ fn close(station_loop: StationLoop) -> Result<StoppedStation> {
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         print_line("the telemetry log has holes: the disk was too slow for it");
     }
-    let Observed { collectors, dropped, event_file } = observer.finish()?;
+    let ObserverResults { collectors, dropped, event_file } = observer.finish()?;
     failures.record(event_file);
     if dropped > 0 {
         tracing::warn!(dropped, "events are missing in the tables: this computer was too slow for them");

@@ -336,6 +336,10 @@ struct NewestPeers(BTreeMap<LinkId, PeerId>);
 impl NewestPeers {
     /// The input that gives the address of a peer whose first bytes these are, if it has one.
     fn address_of_new(&mut self, links: &LinkSet, input: &Input) -> Option<Input> {
+        if let Input::Link { link, .. } = input {
+            // It numbers its peers anew.
+            self.0.remove(link);
+        }
         let Input::Bytes { link, peer, .. } = *input else {
             return None;
         };

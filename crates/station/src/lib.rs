@@ -7,6 +7,7 @@
 //! bytes > framing > messages > readings > clock > estimator > publisher > events, bytes
 //! ```
 
+mod camera_fixes;
 mod camera_table;
 pub mod clock;
 mod clock_alignment;

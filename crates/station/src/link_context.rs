@@ -151,6 +151,10 @@ impl LinkContext {
                 self.ground_stations.clear();
                 self.parameter_clients.clear();
                 self.forwarding.clear();
+                self.hosts.clear();
+                if let Some(pins) = &mut self.pins {
+                    pins.handle_link_loss();
+                }
             }
             (LinkState::Up, LinkState::Up) => {}
         }

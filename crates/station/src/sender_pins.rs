@@ -57,7 +57,8 @@ pub(crate) struct SenderPins {
 
 #[derive(Clone, Copy, Debug)]
 struct Owner {
-    peer: PeerId,
+    /// `None` after the link was lost: it numbers its peers anew.
+    peer: Option<PeerId>,
     host: Option<IpAddr>,
     last_seen: Timestamp<HostClock>,
     reported: Option<Timestamp<HostClock>>,
@@ -73,25 +74,33 @@ impl SenderPins {
         self.policy != PinPolicy::Key
     }
 
+    /// The link was lost: an owner that is known by its peer alone is forgotten.
+    pub(crate) fn handle_link_loss(&mut self) {
+        match self.policy {
+            PinPolicy::First => self.owners.clear(),
+            PinPolicy::Address | PinPolicy::Key => self.owners.values_mut().for_each(|owner| owner.peer = None),
+        }
+    }
+
     pub(crate) fn check(&mut self, now: Timestamp<HostClock>, claim: IdentityClaim) -> PinVerdict {
         let IdentityClaim { ids, has_observation, peer, host, is_signed } = claim;
         let is_full = self.owners.len() >= MAX_PEERS;
         let Some(owner) = self.owners.get_mut(&ids) else {
             let may_own = self.policy != PinPolicy::Key || is_signed;
             if has_observation && may_own && !is_full {
-                self.owners.insert(ids, Owner { peer, host, last_seen: now, reported: None });
+                self.owners.insert(ids, Owner { peer: Some(peer), host, last_seen: now, reported: None });
             }
             let is_admitted = !has_observation || (may_own && !is_full);
             return if is_admitted { PinVerdict::Admitted } else { PinVerdict::Refused { owner: None, is_new: false } };
         };
         let is_owner = match self.policy {
-            PinPolicy::First => owner.peer == peer,
-            PinPolicy::Address => owner.peer == peer || (owner.host.is_some() && owner.host == host),
+            PinPolicy::First => owner.peer == Some(peer),
+            PinPolicy::Address => owner.peer == Some(peer) || (owner.host.is_some() && owner.host == host),
             PinPolicy::Key => is_signed,
         };
         let is_released = self.policy != PinPolicy::Key && now - owner.last_seen > RELEASE_TIMEOUT;
         if is_owner || is_released {
-            *owner = Owner { peer, host, last_seen: now, ..*owner };
+            *owner = Owner { peer: Some(peer), host, last_seen: now, ..*owner };
             return PinVerdict::Admitted;
         }
         let is_new = owner.reported.is_none_or(|reported| now - reported >= REPORT_PERIOD);

@@ -235,10 +235,14 @@ impl Transmitter<'_> {
             return;
         }
         let listeners = self.broadcast_listeners(id, frame.from);
-        let copies =
-            listeners.as_ref().map_or_else(|| self.links.get(&id).map_or(1, |link| link.framers.count()), Vec::len);
+        let peers = self.links.get(&id).map_or(1, |link| link.framers.count().max(1));
+        let copies = to.iter().map(|(_, to)| match to {
+            Recipients::Peer(_) => 1,
+            Recipients::All | Recipients::AllExcept(_) => listeners.as_ref().map_or(peers, Vec::len),
+        });
+        let copies = copies.sum();
         let sender = self.links.get_mut(&frame.from.link);
-        let may_be_copied = sender.is_none_or(|sender| sender.charge_forwarding(now, frame.from.peer, copies.max(1)));
+        let may_be_copied = sender.is_none_or(|sender| sender.charge_forwarding(now, frame.from.peer, copies));
         if !may_be_copied {
             if let Some(link) = self.links.get_mut(&id) {
                 link.health.rate_limited += 1;

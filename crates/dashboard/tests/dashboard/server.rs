@@ -1,8 +1,9 @@
 //! Streams, commands, access and files.
 
 use std::fs::Permissions;
+use std::net::SocketAddr;
 use std::os::unix::fs::PermissionsExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use posebridge_dashboard::model::{Message, State};
 use posebridge_dashboard::{
@@ -166,13 +167,23 @@ fn write_tokens(path: &Path, text: &str) {
     std::fs::rename(&new, path).unwrap();
 }
 
+/// A station with a file of tokens for a teacher, who operates it, and a student, who looks.
+fn station_with_tokens(folder: &Path) -> (PathBuf, TestStation) {
+    let path = folder.join("tokens");
+    write_tokens(&path, "operator teacher-teacher-1\nreader student-student-1\n");
+    let facts = StationInfo { token: TokenPolicy::Always, token_file: Some(path.clone()), ..StationInfo::default() };
+    (path, TestStation::with(facts, ManualClock::running()))
+}
+
+fn status_for(address: SocketAddr, token: &str) -> u16 {
+    let bearer = format!("authorization: Bearer {token}\r\n");
+    request(address, "GET /v1/robots", &bearer, b"").status
+}
+
 #[test]
 fn a_token_that_is_taken_out_of_its_file_ends_its_sessions_and_no_other() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("tokens");
-    write_tokens(&path, "operator teacher-teacher-1\nreader student-student-1\n");
-    let facts = StationInfo { token: TokenPolicy::Always, token_file: Some(path.clone()), ..StationInfo::default() };
-    let played = TestStation::with(facts, ManualClock::running());
+    let (path, played) = station_with_tokens(folder.path());
     let address = played.address();
     assert!(played.dashboard.urls().iter().all(|url| !url.contains("token")), "people have them already");
     let mut teacher = StreamReader::open_as(address, "teacher-teacher-1");
@@ -188,10 +199,7 @@ fn a_token_that_is_taken_out_of_its_file_ends_its_sessions_and_no_other() {
 
     write_tokens(&path, "operator teacher-teacher-1\nreader other-student-22\n");
     assert_eq!(student.close_reason().as_deref(), Some("the token was revoked"));
-    let status = |token: &str| {
-        let bearer = format!("authorization: Bearer {token}\r\n");
-        request(address, "GET /v1/robots", &bearer, b"").status
-    };
+    let status = |token: &str| status_for(address, token);
     assert_eq!((status("student-student-1"), status("other-student-22"), status("teacher-teacher-1")), (401, 200, 200));
     let bearer = "authorization: Bearer teacher-teacher-1\r\n";
     let clients = "posebridge_dashboard_clients 1\n";
@@ -206,17 +214,11 @@ fn a_token_that_is_taken_out_of_its_file_ends_its_sessions_and_no_other() {
 #[test]
 fn a_file_of_tokens_with_an_error_locks_nobody_out() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("tokens");
-    write_tokens(&path, "operator teacher-teacher-1\nreader student-student-1\n");
-    let facts = StationInfo { token: TokenPolicy::Always, token_file: Some(path.clone()), ..StationInfo::default() };
-    let played = TestStation::with(facts, ManualClock::running());
+    let (path, played) = station_with_tokens(folder.path());
     let address = played.address();
     let student = StreamReader::open_as(address, "student-student-1");
     write_tokens(&path, "operatr teacher-teacher-1\n");
-    let status = |token: &str| {
-        let bearer = format!("authorization: Bearer {token}\r\n");
-        request(address, "GET /v1/robots", &bearer, b"").status
-    };
+    let status = |token: &str| status_for(address, token);
     // Messages come at least fifty times a second: more than a look at the file goes by.
     let mut teacher = StreamReader::open_as(address, "teacher-teacher-1");
     teacher.next();

@@ -6,7 +6,7 @@ use crate::support::network::RemotePeer;
 use crate::support::{AlignedObservation, BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, messages, ticks};
 use posebridge_protocol::dialect::Encoder;
 use posebridge_protocol::framing::{TransportKind, WireVersion};
-use posebridge_protocol::message::{Heartbeat, Message, TimeSync};
+use posebridge_protocol::message::{CommandLong, Heartbeat, Message, TimeSync};
 use posebridge_telemetry::{Address, Input, ObservationKind, PeerId, Recipients, SourceHealth, TimeDelta};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -194,4 +194,12 @@ fn a_peer_that_calls_itself_a_ground_station_makes_no_flood_of_its_broadcasts() 
     // A hundred peers, of ten thousand copies a second.
     assert!((100..=210).contains(&forwarded), "{forwarded}");
     assert!(station.later_health(LINK).rate_limited > 9_000);
+    // A command to one robot is one copy, however many robots there are.
+    let before = station.outputs.len();
+    let steer = |k: u16| Message::Command(CommandLong { target: address(7), command: k, params: [0.0; 7] });
+    for k in 0..2_000 {
+        claimant.send(&mut station, at(10_000 + i64::from(k) / 2), &steer(30_000 + k));
+    }
+    let steered = station.sent_since(before).filter(|sent| sent.to == Recipients::Peer(PeerId(7)));
+    assert!(steered.count() >= 2_000);
 }

@@ -9,7 +9,7 @@ use posebridge_protocol::framing::TransportKind;
 use posebridge_protocol::message::{Message, TimeSync, VisionFix, WireStamp};
 use posebridge_station::{PinPolicy, StationConfig};
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionOutcome, Input, Meters, PeerId, RobotId, SensorId, TimeDelta,
+    Address, Estimate, Event, FusionOutcome, Input, LinkState, Meters, PeerId, RobotId, SensorId, TimeDelta,
 };
 
 const CAMERA: Address = Address::new(1, 100);
@@ -312,4 +312,29 @@ fn with_a_pinned_key_nothing_unsigned_speaks_for_a_robot() {
     let mut scene = Scene::new(&pinned(PinPolicy::Key), BRICK).drive(None);
     assert_eq!(scene.estimates().len(), 0);
     assert!(scene.station.later_health(LINK).rejected_frames > 300);
+}
+
+#[test]
+fn after_the_link_was_lost_a_pin_goes_by_the_address_and_by_no_old_number_of_a_peer() {
+    for (policy, host, is_admitted) in
+        [(PinPolicy::Address, 7, true), (PinPolicy::Address, 8, false), (PinPolicy::First, 8, true)]
+    {
+        let mut scene = Scene::new(&pinned(policy), BRICK);
+        let connect = |scene: &mut Scene, last: u8| {
+            let host = Ipv4Addr::new(192, 168, 4, last).into();
+            let now = at(scene.now_ms);
+            scene.station.handle(now, Input::PeerAddress { link: LINK, peer: PeerId(0), host });
+        };
+        connect(&mut scene, 7);
+        let mut scene = scene.drive(None);
+        for state in [LinkState::Down, LinkState::Up] {
+            scene.station.link(at(scene.now_ms), LINK, state);
+        }
+        connect(&mut scene, host);
+        let before = scene.estimates().len();
+        scene.now_ms += PERIOD_MS;
+        let counts = scene.now_ms * 360 / 880;
+        scene.robot.send(&mut scene.station, at(scene.now_ms + 5), &ticks(scene.now_ms as u32, counts, counts));
+        assert_eq!(scene.estimates().len() > before, is_admitted, "{policy:?} {host}");
+    }
 }
