@@ -25,7 +25,7 @@ pub use bricks::{
 pub use calibration::{
     CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise, learnable_keys,
 };
-pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, load_link_profile, load_scenario};
+pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, PinChoice, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,
     load_text, print, sensor_setting,

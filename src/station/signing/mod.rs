@@ -16,7 +16,7 @@ use posebridge_telemetry::{LinkId, TimeDelta};
 
 use self::files::StateFile;
 use self::state_writer::SignedLink;
-use crate::config::{Config, LinkSection, MemoryRecord, SigningSection};
+use crate::config::{Config, LinkSection, MemoryRecord, PinChoice, SigningSection};
 use crate::console::print_line;
 
 pub use files::{create_key, read_key};
@@ -171,15 +171,16 @@ fn warning(index: usize, section: &LinkSection, address: SocketAddr) -> Option<S
         return None;
     }
     let (state, cure) = match &section.signing {
-        Some(signing) if signing.required => return None,
+        Some(signing) if signing.required || section.pin == Some(PinChoice::Key) => return None,
         Some(_) => ("its signing is not required", "set `required = true` in its `signing`"),
         None => (
             "it is not signed",
             "make a key with `posebridge key new FILE` and give the link `signing = { key_file = \"FILE\" }` (docs/routing.md)",
         ),
     };
+    let who = if section.pin.is_some() { "who comes before it" } else { "who can reach it" };
     Some(format!(
-        "WARNING: link {index} `{}` listens on {address} and {state}: anybody who can reach it can send as the robot. To keep others \
+        "WARNING: link {index} `{}` listens on {address} and {state}: anybody {who} can send as the robot. To keep others \
          out, {cure}, or listen on 127.0.0.1.",
         section.url
     ))
@@ -247,8 +248,9 @@ mod tests {
         assert!(error.contains("--key FILE"), "{error}");
     }
 
-    fn is_warned(address: &str, required: Option<bool>) -> bool {
+    fn is_warned(address: &str, required: Option<bool>, pin: Option<PinChoice>) -> bool {
         let section = LinkSection {
+            pin,
             signing: required.map(|required| SigningSection {
                 key_file: "a.key".to_owned(),
                 link_id: 0,
@@ -262,6 +264,7 @@ mod tests {
         if let Some(text) = &warning {
             assert!(text.contains("link 0 `udp://:14550`"), "{text}");
             assert!(text.contains(address), "{text}");
+            assert_eq!(text.contains("who comes before it"), pin.is_some(), "{text}");
         }
         warning.is_some()
     }
@@ -269,12 +272,14 @@ mod tests {
     #[test]
     fn only_a_listener_that_keeps_nobody_out_is_told() {
         for address in ["0.0.0.0:14550", "192.168.4.1:14550", "[::]:14550"] {
-            assert!(is_warned(address, None));
-            assert!(is_warned(address, Some(false)));
-            assert!(!is_warned(address, Some(true)));
+            assert!(is_warned(address, None, None));
+            assert!(is_warned(address, None, Some(PinChoice::Address)));
+            assert!(is_warned(address, Some(false), Some(PinChoice::First)));
+            assert!(!is_warned(address, Some(false), Some(PinChoice::Key)));
+            assert!(!is_warned(address, Some(true), None));
         }
         for address in ["127.0.0.1:14550", "[::1]:14550", "[::ffff:127.0.0.1]:14550"] {
-            assert!(!is_warned(address, None));
+            assert!(!is_warned(address, None, None));
         }
     }
 }
