@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 
 use posebridge::config::{AtInstant, Config, FilterSection, LinkSection, OutputSection, RecordingLimits};
 use posebridge::exit::DeferredErrors;
+use posebridge::station::link_log::LinkLog;
 use posebridge::station::live_status::LiveView;
 use posebridge::station::observer::Observer;
 use posebridge::station::recorder::Recorder;
@@ -319,6 +320,7 @@ async fn start_station_loop(
         truth: Vec::new(),
         first_pose: None,
         watchdog: Watchdog::start(timer, OnStall::Tell).expect("a watchdog"),
+        link_log: LinkLog::default(),
     };
     (station_loop, address)
 }

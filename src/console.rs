@@ -2,6 +2,7 @@
 //! Errors of writing to stderr are ignored, and while a station runs nobody waits for it ([`crate::stderr_writer`]). While the terminal view owns the screen, messages go to its event panel
 //! ([`redirect_stderr`]). They are also retained and printed when the screen is restored, so that no message is lost with it.
 
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -10,6 +11,7 @@ use std::sync::{Mutex, OnceLock, PoisonError, TryLockError};
 use clap::ColorChoice;
 use indicatif::{ProgressBar, ProgressStyle};
 use posebridge_report::colour::Colour;
+use posebridge_telemetry::is_printable;
 
 use crate::stderr_writer;
 
@@ -37,6 +39,7 @@ enum RedirectMode {
 }
 
 pub fn print_line(line: &str) {
+    let line = &*without_controls(line);
     if capture(line) == Some(RedirectMode::Replace) {
         return;
     }
@@ -47,6 +50,31 @@ pub fn print_lines(lines: &[String]) {
     for line in lines {
         print_line(line);
     }
+}
+
+/// The text without what a file or a sender could steer a terminal by: only lines, tabs and the colours of ECMA-48 (SGR) stay, a question
+/// mark stands for the rest.
+fn without_controls(text: &str) -> Cow<'_, str> {
+    let is_kept = |letter| is_printable(letter) || matches!(letter, '\n' | '\t');
+    if text.chars().all(is_kept) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(letter) = rest.chars().next() {
+        let kept = colour_length(rest).unwrap_or(letter.len_utf8());
+        let (head, tail) = rest.split_at(kept);
+        shown.push_str(if is_kept(letter) || kept > 1 && letter == '\u{1b}' { head } else { "?" });
+        rest = tail;
+    }
+    Cow::Owned(shown)
+}
+
+/// The length of the colour sequence at the start of a text.
+fn colour_length(text: &str) -> Option<usize> {
+    let parameters = text.strip_prefix("\u{1b}[")?;
+    let end = parameters.find(|letter: char| !letter.is_ascii_digit() && letter != ';')?;
+    parameters[end..].starts_with('m').then_some("\u{1b}[".len() + end + "m".len())
 }
 
 /// Writes log entries as console messages. Each write is one entry.
@@ -133,7 +161,7 @@ pub fn colour() -> Colour {
 pub fn print_result(text: &str) -> std::io::Result<()> {
     stderr_writer::flush();
     let mut stdout = std::io::stdout().lock();
-    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+    match stdout.write_all(without_controls(text).as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         result => result,
     }
@@ -148,6 +176,13 @@ pub fn progress_bar(count: u64, units: &str) -> anyhow::Result<ProgressBar> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn of_escape_sequences_only_colours_reach_a_terminal() {
+        let coloured = "\u{1b}[1;31mred\u{1b}[0m\n\tä\n";
+        assert_eq!(without_controls(coloured), coloured);
+        assert_eq!(without_controls("\u{1b}[2J\u{1b}]0;t\u{7}\u{9b}mä\r\u{1b}[1"), "?[2J?]0;t??mä??[1");
+    }
 
     #[test]
     fn while_lines_are_diverted_the_receiver_has_them_and_afterwards_nobody_waits() {

@@ -8,6 +8,7 @@ pub mod event_collector;
 pub mod event_file;
 pub mod input_file;
 pub mod learned_calibration;
+pub mod link_log;
 pub mod link_report;
 mod links;
 pub mod live_status;

@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 use super::args::RunArgs;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
+use super::link_log::LinkLog;
 use super::links::{FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
 use super::live_status::{ErrorToTruth, LiveView};
 use super::observer::{Observer, ObserverResults};
@@ -114,6 +115,7 @@ pub(super) async fn session(
         setup: SetupChecklists::default(),
         first_pose: args.set_pose,
         watchdog: Watchdog::start(timer, on_stall).before_start()?,
+        link_log: LinkLog::default(),
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
     wait_for_end(&mut station_loop, &ending, signals, &mut viewers).await;

@@ -14,6 +14,7 @@ use posebridge_telemetry::{
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::link_log::LinkLog;
 use super::observer::Observer;
 use super::page_history::station_status;
 use super::recorder::Recorder;
@@ -63,6 +64,7 @@ pub struct StationLoop {
     /// The pose of the first robot with an estimate, until it is set.
     pub first_pose: Option<Pose<Arena>>,
     pub watchdog: Watchdog,
+    pub link_log: LinkLog,
 }
 
 impl StationLoop {
@@ -92,7 +94,7 @@ impl StationLoop {
                     if matches!(event, LinkEvent::Finished { .. }) {
                         finished.insert(link);
                     }
-                    let (at, input) = input_of(link, event, ending);
+                    let (at, input) = self.input_of(link, event, ending);
                     if !changes_state(link, &input, &mut states) {
                         continue;
                     }
@@ -122,6 +124,9 @@ impl StationLoop {
             if now >= next_counts {
                 next_counts = now + COUNTS_PERIOD;
                 self.report_counters(now);
+                for (link, summary) in self.link_log.take_due(now) {
+                    tracing::warn!(link = link.0, "{summary}");
+                }
                 self.check_clock_step(now, &mut clock_step);
                 self.record_calibration(now);
                 self.publish_status(now);
@@ -134,6 +139,32 @@ impl StationLoop {
     pub fn save_signing_state(&mut self) -> anyhow::Result<()> {
         let keeper = self.signing.take();
         keeper.map_or(Ok(()), |keeper| keeper.finish(self.timer.now(), &self.station))
+    }
+
+    /// The input of an event, whose change of the link is logged.
+    fn input_of(&mut self, link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {
+        match event {
+            LinkEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),
+            LinkEvent::Up { at, detail } => {
+                if self.link_log.admits(at, link, LinkState::Up) {
+                    tracing::info!(link = link.0, detail, "link up");
+                }
+                (at, Input::Link { link, state: LinkState::Up })
+            }
+            LinkEvent::Down { at, reason, retry_in } => {
+                // At 1 the simulated brick has driven all that it was to drive.
+                if ending.progress.as_ref().is_some_and(|progress| *progress.borrow() >= 1.0) {
+                    tracing::info!(link = link.0, reason, "link down at the end of the drive");
+                } else if self.link_log.admits(at, link, LinkState::Down) {
+                    let retry_ms = retry_in.as_millis_f64().round();
+                    tracing::warn!(link = link.0, reason, retry_ms, "link down");
+                } else {
+                    // The summary of the minute has it.
+                }
+                (at, Input::Link { link, state: LinkState::Down })
+            }
+            LinkEvent::Finished { at } => (at, Input::Link { link, state: LinkState::Down }),
+        }
     }
 
     fn report_stall(&mut self, now: Timestamp<HostClock>) {
@@ -349,27 +380,6 @@ impl NewestPeers {
         self.0.insert(link, peer);
         let host = links.iter().find(|port| port.id() == link)?.peer_address(peer)?;
         Some(Input::PeerAddress { link, peer, host })
-    }
-}
-
-fn input_of(link: LinkId, event: LinkEvent, ending: &StopConditions) -> (Timestamp<HostClock>, Input) {
-    match event {
-        LinkEvent::Bytes { peer, arrival, bytes } => (arrival, Input::Bytes { link, peer, bytes }),
-        LinkEvent::Up { at, detail } => {
-            tracing::info!(link = link.0, detail, "link up");
-            (at, Input::Link { link, state: LinkState::Up })
-        }
-        LinkEvent::Down { at, reason, retry_in } => {
-            // At 1 the simulated brick has driven all that it was to drive.
-            if ending.progress.as_ref().is_some_and(|progress| *progress.borrow() >= 1.0) {
-                tracing::info!(link = link.0, reason, "link down at the end of the drive");
-            } else {
-                let retry_ms = retry_in.as_millis_f64().round();
-                tracing::warn!(link = link.0, reason, retry_ms, "link down");
-            }
-            (at, Input::Link { link, state: LinkState::Down })
-        }
-        LinkEvent::Finished { at } => (at, Input::Link { link, state: LinkState::Down }),
     }
 }
 

@@ -4,4 +4,6 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod robot;
 mod stuck_outputs;
+mod texts;

@@ -1,6 +1,6 @@
 //! Back-off: the delays before a lost link is opened again.
 //!
-//! The delays double from a quarter of a second to five seconds, with a little jitter, so that the links of a class
+//! The delays double from a quarter of a second to less than a second, with a little jitter, so that the links of a class
 //! that lost the same access point do not all reconnect at the same instant. Those links belong to many processes and
 //! have the same numbers, so the seed includes the process and its start time. A replay has no links and needs no
 //! reproducible jitter.
@@ -10,6 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use crate::host_timer::HostTimer;
+use crate::transport::Transport;
 
 /// Largest relative deviation from the nominal wait.
 const JITTER: f64 = 0.1;
@@ -31,27 +32,31 @@ impl SessionSeed {
 
 /// After a loss; hides a loose contact.
 const INITIAL_DELAY: TimeDelta = TimeDelta::from_millis(250);
-/// Doubling ends here: a tolerable wait after plugging in a brick.
-const MAX_DELAY: TimeDelta = TimeDelta::from_millis(5_000);
+/// Doubling ends here, so that a device is opened within a second of being there, jitter included.
+const MAX_DELAY: TimeDelta = TimeDelta::from_millis(900);
+/// The same for Bluetooth: while the radio calls a device that is not there, it has little time for those that are.
+const MAX_RADIO_DELAY: TimeDelta = TimeDelta::from_millis(5_000);
 
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
     nominal: TimeDelta,
+    longest: TimeDelta,
     jitter: Pcg32,
 }
 
 impl Backoff {
-    pub(crate) fn new(id: LinkId, session: SessionSeed) -> Self {
+    pub(crate) fn new(id: LinkId, transport: Transport, session: SessionSeed) -> Self {
         // Every number selects a sequence of its own.
         let seed = Pcg32::seed_from_u64(session.0).random::<u64>() ^ u64::from(id.0);
-        Self { nominal: INITIAL_DELAY, jitter: Pcg32::seed_from_u64(seed) }
+        let longest = if transport == Transport::Bluetooth { MAX_RADIO_DELAY } else { MAX_DELAY };
+        Self { nominal: INITIAL_DELAY, longest, jitter: Pcg32::seed_from_u64(seed) }
     }
 
     /// The next delay; each is nominally twice as long as the one before, up to the longest.
     pub(crate) fn next_delay(&mut self) -> TimeDelta {
         let factor = 1.0 + self.jitter.random_range(-JITTER..=JITTER);
         let wait = TimeDelta::from_secs_f64(self.nominal.as_secs_f64() * factor);
-        self.nominal = (self.nominal + self.nominal).min(MAX_DELAY);
+        self.nominal = (self.nominal + self.nominal).min(self.longest);
         wait
     }
 
@@ -68,18 +73,26 @@ mod tests {
     /// 15 June 2025, in microseconds since 1970.
     const START: u64 = 1_750_000_000_000_000;
 
-    fn waits(id: u16, process: u32, start: u64) -> Vec<f64> {
+    fn waits_of(transport: Transport, id: u16, process: u32, start: u64) -> Vec<f64> {
         let session = SessionSeed::from_parts(process, start);
-        let mut backoff = Backoff::new(LinkId(id), session);
+        let mut backoff = Backoff::new(LinkId(id), transport, session);
         (0..8).map(|_| backoff.next_delay().as_secs_f64()).collect()
     }
 
+    fn waits(id: u16, process: u32, start: u64) -> Vec<f64> {
+        waits_of(Transport::Serial, id, process, start)
+    }
+
     #[test]
-    fn waits_double_up_to_five_seconds_and_stray_by_a_tenth() {
-        let nominal = [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0, 5.0];
-        for id in 0..50 {
-            for (wait, nominal) in waits(id, 1, START).into_iter().zip(nominal) {
-                assert!((wait / nominal - 1.0).abs() <= JITTER + 1e-9, "{wait} for {nominal}");
+    fn waits_double_up_to_less_than_a_second_and_stray_by_a_tenth() {
+        for (transport, nominal) in [
+            (Transport::Serial, [0.25, 0.5, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9]),
+            (Transport::Bluetooth, [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0, 5.0]),
+        ] {
+            for id in 0..50 {
+                for (wait, nominal) in waits_of(transport, id, 1, START).into_iter().zip(nominal) {
+                    assert!((wait / nominal - 1.0).abs() <= JITTER + 1e-9, "{wait} for {nominal}");
+                }
             }
         }
     }

@@ -78,7 +78,7 @@ impl Link {
 
     pub fn with_tuning(config: LinkOpenConfig, tuning: LinkTuning, timer: HostTimer) -> Self {
         Self {
-            backoff: Backoff::new(config.id, SessionSeed::from_timer(&timer)),
+            backoff: Backoff::new(config.id, config.url.transport(), SessionSeed::from_timer(&timer)),
             config,
             tuning,
             timer,

@@ -4,7 +4,9 @@
 
 use std::fmt;
 
-/// Escapes markup and replaces characters that XML forbids.
+use posebridge_telemetry::is_printable;
+
+/// Escapes markup and replaces characters that XML forbids or that are not printable.
 pub(crate) struct Escaped<'a>(pub(crate) &'a str);
 
 impl fmt::Display for Escaped<'_> {
@@ -16,8 +18,9 @@ impl fmt::Display for Escaped<'_> {
                 '>' => f.write_str("&gt;")?,
                 '"' => f.write_str("&quot;")?,
                 '\t' | '\n' | '\r' => f.write_str(" ")?,
-                '\u{0}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}' => f.write_str("\u{fffd}")?,
-                other => write!(f, "{other}")?,
+                '\u{fffe}' | '\u{ffff}' => f.write_str("\u{fffd}")?,
+                other if is_printable(other) => write!(f, "{other}")?,
+                _ => f.write_str("\u{fffd}")?,
             }
         }
         Ok(())
@@ -46,7 +49,10 @@ mod tests {
 
     #[test]
     fn markup_and_forbidden_characters_in_a_text_are_harmless() {
-        assert_eq!(Escaped("a<b> & \"c\"\u{1}\nd").to_string(), "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d");
+        assert_eq!(
+            Escaped("a<b> & \"c\"\u{1}\nd\u{202e}").to_string(),
+            "a&lt;b&gt; &amp; &quot;c&quot;\u{fffd} d\u{fffd}"
+        );
     }
 
     #[test]

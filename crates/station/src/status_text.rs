@@ -107,7 +107,7 @@ impl StatusTextQueue {
     }
 
     pub(crate) fn split_text(&mut self, severity: u8, text: &str) -> Vec<Message> {
-        let text = printable(text);
+        let text = ascii(text);
         let text_id = if text.len() <= PART_BYTES {
             0
         } else {
@@ -135,7 +135,7 @@ fn utf8_prefix(bytes: &[u8]) -> Option<&str> {
 }
 
 /// The text that is sent, in ASCII, so that it can be cut at any byte.
-fn printable(text: &str) -> String {
+fn ascii(text: &str) -> String {
     let shown = |letter: char| match letter {
         ' '..='~' => letter,
         _ => '?',

@@ -17,6 +17,7 @@ pub mod ids;
 pub mod io;
 pub mod link_health;
 pub mod observation;
+pub mod printable;
 pub mod quantities;
 pub mod quantity_steps;
 pub mod repeat_filter;
@@ -37,6 +38,7 @@ pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, P
 pub use io::{Input, Output, Priority, Recipients};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
+pub use printable::{is_printable, printable};
 pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,
 };

@@ -6,7 +6,7 @@
 
 use mavlink_core::{MavlinkVersion, MessageData};
 use num_traits::{FromBytes, ToBytes};
-use posebridge_telemetry::Address;
+use posebridge_telemetry::{Address, printable};
 
 use crate::message::{Message, WireStamp};
 
@@ -110,10 +110,10 @@ impl<'a> PayloadReader<'a> {
     }
 }
 
-/// Text up to the first NUL; invalid UTF-8 is replaced.
+/// Text up to the first NUL; invalid UTF-8 and what is not printable are replaced.
 pub(super) fn text_from(bytes: &[u8]) -> String {
     let end = bytes.iter().position(|&byte| byte == 0).unwrap_or(bytes.len());
-    String::from_utf8_lossy(&bytes[..end]).into_owned()
+    printable(&String::from_utf8_lossy(&bytes[..end]))
 }
 
 /// As many whole characters of `text` as fit into N bytes, padded with NUL.
@@ -205,6 +205,7 @@ mod tests {
         assert_eq!(text_to::<3>("abä"), *b"ab\0");
         assert_eq!(text_from(&text_to::<3>("abä")), "ab");
         assert_eq!(text_from(b"a\xFFb\0rest"), "a\u{FFFD}b");
+        assert_eq!(text_from(b"\x1b]0;owned\x07\r\n"), "?]0;owned???");
     }
 
     #[test]

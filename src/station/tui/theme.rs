@@ -3,6 +3,7 @@
 //! Colour alone never carries information: lines differ in their dots, fixes in their marks, verdicts in their words.
 
 use posebridge_dashboard::model::Number;
+use posebridge_telemetry::is_printable;
 use ratatui::style::{Color, Modifier, Style};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +87,7 @@ pub(super) fn bytes(number: u64) -> String {
     }
 }
 
-/// Sanitises foreign text: escape sequences are removed, other control characters become spaces.
+/// Sanitises a line: escape sequences are removed, what else is not printable becomes spaces.
 pub(super) fn sanitize(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     let mut rest = text.chars().peekable();
@@ -94,10 +95,8 @@ pub(super) fn sanitize(text: &str) -> String {
         if letter == '\u{1b}' && rest.next_if_eq(&'[').is_some() {
             // ECMA-48: a control sequence ends with the first of these.
             while rest.next().is_some_and(|next| !('@'..='~').contains(&next)) {}
-        } else if letter.is_control() {
-            shown.push(' ');
         } else {
-            shown.push(letter);
+            shown.push(if is_printable(letter) { letter } else { ' ' });
         }
     }
     shown

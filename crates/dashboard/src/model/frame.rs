@@ -453,7 +453,7 @@ pub struct LogLine {
     pub t_s: f64,
     /// MAVLink severity, 0 emergency to 7 debug.
     pub severity: u8,
-    /// The line; it may hold anything that a robot sent, printable or not.
+    /// The line, without control characters.
     pub text: String,
 }
 

@@ -99,7 +99,7 @@ async fn twenty_replugs_are_survived_without_a_busy_loop() {
         // One poll finds the wait not over, one starts to open, one has it open.
         assert!(polls <= 5, "{polls} polls to come back");
         let away = back - at;
-        assert!(retry_in <= TimeDelta::from_millis(5_500), "{retry_in:?}");
+        assert!(retry_in < TimeDelta::from_millis(1_000), "{retry_in:?}");
         // A timer is up to two milliseconds late.
         assert!(away <= retry_in + TimeDelta::from_millis(3), "{away:?} for {retry_in:?}");
 
@@ -152,8 +152,8 @@ async fn a_device_that_is_not_there_yet_is_waited_for() {
         }),
     );
     assert!(quiet.await.is_err(), "the same reason was told again");
-    // 0.25 + 0.5 + 1 + 2 + 4 s and then every 5 s are ten attempts at the most, each polled two or three times.
-    assert!(polls <= 35, "{polls} polls in {:?}", bench.timer.now() - before);
+    // 0.25 + 0.5 s and then every 0.9 s are 36 attempts at the most, each polled two or three times.
+    assert!(polls <= 110, "{polls} polls in {:?}", bench.timer.now() - before);
 
     let pty = bench.plugged_pty().await;
     let detail = up(&mut station).await;
