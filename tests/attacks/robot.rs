@@ -7,6 +7,7 @@ use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::process::Child;
 
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use posebridge_protocol::message::{Message, TextPart};
@@ -33,7 +34,7 @@ impl Robot {
     pub(crate) fn start_station(&self, folder: &Path, more: &[&str], stderr: OwnedFd, stdout: OwnedFd) -> Station {
         let link = format!("udp://{}", self.socket.local_addr().expect("an address"));
         let mut command = posebridge(folder);
-        command.args(["run", "--link", &link, "--out", "run", "--no-dashboard"]).args(more);
+        command.args(["run", "--link", &link, "--out", "run"]).args(more);
         let station = Station(command.stdout(stdout).stderr(stderr).spawn().expect("the program starts"));
         let (_, address) = self.socket.recv_from(&mut [0; 2_048]).expect("it calls");
         self.socket.connect(address).expect("an address");
@@ -96,4 +97,13 @@ impl Drop for Station {
 /// A new file for what a program prints.
 pub(crate) fn folder_file(folder: &Path, name: &str) -> OwnedFd {
     OwnedFd::from(File::create(folder.join(name)).expect("the folder is ours"))
+}
+
+/// A pipe that takes no byte until its other end is read.
+pub(crate) fn full_pipe() -> (File, OwnedFd) {
+    let (reader, writer) = nix::unistd::pipe().expect("a pipe");
+    fcntl(&writer, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).expect("it is open");
+    while nix::unistd::write(&writer, &[b'\n'; 4_096]).is_ok() {}
+    fcntl(&writer, FcntlArg::F_SETFL(OFlag::empty())).expect("it is open");
+    (File::from(reader), writer)
 }

@@ -2,23 +2,13 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Write as _};
-use std::os::fd::OwnedFd;
 use std::os::unix::fs::OpenOptionsExt as _;
 
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::sys::stat::Mode;
 
-use crate::robot::{Robot, folder_file};
+use crate::robot::{Robot, folder_file, full_pipe};
 use crate::support::events_named;
-
-/// A pipe that takes no byte until its other end is read.
-fn full_pipe() -> (File, OwnedFd) {
-    let (reader, writer) = nix::unistd::pipe().expect("a pipe");
-    fcntl(&writer, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).expect("it is open");
-    while nix::unistd::write(&writer, &[b'\n'; 4_096]).is_ok() {}
-    fcntl(&writer, FcntlArg::F_SETFL(OFlag::empty())).expect("it is open");
-    (File::from(reader), writer)
-}
 
 /// All that comes until the writer's end is closed; a terminal ends with an error.
 fn read_to_end(source: &mut File) -> String {
@@ -35,7 +25,7 @@ fn a_full_pipe_on_stdout_and_stderr_costs_no_estimate_and_what_was_dropped_is_to
     let (mut said, stderr) = full_pipe();
     let (mut printed, stdout) = full_pipe();
     let mut robot = Robot::new();
-    let mut station = robot.start_station(folder.path(), &[], stderr, stdout);
+    let mut station = robot.start_station(folder.path(), &["--no-dashboard"], stderr, stdout);
     robot.drive(1);
     robot.chatter(2_000);
     robot.drive(100);
@@ -61,7 +51,7 @@ fn ctrl_s_on_the_terminal_costs_no_estimate_and_what_was_dropped_is_told() {
     keyboard.write_all(CTRL_S).unwrap();
     let stdout = folder_file(folder.path(), "tables.txt");
     let mut robot = Robot::new();
-    let mut station = robot.start_station(folder.path(), &[], pty.slave, stdout);
+    let mut station = robot.start_station(folder.path(), &["--no-dashboard"], pty.slave, stdout);
     robot.drive(1);
     robot.chatter(2_000);
     robot.drive(100);
@@ -84,7 +74,7 @@ fn an_event_file_that_nobody_reads_costs_no_estimate_and_lacks_nothing_that_was_
     fcntl(&events, FcntlArg::F_SETFL(OFlag::empty())).unwrap();
     let [stdout, stderr] = ["tables.txt", "messages.txt"].map(|name| folder_file(folder.path(), name));
     let mut robot = Robot::new();
-    let mut station = robot.start_station(folder.path(), &["--events", "events"], stderr, stdout);
+    let mut station = robot.start_station(folder.path(), &["--no-dashboard", "--events", "events"], stderr, stdout);
     // Its events fill the pipe ten times over.
     robot.drive(1_000);
     station.interrupt();

@@ -13,7 +13,8 @@ fn no_text_of_a_robot_or_a_file_steers_a_terminal() {
     let folder = tempfile::tempdir().unwrap();
     let [stdout, stderr] = ["tables.txt", "messages.txt"].map(|name| folder_file(folder.path(), name));
     let mut robot = Robot::new();
-    let mut station = robot.start_station(folder.path(), &["--events", "events.jsonl"], stderr, stdout);
+    let mut station =
+        robot.start_station(folder.path(), &["--no-dashboard", "--events", "events.jsonl"], stderr, stdout);
     robot.drive(1);
     robot.say(HOSTILE);
     robot.drive(1);
