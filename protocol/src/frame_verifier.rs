@@ -80,6 +80,11 @@ impl FrameVerifier {
         Ok(VerifiedSender { check: SenderCheck::Verified, missing: sequences.record(frame, now) })
     }
 
+    /// Whether a known, authentic frame came from a peer.
+    pub fn has_accepted(&self, peer: PeerId) -> bool {
+        self.present.contains_key(&peer)
+    }
+
     /// Forgets a peer that will not return; its counts are kept.
     pub fn forget(&mut self, peer: PeerId) {
         if let Some(sequences) = self.present.remove(&peer) {

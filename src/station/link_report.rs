@@ -5,7 +5,9 @@ use std::fmt::Write as _;
 use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_telemetry::{LinkCounter, LinkHealth, LinkId, SourceHealth, TimeDelta};
 
-const PROBLEM_COUNTERS: [LinkCounter; 13] = [
+const PROBLEM_COUNTERS: [LinkCounter; 15] = [
+    LinkCounter::KERNEL_DROPS,
+    LinkCounter::FLOOD_DROPS,
     LinkCounter::CHECKSUM_ERRORS,
     LinkCounter::GARBAGE_BYTES,
     LinkCounter::TIMEOUTS,
@@ -23,9 +25,11 @@ const PROBLEM_COUNTERS: [LinkCounter; 13] = [
 
 type Column = (&'static str, fn(&LinkHealth) -> String);
 
-const RECEIVED_COLUMNS: [Column; 11] = [
+const RECEIVED_COLUMNS: [Column; 13] = [
     ("frames", |health| health.frames_in.to_string()),
     ("lost", |health| health.frames_lost.to_string()),
+    ("kernel", |health| health.port.kernel_drops.to_string()),
+    ("flood", |health| health.port.flood_drops.to_string()),
     ("damaged", |health| health.checksum_errors.to_string()),
     ("garbage B", |health| health.garbage_bytes.to_string()),
     ("stalls", |health| health.timeouts.to_string()),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_link::{ConnectRole, HostTimer, Link, LinkOpenConfig, LinkSet, LinkUrl};
+use posebridge_link::{ConnectRole, FirstContact, HostTimer, Link, LinkOpenConfig, LinkSet, LinkTuning, LinkUrl};
 use posebridge_sim::scenario::Personality;
 use posebridge_sim::{BRICK, Scenario, Simulation};
 use posebridge_telemetry::{LinkId, RobotId};
@@ -103,7 +103,8 @@ pub(super) async fn open_links(
                 }
             }
         };
-        ports.push(Link::new(LinkOpenConfig { id, url, role }, session.timer));
+        let tuning = LinkTuning { first_contact: FirstContact::Stranger, ..LinkTuning::default() };
+        ports.push(Link::with_tuning(LinkOpenConfig { id, url, role }, tuning, session.timer));
     }
     ensure!(
         args.robots.is_none() || !matches!(simulated, SimulatedLink::None),

@@ -239,6 +239,12 @@ impl StationLoop {
     fn handle(&mut self, now: Timestamp<HostClock>, input: Input) {
         self.station.handle(now, &input);
         self.input_count += 1;
+        if let Input::Bytes { link, peer, .. } = input
+            && self.station.understands(link, peer)
+            && let Some(port) = self.links.get_mut(link)
+        {
+            port.admit(peer);
+        }
         // The reply first: to wake the threads that watch and record must not delay it.
         let mut events = Vec::with_capacity(USUAL_EVENTS);
         let mut sent = Vec::new();

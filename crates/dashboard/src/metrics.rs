@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use posebridge_telemetry::{LinkHealth, TimeDelta};
+use posebridge_telemetry::{LinkCounter, LinkHealth, TimeDelta};
 
 use crate::counters::{COUNTER_TABLE, ServerCounter, ServerCounters};
 use crate::hub::Hub;
@@ -29,6 +29,8 @@ const LINK_METRICS: &[LinkMetric] = &[
     LinkMetric { name: "sent_frames_total", kind: "counter", help: "Frames sent.", read: |of| Some(of.frames_out as f64) },
     // A late frame is subtracted again, so this is no counter.
     LinkMetric { name: "lost_frames", kind: "gauge", help: "Frames missing in the sequence numbers.", read: |of| Some(of.frames_lost as f64) },
+    LinkMetric { name: "kernel_drops_total", kind: "counter", help: LinkCounter::KERNEL_DROPS.help, read: |of| Some(of.port.kernel_drops as f64) },
+    LinkMetric { name: "flood_drops_total", kind: "counter", help: LinkCounter::FLOOD_DROPS.help, read: |of| Some(of.port.flood_drops as f64) },
     LinkMetric { name: "checksum_errors_total", kind: "counter", help: "Frames whose checksum was wrong.", read: |of| Some(of.checksum_errors as f64) },
     LinkMetric { name: "garbage_bytes_total", kind: "counter", help: "Bytes outside every frame.", read: |of| Some(of.garbage_bytes as f64) },
     LinkMetric { name: "stalls_total", kind: "counter", help: "Frames whose bytes stopped coming.", read: |of| Some(of.timeouts as f64) },

@@ -20,6 +20,10 @@ pub struct LinkCounters {
     /// Frames dropped because the link was slow or down: counted for each peer where each peer has its own queue, once where
     /// they wait for the rate limit of the whole link and where the link is down, because the recipients are unknown then.
     pub drops_out: u64,
+    /// Received datagrams that the operating system dropped, because they were not read in time.
+    pub kernel_drops: u64,
+    /// Received datagrams dropped because their peer sends more than its budget.
+    pub flood_drops: u64,
     /// Times the link came up again after it had been up before.
     pub reconnects: u64,
 }
@@ -103,6 +107,9 @@ pub trait Connection: Send {
     fn peer_address(&self, _peer: PeerId) -> Option<IpAddr> {
         None
     }
+
+    /// Something that a peer sent was understood; see [`crate::FirstContact`].
+    fn admit(&mut self, _peer: PeerId) {}
 
     fn count_recipients(&self, to: Recipients) -> u32 {
         u32::from(to.includes(PeerId(0)))

@@ -53,5 +53,7 @@ pub use host_timer::{DeadlineTimer, HostTimer};
 pub use link::{Link, LinkOpenConfig};
 pub use link_set::LinkSet;
 pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport};
-pub use transports::{ConnectRole, DeviceDirectories, LineSettingsPolicy, LinkTuning, UDP_RECEIVE_BUFFER_BYTES};
+pub use transports::{
+    ConnectRole, DeviceDirectories, FirstContact, LineSettingsPolicy, LinkTuning, UDP_RECEIVE_BUFFER_BYTES,
+};
 pub use url::{BluetoothAddress, LinkUrl, Target, UrlError};

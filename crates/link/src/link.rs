@@ -228,12 +228,21 @@ impl Link {
         }
     }
 
+    /// Something that a peer sent was understood, so it is no stranger any more.
+    pub fn admit(&mut self, peer: PeerId) {
+        if let ConnectionState::Up { connection, .. } = &mut self.state {
+            connection.admit(peer);
+        }
+    }
+
     /// The counters and the state of the queue; without peers and frames while the link is down.
     pub fn port_counts(&self) -> LinkCounts {
         let outstanding = self.queue_status();
         LinkCounts {
             bytes_out: self.counters.bytes_out,
             drops_out: self.counters.drops_out,
+            kernel_drops: self.counters.kernel_drops,
+            flood_drops: self.counters.flood_drops,
             peers: outstanding.peers,
             queued_frames: u32::try_from(outstanding.frames).unwrap_or(u32::MAX),
             queued_bytes: u32::try_from(outstanding.bytes).unwrap_or(u32::MAX),

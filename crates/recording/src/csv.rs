@@ -168,7 +168,7 @@ const COVARIANCE_COLUMNS: [&str; 15] = [
 const INNOVATION_COLUMNS: [&str; 9] =
     ["innovation_0", "innovation_1", "innovation_2", "s_00", "s_01", "s_02", "s_11", "s_12", "s_22"];
 
-const LINK_COLUMNS: [LinkCounter; 16] = [
+const LINK_COLUMNS: [LinkCounter; 18] = [
     LinkCounter::BYTES_IN,
     LinkCounter::BYTES_OUT,
     LinkCounter::FRAMES_IN,
@@ -185,6 +185,8 @@ const LINK_COLUMNS: [LinkCounter; 16] = [
     LinkCounter::FORWARDED,
     LinkCounter::FILTERED,
     LinkCounter::RATE_LIMITED,
+    LinkCounter::KERNEL_DROPS,
+    LinkCounter::FLOOD_DROPS,
 ];
 
 fn rows_of(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {

@@ -41,6 +41,8 @@ pub(crate) struct LinkContext {
 pub(crate) struct LossAlarm {
     reported: Option<Timestamp<HostClock>>,
     was_receiving: bool,
+    kernel_drops: u64,
+    drops_reported: Option<Timestamp<HostClock>>,
 }
 
 impl LossAlarm {
@@ -61,6 +63,23 @@ impl LossAlarm {
         }
         self.reported = Some(now);
         Some(format!("lost {lost} of {all} frames in a second: let the robot send less often, or bring it nearer"))
+    }
+}
+
+impl LossAlarm {
+    /// Says how many datagrams the system has dropped since the last report of the link; `None` if there are none, or if it was said lately.
+    pub(crate) fn observe_kernel(&mut self, now: Timestamp<HostClock>, kernel_drops: u64) -> Option<String> {
+        let dropped = kernel_drops.saturating_sub(self.kernel_drops);
+        let is_due = self.drops_reported.is_none_or(|reported| now - reported >= LOSS_REPEAT);
+        if dropped == 0 || !is_due {
+            return None;
+        }
+        self.kernel_drops = kernel_drops;
+        self.drops_reported = Some(now);
+        Some(format!(
+            "lost {dropped} datagrams in the system's receive buffer: run `sudo sysctl net.core.rmem_max=4194304` and start again, \
+             or let fewer robots send, or less often"
+        ))
     }
 }
 
@@ -225,6 +244,11 @@ impl LinkContext {
             self.forwarding.remove(peer);
             self.hosts.remove(peer);
         }
+    }
+
+    /// Whether something that a peer sent was understood. The codec of a brick does not say.
+    pub(crate) fn understands(&self, peer: PeerId) -> bool {
+        self.codec.is_some() || self.verifier.has_accepted(peer)
     }
 
     pub(crate) fn count_sent(&mut self, frame: &[u8]) {

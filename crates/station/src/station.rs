@@ -178,6 +178,11 @@ impl Station {
         links.chain(self.sessions.deadline()).chain(self.time.next_health).min()
     }
 
+    /// Whether something that a peer sent was understood, so that it deserves more than a stranger.
+    pub fn understands(&self, link: LinkId, peer: PeerId) -> bool {
+        self.links.get(&link).is_some_and(|link| link.understands(peer))
+    }
+
     /// All robots, in the order of their first message; before any is detected, the configured one.
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
@@ -482,6 +487,7 @@ impl Station {
         let before = link.health;
         let sources = link.refresh_health();
         let losses = link.losses.observe(self.time.now, &before, &link.health);
+        let kernel_losses = link.losses.observe_kernel(self.time.now, link.health.port.kernel_drops);
         // With several robots on a link the first represents it.
         if let Some(index) = self.robots.at_home(home, &self.router).first() {
             let clock = &self.robots.get(*index).clocks.aligner;
@@ -490,7 +496,7 @@ impl Station {
         }
         let health = link.health;
         self.emit(Event::Health { link: id, health, sources });
-        if let Some(text) = losses {
+        for text in losses.into_iter().chain(kernel_losses) {
             self.report_own_text(severity::WARNING, format!("link {id} {text}"));
         }
     }

@@ -11,6 +11,10 @@ pub struct LinkCounts {
     /// Frames dropped because the link was slow or down: counted for each peer where each peer has its own queue, once
     /// where they wait for the rate limit of the whole link and where the link is down.
     pub drops_out: u64,
+    /// Received datagrams that the operating system dropped, because they were not read in time: lost.
+    pub kernel_drops: u64,
+    /// Received datagrams dropped because their peer sends more than its budget.
+    pub flood_drops: u64,
     pub peers: u32,
     pub queued_frames: u32,
     pub queued_bytes: u32,
@@ -99,12 +103,15 @@ impl LinkCounter {
     pub const FORWARDED: Self = Self::new("forwarded", "passed on to it", "Frames of others passed on to it.", |of| of.forwarded);
     pub const FILTERED: Self = Self::new("filtered", "filtered", "Frames kept out by its filter.", |of| of.filtered);
     pub const RATE_LIMITED: Self = Self::new("thinned", "thinned", "Frames held back by its limits.", |of| of.rate_limited);
+    pub const KERNEL_DROPS: Self = Self::new("kernel_drops", "lost in the system", "Received datagrams that the system dropped.", |of| of.port.kernel_drops);
+    pub const FLOOD_DROPS: Self = Self::new("flood_drops", "cut of floods", "Received datagrams above the budget of their peer.", |of| of.port.flood_drops);
 
     /// The counters of the station, in the order of recordings.
     pub const ALL: &[Self] = &[
         Self::BYTES_IN, Self::BYTES_OUT, Self::FRAMES_IN, Self::FRAMES_OUT, Self::CHECKSUM_ERRORS, Self::GARBAGE_BYTES,
         Self::UNKNOWN_IDS, Self::TIMEOUTS, Self::FRAMES_LOST, Self::RECONNECTS, Self::DROPS_OUT, Self::REJECTED_FRAMES,
         Self::DUPLICATES, Self::ADDRESS_CONFLICTS, Self::FORWARDED, Self::FILTERED, Self::RATE_LIMITED,
+        Self::KERNEL_DROPS, Self::FLOOD_DROPS,
     ];
 
     /// The drops of the station and of the transport; tables and CSV have their sum.

@@ -415,6 +415,10 @@ pub struct LinkRow {
     pub frames_in_per_s: Number,
     /// Frames missing in the sequence numbers since the beginning.
     pub lost: u64,
+    /// Received datagrams that the system dropped, because they were not read in time.
+    pub kernel_drops: u64,
+    /// Received datagrams above the budget of their peer.
+    pub flood_drops: u64,
     /// Candidates whose checksum did not match.
     pub checksum_errors: u64,
     /// Bytes outside every frame.

@@ -53,6 +53,8 @@ impl LinkActivity {
             bytes_in_per_s: self.bytes_in_per_s.into(),
             frames_in_per_s: self.frames_in_per_s.into(),
             lost: health.frames_lost,
+            kernel_drops: health.port.kernel_drops,
+            flood_drops: health.port.flood_drops,
             checksum_errors: health.checksum_errors,
             garbage_bytes: health.garbage_bytes,
             stalls: health.timeouts,

@@ -17,7 +17,7 @@ use std::pin::Pin;
 use crate::connection::Connection;
 use crate::error::OpenError;
 use crate::transport::Transport;
-pub use open_request::{ConnectRole, DeviceDirectories, LineSettingsPolicy, LinkTuning};
+pub use open_request::{ConnectRole, DeviceDirectories, FirstContact, LineSettingsPolicy, LinkTuning};
 pub(crate) use open_request::{OPEN_DEADLINE_SECS, OpenRequest, QUEUE_BYTES, timeout_error};
 pub use udp_socket::RECEIVE_BUFFER_BYTES as UDP_RECEIVE_BUFFER_BYTES;
 

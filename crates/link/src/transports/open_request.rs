@@ -51,11 +51,22 @@ pub enum LineSettingsPolicy {
     Restore,
 }
 
+/// What a UDP peer is before [`crate::Link::admit`] names it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FirstContact {
+    /// Trusted like all others, for programs that do not understand what they receive.
+    #[default]
+    Admitted,
+    /// Given little, served last and forgotten first.
+    Stranger,
+}
+
 /// Settings that tests and unusual systems change.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LinkTuning {
     pub device_directories: DeviceDirectories,
     pub line_settings: LineSettingsPolicy,
+    pub first_contact: FirstContact,
 }
 
 /// Which end opens the connection.

@@ -117,7 +117,7 @@ fn open_serial(request: &OpenRequest) -> Result<OpenedSerial, OpenError> {
 }
 
 fn open_device(request: &OpenRequest, path: &Path) -> Result<OpenedSerial, OpenError> {
-    let OpenRequest { url, tuning: LinkTuning { device_directories, line_settings }, .. } = request;
+    let OpenRequest { url, tuning: LinkTuning { device_directories, line_settings, .. }, .. } = request;
     let device = check_device(path)?;
     let line = open_settings(&device).map_err(|error| error_from_errno(path, error))?;
     let restore_settings = match line_settings {

@@ -4,17 +4,19 @@
 //! names. The system's default receive buffer holds 256 small datagrams, five milliseconds of a large class, so it is
 //! enlarged, and a smaller grant is reported. An error that one unreachable peer causes is not a loss of the link.
 //!
-//! Datagrams are delivered peer by peer in turn. A peer that floods gets its own socket (`udp_socket`), and fewer datagrams are
-//! read from that per turn: it delays no others and causes no losses for them.
+//! Each peer has a budget (`udp_peers`); what is above it is dropped before anything else is done with it. Datagrams are
+//! delivered peer by peer in turn, those of loud peers and strangers only when no other waits. A peer that floods gets its own
+//! socket (`udp_socket`), which is read while its budget lasts: it delays no others and causes no losses for them.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::ops::Bound;
+use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
 use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
-use tokio::net::UdpSocket;
+use tokio::time::Sleep;
 
 use crate::capacity::CapacityMeter;
 use crate::connection::{Connection, LinkCounters, OutgoingFrame, QueueStatus, ReceivedBytes};
@@ -25,13 +27,18 @@ use crate::transport::IDLE;
 use crate::transports::open_request::{
     ConnectRole, OpenRequest, QUEUE_BYTES, listening_detail, resolve, with_deadline,
 };
-use crate::transports::udp_peers::UdpPeerTable;
+use crate::transports::udp_peers::{PeerStanding, UdpPeerTable};
 use crate::transports::udp_socket::{
-    bind_first_available, buffer_warning, connect_first_reachable, enlarge_receive_buffer, open_dedicated_socket,
+    DatagramSocket, bind_first_available, buffer_warning, connect_first_reachable, enlarge_receive_buffer,
+    open_dedicated_socket,
 };
 
 /// Datagrams read from the socket per wake-up, so that one flooded link cannot starve the others.
-const DRAIN_LIMIT: usize = 64;
+const DRAIN_LIMIT: usize = 256;
+/// Most datagrams of loud peers and strangers that wait.
+const MAX_UNHURRIED: usize = 1024;
+/// How long the sockets of flooding peers are left alone when the budgets of all are used up.
+const BUDGET_PAUSE: TimeDelta = TimeDelta::from_millis(10);
 /// Datagrams read from the socket of one flooding peer per wake-up.
 const BUSY_DRAIN_LIMIT: usize = 16;
 /// Most flooding peers with a socket of their own; further ones stay on the common socket.
@@ -68,17 +75,21 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
         detail.push_str(&warning);
     }
     Ok(Box::new(UdpConnection {
-        socket,
+        socket: DatagramSocket::new(socket),
         local_address,
         is_listening,
         detail,
         timer: request.timer,
         busy_peers: Vec::new(),
         next_dedicated_socket: Timestamp::ZERO,
-        peers: UdpPeerTable::new((!is_listening).then_some(target), idle),
+        budget_pause: None,
+        peers: UdpPeerTable::new((!is_listening).then_some(target), idle, request.tuning.first_contact),
         queue: SendQueue::new(QUEUE_BYTES),
         meter: CapacityMeter::default(),
         inbox: FairInbox::default(),
+        unhurried: FairInbox::default(),
+        kernel_drops: 0,
+        flood_drops: 0,
         was_idle: true,
         loss: None,
         buffer: vec![0; DATAGRAM_BYTES].into_boxed_slice(),
@@ -90,10 +101,12 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
 struct FairInbox {
     by_peer: BTreeMap<PeerId, VecDeque<ReceivedBytes>>,
     last_served: PeerId,
+    count: usize,
 }
 
 impl FairInbox {
     fn push(&mut self, incoming: ReceivedBytes) {
+        self.count += 1;
         self.by_peer.entry(incoming.peer).or_default().push_back(incoming);
     }
 
@@ -105,6 +118,7 @@ impl FairInbox {
         self.last_served = *peer;
         let queue = self.by_peer.get_mut(&self.last_served)?;
         let incoming = queue.pop_front();
+        self.count -= 1;
         if queue.is_empty() {
             self.by_peer.remove(&self.last_served);
         }
@@ -115,16 +129,18 @@ impl FairInbox {
 /// A peer with a socket of its own.
 struct BusyPeer {
     address: SocketAddr,
-    socket: UdpSocket,
+    socket: DatagramSocket,
     /// Its earlier datagrams are in the common socket and have to be delivered first.
     is_shared_pending: bool,
 }
 
 struct UdpConnection {
-    socket: UdpSocket,
+    socket: DatagramSocket,
     busy_peers: Vec<BusyPeer>,
     /// When the next peer may get its own socket.
     next_dedicated_socket: Timestamp<HostClock>,
+    /// The end of the pause in reading flooding peers.
+    budget_pause: Option<Pin<Box<Sleep>>>,
     local_address: SocketAddr,
     is_listening: bool,
     detail: String,
@@ -133,6 +149,11 @@ struct UdpConnection {
     queue: SendQueue<SocketAddr>,
     meter: CapacityMeter,
     inbox: FairInbox,
+    /// Of loud peers and strangers: delivered while nothing else waits.
+    unhurried: FairInbox,
+    /// Not reported yet.
+    kernel_drops: u64,
+    flood_drops: u64,
     /// Nothing was available at the last poll, so the next datagram is probably alone.
     was_idle: bool,
     /// Reported after everything that arrived before has been delivered.
@@ -147,11 +168,21 @@ enum SocketState {
     Failed,
 }
 
+/// What became of a datagram.
+enum Arrival {
+    /// To be delivered at once.
+    Prompt(ReceivedBytes),
+    /// It waits, or was empty.
+    Kept,
+    /// Its peer is above its budget.
+    Cut,
+}
+
 impl UdpConnection {
     fn flush(&mut self, cx: &mut Context<'_>, counters: &mut LinkCounters) {
         let mut taken = 0;
         while let Some((to, frame)) = self.queue.head() {
-            let Poll::Ready(result) = self.socket.poll_send_to(cx, frame, *to) else {
+            let Poll::Ready(result) = self.socket.socket.poll_send_to(cx, frame, *to) else {
                 break;
             };
             taken += frame.len();
@@ -167,8 +198,11 @@ impl UdpConnection {
 
     /// The first datagram after a pause. It bypasses the inbox: the socket is read again after it has been answered.
     fn receive_first(&mut self) -> Option<ReceivedBytes> {
-        match self.socket.try_recv_from(&mut self.buffer) {
-            Ok((length, from)) => self.received_datagram(length, from),
+        match self.socket.try_recv_from(&mut self.buffer, &mut self.kernel_drops) {
+            Ok((length, from)) => match self.accept(length, from) {
+                Arrival::Prompt(incoming) => Some(incoming),
+                Arrival::Kept | Arrival::Cut => None,
+            },
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
             Err(error) if is_about_one_peer(&error) => None,
             Err(error) => {
@@ -181,13 +215,8 @@ impl UdpConnection {
     /// Reads the datagrams of the common socket, up to the limit.
     fn drain(&mut self) {
         for _ in 0..DRAIN_LIMIT {
-            match self.socket.try_recv_from(&mut self.buffer) {
-                Ok((length, from)) => {
-                    self.deliver(length, from);
-                    if self.peers.is_busy(from) {
-                        self.dedicate_socket(from);
-                    }
-                }
+            match self.socket.try_recv_from(&mut self.buffer, &mut self.kernel_drops) {
+                Ok((length, from)) => self.accept_shared(length, from),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     for loud in &mut self.busy_peers {
                         loud.is_shared_pending = true;
@@ -203,6 +232,27 @@ impl UdpConnection {
         }
     }
 
+    /// The next datagram of a loud peer or a stranger, or one of another peer that has come meanwhile.
+    fn pop_unhurried(&mut self) -> Option<ReceivedBytes> {
+        if self.unhurried.count == 0 {
+            return None;
+        }
+        for _ in 0..DRAIN_LIMIT {
+            // An error is seen again by the next regular read.
+            let Ok((length, from)) = self.socket.recv_from_now(&mut self.buffer, &mut self.kernel_drops) else { break };
+            self.accept_shared(length, from);
+        }
+        self.inbox.pop().or_else(|| self.unhurried.pop())
+    }
+
+    fn accept_shared(&mut self, length: usize, from: SocketAddr) {
+        match self.accept(length, from) {
+            Arrival::Prompt(incoming) => self.inbox.push(incoming),
+            Arrival::Kept => {}
+            Arrival::Cut => self.dedicate_socket(from),
+        }
+    }
+
     /// Gives a flooding peer its own socket, if it has none and one can be opened.
     fn dedicate_socket(&mut self, address: SocketAddr) {
         let has_one = self.busy_peers.iter().any(|loud| loud.address == address);
@@ -210,9 +260,10 @@ impl UdpConnection {
         if has_one || self.busy_peers.len() >= MAX_BUSY_PEERS || now < self.next_dedicated_socket {
             return;
         }
-        match open_dedicated_socket(&self.socket, self.local_address, address) {
+        match open_dedicated_socket(&self.socket.socket, self.local_address, address) {
             Ok(socket) => {
                 tracing::info!(peer = %address, at = %self.local_address, "a loud peer is read apart");
+                let socket = DatagramSocket::new(socket);
                 self.busy_peers.push(BusyPeer { address, socket, is_shared_pending: false });
             }
             Err(error) => {
@@ -222,18 +273,55 @@ impl UdpConnection {
         }
     }
 
-    /// Reads some datagrams of each flooding peer; false, with a waker registered at each, if there are none.
+    fn poll_receive(&mut self, cx: &mut Context<'_>) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
+        loop {
+            if let Some(incoming) = self.inbox.pop().or_else(|| self.pop_unhurried()) {
+                return Poll::Ready(Ok(Some(incoming)));
+            }
+            if let Some(error) = self.loss.take() {
+                return Poll::Ready(Err(error.into()));
+            }
+            let common = self.socket.socket.poll_recv_ready(cx);
+            match common {
+                Poll::Ready(Ok(())) => {
+                    if std::mem::take(&mut self.was_idle)
+                        && let Some(first) = self.receive_first()
+                    {
+                        return Poll::Ready(Ok(Some(first)));
+                    }
+                    self.drain();
+                }
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
+                Poll::Pending => {}
+            }
+            let is_busy = self.drain_busy_peers(cx);
+            if self.inbox.count + self.unhurried.count > 0 || self.loss.is_some() {
+                continue;
+            }
+            if !is_busy && common.is_pending() {
+                self.was_idle = true;
+                return Poll::Pending;
+            }
+            // All that was read was cut: the other links have their turn.
+            cx.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+    }
+
+    /// Reads some datagrams of each flooding peer; false, with a waker registered, if there are none within the budgets.
     fn drain_busy_peers(&mut self, cx: &mut Context<'_>) -> bool {
         let mut loud = std::mem::take(&mut self.busy_peers);
-        let mut found = false;
-        loud.retain(|one| {
-            if one.is_shared_pending {
-                match one.socket.poll_recv_ready(cx) {
+        let (mut found, mut has_paused) = (false, false);
+        loud.retain_mut(|one| {
+            if one.is_shared_pending && !self.peers.has_budget(one.address, self.timer.now()) {
+                has_paused = true;
+            } else if one.is_shared_pending {
+                match one.socket.socket.poll_recv_ready(cx) {
                     Poll::Pending => {}
                     Poll::Ready(Err(_)) => return false,
                     Poll::Ready(Ok(())) => {
                         found = true;
-                        if self.drain_datagram(&one.socket) == SocketState::Failed {
+                        if self.drain_dedicated(one) == SocketState::Failed {
                             return false;
                         }
                     }
@@ -241,15 +329,29 @@ impl UdpConnection {
             }
             self.peers.contains(one.address)
         });
-        // No peer was given its own socket in the meantime: that happens in `drain` only.
+        // No peer was given its own socket in the meantime: that happens for the common socket only.
         self.busy_peers = loud;
+        if !found && has_paused {
+            let end = self.timer.instant(self.timer.now() + BUDGET_PAUSE);
+            let pause = self.budget_pause.get_or_insert_with(|| Box::pin(tokio::time::sleep_until(end)));
+            if pause.as_mut().poll(cx).is_ready() {
+                self.budget_pause = None;
+                cx.waker().wake_by_ref();
+            }
+        }
         found
     }
 
-    fn drain_datagram(&mut self, socket: &UdpSocket) -> SocketState {
+    fn drain_dedicated(&mut self, one: &mut BusyPeer) -> SocketState {
         for _ in 0..BUSY_DRAIN_LIMIT {
-            match socket.try_recv_from(&mut self.buffer) {
-                Ok((length, from)) => self.deliver(length, from),
+            // What the system drops here is this peer's.
+            match one.socket.try_recv_from(&mut self.buffer, &mut self.flood_drops) {
+                Ok((length, from)) => match self.accept(length, from) {
+                    Arrival::Prompt(incoming) => self.inbox.push(incoming),
+                    Arrival::Kept => {}
+                    // The rest waits for its budget.
+                    Arrival::Cut => break,
+                },
                 Err(error) if is_about_one_peer(&error) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return SocketState::Open,
                 // The common socket receives the peer again when this one is closed.
@@ -259,18 +361,29 @@ impl UdpConnection {
         SocketState::Open
     }
 
-    fn deliver(&mut self, length: usize, from: SocketAddr) {
-        if let Some(incoming) = self.received_datagram(length, from) {
-            self.inbox.push(incoming);
-        }
-    }
-
-    /// The datagram in the buffer; `None` for an empty one, which only makes the peer known.
-    fn received_datagram(&mut self, length: usize, from: SocketAddr) -> Option<ReceivedBytes> {
+    /// Decides about the datagram in the buffer; an empty one only makes its peer known.
+    fn accept(&mut self, length: usize, from: SocketAddr) -> Arrival {
         let arrival = self.timer.now();
-        let peer = self.peers.record_activity(from, arrival);
+        let Some((peer, standing)) = self.peers.receive(from, length, arrival) else {
+            self.flood_drops += 1;
+            return Arrival::Cut;
+        };
+        if length == 0 {
+            return Arrival::Kept;
+        }
+        if standing != PeerStanding::Calm && self.unhurried.count >= MAX_UNHURRIED {
+            self.flood_drops += 1;
+            return Arrival::Kept;
+        }
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
-        (!bytes.is_empty()).then_some(ReceivedBytes { peer, arrival, bytes })
+        let incoming = ReceivedBytes { peer, arrival, bytes };
+        match standing {
+            PeerStanding::Calm => Arrival::Prompt(incoming),
+            PeerStanding::Loud | PeerStanding::Stranger => {
+                self.unhurried.push(incoming);
+                Arrival::Kept
+            }
+        }
     }
 }
 
@@ -291,6 +404,10 @@ impl Connection for UdpConnection {
         self.peers.address_of(peer).map(|address| address.ip())
     }
 
+    fn admit(&mut self, peer: PeerId) {
+        self.peers.admit(peer);
+    }
+
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
         let frame = out.frame;
         let mut cx = Context::from_waker(Waker::noop());
@@ -299,7 +416,7 @@ impl Connection for UdpConnection {
                 counters.drops_out += self.queue.push(to, out.priority, frame);
                 continue;
             }
-            match self.socket.poll_send_to(&mut cx, frame, to) {
+            match self.socket.socket.poll_send_to(&mut cx, frame, to) {
                 Poll::Ready(result) => count_sent(&result, counters),
                 Poll::Pending => counters.drops_out += self.queue.push(to, out.priority, frame),
             }
@@ -313,31 +430,10 @@ impl Connection for UdpConnection {
         counters: &mut LinkCounters,
     ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         self.flush(cx, counters);
-        loop {
-            if let Some(incoming) = self.inbox.pop() {
-                return Poll::Ready(Ok(Some(incoming)));
-            }
-            if let Some(error) = self.loss.take() {
-                return Poll::Ready(Err(error.into()));
-            }
-            let common = self.socket.poll_recv_ready(cx);
-            match common {
-                Poll::Ready(Ok(())) => {
-                    if std::mem::take(&mut self.was_idle)
-                        && let Some(first) = self.receive_first()
-                    {
-                        return Poll::Ready(Ok(Some(first)));
-                    }
-                    self.drain();
-                }
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
-                Poll::Pending => {}
-            }
-            if !self.drain_busy_peers(cx) && common.is_pending() {
-                self.was_idle = true;
-                return Poll::Pending;
-            }
-        }
+        let polled = self.poll_receive(cx);
+        counters.kernel_drops += std::mem::take(&mut self.kernel_drops);
+        counters.flood_drops += std::mem::take(&mut self.flood_drops);
+        polled
     }
 
     fn count_recipients(&self, to: Recipients) -> u32 {

@@ -1,78 +1,188 @@
 //! The peers of a UDP socket: numbered in the order of first contact, forgotten after silence.
 //!
-//! Also detects peers that send too much. Time is an argument; no socket is used here.
+//! Each has a budget of its own. One that was never understood, a stranger, has a small one and is the first to be forgotten;
+//! one that sends more than a robot does is loud, and shares what loud peers may cost. Time is an argument; no socket is used
+//! here.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
 
-/// Most peers at a time; those silent for longest are dropped first. Guards against forged source addresses.
+use crate::transports::open_request::FirstContact;
+
+/// Most peers at a time; strangers are dropped first, then those silent for longest. Guards against forged source addresses.
 const MAX_PEERS: usize = 4096;
-/// Over this time the datagrams of a peer are counted.
-const BUSY_WINDOW: TimeDelta = TimeDelta::from_millis(100);
-/// More datagrams than this within the window count as flooding: 5000 per second, ten times a brick that sends every sensor
-/// at 100 Hz in a datagram of its own.
-const BUSY_DATAGRAMS: u32 = 500;
+/// Most strangers that get what is sent to all: a program that only listens is one of them.
+const MAX_SERVED_STRANGERS: usize = 64;
+/// What a datagram costs its sender besides its bytes, for the work that is the same for all.
+const DATAGRAM_COST: i64 = 200;
+/// Four times a brick that sends every sensor at 100 Hz in a datagram of its own: 2000 of 50 bytes.
+const CALM_BYTES_PER_S: i64 = 500_000;
+/// All loud peers together: 16 000 datagrams of 50 bytes, a tenth of what one core handles. A relay of hundreds of robots alone has it
+/// all.
+const LOUD_BYTES_PER_S: i64 = 4_000_000;
+/// 100 datagrams of 50 bytes.
+const STRANGER_BYTES_PER_S: i64 = 25_000;
+/// What a peer may send at once, as a part of a second: a robot's backlog after its Wi-Fi was away.
+const BURST: TimeDelta = TimeDelta::from_millis(250);
+const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 pub(super) struct UdpPeerTable {
     idle: TimeDelta,
+    first_contact: FirstContact,
     by_address: BTreeMap<SocketAddr, UdpPeer>,
     by_id: BTreeMap<PeerId, SocketAddr>,
     next_id: u32,
+    loud_count: i64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PeerStanding {
+    /// Nothing that it sent was understood.
+    Stranger,
+    Calm,
+    /// It was understood, and its budget was used up.
+    Loud,
 }
 
 struct UdpPeer {
     id: PeerId,
-    window_start: Timestamp<HostClock>,
-    window_datagrams: u32,
+    standing: PeerStanding,
+    own: Budget,
+    /// Its part of what all loud peers share; used while it is loud.
+    loud: Budget,
     /// `None` for the host that the link names, which is never forgotten.
     last_seen: Option<Timestamp<HostClock>>,
 }
 
+/// A token bucket: it holds at most what flows in during [`BURST`], and as much may be missing.
+struct Budget {
+    left_bytes: i64,
+    refilled: Timestamp<HostClock>,
+}
+
+impl Budget {
+    const fn full(bytes_per_s: i64, now: Timestamp<HostClock>) -> Self {
+        Self { left_bytes: burst(bytes_per_s), refilled: now }
+    }
+
+    fn refill(&mut self, bytes_per_s: i64, now: Timestamp<HostClock>) {
+        let elapsed = (now - self.refilled).as_nanos().clamp(0, NANOS_PER_SEC);
+        let added = elapsed * bytes_per_s / NANOS_PER_SEC;
+        if added > 0 {
+            self.refilled = now;
+            self.left_bytes = (self.left_bytes + added).min(burst(bytes_per_s));
+        }
+    }
+}
+
+const fn burst(bytes_per_s: i64) -> i64 {
+    bytes_per_s * BURST.as_nanos() / NANOS_PER_SEC
+}
+
 impl UdpPeerTable {
     /// Only the host that the URL names; others are forgotten after `idle` of silence.
-    pub(super) fn new(named: Option<SocketAddr>, idle: TimeDelta) -> Self {
-        let mut peers = Self { idle, by_address: BTreeMap::new(), by_id: BTreeMap::new(), next_id: 0 };
+    pub(super) fn new(named: Option<SocketAddr>, idle: TimeDelta, first_contact: FirstContact) -> Self {
+        let mut peers = Self {
+            idle,
+            first_contact,
+            by_address: BTreeMap::new(),
+            by_id: BTreeMap::new(),
+            next_id: 0,
+            loud_count: 0,
+        };
         if let Some(address) = named {
-            peers.insert(address, None);
+            peers.insert(address, PeerStanding::Calm, None);
         }
         peers
     }
 
-    fn insert(&mut self, address: SocketAddr, last_seen: Option<Timestamp<HostClock>>) -> PeerId {
+    fn insert(&mut self, address: SocketAddr, standing: PeerStanding, last_seen: Option<Timestamp<HostClock>>) {
         let id = PeerId(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
-        let peer = UdpPeer {
-            id,
-            window_start: last_seen.unwrap_or(Timestamp::ZERO),
-            window_datagrams: u32::from(last_seen.is_some()),
-            last_seen,
-        };
-        self.by_address.insert(address, peer);
+        let now = last_seen.unwrap_or(Timestamp::ZERO);
+        let own = Budget::full(own_bytes_per_s(standing), now);
+        self.by_address.insert(address, UdpPeer { id, standing, own, loud: Budget::full(0, now), last_seen });
         self.by_id.insert(id, address);
-        id
     }
 
-    pub(super) fn record_activity(&mut self, address: SocketAddr, now: Timestamp<HostClock>) -> PeerId {
-        if let Some(peer) = self.by_address.get_mut(&address) {
-            peer.count_datagram(now);
-            let is_away = |last_seen: &Timestamp<HostClock>| now - *last_seen > self.idle;
-            if !peer.last_seen.as_ref().is_some_and(is_away) {
+    /// Charges a peer for a datagram, and makes an unknown one known; `None` if its budget is used up.
+    pub(super) fn receive(
+        &mut self,
+        address: SocketAddr,
+        length: usize,
+        now: Timestamp<HostClock>,
+    ) -> Option<(PeerId, PeerStanding)> {
+        match self.by_address.get_mut(&address) {
+            Some(peer) if peer.last_seen.is_none_or(|last_seen| now - last_seen <= self.idle) => {
                 peer.last_seen = peer.last_seen.map(|_| now);
-                return peer.id;
             }
-            // Away for so long that what it sent before has no bearing on what it sends now.
-            self.remove(address);
-        } else if self.by_address.len() >= MAX_PEERS {
-            self.evict_most_idle();
+            known => {
+                // One that was away for so long that what it sent before has no bearing on what it sends now is new.
+                if known.is_some() {
+                    self.remove(address);
+                } else if self.by_address.len() >= MAX_PEERS {
+                    self.evict();
+                }
+                let standing = match self.first_contact {
+                    FirstContact::Stranger => PeerStanding::Stranger,
+                    FirstContact::Admitted => PeerStanding::Calm,
+                };
+                self.insert(address, standing, Some(now));
+            }
         }
-        self.insert(address, Some(now))
+        if !self.has_budget(address, now) {
+            return None;
+        }
+        let peer = self.by_address.get_mut(&address)?;
+        let cost = length as i64 + DATAGRAM_COST;
+        peer.own.left_bytes = (peer.own.left_bytes - cost).max(-burst(CALM_BYTES_PER_S));
+        peer.loud.left_bytes -= cost;
+        Some((peer.id, peer.standing))
     }
 
-    /// True if `address` sends so much that it should not share a buffer with the others.
-    pub(super) fn is_busy(&self, address: SocketAddr) -> bool {
-        self.by_address.get(&address).is_some_and(|peer| peer.window_datagrams > BUSY_DATAGRAMS)
+    /// Whether a peer may send now. One that has used up its own budget is loud until it has sent less for a while.
+    pub(super) fn has_budget(&mut self, address: SocketAddr, now: Timestamp<HostClock>) -> bool {
+        let Some(peer) = self.by_address.get_mut(&address) else {
+            return true;
+        };
+        peer.own.refill(own_bytes_per_s(peer.standing), now);
+        match peer.standing {
+            PeerStanding::Stranger => peer.own.left_bytes > 0,
+            PeerStanding::Calm => {
+                if peer.own.left_bytes <= 0 {
+                    peer.standing = PeerStanding::Loud;
+                    self.loud_count += 1;
+                    peer.loud = Budget::full(LOUD_BYTES_PER_S / self.loud_count, now);
+                }
+                true
+            }
+            PeerStanding::Loud if peer.own.left_bytes >= burst(CALM_BYTES_PER_S) => {
+                peer.standing = PeerStanding::Calm;
+                self.loud_count -= 1;
+                true
+            }
+            PeerStanding::Loud => {
+                peer.loud.refill(LOUD_BYTES_PER_S / self.loud_count.max(1), now);
+                let is_left = peer.loud.left_bytes > 0;
+                if !is_left {
+                    // What is cut counts, too: else it would seem calm.
+                    peer.own.left_bytes = -burst(CALM_BYTES_PER_S);
+                }
+                is_left
+            }
+        }
+    }
+
+    /// Something that a peer sent was understood.
+    pub(super) fn admit(&mut self, id: PeerId) {
+        if let Some(peer) = self.by_id.get(&id).and_then(|address| self.by_address.get_mut(address))
+            && peer.standing == PeerStanding::Stranger
+        {
+            peer.standing = PeerStanding::Calm;
+            peer.own.left_bytes = burst(CALM_BYTES_PER_S);
+        }
     }
 
     pub(super) fn address_of(&self, peer: PeerId) -> Option<SocketAddr> {
@@ -87,31 +197,34 @@ impl UdpPeerTable {
     fn remove(&mut self, address: SocketAddr) {
         if let Some(peer) = self.by_address.remove(&address) {
             self.by_id.remove(&peer.id);
+            self.loud_count -= i64::from(peer.standing == PeerStanding::Loud);
         }
     }
 
     /// Makes room by a quarter at a time, so that a flood of forged addresses does not cost a search per datagram.
-    fn evict_most_idle(&mut self) {
+    fn evict(&mut self) {
+        let is_admitted = |peer: &UdpPeer| peer.standing != PeerStanding::Stranger;
         let mut by_silence: Vec<_> = self
             .by_address
             .iter()
-            .filter_map(|(address, peer)| peer.last_seen.map(|last_seen| (last_seen, *address)))
+            .filter_map(|(address, peer)| Some((is_admitted(peer), peer.last_seen?, *address)))
             .collect();
         by_silence.sort_unstable();
-        for (_, address) in by_silence.into_iter().take(MAX_PEERS / 4) {
+        // No admitted one goes while there are strangers.
+        let strangers = by_silence.partition_point(|(is_admitted, ..)| !is_admitted);
+        let count = if strangers == 0 { MAX_PEERS / 4 } else { strangers.min(MAX_PEERS / 4) };
+        for (.., address) in by_silence.into_iter().take(count) {
             self.remove(address);
         }
     }
 
     pub(super) fn evict_idle(&mut self, now: Timestamp<HostClock>) {
-        let (by_id, idle) = (&mut self.by_id, self.idle);
-        self.by_address.retain(|_, peer| {
-            let is_live = peer.last_seen.is_none_or(|last_seen| now - last_seen <= idle);
-            if !is_live {
-                by_id.remove(&peer.id);
-            }
-            is_live
-        });
+        let idle = self.idle;
+        let is_gone = |peer: &UdpPeer| peer.last_seen.is_some_and(|last_seen| now - last_seen > idle);
+        let gone: Vec<_> = self.by_address.iter().filter(|(_, peer)| is_gone(peer)).map(|(address, _)| *address).collect();
+        for address in gone {
+            self.remove(address);
+        }
     }
 
     /// The number of current peers among the recipients.
@@ -119,9 +232,7 @@ impl UdpPeerTable {
         if let Recipients::Peer(id) = audience {
             return u32::from(self.by_id.contains_key(&id));
         }
-        let is_live = |peer: &&UdpPeer| peer.last_seen.is_none_or(|last_seen| now - last_seen <= self.idle);
-        let live = self.by_address.values().filter(is_live);
-        live.filter(|peer| audience.includes(peer.id)).count() as u32
+        self.recipients(audience, now).count() as u32
     }
 
     pub(super) fn recipient_addresses(&mut self, audience: Recipients, now: Timestamp<HostClock>) -> Vec<SocketAddr> {
@@ -129,17 +240,26 @@ impl UdpPeerTable {
             return self.by_id.get(&id).copied().into_iter().collect();
         }
         self.evict_idle(now);
-        self.by_address.iter().filter(|(_, peer)| audience.includes(peer.id)).map(|(address, _)| *address).collect()
+        self.recipients(audience, now).collect()
+    }
+
+    /// All that are admitted, and some strangers.
+    fn recipients(&self, audience: Recipients, now: Timestamp<HostClock>) -> impl Iterator<Item = SocketAddr> {
+        let is_live = move |peer: &UdpPeer| peer.last_seen.is_none_or(|last_seen| now - last_seen <= self.idle);
+        let mut strangers = 0;
+        let live = self.by_address.iter().filter(move |(_, peer)| is_live(peer) && audience.includes(peer.id));
+        let served = live.filter(move |(_, peer)| {
+            strangers += usize::from(peer.standing == PeerStanding::Stranger);
+            peer.standing != PeerStanding::Stranger || strangers <= MAX_SERVED_STRANGERS
+        });
+        served.map(|(address, _)| *address)
     }
 }
 
-impl UdpPeer {
-    fn count_datagram(&mut self, now: Timestamp<HostClock>) {
-        if now - self.window_start >= BUSY_WINDOW {
-            self.window_start = now;
-            self.window_datagrams = 0;
-        }
-        self.window_datagrams = self.window_datagrams.saturating_add(1);
+const fn own_bytes_per_s(standing: PeerStanding) -> i64 {
+    match standing {
+        PeerStanding::Stranger => STRANGER_BYTES_PER_S,
+        PeerStanding::Calm | PeerStanding::Loud => CALM_BYTES_PER_S,
     }
 }
 

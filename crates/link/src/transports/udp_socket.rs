@@ -8,11 +8,17 @@
 //! drops the datagrams of all. So such a peer gets its own socket, bound to the same address and connected to the peer;
 //! Linux delivers to the most specific socket, so from then on that peer fills and loses only its own. No datagram is
 //! lost meanwhile: one that arrives between bind and connect carries its sender's address and is delivered as usual.
+//!
+//! The system says with a datagram how many it has dropped before it (socket(7), SO_RXQ_OVFL).
 
-use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::io::{self, IoSliceMut};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
+use std::os::fd::{AsRawFd, RawFd};
 
+use nix::sys::socket::sockopt::RxqOvfl;
+use nix::sys::socket::{ControlMessageOwned, MsgFlags, SockaddrStorage, recvmsg, setsockopt};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
+use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
 use crate::error::OpenError;
@@ -21,6 +27,67 @@ use crate::transports::open_request::{bind_error, no_address};
 /// Requested receive buffer. Linux doubles it and charges 832 bytes for a small datagram (measured: its default of 212 992
 /// bytes holds 256), so this holds 10 000 of them: a fifth of a second of 1000 robots at 50 Hz.
 pub const RECEIVE_BUFFER_BYTES: usize = 4 * 1024 * 1024;
+
+/// Of the socket of one loud peer.
+const DEDICATED_BUFFER_BYTES: usize = 1024 * 1024;
+
+/// A socket that knows how many datagrams the system has dropped.
+pub(super) struct DatagramSocket {
+    pub(super) socket: UdpSocket,
+    control: Vec<u8>,
+    /// As the system counts them, from zero again after the largest.
+    dropped: u32,
+}
+
+impl DatagramSocket {
+    pub(super) fn new(socket: UdpSocket) -> Self {
+        if let Err(error) = setsockopt(&socket, RxqOvfl, &1) {
+            tracing::warn!(%error, "datagrams that the system drops are not counted");
+        }
+        Self { socket, control: nix::cmsg_space!(u32), dropped: 0 }
+    }
+
+    /// The next datagram: its length and sender. Adds what was dropped before it to `dropped`.
+    pub(super) fn try_recv_from(&mut self, buffer: &mut [u8], dropped: &mut u64) -> io::Result<(usize, SocketAddr)> {
+        let (fd, control) = (self.socket.as_raw_fd(), &mut self.control);
+        let received = self.socket.try_io(Interest::READABLE, || receive(fd, control, buffer))?;
+        Ok(self.count(received, dropped))
+    }
+
+    /// Like [`Self::try_recv_from`], also if the runtime does not know yet that something came.
+    pub(super) fn recv_from_now(&mut self, buffer: &mut [u8], dropped: &mut u64) -> io::Result<(usize, SocketAddr)> {
+        let received = receive(self.socket.as_raw_fd(), &mut self.control, buffer)?;
+        Ok(self.count(received, dropped))
+    }
+
+    fn count(&mut self, received: Datagram, dropped: &mut u64) -> (usize, SocketAddr) {
+        if let Some(now) = received.dropped {
+            *dropped += u64::from(now.wrapping_sub(std::mem::replace(&mut self.dropped, now)));
+        }
+        (received.length, received.from)
+    }
+}
+
+struct Datagram {
+    length: usize,
+    from: SocketAddr,
+    /// `None` while the system has dropped none.
+    dropped: Option<u32>,
+}
+
+fn receive(fd: RawFd, control: &mut [u8], buffer: &mut [u8]) -> io::Result<Datagram> {
+    let mut parts = [IoSliceMut::new(buffer)];
+    let received = recvmsg::<SockaddrStorage>(fd, &mut parts, Some(control), MsgFlags::empty())?;
+    let dropped = received.cmsgs()?.find_map(|message| match message {
+        ControlMessageOwned::RxqOvfl(count) => Some(count),
+        _ => None,
+    });
+    let v4 = |from: &SockaddrStorage| from.as_sockaddr_in().map(|from| SocketAddr::V4(SocketAddrV4::from(*from)));
+    let v6 = |from: &SockaddrStorage| from.as_sockaddr_in6().map(|from| SocketAddr::V6(SocketAddrV6::from(*from)));
+    let from = received.address.as_ref().and_then(|from| v4(from).or_else(|| v6(from)));
+    let from = from.ok_or_else(|| io::Error::from(io::ErrorKind::InvalidData))?;
+    Ok(Datagram { length: received.bytes, from, dropped })
+}
 
 /// A socket bound to the first possible address, and that address.
 ///
@@ -72,12 +139,12 @@ fn wildcard_address_for(target: SocketAddr) -> SocketAddr {
 
 /// Requests a large receive buffer and returns the granted size in bytes.
 pub(super) fn enlarge_receive_buffer(socket: &UdpSocket) -> usize {
-    enlarge(&SockRef::from(socket))
+    enlarge(&SockRef::from(socket), RECEIVE_BUFFER_BYTES)
 }
 
-fn enlarge(socket: &SockRef<'_>) -> usize {
+fn enlarge(socket: &SockRef<'_>, bytes: usize) -> usize {
     // A refusal shows in what is granted, which is what counts.
-    let outcome = socket.set_recv_buffer_size(RECEIVE_BUFFER_BYTES);
+    let outcome = socket.set_recv_buffer_size(bytes);
     let doubled = socket.recv_buffer_size().unwrap_or(0);
     tracing::debug!(?outcome, doubled, "receive buffer");
     // Linux doubles the size for its own bookkeeping and reports the double: socket(7), SO_RCVBUF.
@@ -101,7 +168,7 @@ pub(super) fn open_dedicated_socket(main: &UdpSocket, local: SocketAddr, peer: S
     let own = Socket::new(Domain::for_address(local), Type::DGRAM, Some(Protocol::UDP))?;
     own.set_nonblocking(true)?;
     own.set_reuse_address(true)?;
-    enlarge(&SockRef::from(&own));
+    enlarge(&SockRef::from(&own), DEDICATED_BUFFER_BYTES);
     // Both sides have to agree at the moment of binding. Afterwards the address is ours alone again, so that a second program
     // still gets the error that it is in use.
     let main = SockRef::from(main);

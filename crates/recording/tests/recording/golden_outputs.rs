@@ -106,6 +106,8 @@ fn health_event() -> Event {
         port: LinkCounts {
             bytes_out: 18,
             drops_out: 19,
+            kernel_drops: 24,
+            flood_drops: 25,
             peers: 20,
             queued_frames: 21,
             queued_bytes: 22,

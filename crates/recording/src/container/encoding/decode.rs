@@ -9,7 +9,7 @@ use posebridge_telemetry::{
 
 use super::super::fields::ByteReader;
 use super::{
-    CHECKSUM_BYTES, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command, fix_flag, kind, simulator,
+    CHECKSUM_BYTES, DROPPED_DATAGRAMS_VERSION, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command, fix_flag, kind, simulator,
     tag,
 };
 
@@ -29,7 +29,7 @@ pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Re
     if !(OLDEST_VERSION..=NEWEST_VERSION).contains(&version) {
         return Err(DecodeError::Version(version));
     }
-    let input = reader.input()?;
+    let input = reader.input(version)?;
     match reader.remaining.len() {
         0 => Ok(input),
         left => Err(DecodeError::TooLong(left)),
@@ -37,15 +37,21 @@ pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Re
 }
 
 impl<'a> ByteReader<'a> {
-    fn counts(&mut self) -> Result<LinkCounts, DecodeError> {
-        Ok(LinkCounts {
+    fn counts(&mut self, version: u8) -> Result<LinkCounts, DecodeError> {
+        let mut counts = LinkCounts {
             bytes_out: self.u64()?,
             drops_out: self.u64()?,
             peers: self.u32()?,
             queued_frames: self.u32()?,
             queued_bytes: self.u32()?,
             capacity_bytes_per_s: Some(self.f64()?).filter(|capacity| *capacity >= 0.0),
-        })
+            ..LinkCounts::default()
+        };
+        if version >= DROPPED_DATAGRAMS_VERSION {
+            counts.kernel_drops = self.u64()?;
+            counts.flood_drops = self.u64()?;
+        }
+        Ok(counts)
     }
 
     fn heading(&mut self) -> Result<Heading, DecodeError> {
@@ -63,7 +69,7 @@ impl<'a> ByteReader<'a> {
         Ok(Point2::new(Meters(self.f64()?), Meters(self.f64()?)))
     }
 
-    fn input(&mut self) -> Result<Input, DecodeError> {
+    fn input(&mut self, version: u8) -> Result<Input, DecodeError> {
         Ok(match self.u8()? {
             tag::BYTES => Input::Bytes {
                 link: LinkId(self.u16()?),
@@ -75,7 +81,7 @@ impl<'a> ByteReader<'a> {
                 peer: PeerId(self.u32()?),
                 bytes: std::mem::take(&mut self.remaining).to_vec(),
             },
-            tag::PORT => Input::Port { link: LinkId(self.u16()?), counts: self.counts()? },
+            tag::PORT => Input::Port { link: LinkId(self.u16()?), counts: self.counts(version)? },
             tag::LINK => Input::Link {
                 link: LinkId(self.u16()?),
                 state: match self.u8()? {

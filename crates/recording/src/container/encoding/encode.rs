@@ -4,7 +4,7 @@ use posebridge_telemetry::{
 };
 
 use super::{
-    ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind,
+    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind,
     put_numbers, simulator, tag,
 };
 
@@ -13,6 +13,7 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
     bytes.push(match input {
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
         Input::PeerAddress { .. } => PEER_ADDRESS_VERSION,
+        Input::Port { counts, .. } if has_dropped(counts) => DROPPED_DATAGRAMS_VERSION,
         Input::Bytes { .. }
         | Input::Port { .. }
         | Input::Link { .. }
@@ -122,6 +123,14 @@ fn put_counts(counts: &LinkCounts, bytes: &mut Vec<u8>) {
     }
     // No link takes less than nothing: a negative capacity says that none was measured.
     put_numbers(&[counts.capacity_bytes_per_s.unwrap_or(-1.0)], bytes);
+    if has_dropped(counts) {
+        bytes.extend_from_slice(&counts.kernel_drops.to_le_bytes());
+        bytes.extend_from_slice(&counts.flood_drops.to_le_bytes());
+    }
+}
+
+const fn has_dropped(counts: &LinkCounts) -> bool {
+    counts.kernel_drops > 0 || counts.flood_drops > 0
 }
 
 fn put_observation(observation: &Observation, bytes: &mut Vec<u8>) {

@@ -18,7 +18,9 @@ const ENCODING_VERSION: u8 = 4;
 /// First bytes of messages whose tag is new in their layout, so that an older program reports a newer file.
 const ROBOT_COMMAND_VERSION: u8 = 5;
 const PEER_ADDRESS_VERSION: u8 = 6;
-const NEWEST_VERSION: u8 = PEER_ADDRESS_VERSION;
+/// The counts of a port where datagrams were dropped.
+const DROPPED_DATAGRAMS_VERSION: u8 = 7;
+const NEWEST_VERSION: u8 = DROPPED_DATAGRAMS_VERSION;
 /// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
 const CHECKSUM_BYTES: usize = 4;
