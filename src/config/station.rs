@@ -150,7 +150,7 @@ impl Default for Config {
 impl Default for StationSection {
     /// 1/197: the robot's system, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
     fn default() -> Self {
-        Self { system: 1, component: 197, robot_system: 0, max_robots: 64 }
+        Self { system: 1, component: 197, robot_system: 0, max_robots: 1_024 }
     }
 }
 

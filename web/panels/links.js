@@ -7,6 +7,8 @@ import { age, bytes, count, fixed } from '../view/format.js';
 const FACTS = [
   ['in', (link) => `${bytes(link.bytes_in_per_s)}/s, ${fixed(link.frames_in_per_s, 0)} frames/s`],
   ['lost', (link) => count(link.lost)],
+  ['lost in the system', (link) => count(link.kernel_drops)],
+  ['cut of floods', (link) => count(link.flood_drops)],
   ['checksum errors', (link) => count(link.checksum_errors)],
   ['garbage', (link) => bytes(link.garbage_bytes)],
   ['stalls', (link) => count(link.stalls)],

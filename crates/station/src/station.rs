@@ -12,8 +12,8 @@ use posebridge_protocol::routing::{Endpoint, FrameRouter};
 use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
-    ChannelName, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, Priority, RobotId, ScalarEstimate,
-    TimeDelta, Timestamp, severity,
+    ChannelName, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Priority, RobotId,
+    ScalarEstimate, TimeDelta, Timestamp, severity,
 };
 
 use crate::config::{BuildError, StationConfig};

@@ -19,8 +19,7 @@ use crate::output_schedule::priority_of_stream;
 
 /// Most thermometers of a brick; a brick that sends more names invents them.
 const MAX_CHANNELS_PER_BRICK: u8 = 16;
-/// Most thermometers in total: four for each of 64 robots, the usual `station.max_robots`. Addresses can be invented as
-/// well.
+/// Most thermometers in total: four for each of 64 robots. Addresses can be invented as well.
 const MAX_CHANNELS: usize = 256;
 
 /// A reading before its filter.

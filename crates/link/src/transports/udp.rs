@@ -35,6 +35,8 @@ use crate::transports::udp_socket::{
 
 /// Datagrams read from the socket per wake-up, so that one flooded link cannot starve the others.
 const DRAIN_LIMIT: usize = 256;
+/// Datagrams read in search of one that goes first, before one of a loud peer or a stranger is delivered: about two milliseconds.
+const SEARCH_LIMIT: usize = 2048;
 /// Most datagrams of loud peers and strangers that wait.
 const MAX_UNHURRIED: usize = 1024;
 /// How long the sockets of flooding peers are left alone when the budgets of all are used up.
@@ -237,10 +239,13 @@ impl UdpConnection {
         if self.unhurried.count == 0 {
             return None;
         }
-        for _ in 0..DRAIN_LIMIT {
+        for _ in 0..SEARCH_LIMIT {
             // An error is seen again by the next regular read.
             let Ok((length, from)) = self.socket.recv_from_now(&mut self.buffer, &mut self.kernel_drops) else { break };
             self.accept_shared(length, from);
+            if self.inbox.count > 0 {
+                break;
+            }
         }
         self.inbox.pop().or_else(|| self.unhurried.pop())
     }

@@ -221,7 +221,8 @@ impl UdpPeerTable {
     pub(super) fn evict_idle(&mut self, now: Timestamp<HostClock>) {
         let idle = self.idle;
         let is_gone = |peer: &UdpPeer| peer.last_seen.is_some_and(|last_seen| now - last_seen > idle);
-        let gone: Vec<_> = self.by_address.iter().filter(|(_, peer)| is_gone(peer)).map(|(address, _)| *address).collect();
+        let gone: Vec<_> =
+            self.by_address.iter().filter(|(_, peer)| is_gone(peer)).map(|(address, _)| *address).collect();
         for address in gone {
             self.remove(address);
         }
@@ -269,46 +270,54 @@ mod tests {
 
     const IDLE: TimeDelta = TimeDelta::from_millis(10_000);
 
+    fn table() -> UdpPeerTable {
+        UdpPeerTable::new(None, IDLE, FirstContact::Stranger)
+    }
+
+    fn receive(peers: &mut UdpPeerTable, address: SocketAddr, now: Timestamp<HostClock>) -> PeerId {
+        peers.receive(address, 1, now).expect("within its budget").0
+    }
+
     fn address(port: u16) -> SocketAddr {
         SocketAddr::from(([10, 0, 0, 1], port))
     }
 
     #[test]
     fn a_silent_peer_is_forgotten_and_comes_back_as_a_new_one() {
-        let mut peers = UdpPeerTable::new(None, IDLE);
-        let first = peers.record_activity(address(1), Timestamp::from_millis(0));
-        let second = peers.record_activity(address(2), Timestamp::from_millis(6_000));
+        let mut peers = table();
+        let first = receive(&mut peers, address(1), Timestamp::from_millis(0));
+        let second = receive(&mut peers, address(2), Timestamp::from_millis(6_000));
         assert_ne!(first, second);
         let now = Timestamp::from_millis(10_001);
         assert_eq!(peers.recipient_addresses(Recipients::All, now), [address(2)]);
         assert!(peers.recipient_addresses(Recipients::Peer(first), now).is_empty());
-        assert_ne!(peers.record_activity(address(1), now), first);
-        assert_eq!(peers.record_activity(address(2), now), second);
+        assert_ne!(receive(&mut peers, address(1), now), first);
+        assert_eq!(receive(&mut peers, address(2), now), second);
     }
 
     #[test]
     fn a_peer_that_was_away_for_long_is_new_even_without_eviction() {
-        let mut peers = UdpPeerTable::new(None, IDLE);
-        let first = peers.record_activity(address(1), Timestamp::ZERO);
-        let still = peers.record_activity(address(1), Timestamp::from_millis(10_000));
+        let mut peers = table();
+        let first = receive(&mut peers, address(1), Timestamp::ZERO);
+        let still = receive(&mut peers, address(1), Timestamp::from_millis(10_000));
         assert_eq!(first, still);
-        let back = peers.record_activity(address(1), Timestamp::from_millis(20_001));
+        let back = receive(&mut peers, address(1), Timestamp::from_millis(20_001));
         assert_ne!(first, back);
     }
 
     #[test]
     fn the_named_host_is_never_forgotten() {
-        let mut peers = UdpPeerTable::new(Some(address(1)), IDLE);
+        let mut peers = UdpPeerTable::new(Some(address(1)), IDLE, FirstContact::Stranger);
         let now = Timestamp::from_millis(3_600_000);
         assert_eq!(peers.recipient_addresses(Recipients::All, now), [address(1)]);
-        assert_eq!(peers.record_activity(address(1), now), PeerId(0));
+        assert_eq!(receive(&mut peers, address(1), now), PeerId(0));
     }
 
     #[test]
     fn forged_addresses_do_not_grow_the_list_without_end() {
-        let mut peers = UdpPeerTable::new(Some(address(0)), IDLE);
+        let mut peers = UdpPeerTable::new(Some(address(0)), IDLE, FirstContact::Stranger);
         for port in 1..=u16::MAX {
-            peers.record_activity(address(port), Timestamp::from_millis(i64::from(port) / 10));
+            receive(&mut peers, address(port), Timestamp::from_millis(i64::from(port) / 10));
         }
         assert!((MAX_PEERS / 2..=MAX_PEERS).contains(&peers.by_address.len()));
         assert_eq!(peers.by_id.len(), peers.by_address.len());
@@ -317,17 +326,75 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_is_loud_when_it_sends_more_than_a_brick_ever_does() {
-        let mut peers = UdpPeerTable::new(None, IDLE);
-        // 100 Hz and 5000 Hz are calm, 10 kHz is loud.
-        for (port, period_micros, expected) in [(1, 10_000, false), (2, 200, false), (3, 100, true)] {
-            let mut was_loud = false;
-            for number in 0..5_000 {
-                peers.record_activity(address(port), Timestamp::from_micros(number * period_micros));
-                was_loud |= peers.is_busy(address(port));
-            }
-            assert_eq!(was_loud, expected, "every {period_micros} us");
+    fn strangers_make_room_and_get_little_of_what_is_sent_to_all() {
+        let mut peers = table();
+        let robot = receive(&mut peers, address(1), Timestamp::ZERO);
+        peers.admit(robot);
+        // Each of the others was heard later than the robot.
+        for port in 2..=u16::MAX {
+            receive(&mut peers, address(port), Timestamp::from_millis(1));
         }
-        assert!(!peers.is_busy(address(4)));
+        assert_eq!(peers.address_of(robot), Some(address(1)));
+        let recipients = peers.recipient_addresses(Recipients::All, Timestamp::from_millis(1));
+        assert_eq!(recipients.len(), 1 + MAX_SERVED_STRANGERS);
+        assert!(recipients.contains(&address(1)));
+        assert_eq!(peers.count_recipients(Recipients::All, Timestamp::from_millis(1)), 65);
+    }
+
+    #[test]
+    fn a_table_of_robots_makes_room_for_the_next() {
+        let mut peers = table();
+        for port in 0..=MAX_PEERS as u16 {
+            let robot = receive(&mut peers, address(port), Timestamp::from_micros(port.into()));
+            peers.admit(robot);
+        }
+        assert_eq!(peers.by_address.len(), MAX_PEERS - MAX_PEERS / 4 + 1);
+        assert!(!peers.contains(address(0)) && peers.contains(address(MAX_PEERS as u16)));
+    }
+
+    /// How many datagrams of 50 bytes each of some peers gets through in ten seconds, and its standing in the end.
+    fn delivered(peers: &mut UdpPeerTable, ports: &[u16], per_second: i64) -> Vec<(usize, Option<PeerStanding>)> {
+        let mut counts = vec![(0, None); ports.len()];
+        for number in 0..10 * per_second {
+            let now = Timestamp::from_nanos(number * NANOS_PER_SEC / per_second);
+            for (port, (count, standing)) in ports.iter().zip(&mut counts) {
+                if let Some((_, now)) = peers.receive(address(*port), 50, now) {
+                    *count += 1;
+                    *standing = Some(now);
+                }
+            }
+        }
+        counts
+    }
+
+    #[test]
+    fn each_peer_has_its_budget_and_the_loud_ones_share_theirs() {
+        let robots = || UdpPeerTable::new(None, IDLE, FirstContact::Admitted);
+        // What no brick sends, and a relay of many robots alone.
+        assert_eq!(delivered(&mut robots(), &[1], 1_900), [(19_000, Some(PeerStanding::Calm))]);
+        assert_eq!(delivered(&mut robots(), &[1], 15_000), [(150_000, Some(PeerStanding::Loud))]);
+        // Four loud ones get a quarter of 16 000 a second each, besides what each may send at once.
+        for (count, standing) in delivered(&mut robots(), &[1, 2, 3, 4], 10_000) {
+            assert!((40_000..46_000).contains(&count), "{count}");
+            assert_eq!(standing, Some(PeerStanding::Loud));
+        }
+        // A stranger gets a hundred a second.
+        for (count, standing) in delivered(&mut table(), &[1, 2], 10_000) {
+            assert!((1_000..1_100).contains(&count), "{count}");
+            assert_eq!(standing, Some(PeerStanding::Stranger));
+        }
+    }
+
+    #[test]
+    fn a_loud_peer_that_sends_less_for_a_while_is_calm_again() {
+        let mut peers = UdpPeerTable::new(None, IDLE, FirstContact::Admitted);
+        delivered(&mut peers, &[1, 2], 20_000);
+        assert_eq!(peers.loud_count, 2);
+        for millis in 0..1_000 {
+            receive(&mut peers, address(1), Timestamp::from_millis(11_000 + millis));
+        }
+        assert_eq!(peers.loud_count, 1);
+        peers.evict_idle(Timestamp::from_millis(100_000));
+        assert_eq!(peers.loud_count, 0);
     }
 }

@@ -221,4 +221,24 @@ mod tests {
         assert!(warning.contains("212992 of 4194304 bytes"), "{warning}");
         assert!(warning.contains("net.core.rmem_max=4194304"), "{warning}");
     }
+    #[tokio::test]
+    async fn what_the_system_drops_is_counted_with_the_next_datagram() {
+        let (socket, _) = bind_first_available(&[HERE]).expect("a free port");
+        SockRef::from(&socket).set_recv_buffer_size(4_096).expect("a small buffer");
+        let address = socket.local_addr().expect("it is bound");
+        let mut receiver = DatagramSocket::new(socket);
+        let sender = std::net::UdpSocket::bind(HERE).expect("a free port");
+        let (mut received, mut dropped, mut buffer) = (0, 0, [0; 300]);
+        for burst in [100, 1, 100, 1] {
+            for _ in 0..burst {
+                sender.send_to(&[1; 200], address).expect("loopback");
+            }
+            while let Ok((length, from)) = receiver.recv_from_now(&mut buffer, &mut dropped) {
+                assert_eq!((length, Ok(from)), (200, sender.local_addr().map_err(drop)));
+                received += 1;
+            }
+        }
+        assert!(received < 100, "the buffer is small");
+        assert_eq!(received + dropped, 202);
+    }
 }

@@ -7,8 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::support::{port, up};
-use posebridge_link::{ConnectRole, HostTimer, LinkEvent};
-use posebridge_telemetry::PeerId;
+use posebridge_link::{
+    ConnectRole, FirstContact, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkTuning, LinkUrl, OutgoingFrame,
+};
+use posebridge_telemetry::{LinkId, PeerId, Priority, Recipients};
 
 const ROBOTS: u8 = 48;
 const ROUNDS: u8 = 20;
@@ -71,4 +73,69 @@ async fn of_fifty_peers_one_that_floods_costs_no_datagram_of_others() {
     different.dedup();
     assert_eq!(different.len(), usize::from(ROBOTS), "each is a peer of its own");
     assert_eq!(station.port_counts().peers, u32::from(ROBOTS) + 1, "the silent one is not known");
+}
+
+/// A station's port, for which each peer is a stranger at first.
+async fn guarded() -> (Link, std::net::SocketAddr) {
+    let url = LinkUrl::parse("udp://127.0.0.1:0").expect("a link");
+    let config = LinkOpenConfig { id: LinkId(0), url, role: ConnectRole::Listen };
+    let tuning = LinkTuning { first_contact: FirstContact::Stranger, ..LinkTuning::default() };
+    let mut station = Link::with_tuning(config, tuning, HostTimer::start());
+    up(&mut station).await;
+    let address = station.local_address().expect("it listens");
+    (station, address)
+}
+
+async fn next_bytes(station: &mut Link) -> (PeerId, Vec<u8>) {
+    let LinkEvent::Bytes { peer, bytes, .. } = station.next_event().await else { panic!("UDP stays up") };
+    (peer, bytes)
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn four_thousand_silent_addresses_cost_a_few_copies_of_what_is_sent_to_all() {
+    let (mut station, address) = guarded().await;
+    let robot = socket();
+    robot.send_to(b"wheels", address).expect("loopback");
+    let (peer, _) = next_bytes(&mut station).await;
+    station.admit(peer);
+    for first in 0..40_u8 {
+        // An address of this computer each.
+        for second in 1..=100_u8 {
+            let silent = UdpSocket::bind((std::net::Ipv4Addr::new(127, 9, first, second), 0));
+            silent.expect("a free port").send_to(b"x", address).expect("loopback");
+        }
+        for _ in 0..100 {
+            assert_eq!(next_bytes(&mut station).await.1, b"x");
+        }
+    }
+    robot.send_to(b"wheels", address).expect("loopback");
+    assert_eq!(next_bytes(&mut station).await, (peer, b"wheels".to_vec()));
+    let before = station.counters().bytes_out;
+    station.send_outgoing(&OutgoingFrame { to: Recipients::All, priority: Priority::Session, frame: b"here" });
+    let copies = (station.counters().bytes_out - before) / 4;
+    assert!(copies <= 65, "{copies}");
+    robot.set_read_timeout(Some(std::time::Duration::from_secs(60))).expect("own socket");
+    let mut received = [0; 8];
+    assert_eq!(robot.recv(&mut received).expect("it is one of them"), 4);
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn of_a_stranger_a_part_is_read_and_a_robot_goes_first() {
+    let (mut station, address) = guarded().await;
+    let (robot, stranger) = (socket(), socket());
+    robot.send_to(b"wheels", address).expect("loopback");
+    let (peer, _) = next_bytes(&mut station).await;
+    station.admit(peer);
+    for _ in 0..1_000 {
+        stranger.send_to(b"noise", address).expect("loopback");
+    }
+    robot.send_to(b"wheels", address).expect("loopback");
+    assert_eq!(next_bytes(&mut station).await, (peer, b"wheels".to_vec()), "it came last");
+    // One that comes while others wait.
+    assert_eq!(next_bytes(&mut station).await.1, b"noise");
+    robot.send_to(b"more", address).expect("loopback");
+    assert_eq!(next_bytes(&mut station).await, (peer, b"more".to_vec()));
+    let counts = station.port_counts();
+    assert!((900..1_000).contains(&counts.flood_drops), "{counts:?}");
+    assert_eq!(counts.kernel_drops, 0);
 }

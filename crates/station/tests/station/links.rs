@@ -100,3 +100,16 @@ fn commands_of_the_station_pay_from_the_budget_as_those_of_others_do() {
     // Five requests of 45 bytes are more than three estimates of 64.
     assert!(alone >= beside + 3, "{alone} {beside}");
 }
+
+#[test]
+fn datagrams_that_the_system_drops_are_told_once_with_the_cure() {
+    let mut station = TestStation::new(&config());
+    for second in 1..=40_u32 {
+        let counts = LinkCounts { kernel_drops: u64::from(second) * 3, ..LinkCounts::default() };
+        station.handle(at(i64::from(second) * 1_000), Input::Port { link: LINK, counts });
+        station.pass_until(at(i64::from(second) * 1_000 + 500));
+    }
+    assert_eq!(station.health(LINK).0.port.kernel_drops, 120);
+    let told = |text: &&&str| text.contains(" datagrams in the system") && text.contains("net.core.rmem_max");
+    assert_eq!(station.texts().iter().filter(told).count(), 2, "again after half a minute");
+}

@@ -9,8 +9,8 @@ use posebridge_telemetry::{
 
 use super::super::fields::ByteReader;
 use super::{
-    CHECKSUM_BYTES, DROPPED_DATAGRAMS_VERSION, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command, fix_flag, kind, simulator,
-    tag,
+    CHECKSUM_BYTES, DROPPED_DATAGRAMS_VERSION, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command,
+    fix_flag, kind, simulator, tag,
 };
 
 pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Result<Input, DecodeError> {

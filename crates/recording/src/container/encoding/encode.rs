@@ -4,8 +4,8 @@ use posebridge_telemetry::{
 };
 
 use super::{
-    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind,
-    put_numbers, simulator, tag,
+    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command,
+    fix_flag, kind, put_numbers, simulator, tag,
 };
 
 /// `bytes` must be empty.

@@ -1,0 +1,408 @@
+//! A crowd on one UDP port of `posebridge run`, beside a bare echo under the same load.
+//!
+//! 500 robots send PB_WHEEL_TICKS twenty times a second to the program as a user starts it: a process of its own, with its recording and
+//! its page. With `flood` 50 more peers send 2000 datagrams a second each, one half of them understood; with `silent` 4000 addresses send a
+//! byte every five seconds. Run with `cargo bench --bench crowd -- [SECONDS] [flood] [silent]`.
+//!
+//! The age of an estimate is the time from before its telemetry is sent until the kernel has it for the robot. Exit code 1 if a robot
+//! misses an estimate or gets another's, the kernel drops a datagram, or the 99th percentile of the age is above 5 ms.
+//!
+//! All robots share one socket here, with an address of 127.0.0.0/8 each, so that the load costs little beside the station.
+
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::disallowed_methods,
+    reason = "a benchmark stops when its set-up is broken, prints its figures, and measures with the host's clock"
+)]
+
+use std::io::{BufRead as _, BufReader, IoSlice, IoSliceMut, Read as _};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::os::fd::AsRawFd as _;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use nix::libc::{in_addr, in_pktinfo};
+use nix::sys::signal::{Signal, kill};
+use nix::sys::socket::sockopt::{Ipv4PacketInfo, RcvBuf, ReceiveTimestampns};
+use nix::sys::socket::{ControlMessage, ControlMessageOwned, MsgFlags, SockaddrIn, recvmsg, sendmsg, setsockopt};
+use nix::unistd::Pid;
+use posebridge_protocol::dialect::{Encoder, decode};
+use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
+use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
+use posebridge_telemetry::{Address, EncoderTicks, Timestamp};
+
+const ROBOTS: u32 = 500;
+const PERIOD_MICROS: u32 = 50_000;
+/// Robots send one after the other, some in each tick.
+const TICK: Duration = Duration::from_millis(1);
+const TICKS_PER_PERIOD: u32 = 50;
+const ROBOTS_PER_TICK: u32 = ROBOTS / TICKS_PER_PERIOD;
+const FLOODING_PEERS: u32 = 50;
+const FLOOD_PER_TICK: usize = 2;
+const SILENT_PEERS: u32 = 4_000;
+const SILENT_PER_TICK: u32 = 1;
+const SILENT_REST_TICKS: u32 = 5_000;
+/// After the last telemetry.
+const GRACE_TICKS: u32 = 500;
+const MAX_ECHO_SECONDS: u32 = 15;
+const MAX_P99: Duration = Duration::from_millis(5);
+/// PB_PLANAR_POSE with its envelope.
+const ESTIMATE_BYTES: usize = 64;
+
+#[derive(Clone, Copy)]
+struct Load {
+    seconds: u32,
+    has_flood: bool,
+    has_silent: bool,
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let has = |name: &str| arguments.iter().any(|argument| argument == name);
+    if has("echo-server") {
+        serve_echo();
+    }
+    let seconds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(60);
+    let load = Load { seconds, has_flood: has("flood"), has_silent: has("silent") };
+    let mut echo = Server::start_echo();
+    let bare = Crowd::new().run(&Load { seconds: seconds.min(MAX_ECHO_SECONDS), ..load }, &mut echo);
+    echo.stop();
+    let mut station = Server::start_station();
+    let ours = Crowd::new().run(&load, &mut station);
+    let told = station.stop();
+    println!("{:<26} {:>12} {:>12}", "", "station", "bare echo");
+    let row = |name: &str, read: &dyn Fn(&Outcome) -> String| {
+        println!("{name:<26} {:>12} {:>12}", read(&ours), read(&bare));
+    };
+    row("datagrams sent", &|of| of.sent.to_string());
+    row("datagrams of others", &|of| of.others.to_string());
+    row("replies", &|of| of.received.iter().sum::<u32>().to_string());
+    row("fewest for a robot", &|of| format!("{} of {}", of.fewest(), of.rounds));
+    row("to another robot", &|of| of.misdirected.to_string());
+    row("dropped by the kernel", &|of| of.kernel_drops.to_string());
+    row("processor, % of one core", &|of| format!("{:.1}", of.cpu_share * 100.0));
+    row("memory, kB", &|of| of.memory_kb.to_string());
+    for share in [0.5, 0.99, 1.0] {
+        row(&format!("age p{:.0}, ms", share * 100.0), &|of| format!("{:.3}", of.age(share).as_secs_f64() * 1e3));
+    }
+    for share in [0.5, 0.99] {
+        let ratio = ours.age(share).as_secs_f64() / bare.age(share).as_secs_f64();
+        println!("station to echo, p{:<8.0} {ratio:>13.2}", share * 100.0);
+    }
+    println!("\n{}", told.lines().skip_while(|line| !line.contains("received on")).collect::<Vec<_>>().join("\n"));
+    let failures = ours.failures();
+    for failure in &failures {
+        println!("FAILED: {failure}");
+    }
+    if failures.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// The station or the echo, as a process.
+struct Server {
+    child: Child,
+    address: SocketAddrV4,
+    output: Option<std::thread::JoinHandle<String>>,
+    folder: Option<tempfile::TempDir>,
+}
+
+impl Server {
+    fn start_echo() -> Self {
+        let mut command = Command::new(std::env::current_exe().expect("this program"));
+        Self::start(command.arg("echo-server"), None)
+    }
+
+    fn start_station() -> Self {
+        let folder = tempfile::tempdir().expect("a scratch folder");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_posebridge"));
+        command.args(["run", "--verbose", "--listen", "udp://127.0.0.1:0", "--out"]).arg(folder.path().join("run"));
+        Self::start(command.stderr(Stdio::null()), Some(folder))
+    }
+
+    fn start(command: &mut Command, folder: Option<tempfile::TempDir>) -> Self {
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().expect("a process");
+        let mut output = BufReader::new(child.stdout.take().expect("a pipe"));
+        let mut line = String::new();
+        let address = loop {
+            line.clear();
+            assert!(output.read_line(&mut line).expect("a line") > 0, "the server did not start");
+            if let Some(address) = line.trim().strip_prefix("listening on ") {
+                break address.parse().expect("an address");
+            }
+        };
+        let rest = std::thread::spawn(move || {
+            let mut text = String::new();
+            output.read_to_string(&mut text).map_or_else(|error| error.to_string(), |_| text)
+        });
+        Self { child, address, output: Some(rest), folder }
+    }
+
+    /// Ends the process and returns what it has printed.
+    fn stop(&mut self) -> String {
+        let process = Pid::from_raw(self.child.id() as i32);
+        kill(process, Signal::SIGINT).expect("it runs");
+        self.child.wait().expect("it ends");
+        self.folder.take();
+        self.output.take().map(|output| output.join().expect("its output")).unwrap_or_default()
+    }
+
+    /// Processor time used so far.
+    fn cpu(&self) -> Duration {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).expect("it runs");
+        let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+        let ticks: u64 = fields[11..13].iter().map(|field| field.parse::<u64>().expect("a number")).sum();
+        Duration::from_millis(ticks * 10)
+    }
+
+    fn memory_kb(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("it runs");
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("its memory");
+        line.trim().trim_end_matches(" kB").parse().expect("a number")
+    }
+
+    /// What the kernel says of the server's common socket: that it has no peer, unlike those of single peers.
+    fn kernel_drops(&self) -> u64 {
+        let table = std::fs::read_to_string("/proc/net/udp").expect("Linux");
+        let local = format!(":{:04X}", self.address.port());
+        let rows = table.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+        let rows = rows.filter(|row| row.len() > 12 && row[1].ends_with(&local) && row[2] == "00000000:0000");
+        rows.map(|row| row[12].parse::<u64>().expect("a number")).sum()
+    }
+}
+
+/// Answers each telemetry datagram with one as long as an estimate that begins with it.
+fn serve_echo() -> ! {
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("a loopback socket");
+    setsockopt(&socket, RcvBuf, &(4 << 20)).expect("a large buffer");
+    println!("listening on {}", socket.local_addr().expect("an address"));
+    let mut buffer = [0; 512];
+    loop {
+        let (length, peer) = socket.recv_from(&mut buffer).expect("a datagram");
+        if is_telemetry(&buffer[..length]) {
+            socket.send_to(&buffer[..ESTIMATE_BYTES], peer).expect("the echo leaves");
+        }
+    }
+}
+
+/// The stamp that a datagram's message carries.
+fn stamp_of(datagram: &[u8]) -> Option<u32> {
+    let mut stamp = None;
+    Framer::new(FramerConfig::default()).push(Timestamp::ZERO, datagram, &mut |scanned| {
+        if let FramerOutput::Frame(frame) = scanned
+            && let Ok(Some(Message::PlanarPose(_) | Message::WheelTicks(_))) = decode(&frame)
+        {
+            // Both begin with it.
+            stamp = frame.payload.first_chunk().map(|bytes| u32::from_le_bytes(*bytes));
+        }
+    });
+    stamp
+}
+
+fn is_telemetry(datagram: &[u8]) -> bool {
+    datagram.first() == Some(&0xFD) && datagram.len() < ESTIMATE_BYTES && stamp_of(datagram).is_some()
+}
+
+struct Robot {
+    encoder: Encoder,
+    address: Address,
+}
+
+/// All peers, on one thread.
+struct Crowd {
+    socket: UdpSocket,
+    robots: Vec<Robot>,
+    floods: Vec<(UdpSocket, Vec<u8>)>,
+    /// When each round's telemetry was sent, robot by robot.
+    sent: Vec<Option<SystemTime>>,
+    outcome: Outcome,
+}
+
+#[derive(Default)]
+struct Outcome {
+    rounds: u32,
+    sent: u64,
+    /// Of flooding and silent peers.
+    others: u64,
+    received: Vec<u32>,
+    misdirected: u64,
+    kernel_drops: u64,
+    cpu_share: f64,
+    memory_kb: u64,
+    ages: Vec<Duration>,
+}
+
+impl Outcome {
+    fn fewest(&self) -> u32 {
+        self.received.iter().copied().min().unwrap_or_default()
+    }
+
+    fn age(&self, share: f64) -> Duration {
+        self.ages.get((self.ages.len().saturating_sub(1) as f64 * share) as usize).copied().unwrap_or_default()
+    }
+
+    fn failures(&self) -> Vec<String> {
+        let lacking = self.received.iter().filter(|received| **received < self.rounds).count();
+        let p99 = self.age(0.99);
+        [
+            (lacking > 0, format!("{lacking} robots miss estimates")),
+            (self.misdirected > 0, format!("{} estimates went to another robot", self.misdirected)),
+            (self.kernel_drops > 0, format!("the kernel dropped {} datagrams", self.kernel_drops)),
+            (p99 > MAX_P99, format!("p99 of the age is {p99:?}, above {MAX_P99:?}")),
+        ]
+        .into_iter()
+        .filter_map(|(has_failed, text)| has_failed.then_some(text))
+        .collect()
+    }
+}
+
+fn robot_host(robot: u32) -> Ipv4Addr {
+    Ipv4Addr::from_bits(Ipv4Addr::new(127, 1, 0, 1).to_bits() + robot)
+}
+
+fn silent_host(number: u32) -> Ipv4Addr {
+    Ipv4Addr::from_bits(Ipv4Addr::new(127, 2, 0, 1).to_bits() + number)
+}
+
+impl Crowd {
+    fn new() -> Self {
+        let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
+        socket.set_nonblocking(true).expect("a socket that does not wait");
+        setsockopt(&socket, RcvBuf, &(4 << 20)).expect("a large buffer");
+        setsockopt(&socket, ReceiveTimestampns, &true).expect("times of arrival");
+        setsockopt(&socket, Ipv4PacketInfo, &true).expect("addresses of arrival");
+        let robot = |number: u32| Robot {
+            encoder: Encoder::new(WireVersion::V2),
+            address: Address::new(1 + (number % 250) as u8, 1 + (number / 250) as u8),
+        };
+        let flood = |number: u32| {
+            let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+            socket.set_nonblocking(true).expect("a socket that does not wait");
+            let mut datagram = vec![0x55; 200];
+            if number % 2 == 1 {
+                datagram.clear();
+                let beat = Heartbeat { vehicle_type: 10, autopilot: 8, base_mode: 0, system_status: 4 };
+                let from = Address::new(251, number as u8);
+                Encoder::new(WireVersion::V2).encode(from, &Message::Heartbeat(beat), &mut datagram);
+            }
+            (socket, datagram)
+        };
+        Self {
+            socket,
+            robots: (0..ROBOTS).map(robot).collect(),
+            floods: (0..FLOODING_PEERS).map(flood).collect(),
+            sent: Vec::new(),
+            outcome: Outcome { received: vec![0; ROBOTS as usize], ..Outcome::default() },
+        }
+    }
+
+    fn run(mut self, load: &Load, server: &mut Server) -> Outcome {
+        let ticks = load.seconds * 1_000;
+        self.outcome.rounds = ticks / TICKS_PER_PERIOD;
+        self.sent = vec![None; (self.outcome.rounds * ROBOTS) as usize];
+        let (began, cpu) = (Instant::now(), server.cpu());
+        for tick in 0..ticks + GRACE_TICKS {
+            if tick < ticks {
+                self.send_telemetry(tick, server.address);
+            }
+            if load.has_silent && tick % SILENT_REST_TICKS < SILENT_PEERS / SILENT_PER_TICK {
+                let number = tick % SILENT_REST_TICKS * SILENT_PER_TICK;
+                for number in number..number + SILENT_PER_TICK {
+                    self.send_from(silent_host(number), &[0], server.address);
+                    self.outcome.others += 1;
+                }
+            }
+            if load.has_flood {
+                self.send_flood(server.address.into());
+            }
+            self.receive();
+            std::thread::sleep((began + TICK * (tick + 1)).saturating_duration_since(Instant::now()));
+        }
+        self.receive();
+        let mut outcome = self.outcome;
+        outcome.ages.sort_unstable();
+        outcome.cpu_share = (server.cpu() - cpu).as_secs_f64() / began.elapsed().as_secs_f64();
+        outcome.memory_kb = server.memory_kb();
+        outcome.kernel_drops = server.kernel_drops();
+        outcome
+    }
+
+    fn send_telemetry(&mut self, tick: u32, to: SocketAddrV4) {
+        let (round, first) = (tick / TICKS_PER_PERIOD, tick % TICKS_PER_PERIOD * ROBOTS_PER_TICK);
+        for robot in first..first + ROBOTS_PER_TICK {
+            let ticks = EncoderTicks(i64::from(round) * 5 + i64::from(robot));
+            // Unique: it tells which telemetry an estimate answers.
+            let stamp = WireStamp::Micros32(PERIOD_MICROS * (round + 20) + robot * (PERIOD_MICROS / ROBOTS));
+            let message = Message::WheelTicks(WheelTicks { stamp, left: ticks, right: ticks });
+            let Robot { encoder, address } = &mut self.robots[robot as usize];
+            let mut frame = Vec::new();
+            encoder.encode(*address, &message, &mut frame);
+            self.sent[(round * ROBOTS + robot) as usize] = Some(SystemTime::now());
+            self.send_from(robot_host(robot), &frame, to);
+            self.outcome.sent += 1;
+        }
+    }
+
+    fn send_from(&self, host: Ipv4Addr, frame: &[u8], to: SocketAddrV4) {
+        let source = in_addr { s_addr: u32::from_ne_bytes(host.octets()) };
+        let from = in_pktinfo { ipi_ifindex: 0, ipi_spec_dst: source, ipi_addr: in_addr { s_addr: 0 } };
+        let control = [ControlMessage::Ipv4PacketInfo(&from)];
+        let to = SockaddrIn::from(to);
+        let sent = sendmsg(self.socket.as_raw_fd(), &[IoSlice::new(frame)], &control, MsgFlags::empty(), Some(&to));
+        sent.expect("the frame leaves");
+    }
+
+    fn send_flood(&mut self, to: SocketAddr) {
+        for (socket, datagram) in &self.floods {
+            for _ in 0..FLOOD_PER_TICK {
+                self.outcome.others += u64::from(socket.send_to(datagram, to).is_ok());
+            }
+        }
+    }
+
+    /// Reads everything that has come.
+    fn receive(&mut self) {
+        let mut buffer = [0; 512];
+        let mut control = nix::cmsg_space!(nix::sys::time::TimeSpec, in_pktinfo);
+        loop {
+            let mut parts = [IoSliceMut::new(&mut buffer)];
+            let fd = self.socket.as_raw_fd();
+            let Ok(received) = recvmsg::<SockaddrIn>(fd, &mut parts, Some(&mut control), MsgFlags::empty()) else {
+                return;
+            };
+            let (mut arrival, mut host) = (None, None);
+            for message in received.cmsgs().expect("room for all of them") {
+                match message {
+                    ControlMessageOwned::ScmTimestampns(time) => {
+                        arrival = Some(SystemTime::UNIX_EPOCH + Duration::from(time));
+                    }
+                    ControlMessageOwned::Ipv4PacketInfo(info) => {
+                        host = Some(Ipv4Addr::from(info.ipi_addr.s_addr.to_ne_bytes()));
+                    }
+                    _ => {}
+                }
+            }
+            let length = received.bytes;
+            if let (Some(arrival), Some(host)) = (arrival, host) {
+                self.record(&buffer[..length], host, arrival);
+            }
+        }
+    }
+
+    fn record(&mut self, datagram: &[u8], host: Ipv4Addr, arrival: SystemTime) {
+        let Some(stamp) = stamp_of(datagram) else {
+            return;
+        };
+        let robot = stamp % PERIOD_MICROS / (PERIOD_MICROS / ROBOTS);
+        let round = (stamp / PERIOD_MICROS).wrapping_sub(20);
+        if host != robot_host(robot) {
+            self.outcome.misdirected += 1;
+            return;
+        }
+        // The first estimate of a telemetry counts.
+        let Some(sent) = self.sent.get_mut((round * ROBOTS + robot) as usize).and_then(Option::take) else {
+            return;
+        };
+        self.outcome.received[robot as usize] += 1;
+        self.outcome.ages.push(arrival.duration_since(sent).unwrap_or_default());
+    }
+}
