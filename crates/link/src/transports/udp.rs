@@ -37,7 +37,7 @@ use crate::transports::udp_socket::{
 const DRAIN_LIMIT: usize = 256;
 /// Datagrams read in search of one that goes first, before one of a loud peer or a stranger is delivered: about two milliseconds.
 const SEARCH_LIMIT: usize = 2048;
-/// Most datagrams of loud peers and strangers that wait.
+/// Most datagrams of loud peers and strangers that wait, besides the first of each.
 const MAX_UNHURRIED: usize = 1024;
 /// How long the sockets of flooding peers are left alone when the budgets of all are used up.
 const BUDGET_PAUSE: TimeDelta = TimeDelta::from_millis(10);
@@ -376,7 +376,9 @@ impl UdpConnection {
         if length == 0 {
             return Arrival::Kept;
         }
-        if standing != PeerStanding::Calm && self.unhurried.count >= MAX_UNHURRIED {
+        // A peer's first datagram is never dropped: the station learns of peers in the order of their numbers.
+        let is_full = self.unhurried.count >= MAX_UNHURRIED && self.unhurried.by_peer.contains_key(&peer);
+        if standing != PeerStanding::Calm && is_full {
             self.flood_drops += 1;
             return Arrival::Kept;
         }

@@ -201,7 +201,7 @@ impl UdpPeerTable {
         }
     }
 
-    /// Makes room by a quarter at a time, so that a flood of forged addresses does not cost a search per datagram.
+    /// Makes room for some at a time, so that a flood of forged addresses does not cost a search per datagram.
     fn evict(&mut self) {
         let is_admitted = |peer: &UdpPeer| peer.standing != PeerStanding::Stranger;
         let mut by_silence: Vec<_> = self
@@ -210,9 +210,9 @@ impl UdpPeerTable {
             .filter_map(|(address, peer)| Some((is_admitted(peer), peer.last_seen?, *address)))
             .collect();
         by_silence.sort_unstable();
-        // No admitted one goes while there are strangers.
+        // No admitted one goes while there are more than a few strangers.
         let strangers = by_silence.partition_point(|(is_admitted, ..)| !is_admitted);
-        let count = if strangers == 0 { MAX_PEERS / 4 } else { strangers.min(MAX_PEERS / 4) };
+        let count = strangers.clamp(MAX_PEERS / 64, MAX_PEERS / 4);
         for (.., address) in by_silence.into_iter().take(count) {
             self.remove(address);
         }
@@ -348,7 +348,7 @@ mod tests {
             let robot = receive(&mut peers, address(port), Timestamp::from_micros(port.into()));
             peers.admit(robot);
         }
-        assert_eq!(peers.by_address.len(), MAX_PEERS - MAX_PEERS / 4 + 1);
+        assert_eq!(peers.by_address.len(), MAX_PEERS - MAX_PEERS / 64 + 1);
         assert!(!peers.contains(address(0)) && peers.contains(address(MAX_PEERS as u16)));
     }
 
