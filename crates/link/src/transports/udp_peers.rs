@@ -69,11 +69,10 @@ impl Budget {
 
     fn refill(&mut self, bytes_per_s: i64, now: Timestamp<HostClock>) {
         let elapsed = (now - self.refilled).as_nanos().clamp(0, NANOS_PER_SEC);
-        let added = elapsed * bytes_per_s / NANOS_PER_SEC;
-        if added > 0 {
-            self.refilled = now;
-            self.left_bytes = (self.left_bytes + added).min(burst(bytes_per_s));
-        }
+        let flow = elapsed * bytes_per_s;
+        self.left_bytes = (self.left_bytes + flow / NANOS_PER_SEC).min(burst(bytes_per_s));
+        // The rest of a byte counts the next time.
+        self.refilled = now - TimeDelta::from_nanos(flow % NANOS_PER_SEC / bytes_per_s);
     }
 }
 
