@@ -112,6 +112,12 @@ impl FairInbox {
         self.by_peer.entry(incoming.peer).or_default().push_back(incoming);
     }
 
+    fn take_all(&mut self, peer: PeerId) -> VecDeque<ReceivedBytes> {
+        let queue = self.by_peer.remove(&peer).unwrap_or_default();
+        self.count -= queue.len();
+        queue
+    }
+
     /// The oldest datagram of the next peer in turn.
     fn pop(&mut self) -> Option<ReceivedBytes> {
         let after = (Bound::Excluded(self.last_served), Bound::Unbounded);
@@ -202,6 +208,7 @@ impl UdpConnection {
     fn receive_first(&mut self) -> Option<ReceivedBytes> {
         match self.socket.try_recv_from(&mut self.buffer, &mut self.kernel_drops) {
             Ok((length, from)) => match self.accept(length, from) {
+                // Both inboxes are empty after a pause.
                 Arrival::Prompt(incoming) => Some(incoming),
                 Arrival::Kept | Arrival::Cut => None,
             },
@@ -366,6 +373,13 @@ impl UdpConnection {
         SocketState::Open
     }
 
+    /// What waits of a peer is not overtaken by what comes after.
+    fn hurry(&mut self, peer: PeerId) {
+        for waiting in self.unhurried.take_all(peer) {
+            self.inbox.push(waiting);
+        }
+    }
+
     /// Decides about the datagram in the buffer; an empty one only makes its peer known.
     fn accept(&mut self, length: usize, from: SocketAddr) -> Arrival {
         let arrival = self.timer.now();
@@ -385,7 +399,10 @@ impl UdpConnection {
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
         let incoming = ReceivedBytes { peer, arrival, bytes };
         match standing {
-            PeerStanding::Calm => Arrival::Prompt(incoming),
+            PeerStanding::Calm => {
+                self.hurry(peer);
+                Arrival::Prompt(incoming)
+            }
             PeerStanding::Loud | PeerStanding::Stranger => {
                 self.unhurried.push(incoming);
                 Arrival::Kept
@@ -413,6 +430,7 @@ impl Connection for UdpConnection {
 
     fn admit(&mut self, peer: PeerId) {
         self.peers.admit(peer);
+        self.hurry(peer);
     }
 
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {

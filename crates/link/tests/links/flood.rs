@@ -139,3 +139,23 @@ async fn of_a_stranger_a_part_is_read_and_a_robot_goes_first() {
     assert!((900..1_000).contains(&counts.flood_drops), "{counts:?}");
     assert_eq!(counts.kernel_drops, 0);
 }
+
+#[tokio::test(flavor = "current_thread")]
+async fn what_a_robot_sent_before_it_was_understood_is_not_overtaken() {
+    let (mut station, address) = guarded().await;
+    let (robot, other) = (socket(), socket());
+    for number in 0..4_u8 {
+        robot.send_to(&[number], address).expect("loopback");
+        other.send_to(b"noise", address).expect("loopback");
+    }
+    let mut received = Vec::new();
+    while received.len() < 8 {
+        let (peer, bytes) = next_bytes(&mut station).await;
+        if let [number] = bytes[..] {
+            received.push(number);
+            station.admit(peer);
+            robot.send_to(&[3 + received.len() as u8], address).expect("loopback");
+        }
+    }
+    assert_eq!(received, [0, 1, 2, 3, 4, 5, 6, 7]);
+}
