@@ -91,9 +91,12 @@ impl Side {
     fn open_page(&self) -> TcpStream {
         let printed = support::read_text(&self.folder, "messages.txt");
         let address = printed.split("http://").nth(1).and_then(|rest| rest.split(['/', ' ', '\n']).next());
-        let mut stream = TcpStream::connect(address.expect("it says where its page is")).expect("loopback");
-        let request = "GET /v1/stream HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
-                       Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n";
+        let address = address.expect("it says where its page is");
+        let mut stream = TcpStream::connect(address).expect("loopback");
+        let request = format!(
+            "GET /v1/stream HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        );
         stream.write_all(request.as_bytes()).expect("loopback");
         let mut status = [0; 12];
         stream.read_exact(&mut status).expect("it answers");

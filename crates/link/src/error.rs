@@ -153,6 +153,8 @@ impl fmt::Display for FileKind {
 pub enum LinkError {
     #[error("the other end is gone (unplugged, switched off or closed)")]
     HungUp,
+    #[error("{host} is no longer {from}, and is silent there")]
+    HostMoved { host: String, from: SocketAddr },
     #[error("reading or writing failed: {0}")]
     Io(#[from] io::Error),
 }

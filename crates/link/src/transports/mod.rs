@@ -3,6 +3,7 @@
 mod bluetooth;
 mod ev3;
 mod file;
+mod host_name;
 mod open_request;
 mod pty;
 mod serial;

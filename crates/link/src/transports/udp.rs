@@ -24,6 +24,7 @@ use crate::error::{LinkError, OpenError};
 use crate::host_timer::HostTimer;
 use crate::send_queue::SendQueue;
 use crate::transport::IDLE;
+use crate::transports::host_name::HostNameWatch;
 use crate::transports::open_request::{
     ConnectRole, OpenRequest, QUEUE_BYTES, listening_detail, resolve, with_deadline,
 };
@@ -80,6 +81,7 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
         socket: DatagramSocket::new(socket),
         local_address,
         is_listening,
+        name_watch: (!is_listening).then(|| HostNameWatch::new(host, target, request.timer)).flatten(),
         detail,
         timer: request.timer,
         busy_peers: Vec::new(),
@@ -151,6 +153,8 @@ struct UdpConnection {
     budget_pause: Option<Pin<Box<Sleep>>>,
     local_address: SocketAddr,
     is_listening: bool,
+    /// Of a host that was dialled by name.
+    name_watch: Option<HostNameWatch>,
     detail: String,
     timer: HostTimer,
     peers: UdpPeerTable,
@@ -383,6 +387,9 @@ impl UdpConnection {
     /// Decides about the datagram in the buffer; an empty one only makes its peer known.
     fn accept(&mut self, length: usize, from: SocketAddr) -> Arrival {
         let arrival = self.timer.now();
+        if let Some(watch) = &mut self.name_watch {
+            watch.record_arrival();
+        }
         let Some((peer, standing)) = self.peers.receive(from, length, arrival) else {
             self.flood_drops += 1;
             return Arrival::Cut;
@@ -458,6 +465,11 @@ impl Connection for UdpConnection {
         let polled = self.poll_receive(cx);
         counters.kernel_drops += std::mem::take(&mut self.kernel_drops);
         counters.flood_drops += std::mem::take(&mut self.flood_drops);
+        if polled.is_pending()
+            && let Some(watch) = &mut self.name_watch
+        {
+            return watch.poll_move(cx).map(Err);
+        }
         polled
     }
 
