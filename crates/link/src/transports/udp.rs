@@ -15,7 +15,7 @@ use std::ops::Bound;
 use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
-use posebridge_telemetry::{HostClock, PeerId, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 use tokio::time::Sleep;
 
 use crate::capacity::CapacityMeter;
@@ -40,6 +40,11 @@ const DRAIN_LIMIT: usize = 256;
 const SEARCH_LIMIT: usize = 2048;
 /// Most datagrams of loud peers and strangers that wait, besides the first of each.
 const MAX_UNHURRIED: usize = 1024;
+/// Copies of a frame for many peers that are sent before the next datagram is read: 500 of them at once would delay the robots by
+/// milliseconds.
+const COPIES_AT_ONCE: usize = 16;
+/// Most frames of which copies are left to send.
+const MAX_BROADCASTS: usize = 16;
 /// How long the sockets of flooding peers are left alone when the budgets of all are used up.
 const BUDGET_PAUSE: TimeDelta = TimeDelta::from_millis(10);
 /// Datagrams read from the socket of one flooding peer per wake-up.
@@ -89,6 +94,7 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
         budget_pause: None,
         peers: UdpPeerTable::new((!is_listening).then_some(target), idle, request.tuning.first_contact),
         queue: SendQueue::new(QUEUE_BYTES),
+        broadcasts: VecDeque::new(),
         meter: CapacityMeter::default(),
         inbox: FairInbox::default(),
         unhurried: FairInbox::default(),
@@ -144,6 +150,13 @@ struct BusyPeer {
     is_shared_pending: bool,
 }
 
+/// A frame for many peers, and those that have not been sent it.
+struct Broadcast {
+    priority: Priority,
+    frame: Vec<u8>,
+    recipients: std::vec::IntoIter<SocketAddr>,
+}
+
 struct UdpConnection {
     socket: DatagramSocket,
     busy_peers: Vec<BusyPeer>,
@@ -159,6 +172,7 @@ struct UdpConnection {
     timer: HostTimer,
     peers: UdpPeerTable,
     queue: SendQueue<SocketAddr>,
+    broadcasts: VecDeque<Broadcast>,
     meter: CapacityMeter,
     inbox: FairInbox,
     /// Of loud peers and strangers: delivered while nothing else waits.
@@ -202,6 +216,30 @@ impl UdpConnection {
             self.queue.pop_head();
         }
         self.record_write(taken);
+    }
+
+    /// Sends up to `limit` copies of the oldest frame for many peers.
+    fn send_copies(&mut self, limit: usize, counters: &mut LinkCounters) {
+        let Some(mut broadcast) = self.broadcasts.pop_front() else {
+            return;
+        };
+        for to in broadcast.recipients.by_ref().take(limit) {
+            self.send_to(to, broadcast.priority, &broadcast.frame, counters);
+        }
+        if broadcast.recipients.len() > 0 {
+            self.broadcasts.push_front(broadcast);
+        }
+    }
+
+    fn send_to(&mut self, to: SocketAddr, priority: Priority, frame: &[u8], counters: &mut LinkCounters) {
+        if self.queue.is_empty()
+            && let Poll::Ready(result) =
+                self.socket.socket.poll_send_to(&mut Context::from_waker(Waker::noop()), frame, to)
+        {
+            count_sent(&result, counters);
+            return;
+        }
+        counters.drops_out += self.queue.push(to, priority, frame);
     }
 
     fn record_write(&mut self, taken: usize) {
@@ -441,17 +479,17 @@ impl Connection for UdpConnection {
     }
 
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
-        let frame = out.frame;
-        let mut cx = Context::from_waker(Waker::noop());
-        for to in self.peers.recipient_addresses(out.to, self.timer.now()) {
-            if !self.queue.is_empty() {
-                counters.drops_out += self.queue.push(to, out.priority, frame);
-                continue;
+        let recipients = self.peers.recipient_addresses(out.to, self.timer.now());
+        if recipients.len() <= COPIES_AT_ONCE {
+            for to in recipients {
+                self.send_to(to, out.priority, out.frame, counters);
             }
-            match self.socket.socket.poll_send_to(&mut cx, frame, to) {
-                Poll::Ready(result) => count_sent(&result, counters),
-                Poll::Pending => counters.drops_out += self.queue.push(to, out.priority, frame),
+        } else {
+            if self.broadcasts.len() >= MAX_BROADCASTS {
+                self.send_copies(usize::MAX, counters);
             }
+            let (priority, frame) = (out.priority, out.frame.to_vec());
+            self.broadcasts.push_back(Broadcast { priority, frame, recipients: recipients.into_iter() });
         }
         self.record_write(0);
     }
@@ -462,7 +500,11 @@ impl Connection for UdpConnection {
         counters: &mut LinkCounters,
     ) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         self.flush(cx, counters);
+        self.send_copies(COPIES_AT_ONCE, counters);
         let polled = self.poll_receive(cx);
+        if polled.is_pending() && !self.broadcasts.is_empty() {
+            cx.waker().wake_by_ref();
+        }
         counters.kernel_drops += std::mem::take(&mut self.kernel_drops);
         counters.flood_drops += std::mem::take(&mut self.flood_drops);
         if polled.is_pending()
@@ -478,9 +520,10 @@ impl Connection for UdpConnection {
     }
 
     fn queue_status(&self, now: Timestamp<HostClock>) -> QueueStatus {
+        let copies = self.broadcasts.iter().map(|broadcast| broadcast.recipients.len() as u64).sum::<u64>();
         QueueStatus {
             peers: self.peers.count_recipients(Recipients::All, now),
-            frames: self.queue.len() as u64,
+            frames: self.queue.len() as u64 + copies,
             bytes: self.queue.bytes() as u64,
             capacity_bytes_per_s: self.meter.bytes_per_s(now),
         }
