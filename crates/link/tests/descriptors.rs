@@ -16,7 +16,7 @@ use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig};
 use posebridge_telemetry::LinkId;
 
 /// What makes a UDP peer loud: more than 500 datagrams within a tenth of a second.
-const LOUD: u32 = 600;
+const LOUD: u32 = 700;
 
 async fn listening(url: &str, timer: HostTimer) -> (Link, SocketAddr) {
     let config = LinkOpenConfig { id: LinkId(1), url: url.parse().expect("a link"), role: ConnectRole::Listen };

@@ -199,7 +199,7 @@ enum Arrival {
     /// To be delivered at once.
     Prompt(ReceivedBytes),
     /// It waits, or was empty.
-    Kept,
+    Kept(PeerStanding),
     /// Its peer is above its budget.
     Cut,
 }
@@ -252,7 +252,7 @@ impl UdpConnection {
             Ok((length, from)) => match self.accept(length, from) {
                 // Both inboxes are empty after a pause.
                 Arrival::Prompt(incoming) => Some(incoming),
-                Arrival::Kept | Arrival::Cut => None,
+                Arrival::Kept(_) | Arrival::Cut => None,
             },
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => None,
             Err(error) if is_about_one_peer(&error) => None,
@@ -302,8 +302,8 @@ impl UdpConnection {
     fn accept_shared(&mut self, length: usize, from: SocketAddr) {
         match self.accept(length, from) {
             Arrival::Prompt(incoming) => self.inbox.push(incoming),
-            Arrival::Kept => {}
-            Arrival::Cut => self.dedicate_socket(from),
+            Arrival::Kept(PeerStanding::Calm | PeerStanding::Stranger) => {}
+            Arrival::Kept(PeerStanding::Loud) | Arrival::Cut => self.dedicate_socket(from),
         }
     }
 
@@ -402,7 +402,7 @@ impl UdpConnection {
             match one.socket.try_recv_from(&mut self.buffer, &mut self.flood_drops) {
                 Ok((length, from)) => match self.accept(length, from) {
                     Arrival::Prompt(incoming) => self.inbox.push(incoming),
-                    Arrival::Kept => {}
+                    Arrival::Kept(_) => {}
                     // The rest waits for its budget.
                     Arrival::Cut => break,
                 },
@@ -433,13 +433,13 @@ impl UdpConnection {
             return Arrival::Cut;
         };
         if length == 0 {
-            return Arrival::Kept;
+            return Arrival::Kept(standing);
         }
         // A peer's first datagram is never dropped: the station learns of peers in the order of their numbers.
         let is_full = self.unhurried.count >= MAX_UNHURRIED && self.unhurried.by_peer.contains_key(&peer);
         if standing != PeerStanding::Calm && is_full {
             self.flood_drops += 1;
-            return Arrival::Kept;
+            return Arrival::Kept(standing);
         }
         let bytes = self.buffer.get(..length).unwrap_or_default().to_vec();
         let incoming = ReceivedBytes { peer, arrival, bytes };
@@ -450,7 +450,7 @@ impl UdpConnection {
             }
             PeerStanding::Loud | PeerStanding::Stranger => {
                 self.unhurried.push(incoming);
-                Arrival::Kept
+                Arrival::Kept(standing)
             }
         }
     }
