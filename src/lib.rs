@@ -13,5 +13,6 @@ pub mod lab;
 mod runtime;
 pub mod station;
 pub mod stderr_writer;
+mod text_file;
 pub mod tools;
 pub mod virtual_station;

@@ -50,7 +50,7 @@ fn layers() -> BTreeMap<String, Layer> {
 /// The parts of `src/`, with the files and folders of each. A part imports from itself and from those before it. So nothing but `cli` names
 /// the lab, which the feature of that name takes out of the program.
 const PARTS: &[(&str, &[&str])] = &[
-    ("base", &["console.rs", "exit.rs", "runtime.rs", "stderr_writer.rs"]),
+    ("base", &["console.rs", "exit.rs", "runtime.rs", "stderr_writer.rs", "text_file.rs"]),
     ("config", &["config"]),
     ("flags", &["flags.rs"]),
     ("station", &["station", "virtual_station.rs"]),

@@ -23,6 +23,7 @@ use super::bricks::FixSection;
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
 use super::signing::SigningSection;
+use crate::text_file::read_text;
 
 /// One link.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -312,10 +313,10 @@ pub fn load_scenario(name_or_file: &str) -> Result<Scenario> {
     if !is_toml_file(name_or_file) {
         return Ok(Scenario::bundled(name_or_file)?);
     }
-    let text = std::fs::read_to_string(name_or_file).with_context(|| format!("reading scenario `{name_or_file}`"))?;
+    let text = read_text(name_or_file).with_context(|| format!("reading scenario `{name_or_file}`"))?;
     // A way-points file lies beside its scenario unless its path says otherwise.
     let folder = Path::new(name_or_file).parent().unwrap_or(Path::new(""));
-    let mut read = |path: &Path| std::fs::read_to_string(folder.join(path));
+    let mut read = |path: &Path| read_text(folder.join(path));
     Scenario::from_toml_with(&text, &mut read).with_context(|| format!("scenario `{name_or_file}`"))
 }
 
@@ -325,7 +326,7 @@ pub fn load_link_profile(name_or_file: &str) -> Result<LinkProfile> {
         return Ok(LinkProfile::bundled(name_or_file)?);
     }
     let text =
-        std::fs::read_to_string(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
+        read_text(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
     LinkProfile::from_toml(&text).with_context(|| format!("`{name_or_file}`"))
 }
 

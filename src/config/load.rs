@@ -9,6 +9,7 @@ use super::profile::RobotProfile;
 use super::robot_blocks::split_robot_list;
 use super::sensor::SensorSection;
 use super::station::Config;
+use crate::text_file::read_text;
 
 /// The default configuration, which documents every key.
 pub const DEFAULT_TOML: &str = include_str!("../../config/default.toml");
@@ -40,7 +41,7 @@ pub fn load(path: Option<&Path>, settings: &[Setting]) -> Result<Loaded, ConfigE
         return Ok(Loaded { file: toml::Table::new(), ..loaded });
     };
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: name.clone(), why })?;
+    let text = read_text(path).map_err(|why| ConfigError::Unreadable { path: name.clone(), why })?;
     load_text(&name, &text, settings)
 }
 
@@ -183,7 +184,7 @@ impl fmt::Display for Setting {
 /// The file of `--sensor` as the key `robot.sensor`.
 pub fn sensor_setting(path: &Path) -> Result<Setting> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the sensor from `{name}`"))?;
+    let text = read_text(path).with_context(|| format!("reading the sensor from `{name}`"))?;
     let section: SensorSection = toml::from_str(&text).with_context(|| format!("sensor `{name}`"))?;
     section.checked().with_context(|| format!("sensor `{name}`"))?;
     Ok(Setting { path: vec!["robot".to_owned(), "sensor".to_owned()], value: toml::Value::try_from(section)? })

@@ -12,6 +12,7 @@ use super::Config;
 use super::calibration::{CALIBRATION_KEYS, RobotCalibration};
 use super::mounting::RobotMounting;
 use super::robot::{RobotFile, RobotStart};
+use crate::text_file::read_text;
 
 /// Content of the file of `--robot FILE`: `[robot]` and `[filter]` of a robot profile, a station's configuration or a descriptor.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,7 +34,7 @@ impl RobotProfile {
     /// A robot profile, a station's configuration or a recording's descriptor.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
-        let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
+        let text = read_text(path).with_context(|| format!("reading the robot from `{name}`"))?;
         Self::from_toml(&text).with_context(|| format!("robot `{name}`"))
     }
 

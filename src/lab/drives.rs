@@ -12,6 +12,7 @@ use posebridge_report::TimedPose;
 use posebridge_sim::montecarlo::{Drive, FilterPrior, SCENARIOS, Scenario};
 
 use crate::config::{Config, RobotCalibration, RobotFile, RobotMounting, RobotNoise, apply_profile};
+use crate::text_file::read_text;
 
 /// A bundled scenario by its name, else one from a TOML file, named after the file.
 pub fn load_scenario(requested: &str) -> Result<(String, Scenario)> {
@@ -21,7 +22,7 @@ pub fn load_scenario(requested: &str) -> Result<(String, Scenario)> {
     if is_bundled || !is_file {
         return Ok((requested.to_owned(), Scenario::bundled(requested)?));
     }
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the scenario `{requested}`"))?;
+    let text = read_text(path).with_context(|| format!("reading the scenario `{requested}`"))?;
     let scenario = Scenario::from_toml(&text).with_context(|| format!("scenario `{requested}`"))?;
     let name = path.file_stem().map_or_else(|| requested.to_owned(), |stem| stem.to_string_lossy().into_owned());
     Ok((name, scenario))

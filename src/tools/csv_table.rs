@@ -2,11 +2,16 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use csv::{ReaderBuilder, StringRecord, Terminator, Trim};
+use posebridge_recording::csv_dialect::{CsvDialect, DialectSearch, StatedDialect};
+
+use crate::console::print_line;
+use crate::text_file::read_text;
 
 pub struct CsvTable {
     name: String,
+    dialect: CsvDialect,
     columns: StringRecord,
     rows: Vec<(usize, StringRecord)>,
 }
@@ -18,22 +23,29 @@ pub struct CsvRow<'a> {
 }
 
 impl CsvTable {
-    /// Reads a file; lines that begin with `#` and empty ones are ignored. Rejects a row with more cells than columns: a decimal comma
-    /// would shift the rest.
+    /// Reads a file; lines that begin with `#` and empty ones are ignored. The dialect is found by the lines, and said if it is not the
+    /// usual one. Rejects a row with more cells than columns: a decimal comma would shift the rest.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(path).with_context(|| format!("reading `{name}`"))?;
-        Self::parse(name, text.trim_start_matches('\u{feff}'))
+        let text = read_text(path).with_context(|| format!("reading `{name}`"))?;
+        let table = Self::parse(name, text.trim_start_matches('\u{feff}'))?;
+        if table.dialect != CsvDialect::default() {
+            print_line(&format!("`{}`: {}", table.name, table.dialect));
+        }
+        Ok(table)
     }
 
     fn parse(name: String, text: &str) -> Result<Self> {
         // The lines are chosen here: the crate counts them wrongly after CRLF, blank lines and comments.
-        let (numbers, lines): (Vec<usize>, Vec<&str>) =
-            (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#')).unzip();
+        let is_row = |(_, line): &(usize, &str)| !line.trim().is_empty() && !line.starts_with('#');
+        let lines: Vec<(usize, &str)> = (1..).zip(text.lines()).filter(is_row).collect();
+        let dialect = dialect_of(&name, &lines)?;
+        let (numbers, lines): (Vec<usize>, Vec<&str>) = lines.into_iter().unzip();
         let text = lines.join("\n");
         let reader = ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
+            .delimiter(dialect.delimiter.letter().unwrap_or(',') as u8)
             .trim(Trim::All)
             .terminator(Terminator::Any(b'\n'))
             .from_reader(text.as_bytes());
@@ -57,7 +69,7 @@ impl CsvTable {
                 columns.len()
             );
         }
-        Ok(Self { name, columns, rows })
+        Ok(Self { name, dialect, columns, rows })
     }
 
     pub fn has(&self, column: &str) -> bool {
@@ -72,6 +84,20 @@ impl CsvTable {
     pub fn rows(&self) -> impl Iterator<Item = CsvRow<'_>> {
         self.rows.iter().map(|(line, cells)| CsvRow { table: self, line: *line, cells })
     }
+}
+
+fn dialect_of(name: &str, lines: &[(usize, &str)]) -> Result<CsvDialect> {
+    let Some((header, rows)) = lines.split_first() else { return Ok(CsvDialect::default()) };
+    let mut search = DialectSearch::new(StatedDialect::default(), Some(*header));
+    let mut find = || {
+        for (line, text) in rows {
+            if !search.push(*line, text)? {
+                break;
+            }
+        }
+        search.finish()
+    };
+    find().map_err(|error| anyhow!("`{name}` line {}: {error}", error.line))
 }
 
 impl CsvRow<'_> {
@@ -89,9 +115,9 @@ impl CsvRow<'_> {
 
     pub fn number(&self, column: &str) -> Result<f64> {
         let text = self.text(column)?;
-        match text.parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(number),
-            _ => bail!("`{}` line {}: `{text}` in column `{column}` is no number", self.table.name, self.line),
+        match self.table.dialect.decimal.number(text) {
+            Some(number) => Ok(number),
+            None => bail!("`{}` line {}: `{text}` in column `{column}` is no number", self.table.name, self.line),
         }
     }
 
@@ -122,6 +148,13 @@ mod tests {
     }
 
     #[test]
+    fn semicolons_and_decimal_commas_are_read_right() {
+        let listing = listing("way;x_mm\ncw;-12,5\n\"c;w\";3\n").unwrap();
+        let rows: Vec<_> = listing.rows().map(|row| (row.text("way").unwrap().to_owned(), row.number("x_mm").unwrap())).collect();
+        assert_eq!(rows, [("cw".to_owned(), -12.5), ("c;w".to_owned(), 3.0)]);
+    }
+
+    #[test]
     fn an_error_names_the_line_and_the_column() {
         let counted = "\r\nway,x_mm\r\n \r\n# twice\r\n\r\ncw,far\r\n";
         let (no_number, no_value) = ("`far` in column `x_mm` is no number", "column `x_mm` is empty");
@@ -132,12 +165,14 @@ mod tests {
             ("way,x_mm\ncw,1\n", "y_mm", 0, "has no column `y_mm`; it has: way, x_mm"),
             ("\"way,x_mm\ncw,1\n", "x_mm", 1, "a quote is not closed"),
             ("way,x_mm\n\ncw,1\n\"cw,2\ncw,3\n", "x_mm", 4, "a quote is not closed"),
+            ("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n", "x_mm", 3, "5 fields for 3 columns: commas are the delimiter and"),
             (
-                "way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n",
+                "way,x_mm,y_mm\ncw,1.5,2\ncw,1,2\ncw,-12,5,-20,1\n",
                 "x_mm",
-                3,
+                4,
                 "has 5 cells under 3 columns; write decimal points, not commas: -12.5",
             ),
+            ("way;x_mm\ncw;1,234\n", "x_mm", 2, "may be 1.234 or 1234"),
         ] {
             let number = listing(text).and_then(|listing| listing.rows().next().unwrap().number(column));
             let error = number.unwrap_err().to_string();

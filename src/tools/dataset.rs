@@ -1,5 +1,7 @@
 //! Foreign recordings for the commands: descriptor, robot, runs.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -10,6 +12,7 @@ use posebridge_telemetry::ArenaMap;
 use crate::config::{FilterSection, ProfileFilter, RobotFile, Setting, filter_config};
 use crate::console::print_line;
 use crate::flags::DataFlags;
+use crate::text_file::read_text;
 
 pub struct DataSet {
     pub descriptor: Descriptor,
@@ -28,7 +31,7 @@ pub struct RobotRun {
 impl DataSet {
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
-        let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{name}`"))?;
+        let text = read_text(path).with_context(|| format!("reading the descriptor `{name}`"))?;
         let descriptor = Descriptor::from_toml(&text).with_context(|| format!("descriptor `{name}`"))?;
         let prefix = flags.run.clone().unwrap_or_else(|| descriptor.default_run.clone());
         let runs: Vec<String> = descriptor.select(&prefix).into_iter().map(str::to_owned).collect();
@@ -44,9 +47,15 @@ impl DataSet {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
         let options = LoadOptions { run, geometry, wiring: robot.wiring(), use_every: flags.use_every };
-        let mut open = |relative: &Path| std::fs::read(self.root.join(relative));
+        let mut open = |relative: &Path| {
+            let file = File::open(self.root.join(relative))?;
+            Ok(Box::new(file) as Box<dyn Read>)
+        };
         let run = dataset::load(&self.descriptor, options, &mut open)
             .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
+        for dialect in &run.dialects {
+            print_line(&format!("{}: {dialect}", run.name));
+        }
         ensure!(
             !run.observations.is_empty(),
             "run `{}` holds no observation: {}",

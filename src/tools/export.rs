@@ -6,7 +6,7 @@ mod atomic_file;
 mod path_csv;
 
 use std::fs::File;
-use std::io::{BufWriter, Cursor};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -22,7 +22,7 @@ use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Outpu
 
 use self::atomic_file::AtomicFile;
 use self::path_csv::write_path_csv;
-use super::dataset::{DataSet, RobotRun};
+use super::dataset::RobotRun;
 use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
 use super::replay::{SmoothError, SmoothedResult, SmoothingSpan};
@@ -254,10 +254,14 @@ impl ExportSession {
     fn open(args: &ExportArgs, kind: InputKind) -> Result<Self> {
         let name = args.recording.display().to_string();
         let (bytes, data) = if kind == InputKind::Descriptor {
-            let bytes = Cursor::new(Vec::new());
-            let (bytes, account) = import::import(&args.recording, &args.data, station(args), bytes)?;
-            print_lines(&account.notes);
-            (bytes.into_inner(), Some(single_run(args)?))
+            let (bytes, notes, robot_run) = import::converted_run(&args.recording, &args.data)?;
+            print_lines(&notes);
+            if robot_run.run.truth.is_empty() {
+                print_line(
+                    "there is no truth: the withheld fixes stand in its place, and the estimates are of the point that they saw",
+                );
+            }
+            (bytes, Some(robot_run))
         } else {
             let (bytes, notes) = import::recording_bytes(&args.recording, station(args))?;
             print_lines(&notes);
@@ -357,19 +361,6 @@ fn robot_poses(
         Ok(RobotPoses { label: Some(robot.label), hindsight, estimates: robot.value.poses(truth.as_ref()), truth })
     });
     robots.collect()
-}
-
-/// The one selected run, with its reference: truth or withheld fixes.
-fn single_run(args: &ExportArgs) -> Result<RobotRun> {
-    let data = DataSet::open(&args.recording, &args.data)?;
-    let [run] = data.runs.as_slice() else { anyhow::bail!("choose one run with --run: {}", data.runs.join(", ")) };
-    let robot_run = data.load(run, &args.data)?;
-    if robot_run.run.truth.is_empty() {
-        print_line(
-            "there is no truth: the withheld fixes stand in its place, and the estimates are of the point that they saw",
-        );
-    }
-    Ok(robot_run)
 }
 
 /// Opens streams in a folder; overwrites those of an earlier export.

@@ -103,7 +103,7 @@ impl Player {
         let whole = run.run.observations.last().map_or(TimeDelta::ZERO, |last| last.arrival - first.arrival);
         let clock = DataClock { start, speed: self.speed, total: whole };
         let mut unsent: BTreeMap<&'static str, u64> = BTreeMap::new();
-        for timed in &run.run.observations {
+        for timed in run.run.observations.iter() {
             let due = start + TimeDelta::from_secs_f64((timed.arrival - first.arrival).as_secs_f64() / self.speed);
             self.serve_until(due, clock, &mut brick).await;
             if !brick.send(&timed.observation) {

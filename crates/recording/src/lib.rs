@@ -6,6 +6,7 @@
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
 //! - [`robot_names`] creates the labels of robots in all of these.
+//! - [`csv_dialect`] finds what separates the columns of a CSV file, and its decimal mark.
 //! - [`dataset`] converts foreign CSV-like recordings to observations by a TOML descriptor.
 //!
 //! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and of wire formats
@@ -13,6 +14,7 @@
 
 pub mod container;
 pub mod csv;
+pub mod csv_dialect;
 pub mod dataset;
 pub mod event_json;
 pub mod foxglove;

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use posebridge_recording::container::{RecordingHeader, RecordingWriter};
 use posebridge_telemetry::{Address, Arena, Input, Point2};
@@ -137,7 +137,32 @@ pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<
         return own_bytes(path, file, MemoryLimit::default());
     }
     let source = TlogSource::open(path, station.config()?)?;
-    let (out, account) = write(Cursor::new(Vec::new()), &source.header, |sink| source.inputs(sink))?;
+    in_memory(path, &source.header, |sink| source.inputs(sink))
+}
+
+/// A descriptor's run as a recording in memory, as [`recording_bytes`], and the run.
+pub fn converted_run(path: &Path, data: &DataFlags) -> Result<(Vec<u8>, Vec<String>, RobotRun)> {
+    let source = DescriptorSource::open(path, data)?;
+    let (bytes, notes) = in_memory(path, &header(&source.config, 0)?, |sink| source.inputs(sink))?;
+    Ok((bytes, notes, source.robot_run))
+}
+
+/// Fails beyond the memory limit of a recording.
+fn in_memory(
+    path: &Path,
+    header: &RecordingHeader,
+    inputs: impl FnOnce(&mut InputSink<'_>) -> Result<Vec<String>>,
+) -> Result<(Vec<u8>, Vec<String>)> {
+    let max_bytes = MemoryLimit::default().max_bytes;
+    let mut held = 0;
+    let (out, account) = write(Cursor::new(Vec::new()), header, |sink| {
+        inputs(&mut |now, input| {
+            let bytes = if let Input::Bytes { bytes, .. } = input { bytes.len() } else { 0 };
+            held += (size_of::<Input>() + bytes) as u64;
+            ensure!(held <= max_bytes, "`{}` becomes more than {} MiB: cut it into parts", path.display(), max_bytes >> 20);
+            sink(now, input)
+        })
+    })?;
     Ok((out.into_inner(), account.notes))
 }
 
@@ -195,7 +220,7 @@ impl DescriptorSource {
 
     fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {
         let run = &self.robot_run.run;
-        for timed in &run.observations {
+        for timed in run.observations.iter() {
             sink(timed.arrival, &Input::Observation(timed.observation))?;
         }
         let left_out = [

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, parse_verified};
 use posebridge_protocol::statistics::TrafficStatistics;
 use posebridge_recording::container::{RecordingEnd, RecordingHeader, RecordingReader};
-use posebridge_recording::dataset::TimedObservation;
+use posebridge_recording::dataset::ObservationList;
 use posebridge_recording::tlog::{ByteOrder, FrameCheck, LINK_BITS, TlogRecord};
 use posebridge_telemetry::{BrickClock, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
 use serde::Serialize;
@@ -305,9 +305,9 @@ pub(super) fn inspect_descriptor(path: &Path, flags: &DataFlags) -> Result<Vec<R
     runs.collect()
 }
 
-fn series_of(observations: &[TimedObservation]) -> Vec<(String, Series)> {
+fn series_of(observations: &ObservationList) -> Vec<(String, Series)> {
     let mut series: BTreeMap<String, Series> = BTreeMap::new();
-    for timed in observations {
+    for timed in observations.iter() {
         let observation = &timed.observation;
         let (kind, sensor) = (observation.measurement.kind(), observation.sensor);
         let name = if sensor.name() == kind { kind.to_owned() } else { format!("{kind} ({} {sensor})", sensor.name()) };

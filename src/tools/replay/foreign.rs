@@ -219,7 +219,7 @@ pub fn replay_run(
     }
     let mut recorded = TimeDelta::ZERO;
     let mut observations = 0;
-    for timed in &robot_run.run.observations {
+    for timed in robot_run.run.observations.iter() {
         let elapsed = timed.arrival - first.arrival;
         let position = window.position(elapsed);
         if position == WindowPosition::After {

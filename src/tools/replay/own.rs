@@ -30,6 +30,7 @@ use crate::station::signing::recorded_station_config;
 use crate::station::wiring_fix::WiringReport;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, StationOptions, TlogSource};
+use crate::text_file::read_text;
 
 pub const WHOLE_RUN: &str = "recording";
 
@@ -396,7 +397,7 @@ pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Res
         // Its own reading names what makes no sense better than a laid over table could.
         RobotProfile::read(path)?;
         let name = path.display();
-        let text = std::fs::read_to_string(path).with_context(|| format!("reading the robot from `{name}`"))?;
+        let text = read_text(path).with_context(|| format!("reading the robot from `{name}`"))?;
         let page: toml::Table = toml::from_str(&text)?;
         settings.extend(of_table(&page, "robot", robot_path));
         settings.extend(of_table(&page, "filter", &["filter"]));

@@ -3,7 +3,7 @@
 //! The caller opens the files and resolves relative paths; this module converts their bytes to observations.
 
 use std::collections::BTreeMap;
-use std::io;
+use std::io::{self, Read};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -13,10 +13,10 @@ use posebridge_telemetry::{
 };
 
 use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
-use super::run::{DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};
+use super::run::{DatasetRun, LoadError, MAX_HELD_BYTES, TimedObservation, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
 use super::streams::{RowClock, RowReader, positions, sensors};
-use super::table::{DatasetTable, decode_text, seconds_to_nanos};
+use super::table::{DatasetTable, TextLines, seconds_to_nanos};
 
 /// The run to load, the robot's geometry, and the fixes to use.
 #[derive(Clone, Copy, Debug)]
@@ -31,10 +31,13 @@ pub struct LoadOptions<'a> {
     pub use_every: Option<usize>,
 }
 
+/// Opens a file of a run.
+pub type OpenFile<'o> = dyn FnMut(&Path) -> io::Result<Box<dyn Read>> + 'o;
+
 /// Loads one run.
 ///
-/// Pure but for `open`, which gets the path as written in the descriptor and returns the file's bytes. Observations are sorted by
-/// arrival; with equal arrivals, in the order of the stream kinds in docs/recordings.md.
+/// Pure but for `open`, which gets the path as written in the descriptor and opens the file, once for each stream. One line of it is in
+/// memory. Observations are sorted by arrival; with equal arrivals, in the order of the stream kinds in docs/recordings.md.
 ///
 /// # Errors
 /// The run or a column is unknown, or a file cannot be opened or unpacked. Bad rows are no errors: they are in
@@ -42,21 +45,23 @@ pub struct LoadOptions<'a> {
 pub fn load(
     descriptor: &Descriptor,
     options: LoadOptions<'_>,
-    open: &mut dyn FnMut(&Path) -> io::Result<Vec<u8>>,
+    open: &mut OpenFile<'_>,
 ) -> Result<DatasetRun, LoadError> {
     let mut loader = RunLoader {
         run: find_run(descriptor, options.run)?,
         options,
-        files: TableCache { descriptor, open, texts: BTreeMap::new() },
+        files: TableCache { descriptor, open, tables: BTreeMap::new() },
         dataset_run: DatasetRun::default(),
-        all_fixes: Vec::new(),
+        fix_poses: Vec::new(),
     };
     loader.dataset_run.name.clone_from(&loader.run.name);
     loader.load_maps()?;
     loader.load_streams()?;
-    let RunLoader { run, dataset_run: mut out, all_fixes, .. } = loader;
-    set_start_pose(&mut out, run.start, &all_fixes);
-    out.observations.sort_by_key(|timed| timed.arrival);
+    let RunLoader { run, dataset_run: mut out, fix_poses, files, .. } = loader;
+    let detected = |table: &Rc<DatasetTable>| Some(format!("{}: {}", table.path, table.detected?));
+    out.dialects = files.tables.values().filter_map(detected).collect();
+    out.observations.sort();
+    set_start_pose(&mut out, run.start, &fix_poses);
     Ok(out)
 }
 
@@ -76,17 +81,17 @@ fn find_run<'a>(descriptor: &'a Descriptor, requested: &str) -> Result<&'a Resol
     }
 }
 
-/// The files of a run, each opened once.
+/// The files of a run, with their headers.
 struct TableCache<'a> {
     descriptor: &'a Descriptor,
-    open: &'a mut dyn FnMut(&Path) -> io::Result<Vec<u8>>,
-    texts: BTreeMap<String, Rc<DatasetTable>>,
+    open: &'a mut OpenFile<'a>,
+    tables: BTreeMap<String, Rc<DatasetTable>>,
 }
 
 impl TableCache<'_> {
     /// The file entry `name` must exist; the descriptor's check guarantees it.
     fn table(&mut self, name: &str, run: &ResolvedRun) -> Result<Rc<DatasetTable>, LoadError> {
-        if let Some(table) = self.texts.get(name) {
+        if let Some(table) = self.tables.get(name) {
             return Ok(Rc::clone(table));
         }
         let template = |message: String| LoadError::Template { run: run.name.clone(), message };
@@ -94,11 +99,14 @@ impl TableCache<'_> {
             return Err(template(format!("there is no [files.{name}]")));
         };
         let path = expand_template(entry.path.get_ref(), &run.values).map_err(template)?;
-        let bytes = (self.open)(Path::new(&path)).map_err(|source| LoadError::Open { path: path.clone(), source })?;
-        let text = decode_text(&path, bytes)?;
-        let table = Rc::new(DatasetTable::new(path, text, entry)?);
-        self.texts.insert(name.to_owned(), Rc::clone(&table));
+        let table = Rc::new(DatasetTable::new(self.lines(&path)?, entry)?);
+        self.tables.insert(name.to_owned(), Rc::clone(&table));
         Ok(table)
+    }
+
+    fn lines(&mut self, path: &str) -> Result<TextLines, LoadError> {
+        let file = (self.open)(Path::new(path)).map_err(|source| LoadError::Open { path: path.to_owned(), source })?;
+        TextLines::open(path, file)
     }
 }
 
@@ -107,8 +115,8 @@ struct RunLoader<'a> {
     options: LoadOptions<'a>,
     files: TableCache<'a>,
     dataset_run: DatasetRun,
-    /// All fixes, used or not, for a start pose from fixes.
-    all_fixes: Vec<WithheldFix>,
+    /// Of all fixes, used or not, for a start pose from fixes; otherwise empty.
+    fix_poses: Vec<TimestampedPose>,
 }
 
 impl RunLoader<'_> {
@@ -132,22 +140,26 @@ impl RunLoader<'_> {
         let id = table.bind_optional(map.id.as_ref())?;
         let (x, y) = (table.bind(&map.x)?, table.bind(&map.y)?);
         let mut positions = BTreeMap::new();
-        for (number, row) in table.rows().enumerate() {
+        let mut number = 0_u32;
+        let bad_rows = &mut self.dataset_run.bad_rows;
+        table.for_each_row(self.files.lines(&table.path)?, |row| {
             let read_position = || {
                 let id = match &id {
-                    Some(column) => column.read_id(&row)?,
-                    None => number as u32,
+                    Some(column) => column.read_id(row)?,
+                    None => number,
                 };
-                let at = Point2::new(Meters(x.read(&row)?), Meters(y.read(&row)?));
+                let at = Point2::new(Meters(x.read(row)?), Meters(y.read(row)?));
                 Ok((id, at))
             };
             match read_position() {
                 Ok((id, at)) => {
                     positions.entry(id).or_insert(at);
                 }
-                Err(fault) => self.dataset_run.bad_rows.add(&table.path, row.line, fault),
+                Err(fault) => bad_rows.add(&table.path, row.line, fault),
             }
-        }
+            number = number.saturating_add(1);
+            check_held((positions.len() * size_of::<(u32, Point2<Arena>)>()) as u64, &table.path, row.line)
+        })?;
         Ok(positions)
     }
 
@@ -213,16 +225,16 @@ impl RunLoader<'_> {
         let table = self.files.table(map.file.get_ref(), self.run)?;
         let (from, to) = (table.bind(&map.from)?, table.bind(&map.to)?);
         let mut ids = BTreeMap::new();
-        for row in table.rows() {
-            match (from.read_id(&row), to.read_id(&row)) {
+        let bad_rows = &mut self.dataset_run.bad_rows;
+        table.for_each_row(self.files.lines(&table.path)?, |row| {
+            match (from.read_id(row), to.read_id(row)) {
                 (Ok(from), Ok(to)) => {
                     ids.insert(from, to);
                 }
-                (Err(fault), _) | (_, Err(fault)) => {
-                    self.dataset_run.bad_rows.add(&table.path, row.line, fault);
-                }
+                (Err(fault), _) | (_, Err(fault)) => bad_rows.add(&table.path, row.line, fault),
             }
-        }
+            check_held((ids.len() * size_of::<(u32, u32)>()) as u64, &table.path, row.line)
+        })?;
         Ok(Some(ids))
     }
 
@@ -233,96 +245,110 @@ impl RunLoader<'_> {
         bind: impl FnOnce(&DatasetTable) -> Result<RowReader<ObservationKind>, LoadError>,
     ) -> Result<(), LoadError> {
         let common = stream.common();
-        let items = self.scan(&common, bind)?;
         let LoadOptions { wiring, geometry, .. } = self.options;
-        let timed = items
-            .into_iter()
-            .map(|(moment, observed)| timed_observation(&common, sensor, moment, wiring.correct(observed, &geometry)));
-        self.dataset_run.observations.extend(timed);
-        Ok(())
+        self.scan(&common, bind, |run, moment, observed| {
+            let timed = timed_observation(&common, sensor, moment, wiring.correct(observed, &geometry));
+            run.observations.push(&timed);
+        })
     }
 
     /// Speeds hold from the timestamp of their observation on: a mean over the previous interval gets the timestamp of its beginning.
     fn load_body_velocity(&mut self, stream: &BodyVelocity) -> Result<(), LoadError> {
-        let before = self.dataset_run.observations.len();
-        let geometry = self.options.geometry;
-        self.observe(stream, SensorId::ODOMETER, |table| sensors::body_velocity(stream, geometry, table))?;
-        if stream.interval == SpeedInterval::Previous && self.dataset_run.observations.len() > before {
-            let mut means = self.dataset_run.observations.split_off(before);
-            for row in (1..means.len()).rev() {
-                means[row].observation.stamp = means[row - 1].observation.stamp;
-            }
-            // The interval of the first row lies before the recording.
-            self.dataset_run.observations.extend(means.into_iter().skip(1));
+        let LoadOptions { wiring, geometry, .. } = self.options;
+        let bind = |table: &DatasetTable| sensors::body_velocity(stream, geometry, table);
+        if stream.interval == SpeedInterval::Next {
+            return self.observe(stream, SensorId::ODOMETER, bind);
         }
-        Ok(())
+        let common = stream.common();
+        let mut begun = None;
+        self.scan(&common, bind, |run, moment, observed| {
+            // The interval of the first row lies before the recording.
+            if let Some(stamp_nanos) = begun.replace(moment.stamp_nanos) {
+                let mean = wiring.correct(observed, &geometry);
+                let moment = RowTimes { stamp_nanos, ..moment };
+                run.observations.push(&timed_observation(&common, SensorId::ODOMETER, moment, mean));
+            }
+        })
     }
 
     fn load_fixes(&mut self, stream: &Fixes) -> Result<(), LoadError> {
         let tag = self.run.tag.or(stream.tag).unwrap_or_default();
         let common = stream.common();
-        let items = self.scan(&common, |table| positions::fixes(stream, tag, table))?;
         let every = self.options.use_every.or(stream.use_every).unwrap_or(1);
         let first = stream.use_first.unwrap_or(0);
-        for (index, (moment, fix)) in items.into_iter().enumerate() {
-            let stamp = Timestamp::from_nanos(moment.stamp_nanos);
-            let fix = self.options.wiring.correct_fix(fix);
-            let withheld = WithheldFix { time: stamp, fix };
-            self.all_fixes.push(withheld);
-            let is_used = index >= first && every > 0 && (index - first).is_multiple_of(every);
-            if is_used {
-                let observed = ObservationKind::Fix(fix);
-                let timed = timed_observation(&common, SensorId::CAMERA, moment, observed);
-                self.dataset_run.observations.push(timed);
-            } else {
-                self.dataset_run.withheld.push(withheld);
-            }
-        }
+        let wiring = self.options.wiring;
+        let is_start = matches!(self.run.start, Some(RunStart::Source { source: StartSource::Fixes, .. }));
+        let (mut index, mut poses) = (0, Vec::new());
+        self.scan(
+            &common,
+            |table| positions::fixes(stream, tag, table),
+            |run, moment, fix| {
+                let stamp = Timestamp::from_nanos(moment.stamp_nanos);
+                let fix = wiring.correct_fix(fix);
+                let withheld = WithheldFix { time: stamp, fix };
+                poses.extend(pose_from_fix(&withheld).filter(|_| is_start));
+                let is_used = index >= first && every > 0 && (index - first).is_multiple_of(every);
+                if is_used {
+                    let observed = ObservationKind::Fix(fix);
+                    run.observations.push(&timed_observation(&common, SensorId::CAMERA, moment, observed));
+                } else {
+                    run.withheld.push(withheld);
+                }
+                index += 1;
+            },
+        )?;
+        self.fix_poses.extend(poses);
         Ok(())
     }
 
     fn load_truth(&mut self, stream: &Truth) -> Result<(), LoadError> {
-        let items = self.scan(&stream.common(), |table| positions::truth(stream, table))?;
-        let poses = items.into_iter().map(|(moment, (position, heading))| TruthPose {
-            time: Timestamp::from_nanos(moment.stamp_nanos),
-            position,
-            heading,
-        });
-        self.dataset_run.truth.extend(poses);
-        Ok(())
+        self.scan(
+            &stream.common(),
+            |table| positions::truth(stream, table),
+            |run, moment, (position, heading)| {
+                let time = Timestamp::from_nanos(moment.stamp_nanos);
+                run.truth.push(TruthPose { time, position, heading });
+            },
+        )
     }
 
-    /// Returns the valid rows of a stream with their times, and counts the bad ones.
+    /// Passes the valid rows of a stream with their times, and counts the bad ones.
     fn scan<T>(
         &mut self,
         common: &StreamOptions<'_>,
         bind: impl FnOnce(&DatasetTable) -> Result<RowReader<T>, LoadError>,
-    ) -> Result<Vec<(RowTimes, T)>, LoadError> {
+        mut take: impl FnMut(&mut DatasetRun, RowTimes, T),
+    ) -> Result<(), LoadError> {
         if !common.is_in(&self.run.name) {
-            return Ok(Vec::new());
+            return Ok(());
         }
         let table = self.files.table(common.file.get_ref(), self.run)?;
         let mut reader = bind(&table)?;
         let mut clock = RowClock::new(table.max_gap_nanos);
         let shift_nanos = seconds_to_nanos(common.stamp_shift_s);
-        let mut items = Vec::new();
-        for row in table.ordered_rows() {
+        let run = &mut self.dataset_run;
+        table.for_each_row(self.files.lines(&table.path)?, |row| {
             let mut read = || {
                 row.check_width()?;
-                let stamp = table.time_nanos(&row)?;
-                let arrival_nanos = table.arrival(&row)?.unwrap_or(stamp);
-                let value = reader(&row, clock.classify(stamp))?;
+                let stamp = table.time_nanos(row)?;
+                let arrival_nanos = table.arrival(row)?.unwrap_or(stamp);
+                let value = reader(row, clock.classify(stamp))?;
                 clock.accept(stamp);
                 let moment = RowTimes { stamp_nanos: stamp.saturating_add(shift_nanos), arrival_nanos };
                 Ok(value.map(|value| (moment, value)))
             };
             match read() {
-                Ok(item) => items.extend(item),
-                Err(fault) => self.dataset_run.bad_rows.add(&table.path, row.line, fault),
+                Ok(Some((moment, value))) => take(run, moment, value),
+                Ok(None) => {}
+                Err(fault) => run.bad_rows.add(&table.path, row.line, fault),
             }
-        }
-        Ok(items)
+            check_held(run.held_bytes(), &table.path, row.line)
+        })
     }
+}
+
+fn check_held(bytes: u64, path: &str, line: usize) -> Result<(), LoadError> {
+    if bytes > MAX_HELD_BYTES { Err(LoadError::TooMuch { path: path.to_owned(), line }) } else { Ok(()) }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -348,18 +374,18 @@ fn timed_observation(
     }
 }
 
-/// Sets the start of `run`, if the descriptor has one; `fixes` are all of its fixes, used or not.
+/// Sets the start of `run`, if the descriptor has one; `fixes` are the poses of all of its fixes, used or not.
 ///
 /// A start from the files is the last true pose or fix before the first observation. Without one it is the first after it, and earlier
 /// observations are dropped, because the start already contains their motion.
-fn set_start_pose(run: &mut DatasetRun, start: Option<RunStart>, fixes: &[WithheldFix]) {
+fn set_start_pose(run: &mut DatasetRun, start: Option<RunStart>, fixes: &[TimestampedPose]) {
     match start {
         None => {}
         Some(RunStart::Pose(pose)) => run.start = Some(pose),
         Some(RunStart::Source { source, position_sigma_m, heading_sigma_rad }) => {
             let poses = match source {
                 StartSource::Truth => truth_poses(run),
-                StartSource::Fixes => fixes.iter().filter_map(pose_from_fix).collect(),
+                StartSource::Fixes => fixes.to_vec(),
             };
             let Some((stamp, pose)) = first_pose(run, &poses) else {
                 return;

@@ -7,11 +7,13 @@
 mod column;
 mod descriptor;
 mod load;
+mod observation_list;
 mod run;
 mod schema;
 mod streams;
 mod table;
 
 pub use descriptor::{Descriptor, DescriptorError};
-pub use load::{LoadOptions, load};
+pub use load::{LoadOptions, OpenFile, load};
+pub use observation_list::ObservationList;
 pub use run::{BadRow, BadRowReason, BadRows, DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};

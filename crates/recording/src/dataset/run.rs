@@ -1,11 +1,17 @@
 //! One run of a foreign recording, ready for replay and scoring, with its bad rows and load errors.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::{fmt, io};
 
 use posebridge_telemetry::{
     Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, StartPose, Timestamp,
 };
+
+use super::observation_list::ObservationList;
+use crate::csv_dialect::AmbiguousDialect;
+
+/// Limit of the numbers of a run in memory: some forty million readings. Larger than any recording of a small robot.
+pub(super) const MAX_HELD_BYTES: u64 = 1 << 30;
 
 /// One run of a foreign recording.
 ///
@@ -14,8 +20,7 @@ use posebridge_telemetry::{
 pub struct DatasetRun {
     pub name: String,
     pub start: Option<StartPose>,
-    /// Sorted by arrival.
-    pub observations: Vec<TimedObservation>,
+    pub observations: ObservationList,
     /// From a separate instrument; for scoring only.
     pub truth: Vec<TruthPose>,
     /// Fixes withheld from the filter; for scoring only.
@@ -23,6 +28,16 @@ pub struct DatasetRun {
     pub landmarks: Vec<(LandmarkId, Point2<Arena>)>,
     pub beacons: Vec<(BeaconId, Point2<Arena>)>,
     pub bad_rows: BadRows,
+    /// Dialects that were found in its files, as file and words.
+    pub dialects: Vec<String>,
+}
+
+impl DatasetRun {
+    /// Memory of its numbers.
+    pub(super) fn held_bytes(&self) -> u64 {
+        let references = self.truth.len() * size_of::<TruthPose>() + self.withheld.len() * size_of::<WithheldFix>();
+        self.observations.bytes() + references as u64
+    }
 }
 
 /// An observation and its arrival on the host.
@@ -115,7 +130,8 @@ pub struct BadRows {
     pub counts: BTreeMap<BadRowReason, usize>,
     /// The first 20, in reading order.
     pub listed: Vec<BadRow>,
-    already_counted: BTreeSet<(String, usize, BadRowReason)>,
+    /// A bit for each line, so that a file of nothing but bad rows fills no memory.
+    already_counted: BTreeMap<(String, BadRowReason), Vec<u64>>,
 }
 
 impl BadRows {
@@ -129,9 +145,15 @@ impl BadRows {
 
     pub(super) fn add(&mut self, file: &str, line: usize, fault: RowError) {
         let RowError { reason, detail } = fault;
-        if !self.already_counted.insert((file.to_owned(), line, reason)) {
+        let lines = self.already_counted.entry((file.to_owned(), reason)).or_default();
+        let (word, bit) = (line / 64, 1 << (line % 64));
+        if lines.len() <= word {
+            lines.resize(word + 1, 0);
+        }
+        if lines[word] & bit != 0 {
             return;
         }
+        lines[word] |= bit;
         *self.counts.entry(reason).or_insert(0) += 1;
         if self.listed.len() < MAX_LISTED_ROWS {
             self.listed.push(BadRow { file: file.to_owned(), line, reason, detail });
@@ -167,6 +189,13 @@ pub enum LoadError {
     /// Larger than any recording of a small robot.
     #[error("{path} unpacks to more than 1 GiB")]
     TooLarge { path: String },
+    #[error("{path}:{line}: the line is longer than 1 MiB: is it a table?")]
+    LongLine { path: String, line: usize },
+    #[error("{path}:{line}: up to here the run holds more than 1 GiB of numbers: cut it into several runs")]
+    TooMuch { path: String, line: usize },
+    /// It can be read in two ways.
+    #[error("{path}:{}: {source}", source.line)]
+    Dialect { path: String, source: AmbiguousDialect },
     #[error("{path}:{line}: there is no column `{column}`, the header has: {known}{hint}")]
     NoColumn {
         path: String,

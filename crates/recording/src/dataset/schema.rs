@@ -7,6 +7,8 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::csv_dialect::{DecimalMark, Delimiter};
+
 use super::column::{
     Acceleration, Angle, Area, Column, ColumnRef, FiniteNumber, HeadingColumns, Id, Length, Speed, Temperature,
     TurnRate, WheelTurn,
@@ -101,8 +103,9 @@ pub(super) struct TagPosition {
 #[serde(deny_unknown_fields)]
 pub(super) struct FileEntry {
     pub(super) path: Spanned<String>,
-    #[serde(default)]
-    pub(super) delimiter: Delimiter,
+    /// `None` detects it.
+    pub(super) delimiter: Option<Delimiter>,
+    pub(super) decimal: Option<DecimalMark>,
     #[serde(default)]
     pub(super) header_lines: usize,
     pub(super) comment: Option<String>,
@@ -123,20 +126,6 @@ pub(super) enum RowOrder {
     File,
     /// By timestamp, for files whose blocks were written out of order.
     Time,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Delimiter {
-    /// `,`, with double quotes around fields that contain one.
-    #[default]
-    Comma,
-    /// `;`, likewise.
-    Semicolon,
-    /// One tab, likewise.
-    Tab,
-    /// Any run of spaces and tabs.
-    Whitespace,
 }
 
 /// Keeps only rows with this text in this column.

@@ -1,47 +1,88 @@
-//! Splits text into rows of fields: lines, headers, comments, filters, and columns bound to their index.
+//! Reads the rows of a file one by one: lines, headers, comments, filters, and columns bound to their index.
 //!
 //! Each line is parsed separately, so that an unbalanced quote invalidates one row and not the rest of the file.
 
-use std::io::Read;
+use std::borrow::Cow;
+use std::io::{BufRead, BufReader, Read};
 
-use flate2::read::MultiGzDecoder;
+use flate2::bufread::MultiGzDecoder;
 use posebridge_telemetry::Heading;
 
 use super::column::{Angle, Column, ColumnRef, Dimension, HeadingColumns};
-use super::run::{BadRowReason, LoadError, RowError};
-use super::schema::{Delimiter, FileEntry, RowOrder, TimeColumn, TimeUnit};
+use super::run::{BadRowReason, LoadError, MAX_HELD_BYTES, RowError};
+use super::schema::{FileEntry, RowOrder, TimeColumn, TimeUnit};
+use crate::csv_dialect::{CsvDialect, DecimalMark, Delimiter, DialectSearch, StatedDialect};
 
 /// Limit of the unpacked size of a gzip file: no recording of a small robot is so large.
 const MAX_TEXT_BYTES: u64 = 1 << 30;
+/// No row of a table is longer.
+const MAX_LINE_BYTES: usize = 1 << 20;
+const READ_BYTES: usize = 1 << 16;
 /// RFC 1952, section 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
 /// U+FEFF in UTF-8; some programs write it before the first line.
 const BYTE_ORDER_MARK: [u8; 3] = [0xEF, 0xBB, 0xBF];
 
-/// Unpacks a gzip file, detected by its first bytes, and decodes it. Bytes that are not UTF-8 become U+FFFD and invalidate only their
-/// field.
-pub(super) fn decode_text(path: &str, bytes: Vec<u8>) -> Result<String, LoadError> {
-    let bytes = if bytes.starts_with(&GZIP_MAGIC) { gunzip(path, &bytes)? } else { bytes };
-    let body = bytes.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(&bytes);
-    Ok(String::from_utf8_lossy(body).into_owned())
+/// The lines of a file, of which one is in memory. A gzip file, detected by its first bytes, is unpacked. Bytes that are not UTF-8 become
+/// U+FFFD and invalidate only their field.
+pub(super) struct TextLines {
+    path: String,
+    reader: Box<dyn BufRead>,
+    is_packed: bool,
+    line: Vec<u8>,
+    number: usize,
+    bytes: u64,
 }
 
-fn gunzip(path: &str, bytes: &[u8]) -> Result<Vec<u8>, LoadError> {
-    let mut unpacked = Vec::new();
-    let mut reader = MultiGzDecoder::new(bytes).take(MAX_TEXT_BYTES + 1);
-    reader.read_to_end(&mut unpacked).map_err(|source| LoadError::Gzip { path: path.to_owned(), source })?;
-    if unpacked.len() as u64 > MAX_TEXT_BYTES {
-        return Err(LoadError::TooLarge { path: path.to_owned() });
+impl TextLines {
+    pub(super) fn open(path: &str, file: Box<dyn Read>) -> Result<Self, LoadError> {
+        let mut plain = BufReader::with_capacity(READ_BYTES, file);
+        let beginning = plain.fill_buf().map_err(|source| LoadError::Open { path: path.to_owned(), source })?;
+        let is_packed = beginning.starts_with(&GZIP_MAGIC);
+        let reader: Box<dyn BufRead> = if is_packed {
+            Box::new(BufReader::with_capacity(READ_BYTES, MultiGzDecoder::new(plain)))
+        } else {
+            Box::new(plain)
+        };
+        Ok(Self { path: path.to_owned(), reader, is_packed, line: Vec::new(), number: 0, bytes: 0 })
     }
-    Ok(unpacked)
+
+    /// The next line and its number, from 1; `None` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<(usize, Cow<'_, str>)>, LoadError> {
+        self.line.clear();
+        let read = (&mut self.reader).take(MAX_LINE_BYTES as u64 + 1).read_until(b'\n', &mut self.line);
+        let path = || self.path.clone();
+        let read = read.map_err(|source| match self.is_packed {
+            true => LoadError::Gzip { path: path(), source },
+            false => LoadError::Open { path: path(), source },
+        })?;
+        if read == 0 {
+            return Ok(None);
+        }
+        self.number += 1;
+        self.bytes += read as u64;
+        if read > MAX_LINE_BYTES {
+            return Err(LoadError::LongLine { path: path(), line: self.number });
+        }
+        if self.is_packed && self.bytes > MAX_TEXT_BYTES {
+            return Err(LoadError::TooLarge { path: path() });
+        }
+        let mut line = self.line.as_slice();
+        if self.number == 1 {
+            line = line.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(line);
+        }
+        let line = line.strip_suffix(b"\n").map_or(line, |line| line.strip_suffix(b"\r").unwrap_or(line));
+        Ok(Some((self.number, String::from_utf8_lossy(line))))
+    }
 }
 
 #[derive(Debug)]
 pub(super) struct DatasetTable {
     /// As written in the descriptor.
     pub(super) path: String,
-    text: String,
     format: TableFormat,
+    /// As found, where it is not what the descriptor says or leaves out.
+    pub(super) detected: Option<CsvDialect>,
     names: Vec<String>,
     time: Option<BoundTimeColumn>,
     arrival_nanos: Option<BoundTimeColumn>,
@@ -52,7 +93,7 @@ pub(super) struct DatasetTable {
 
 #[derive(Debug)]
 struct TableFormat {
-    delimiter: Delimiter,
+    dialect: CsvDialect,
     header_lines: usize,
     comment: Option<String>,
     filter: Option<(usize, String)>,
@@ -73,6 +114,7 @@ pub(super) struct TableRow<'a> {
     /// From 1.
     pub(super) line: usize,
     fields: Vec<&'a str>,
+    decimal: DecimalMark,
     /// Of the header; empty without one, or if the descriptor numbers the columns.
     names: &'a [String],
 }
@@ -88,7 +130,7 @@ impl TableRow<'_> {
 
     fn number(&self, index: usize) -> Result<f64, RowError> {
         let text = self.field(index)?;
-        text.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| self.not_numeric(index, text))
+        self.decimal.number(text).ok_or_else(|| self.not_numeric(index, text))
     }
 
     /// A column as in the header, or its number from 0.
@@ -99,10 +141,12 @@ impl TableRow<'_> {
     fn not_numeric(&self, index: usize, text: &str) -> RowError {
         let shown: String = text.chars().take(MAX_QUOTED_CHARS).collect();
         let with_point = text.replacen(',', ".", 1);
-        let hint = if text.contains(',') && with_point.parse::<f64>().is_ok() {
-            format!(": a decimal comma; write {with_point}")
-        } else {
-            String::new()
+        let hint = match self.decimal {
+            DecimalMark::Point if text.contains(',') && with_point.parse::<f64>().is_ok() => {
+                format!(": a decimal comma; write {with_point}")
+            }
+            DecimalMark::Comma if text.contains('.') => ": the file has decimal commas".to_owned(),
+            DecimalMark::Point | DecimalMark::Comma => String::new(),
         };
         RowError::new(BadRowReason::NotNumeric, format!("{}: `{shown}`{hint}", self.column_name(index)))
     }
@@ -115,8 +159,7 @@ impl TableRow<'_> {
             return Ok(());
         }
         let detail = format!(
-            "{fields} for {names}: decimal commas? Separate columns by semicolons (`delimiter = \"semicolon\"`) and write numbers with a \
-             point"
+            "{fields} for {names}: decimal commas? Separate columns by semicolons, or write numbers with a point"
         );
         Err(RowError::new(BadRowReason::ExtraColumn, detail))
     }
@@ -166,23 +209,55 @@ impl BoundHeadingColumns {
 }
 
 impl DatasetTable {
-    /// Skips the header lines and binds the columns that the file entry itself names.
-    pub(super) fn new(path: String, text: String, entry: &FileEntry) -> Result<Self, LoadError> {
-        if entry.header_lines > 0 && text.trim().is_empty() {
+    /// Reads the header and as many rows as tell the dialect, and binds the columns that the file entry itself names.
+    pub(super) fn new(mut lines: TextLines, entry: &FileEntry) -> Result<Self, LoadError> {
+        let path = lines.path.clone();
+        let mut header = String::new();
+        let mut is_empty = true;
+        for _ in 0..entry.header_lines {
+            let line = lines.next()?.map(|(_, line)| line.into_owned()).unwrap_or_default();
+            is_empty &= line.trim().is_empty();
+            line.trim().clone_into(&mut header);
+        }
+        let has_names = entry.delimiter != Some(Delimiter::Whitespace)
+            && entry.time.as_ref().is_some_and(|time| matches!(time.column, ColumnRef::Name(_)));
+        let named = (has_names && entry.header_lines > 0).then_some((entry.header_lines, header.as_str()));
+        let stated = StatedDialect { delimiter: entry.delimiter, decimal: entry.decimal };
+        let mut search = DialectSearch::new(stated, named);
+        let refused = |source| LoadError::Dialect { path: path.clone(), source };
+        while let Some((line, text)) = lines.next()? {
+            if is_visible(&text, entry.comment.as_deref()) {
+                is_empty = false;
+                if !search.push(line, &text).map_err(refused)? {
+                    break;
+                }
+            }
+        }
+        if entry.header_lines > 0 && is_empty {
             return Err(LoadError::Empty { path, line: entry.header_lines });
         }
+        let dialect = search.finish().map_err(refused)?;
+        let expected = CsvDialect {
+            delimiter: entry.delimiter.unwrap_or_default(),
+            decimal: entry.decimal.unwrap_or_default(),
+        };
+        let mut names: Vec<String> = match entry.header_lines {
+            0 => Vec::new(),
+            _ => dialect.delimiter.split(&header).into_iter().map(str::to_owned).collect(),
+        };
+        // A spreadsheet may end its lines with delimiters: no column is below them.
+        names.truncate(names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1));
         let mut table = Self {
-            names: header_names(&text, entry),
+            names,
             path,
-            text,
+            detected: (dialect != expected).then_some(dialect),
             format: TableFormat {
-                delimiter: entry.delimiter,
+                dialect,
                 header_lines: entry.header_lines,
                 comment: entry.comment.clone(),
                 filter: None,
                 order: entry.order,
-                has_names: entry.delimiter != Delimiter::Whitespace
-                    && entry.time.as_ref().is_some_and(|time| matches!(time.column, ColumnRef::Name(_))),
+                has_names,
             },
             time: None,
             arrival_nanos: None,
@@ -219,21 +294,15 @@ impl DatasetTable {
                     line: self.format.header_lines,
                     column: name.clone(),
                     known: self.names.join(", "),
-                    hint: self.delimiter_hint(),
+                    hint: self.names_hint(),
                 })
             }
         }
     }
 
-    /// What a header that is one column looks like with another delimiter.
-    fn delimiter_hint(&self) -> &'static str {
-        match self.names.as_slice() {
-            [] => "; `header_lines` is 0, so columns have numbers and no names",
-            [only] if only.contains(';') => "; `delimiter = \"semicolon\"` would split it",
-            [only] if only.contains('\t') => "; `delimiter = \"tab\"` would split it",
-            [only] if only.contains(',') => "; `delimiter = \"comma\"` would split it",
-            _ => "",
-        }
+    /// Why the header has no names, or not the expected ones.
+    fn names_hint(&self) -> &'static str {
+        if self.format.header_lines == 0 { "; `header_lines` is 0, so columns have numbers and no names" } else { "" }
     }
 
     pub(super) fn bind<D: Dimension>(&self, column: &Column<D>) -> Result<BoundColumn<D>, LoadError> {
@@ -257,35 +326,39 @@ impl DatasetTable {
         })
     }
 
-    /// The rows after the header, without blank lines, comments and filtered rows.
-    pub(super) fn rows(&self) -> impl Iterator<Item = TableRow<'_>> {
-        let numbered = self.text.lines().enumerate();
-        numbered.skip(self.format.header_lines).filter_map(|(index, line)| self.row(index + 1, line))
-    }
-
-    /// Sorted as the descriptor requests; rows without a timestamp come first.
-    pub(super) fn ordered_rows(&self) -> Vec<TableRow<'_>> {
-        let mut rows: Vec<_> = self.rows().collect();
-        if self.format.order == RowOrder::Time {
-            rows.sort_by_cached_key(|row| self.time_nanos(row).ok());
+    /// Passes the rows after the header, without blank lines, comments and filtered rows, in the order that the descriptor requests.
+    pub(super) fn for_each_row(
+        &self,
+        mut lines: TextLines,
+        mut take: impl FnMut(&TableRow<'_>) -> Result<(), LoadError>,
+    ) -> Result<(), LoadError> {
+        let mut held = HeldRows::default();
+        while let Some((line, text)) = lines.next()? {
+            let Some(row) = self.row(line, &text) else {
+                continue;
+            };
+            match self.format.order {
+                RowOrder::File => take(&row)?,
+                RowOrder::Time => held.push(&self.path, line, &text, self.time_nanos(&row).ok())?,
+            }
         }
-        rows
+        held.rows.sort_by_key(|row| row.nanos);
+        held.rows.iter().filter_map(|row| self.row(row.line, &held.text[row.start..row.end])).try_for_each(|row| take(&row))
     }
 
     fn row<'a>(&'a self, line: usize, text: &'a str) -> Option<TableRow<'a>> {
-        let visible = text.trim();
-        let comment = self.format.comment.as_deref();
-        if visible.is_empty() || comment.is_some_and(|prefix| visible.starts_with(prefix)) {
+        if line <= self.format.header_lines || !is_visible(text, self.format.comment.as_deref()) {
             return None;
         }
-        let fields = split(text, self.format.delimiter);
+        let CsvDialect { delimiter, decimal } = self.format.dialect;
+        let fields = delimiter.split(text);
         if let Some((index, expected)) = &self.format.filter
             && fields.get(*index) != Some(&expected.as_str())
         {
             return None;
         }
         let names = if self.format.has_names { self.names.as_slice() } else { &[] };
-        Some(TableRow { line, fields, names })
+        Some(TableRow { line, fields, decimal, names })
     }
 
     /// Time base of the data.
@@ -305,7 +378,12 @@ impl DatasetTable {
     fn read_time(&self, time: &BoundTimeColumn, row: &TableRow<'_>) -> Result<i64, RowError> {
         let part = |index: usize, unit: TimeUnit| {
             let text = row.field(index)?;
-            decimal_nanos(text, unit.exponent()).ok_or_else(|| row.not_numeric(index, text))
+            let with_point = match row.decimal {
+                DecimalMark::Point => Some(Cow::Borrowed(text)),
+                DecimalMark::Comma => (!text.contains('.')).then(|| text.replacen(',', ".", 1).into()),
+            };
+            let nanos = with_point.and_then(|number| decimal_nanos(&number, unit.exponent()));
+            nanos.ok_or_else(|| row.not_numeric(index, text))
         };
         let mut nanos = part(time.index, time.unit)?;
         if let Some((index, unit)) = time.plus {
@@ -319,37 +397,37 @@ pub(super) fn seconds_to_nanos(seconds: f64) -> i64 {
     (seconds * 1e9).round() as i64
 }
 
-fn header_names(text: &str, entry: &FileEntry) -> Vec<String> {
-    let Some(last) = entry.header_lines.checked_sub(1) else {
-        return Vec::new();
-    };
-    let line = text.lines().nth(last).unwrap_or_default().trim();
-    let names = split(line, entry.delimiter);
-    names.into_iter().map(str::to_owned).collect()
+fn is_visible(line: &str, comment: Option<&str>) -> bool {
+    let visible = line.trim();
+    !visible.is_empty() && !comment.is_some_and(|prefix| visible.starts_with(prefix))
 }
 
-fn split(line: &str, delimiter: Delimiter) -> Vec<&str> {
-    match delimiter {
-        Delimiter::Comma => split_quoted(line, ','),
-        Delimiter::Semicolon => split_quoted(line, ';'),
-        Delimiter::Tab => split_quoted(line, '\t'),
-        Delimiter::Whitespace => line.split_whitespace().collect(),
+/// The rows of a file that is not in the order of time. Their text takes no more memory than their numbers would.
+#[derive(Default)]
+struct HeldRows {
+    text: String,
+    rows: Vec<HeldRow>,
+}
+
+struct HeldRow {
+    /// Rows without a timestamp come first.
+    nanos: Option<i64>,
+    line: usize,
+    start: usize,
+    end: usize,
+}
+
+impl HeldRows {
+    fn push(&mut self, path: &str, line: usize, text: &str, nanos: Option<i64>) -> Result<(), LoadError> {
+        let start = self.text.len();
+        self.text.push_str(text);
+        self.rows.push(HeldRow { nanos, line, start, end: self.text.len() });
+        let bytes = self.text.len() + self.rows.len() * size_of::<HeldRow>();
+        if bytes as u64 > MAX_HELD_BYTES {
+            return Err(LoadError::TooMuch { path: path.to_owned(), line });
+        }
+        Ok(())
     }
-}
-
-/// Splits at delimiters outside double quotes; trims spaces and quotes.
-fn split_quoted(line: &str, delimiter: char) -> Vec<&str> {
-    let mut in_quotes = false;
-    line.split(|letter| {
-        in_quotes ^= letter == '"';
-        letter == delimiter && !in_quotes
-    })
-    .map(|field| {
-        let field = field.trim();
-        let inner = field.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
-        inner.unwrap_or(field)
-    })
-    .collect()
 }
 
 /// More than any clock prints; further digits of a fraction are dropped.
@@ -422,25 +500,33 @@ fn scale(value: i128, power: i32) -> Option<i128> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn quotes_protect_delimiters_within_one_line() {
-        assert_eq!(split_quoted("1, \"a,b\" ,,2", ','), ["1", "a,b", "", "2"]);
-        assert_eq!(split_quoted("\"open,1", ','), ["\"open,1"]);
-        assert_eq!(split_quoted("", ';'), [""]);
+    fn lines_of(bytes: &[u8]) -> Result<Vec<(usize, String)>, LoadError> {
+        let mut lines = TextLines::open("a.csv", Box::new(std::io::Cursor::new(bytes.to_vec())))?;
+        let mut found = Vec::new();
+        while let Some((line, text)) = lines.next()? {
+            found.push((line, text.into_owned()));
+        }
+        Ok(found)
     }
 
     #[test]
     fn a_byte_order_mark_and_gzip_are_taken_off() {
-        let text = decode_text("a.csv", b"\xEF\xBB\xBF1,2".to_vec()).unwrap();
-        assert_eq!(text, "1,2");
+        assert_eq!(lines_of(b"\xEF\xBB\xBF1,2\r\n\n3").unwrap(), [(1, "1,2".into()), (2, "".into()), (3, "3".into())]);
         // `printf 1,2 | gzip -n`
         let packed = [
             0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C, 0x0E, 0x2B, 0x03, 0, 0,
             0,
         ];
-        assert_eq!(decode_text("a.csv.gz", packed.to_vec()).unwrap(), "1,2");
-        let cut = packed[..14].to_vec();
-        assert!(matches!(decode_text("a.csv.gz", cut), Err(LoadError::Gzip { .. })));
+        assert_eq!(lines_of(&packed).unwrap(), [(1, "1,2".into())]);
+        assert!(matches!(lines_of(&packed[..14]), Err(LoadError::Gzip { .. })));
+    }
+
+    #[test]
+    fn a_line_without_end_is_refused_before_it_fills_the_memory() {
+        let endless = std::io::repeat(b'1');
+        let mut lines = TextLines::open("a.csv", Box::new(endless)).unwrap();
+        assert!(matches!(lines.next(), Err(LoadError::LongLine { line: 1, .. })));
+        assert!(lines.line.len() <= MAX_LINE_BYTES + 1);
     }
 
     #[test]

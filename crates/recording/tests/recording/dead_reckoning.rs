@@ -29,7 +29,10 @@ pub(crate) fn geometry(robot: &toml::Table) -> DriveGeometry {
 }
 
 pub(crate) fn load_from(data: &Path, descriptor: &Descriptor, options: LoadOptions<'_>) -> DatasetRun {
-    let mut open = |path: &Path| std::fs::read(data.join(path));
+    let mut open = |path: &Path| {
+        let file = std::fs::File::open(data.join(path))?;
+        Ok(Box::new(file) as Box<dyn std::io::Read>)
+    };
     load(descriptor, options, &mut open).unwrap()
 }
 
@@ -63,7 +66,7 @@ pub(crate) fn motion(run: &DatasetRun, geometry: DriveGeometry) -> Vec<MotionSte
     let mut from = [start.x.0, start.y.0, start.heading.rad()];
     let mut last: Option<(i64, f64, f64)> = None;
     let mut steps = Vec::new();
-    for timed in &run.observations {
+    for timed in run.observations.iter() {
         let ObservationKind::WheelAngles { left, right } = timed.observation.measurement else {
             continue;
         };

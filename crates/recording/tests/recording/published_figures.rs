@@ -191,7 +191,7 @@ fn roomba_counts_and_gyro_give_the_published_turns() {
         let poses = dead_reckoning(&run, geometry);
         let heading_deg = poses.last().unwrap().1[2].to_degrees();
         let (mut gyro_rad, mut last) = (0.0, None::<Timestamp<BrickClock>>);
-        for timed in &run.observations {
+        for timed in run.observations.iter() {
             if let ObservationKind::TurnRate(rate) = timed.observation.measurement {
                 let now = timed.observation.stamp;
                 gyro_rad += last.map_or(0.0, |last| rate.0 * (now - last).as_secs_f64());
@@ -210,7 +210,7 @@ fn odometer_poses(run: &DatasetRun) -> Vec<(i64, Pose)> {
     let mut held: Option<(Timestamp<BrickClock>, f64, f64)> = None;
     let mut last_odometer: Option<OdomPose<Odom>> = None;
     let mut poses = Vec::new();
-    for timed in &run.observations {
+    for timed in run.observations.iter() {
         let now = timed.observation.stamp;
         if let ObservationKind::BodyVelocity { forward, turn } = timed.observation.measurement {
             if let Some((since, forward, turn)) = held {
@@ -246,7 +246,7 @@ fn odometer_poses(run: &DatasetRun) -> Vec<(i64, Pose)> {
 /// What a run holds, in one line.
 fn summary((geometry, run): &(DriveGeometry, DatasetRun)) -> String {
     let mut kinds = BTreeMap::new();
-    for timed in &run.observations {
+    for timed in run.observations.iter() {
         *kinds.entry(timed.observation.measurement.kind()).or_insert(0) += 1;
     }
     let late = run.observations.iter().filter(|timed| timed.arrival.as_nanos() > timed.observation.stamp.as_nanos());

@@ -27,6 +27,7 @@ use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_with_bar;
 use crate::tools::experiment_output::OutputArgs;
+use crate::text_file::read_text;
 
 /// Drives whose innovations tune the matrices.
 const TUNING_DRIVES: u32 = 4;
@@ -142,7 +143,7 @@ fn of_data(args: &LabNxtSquareArgs, path: &Path) -> Result<SquareReport> {
         args.real.judge.is_none() && args.real.settings.is_empty(),
         "--judge and --set belong to recordings; `{name}` is a text file: --robot says its robot, and its first row its start"
     );
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the sensor data `{name}`"))?;
+    let text = read_text(path).with_context(|| format!("reading the sensor data `{name}`"))?;
     let table = parse(&text).with_context(|| format!("sensor data `{name}`"))?;
     let base = base_of(args)?;
     let camera_every = args.camera_every as usize;

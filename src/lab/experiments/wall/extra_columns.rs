@@ -3,6 +3,8 @@
 //! The descriptor's text gets two streams more, bound to the file of the run's range readings; everything else (units, stamps, bad
 //! rows) stays with the reader of recordings.
 
+use std::fs::File;
+use std::io::Read as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -12,6 +14,9 @@ use super::motor_column::MotorColumn;
 
 /// Sensor id of another program's filtered distance, unused in the bundled descriptors.
 pub(super) const FOREIGN_FILTER: SensorId = SensorId(250);
+
+/// No header is longer.
+const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ExtraColumn<'a> {
@@ -87,8 +92,9 @@ pub(super) fn columns_of_run(text: &str, run: &str, root: &Path) -> Option<RunCo
         path = path.replace(&format!("{{{key}}}"), value.as_str()?);
     }
     let header_lines = usize::try_from(file.get("header_lines")?.as_integer()?).ok()?;
-    let bytes = std::fs::read(root.join(path)).ok()?;
-    let contents = String::from_utf8_lossy(&bytes);
+    let mut beginning = Vec::new();
+    File::open(root.join(path)).ok()?.take(MAX_HEADER_BYTES).read_to_end(&mut beginning).ok()?;
+    let contents = String::from_utf8_lossy(&beginning);
     let header = contents.trim_start_matches('\u{feff}').lines().nth(header_lines.checked_sub(1)?)?;
     let names = header.split([',', ';', '\t']).map(|name| name.trim().trim_matches('"').to_owned());
     let column = |of: Option<&toml::Value>| Some(of?.get("column")?.as_str()?.to_owned());

@@ -25,6 +25,7 @@ use super::recorded::rerun_command;
 use crate::config::load_link_profile;
 use crate::exit::{ExitStage, Failure};
 use crate::tools::experiment_output::OutputArgs;
+use crate::text_file::read_text;
 
 /// Flags of `lab wall`.
 #[derive(clap::Args, Clone, Debug)]
@@ -96,7 +97,7 @@ pub(in crate::lab) fn scene(file: Option<&Path>, seed: Option<u64>) -> anyhow::R
         None => WallScene::from_toml(DEFAULT_SCENE)?,
         Some(path) => {
             let name = path.display();
-            let text = std::fs::read_to_string(path).with_context(|| format!("reading the scene `{name}`"))?;
+            let text = read_text(path).with_context(|| format!("reading the scene `{name}`"))?;
             WallScene::from_toml(&text).with_context(|| format!("scene `{name}`"))?
         }
     };

@@ -22,6 +22,7 @@ use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording;
+use crate::text_file::read_text;
 
 /// Noise of a reading that a table does not tell: a small time-of-flight sensor, or an ultrasonic one that counts centimetres.
 const TABLE_SIGMA_M: f64 = 0.01;
@@ -149,7 +150,7 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
         settings: choice.settings.clone(),
     };
     let mut set = DataSet::open(path, &flags)?;
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
+    let text = read_text(path).with_context(|| format!("reading the descriptor `{}`", path.display()))?;
     let root = choice.data.clone().unwrap_or_else(|| path.parent().unwrap_or(Path::new("")).to_owned());
     let mut runs = Vec::new();
     for name in set.runs.clone() {
@@ -163,7 +164,7 @@ pub(in crate::lab) fn prepare(path: &Path, choice: &RunSelection, kalman_column:
 fn prepare_own(path: &Path, settings: &[Setting]) -> Result<RecordedRuns> {
     let overlay = Overlay { robot: None, settings };
     let run = own_recording::read(path, overlay)?;
-    let ranges = readings_of(run.observations.iter(), |_, observed| range_m(observed).map(WallReading::Range));
+    let ranges = readings_of(run.observations.iter().copied(), |_, observed| range_m(observed).map(WallReading::Range));
     ensure!(
         !ranges.is_empty(),
         "`{}` holds no range to a wall: let the robot send DISTANCE_SENSOR and record it again",
@@ -264,12 +265,12 @@ fn range_m(observed: &ObservationKind) -> Option<f64> {
     Some(range.0)
 }
 
-fn of_run(run: &DatasetRun) -> impl Iterator<Item = &Observation> {
-    run.observations.iter().map(|timed| &timed.observation)
+fn of_run(run: &DatasetRun) -> impl Iterator<Item = Observation> {
+    run.observations.iter().map(|timed| timed.observation)
 }
 
-fn readings_of<'a>(
-    observations: impl Iterator<Item = &'a Observation>,
+fn readings_of(
+    observations: impl Iterator<Item = Observation>,
     of: impl Fn(SensorId, &ObservationKind) -> Option<WallReading>,
 ) -> Vec<WallEntry> {
     observations
