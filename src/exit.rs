@@ -1,5 +1,7 @@
 //! Exit codes of commands, deferred errors, and signals.
 
+use std::sync::Arc;
+
 use anyhow::{Result, anyhow};
 
 /// Of a station whose loop stood still, with `--watchdog-exit`.
@@ -78,6 +80,11 @@ impl DeferredErrors {
         }
         Err(anyhow!(words.join("; ")))
     }
+}
+
+/// Makes a write beyond the limit of a file's size (`ulimit -f`) an error like that of a full disk: by default it ends the program.
+pub fn survive_file_limits() -> std::io::Result<()> {
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default()).map(drop)
 }
 
 /// Handlers of Ctrl-C, SIGTERM and SIGHUP, installed at the start so that no signal is lost while links open.

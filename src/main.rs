@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use posebridge::cli::{Cli, execute};
 use posebridge::console::{LogWriter, print_line};
+use posebridge::exit::survive_file_limits;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
@@ -13,6 +14,9 @@ fn main() -> ExitCode {
     let cli = Cli::from_args();
     let log = tracing_subscriber::fmt::layer().with_writer(|| LogWriter).with_ansi(std::io::stderr().is_terminal());
     tracing_subscriber::registry().with(log.with_filter(log_filter())).init();
+    if let Err(error) = survive_file_limits() {
+        print_line(&format!("a file that may not grow will end the program: {error}"));
+    }
     match execute(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

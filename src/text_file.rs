@@ -7,7 +7,7 @@ use std::path::Path;
 /// Larger than any table that a person measures, or a day of a simulation's truth.
 const MAX_BYTES: u64 = 256 << 20;
 
-pub fn read_text(path: impl AsRef<Path>) -> Result<String> {
+pub(crate) fn read_text(path: impl AsRef<Path>) -> Result<String> {
     let mut text = String::new();
     File::open(path)?.take(MAX_BYTES + 1).read_to_string(&mut text)?;
     if text.len() as u64 > MAX_BYTES {

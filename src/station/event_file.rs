@@ -4,46 +4,41 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use anyhow::{Context, Result, anyhow, ensure};
-use crossbeam_channel::{Receiver, Sender, bounded};
+use anyhow::{Context, Result, ensure};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use posebridge_recording::event_json;
 use posebridge_telemetry::Event;
 
+use super::writer_thread::WriterThread;
+
 /// Batches queued for the disk before further ones are dropped and counted: 16 s of a robot that sends a thousand times a second.
 const QUEUE_CAPACITY: usize = 16_384;
-/// How long the end of a run waits for a disk that takes nothing.
-const END_TIMEOUT: Duration = Duration::from_secs(5);
-
 pub struct EventFileWriter {
     path: PathBuf,
     batches: Sender<Arc<[Event]>>,
-    /// The thread's result, when it has ended.
-    ended: Receiver<Result<()>>,
+    thread: WriterThread<()>,
+    queued: u64,
     dropped: u64,
 }
 
 impl EventFileWriter {
     pub fn start(path: &Path) -> Result<Self> {
-        let mut file = create(path)?;
+        let file = create(path)?;
         let (batches, queue) = bounded::<Arc<[Event]>>(QUEUE_CAPACITY);
-        let (end, ended) = bounded(1);
-        let write = move || -> Result<()> {
-            for batch in queue {
-                batch.iter().try_for_each(|event| write_event(&mut file, event))?;
-            }
-            Ok(file.flush()?)
-        };
-        let thread = std::thread::Builder::new().name("events".to_owned());
-        thread.spawn(move || end.try_send(write())).context("starting the thread of the event file")?;
-        Ok(Self { path: path.to_owned(), batches, ended, dropped: 0 })
+        let thread = WriterThread::spawn("events", move |written| write(file, &queue, written))?;
+        Ok(Self { path: path.to_owned(), batches, thread, queued: 0, dropped: 0 })
     }
 
-    pub fn push(&mut self, events: &Arc<[Event]>) {
-        if self.batches.try_send(Arc::clone(events)).is_err() {
-            self.dropped += events.len() as u64;
+    /// False if the file takes no more: [`Self::finish`] says why.
+    pub fn push(&mut self, events: &Arc<[Event]>) -> bool {
+        match self.batches.try_send(Arc::clone(events)) {
+            Ok(()) => self.queued += 1,
+            Err(TrySendError::Full(_)) => self.dropped += events.len() as u64,
+            Err(TrySendError::Disconnected(_)) => return false,
         }
+        true
     }
 
     /// Waits until the file is written.
@@ -52,13 +47,19 @@ impl EventFileWriter {
     /// It cannot be written, lacks events, or its disk takes nothing.
     pub fn finish(self) -> Result<()> {
         drop(self.batches);
-        let ended = self.ended.recv_timeout(END_TIMEOUT);
-        let written = ended.unwrap_or_else(|_stuck| Err(anyhow!("its disk takes nothing; what is queued is lost")));
         let name = self.path.display();
-        written.with_context(|| format!("writing the event file `{name}`"))?;
+        self.thread.wait(self.queued).with_context(|| format!("writing the event file `{name}`"))?;
         ensure!(self.dropped == 0, "the event file `{name}` lacks {} events: its disk was too slow", self.dropped);
         Ok(())
     }
+}
+
+fn write(mut file: BufWriter<File>, queue: &Receiver<Arc<[Event]>>, written: &AtomicU64) -> Result<()> {
+    for batch in queue {
+        batch.iter().try_for_each(|event| write_event(&mut file, event))?;
+        written.fetch_add(1, Ordering::Relaxed);
+    }
+    Ok(file.flush()?)
 }
 
 pub fn create(path: &Path) -> Result<BufWriter<File>> {

@@ -29,6 +29,7 @@ pub mod signing;
 pub mod simulator;
 pub mod station_loop;
 pub mod tlog_writer;
+pub mod writer_thread;
 pub mod tui;
 pub mod viewers;
 pub mod watchdog;

@@ -45,17 +45,16 @@ impl Observer {
         Ok(Self { sender, thread, dropped: 0, file })
     }
 
-    /// Queues the outputs of an input, without waiting.
-    pub fn push(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) {
+    /// Queues the outputs of an input, without waiting. An event file that takes no more is removed, with its error.
+    pub fn push(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) -> Result<()> {
         if events.is_empty() {
-            return;
+            return Ok(());
         }
-        if let Some(file) = &mut self.file {
-            file.push(events);
-        }
+        let ended = self.file.take_if(|file| !file.push(events)).map_or(Ok(()), EventFileWriter::finish);
         if self.sender.try_send((now, Arc::clone(events))).is_err() {
             self.dropped += events.len() as u64;
         }
+        ended
     }
 
     /// Ends the threads.

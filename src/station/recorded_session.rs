@@ -263,9 +263,13 @@ pub fn for_each_input(
     mut take: impl FnMut(Timestamp<HostClock>, &Input) -> Result<()>,
 ) -> Result<()> {
     let progress = ReadProgress::new(reader)?;
+    let mut is_empty = true;
     while let Some(item) = reader.next() {
         match item {
-            Ok((now, input)) => take(now, &input)?,
+            Ok((now, input)) => {
+                is_empty = false;
+                take(now, &input)?;
+            }
             Err(error) => progress.print(&format!("{name}: {error}; what is whole is used")),
         }
         progress.update(reader);
@@ -274,6 +278,12 @@ pub fn for_each_input(
     if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
         print_line(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
     }
+    check_read(name, is_empty)
+}
+
+/// Fails if nothing could be read, so that no empty result passes for one.
+pub fn check_read(name: &str, is_empty: bool) -> Result<()> {
+    ensure!(!is_empty, "`{name}`: nothing in it could be read");
     Ok(())
 }
 

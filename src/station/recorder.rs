@@ -5,8 +5,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
@@ -14,7 +13,8 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use posebridge_recording::container::{RecordingHeader, RecordingWriter, TruthSample, WriteError};
 use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, Timestamp};
 
-use super::recording_parts::{FLUSH_PERIOD, RecordingParts, part_path};
+use super::recording_parts::{FLUSH_PERIOD, RecordingParts, SYNC_PERIOD, part_path};
+use super::writer_thread::{END_TIMEOUT, WriterThread};
 use crate::config::RecordingLimits;
 
 pub use super::recording_parts::RecordingTotals;
@@ -37,7 +37,9 @@ enum RecorderItem {
 pub struct Recorder {
     /// Boxed, because the channel allocates its full capacity.
     sender: Sender<Box<RecorderItem>>,
-    thread: JoinHandle<Result<RecordingTotals>>,
+    thread: WriterThread<RecordingTotals>,
+    /// Items in the queue so far.
+    queued: u64,
     first: PathBuf,
     /// Part number, updated by the thread.
     part: Arc<AtomicU32>,
@@ -75,11 +77,9 @@ impl Recorder {
         let (sender, items) = bounded(QUEUE_CAPACITY);
         let part = Arc::new(AtomicU32::new(1));
         let current_part = Arc::clone(&part);
-        let thread = std::thread::Builder::new()
-            .name("recorder".to_owned())
-            .spawn(move || write(open()?, &items, &current_part))
-            .context("starting the recorder's thread")?;
-        Ok(Self { sender, thread, first: first.to_owned(), part, input_count, lost: 0, lost_outputs: 0 })
+        let thread =
+            WriterThread::spawn("recorder", move |written| write(open()?, &items, &current_part, written))?;
+        Ok(Self { sender, thread, queued: 0, first: first.to_owned(), part, input_count, lost: 0, lost_outputs: 0 })
     }
 
     /// Records an input without waiting; counts it as lost if the queue is full. Fails if the recorder has stopped because of a write
@@ -137,15 +137,17 @@ impl Recorder {
         let end = Box::new(RecorderItem::End(self.input_count));
         // With a full queue the last gap is not recorded; it ends where its channel does.
         drop(self.sender.try_send(end));
-        StoppingRecorder { thread: self.thread }
+        StoppingRecorder { thread: self.thread, queued: self.queued }
     }
 
-    /// Writes the queued items, ends the file and returns its totals.
+    /// Writes the queued items, ends the file and returns its totals. Waits as long as the disk takes anything.
     pub fn finish(self) -> Result<RecordingTotals> {
-        // A thread that has gone says why when it is joined.
-        drop(self.sender.send(Box::new(RecorderItem::End(self.input_count))));
-        drop(self.sender);
-        StoppingRecorder { thread: self.thread }.wait()
+        let (end, current) = (Box::new(RecorderItem::End(self.input_count)), self.current());
+        // A thread that has gone says why when it is waited for. Behind a disk that takes nothing the queue stays full.
+        drop(self.sender.send_timeout(end, END_TIMEOUT));
+        let Self { sender, thread, queued, .. } = self;
+        drop(sender);
+        StoppingRecorder { thread, queued }.wait().with_context(|| format!("`{}`", current.display()))
     }
 
     /// Queues outputs, which have a lower priority than inputs.
@@ -159,13 +161,16 @@ impl Recorder {
         }
     }
 
-    fn try_send(&self, item: RecorderItem) -> Result<(), TrySendError<Box<RecorderItem>>> {
-        self.sender.try_send(Box::new(item))
+    fn try_send(&mut self, item: RecorderItem) -> Result<(), TrySendError<Box<RecorderItem>>> {
+        self.sender.try_send(Box::new(item))?;
+        self.queued += 1;
+        Ok(())
     }
 }
 
 pub struct StoppingRecorder {
-    thread: JoinHandle<Result<RecordingTotals>>,
+    thread: WriterThread<RecordingTotals>,
+    queued: u64,
 }
 
 impl StoppingRecorder {
@@ -174,22 +179,33 @@ impl StoppingRecorder {
     }
 
     pub fn wait(self) -> Result<RecordingTotals> {
-        self.thread.join().map_err(|_panic| anyhow!("the recorder's thread died"))?
+        self.thread.wait(self.queued)
     }
 }
 
-fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &AtomicU32) -> Result<RecordingTotals> {
-    let mut input_count = None;
+fn write(
+    mut parts: RecordingParts,
+    items: &Receiver<Box<RecorderItem>>,
+    part: &AtomicU32,
+    written: &AtomicU64,
+) -> Result<RecordingTotals> {
+    let (mut input_count, mut silent_flushes) = (None, 0);
     loop {
         let flush_timeout = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
         let item = match items.recv_timeout(flush_timeout) {
             Ok(item) => item,
             Err(RecvTimeoutError::Timeout) => {
                 parts.flush()?;
+                silent_flushes += 1;
+                // In a silence no input brings it about.
+                if silent_flushes == SYNC_PERIOD.as_nanos() / FLUSH_PERIOD.as_nanos() {
+                    parts.sync()?;
+                }
                 continue;
             }
             Err(RecvTimeoutError::Disconnected) => break,
         };
+        silent_flushes = 0;
         match *item {
             RecorderItem::Input(now, number, input) => {
                 parts.record(now, number, &input)?;
@@ -198,6 +214,7 @@ fn write(mut parts: RecordingParts, items: &Receiver<Box<RecorderItem>>, part: &
             RecorderItem::Outputs(write) => parts.record_outputs(write)?,
             RecorderItem::End(number) => input_count = Some(number),
         }
+        written.fetch_add(1, Ordering::Relaxed);
     }
     let last = input_count.unwrap_or_else(|| parts.next());
     parts.finish(last)
@@ -215,6 +232,18 @@ mod tests {
 
     const LIMITS: RecordingLimits =
         RecordingLimits { part_bytes: None, part_duration: None, min_free_bytes: 0, output_interval: TimeDelta::ZERO };
+
+    #[test]
+    fn the_end_of_a_run_does_not_wait_for_a_disk_that_takes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut recorder, stuck) = behind_a_stuck_disk(&folder.path().join("recording.mcap"));
+        for n in 0..QUEUE_CAPACITY {
+            recorder.record(Timestamp::from_millis(i64::try_from(n).unwrap()), Input::Tick).unwrap();
+        }
+        let error = format!("{:#}", recorder.finish().unwrap_err());
+        assert!(error.contains("recording.mcap") && error.contains("the last 8192 items are not written"), "{error}");
+        drop(stuck);
+    }
 
     /// A recorder whose disk does nothing until the sender is dropped.
     fn behind_a_stuck_disk(path: &Path) -> (Recorder, SyncSender<()>) {

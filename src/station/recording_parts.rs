@@ -1,5 +1,5 @@
 //! The files of a recording: consecutive parts, each readable by itself.
-//! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, and once a second checks that the file exists,
+//! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, syncs the disk every five seconds and at the end of each part, and once a second checks that the file exists,
 //! that the disk has space, and whether the part is large or old enough.
 
 use std::fs::File;
@@ -21,6 +21,8 @@ use crate::config::RecordingLimits;
 pub const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(600);
 /// The error of all inputs after a part that could not be ended, or a next one that could not begin.
 const RECORDING_ENDED: &str = "the recording has ended: it could not go on in another file";
+/// A power cut loses what came since: each sync may hold up the disk for others.
+pub const SYNC_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 const DISK_CHECK_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,6 +51,9 @@ pub struct RecordingParts {
     next: u64,
     last: Timestamp<HostClock>,
     last_flush: Timestamp<HostClock>,
+    last_sync: Timestamp<HostClock>,
+    /// Nothing was written since the last sync.
+    is_synced: bool,
     last_disk_check: Timestamp<HostClock>,
 }
 
@@ -81,6 +86,8 @@ impl RecordingParts {
             next: inputs_before,
             last: Timestamp::ZERO,
             last_flush: Timestamp::ZERO,
+            last_sync: Timestamp::ZERO,
+            is_synced: false,
             last_disk_check: Timestamp::ZERO,
         })
     }
@@ -99,6 +106,20 @@ impl RecordingParts {
         if now - self.last_flush >= FLUSH_PERIOD {
             self.last_flush = now;
             self.flush()?;
+        }
+        if now - self.last_sync >= SYNC_PERIOD {
+            self.last_sync = now;
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    /// Brings everything to the disk, beyond the reach of a power cut.
+    pub fn sync(&mut self) -> Result<()> {
+        if !self.is_synced {
+            self.flush()?;
+            self.open()?.file.sync()?;
+            self.is_synced = true;
         }
         Ok(())
     }
@@ -137,6 +158,7 @@ impl RecordingParts {
     }
 
     fn write(&mut self, one: impl FnOnce(&mut RecordingWriter<File>) -> Result<(), WriteError>) -> Result<()> {
+        self.is_synced = false;
         let part = self.open()?;
         one(&mut part.writer).with_context(|| part.file.name())
     }
@@ -146,6 +168,7 @@ impl RecordingParts {
         let ended = self.part.take().context(RECORDING_ENDED)?;
         let handover = ended.writer.finish_part();
         let handover = handover.with_context(|| ended.file.name())?;
+        ended.file.sync()?;
         Ok((ended.file.path().to_owned(), handover))
     }
 
@@ -210,6 +233,8 @@ pub fn part_path(first: &Path, number: u32) -> PathBuf {
 pub struct WatchedFile {
     description: &'static str,
     path: PathBuf,
+    /// Another handle of the file.
+    handle: File,
     /// Device and inode.
     identity: (u64, u64),
 }
@@ -221,12 +246,21 @@ impl WatchedFile {
         let file = File::create_new(path).with_context(|| format!("creating the {what} `{name}`"))?;
         let identity = file.metadata().map(|found| (found.dev(), found.ino()));
         let identity = identity.with_context(|| format!("looking at `{name}`"))?;
-        let path = path.to_owned();
-        Ok((file, Self { description: what, path, identity }))
+        let handle = file.try_clone().with_context(|| format!("opening `{name}` again"))?;
+        if let Some(folder) = path.parent() {
+            // Else a power cut could take the name away. A file system that cannot do it needs it not.
+            drop(File::open(folder).and_then(|folder| folder.sync_all()));
+        }
+        Ok((file, Self { description: what, path: path.to_owned(), handle, identity }))
     }
 
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Brings what was written to the disk.
+    pub fn sync(&self) -> Result<()> {
+        self.handle.sync_data().with_context(|| self.name())
     }
 
     pub fn name(&self) -> String {

@@ -273,7 +273,7 @@ impl StationLoop {
         let logged = self.log_traffic(now, &input, &sent);
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);
-        self.observer.push(now, &events);
+        let watched = self.observer.push(now, &events);
         self.setup.observe(now, &events);
         let placed = self.place_first_robot(&events);
         if let Some(keeper) = &mut self.signing {
@@ -286,6 +286,12 @@ impl StationLoop {
             self.handle(now, report);
         }
         if let Some(report) = logged {
+            self.handle(now, report);
+        }
+        if let Err(error) = watched {
+            tracing::error!(error = format!("{error:#}"), "the event file ends here");
+            let report = warning(format!("no more events in the file: {error:#}"));
+            self.failures.record::<()>(Err(error));
             self.handle(now, report);
         }
         // After the input that led to it: a recording that it ends holds it.

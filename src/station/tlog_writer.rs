@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
@@ -17,7 +17,8 @@ use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
 use posebridge_station::{AcceptedVersions, LinkConfig};
 use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, TimeDelta, Timestamp};
 
-use super::recording_parts::WatchedFile;
+use super::recording_parts::{SYNC_PERIOD, WatchedFile};
+use super::writer_thread::WriterThread;
 
 /// Queued chunks and frames; further ones are dropped.
 const QUEUE_CAPACITY: usize = 16_384;
@@ -40,7 +41,8 @@ enum Direction {
 pub struct TlogRecorder {
     pub path: PathBuf,
     sender: Sender<Traffic>,
-    thread: JoinHandle<Result<u64>>,
+    thread: WriterThread<u64>,
+    queued: u64,
     dropped: u64,
 }
 
@@ -59,11 +61,8 @@ impl TlogRecorder {
         let (out, file) = WatchedFile::create("telemetry log", path)?;
         let (sender, traffic) = bounded(QUEUE_CAPACITY);
         let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
-        let thread = std::thread::Builder::new()
-            .name("tlog".to_owned())
-            .spawn(move || write(log, &traffic, &file, floor_bytes))
-            .context("starting the telemetry log's thread")?;
-        Ok(Self { path: path.to_owned(), sender, thread, dropped: 0 })
+        let thread = WriterThread::spawn("tlog", move |written| write(log, &traffic, &file, floor_bytes, written))?;
+        Ok(Self { path: path.to_owned(), sender, thread, queued: 0, dropped: 0 })
     }
 
     pub fn received(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
@@ -79,13 +78,16 @@ impl TlogRecorder {
 
     pub fn finish(self) -> Result<TlogWritten> {
         drop(self.sender);
-        let frames = self.thread.join().map_err(|_panic| anyhow!("the telemetry log's thread died"))??;
+        let frames = self.thread.wait(self.queued).with_context(|| format!("`{}`", self.path.display()))?;
         Ok(TlogWritten { path: self.path, frames, dropped: self.dropped })
     }
 
     fn offer(&mut self, traffic: Traffic) -> Result<()> {
         match self.sender.try_send(traffic) {
-            Ok(()) => Ok(()),
+            Ok(()) => {
+                self.queued += 1;
+                Ok(())
+            }
             Err(TrySendError::Full(_)) => {
                 self.dropped += 1;
                 Ok(())
@@ -101,8 +103,10 @@ fn write(
     traffic: &Receiver<Traffic>,
     file: &WatchedFile,
     floor_bytes: u64,
+    count: &AtomicU64,
 ) -> Result<u64> {
-    let mut flushed = Timestamp::<HostClock>::ZERO;
+    let (mut flushed, mut synced) = (Timestamp::<HostClock>::ZERO, Timestamp::<HostClock>::ZERO);
+    let (mut is_synced, mut silent_flushes) = (true, 0);
     let flush_timeout = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
     loop {
         let is_due = match traffic.recv_timeout(flush_timeout) {
@@ -112,22 +116,34 @@ fn write(
                     Direction::Out(priority) => log.sent(one.now, one.link, priority, &one.bytes),
                 };
                 written.with_context(|| file.name())?;
+                count.fetch_add(1, Ordering::Relaxed);
+                (is_synced, silent_flushes) = (false, 0);
                 let is_due = one.now - flushed >= FLUSH_PERIOD;
                 if is_due {
                     flushed = one.now;
                 }
                 is_due
             }
-            Err(RecvTimeoutError::Timeout) => true,
+            Err(RecvTimeoutError::Timeout) => {
+                silent_flushes += 1;
+                true
+            }
             Err(RecvTimeoutError::Disconnected) => break,
         };
         if is_due {
             log.flush().with_context(|| file.name())?;
+            // In a silence no traffic brings it about.
+            let is_silent = silent_flushes == SYNC_PERIOD.as_nanos() / FLUSH_PERIOD.as_nanos();
+            if !is_synced && (is_silent || flushed - synced >= SYNC_PERIOD) {
+                file.sync()?;
+                (is_synced, synced) = (true, flushed);
+            }
             file.file_size()?;
             file.check_free_space(floor_bytes)?;
         }
     }
     let (_, frames) = log.finish().with_context(|| file.name())?;
+    file.sync()?;
     // A deleted file counts as not written.
     file.file_size()?;
     Ok(frames)

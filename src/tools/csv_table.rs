@@ -89,7 +89,7 @@ impl CsvTable {
 fn dialect_of(name: &str, lines: &[(usize, &str)]) -> Result<CsvDialect> {
     let Some((header, rows)) = lines.split_first() else { return Ok(CsvDialect::default()) };
     let mut search = DialectSearch::new(StatedDialect::default(), Some(*header));
-    let mut find = || {
+    let find = || {
         for (line, text) in rows {
             if !search.push(*line, text)? {
                 break;

@@ -20,6 +20,7 @@ mod real_recordings;
 mod replay_smooth;
 mod replugged_recording;
 mod report;
+mod unreadable;
 
 use std::path::Path;
 

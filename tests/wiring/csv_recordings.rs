@@ -86,16 +86,35 @@ fn a_recording_with_a_fault_is_named_and_its_lines_undo_it() {
     }
 }
 
+fn use_wheels_alone(folder: &Path) {
+    let descriptor = std::fs::read_to_string(folder.join("d.toml")).unwrap();
+    let wheels = descriptor.split("[[gyro]]").next().unwrap();
+    std::fs::write(folder.join("wheels.toml"), wheels).unwrap();
+}
+
+#[test]
+fn a_table_of_a_spreadsheet_with_another_locale_is_read_like_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    write_recording(folder.path(), WiringFault::GyroReversed);
+    use_wheels_alone(folder.path());
+    let usual = run(folder.path(), &["replay", "wheels.toml"]);
+    let table = std::fs::read_to_string(folder.path().join("wheels.csv")).unwrap();
+    for (delimiter, words) in [(";", "columns between semicolons, decimal commas"), ("\t", "columns between tabs, decimal commas")] {
+        let exported = table.replace(',', delimiter).replace('.', ",");
+        std::fs::write(folder.path().join("wheels.csv"), exported).unwrap();
+        assert_eq!(run(folder.path(), &["replay", "wheels.toml"]), usual, "{words}");
+        let (_, said) = exit_code_and_stderr(folder.path(), &["replay", "wheels.toml"]);
+        assert!(said.contains(&format!("wheels.csv: {words}")), "{said}");
+    }
+}
+
 #[test]
 fn what_is_wrong_with_a_table_is_named_with_file_line_and_column() {
     let folder = tempfile::tempdir().unwrap();
     write_recording(folder.path(), WiringFault::GyroReversed);
+    use_wheels_alone(folder.path());
     let refused = |text: &str| {
         std::fs::write(folder.path().join("wheels.csv"), text).unwrap();
-        // Wheels alone.
-        let descriptor = std::fs::read_to_string(folder.path().join("d.toml")).unwrap();
-        let wheels = descriptor.split("[[gyro]]").next().unwrap();
-        std::fs::write(folder.path().join("wheels.toml"), wheels).unwrap();
         let (code, said) = exit_code_and_stderr(folder.path(), &["replay", "wheels.toml"]);
         assert_ne!(code, Some(0), "{said}");
         said
@@ -104,8 +123,9 @@ fn what_is_wrong_with_a_table_is_named_with_file_line_and_column() {
         ("", "wheels.csv is empty: line 1 should be the header"),
         ("t_s,left,right\n", "no row follows the headers of its files"),
         ("t_s,links,right\n0,1,1\n", "wheels.csv:1: there is no column `left`, the header has: t_s, links, right"),
-        ("t_s;left;right\n0;1;1\n", "the header has: t_s;left;right; `delimiter = \"semicolon\"` would split it"),
-        ("t_s,left,right\n0,00,1,5,1,5\n", "wheels.csv:2: more columns than the header: 6 for 3: decimal commas?"),
+        ("t_s;left;right\n0;1,500;1\n", "wheels.csv:2: a number like 1,234 may be 1.234 or 1234"),
+        ("t_s;left;right\n0;1.5;1\n1;1,5;1\n", "wheels.csv:3: numbers with decimal points and numbers with decimal commas"),
+        ("t_s,left,right\n0,00,1,5,1,5\n", "wheels.csv:2: 6 fields for 3 columns: commas are the delimiter and"),
         (
             "t_s,left,right\n0,\"1,5\",1\n",
             "wheels.csv:2: not a number: column `left`: `1,5`: a decimal comma; write 1.5",

@@ -52,7 +52,7 @@ impl TrackingStatus {
     ) -> Estimate {
         let fix_age = self.last_fix.map(|last| (stamp - last).max(TimeDelta::ZERO));
         let timeout = TimeDelta::from_secs_f64(fix_timeout_s);
-        Estimate {
+        let estimate = Estimate {
             stamp,
             pose: state.pose,
             forward_speed: MetersPerSecond(state.speeds[0]),
@@ -68,7 +68,10 @@ impl TrackingStatus {
             reset_counter: self.reset_counter,
             last_correction: self.last_jump,
             missing: None,
-        }
+        };
+        // A number that is none is no pose, whatever the filter knows.
+        let validity = if estimate.is_finite() { estimate.validity } else { Validity::default() };
+        Estimate { validity, ..estimate }
     }
 }
 

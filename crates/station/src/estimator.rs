@@ -25,10 +25,18 @@ pub(crate) struct Estimator {
     pub(crate) fix_ratio: f64,
     /// The gate of a fix with one, two and three components.
     fix_gates: [f64; MAX_FIX_COMPONENTS],
+    /// Resets of filters that were replaced because their numbers were not finite.
+    resets_before: u8,
 }
+
+/// What is said of a filter that was replaced.
+pub(crate) const RESET_TEXT: &str =
+    "the numbers of its filter grew beyond all bounds: it begins anew, and the pose is unknown until something shows it";
 
 pub(crate) struct FusionReport {
     pub(crate) record: FusionRecord,
+    /// The observation left the filter without finite numbers: it was replaced.
+    pub(crate) is_reset: bool,
     /// The observation's sensor is enabled.
     pub(crate) is_used: bool,
 }
@@ -43,6 +51,7 @@ impl Estimator {
             online_calibration: OnlineCalibration::Enabled,
             fix_ratio: 0.0,
             fix_gates: fix_gates(&config.params),
+            resets_before: 0,
         }
     }
 
@@ -51,14 +60,30 @@ impl Estimator {
         if self.switched_off.contains(&observation.sensor) {
             let Observation { sensor, stamp, .. } = *observation;
             let record = FusionRecord::new(sensor, observation.measurement.kind(), stamp, FusionOutcome::Unused);
-            return FusionReport { record, is_used: false };
+            return FusionReport { record, is_reset: false, is_used: false };
         }
         let record = self.filter.observe(observation);
         let components = usize::from(record.degrees_of_freedom);
-        if matches!(observation.measurement, ObservationKind::Fix(_)) && components > 0 {
+        if matches!(observation.measurement, ObservationKind::Fix(_)) && components > 0 && record.nis.is_finite() {
             self.fix_ratio = record.nis / self.fix_gates[components.min(MAX_FIX_COMPONENTS) - 1];
         }
-        FusionReport { record, is_used: true }
+        FusionReport { record, is_reset: self.reset_if_not_finite(), is_used: true }
+    }
+
+    /// The configured start is of another place by now, so the pose is unknown.
+    fn reset_if_not_finite(&mut self) -> bool {
+        let Some(latest) = self.filter.latest_time() else {
+            return false;
+        };
+        let estimate = self.filter.estimate_at(latest);
+        let is_lost = estimate.is_some_and(|estimate| !estimate.is_finite())
+            || self.filter.scalar_at(latest).is_some_and(|quantity| !quantity.is_finite());
+        if is_lost {
+            let resets = estimate.map_or(0, |estimate| estimate.reset_counter);
+            self.resets_before = self.resets_before.wrapping_add(resets).wrapping_add(1);
+            self.rebuild(None);
+        }
+        is_lost
     }
 
     pub(crate) const fn quantity(&self) -> EstimatedQuantity {
@@ -66,7 +91,8 @@ impl Estimator {
     }
 
     pub(crate) fn estimate_at(&self, time: Timestamp<BrickClock>) -> Option<Estimate> {
-        self.filter.estimate_at(time)
+        let estimate = self.filter.estimate_at(time).filter(Estimate::is_finite)?;
+        Some(Estimate { reset_counter: estimate.reset_counter.wrapping_add(self.resets_before), ..estimate })
     }
 
     /// The latest instant of any observation.
@@ -91,12 +117,12 @@ impl Estimator {
 
     /// At the latest instant of any observation.
     pub(crate) fn latest_estimate(&self) -> Option<Estimate> {
-        self.filter.estimate_at(self.filter.latest_time()?)
+        self.estimate_at(self.filter.latest_time()?)
     }
 
     /// The same of a filter that knows one quantity.
     pub(crate) fn latest_quantity(&self) -> Option<ScalarEstimate> {
-        self.filter.scalar_at(self.filter.latest_time()?)
+        self.filter.scalar_at(self.filter.latest_time()?).filter(ScalarEstimate::is_finite)
     }
 
     /// False if the filter does not support the command.
@@ -125,10 +151,12 @@ impl Estimator {
     /// A filter of another geometry continues at the old one's pose, if that was known.
     pub(crate) fn set_geometry(&mut self, geometry: DriveGeometry) {
         self.config.geometry = geometry;
-        let mut config = self.config.clone();
-        if let Some(start) = self.latest_estimate().and_then(|estimate| estimate.start_pose()) {
-            config.start = Some(start);
-        }
+        let start = self.latest_estimate().and_then(|estimate| estimate.start_pose());
+        self.rebuild(start.or(self.config.start));
+    }
+
+    fn rebuild(&mut self, start: Option<StartPose>) {
+        let config = FilterConfig { start, ..self.config.clone() };
         self.filter = (self.entry.build)(&config);
         // A frozen calibration stays frozen; a filter that does not calibrate refuses, and nothing is lost.
         self.apply(&FilterCommand::SetOnlineCalibration(self.online_calibration));
@@ -144,7 +172,7 @@ mod tests {
     use super::*;
     use crate::test_config::config;
     use posebridge_estimator::find_filter;
-    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Radians, SensorNoise, TimeDelta};
+    use posebridge_telemetry::{Fix, Heading, Meters, Point2, Pose, Radians, SensorNoise, TimeDelta};
 
     fn estimator() -> Estimator {
         let noise = SensorNoise {
@@ -177,6 +205,51 @@ mod tests {
             reset_counter: 0,
         };
         Observation { sensor: SensorId::CAMERA, measurement: ObservationKind::Fix(fix), ..wheels(millis, 0.0) }
+    }
+
+    /// The main filter, whose numbers are lost with its first fix.
+    struct BrokenFilter(Box<dyn Filter>, f64);
+
+    impl Filter for BrokenFilter {
+        fn observe(&mut self, observation: &Observation) -> FusionRecord {
+            if matches!(observation.measurement, ObservationKind::Fix(_)) {
+                self.1 = f64::INFINITY;
+            }
+            self.0.observe(observation)
+        }
+
+        fn restart_clock(&mut self) {
+            self.0.restart_clock();
+        }
+
+        fn latest_time(&self) -> Option<Timestamp<BrickClock>> {
+            self.0.latest_time()
+        }
+
+        fn estimate_at(&self, stamp: Timestamp<BrickClock>) -> Option<Estimate> {
+            let mut estimate = Estimate { reset_counter: 3, ..self.0.estimate_at(stamp)? };
+            estimate.covariance[4][4] += self.1;
+            Some(estimate)
+        }
+    }
+
+    #[test]
+    fn a_filter_whose_numbers_are_not_finite_begins_anew_without_a_pose_and_counts_it() {
+        let main = find_filter("pose").expect("the main filter");
+        let broken: fn(&FilterConfig) -> Box<dyn Filter> =
+            |config| Box::new(BrokenFilter((find_filter("pose").expect("the main filter").build)(config), 0.0));
+        let start = StartPose { pose: Pose::default(), position_sigma_m: 0.1, heading_sigma_rad: 0.1 };
+        let config = FilterConfig { start: Some(start), ..config().robot.filter_config };
+        let mut estimator = Estimator::new(Box::leak(Box::new(FilterEntry { build: broken, ..*main })), &config);
+        assert!(!estimator.observe(&wheels(0, 0.0)).is_reset);
+        let before = estimator.latest_estimate().expect("it has a start");
+        assert_eq!((before.validity.position, before.reset_counter), (true, 3));
+        for resets in [7, 11] {
+            assert!(estimator.observe(&fix(100, 0.0)).is_reset);
+            assert!(!estimator.observe(&wheels(200, 0.0)).is_reset);
+            let after = estimator.latest_estimate().expect("it goes on");
+            assert_eq!((after.validity.position, after.reset_counter), (false, resets));
+        }
     }
 
     #[test]

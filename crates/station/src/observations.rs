@@ -10,6 +10,7 @@ use posebridge_telemetry::{
     severity,
 };
 
+use crate::estimator::RESET_TEXT;
 use crate::clock::align::Alignment;
 use crate::config::DescriptionPolicy;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
@@ -402,7 +403,8 @@ impl Station {
         let finding = if is_sound { self.robots.get_mut(index).check_wiring(&observation) } else { None };
         let outcome = report.record.outcome;
         self.emit(Event::ObservationFused { robot, record: report.record });
-        for text in [alarm, finding].into_iter().flatten() {
+        let reset = report.is_reset.then(|| RESET_TEXT.to_owned());
+        for text in [alarm, finding, reset].into_iter().flatten() {
             self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
         }
         outcome

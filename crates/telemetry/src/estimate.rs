@@ -70,6 +70,13 @@ impl MissingObservation {
 impl Estimate {
     /// Whether the pose counts from where the robot was when its motion was first observed, and not in the arena: until an
     /// absolute observation, or a pose that was given. The covariance is that of the motion since then.
+    /// Whether all of its numbers are.
+    pub fn is_finite(&self) -> bool {
+        let Self { pose, forward_speed, turn_rate, covariance, .. } = self;
+        let numbers = [pose.x.0, pose.y.0, pose.heading.rad(), forward_speed.0, turn_rate.0];
+        numbers.iter().chain(covariance.as_flattened()).all(|number| number.is_finite())
+    }
+
     pub const fn is_relative(&self) -> bool {
         !self.validity.position
     }
@@ -181,6 +188,10 @@ pub struct ScalarEstimate {
 }
 
 impl ScalarEstimate {
+    pub const fn is_finite(&self) -> bool {
+        self.value.is_finite() && self.sigma.is_finite() && self.rate_per_s.is_finite()
+    }
+
     /// Half the width of the interval around the value that holds the quantity with a probability of 95 %, in its unit.
     pub const fn bound_95(&self) -> f64 {
         NORMAL_95 * self.sigma

@@ -1,16 +1,16 @@
 //! The thread that saves the signing timestamps during a session: a blocked disk must not delay a robot.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
+use crossbeam_channel::{Receiver, Sender, bounded};
 use posebridge_protocol::signing::{ShutdownKind, SigningConfig, SigningState};
 use posebridge_station::Station;
 use posebridge_telemetry::{HostClock, LinkId, Timestamp};
 
 use super::files::StateFile;
+use crate::station::writer_thread::{END_TIMEOUT, WriterThread};
 use crate::config::MemoryRecord;
 
 #[derive(Debug)]
@@ -30,11 +30,12 @@ struct StateSnapshot {
 #[derive(Debug)]
 pub struct SigningStateWriter {
     links: Vec<LinkId>,
-    sender: SyncSender<StateSnapshot>,
+    sender: Sender<StateSnapshot>,
     /// Whether the thread is writing a snapshot. Meanwhile none is taken: copying all streams for every datagram would delay the
     /// station loop.
     is_writing: Arc<AtomicBool>,
-    thread: JoinHandle<Result<()>>,
+    thread: WriterThread<()>,
+    queued: u64,
     due: Timestamp<HostClock>,
     /// Number of streams in the last snapshot.
     known_streams: u64,
@@ -48,18 +49,16 @@ impl SigningStateWriter {
             link.file.write(&record, ShutdownKind::Interrupted)?;
         }
         let links = kept.iter().map(|kept| kept.link).collect();
-        let (sender, snapshots) = sync_channel(1);
+        let (sender, snapshots) = bounded(1);
         let is_writing = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&is_writing);
-        let thread = std::thread::Builder::new()
-            .name("signing".to_owned())
-            .spawn(move || write_all(&kept, &snapshots, &flag))
-            .context("starting the thread that keeps the stamps of signatures")?;
+        let thread = WriterThread::spawn("signing", move |written| write_all(&kept, &snapshots, &flag, written))?;
         Ok(Self {
             links,
             sender,
             is_writing,
             thread,
+            queued: 0,
             due: Timestamp::ZERO + SigningState::WRITE_PERIOD,
             known_streams: 0,
         })
@@ -76,6 +75,7 @@ impl SigningStateWriter {
         let snapshot = self.snapshot(now, station, ShutdownKind::Interrupted);
         // There is room, since nothing is being written; a thread that has died says so at the end.
         drop(self.sender.try_send(snapshot));
+        self.queued += 1;
         (self.due, self.known_streams) = (now + SigningState::WRITE_PERIOD, met);
     }
 
@@ -83,9 +83,9 @@ impl SigningStateWriter {
     pub fn finish(self, now: Timestamp<HostClock>, station: &Station) -> Result<()> {
         let last = self.snapshot(now, station, ShutdownKind::Clean);
         // A thread that has died says so below.
-        drop(self.sender.send(last));
+        drop(self.sender.send_timeout(last, END_TIMEOUT));
         drop(self.sender);
-        self.thread.join().map_err(|_panic| anyhow!("the thread that keeps the stamps of signatures died"))?
+        self.thread.wait(self.queued + 1).context("keeping the stamps of signatures")
     }
 
     fn snapshot(&self, now: Timestamp<HostClock>, station: &Station, ending: ShutdownKind) -> StateSnapshot {
@@ -95,7 +95,12 @@ impl SigningStateWriter {
 }
 
 /// Writes every snapshot; returns the result of the last.
-fn write_all(kept: &[SignedLink], snapshots: &Receiver<StateSnapshot>, is_writing: &AtomicBool) -> Result<()> {
+fn write_all(
+    kept: &[SignedLink],
+    snapshots: &Receiver<StateSnapshot>,
+    is_writing: &AtomicBool,
+    written: &AtomicU64,
+) -> Result<()> {
     let mut last = Ok(());
     for snapshot in snapshots {
         let result = write(kept, &snapshot);
@@ -106,6 +111,7 @@ fn write_all(kept: &[SignedLink], snapshots: &Receiver<StateSnapshot>, is_writin
             );
         }
         last = result;
+        written.fetch_add(1, Ordering::Relaxed);
         is_writing.store(false, Ordering::Release);
     }
     last

@@ -62,6 +62,20 @@ pub(super) enum InspectResult {
     Runs(Vec<RunFacts>),
 }
 
+impl InspectResult {
+    /// Nothing was found behind the file's header.
+    pub(super) fn is_empty(&self) -> bool {
+        match self {
+            Self::Framed(facts) => facts.own.as_ref().map_or_else(
+                || facts.census.sources().is_empty() && facts.unknown_frames == 0,
+                |recording| recording.inputs == 0,
+            ),
+            // One without observations is refused.
+            Self::Runs(runs) => runs.is_empty(),
+        }
+    }
+}
+
 /// In the JSON object with some values of the header.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct RecordingFacts {

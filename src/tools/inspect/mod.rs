@@ -12,6 +12,7 @@ use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, InputKind};
+use crate::station::recorded_session::check_read;
 
 /// Flags of `inspect`.
 #[derive(Args, Clone, Debug)]
@@ -38,5 +39,6 @@ pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     };
     let text =
         if args.json { report::json_text(&name, kind, size, &found) } else { report::table_text(&name, kind, &found) };
-    print_result(&text).while_running()
+    print_result(&text).while_running()?;
+    check_read(&name, found.is_empty()).while_running()
 }

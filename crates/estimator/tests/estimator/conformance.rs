@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use posebridge_estimator::{EstimatedQuantity, FILTERS, Filter, FilterEntry, Initialization, LateDataPolicy};
 use posebridge_telemetry::{
     Celsius, Estimate, Fix, FusionOutcome, Heading, Meters, MetersPerSecond, Observation, ObservationKind,
-    RadiansPerSecond, SensorId, StartPose, TimeDelta,
+    PositionCovariance, RadiansPerSecond, SensorId, StartPose, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 
@@ -460,4 +460,64 @@ fn what_a_filter_of_one_quantity_refuses_changes_nothing() {
         assert_eq!(filter.set_pose(&start(1.0, 2.0, 0.5)), FusionOutcome::Unused, "{}: it has none", entry.name);
         assert_eq!(state_text(filter.as_ref()), before, "{}", entry.name);
     });
+}
+
+/// Finite numbers within and beyond what a filter takes.
+fn hostile() -> impl Strategy<Value = f64> {
+    prop::sample::select(&[0.0, 1e-300, 1e-9, 1.0, 1e4, 1e9, -1e9, 1e18, 1e150, -1e300, f64::MAX][..])
+}
+
+fn any_hostile() -> impl Strategy<Value = ObservationKind> {
+    let covariance = (hostile(), hostile(), hostile()).prop_map(|(variance, share, heading_rad2)| PositionCovariance {
+        xx_m2: variance,
+        xy_m2: share,
+        yy_m2: variance,
+        heading_rad2,
+    });
+    let fix = (hostile(), hostile(), prop::option::of(covariance)).prop_map(|(x, y, covariance)| {
+        ObservationKind::Fix(Fix { covariance, ..fix_of(x, y, x) })
+    });
+    let others = (hostile(), hostile(), 0..10_usize).prop_map(|(one, other, kind)| {
+        let mut measurement = one_of_each()[kind];
+        match &mut measurement {
+            ObservationKind::WheelAngles { left, right } => (left.0, right.0) = (one, other),
+            ObservationKind::OdometerPose(pose) => (pose.x.0, pose.y.0) = (one, other),
+            ObservationKind::BodyVelocity { forward, turn } => (forward.0, turn.0) = (one, other),
+            ObservationKind::TurnRate(rate) => rate.0 = one,
+            ObservationKind::WheelAccelerations { left, right } => (left.0, right.0) = (one, other),
+            ObservationKind::Fix(fix) => (fix.position.x.0, fix.position.y.0) = (one, other),
+            ObservationKind::Landmark { range, bearing, .. } => (range.0, bearing.0) = (one, other),
+            ObservationKind::BeaconRange { range, .. } | ObservationKind::WallRange(range) => range.0 = one,
+            ObservationKind::CompassHeading(heading) => *heading = Heading::from_rad(one),
+            ObservationKind::Temperature(shown) => shown.0 = one,
+        }
+        measurement
+    });
+    prop_oneof![1 => fix, 2 => others]
+}
+
+proptest! {
+    #![proptest_config(cases(60, 20_261_129))]
+
+    #[test]
+    fn no_number_however_large_makes_an_estimate_valid_that_is_not_finite(
+        steps in prop::collection::vec((prop::sample::select(&[1_i64, 1_000, 50_000_000, 3_599_000_000_000][..]), any_hostile()), 1..40),
+        has_start in any::<bool>(),
+    ) {
+        let config = if has_start { without_learning() } else { without_start() };
+        for entry in FILTERS {
+            let mut filter = (entry.build)(&config);
+            let mut stamp = Timestamp::ZERO;
+            for (step_nanos, measurement) in &steps {
+                stamp = stamp + TimeDelta::from_nanos(*step_nanos);
+                filter.observe(&Observation { stamp, ..of(0, SensorId::WHEELS, *measurement) });
+                for ahead in [TimeDelta::ZERO, TimeDelta::from_millis(1_000)] {
+                    let Some(estimate) = filter.estimate_at(stamp + ahead) else { continue };
+                    let validity = estimate.validity;
+                    let is_valid = validity.position || validity.heading || validity.speeds;
+                    prop_assert!(estimate.is_finite() || !is_valid, "{}: {estimate:?}", entry.name);
+                }
+            }
+        }
+    }
 }
