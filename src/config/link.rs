@@ -325,8 +325,7 @@ pub fn load_link_profile(name_or_file: &str) -> Result<LinkProfile> {
     if !is_toml_file(name_or_file) {
         return Ok(LinkProfile::bundled(name_or_file)?);
     }
-    let text =
-        read_text(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
+    let text = read_text(name_or_file).with_context(|| format!("reading the link profile `{name_or_file}`"))?;
     LinkProfile::from_toml(&text).with_context(|| format!("`{name_or_file}`"))
 }
 

@@ -77,8 +77,7 @@ impl Recorder {
         let (sender, items) = bounded(QUEUE_CAPACITY);
         let part = Arc::new(AtomicU32::new(1));
         let current_part = Arc::clone(&part);
-        let thread =
-            WriterThread::spawn("recorder", move |written| write(open()?, &items, &current_part, written))?;
+        let thread = WriterThread::spawn("recorder", move |written| write(open()?, &items, &current_part, written))?;
         Ok(Self { sender, thread, queued: 0, first: first.to_owned(), part, input_count, lost: 0, lost_outputs: 0 })
     }
 

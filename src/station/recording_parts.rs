@@ -294,3 +294,27 @@ impl WatchedFile {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use posebridge_recording::container::FORMAT;
+
+    #[test]
+    fn the_disk_is_synced_every_five_seconds_and_in_a_silence() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let header = RecordingHeader { format: FORMAT, ..RecordingHeader::default() };
+        let mut parts = RecordingParts::create(&path, header, RecordingLimits::default(), 0).unwrap();
+        for second in 0..=12 {
+            parts.record(Timestamp::from_millis(1_000 * second), parts.next(), &Input::Tick).unwrap();
+            let expected_ms = second / 5 * 5_000;
+            assert_eq!(
+                (parts.last_sync, parts.is_synced),
+                (Timestamp::from_millis(expected_ms), second > 0 && second % 5 == 0)
+            );
+        }
+        parts.sync().unwrap();
+        assert!(parts.is_synced);
+    }
+}

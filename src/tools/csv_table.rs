@@ -150,7 +150,8 @@ mod tests {
     #[test]
     fn semicolons_and_decimal_commas_are_read_right() {
         let listing = listing("way;x_mm\ncw;-12,5\n\"c;w\";3\n").unwrap();
-        let rows: Vec<_> = listing.rows().map(|row| (row.text("way").unwrap().to_owned(), row.number("x_mm").unwrap())).collect();
+        let rows: Vec<_> =
+            listing.rows().map(|row| (row.text("way").unwrap().to_owned(), row.number("x_mm").unwrap())).collect();
         assert_eq!(rows, [("cw".to_owned(), -12.5), ("c;w".to_owned(), 3.0)]);
     }
 
@@ -165,7 +166,12 @@ mod tests {
             ("way,x_mm\ncw,1\n", "y_mm", 0, "has no column `y_mm`; it has: way, x_mm"),
             ("\"way,x_mm\ncw,1\n", "x_mm", 1, "a quote is not closed"),
             ("way,x_mm\n\ncw,1\n\"cw,2\ncw,3\n", "x_mm", 4, "a quote is not closed"),
-            ("way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n", "x_mm", 3, "5 fields for 3 columns: commas are the delimiter and"),
+            (
+                "way,x_mm,y_mm\ncw,1,2\ncw,-12,5,-20,1\n",
+                "x_mm",
+                3,
+                "5 fields for 3 columns: commas are the delimiter and",
+            ),
             (
                 "way,x_mm,y_mm\ncw,1.5,2\ncw,1,2\ncw,-12,5,-20,1\n",
                 "x_mm",

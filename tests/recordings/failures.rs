@@ -15,6 +15,7 @@ use posebridge_telemetry::{Address, Input};
 /// What is said when a recording ends before its run, and of the telemetry log beside it.
 const ENDED: &str = "the recording ends here";
 const LOG_ENDED: &str = "the telemetry log ends here";
+const EVENTS_ENDED: &str = "the event file ends here";
 /// What is said when there never was one.
 const NONE: &str = "there is no recording";
 const NO_LOG: &str = "there is no telemetry log";
@@ -80,6 +81,19 @@ fn a_file_that_may_not_grow_ends_the_recording_and_not_the_run() {
     let reader = RecordingReader::open(&bytes).unwrap();
     assert!(matches!(reader.recording_end(), RecordingEnd::Truncated { .. }));
     assert!(reader.map(Result::unwrap).count() > 10);
+}
+
+#[test]
+fn an_event_file_on_a_full_disk_is_told_once_while_the_station_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let flags = ["--out", "run", "--events", "/dev/full"];
+    let mut station = Station::start(&mut posebridge(folder.path()), &flags);
+    for _ in 0..15 {
+        station.time_s(&[0x55; 16_384]);
+    }
+    let line = station.running.wait_for(EVENTS_ENDED);
+    assert!(line.contains("/dev/full") && line.contains("No space left"), "{line}");
+    station.goes_on_and_ends(&line, &[EVENTS_ENDED]);
 }
 
 #[test]

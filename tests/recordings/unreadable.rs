@@ -64,7 +64,8 @@ fn no_command_takes_a_file_in_which_nothing_can_be_read_for_a_success() {
             "export --format mcap --out tables",
             "import --out imported.mcap",
         ] {
-            let arguments: Vec<&str> = [command.split(' ').next().unwrap(), name].into_iter().chain(command.split(' ').skip(1)).collect();
+            let arguments: Vec<&str> =
+                [command.split(' ').next().unwrap(), name].into_iter().chain(command.split(' ').skip(1)).collect();
             let (code, said) = exit_code_and_stderr(folder.path(), &arguments);
             assert!(matches!(code, Some(1 | 2)), "{command} {name}: {code:?} {said}");
             assert!(said.contains(says) || said.contains(name), "{command} {name}: {said}");

@@ -99,7 +99,9 @@ fn a_table_of_a_spreadsheet_with_another_locale_is_read_like_any_other() {
     use_wheels_alone(folder.path());
     let usual = run(folder.path(), &["replay", "wheels.toml"]);
     let table = std::fs::read_to_string(folder.path().join("wheels.csv")).unwrap();
-    for (delimiter, words) in [(";", "columns between semicolons, decimal commas"), ("\t", "columns between tabs, decimal commas")] {
+    for (delimiter, words) in
+        [(";", "columns between semicolons, decimal commas"), ("\t", "columns between tabs, decimal commas")]
+    {
         let exported = table.replace(',', delimiter).replace('.', ",");
         std::fs::write(folder.path().join("wheels.csv"), exported).unwrap();
         assert_eq!(run(folder.path(), &["replay", "wheels.toml"]), usual, "{words}");
@@ -124,7 +126,10 @@ fn what_is_wrong_with_a_table_is_named_with_file_line_and_column() {
         ("t_s,left,right\n", "no row follows the headers of its files"),
         ("t_s,links,right\n0,1,1\n", "wheels.csv:1: there is no column `left`, the header has: t_s, links, right"),
         ("t_s;left;right\n0;1,500;1\n", "wheels.csv:2: a number like 1,234 may be 1.234 or 1234"),
-        ("t_s;left;right\n0;1.5;1\n1;1,5;1\n", "wheels.csv:3: numbers with decimal points and numbers with decimal commas"),
+        (
+            "t_s;left;right\n0;1.5;1\n1;1,5;1\n",
+            "wheels.csv:3: numbers with decimal points and numbers with decimal commas",
+        ),
         ("t_s,left,right\n0,00,1,5,1,5\n", "wheels.csv:2: 6 fields for 3 columns: commas are the delimiter and"),
         (
             "t_s,left,right\n0,\"1,5\",1\n",

@@ -386,7 +386,8 @@ mod tests {
     fn a_number_has_the_mark_of_its_file_and_no_other() {
         assert_eq!(DecimalMark::Comma.number("-1,25"), Some(-1.25));
         assert_eq!(DecimalMark::Point.number("-1.25"), Some(-1.25));
-        for (mark, text) in [(DecimalMark::Comma, "1.25"), (DecimalMark::Comma, "1,2,5"), (DecimalMark::Point, "1,25")] {
+        for (mark, text) in [(DecimalMark::Comma, "1.25"), (DecimalMark::Comma, "1,2,5"), (DecimalMark::Point, "1,25")]
+        {
             assert_eq!(mark.number(text), None, "{text}");
         }
     }

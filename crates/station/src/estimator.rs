@@ -30,8 +30,7 @@ pub(crate) struct Estimator {
 }
 
 /// What is said of a filter that was replaced.
-pub(crate) const RESET_TEXT: &str =
-    "the numbers of its filter grew beyond all bounds: it begins anew, and the pose is unknown until something shows it";
+pub(crate) const RESET_TEXT: &str = "the numbers of its filter grew beyond all bounds: it begins anew, and the pose is unknown until something shows it";
 
 pub(crate) struct FusionReport {
     pub(crate) record: FusionRecord,

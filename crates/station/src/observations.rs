@@ -10,9 +10,9 @@ use posebridge_telemetry::{
     severity,
 };
 
-use crate::estimator::RESET_TEXT;
 use crate::clock::align::Alignment;
 use crate::config::DescriptionPolicy;
+use crate::estimator::RESET_TEXT;
 use crate::observation_extractor::{ClockSource, ObservationExtractor, UnalignedObservation};
 use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};

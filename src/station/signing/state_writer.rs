@@ -10,8 +10,8 @@ use posebridge_station::Station;
 use posebridge_telemetry::{HostClock, LinkId, Timestamp};
 
 use super::files::StateFile;
-use crate::station::writer_thread::{END_TIMEOUT, WriterThread};
 use crate::config::MemoryRecord;
+use crate::station::writer_thread::{END_TIMEOUT, WriterThread};
 
 #[derive(Debug)]
 pub(super) struct SignedLink {
@@ -173,12 +173,13 @@ mod tests {
     #[test]
     fn while_the_disk_is_behind_no_snapshot_is_taken() {
         let station = Station::new(Config::default().station_config().unwrap(), Timestamp::ZERO).unwrap();
-        let (sender, snapshots) = sync_channel(1);
+        let (sender, snapshots) = bounded(1);
         let mut keeper = SigningStateWriter {
             links: vec![],
             sender,
             is_writing: Arc::new(AtomicBool::new(false)),
-            thread: std::thread::spawn(|| Ok(())),
+            thread: WriterThread::spawn("signing", |_| Ok(())).unwrap(),
+            queued: 0,
             due: Timestamp::ZERO,
             known_streams: 0,
         };
@@ -197,12 +198,12 @@ mod tests {
     #[test]
     fn the_thread_says_when_it_can_take_more() {
         let root = tempfile::tempdir().unwrap();
-        let (sender, snapshots) = sync_channel(1);
+        let (sender, snapshots) = bounded(1);
         let nothing_new = StateSnapshot { memories: vec![None], ending: ShutdownKind::Interrupted };
         sender.send(nothing_new).unwrap();
         drop(sender);
         let is_writing = AtomicBool::new(true);
-        write_all(&[kept(root.path(), 1)], &snapshots, &is_writing).unwrap();
+        write_all(&[kept(root.path(), 1)], &snapshots, &is_writing, &AtomicU64::new(0)).unwrap();
         assert!(!is_writing.load(Ordering::Acquire));
     }
 }

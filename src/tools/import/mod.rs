@@ -159,7 +159,12 @@ fn in_memory(
         inputs(&mut |now, input| {
             let bytes = if let Input::Bytes { bytes, .. } = input { bytes.len() } else { 0 };
             held += (size_of::<Input>() + bytes) as u64;
-            ensure!(held <= max_bytes, "`{}` becomes more than {} MiB: cut it into parts", path.display(), max_bytes >> 20);
+            ensure!(
+                held <= max_bytes,
+                "`{}` becomes more than {} MiB: cut it into parts",
+                path.display(),
+                max_bytes >> 20
+            );
             sink(now, input)
         })
     })?;

@@ -28,9 +28,9 @@ use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::station::recorded_session::{ReadProgress, RecordingWarnings, check_read};
 use crate::station::signing::recorded_station_config;
 use crate::station::wiring_fix::WiringReport;
+use crate::text_file::read_text;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, StationOptions, TlogSource};
-use crate::text_file::read_text;
 
 pub const WHOLE_RUN: &str = "recording";
 

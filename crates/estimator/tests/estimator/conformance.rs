@@ -474,9 +474,8 @@ fn any_hostile() -> impl Strategy<Value = ObservationKind> {
         yy_m2: variance,
         heading_rad2,
     });
-    let fix = (hostile(), hostile(), prop::option::of(covariance)).prop_map(|(x, y, covariance)| {
-        ObservationKind::Fix(Fix { covariance, ..fix_of(x, y, x) })
-    });
+    let fix = (hostile(), hostile(), prop::option::of(covariance))
+        .prop_map(|(x, y, covariance)| ObservationKind::Fix(Fix { covariance, ..fix_of(x, y, x) }));
     let others = (hostile(), hostile(), 0..10_usize).prop_map(|(one, other, kind)| {
         let mut measurement = one_of_each()[kind];
         match &mut measurement {

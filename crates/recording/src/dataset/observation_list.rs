@@ -110,7 +110,8 @@ impl ObservationList {
     }
 
     pub fn last(&self) -> Option<TimedObservation> {
-        let ends = self.columns.iter().enumerate().filter_map(|(index, columns)| Some((columns.arrivals.last()?, index)));
+        let ends =
+            self.columns.iter().enumerate().filter_map(|(index, columns)| Some((columns.arrivals.last()?, index)));
         let (_, index) = ends.max()?;
         let last = self.columns[index].stamps.len() - 1;
         Some(self.columns[index].row(last))

@@ -237,10 +237,8 @@ impl DatasetTable {
             return Err(LoadError::Empty { path, line: entry.header_lines });
         }
         let dialect = search.finish().map_err(refused)?;
-        let expected = CsvDialect {
-            delimiter: entry.delimiter.unwrap_or_default(),
-            decimal: entry.decimal.unwrap_or_default(),
-        };
+        let expected =
+            CsvDialect { delimiter: entry.delimiter.unwrap_or_default(), decimal: entry.decimal.unwrap_or_default() };
         let mut names: Vec<String> = match entry.header_lines {
             0 => Vec::new(),
             _ => dialect.delimiter.split(&header).into_iter().map(str::to_owned).collect(),
@@ -343,7 +341,10 @@ impl DatasetTable {
             }
         }
         held.rows.sort_by_key(|row| row.nanos);
-        held.rows.iter().filter_map(|row| self.row(row.line, &held.text[row.start..row.end])).try_for_each(|row| take(&row))
+        held.rows
+            .iter()
+            .filter_map(|row| self.row(row.line, &held.text[row.start..row.end]))
+            .try_for_each(|row| take(&row))
     }
 
     fn row<'a>(&'a self, line: usize, text: &'a str) -> Option<TableRow<'a>> {

@@ -26,8 +26,8 @@ use crate::config::RobotProfile;
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::lab::parallel::run_with_bar;
-use crate::tools::experiment_output::OutputArgs;
 use crate::text_file::read_text;
+use crate::tools::experiment_output::OutputArgs;
 
 /// Drives whose innovations tune the matrices.
 const TUNING_DRIVES: u32 = 4;

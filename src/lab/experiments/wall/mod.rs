@@ -24,8 +24,8 @@ use super::live::LiveArgs;
 use super::recorded::rerun_command;
 use crate::config::load_link_profile;
 use crate::exit::{ExitStage, Failure};
-use crate::tools::experiment_output::OutputArgs;
 use crate::text_file::read_text;
+use crate::tools::experiment_output::OutputArgs;
 
 /// Flags of `lab wall`.
 #[derive(clap::Args, Clone, Debug)]

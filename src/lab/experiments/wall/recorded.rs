@@ -20,9 +20,9 @@ use super::table::read_table;
 use crate::config::{Overlay, Setting};
 use crate::flags::DataFlags;
 use crate::lab::parallel::run_with_bar;
+use crate::text_file::read_text;
 use crate::tools::dataset::{DataSet, report_bad_rows};
 use crate::tools::own_recording;
-use crate::text_file::read_text;
 
 /// Noise of a reading that a table does not tell: a small time-of-flight sensor, or an ultrasonic one that counts centimetres.
 const TABLE_SIGMA_M: f64 = 0.01;
