@@ -5,7 +5,7 @@
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use indicatif::ProgressBar;
 use posebridge_recording::container::{self, PartHeader, ReadError, RecordingEnd, RecordingReader, RecordingWriter};
 use posebridge_telemetry::{BrickClock, Event, HostClock, Input, TimeDelta, Timestamp};
@@ -278,13 +278,12 @@ pub fn for_each_input(
     if let RecordingEnd::Truncated { offset, what } = reader.recording_end() {
         print_line(&format!("{name}: cut off at byte {offset} ({what}); everything before is used"));
     }
-    check_read(name, is_empty)
+    if is_empty { Err(nothing_read(name)) } else { Ok(()) }
 }
 
-/// Fails if nothing could be read, so that no empty result passes for one.
-pub fn check_read(name: &str, is_empty: bool) -> Result<()> {
-    ensure!(!is_empty, "`{name}`: nothing in it could be read");
-    Ok(())
+/// The error of a file in which nothing could be read: no empty result may pass for one.
+pub fn nothing_read(name: &str) -> anyhow::Error {
+    anyhow!("`{name}`: nothing in it could be read")
 }
 
 /// A progress bar over the bytes of a recording; it vanishes when dropped.

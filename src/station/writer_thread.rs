@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 
 /// How long the end of a run waits for a disk that takes nothing.
-pub const END_TIMEOUT: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 5_000 });
+pub const END_TIMEOUT: Duration = Duration::from_millis(if cfg!(test) { 2_000 } else { 5_000 });
 
 #[derive(Debug)]
 pub struct WriterThread<T> {

@@ -12,7 +12,7 @@ use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, InputKind};
-use crate::station::recorded_session::check_read;
+use crate::station::recorded_session::nothing_read;
 
 /// Flags of `inspect`.
 #[derive(Args, Clone, Debug)]
@@ -40,5 +40,5 @@ pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let text =
         if args.json { report::json_text(&name, kind, size, &found) } else { report::table_text(&name, kind, &found) };
     print_result(&text).while_running()?;
-    check_read(&name, found.is_empty()).while_running()
+    if found.is_empty() { Err(nothing_read(&name)).while_running() } else { Ok(()) }
 }

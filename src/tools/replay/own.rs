@@ -25,7 +25,7 @@ use crate::station::event_file::create;
 use crate::station::input_file::{InputFile, InputKind};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::per_robot::{PerRobot, RobotEntry};
-use crate::station::recorded_session::{ReadProgress, RecordingWarnings, check_read};
+use crate::station::recorded_session::{ReadProgress, RecordingWarnings, nothing_read};
 use crate::station::signing::recorded_station_config;
 use crate::station::wiring_fix::WiringReport;
 use crate::text_file::read_text;
@@ -316,10 +316,10 @@ impl OwnRecording {
                 }
             }
         }
-        let (recorded, is_empty) = (cursor.duration, cursor.first.is_none());
-        if is_empty {
+        let recorded = cursor.duration;
+        if cursor.first.is_none() {
             notes.into_lines().iter().for_each(|note| print_line(&format!("{}: {note}", self.name)));
-            return check_read(&self.name, is_empty).map(|()| ReplaySummary::default());
+            return Err(nothing_read(&self.name));
         }
         ensure!(
             cursor.has_started || window.is_unbounded(),

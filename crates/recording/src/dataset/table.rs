@@ -52,9 +52,9 @@ impl TextLines {
         self.line.clear();
         let read = (&mut self.reader).take(MAX_LINE_BYTES as u64 + 1).read_until(b'\n', &mut self.line);
         let path = || self.path.clone();
-        let read = read.map_err(|source| match self.is_packed {
-            true => LoadError::Gzip { path: path(), source },
-            false => LoadError::Open { path: path(), source },
+        let read = read.map_err(|source| {
+            let path = path();
+            if self.is_packed { LoadError::Gzip { path, source } } else { LoadError::Open { path, source } }
         })?;
         if read == 0 {
             return Ok(None);
