@@ -87,10 +87,14 @@ impl CsvTable {
 }
 
 fn dialect_of(name: &str, lines: &[(usize, &str)]) -> Result<CsvDialect> {
-    let Some((header, rows)) = lines.split_first() else { return Ok(CsvDialect::default()) };
+    // A quote that is not closed is told by the reader.
+    let is_closed = |line: &str| line.matches('"').count().is_multiple_of(2);
+    let Some((header, rows)) = lines.split_first().filter(|(header, _)| is_closed(header.1)) else {
+        return Ok(CsvDialect::default());
+    };
     let mut search = DialectSearch::new(StatedDialect::default(), Some(*header));
     let find = || {
-        for (line, text) in rows {
+        for (line, text) in rows.iter().filter(|(_, text)| is_closed(text)) {
             if !search.push(*line, text)? {
                 break;
             }

@@ -3,12 +3,18 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::support::{OPTIODOM_RUN, committed_data, descriptor, json, root, run, shared_data};
+use crate::support::{OPTIODOM_RUN, committed_data, descriptor, json, posebridge, root, run, shared_data};
 use rand::{Rng, SeedableRng};
 use serde_json::Value;
 
+/// Its object; the exit code says whether anything was found.
 fn inspect(file: &Path) -> Value {
-    json(file.parent().unwrap(), &["inspect", file.file_name().unwrap().to_str().unwrap()])
+    let mut command = posebridge(file.parent().unwrap());
+    let output = command.args(["inspect", file.file_name().unwrap().to_str().unwrap(), "--json"]).output().unwrap();
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let is_empty = found["frames"] == 0 && found["unknown_frames"] == 0;
+    assert_eq!(output.status.code(), Some(i32::from(is_empty)), "{}", file.display());
+    found
 }
 
 /// The captures of a folder with what another decoder counted in each.

@@ -152,15 +152,14 @@ impl DialectSearch {
 
     /// Looks at a row; false if no further one is needed.
     pub fn push(&mut self, line: usize, text: &str) -> Result<bool, AmbiguousDialect> {
-        match self.delimiter {
-            Some(delimiter) => self.marks.add(line, text, delimiter),
-            None => {
-                self.sample.push((line, text.to_owned()));
-                if self.sample.len() < SAMPLE_ROWS {
-                    return Ok(true);
-                }
-                self.read_sample()?;
+        if let Some(delimiter) = self.delimiter {
+            self.marks.add(line, text, delimiter);
+        } else {
+            self.sample.push((line, text.to_owned()));
+            if self.sample.len() < SAMPLE_ROWS {
+                return Ok(true);
             }
+            self.read_sample()?;
         }
         let is_found = self.marks.point.or(self.marks.comma).is_some();
         Ok(self.delimiter != Some(Delimiter::Comma) && self.stated.decimal.is_none() && !is_found)

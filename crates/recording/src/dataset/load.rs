@@ -13,7 +13,8 @@ use posebridge_telemetry::{
 };
 
 use super::descriptor::{Descriptor, ResolvedRun, RunStart, expand_template};
-use super::run::{DatasetRun, LoadError, MAX_HELD_BYTES, TimedObservation, TruthPose, WithheldFix};
+use super::observation_list::TimedObservation;
+use super::run::{DatasetRun, LoadError, MAX_HELD_BYTES, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
 use super::streams::{RowClock, RowReader, positions, sensors};
 use super::table::{DatasetTable, TextLines, seconds_to_nanos};

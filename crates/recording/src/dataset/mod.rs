@@ -15,5 +15,5 @@ mod table;
 
 pub use descriptor::{Descriptor, DescriptorError};
 pub use load::{LoadOptions, OpenFile, load};
-pub use observation_list::ObservationList;
-pub use run::{BadRow, BadRowReason, BadRows, DatasetRun, LoadError, TimedObservation, TruthPose, WithheldFix};
+pub use observation_list::{ObservationList, TimedObservation};
+pub use run::{BadRow, BadRowReason, BadRows, DatasetRun, LoadError, TruthPose, WithheldFix};

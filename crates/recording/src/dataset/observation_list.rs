@@ -2,7 +2,13 @@
 
 use posebridge_telemetry::{BeaconId, Fix, Heading, HostClock, LandmarkId, Observation, ObservationKind, Timestamp};
 
-use super::run::TimedObservation;
+/// An observation and its arrival on the host.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedObservation {
+    /// The observation's own timestamp where the recording has no arrival times.
+    pub arrival: Timestamp<HostClock>,
+    pub observation: Observation,
+}
 
 /// Observations in the order of their arrival; with equal arrivals in the order in which they were pushed.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 use std::{fmt, io};
 
-use posebridge_telemetry::{
-    Arena, BeaconId, BrickClock, Fix, Heading, HostClock, LandmarkId, Observation, Point2, StartPose, Timestamp,
-};
+use posebridge_telemetry::{Arena, BeaconId, BrickClock, Fix, Heading, LandmarkId, Point2, StartPose, Timestamp};
 
 use super::observation_list::ObservationList;
 use crate::csv_dialect::AmbiguousDialect;
@@ -38,14 +36,6 @@ impl DatasetRun {
         let references = self.truth.len() * size_of::<TruthPose>() + self.withheld.len() * size_of::<WithheldFix>();
         self.observations.bytes() + references as u64
     }
-}
-
-/// An observation and its arrival on the host.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimedObservation {
-    /// The observation's own timestamp where the recording has no arrival times.
-    pub arrival: Timestamp<HostClock>,
-    pub observation: Observation,
 }
 
 /// The true pose at one instant.
