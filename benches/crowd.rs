@@ -374,14 +374,10 @@ impl Crowd {
             };
             let (mut arrival, mut host) = (None, None);
             for message in received.cmsgs().expect("room for all of them") {
-                match message {
-                    ControlMessageOwned::ScmTimestampns(time) => {
-                        arrival = Some(SystemTime::UNIX_EPOCH + Duration::from(time));
-                    }
-                    ControlMessageOwned::Ipv4PacketInfo(info) => {
-                        host = Some(Ipv4Addr::from(info.ipi_addr.s_addr.to_ne_bytes()));
-                    }
-                    _ => {}
+                if let ControlMessageOwned::ScmTimestampns(time) = message {
+                    arrival = Some(SystemTime::UNIX_EPOCH + Duration::from(time));
+                } else if let ControlMessageOwned::Ipv4PacketInfo(info) = message {
+                    host = Some(Ipv4Addr::from(info.ipi_addr.s_addr.to_ne_bytes()));
                 }
             }
             let length = received.bytes;

@@ -78,10 +78,8 @@ struct Datagram {
 fn receive(fd: RawFd, control: &mut [u8], buffer: &mut [u8]) -> io::Result<Datagram> {
     let mut parts = [IoSliceMut::new(buffer)];
     let received = recvmsg::<SockaddrStorage>(fd, &mut parts, Some(control), MsgFlags::empty())?;
-    let dropped = received.cmsgs()?.find_map(|message| match message {
-        ControlMessageOwned::RxqOvfl(count) => Some(count),
-        _ => None,
-    });
+    let count_of = |message| if let ControlMessageOwned::RxqOvfl(count) = message { Some(count) } else { None };
+    let dropped = received.cmsgs()?.find_map(count_of);
     let v4 = |from: &SockaddrStorage| from.as_sockaddr_in().map(|from| SocketAddr::V4(SocketAddrV4::from(*from)));
     let v6 = |from: &SockaddrStorage| from.as_sockaddr_in6().map(|from| SocketAddr::V6(SocketAddrV6::from(*from)));
     let from = received.address.as_ref().and_then(|from| v4(from).or_else(|| v6(from)));
