@@ -51,16 +51,16 @@ impl DatagramSocket {
     pub(super) fn try_recv_from(&mut self, buffer: &mut [u8], dropped: &mut u64) -> io::Result<(usize, SocketAddr)> {
         let (fd, control) = (self.socket.as_raw_fd(), &mut self.control);
         let received = self.socket.try_io(Interest::READABLE, || receive(fd, control, buffer))?;
-        Ok(self.count(received, dropped))
+        Ok(self.count(&received, dropped))
     }
 
     /// Like [`Self::try_recv_from`], also if the runtime does not know yet that something came.
     pub(super) fn recv_from_now(&mut self, buffer: &mut [u8], dropped: &mut u64) -> io::Result<(usize, SocketAddr)> {
         let received = receive(self.socket.as_raw_fd(), &mut self.control, buffer)?;
-        Ok(self.count(received, dropped))
+        Ok(self.count(&received, dropped))
     }
 
-    fn count(&mut self, received: Datagram, dropped: &mut u64) -> (usize, SocketAddr) {
+    fn count(&mut self, received: &Datagram, dropped: &mut u64) -> (usize, SocketAddr) {
         if let Some(now) = received.dropped {
             *dropped += u64::from(now.wrapping_sub(std::mem::replace(&mut self.dropped, now)));
         }
