@@ -42,7 +42,6 @@ const ROBOTS_PER_TICK: u32 = ROBOTS / TICKS_PER_PERIOD;
 const FLOODING_PEERS: u32 = 50;
 const FLOOD_PER_TICK: usize = 2;
 const SILENT_PEERS: u32 = 4_000;
-const SILENT_PER_TICK: u32 = 1;
 const SILENT_REST_TICKS: u32 = 5_000;
 /// After the last telemetry.
 const GRACE_TICKS: u32 = 500;
@@ -68,10 +67,10 @@ fn main() -> ExitCode {
     let seconds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(60);
     let load = Load { seconds, has_flood: has("flood"), has_silent: has("silent") };
     let mut echo = Server::start_echo();
-    let bare = Crowd::new().run(&Load { seconds: seconds.min(MAX_ECHO_SECONDS), ..load }, &mut echo);
+    let bare = Crowd::new().run(Load { seconds: seconds.min(MAX_ECHO_SECONDS), ..load }, &mut echo);
     echo.stop();
     let mut station = Server::start_station();
-    let ours = Crowd::new().run(&load, &mut station);
+    let ours = Crowd::new().run(load, &mut station);
     station.stop();
     println!("{:<26} {:>12} {:>12}", "", "station", "bare echo");
     let row = |name: &str, read: &dyn Fn(&Outcome) -> String| {
@@ -296,7 +295,7 @@ impl Crowd {
         }
     }
 
-    fn run(mut self, load: &Load, server: &mut Server) -> Outcome {
+    fn run(mut self, load: Load, server: &mut Server) -> Outcome {
         let ticks = load.seconds * 1_000;
         self.outcome.rounds = ticks / TICKS_PER_PERIOD;
         self.sent = vec![None; (self.outcome.rounds * ROBOTS) as usize];
@@ -305,12 +304,11 @@ impl Crowd {
             if tick < ticks {
                 self.send_telemetry(tick, server.address);
             }
-            if load.has_silent && tick % SILENT_REST_TICKS < SILENT_PEERS / SILENT_PER_TICK {
-                let number = tick % SILENT_REST_TICKS * SILENT_PER_TICK;
-                for number in number..number + SILENT_PER_TICK {
-                    self.send_from(silent_host(number), &[0], server.address);
-                    self.outcome.others += 1;
-                }
+            // One in each tick, and then a rest.
+            let silent = tick % SILENT_REST_TICKS;
+            if load.has_silent && silent < SILENT_PEERS {
+                self.send_from(silent_host(silent), &[0], server.address);
+                self.outcome.others += 1;
             }
             if load.has_flood {
                 self.send_flood(server.address.into());
@@ -323,7 +321,7 @@ impl Crowd {
         self.outcome.missed_rounds = missed.map(|(index, _)| index as u32 / ROBOTS).collect();
         let mut outcome = self.outcome;
         outcome.ages.sort_unstable();
-        outcome.cpu_share = (server.cpu() - cpu).as_secs_f64() / began.elapsed().as_secs_f64();
+        outcome.cpu_share = server.cpu().saturating_sub(cpu).as_secs_f64() / began.elapsed().as_secs_f64();
         outcome.memory_kb = server.memory_kb();
         outcome.kernel_drops = server.kernel_drops();
         outcome

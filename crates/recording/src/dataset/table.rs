@@ -512,7 +512,10 @@ mod tests {
 
     #[test]
     fn a_byte_order_mark_and_gzip_are_taken_off() {
-        assert_eq!(lines_of(b"\xEF\xBB\xBF1,2\r\n\n3").unwrap(), [(1, "1,2".into()), (2, String::new()), (3, "3".into())]);
+        assert_eq!(
+            lines_of(b"\xEF\xBB\xBF1,2\r\n\n3").unwrap(),
+            [(1, "1,2".into()), (2, String::new()), (3, "3".into())]
+        );
         // `printf 1,2 | gzip -n`
         let packed = [
             0x1F, 0x8B, 0x08, 0, 0, 0, 0, 0, 0, 0x03, 0x33, 0xD4, 0x31, 0x02, 0x00, 0x9B, 0x6C, 0x0E, 0x2B, 0x03, 0, 0,
