@@ -25,11 +25,10 @@ const PROBLEM_COUNTERS: [LinkCounter; 15] = [
 
 type Column = (&'static str, fn(&LinkHealth) -> String);
 
-const RECEIVED_COLUMNS: [Column; 13] = [
+const RECEIVED_COLUMNS: [Column; 12] = [
     ("frames", |health| health.frames_in.to_string()),
     ("lost", |health| health.frames_lost.to_string()),
-    ("kernel", |health| health.port.kernel_drops.to_string()),
-    ("flood", |health| health.port.flood_drops.to_string()),
+    ("dropped", |health| (health.port.kernel_drops + health.port.flood_drops).to_string()),
     ("damaged", |health| health.checksum_errors.to_string()),
     ("garbage B", |health| health.garbage_bytes.to_string()),
     ("stalls", |health| health.timeouts.to_string()),
@@ -187,7 +186,7 @@ mod tests {
             let line = text.lines().find(|line| line.starts_with(start));
             line.unwrap_or_default().split_whitespace().collect()
         };
-        assert_eq!(row("link 0 "), ["link", "0", "300", "3", "0", "12", "0", "0", "0", "0"]);
+        assert_eq!(row("link 0 "), ["link", "0", "300", "3", "0", "0", "12", "0", "0", "0"]);
         assert_eq!(row("link 0 1/1 "), ["link", "0", "1/1", "97", "3", "3.00"]);
         assert_eq!(row("link 0 1/100"), ["link", "0", "1/100", "203", "0", "0.00"]);
         assert!(text.contains("link 1"));

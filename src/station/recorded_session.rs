@@ -283,7 +283,9 @@ pub fn for_each_input(
 
 /// The error of a file in which nothing could be read: no empty result may pass for one.
 pub fn nothing_read(name: &str) -> anyhow::Error {
-    anyhow!("`{name}`: nothing in it could be read")
+    anyhow!(
+        "`{name}` holds nothing that can be read; if no robot was heard while it was recorded, look for the robot with `posebridge doctor`"
+    )
 }
 
 /// A progress bar over the bytes of a recording; it vanishes when dropped.

@@ -140,7 +140,7 @@ fn what_a_recording_lacks_is_named_with_the_file_and_a_cure() {
             ("lab nxt-square --recording none.mcap", 2, &["none.mcap", "reading"]),
             ("lab nxt-square --recording empty.mcap", 2, &["`empty.mcap` (0 bytes)", "not an MCAP file"]),
             ("lab indirect --recording torn.mcap", 2, &["`torn.mcap`", "without a posebridge header"]),
-            ("lab wall --recording silent.mcap", 2, &["`silent.mcap` holds no observation", "doctor"]),
+            ("lab wall --recording silent.mcap", 2, &["`silent.mcap` holds nothing", "doctor"]),
             // One bad recording among good ones is the one that is named.
             (
                 "lab nxt-square --recording drive-0.mcap wall.mcap",

@@ -13,6 +13,7 @@ mod recording;
 mod routing;
 mod session;
 mod signing;
+mod table;
 mod text;
 mod tlog;
 
@@ -33,6 +34,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("ev3", bricks::check_ev3, 500_000),
     Target::new("brick", bricks::check_brick, 400_000),
     Target::new("tlog", tlog::check, 60_000),
+    Target::new("table", table::check, 30_000),
     Target::new("line", bricks::check_line, 700_000),
     Target::new("camera_json", bricks::check_camera_json, 200_000),
     Target::new("dashboard_command", text::check_dashboard_command, 300_000),

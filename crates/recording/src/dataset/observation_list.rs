@@ -1,5 +1,8 @@
 //! The observations of a run, held as columns of numbers: a file of any length takes about as much memory as disk.
 
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
 use posebridge_telemetry::{BeaconId, Fix, Heading, HostClock, LandmarkId, Observation, ObservationKind, Timestamp};
 
 /// An observation and its arrival on the host.
@@ -92,14 +95,17 @@ impl ObservationList {
     }
 
     pub fn iter(&self) -> impl Iterator<Item = TimedObservation> {
-        let mut next_rows = vec![0; self.columns.len()];
+        // A heap, because a file may change between kinds of rows as often as it likes.
+        let heads = self.columns.iter().enumerate();
+        let heads = heads.filter_map(|(index, columns)| Some(Reverse((*columns.arrivals.first()?, index, 0))));
+        let mut heads: BinaryHeap<Reverse<(i64, usize, usize)>> = heads.collect();
         std::iter::from_fn(move || {
-            let heads = self.columns.iter().zip(&next_rows).enumerate();
-            let heads = heads.filter_map(|(index, (columns, row))| Some((*columns.arrivals.get(*row)?, index)));
-            let (_, index) = heads.min()?;
-            let row = next_rows[index];
-            next_rows[index] += 1;
-            Some(self.columns[index].row(row))
+            let Reverse((_, index, row)) = heads.pop()?;
+            let columns = &self.columns[index];
+            if let Some(next) = columns.arrivals.get(row + 1) {
+                heads.push(Reverse((*next, index, row + 1)));
+            }
+            Some(columns.row(row))
         })
     }
 
