@@ -187,6 +187,9 @@ struct UdpConnection {
     buffer: Box<[u8]>,
 }
 
+/// A way to read the next datagram: its length and sender.
+type Receive = fn(&mut DatagramSocket, &mut [u8], &mut u64) -> io::Result<(usize, SocketAddr)>;
+
 /// Whether a socket can still be used.
 #[derive(PartialEq, Eq)]
 enum SocketState {
@@ -263,10 +266,10 @@ impl UdpConnection {
         }
     }
 
-    /// Reads the datagrams of the common socket, up to the limit.
-    fn drain(&mut self) {
+    /// Reads the datagrams of the common socket with `receive`, up to the limit.
+    fn drain(&mut self, receive: Receive) {
         for _ in 0..DRAIN_LIMIT {
-            match self.socket.try_recv_from(&mut self.buffer, &mut self.kernel_drops) {
+            match receive(&mut self.socket, &mut self.buffer, &mut self.kernel_drops) {
                 Ok((length, from)) => self.accept_shared(length, from),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     for loud in &mut self.busy_peers {
@@ -343,9 +346,13 @@ impl UdpConnection {
                     {
                         return Poll::Ready(Ok(Some(first)));
                     }
-                    self.drain();
+                    self.drain(DatagramSocket::try_recv_from);
                 }
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
+                // The runtime does not tell that the socket is empty if its last datagram was read in search of one that goes first.
+                Poll::Pending if self.busy_peers.iter().any(|loud| !loud.is_shared_pending) => {
+                    self.drain(DatagramSocket::recv_from_now);
+                }
                 Poll::Pending => {}
             }
             let is_busy = self.drain_busy_peers(cx);

@@ -56,21 +56,25 @@ struct UdpPeer {
     last_seen: Option<Timestamp<HostClock>>,
 }
 
-/// A token bucket: it holds at most what flows in during [`BURST`], and as much may be missing.
+/// What any peer may send at once of its own budget. A stranger may be a robot that was forgotten while its Wi-Fi was away.
+const OWN_BURST_BYTES: i64 = burst(CALM_BYTES_PER_S);
+
+/// A token bucket.
 struct Budget {
     left_bytes: i64,
     refilled: Timestamp<HostClock>,
 }
 
 impl Budget {
-    const fn full(bytes_per_s: i64, now: Timestamp<HostClock>) -> Self {
-        Self { left_bytes: burst(bytes_per_s), refilled: now }
+    const fn full(bytes: i64, now: Timestamp<HostClock>) -> Self {
+        Self { left_bytes: bytes, refilled: now }
     }
 
-    fn refill(&mut self, bytes_per_s: i64, now: Timestamp<HostClock>) {
+    /// Adds what has flowed in, up to `most_bytes`.
+    fn refill(&mut self, bytes_per_s: i64, most_bytes: i64, now: Timestamp<HostClock>) {
         let elapsed = (now - self.refilled).as_nanos().clamp(0, NANOS_PER_SEC);
         let flow = elapsed * bytes_per_s;
-        self.left_bytes = (self.left_bytes + flow / NANOS_PER_SEC).min(burst(bytes_per_s));
+        self.left_bytes = (self.left_bytes + flow / NANOS_PER_SEC).min(most_bytes);
         // The rest of a byte counts the next time.
         self.refilled = now - TimeDelta::from_nanos(flow % NANOS_PER_SEC / bytes_per_s);
     }
@@ -101,7 +105,7 @@ impl UdpPeerTable {
         let id = PeerId(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
         let now = last_seen.unwrap_or(Timestamp::ZERO);
-        let own = Budget::full(own_bytes_per_s(standing), now);
+        let own = Budget::full(OWN_BURST_BYTES, now);
         self.by_address.insert(address, UdpPeer { id, standing, own, loud: Budget::full(0, now), last_seen });
         self.by_id.insert(id, address);
     }
@@ -136,7 +140,7 @@ impl UdpPeerTable {
         }
         let peer = self.by_address.get_mut(&address)?;
         let cost = length as i64 + DATAGRAM_COST;
-        peer.own.left_bytes = (peer.own.left_bytes - cost).max(-burst(CALM_BYTES_PER_S));
+        peer.own.left_bytes = (peer.own.left_bytes - cost).max(-OWN_BURST_BYTES);
         peer.loud.left_bytes -= cost;
         Some((peer.id, peer.standing))
     }
@@ -146,28 +150,29 @@ impl UdpPeerTable {
         let Some(peer) = self.by_address.get_mut(&address) else {
             return true;
         };
-        peer.own.refill(own_bytes_per_s(peer.standing), now);
+        peer.own.refill(own_bytes_per_s(peer.standing), OWN_BURST_BYTES, now);
         match peer.standing {
             PeerStanding::Stranger => peer.own.left_bytes > 0,
             PeerStanding::Calm => {
                 if peer.own.left_bytes <= 0 {
                     peer.standing = PeerStanding::Loud;
                     self.loud_count += 1;
-                    peer.loud = Budget::full(LOUD_BYTES_PER_S / self.loud_count, now);
+                    peer.loud = Budget::full(burst(LOUD_BYTES_PER_S / self.loud_count), now);
                 }
                 true
             }
-            PeerStanding::Loud if peer.own.left_bytes >= burst(CALM_BYTES_PER_S) => {
+            PeerStanding::Loud if peer.own.left_bytes >= OWN_BURST_BYTES => {
                 peer.standing = PeerStanding::Calm;
                 self.loud_count -= 1;
                 true
             }
             PeerStanding::Loud => {
-                peer.loud.refill(LOUD_BYTES_PER_S / self.loud_count.max(1), now);
+                let share = LOUD_BYTES_PER_S / self.loud_count.max(1);
+                peer.loud.refill(share, burst(share), now);
                 let is_left = peer.loud.left_bytes > 0;
                 if !is_left {
                     // What is cut counts, too: else it would seem calm.
-                    peer.own.left_bytes = -burst(CALM_BYTES_PER_S);
+                    peer.own.left_bytes = -OWN_BURST_BYTES;
                 }
                 is_left
             }
@@ -180,7 +185,7 @@ impl UdpPeerTable {
             && peer.standing == PeerStanding::Stranger
         {
             peer.standing = PeerStanding::Calm;
-            peer.own.left_bytes = burst(CALM_BYTES_PER_S);
+            peer.own.left_bytes = OWN_BURST_BYTES;
         }
     }
 
@@ -377,9 +382,9 @@ mod tests {
             assert!((40_000..46_000).contains(&count), "{count}");
             assert_eq!(standing, Some(PeerStanding::Loud));
         }
-        // A stranger gets a hundred a second.
+        // A stranger gets five hundred at once and a hundred a second.
         for (count, standing) in delivered(&mut table(), &[1, 2], 10_000) {
-            assert!((1_000..1_100).contains(&count), "{count}");
+            assert!((1_500..1_550).contains(&count), "{count}");
             assert_eq!(standing, Some(PeerStanding::Stranger));
         }
     }
