@@ -6,9 +6,7 @@ import { age, bytes, count, fixed } from '../view/format.js';
 
 const FACTS = [
   ['in', (link) => `${bytes(link.bytes_in_per_s)}/s, ${fixed(link.frames_in_per_s, 0)} frames/s`],
-  ['lost', (link) => count(link.lost)],
-  ['lost in the system', (link) => count(link.kernel_drops)],
-  ['cut of floods', (link) => count(link.flood_drops)],
+  ['lost', losses],
   ['checksum errors', (link) => count(link.checksum_errors)],
   ['garbage', (link) => bytes(link.garbage_bytes)],
   ['stalls', (link) => count(link.stalls)],
@@ -81,4 +79,12 @@ function factList(name, facts) {
     if (card.classList.contains('stale') !== old_s > 0) card.classList.toggle('stale', old_s > 0);
   };
   return { card, title, showState, show };
+}
+
+// Lost frames, and datagrams that were dropped before they were read, if there are any.
+function losses(link) {
+  const parts = [count(link.lost)];
+  if (link.kernel_drops > 0) parts.push(`${count(link.kernel_drops)} datagrams in the system`);
+  if (link.flood_drops > 0) parts.push(`${count(link.flood_drops)} cut of floods`);
+  return parts.join(', ');
 }
