@@ -35,6 +35,8 @@ pub(super) struct UdpPeerTable {
     by_id: BTreeMap<PeerId, SocketAddr>,
     next_id: u32,
     loud_count: i64,
+    /// What strangers share beyond their own budgets.
+    strangers: Budget,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,8 +58,10 @@ struct UdpPeer {
     last_seen: Option<Timestamp<HostClock>>,
 }
 
-/// What any peer may send at once of its own budget. A stranger may be a robot that was forgotten while its Wi-Fi was away.
-const OWN_BURST_BYTES: i64 = burst(CALM_BYTES_PER_S);
+const CALM_BURST_BYTES: i64 = burst(CALM_BYTES_PER_S);
+/// All strangers together, beyond their own: one may be a robot that was forgotten while its Wi-Fi was away, with its backlog.
+const STRANGERS_BYTES_PER_S: i64 = 125_000;
+const STRANGERS_BURST_BYTES: i64 = 125_000;
 
 /// A token bucket.
 struct Budget {
@@ -94,6 +98,7 @@ impl UdpPeerTable {
             by_id: BTreeMap::new(),
             next_id: 0,
             loud_count: 0,
+            strangers: Budget::full(STRANGERS_BURST_BYTES, Timestamp::ZERO),
         };
         if let Some(address) = named {
             peers.insert(address, PeerStanding::Calm, None);
@@ -105,7 +110,7 @@ impl UdpPeerTable {
         let id = PeerId(self.next_id);
         self.next_id = self.next_id.wrapping_add(1);
         let now = last_seen.unwrap_or(Timestamp::ZERO);
-        let own = Budget::full(OWN_BURST_BYTES, now);
+        let own = Budget::full(burst(own_bytes_per_s(standing)), now);
         self.by_address.insert(address, UdpPeer { id, standing, own, loud: Budget::full(0, now), last_seen });
         self.by_id.insert(id, address);
     }
@@ -140,7 +145,11 @@ impl UdpPeerTable {
         }
         let peer = self.by_address.get_mut(&address)?;
         let cost = length as i64 + DATAGRAM_COST;
-        peer.own.left_bytes = (peer.own.left_bytes - cost).max(-OWN_BURST_BYTES);
+        if peer.standing == PeerStanding::Stranger && peer.own.left_bytes <= 0 {
+            self.strangers.left_bytes -= cost;
+            return Some((peer.id, peer.standing));
+        }
+        peer.own.left_bytes = (peer.own.left_bytes - cost).max(-CALM_BURST_BYTES);
         peer.loud.left_bytes -= cost;
         Some((peer.id, peer.standing))
     }
@@ -150,9 +159,13 @@ impl UdpPeerTable {
         let Some(peer) = self.by_address.get_mut(&address) else {
             return true;
         };
-        peer.own.refill(own_bytes_per_s(peer.standing), OWN_BURST_BYTES, now);
+        let own_bytes_per_s = own_bytes_per_s(peer.standing);
+        peer.own.refill(own_bytes_per_s, burst(own_bytes_per_s), now);
         match peer.standing {
-            PeerStanding::Stranger => peer.own.left_bytes > 0,
+            PeerStanding::Stranger => {
+                self.strangers.refill(STRANGERS_BYTES_PER_S, STRANGERS_BURST_BYTES, now);
+                peer.own.left_bytes > 0 || self.strangers.left_bytes > 0
+            }
             PeerStanding::Calm => {
                 if peer.own.left_bytes <= 0 {
                     peer.standing = PeerStanding::Loud;
@@ -161,7 +174,7 @@ impl UdpPeerTable {
                 }
                 true
             }
-            PeerStanding::Loud if peer.own.left_bytes >= OWN_BURST_BYTES => {
+            PeerStanding::Loud if peer.own.left_bytes >= CALM_BURST_BYTES => {
                 peer.standing = PeerStanding::Calm;
                 self.loud_count -= 1;
                 true
@@ -172,7 +185,7 @@ impl UdpPeerTable {
                 let is_left = peer.loud.left_bytes > 0;
                 if !is_left {
                     // What is cut counts, too: else it would seem calm.
-                    peer.own.left_bytes = -OWN_BURST_BYTES;
+                    peer.own.left_bytes = -CALM_BURST_BYTES;
                 }
                 is_left
             }
@@ -185,7 +198,7 @@ impl UdpPeerTable {
             && peer.standing == PeerStanding::Stranger
         {
             peer.standing = PeerStanding::Calm;
-            peer.own.left_bytes = OWN_BURST_BYTES;
+            peer.own.left_bytes = CALM_BURST_BYTES;
         }
     }
 
@@ -382,11 +395,11 @@ mod tests {
             assert!((40_000..46_000).contains(&count), "{count}");
             assert_eq!(standing, Some(PeerStanding::Loud));
         }
-        // A stranger gets five hundred at once and a hundred a second.
-        for (count, standing) in delivered(&mut table(), &[1, 2], 10_000) {
-            assert!((1_500..1_550).contains(&count), "{count}");
-            assert_eq!(standing, Some(PeerStanding::Stranger));
-        }
+        // Strangers get a hundred a second each, and together five hundred more at once and a second.
+        let strangers = delivered(&mut table(), &[1, 2], 10_000);
+        let total: usize = strangers.iter().map(|(count, _)| count).sum();
+        assert!((7_500..7_600).contains(&total), "{total}");
+        assert!(strangers.iter().all(|(count, standing)| *count > 1_000 && *standing == Some(PeerStanding::Stranger)));
     }
 
     #[test]

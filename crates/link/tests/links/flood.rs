@@ -140,8 +140,8 @@ async fn of_a_stranger_a_part_is_read_and_a_robot_goes_first() {
     robot.send_to(b"more", address).expect("loopback");
     assert_eq!(next_bytes(&mut station).await, (peer, b"more".to_vec()));
     let counts = station.port_counts();
-    // About 609 are its first burst.
-    assert!((350..=391).contains(&counts.flood_drops), "{counts:?}");
+    // Twenty-five of its own, five hundred that all strangers share.
+    assert!((300..=360).contains(&counts.flood_drops), "{counts:?}");
     assert_eq!(counts.kernel_drops, 0);
 }
 
