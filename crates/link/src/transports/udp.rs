@@ -38,7 +38,7 @@ use crate::transports::udp_socket::{
 const DRAIN_LIMIT: usize = 256;
 /// Datagrams read in search of one that goes first, before one of a loud peer or a stranger is delivered: about two milliseconds.
 const SEARCH_LIMIT: usize = 2048;
-/// Most datagrams of loud peers and strangers that wait, besides the first of each.
+/// Datagrams of loud peers and strangers that wait before some are dropped; four times as many wait at most, besides the first of each.
 const MAX_UNHURRIED: usize = 1024;
 /// Copies of a frame for many peers that are sent before the next datagram is read: 500 of them at once would delay the robots by
 /// milliseconds.
@@ -124,6 +124,14 @@ impl FairInbox {
         let queue = self.by_peer.remove(&peer).unwrap_or_default();
         self.count -= queue.len();
         queue
+    }
+
+    /// Whether a peer's next datagram has no place: at the limit those have none of whom more than of the others waits, at four times the limit none
+    /// has one of whom any waits.
+    fn is_full_for(&self, peer: PeerId) -> bool {
+        let waiting = self.by_peer.get(&peer).map_or(0, VecDeque::len);
+        let is_above_average = waiting * self.by_peer.len() > self.count;
+        waiting > 0 && (self.count >= 4 * MAX_UNHURRIED || self.count >= MAX_UNHURRIED && is_above_average)
     }
 
     /// The oldest datagram of the next peer in turn.
@@ -443,8 +451,7 @@ impl UdpConnection {
             return Arrival::Kept(standing);
         }
         // A peer's first datagram is never dropped: the station learns of peers in the order of their numbers.
-        let is_full = self.unhurried.count >= MAX_UNHURRIED && self.unhurried.by_peer.contains_key(&peer);
-        if standing != PeerStanding::Calm && is_full {
+        if standing != PeerStanding::Calm && self.unhurried.is_full_for(peer) {
             self.flood_drops += 1;
             return Arrival::Kept(standing);
         }
