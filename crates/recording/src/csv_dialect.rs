@@ -369,6 +369,7 @@ mod tests {
             (Some("t,x"), &["0,1,5", "1,2,5"][..], 2, "3 fields for 2 columns: commas are the delimiter and"),
             (Some("t,x"), &["0,1", "1,2,5", "2,3"], 3, "3 fields for 2 columns"),
             (Some("t,x,"), &["0,1,5"], 2, "3 fields for 2 columns"),
+            (Some("t,x"), &["0,1.5", "1,2,5", "2,3,5"], 3, "3 fields for 2 columns"),
             (Some("t;x"), &["0;1", "1;1,234"], 3, "may be 1.234 or 1234"),
             (Some("t;x"), &["0;1,234,567"], 2, "may be 1.234 or 1234"),
             (Some("t;x"), &["0;1.234,5"], 2, "may be 1.234 or 1234"),
