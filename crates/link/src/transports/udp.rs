@@ -39,7 +39,7 @@ const DRAIN_LIMIT: usize = 256;
 /// Datagrams read in search of one that goes first, before one of a loud peer or a stranger is delivered: about two milliseconds.
 const SEARCH_LIMIT: usize = 2048;
 /// Datagrams of loud peers and strangers that wait before some are dropped; four times as many wait at most, besides the first of each.
-const MAX_UNHURRIED: usize = 1024;
+const MAX_LOW_PRIORITY: usize = 1024;
 /// Copies of a frame for many peers that are sent before the next datagram is read: 500 of them at once would delay the robots by
 /// milliseconds.
 const COPIES_AT_ONCE: usize = 16;
@@ -97,7 +97,7 @@ async fn bind_or_connect(request: &OpenRequest) -> Result<Box<dyn Connection>, O
         broadcasts: VecDeque::new(),
         meter: CapacityMeter::default(),
         inbox: FairInbox::default(),
-        unhurried: FairInbox::default(),
+        low_priority: FairInbox::default(),
         kernel_drops: 0,
         flood_drops: 0,
         was_idle: true,
@@ -126,12 +126,12 @@ impl FairInbox {
         queue
     }
 
-    /// Whether a peer's next datagram has no place: at the limit those have none of whom more than of the others waits, at four times the limit none
-    /// has one of whom any waits.
+    /// Whether the peer's next datagram is dropped. Above the limit a peer with more than the average waiting is refused; above four
+    /// times the limit, every peer with one waiting.
     fn is_full_for(&self, peer: PeerId) -> bool {
         let waiting = self.by_peer.get(&peer).map_or(0, VecDeque::len);
         let is_above_average = waiting * self.by_peer.len() > self.count;
-        waiting > 0 && (self.count >= 4 * MAX_UNHURRIED || self.count >= MAX_UNHURRIED && is_above_average)
+        waiting > 0 && (self.count >= 4 * MAX_LOW_PRIORITY || self.count >= MAX_LOW_PRIORITY && is_above_average)
     }
 
     /// The oldest datagram of the next peer in turn.
@@ -184,7 +184,7 @@ struct UdpConnection {
     meter: CapacityMeter,
     inbox: FairInbox,
     /// Of loud peers and strangers: delivered while nothing else waits.
-    unhurried: FairInbox,
+    low_priority: FairInbox,
     /// Not reported yet.
     kernel_drops: u64,
     flood_drops: u64,
@@ -295,8 +295,8 @@ impl UdpConnection {
     }
 
     /// The next datagram of a loud peer or a stranger, or one of another peer that has come meanwhile.
-    fn pop_unhurried(&mut self) -> Option<ReceivedBytes> {
-        if self.unhurried.count == 0 {
+    fn pop_low_priority(&mut self) -> Option<ReceivedBytes> {
+        if self.low_priority.count == 0 {
             return None;
         }
         for _ in 0..SEARCH_LIMIT {
@@ -307,7 +307,7 @@ impl UdpConnection {
                 break;
             }
         }
-        self.inbox.pop().or_else(|| self.unhurried.pop())
+        self.inbox.pop().or_else(|| self.low_priority.pop())
     }
 
     fn accept_shared(&mut self, length: usize, from: SocketAddr) {
@@ -340,7 +340,7 @@ impl UdpConnection {
 
     fn poll_receive(&mut self, cx: &mut Context<'_>) -> Poll<Result<Option<ReceivedBytes>, LinkError>> {
         loop {
-            if let Some(incoming) = self.inbox.pop().or_else(|| self.pop_unhurried()) {
+            if let Some(incoming) = self.inbox.pop().or_else(|| self.pop_low_priority()) {
                 return Poll::Ready(Ok(Some(incoming)));
             }
             if let Some(error) = self.loss.take() {
@@ -364,7 +364,7 @@ impl UdpConnection {
                 Poll::Pending => {}
             }
             let is_busy = self.drain_busy_peers(cx);
-            if self.inbox.count + self.unhurried.count > 0 || self.loss.is_some() {
+            if self.inbox.count + self.low_priority.count > 0 || self.loss.is_some() {
                 continue;
             }
             if !is_busy && common.is_pending() {
@@ -431,8 +431,8 @@ impl UdpConnection {
     }
 
     /// What waits of a peer is not overtaken by what comes after.
-    fn hurry(&mut self, peer: PeerId) {
-        for waiting in self.unhurried.take_all(peer) {
+    fn promote(&mut self, peer: PeerId) {
+        for waiting in self.low_priority.take_all(peer) {
             self.inbox.push(waiting);
         }
     }
@@ -451,7 +451,7 @@ impl UdpConnection {
             return Arrival::Kept(standing);
         }
         // A peer's first datagram is never dropped: the station learns of peers in the order of their numbers.
-        if standing != PeerStanding::Calm && self.unhurried.is_full_for(peer) {
+        if standing != PeerStanding::Calm && self.low_priority.is_full_for(peer) {
             self.flood_drops += 1;
             return Arrival::Kept(standing);
         }
@@ -459,11 +459,11 @@ impl UdpConnection {
         let incoming = ReceivedBytes { peer, arrival, bytes };
         match standing {
             PeerStanding::Calm => {
-                self.hurry(peer);
+                self.promote(peer);
                 Arrival::Prompt(incoming)
             }
             PeerStanding::Loud | PeerStanding::Stranger => {
-                self.unhurried.push(incoming);
+                self.low_priority.push(incoming);
                 Arrival::Kept(standing)
             }
         }
@@ -489,7 +489,7 @@ impl Connection for UdpConnection {
 
     fn admit(&mut self, peer: PeerId) {
         self.peers.admit(peer);
-        self.hurry(peer);
+        self.promote(peer);
     }
 
     fn send(&mut self, out: &OutgoingFrame<'_>, counters: &mut LinkCounters) {
