@@ -100,6 +100,7 @@ test('the whole run is there from its first second, by a button', async () => {
 });
 
 test('a drag in one chart is the span of all, until a double click', async () => {
+  await pointing('innovations', 0.25, /^1:4[678]\.\d/);
   const { x, y, width, height } = await overChart('innovations', 1).boundingBox();
   await page.mouse.move(x + 0.25 * width, y + height / 2);
   await page.mouse.down();
