@@ -1,6 +1,8 @@
 //! Console output: messages on stderr, results on stdout, progress bars.
-//! Errors of writing to stderr are ignored, and while a station runs nobody waits for it ([`crate::stderr_writer`]). While the terminal view owns the screen, messages go to its event panel
-//! ([`redirect_stderr`]). They are also retained and printed when the screen is restored, so that no message is lost with it.
+//!
+//! Errors of writing to stderr are ignored, and while a station runs nobody waits for it ([`crate::stderr_writer`]). While the
+//! terminal view owns the screen, messages go to its event panel ([`redirect_stderr`]). They are also retained and printed when the
+//! screen is restored, so that no message is lost with it.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;

@@ -15,6 +15,7 @@ use super::writer_thread::WriterThread;
 
 /// Batches queued for the disk before further ones are dropped and counted: 16 s of a robot that sends a thousand times a second.
 const QUEUE_CAPACITY: usize = 16_384;
+
 pub struct EventFileWriter {
     path: PathBuf,
     batches: Sender<Arc<[Event]>>,

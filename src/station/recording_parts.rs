@@ -1,6 +1,7 @@
 //! The files of a recording: consecutive parts, each readable by itself.
-//! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, syncs the disk every five seconds and at the end of each part, and once a second checks that the file exists,
-//! that the disk has space, and whether the part is large or old enough.
+//! It has no thread and no queue, for tests. It flushes 600 ms after the last flush, and syncs the disk every five seconds and at
+//! the end of each part. Once a second it checks that the file exists, that the disk has space, and whether the part is large or
+//! old enough.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt as _;

@@ -64,9 +64,7 @@ impl LossAlarm {
         self.reported = Some(now);
         Some(format!("lost {lost} of {all} frames in a second: let the robot send less often, or bring it nearer"))
     }
-}
 
-impl LossAlarm {
     /// Says how many datagrams the system has dropped since the last report of the link; `None` if there are none, or if it was said lately.
     pub(crate) fn observe_kernel(&mut self, now: Timestamp<HostClock>, kernel_drops: u64) -> Option<String> {
         let dropped = kernel_drops.saturating_sub(self.kernel_drops);

@@ -68,15 +68,15 @@ impl MissingObservation {
 }
 
 impl Estimate {
-    /// Whether the pose counts from where the robot was when its motion was first observed, and not in the arena: until an
-    /// absolute observation, or a pose that was given. The covariance is that of the motion since then.
-    /// Whether all of its numbers are.
+    /// Whether pose, speeds and covariance are finite.
     pub fn is_finite(&self) -> bool {
         let Self { pose, forward_speed, turn_rate, covariance, .. } = self;
         let numbers = [pose.x.0, pose.y.0, pose.heading.rad(), forward_speed.0, turn_rate.0];
         numbers.iter().chain(covariance.as_flattened()).all(|number| number.is_finite())
     }
 
+    /// Whether the pose counts from where the robot was when its motion was first observed, and not in the arena: until an
+    /// absolute observation, or a pose that was given. The covariance is that of the motion since then.
     pub const fn is_relative(&self) -> bool {
         !self.validity.position
     }

@@ -61,15 +61,15 @@ impl ObservationColumns {
 
 impl ObservationList {
     pub(super) fn push(&mut self, timed: &TimedObservation) {
-        let TimedObservation { arrival, mut observation } = *timed;
+        let TimedObservation { arrival, observation } = *timed;
         let mut numbers = Vec::with_capacity(MAX_NUMBERS);
         let mut template = Observation { stamp: Timestamp::ZERO, ..observation };
         exchange_numbers(&mut template.measurement, &mut |number| {
             numbers.push(number);
             0.0
         });
-        observation.stamp = timed.observation.stamp;
         if self.columns.last().is_none_or(|columns| columns.template != template) {
+            self.bytes += size_of::<ObservationColumns>() as u64;
             self.columns.push(ObservationColumns {
                 template,
                 numbers_per_row: numbers.len(),
@@ -89,7 +89,7 @@ impl ObservationList {
         self.columns.iter_mut().for_each(ObservationColumns::sort);
     }
 
-    /// Memory of the numbers.
+    /// Memory that they take.
     pub(super) const fn bytes(&self) -> u64 {
         self.bytes
     }
