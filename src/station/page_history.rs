@@ -166,7 +166,7 @@ pub fn station_status(station: &Station, recorder: Option<&Recorder>) -> Station
         robots: station.robots().iter().map(robot_status).collect(),
         parameters: PARAMS
             .iter()
-            .map(|row| ParameterValue { name: row.key.to_owned(), value: (row.read)(params) })
+            .map(|row| ParameterValue { name: row.key.into(), value: (row.read)(params) })
             .collect(),
         recording: name.map(|name| name.to_string_lossy().into_owned()),
         switched_off: station.first_robot().switched_off().map(|sensor| sensor.0).collect(),
@@ -190,10 +190,10 @@ fn calibration_rows(learned: &Calibration) -> Vec<CalibrationRow> {
     // What is taken as zero for certain was not learned, and nobody set it.
     let rows = learnable_keys().map(|row| (row, (row.read)(learned)));
     let rows = rows.filter(|(_, known)| known.sigma > 0.0 || known.value != 0.0).map(|(row, known)| CalibrationRow {
-        name: row.key.to_owned(),
+        name: row.key.into(),
         value: known.value,
         sigma: known.sigma,
-        unit: unit_of(row.key).to_owned(),
+        unit: unit_of(row.key).into(),
         ..CalibrationRow::default()
     });
     rows.collect()

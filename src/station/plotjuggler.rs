@@ -113,7 +113,7 @@ const FUSION: &[PlotField<FusionPoint>] = &[
     field("nis", "normalised innovation squared; absent where nothing was predicted", |of| of.nis.into()),
     field("degrees_of_freedom", "of the NIS: its mean, if the filter is honest", |of| Value::Count(of.dof.into())),
     field("is_used", "1 when the observation was used, 0 when it was gated, too old or not wanted", |of| {
-        Value::Count(matches!(of.verdict.as_str(), "accepted" | "slip" | "reset to").into())
+        Value::Count(matches!(&*of.verdict, "accepted" | "slip" | "reset to").into())
     }),
     field("lag_s", "how far behind the filter's time it was", |of| of.lag_s.into()),
 ];
@@ -406,13 +406,13 @@ mod tests {
                 }],
                 fusion: vec![FusionPoint {
                     t_s: 1.25,
-                    sensor: "camera".to_owned(),
-                    kind: "fix".to_owned(),
-                    verdict: "gated".to_owned(),
+                    sensor: "camera".into(),
+                    kind: "fix".into(),
+                    verdict: "gated".into(),
                     nis: 20.0.into(),
                     dof: 2,
-                    innovation: vec![0.5.into(), (-0.25).into()],
-                    sigma: vec![0.125.into(), f64::INFINITY.into()],
+                    innovation: [0.5.into(), (-0.25).into()].into_iter().collect(),
+                    sigma: [0.125.into(), f64::INFINITY.into()].into_iter().collect(),
                     ..FusionPoint::default()
                 }],
                 ..RobotFrame::default()

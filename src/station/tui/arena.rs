@@ -189,7 +189,7 @@ fn ellipse_of(estimate: &EstimatePoint) -> Option<Vec<MapPoint>> {
 
 fn mark_of(fix: &FixPoint) -> (&'static str, StyleRole) {
     let is_late = fix.lag_s.get().is_some_and(|lag_s| lag_s >= LATE_FROM_S);
-    match fix.verdict.as_str() {
+    match &*fix.verdict {
         "accepted" if is_late => ("◇", StyleRole::Late),
         "accepted" => ("+", StyleRole::Good),
         "gated" => ("x", StyleRole::Bad),
@@ -252,8 +252,8 @@ mod tests {
 
     #[test]
     fn late_and_refused_fixes_have_marks_of_their_own() {
-        let fix = |verdict: &str, lag_s: f64| FixPoint {
-            verdict: verdict.to_owned(),
+        let fix = |verdict: &'static str, lag_s: f64| FixPoint {
+            verdict: verdict.into(),
             lag_s: lag_s.into(),
             ..FixPoint::default()
         };

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SetupRow, SimulatorFacts, TruthPoint,
+    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SetupRow, SimulatorFacts, TruthPoint, Word,
 };
 use posebridge_telemetry::severity::NOTICE;
 
@@ -175,7 +175,7 @@ pub struct Robot {
     /// The last estimate of a filter of one quantity.
     pub quantity: Option<QuantityPoint>,
     /// What became of its last reading.
-    pub reading_verdict: String,
+    pub reading_verdict: Word,
     pub fixes: RecentPoints<FixPoint>,
     /// Empty unless it is one of several simulated robots.
     pub truth: RecentPoints<TruthPoint>,
@@ -184,7 +184,7 @@ pub struct Robot {
     pub compared: BTreeMap<String, RecentPoints<ComparedPoint>>,
     /// All filters, the one that sends first; empty while none are compared.
     pub comparison: Vec<ComparisonRow>,
-    pub sources: BTreeMap<String, SourceModel>,
+    pub sources: BTreeMap<Word, SourceModel>,
     pub calibration: Vec<CalibrationRow>,
 }
 
@@ -195,8 +195,8 @@ pub struct SourceModel {
     /// Mean NIS per degree of freedom of the latest; `None` where nothing was predicted.
     pub nis: Option<f64>,
     /// What the latest say of the filter.
-    pub consistency: String,
-    pub last_verdict: String,
+    pub consistency: Word,
+    pub last_verdict: Word,
 }
 
 impl Robot {

@@ -206,14 +206,14 @@ fn truncate(name: &str, columns: usize) -> String {
 
 fn source_row(name: String, source: &SourceModel, theme: Theme) -> Row<'static> {
     let nis = source.nis.map_or_else(|| "–".to_owned(), four_digits);
-    let role = match source.consistency.as_str() {
+    let role = match source.consistency.as_ref() {
         "consistent" => StyleRole::Good,
         "over-confident" => StyleRole::Bad,
         "under-confident" => StyleRole::Late,
         _ => StyleRole::Quiet,
     };
     let right = |text: String| Cell::from(Text::from(text).right_aligned());
-    let last_role = match source.last_verdict.as_str() {
+    let last_role = match source.last_verdict.as_ref() {
         "accepted" | "unused" => StyleRole::Quiet,
         _ => StyleRole::Bad,
     };

@@ -59,11 +59,11 @@ fn truth() -> Vec<TruthPoint> {
 }
 
 fn records() -> Vec<FusionPoint> {
-    let record = |step: u32, sensor: &str, verdict: &str, nis: f64| FusionPoint {
+    let record = |step: u32, sensor: &'static str, verdict: &'static str, nis: f64| FusionPoint {
         t_s: f64::from(step) * 0.05,
-        sensor: sensor.to_owned(),
-        kind: sensor.to_owned(),
-        verdict: verdict.to_owned(),
+        sensor: sensor.into(),
+        kind: sensor.into(),
+        verdict: verdict.into(),
         nis: nis.into(),
         dof: u8::from(nis.is_finite()),
         ..FusionPoint::default()
@@ -84,7 +84,7 @@ fn fixes() -> Vec<FixPoint> {
         t_s: 9.0,
         x_m: (x_m * 0.9).into(),
         y_m: (y_m * 0.9).into(),
-        verdict: verdict.to_owned(),
+        verdict: verdict.into(),
         lag_s: 0.1.into(),
         ..FixPoint::default()
     });
@@ -108,12 +108,12 @@ fn links() -> Vec<LinkRow> {
 }
 
 fn calibration() -> Vec<CalibrationRow> {
-    let row = |name: &str, value: f64, sigma: f64| CalibrationRow {
+    let row = |name: &'static str, value: f64, sigma: f64| CalibrationRow {
         t_s: 9.9,
-        name: name.to_owned(),
+        name: name.into(),
         value,
         sigma,
-        unit: String::new(),
+        unit: "".into(),
     };
     vec![row("radius_scale", 0.0056, 0.0025), row("gyro_bias_rad_per_s", -0.013, 0.0009), row("fix_delay_s", 0.0, 0.0)]
 }
@@ -257,10 +257,10 @@ fn no_size_is_too_small_or_too_large() {
 #[test]
 fn a_filter_of_one_quantity_has_its_estimate_and_its_steps_in_the_panel_of_the_pose() {
     let mut model = Model::new(None);
-    let point = |t_s, verdict: &str, predicted| QuantityPoint {
+    let point = |t_s, verdict: &'static str, predicted| QuantityPoint {
         t_s,
-        verdict: verdict.to_owned(),
-        unit: "m".to_owned(),
+        verdict: verdict.into(),
+        unit: "m".into(),
         estimate: 1.5.into(),
         bound_95: 0.04.into(),
         rate_per_s: (-0.25).into(),
@@ -354,7 +354,7 @@ fn what_comes_is_bounded() {
     for index in 0..200 {
         let mut one = frame();
         one.robots[0].id = format!("0/{index}/1");
-        one.robots[0].fusion[0].sensor = format!("sensor {index}");
+        one.robots[0].fusion[0].sensor = format!("sensor {index}").into();
         model.on_frame(&one);
         model.push_message("one\ntwo");
     }
@@ -364,7 +364,7 @@ fn what_comes_is_bounded() {
     many.robots.truncate(1);
     let record = many.robots[0].fusion[0].clone();
     many.robots[0].fusion =
-        (0..100).map(|index| FusionPoint { sensor: format!("sensor {index}"), ..record.clone() }).collect();
+        (0..100).map(|index| FusionPoint { sensor: format!("sensor {index}").into(), ..record.clone() }).collect();
     let mut model = Model::default();
     model.on_frame(&many);
     assert_eq!(model.robots[0].sources.len(), 32);

@@ -1,8 +1,15 @@
 //! The updates since the last message, and the history for a new reader: both have this shape.
 
+use std::borrow::Cow;
+
 use posebridge_telemetry::{HostClock, Timestamp};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
+
+/// A word of the program itself. Points of a history borrow it: as strings of their own, thousands of small blocks would come and go
+/// in every minute of a session, and the memory would go on growing by the gaps between them.
+pub type Word = Cow<'static, str>;
 
 /// What is new.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
@@ -199,13 +206,13 @@ pub struct QuantityPoint {
     /// The name of the thermometer; empty for the quantity of the robot's own filter.
     pub name: String,
     /// The kind of its readings: `wall_range` or `temperature`.
-    pub kind: String,
+    pub kind: Word,
     /// The unit of reading, estimate and bound; the rate is per second.
-    pub unit: String,
+    pub unit: Word,
     /// The reading; `null` where the filter predicted without one.
     pub reading: Number,
     /// What became of the reading; empty without one.
-    pub verdict: String,
+    pub verdict: Word,
     /// The estimate, of a thermometer the value that it will show in the end; `null` while the readings do not tell it.
     pub estimate: Number,
     /// Half the width of the interval around the estimate that holds the quantity with 95 %.
@@ -269,9 +276,9 @@ pub struct FixPoint {
     /// Heading, if the camera measures it.
     pub heading_rad: Number,
     /// The camera's name.
-    pub sensor: String,
+    pub sensor: Word,
     /// What became of it: accepted, gated, too old, malformed, reset to, unused.
-    pub verdict: String,
+    pub verdict: Word,
     /// How far behind the filter's time it was.
     pub lag_s: Number,
 }
@@ -283,11 +290,11 @@ pub struct FusionPoint {
     /// When it was used, in seconds of the session.
     pub t_s: f64,
     /// The sensor's name.
-    pub sensor: String,
+    pub sensor: Word,
     /// The kind of observation.
-    pub kind: String,
+    pub kind: Word,
     /// What became of it.
-    pub verdict: String,
+    pub verdict: Word,
     /// How far behind the filter's time it was.
     pub lag_s: Number,
     /// Normalised innovation squared; `null` where nothing was predicted.
@@ -295,9 +302,9 @@ pub struct FusionPoint {
     /// Its degrees of freedom.
     pub dof: u8,
     /// Observed minus predicted, SI units, one number per degree of freedom.
-    pub innovation: Vec<Number>,
+    pub innovation: SmallVec<[Number; 3]>,
     /// One standard deviation of each.
-    pub sigma: Vec<Number>,
+    pub sigma: SmallVec<[Number; 3]>,
 }
 
 /// An estimate against the truth of its own instant, by the robot's clock.
@@ -321,9 +328,9 @@ pub struct TallyPoint {
     /// That instant, in seconds of the session.
     pub t_s: f64,
     /// The sensor's name.
-    pub sensor: String,
+    pub sensor: Word,
     /// The kind of observation.
-    pub kind: String,
+    pub kind: Word,
     /// Number that came.
     pub seen: u64,
     /// Number of them that were gated.
@@ -333,7 +340,7 @@ pub struct TallyPoint {
     /// Mean normalised innovation squared per degree of freedom of the last 200 used ones; `null` where nothing was predicted.
     pub nis: Number,
     /// What these say of the filter: `too little data`, `consistent`, `over-confident` or `under-confident`.
-    pub consistency: String,
+    pub consistency: Word,
 }
 
 /// A step of setting up a robot.
@@ -359,13 +366,13 @@ pub struct CalibrationRow {
     /// When it stood so, in seconds of the session.
     pub t_s: f64,
     /// Its key in `[robot.calibration]`.
-    pub name: String,
+    pub name: Word,
     /// The number.
     pub value: f64,
     /// One standard deviation.
     pub sigma: f64,
     /// Its unit, empty for a ratio.
-    pub unit: String,
+    pub unit: Word,
 }
 
 /// Where a simulated robot really was.

@@ -6,7 +6,7 @@ pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
     LinkRow, LogLine, Number, OdometryPoint, ParameterValue, QuantityPoint, RecordingNow, RobotFrame, ScorePoint,
-    SetupRow, SimulatorNow, TallyPoint, TruthPoint,
+    SetupRow, SimulatorNow, TallyPoint, TruthPoint, Word,
 };
 
 use schemars::JsonSchema;

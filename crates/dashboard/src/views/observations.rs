@@ -46,8 +46,8 @@ pub(super) fn fixes(config: &ViewConfig) -> SeriesView<PendingFixes, (), FixPoin
                 x_m: fix.position.x.0.into(),
                 y_m: fix.position.y.0.into(),
                 heading_rad: fix.heading.map_or(f64::NAN, Heading::rad).into(),
-                sensor: record.sensor.name().to_owned(),
-                verdict: record.outcome.reason().to_owned(),
+                sensor: record.sensor.name().into(),
+                verdict: record.outcome.reason().into(),
                 lag_s: record.lag.as_secs_f64().into(),
             };
             Some(((*robot, ()), point, priority_of(record.outcome)))
@@ -108,9 +108,9 @@ fn fusion_point(now: Timestamp<HostClock>, record: &FusionRecord) -> FusionPoint
     let nis = if used == 0 { f64::NAN } else { record.nis };
     FusionPoint {
         t_s: seconds_of(now),
-        sensor: record.sensor.name().to_owned(),
-        kind: record.kind.to_owned(),
-        verdict: record.outcome.reason().to_owned(),
+        sensor: record.sensor.name().into(),
+        kind: record.kind.into(),
+        verdict: record.outcome.reason().into(),
         lag_s: record.lag.as_secs_f64().into(),
         nis: nis.into(),
         dof: record.degrees_of_freedom,
@@ -219,12 +219,12 @@ fn tally_point(at: Timestamp<HostClock>, sensor: SensorId, kind: &'static str, t
     let verdict = tally.recent.verdict();
     TallyPoint {
         t_s: seconds_of(at),
-        sensor: sensor.name().to_owned(),
-        kind: kind.to_owned(),
+        sensor: sensor.name().into(),
+        kind: kind.into(),
         seen: tally.seen,
         gated: tally.gated,
         late: tally.late,
         nis: verdict.mean_nis_per_dof.unwrap_or(f64::NAN).into(),
-        consistency: verdict.finding.as_text().to_owned(),
+        consistency: verdict.finding.as_text().into(),
     }
 }

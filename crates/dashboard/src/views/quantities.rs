@@ -41,10 +41,10 @@ impl RobotQuantity {
         let point = QuantityPoint {
             t_s,
             name: String::new(),
-            kind: self.kind.to_owned(),
-            unit: self.unit.to_owned(),
+            kind: self.kind.into(),
+            unit: self.unit.into(),
             reading: reading.map_or(f64::NAN, |reading| reading.value).into(),
-            verdict: reading.map_or("", |reading| reading.outcome.reason()).to_owned(),
+            verdict: reading.map_or("", |reading| reading.outcome.reason()).into(),
             estimate: number(|estimate| estimate.value),
             bound_95: number(ScalarEstimate::bound_95),
             rate_per_s: number(|estimate| estimate.rate_per_s),
@@ -126,10 +126,10 @@ pub(super) fn thermometers(
             let point = QuantityPoint {
                 t_s: seconds_of(now),
                 name: channel.to_string(),
-                kind: ObservationKind::Temperature(*shown).kind().to_owned(),
-                unit: "°C".to_owned(),
+                kind: ObservationKind::Temperature(*shown).kind().into(),
+                unit: "°C".into(),
                 reading: shown.0.into(),
-                verdict: verdict.reason().to_owned(),
+                verdict: verdict.reason().into(),
                 estimate: number(|settled| settled.value),
                 bound_95: number(ScalarEstimate::bound_95),
                 rate_per_s: f64::NAN.into(),
@@ -198,11 +198,11 @@ mod tests {
         estimate(&mut *view, 80, 1.9);
         let frame = updates(&mut *view, FrameContent::Delta);
         let points = &frame.robots[0].quantities;
-        let verdicts: Vec<&str> = points.iter().map(|point| point.verdict.as_str()).collect();
+        let verdicts: Vec<&str> = points.iter().map(|point| &*point.verdict).collect();
         assert_eq!(verdicts, ["accepted", "accepted", "gated", "gated"]);
         assert_eq!(points[1].estimate.get(), None, "the second reading of this step has it");
         let last = &points[3];
-        assert_eq!((last.name.as_str(), last.kind.as_str(), last.unit.as_str()), ("", "wall_range", "m"));
+        assert_eq!((last.name.as_str(), &*last.kind, &*last.unit), ("", "wall_range", "m"));
         near(last.reading, 0.4);
         near(last.estimate, 1.9);
         near(last.bound_95, 0.195_996_4);

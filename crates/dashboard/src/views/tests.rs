@@ -169,10 +169,10 @@ fn a_record_has_its_innovation_with_one_sigma_each() {
 fn what_stands_is_told_when_it_changes_and_once_a_second() {
     let learned = vec![CalibrationRow {
         t_s: 1.5,
-        name: "gyro_bias_rad_per_s".to_owned(),
+        name: "gyro_bias_rad_per_s".into(),
         value: 0.01,
         sigma: 0.002,
-        unit: "rad/s".to_owned(),
+        unit: "rad/s".into(),
     }];
     let status = StationStatus {
         robots: vec![RobotStatus {
@@ -208,7 +208,7 @@ fn what_stands_is_told_when_it_changes_and_once_a_second() {
 #[test]
 fn what_is_known_of_a_robot_is_told_of_that_one_and_only_once_it_is_estimated() {
     let second = RobotId { link: LinkId(1), ..robot() };
-    let row = |value| vec![CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() }];
+    let row = |value| vec![CalibrationRow { name: "radius_scale".into(), value, ..CalibrationRow::default() }];
     let status = StationStatus {
         robots: vec![
             RobotStatus { robot: robot(), calibration: row(1.0), switched_off: vec![], ..RobotStatus::default() },
@@ -289,7 +289,7 @@ fn tallies_count_what_is_thinned_as_well() {
 #[test]
 fn it_is_kept_how_what_was_learned_went() {
     let status_with = |value| {
-        let row = CalibrationRow { name: "radius_scale".to_owned(), value, ..CalibrationRow::default() };
+        let row = CalibrationRow { name: "radius_scale".into(), value, ..CalibrationRow::default() };
         let status =
             RobotStatus { robot: robot(), calibration: vec![row], switched_off: vec![], ..RobotStatus::default() };
         StationStatus { robots: vec![status], ..StationStatus::default() }
