@@ -1,0 +1,53 @@
+//! Detects the tags in raw grey pictures of 1280 x 720, one file per set, for `benches/tag_detectors.py`:
+//! `detect_tags FOLDER SET...` prints a JSON list with the corners of each frame and the CPU milliseconds of its detection.
+#![expect(clippy::print_stdout, reason = "its output is its result")]
+
+use std::error::Error;
+
+use nix::time::{ClockId, clock_gettime};
+use posebridge_vision::{GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
+use serde_json::json;
+
+const WIDTH: usize = 1280;
+const HEIGHT: usize = 720;
+/// Half the side of the window around the first tag of the frame before, px.
+const REACH: usize = 96;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (folder, sets) = arguments.split_first().ok_or("usage: detect_tags FOLDER SET...")?;
+    let mut frames = Vec::new();
+    for set in sets {
+        let bytes = std::fs::read(format!("{folder}/{set}.raw"))?;
+        let mut detector = Tag36h11Detector::default();
+        for (number, pixels) in bytes.chunks_exact(WIDTH * HEIGHT).enumerate() {
+            let image = GreyImage::new(pixels, WIDTH, HEIGHT, WIDTH).ok_or("the picture is incomplete")?;
+            let (tags, ms) = timed(|| detector.detect(image))?;
+            // As if the prediction were exact: the time of a window with one tag.
+            let mut search = TagSearch::new(u32::MAX);
+            let windows: Vec<ImageWindow> =
+                tags.first().map(|tag| around(tag.corners[0].x, tag.corners[0].y)).into_iter().collect();
+            search.next(&mut detector, image, &[]);
+            let (_, window_ms) = timed(|| search.next(&mut detector, image, &windows))?;
+            let corners: Vec<_> =
+                tags.iter().map(|tag| json!([tag.id, tag.corners.map(|corner| [corner.x, corner.y])])).collect();
+            frames.push(json!({"set": set, "n": number, "ms": ms, "window_ms": window_ms, "d": corners}));
+        }
+    }
+    println!("{}", serde_json::to_string(&frames)?);
+    Ok(())
+}
+
+fn around(x: f64, y: f64) -> ImageWindow {
+    let (left, top) = ((x as usize).saturating_sub(REACH), (y as usize).saturating_sub(REACH));
+    ImageWindow { left, top, width: 2 * REACH, height: 2 * REACH }
+}
+
+/// The result, and the CPU time of this thread, ms.
+fn timed<T>(work: impl FnOnce() -> T) -> Result<(T, f64), nix::Error> {
+    let now = || clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID);
+    let ms = |time: nix::sys::time::TimeSpec| time.tv_sec() as f64 * 1e3 + time.tv_nsec() as f64 / 1e6;
+    let begun = now()?;
+    let result = work();
+    Ok((result, ms(now()?) - ms(begun)))
+}

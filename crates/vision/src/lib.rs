@@ -1,0 +1,21 @@
+//! Tags in the pictures of cameras.
+//!
+//! A picture comes in as grey pixels, what was found goes out as values: no camera, no file, no clock.
+
+mod blurred_pattern;
+mod decode;
+mod grey_image;
+mod homography;
+mod normal_table;
+mod outline;
+mod quad;
+mod refine;
+mod tag36h11;
+mod tag_detector;
+mod tag_search;
+mod threshold;
+
+pub use grey_image::GreyImage;
+pub use tag_detector::{DetectedTag, Tag36h11Detector, TagDetector};
+pub use tag_search::{ImageWindow, TagSearch};
+pub use tag36h11::tag36h11_modules;

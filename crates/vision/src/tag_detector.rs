@@ -1,0 +1,83 @@
+//! Finds the tags in a picture.
+
+use nalgebra::{Point2, SMatrix};
+
+use crate::decode::decode;
+use crate::grey_image::GreyImage;
+use crate::homography::Homography;
+use crate::outline::{Outline, for_each_outline};
+use crate::quad::{MIN_POINTS, Quad, fit_quad};
+use crate::refine::Refinement;
+use crate::tag36h11::SIDE;
+use crate::threshold::DarkPixels;
+
+/// A tag in a picture.
+#[derive(Clone, Copy, Debug)]
+pub struct DetectedTag {
+    pub id: u16,
+    /// Wrong bits.
+    pub hamming: u32,
+    /// Mean distance of the bits from the level between black and white, grey levels.
+    pub margin: f64,
+    /// Corners of the black rim: the tag's upper left one, then clockwise. Pixels; the centre of the first pixel is (0, 0).
+    pub corners: [Point2<f64>; 4],
+    /// Of x and y of the four corners, px².
+    pub covariance: SMatrix<f64, 8, 8>,
+}
+
+/// Finds tags of one family.
+pub trait TagDetector {
+    /// The tags in a picture, each id once, the clearest.
+    fn detect(&mut self, image: GreyImage<'_>) -> Vec<DetectedTag>;
+}
+
+/// Finds tags of the family tag36h11.
+#[derive(Default)]
+pub struct Tag36h11Detector {
+    dark: DarkPixels,
+    outline: Outline,
+    quads: Vec<Quad>,
+}
+
+impl TagDetector for Tag36h11Detector {
+    fn detect(&mut self, image: GreyImage<'_>) -> Vec<DetectedTag> {
+        let Self { dark, outline, quads } = self;
+        dark.find(image);
+        quads.clear();
+        for_each_outline(dark, outline, MIN_POINTS, |outline| quads.extend(fit_quad(outline)));
+        let mut tags: Vec<DetectedTag> = Vec::new();
+        for tag in quads.iter().filter_map(|quad| detect_in(image, quad)) {
+            match tags.iter_mut().find(|other| other.id == tag.id) {
+                Some(other) if other.margin < tag.margin => *other = tag,
+                Some(_) => {}
+                None => tags.push(tag),
+            }
+        }
+        tags
+    }
+}
+
+fn detect_in(image: GreyImage<'_>, quad: &Quad) -> Option<DetectedTag> {
+    let side = SIDE as f64;
+    let rough = Homography::of_square(side, quad)?;
+    let mut quad = *quad;
+    let mut decoded = decode(image, &rough)?;
+    if decoded.tag.is_none() {
+        // The outline runs between whole pixels: that is too coarse for modules of little more than one.
+        quad = Refinement::new(image, None, &rough)?.run(&rough, decoded.black, decoded.white)?.corners;
+        decoded = decode(image, &Homography::of_square(side, &quad)?)?;
+    }
+    let tag = decoded.tag?;
+    // From here on with the tag's own first corner.
+    let turned = std::array::from_fn(|corner| quad[(corner + tag.turns) % 4]);
+    let modules = Homography::of_square(side, &turned)?;
+    let refinement = Refinement::new(image, Some(tag.id), &modules)?;
+    let refined = refinement.run(&modules, decoded.black, decoded.white)?;
+    Some(DetectedTag {
+        id: tag.id,
+        hamming: tag.hamming,
+        margin: decoded.margin,
+        corners: refined.corners,
+        covariance: refined.covariance,
+    })
+}

@@ -1,0 +1,109 @@
+//! Which tags are found, and that nothing else is.
+
+use posebridge_vision::{GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
+use crate::drawing::{Camera, Picture, corners, draw, draw_clutter, view};
+
+const USUAL: Camera = Camera { black: 20.0, white: 210.0, blur_px: 0.7, noise: 2.0 };
+
+fn image(picture: &Picture) -> GreyImage<'_> {
+    GreyImage::new(&picture.pixels, picture.width, picture.height, picture.width).unwrap()
+}
+
+/// The pictures that OpenCV drew; see `tests/data/make_tags.py`.
+#[test]
+fn tags_that_opencv_drew_are_found_where_it_drew_them() {
+    let listing = include_str!("../data/corners.txt");
+    let pictures: [&[u8]; 4] = [
+        include_bytes!("../data/plain.pgm"),
+        include_bytes!("../data/small.pgm"),
+        include_bytes!("../data/oblique.pgm"),
+        include_bytes!("../data/dark.pgm"),
+    ];
+    for (line, bytes) in listing.lines().zip(pictures) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let numbers: Vec<f64> = words[1..].iter().map(|word| word.parse().unwrap()).collect();
+        let pixels = bytes.strip_prefix(b"P5\n160 120\n255\n").unwrap();
+        let tags = Tag36h11Detector::default().detect(GreyImage::new(pixels, 160, 120, 160).unwrap());
+        assert_eq!(tags.len(), 1, "{line}");
+        assert_eq!(f64::from(tags[0].id), numbers[0], "{line}");
+        for (index, corner) in tags[0].corners.iter().enumerate() {
+            // OpenCV's way up is the other one.
+            let at = 1 + 2 * ((index + 2) % 4);
+            let away = (corner.x - numbers[at]).hypot(corner.y - numbers[at + 1]);
+            assert!(away < 0.35, "{line}: corner {index} is {away} px away");
+        }
+    }
+}
+
+#[test]
+fn each_tag_is_found_in_each_way_up_with_its_own_first_corner() {
+    let mut random = Pcg32::seed_from_u64(3);
+    for id in (0..587).step_by(23) {
+        let turned_rad = random.random_range(-3.2..3.2);
+        let view = view(45.0, 44.0, 40.0, turned_rad, 0.2);
+        let picture = draw(90, 90, &[(id, view)], USUAL, &mut random);
+        let tags = Tag36h11Detector::default().detect(image(&picture));
+        assert_eq!(tags.iter().map(|tag| (tag.id, tag.hamming)).collect::<Vec<_>>(), [(id, 0)]);
+        for (found, drawn) in tags[0].corners.iter().zip(corners(&view)) {
+            assert!((found - drawn).norm() < 0.25, "{id}: {found} {drawn}");
+        }
+    }
+}
+
+#[test]
+fn a_window_shows_the_same_corners_and_without_its_tag_the_whole_picture_is_searched() {
+    let mut random = Pcg32::seed_from_u64(4);
+    let tags = [(7, view(40.0, 40.0, 32.0, 0.3, 0.0)), (8, view(140.0, 60.0, 32.0, 1.0, 0.1))];
+    let picture = draw(190, 100, &tags, USUAL, &mut random);
+    let mut detector = Tag36h11Detector::default();
+    let mut search = TagSearch::new(3);
+    let mut ids = |windows: &[ImageWindow]| -> Vec<u16> {
+        let found = search.next(&mut detector, image(&picture), windows);
+        for tag in &found {
+            let (_, view) = tags.iter().find(|(id, _)| *id == tag.id).unwrap();
+            let away = tag.corners.iter().zip(corners(view)).map(|(found, drawn)| (found - drawn).norm());
+            assert!(away.fold(0.0, f64::max) < 0.25);
+        }
+        found.iter().map(|tag| tag.id).collect()
+    };
+    let around = ImageWindow { left: 105, top: 25, width: 80, height: 75 };
+    let beside = ImageWindow { left: 70, top: 0, width: 20, height: 90 };
+    assert_eq!(ids(&[around]), [7, 8], "the first picture is searched whole");
+    assert_eq!(ids(&[around]), [8]);
+    assert_eq!(ids(&[around, around]), [8]);
+    assert_eq!(ids(&[around]), [7, 8], "every third is");
+    assert_eq!(ids(&[around, beside]), [7, 8], "one window is empty");
+    assert_eq!(ids(&[]), [7, 8]);
+}
+
+#[test]
+fn clutter_is_no_tag() {
+    let mut random = Pcg32::seed_from_u64(5);
+    let mut detector = Tag36h11Detector::default();
+    for _ in 0..200 {
+        let picture = draw_clutter(320, 240, &mut random);
+        assert!(detector.detect(image(&picture)).is_empty());
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_picture_is_too_small_or_too_wild(
+        width in 0_usize..60,
+        height in 0_usize..60,
+        beyond in 0_usize..3,
+        coarse in 1_usize..9,
+        bytes in prop::collection::vec(prop::sample::select(&[0_u8, 20, 128, 235, 255][..]), 64),
+    ) {
+        let stride = width + beyond;
+        let pixels: Vec<u8> =
+            (0..stride * height).map(|at| bytes[(at / stride.max(1) / coarse * 8 + at % stride.max(1) / coarse) % 64]).collect();
+        let image = GreyImage::new(&pixels, width, height, stride).unwrap();
+        prop_assert!(Tag36h11Detector::default().detect(image).is_empty());
+        prop_assert!(Tag36h11Detector::default().detect(image.window(width / 2, height / 3, 100, 100)).is_empty());
+    }
+}

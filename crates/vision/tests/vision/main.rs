@@ -1,0 +1,6 @@
+//! Detection of tags in drawn pictures.
+#![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
+
+mod corner_accuracy;
+mod detection;
+mod drawing;
