@@ -3,7 +3,9 @@
 //! A picture comes in as grey pixels, what was found goes out as values: no camera, no file, no clock.
 
 mod blurred_pattern;
+mod camera_model;
 mod decode;
+mod floor_view;
 mod grey_image;
 mod homography;
 mod normal_table;
@@ -12,10 +14,14 @@ mod quad;
 mod refine;
 mod tag36h11;
 mod tag_detector;
+mod tag_pose;
 mod tag_search;
 mod threshold;
 
+pub use camera_model::CameraModel;
+pub use floor_view::FloorView;
 pub use grey_image::GreyImage;
 pub use tag_detector::{DetectedTag, Tag36h11Detector, TagDetector};
+pub use tag_pose::FloorTagPose;
 pub use tag_search::{ImageWindow, TagSearch};
 pub use tag36h11::tag36h11_modules;

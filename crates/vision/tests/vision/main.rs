@@ -4,3 +4,4 @@
 mod corner_accuracy;
 mod detection;
 mod drawing;
+mod floor;
