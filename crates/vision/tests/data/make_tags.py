@@ -1,6 +1,6 @@
 """Draws the pictures of this folder with OpenCV, whose tags are another implementation's: python3 make_tags.py
 
-Each NAME.pgm has one tag36h11 tag in perspective on clutter, blurred and noisy; corners.txt has its name, id and corners (x and y of the
+Each NAME.pgm has one tag36h11 tag in perspective on clutter, blurred and noisy; plain.jpg is one of them in colour. corners.txt has its name, id and corners (x and y of the
 upper left one in OpenCV's way up, then clockwise; the centre of the first pixel is 0, 0).
 """
 
@@ -44,7 +44,10 @@ def main():
     generator = np.random.default_rng(1)
     with open("corners.txt", "w") as listing:
         for name, number, corners, *look in PICTURES:
-            cv2.imwrite(f"{name}.pgm", draw(generator, number, corners, *look))
+            picture = draw(generator, number, corners, *look)
+            cv2.imwrite(f"{name}.pgm", picture)
+            if name == "plain":
+                cv2.imwrite(f"{name}.jpg", cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 90])
             print(name, number, *(value for corner in corners for value in corner), file=listing)
 
 

@@ -5,3 +5,4 @@ mod corner_accuracy;
 mod detection;
 mod drawing;
 mod floor;
+mod stream;
