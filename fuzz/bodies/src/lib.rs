@@ -9,6 +9,7 @@ mod bricks;
 mod framing;
 mod impairment;
 mod operands;
+mod pictures;
 mod recording;
 mod routing;
 mod session;
@@ -35,6 +36,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("brick", bricks::check_brick, 400_000),
     Target::new("tlog", tlog::check, 60_000),
     Target::new("table", table::check, 30_000),
+    Target::new("pictures", pictures::check, 3_000),
     Target::new("line", bricks::check_line, 700_000),
     Target::new("camera_json", bricks::check_camera_json, 200_000),
     Target::new("dashboard_command", text::check_dashboard_command, 300_000),
