@@ -5,6 +5,7 @@
 mod blurred_pattern;
 mod camera_model;
 mod decode;
+mod floor_calibration;
 mod floor_view;
 mod grey_image;
 mod homography;
@@ -21,6 +22,7 @@ mod tag_search;
 mod threshold;
 
 pub use camera_model::CameraModel;
+pub use floor_calibration::{CalibrationError, FloorCalibration, LensKnowledge, SeenPoint};
 pub use floor_view::FloorView;
 pub use grey_image::GreyImage;
 pub use jpeg::{GreyPicture, JpegError};
