@@ -26,8 +26,9 @@ use crate::send_queue::SendQueue;
 #[cfg(test)]
 mod tests;
 
-/// Most bytes of one read: more than a tenth of a second of the fastest usual serial line (921600 baud).
-const READ_BYTES: usize = 16 * 1024;
+/// Most bytes of one read: some twenty frames. What a stalled line held back comes at once; in one piece it would keep the other links
+/// waiting, and its events would fill a megabyte for a moment.
+const READ_BYTES: usize = 1_024;
 
 /// Smallest allowed fill level of the system's buffer, in bytes: a fifth of the longest frame, so that the line never idles.
 const MIN_KERNEL_BYTES: usize = 64;
