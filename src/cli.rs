@@ -10,6 +10,8 @@ use crate::exit::Failure;
 #[cfg(feature = "lab")]
 use crate::lab::{self, calibrate::CalibrateArgs, experiments::LabArgs, identify::IdentifyArgs, tune::TuneArgs};
 use crate::station::args::RunArgs;
+#[cfg(feature = "camera")]
+use crate::tools::camera::CameraArgs;
 use crate::tools::config::ConfigArgs;
 use crate::tools::doctor::DoctorArgs;
 use crate::tools::export::ExportArgs;
@@ -101,6 +103,9 @@ pub enum Command {
     /// Find the noise parameters of a robot by maximum likelihood of the innovations (docs/lab/calibration.md).
     #[cfg(feature = "lab")]
     Tune(TuneArgs),
+    /// Print tags, and find them in pictures (docs/camera.md).
+    #[cfg(feature = "camera")]
+    Camera(CameraArgs),
     /// Create a key for signed links.
     Key(KeyArgs),
     /// Find out why no data arrive from a robot: ports, permissions, programs that hold a port, bytes on a link.
@@ -137,6 +142,8 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Identify(args) => lab::identify::execute(&args),
         #[cfg(feature = "lab")]
         Command::Tune(args) => lab::tune::execute(&args),
+        #[cfg(feature = "camera")]
+        Command::Camera(args) => tools::camera::execute(&args),
         Command::Key(args) => tools::key::execute(&args),
         Command::Doctor(args) => tools::doctor::execute(&args),
         Command::Init(args) => tools::init::execute(&args),

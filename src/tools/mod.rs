@@ -1,5 +1,7 @@
 //! All other commands, one module each, for files and links, with their helper modules.
 
+#[cfg(feature = "camera")]
+pub mod camera;
 pub mod config;
 pub mod csv_table;
 pub mod dataset;

@@ -19,6 +19,7 @@ mod tag36h11;
 mod tag_detector;
 mod tag_pose;
 mod tag_search;
+mod tag_sheet;
 mod threshold;
 
 pub use camera_model::CameraModel;
@@ -30,4 +31,5 @@ pub use multipart::{MultipartReader, Part};
 pub use tag_detector::{DetectedTag, Tag36h11Detector, TagDetector};
 pub use tag_pose::FloorTagPose;
 pub use tag_search::{ImageWindow, TagSearch};
+pub use tag_sheet::{RULER_M, SHEET_SIZE_M, SheetTag, floor_sheet, robot_sheet};
 pub use tag36h11::tag36h11_modules;

@@ -1,4 +1,5 @@
 //! Pictures of cameras: any bytes end in parts, pictures and tags that can be, whatever their chunks.
+#![expect(clippy::expect_used, reason = "what is not as expected is a finding")]
 
 use posebridge_vision::{GreyImage, GreyPicture, MultipartReader, Tag36h11Detector, TagDetector};
 
