@@ -57,7 +57,11 @@ const EXAMPLES: &[Examples] = &[
     (&["tune"], ["posebridge tune --recording run/recording.mcap", "posebridge tune --recording run/recording.mcap --out-profile tuned.toml"]),
     (&["camera"], ["posebridge camera sheet --robots 1,2", "posebridge camera detect photo.jpg"]),
     (&["camera", "sheet"], ["posebridge camera sheet --robots 1,2", "posebridge camera sheet --side-mm 60 --out tags"]),
-    (&["camera", "detect"], ["posebridge camera detect photo.jpg", "posebridge camera detect photo.jpg --json"]),
+    (&["camera", "calibrate"], [
+        "posebridge camera calibrate photo.jpg --out overhead.toml",
+        "posebridge camera calibrate a.jpg b.jpg --sheet-at 0,0,0 --sheet-at 1.2,0.4,90",
+    ]),
+    (&["camera", "detect"], ["posebridge camera detect photo.jpg", "posebridge camera detect photo.jpg --camera overhead.toml --height-mm 85"]),
     (&["key"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["key", "new"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["doctor"], ["posebridge doctor", "posebridge doctor serial:///dev/ttyUSB0 --listen-for 10"]),

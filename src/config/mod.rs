@@ -4,6 +4,8 @@
 
 mod bricks;
 mod calibration;
+#[cfg(feature = "camera")]
+mod camera_file;
 mod lengths;
 mod link;
 mod load;
@@ -25,6 +27,8 @@ pub use bricks::{
 pub use calibration::{
     CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise, learnable_keys,
 };
+#[cfg(feature = "camera")]
+pub use camera_file::{CalibrationNote, CameraFile};
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, PinChoice, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,

@@ -6,6 +6,8 @@ mod http;
 #[path = "../support/mod.rs"]
 mod support;
 
+#[cfg(feature = "camera")]
+mod camera;
 mod commands;
 mod contrib;
 mod doctor;

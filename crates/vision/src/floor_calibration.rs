@@ -17,6 +17,8 @@ const CONVERGED: f64 = 1e-10;
 const FOCAL_BOUNDS: (f64, f64) = (0.2, 20.0);
 /// Of the pose and the lens: rotation, translation, logarithm of the focal length, two radial terms.
 const PARAMETERS: usize = 9;
+/// Step of numerical derivatives, rad, m and shares.
+const DIFFERENCE: f64 = 1e-5;
 /// What a lens may be expected to be before it is measured: standard deviations of its radial terms.
 const RADIAL_SIGMAS: [f64; 2] = [0.3, 0.15];
 
@@ -50,6 +52,8 @@ pub struct FloorCalibration {
     pub focal_sigma: f64,
     /// One standard deviation of the camera's position, m.
     pub position_sigma_m: Vector3<f64>,
+    is_lens_known: bool,
+    covariance: NormalMatrix,
 }
 
 /// Why a camera could not be calibrated, and what to do.
@@ -98,6 +102,23 @@ impl FloorCalibration {
             }
         }
         fit.finish(points, &normal)
+    }
+
+    /// How well the floor under a pixel is known: one standard deviation along its worst direction, m. `None` above the horizon.
+    pub fn floor_sigma_m(&self, pixel: Point2<f64>) -> Option<f64> {
+        let fit = CalibrationFit { view: self.view, is_lens_known: self.is_lens_known };
+        let point = |parameter: usize, by: f64| {
+            let mut step = ParameterVector::zeros();
+            step[parameter] = by;
+            Some(fit.moved(&step).point_at_height(pixel, 0.0)?.0)
+        };
+        let mut jacobian = SMatrix::<f64, 2, PARAMETERS>::zeros();
+        for parameter in 0..PARAMETERS {
+            let difference = point(parameter, DIFFERENCE)? - point(parameter, -DIFFERENCE)?;
+            jacobian.set_column(parameter, &(difference / (2.0 * DIFFERENCE)));
+        }
+        let covariance = jacobian * self.covariance * jacobian.transpose();
+        Some(covariance.symmetric_eigenvalues().max().max(0.0).sqrt())
     }
 }
 
@@ -200,6 +221,8 @@ impl CalibrationFit {
             errors_m,
             focal_sigma: if self.is_lens_known { 0.0 } else { sigma(6) },
             position_sigma_m: Vector3::new(sigma(3), sigma(4), sigma(5)),
+            is_lens_known: self.is_lens_known,
+            covariance,
         })
     }
 }

@@ -1,52 +1,89 @@
 //! `posebridge camera detect`.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
-use posebridge_report::tables::TextTable;
-use posebridge_vision::{DetectedTag, GreyPicture, Tag36h11Detector, TagDetector};
+use posebridge_report::tables::{NO_VALUE, TextTable};
+use posebridge_vision::{DetectedTag, FloorTagPose, GreyPicture, Tag36h11Detector, TagDetector};
 use serde_json::{Value, json};
 
+use crate::config::CameraFile;
 use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 
 /// Flags of `camera detect`.
 #[derive(Args, Clone, Debug)]
 pub struct DetectArgs {
-    /// JPEG pictures.
+    /// Pictures, JPEG or PGM.
     #[arg(required = true, value_name = "PICTURE")]
     pub pictures: Vec<PathBuf>,
+    /// A calibrated camera: where the tags are is printed as well.
+    #[arg(long, value_name = "FILE")]
+    pub camera: Option<PathBuf>,
+    /// Side of the black rims, mm.
+    #[arg(long, value_name = "MM", default_value_t = 80.0, requires = "camera")]
+    pub side_mm: f64,
+    /// Height of the tags above the floor, mm.
+    #[arg(long, value_name = "MM", default_value_t = 0.0, requires = "camera", allow_hyphen_values = true)]
+    pub height_mm: f64,
     /// Print one JSON object instead, with all corners and their covariance.
     #[arg(long)]
     pub json: bool,
 }
 
 pub(super) fn execute(args: &DetectArgs) -> Result<(), Failure> {
+    let camera = args.camera.as_deref().map(CameraFile::read).transpose().before_start()?;
     let mut detector = Tag36h11Detector::default();
-    let mut found = Vec::new();
+    let mut pictures = Vec::new();
     for path in &args.pictures {
-        found.push((path.display().to_string(), detect(path, &mut detector).before_start()?));
+        let (size, tags) = detect(path, &mut detector).before_start()?;
+        let tags = tags.into_iter().map(|tag| Ok((tag, place_of(&tag, args, camera.as_ref(), size)?)));
+        pictures.push((path.display().to_string(), tags.collect::<Result<Vec<PlacedTag>>>().before_start()?));
     }
     let text = if args.json {
-        let pictures: Vec<Value> =
-            found.iter().map(|(name, tags)| json!({ "picture": name, "tags": rows(tags) })).collect();
-        format!("{:#}\n", json!({ "pictures": pictures }))
+        let rows: Vec<Value> =
+            pictures.iter().map(|(name, tags)| json!({ "picture": name, "tags": rows(tags) })).collect();
+        format!("{:#}\n", json!({ "pictures": rows }))
     } else {
-        found.iter().map(|(name, tags)| table(name, tags)).collect()
+        pictures.iter().map(|(name, tags)| table(name, tags)).collect()
     };
     print_result(&text).while_running()
 }
 
-fn detect(path: &PathBuf, detector: &mut Tag36h11Detector) -> Result<Vec<DetectedTag>> {
+/// A tag, and where it is if the camera is known and sees the floor there.
+type PlacedTag = (DetectedTag, Option<FloorTagPose>);
+
+fn place_of(
+    tag: &DetectedTag,
+    args: &DetectArgs,
+    camera: Option<&CameraFile>,
+    (width, height): (usize, usize),
+) -> Result<Option<FloorTagPose>> {
+    let Some(camera) = camera else {
+        return Ok(None);
+    };
+    ensure!(
+        (camera.width, camera.height) == (width, height),
+        "the camera was calibrated with pictures of {} x {} pixels, this one has {width} x {height}",
+        camera.width,
+        camera.height
+    );
+    let (side_m, height_m) = (args.side_mm / 1e3, args.height_mm / 1e3);
+    Ok(FloorTagPose::solve(&camera.view()?, &tag.corners, &tag.covariance, side_m, height_m))
+}
+
+/// The size of a picture, and its tags in the order of their ids.
+pub(super) fn detect(path: &Path, detector: &mut Tag36h11Detector) -> Result<((usize, usize), Vec<DetectedTag>)> {
     let name = path.display();
     let bytes = fs::read(path).with_context(|| format!("reading the picture `{name}`"))?;
     let mut picture = GreyPicture::default();
-    picture.decode_jpeg(&bytes).with_context(|| format!("`{name}`, which should be a JPEG picture"))?;
-    let mut tags = picture.image().map(|image| detector.detect(image)).unwrap_or_default();
+    picture.decode(&bytes).with_context(|| format!("the picture `{name}`"))?;
+    let image = picture.image().with_context(|| format!("the picture `{name}` is empty"))?;
+    let mut tags = detector.detect(image);
     tags.sort_by_key(|tag| tag.id);
-    Ok(tags)
+    Ok(((image.width(), image.height()), tags))
 }
 
 /// Mean of its sides, px.
@@ -59,16 +96,30 @@ fn corner_sigma_px(tag: &DetectedTag) -> f64 {
     (tag.covariance.trace() / 8.0).sqrt()
 }
 
-fn table(name: &str, tags: &[DetectedTag]) -> String {
+fn table(name: &str, tags: &[PlacedTag]) -> String {
     if tags.is_empty() {
         return format!(
             "{name}: no tag of the family tag36h11. Its modules should be at least 2 pixels wide, with one white module around the black \
              rim; look for shadows, glare and blur.\n"
         );
     }
-    let mut table = TextTable::new(["tag", "x px", "y px", "side px", "corners ± px", "margin"]);
-    for tag in tags {
+    let header = [
+        "tag",
+        "x px",
+        "y px",
+        "side px",
+        "corners ± px",
+        "margin",
+        "x m",
+        "y m",
+        "± mm",
+        "heading deg",
+        "side given %",
+    ];
+    let mut table = TextTable::new(header);
+    for (tag, place) in tags {
         let middle = tag.corners.iter().fold([0.0; 2], |[x, y], corner| [x + corner.x / 4.0, y + corner.y / 4.0]);
+        let placed = |text: &dyn Fn(&FloorTagPose) -> String| place.as_ref().map_or_else(|| NO_VALUE.to_owned(), text);
         table.push([
             tag.id.to_string(),
             format!("{:.1}", middle[0]),
@@ -76,21 +127,36 @@ fn table(name: &str, tags: &[DetectedTag]) -> String {
             format!("{:.1}", side_px(tag)),
             format!("{:.3}", corner_sigma_px(tag)),
             format!("{:.0}", tag.margin),
+            placed(&|place| format!("{:.4}", place.pose.translation.x)),
+            placed(&|place| format!("{:.4}", place.pose.translation.y)),
+            placed(&|place| format!("{:.2}", 1e3 * (place.covariance[(0, 0)] + place.covariance[(1, 1)]).sqrt())),
+            placed(&|place| format!("{:.2}", place.pose.rotation.angle().to_degrees())),
+            placed(&|place| format!("{:.1}", 1e2 * place.side_ratio)),
         ]);
     }
-    format!("{name}\n{}", table.render())
+    format!("{name}\n{}", table.without_empty_columns().render())
 }
 
-fn rows(tags: &[DetectedTag]) -> Vec<Value> {
-    let row = |tag: &DetectedTag| {
+fn rows(tags: &[PlacedTag]) -> Vec<Value> {
+    let row = |(tag, place): &PlacedTag| {
         let covariance: Vec<&[f64]> = tag.covariance.as_slice().chunks(8).collect();
-        json!({
+        let mut row = json!({
             "id": tag.id,
             "hamming": tag.hamming,
             "margin": tag.margin,
             "corners_px": tag.corners.map(|corner| [corner.x, corner.y]),
             "covariance_px2": covariance,
-        })
+        });
+        if let Some(place) = place {
+            let covariance: Vec<&[f64]> = place.covariance.as_slice().chunks(3).collect();
+            row["x_m"] = json!(place.pose.translation.x);
+            row["y_m"] = json!(place.pose.translation.y);
+            row["heading_rad"] = json!(place.pose.rotation.angle());
+            row["pose_covariance"] = json!(covariance);
+            row["misfit"] = json!(place.misfit);
+            row["side_ratio"] = json!(place.side_ratio);
+        }
+        row
     };
     tags.iter().map(row).collect()
 }

@@ -1,5 +1,6 @@
 //! `posebridge camera`: tags to print, and tags in pictures (docs/camera.md).
 
+mod calibrate;
 mod detect;
 mod sheet;
 
@@ -20,13 +21,16 @@ pub struct CameraArgs {
 pub enum CameraAction {
     /// Write sheets with tags to print: one for the floor, one for each robot, as SVG and PDF (docs/camera.md).
     Sheet(sheet::SheetArgs),
-    /// Find the tags in JPEG pictures: whether they can be seen from where the camera is (docs/camera.md).
+    /// Find the place and the lens of a camera from pictures of the floor sheet (docs/camera.md).
+    Calibrate(calibrate::CalibrateCameraArgs),
+    /// Find the tags in pictures, and with a calibrated camera where they are: whether they can be seen from where the camera is (docs/camera.md).
     Detect(detect::DetectArgs),
 }
 
 pub fn execute(args: &CameraArgs) -> Result<(), Failure> {
     match &args.action {
         CameraAction::Sheet(args) => sheet::execute(args),
+        CameraAction::Calibrate(args) => calibrate::execute(args),
         CameraAction::Detect(args) => detect::execute(args),
     }
 }

@@ -50,19 +50,25 @@ fn camera_and_lens_are_found_without_noise_and_to_their_sigma_with_it() {
         let with_lens = FloorCalibration::solve(&points(&view, 0.0, &mut random), known).unwrap();
         assert!((with_lens.view.pose.translation.vector - view.pose.translation.vector).norm() < 1e-6);
         // What it is for: points on the floor.
-        let (mut worst_m, mut nees) = (0.0_f64, 0.0);
+        let (mut worst_m, mut nees, mut middle_nees) = (0.0_f64, 0.0, 0.0);
         for _ in 0..20 {
             let noisy = FloorCalibration::solve(&points(&view, 0.2, &mut random), known).unwrap();
             for seen in points(&view, 0.0, &mut random) {
                 let (at, _) = noisy.view.point_at_height(seen.pixel, seen.point.z).unwrap();
                 worst_m = worst_m.max((at - seen.point.xy()).norm());
             }
+            let sigma_m = noisy.floor_sigma_m(view.camera.centre_px).unwrap();
+            let (at, _) = noisy.view.point_at_height(view.camera.centre_px, 0.0).unwrap();
+            let (truly, _) = view.point_at_height(view.camera.centre_px, 0.0).unwrap();
+            middle_nees += (at - truly).norm_squared() / (2.0 * sigma_m * sigma_m) / 20.0;
             assert!((0.15..0.4).contains(&noisy.rms_px), "{}", noisy.rms_px);
             let away = noisy.view.pose.translation.vector - view.pose.translation.vector;
             nees += away.component_div(&noisy.position_sigma_m).norm_squared() / 20.0;
         }
         assert!(worst_m < 0.002, "{tilt_deg}: {worst_m} m");
         assert!((1.2..5.4).contains(&nees), "{tilt_deg}: {nees}");
+        // Along the worst direction; the other one may be known much better.
+        assert!((0.2..1.7).contains(&middle_nees), "{tilt_deg}: {middle_nees}");
     }
 }
 

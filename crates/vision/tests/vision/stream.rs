@@ -1,6 +1,6 @@
 //! Streams of JPEG pictures.
 
-use posebridge_vision::{GreyPicture, JpegError, MultipartReader, Part};
+use posebridge_vision::{GreyPicture, MultipartReader, Part, PictureError};
 use proptest::prelude::*;
 
 /// What an ESP32-CAM sends (its example `CameraWebServer`), with bytes instead of pictures.
@@ -69,8 +69,28 @@ fn a_jpeg_picture_is_grey_and_a_damaged_one_is_none() {
     let drawn = include_bytes!("../data/plain.pgm").strip_prefix(b"P5\n160 120\n255\n").unwrap();
     let worst = (0..120).flat_map(|y| image.row(y)).zip(drawn).map(|(jpeg, drawn)| jpeg.abs_diff(*drawn)).max();
     assert!(worst.unwrap() < 24, "{worst:?}");
-    assert!(matches!(picture.decode_jpeg(&bytes[..100]), Err(JpegError::Damaged(_))));
+    assert!(matches!(picture.decode_jpeg(&bytes[..100]), Err(PictureError::Damaged(_))));
     assert!(picture.image().is_none());
+}
+
+#[test]
+fn a_pgm_picture_is_read_with_comments_and_refused_when_it_is_cut() {
+    let mut picture = GreyPicture::default();
+    picture.decode(b"P5 # by hand\n2\t3\n# 9\n255\nabcdef").unwrap();
+    let image = picture.image().unwrap();
+    assert_eq!([image.row(0), image.row(2), image.row(3)], [&b"ab"[..], b"ef", b""]);
+    for (bytes, words) in [
+        (&b"P5 2 3 255\nabcde"[..], "ends too early"),
+        (b"P5 2 3 65535\nabcdefabcdef", "largest value"),
+        (b"P5 2 \n", "header"),
+        (b"P5 9999 1 255\n", "9999 x 1"),
+        (b"P6 1 1 255\nabc", "neither"),
+        (b"", "neither"),
+    ] {
+        let error = picture.decode(bytes).unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+        assert!(picture.image().is_none());
+    }
 }
 
 proptest! {
@@ -88,6 +108,8 @@ proptest! {
         jpeg[at] = value;
         // Whatever comes of it.
         drop(GreyPicture::default().decode_jpeg(&jpeg));
-        drop(GreyPicture::default().decode_jpeg(&bytes));
+        drop(GreyPicture::default().decode(&bytes));
+        let pgm = [b"P5 ", bytes.as_slice()].concat();
+        drop(GreyPicture::default().decode(&pgm));
     }
 }
