@@ -27,8 +27,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             let mut search = TagSearch::new(u32::MAX);
             let windows: Vec<ImageWindow> =
                 tags.first().map(|tag| around(tag.corners[0].x, tag.corners[0].y)).into_iter().collect();
-            search.next(&mut detector, image, &[]);
-            let (_, window_ms) = timed(|| search.next(&mut detector, image, &windows))?;
+            search.detect(&mut detector, image, &[]);
+            let (_, window_ms) = timed(|| search.detect(&mut detector, image, &windows))?;
             let corners: Vec<_> =
                 tags.iter().map(|tag| json!([tag.id, tag.corners.map(|corner| [corner.x, corner.y])])).collect();
             frames.push(json!({"set": set, "n": number, "ms": ms, "window_ms": window_ms, "d": corners}));

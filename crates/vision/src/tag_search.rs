@@ -29,7 +29,7 @@ impl TagSearch {
 
     /// The tags in the next picture. `expected` are windows around the places where tags should be; if one of them holds none, the whole
     /// picture is searched, as it is without any.
-    pub fn next(
+    pub fn detect(
         &mut self,
         detector: &mut dyn TagDetector,
         image: GreyImage<'_>,

@@ -96,24 +96,28 @@ impl<T> OlderPoints<T> {
         }
     }
 
+    /// In place: blocks that come and go leave gaps in the memory of a long session.
     fn halve(&mut self) {
-        let mut points = std::mem::take(&mut self.kept).into_iter();
-        while let Some(first) = points.next() {
-            let kept = match points.next() {
-                Some(second) => self.heavier(Some(first), second),
-                None => first,
-            };
-            self.kept.push(kept);
+        let count = self.kept.len();
+        for pair in 0..count / 2 {
+            let is_second = self.is_heavier(&self.kept[2 * pair + 1], &self.kept[2 * pair]);
+            self.kept.swap(pair, 2 * pair + usize::from(is_second));
         }
+        if count % 2 == 1 {
+            self.kept.swap(count / 2, count - 1);
+        }
+        self.kept.truncate(count.div_ceil(2));
         self.group_size *= 2;
     }
 
     fn heavier(&self, first: Option<T>, second: T) -> T {
+        first.filter(|first| !self.is_heavier(&second, first)).unwrap_or(second)
+    }
+
+    /// Whether `second` weighs more than `first`, which came before it.
+    fn is_heavier(&self, second: &T, first: &T) -> bool {
         let weight = |point: &T| Some((self.policy.weight)(point)).filter(|weight| !weight.is_nan());
-        match first {
-            Some(first) if weight(&second) <= weight(&first) => first,
-            Some(_) | None => second,
-        }
+        weight(second) > weight(first)
     }
 }
 
@@ -202,6 +206,10 @@ impl<T: Clone> RetainedSeries<T> {
             return;
         }
         self.last = Some(now);
+        if self.kept.capacity() == 0 {
+            // At once, for the same reason: it is full within the first minute.
+            self.kept.reserve_exact(max_points + 1);
+        }
         self.kept.push_back(one);
         while self.kept.len() > max_points || self.kept.front().is_some_and(|oldest| now - oldest.at > duration) {
             if let (Some(gone), Some(older)) = (self.kept.pop_front(), &mut self.older) {

@@ -62,7 +62,7 @@ fn a_window_shows_the_same_corners_and_without_its_tag_the_whole_picture_is_sear
     let mut detector = Tag36h11Detector::default();
     let mut search = TagSearch::new(3);
     let mut ids = |windows: &[ImageWindow]| -> Vec<u16> {
-        let found = search.next(&mut detector, image(&picture), windows);
+        let found = search.detect(&mut detector, image(&picture), windows);
         for tag in &found {
             let (_, view) = tags.iter().find(|(id, _)| *id == tag.id).unwrap();
             let away = tag.corners.iter().zip(corners(view)).map(|(found, drawn)| (found - drawn).norm());
