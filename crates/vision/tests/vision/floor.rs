@@ -59,6 +59,8 @@ fn what_a_camera_cannot_show_has_no_pixel_and_no_point() {
     view.pose.rotation = Rotation3::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2).into();
     assert!(view.point_at_height(view.camera.centre_px, 0.0).is_none(), "the horizon");
     assert!(view.point_at_height(view.camera.centre_px - Vector2::new(0.0, 50.0), 0.0).is_none(), "the sky");
+    let below = |px: f64| view.point_at_height(view.camera.centre_px + Vector2::new(0.0, px), 0.0);
+    assert!(below(30.0).is_none() && below(60.0).is_some(), "two and four degrees below the horizon");
 }
 
 /// The pixels of the corners of a tag: the middle, the way up, the side and the height.
