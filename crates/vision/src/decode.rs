@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::grey_image::GreyImage;
 use crate::homography::Homography;
-use crate::tag36h11::{AROUND, BITS, RecognisedTag, SIDE, recognise};
+use crate::tag36h11::{AROUND, BITS, RecognisedTag, SIDE, recognise, ring};
 
 /// Least difference between white and black, grey levels.
 const MIN_CONTRAST: f64 = 12.0;
@@ -118,8 +118,7 @@ fn sharpen(seen: &[[f64; AROUND]; AROUND], shares: &[[f64; 3]; 3]) -> [[f64; ARO
 fn for_each_module(mut take: impl FnMut(usize, usize, usize)) {
     for row in 0..AROUND {
         for column in 0..AROUND {
-            let last = AROUND - 1;
-            take(row, column, row.min(column).min(last - row).min(last - column));
+            take(row, column, ring(row, column));
         }
     }
 }

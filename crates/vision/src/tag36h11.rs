@@ -34,14 +34,19 @@ fn code(id: u16) -> Option<u64> {
 /// The modules of a tag and of the white around it, in rows: true for white. `None` for an id that the family does not have.
 pub fn tag36h11_modules(id: u16) -> Option<[[bool; AROUND]; AROUND]> {
     let code = code(id)?;
-    let last = AROUND - 1;
     Some(std::array::from_fn(|row| {
-        std::array::from_fn(|column| match row.min(column).min(last - row).min(last - column) {
+        std::array::from_fn(|column| match ring(row, column) {
             0 => true,
             1 => false,
             _ => bit(code, row - 2, column - 2) == 1,
         })
     }))
+}
+
+/// Distance of a module from the outside: 0 in the white around, 1 in the rim.
+pub(crate) fn ring(row: usize, column: usize) -> usize {
+    let last = AROUND - 1;
+    row.min(column).min(last - row).min(last - column)
 }
 
 /// Finds the tag whose bits are `seen`, turned in any way.
