@@ -1,6 +1,8 @@
 //! Where the pixels of a camera lie on the floor, or above it.
 
-use nalgebra::{Isometry3, Matrix2, Matrix3x2, Point2, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix2, Matrix3, Matrix3x2, Point2, Point3, Quaternion, Translation3, UnitQuaternion, Vector3,
+};
 
 use crate::camera_model::CameraModel;
 
@@ -31,6 +33,13 @@ impl FloorView {
             camera,
             pose: Isometry3::from_parts(Translation3::from(position_m), UnitQuaternion::from_quaternion(quaternion)),
         })
+    }
+
+    /// Of a camera whose axes (right, down, ahead) have these directions in the arena.
+    pub fn from_axes(camera: CameraModel, position_m: [f64; 3], axes: [[f64; 3]; 3]) -> Option<Self> {
+        let columns = axes.map(Vector3::from);
+        let turned = UnitQuaternion::from_matrix(&Matrix3::from_columns(&columns));
+        Self::new(camera, position_m, [turned.w, turned.i, turned.j, turned.k])
     }
 
     pub fn position_m(&self) -> [f64; 3] {

@@ -31,5 +31,5 @@ pub use multipart::{MultipartReader, Part};
 pub use tag_detector::{DetectedTag, Tag36h11Detector, TagDetector};
 pub use tag_pose::FloorTagPose;
 pub use tag_search::{ImageWindow, TagSearch};
-pub use tag_sheet::{RULER_M, SHEET_SIZE_M, SheetTag, floor_sheet, robot_sheet, sheet_points};
+pub use tag_sheet::{FLOOR_TAGS, RULER_M, SHEET_SIZE_M, SheetTag, floor_sheet, robot_sheet, sheet_points};
 pub use tag36h11::tag36h11_modules;

@@ -10,7 +10,7 @@ pub const SHEET_SIZE_M: (f64, f64) = (0.210, 0.297);
 /// Length of the line that shows whether the printer has scaled, m.
 pub const RULER_M: f64 = 0.1;
 /// Tags of a floor sheet.
-const FLOOR_TAGS: u16 = 6;
+pub const FLOOR_TAGS: u16 = 6;
 /// Their sides, and the distances of their middles along the sheet's short and long side, m.
 const FLOOR_SIDE_M: f64 = 0.05;
 const FLOOR_SPACING_M: (f64, f64) = (0.1, 0.085);

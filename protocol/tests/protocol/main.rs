@@ -7,6 +7,7 @@
 mod support;
 
 mod bricks;
+mod camera_corners;
 mod camera_json;
 mod captures;
 mod commands;

@@ -5,6 +5,7 @@
 //! explains their use. A camera has its own clock: the session requests its time and the station aligns it, as for a
 //! camera that sends MAVLink.
 
+mod floor_camera;
 mod schema;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -15,8 +16,10 @@ use posebridge_telemetry::{
 };
 use serde_json::json;
 
+pub use self::floor_camera::FloorCamera;
+use self::floor_camera::TagFix;
 pub use self::schema::CameraJsonSettings;
-use self::schema::{CameraFixMessage, CameraLine, CameraMessage, FieldError};
+use self::schema::{CameraFixMessage, CameraLine, CameraMessage, ExposureTime, FieldError, FixPlace};
 use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource};
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::dialect::ids;
@@ -55,7 +58,7 @@ struct CameraPeer {
 
 pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     Box::new(CameraJsonCodec {
-        settings: settings.fixes,
+        settings: settings.fixes.clone(),
         peers: BTreeMap::new(),
         cameras: CameraTable::default(),
         replies: VecDeque::new(),
@@ -203,7 +206,7 @@ impl CameraJsonCodec {
         }
         self.report_unknown_keys(from, &line.unknown, sink);
         match line.message {
-            CameraMessage::Fix(fix) => self.emit_fix(now, from, &fix, sink),
+            CameraMessage::Fix(fix) => self.emit_fix(now, from, &fix, sink)?,
             CameraMessage::Time { request, nanos } => {
                 // Zero would make a request of it.
                 let answer = TimeSync { answer_nanos: nanos.max(1), request_nanos: request, target: None };
@@ -214,31 +217,61 @@ impl CameraJsonCodec {
         Ok(())
     }
 
-    fn emit_fix(&self, now: Timestamp<HostClock>, from: Address, fix: &CameraFixMessage, sink: CodecEventSink<'_>) {
+    fn emit_fix(
+        &self,
+        now: Timestamp<HostClock>,
+        from: Address,
+        fix: &CameraFixMessage,
+        sink: CodecEventSink<'_>,
+    ) -> Result<(), FieldError> {
         if fix.quality.is_some_and(|quality| quality < self.settings.min_quality) {
             // Good to know and no flaw of the line: it is counted, and not used.
             let message_id = ids::VISION_POSITION_ESTIMATE;
             sink(CodecEvent::Error(ReceiveError::Payload { message_id }));
-            return;
+            return Ok(());
         }
-        let latest = now - (self.settings.delay - self.settings.delay_spread).max(TimeDelta::ZERO);
-        let stamp = match fix.exposed_micros {
-            Some(micros) => WireStamp::Micros64(micros),
-            None => WireStamp::HostInterval {
-                sent: now - self.settings.delay - self.settings.delay_spread,
-                answered: latest,
-            },
+        let (x, y, heading, covariance) = match fix.place {
+            FixPlace::Arena { x, y, heading, covariance } => (x, y, heading, covariance),
+            FixPlace::Picture(corners) => {
+                let Some(floor) = &self.settings.floor else {
+                    let what =
+                        "has no place on the floor without the camera's file: add `camera = \"FILE.toml\"` to the link";
+                    return Err(FieldError::for_key("corners_px", what));
+                };
+                if fix.tag.is_some_and(|tag| floor.is_on_floor(tag)) {
+                    return Ok(());
+                }
+                let solved = floor.solve(&corners);
+                let TagFix { x, y, heading, covariance } =
+                    solved.map_err(|error| FieldError::for_key("corners_px", &error.to_string()))?;
+                (x, y, Some(heading), Some(covariance))
+            }
         };
         let message = Message::VisionPosition(VisionFix {
-            stamp,
-            x: fix.x,
-            y: fix.y,
-            heading: fix.heading,
-            covariance: fix.covariance,
+            stamp: self.stamp(now, fix.exposed),
+            x,
+            y,
+            heading,
+            covariance,
             reset_counter: fix.reset_counter,
             tag: fix.tag,
         });
         sink(CodecEvent::Message { from, message });
+        Ok(())
+    }
+
+    fn stamp(&self, now: Timestamp<HostClock>, exposed: ExposureTime) -> WireStamp {
+        let interval = |least: TimeDelta, most: TimeDelta| WireStamp::HostInterval {
+            sent: now - most,
+            answered: now - least.max(TimeDelta::ZERO),
+        };
+        let CameraJsonSettings { delay, delay_spread, .. } = self.settings;
+        match exposed {
+            ExposureTime::Stamp(micros) => WireStamp::Micros64(micros),
+            ExposureTime::Ago { least, most } => interval(least, most),
+            ExposureTime::BeforeReception(ago) => interval(ago + delay - delay_spread, ago + delay + delay_spread),
+            ExposureTime::Unknown => interval(delay - delay_spread, delay + delay_spread),
+        }
     }
 
     fn report_unknown_keys(&mut self, from: Address, unknown: &[String], sink: CodecEventSink<'_>) {

@@ -4,10 +4,12 @@
 
 use std::ops::RangeInclusive;
 
+use nalgebra::{Point2, SMatrix};
 use posebridge_telemetry::{ChannelName, Heading, Meters, TimeDelta};
 use serde_json::{Map, Value};
 
 use super::super::line_splitter::printable;
+use super::floor_camera::{FloorCamera, TagCorners};
 use crate::dialect::frames::{PlanarPoint, turn_ned};
 use crate::framing::TransportKind;
 
@@ -15,6 +17,11 @@ pub(super) const KEYS: &[&str] = &[
     "camera",
     "exposed_s",
     "exposed_us",
+    "exposed_ago_us",
+    "received_ago_us",
+    "corners_px",
+    "corners_cov_px2",
+    "picture_px",
     "x_m",
     "y_m",
     "heading_rad",
@@ -44,6 +51,12 @@ const MAX_SIGMA: f64 = 1e3;
 const MAX_ANGLE_RAD: f64 = 1e6;
 /// Nanoseconds in 64 bits last for 292 years; UNIX time is far below.
 const MAX_TIME_S: f64 = 9e9;
+/// No picture is used that is older: the longest history of a filter.
+const MAX_AGE_US: f64 = 60e6;
+/// No picture is wider or higher; corners may lie somewhat outside of it.
+const MAX_PIXEL: f64 = 65_536.0;
+/// Standard deviation of a corner of which nothing is said, px.
+const DEFAULT_CORNER_SIGMA_PX: f64 = 0.3;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraLine {
@@ -66,17 +79,40 @@ pub(super) enum CameraMessage {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CameraFixMessage {
-    /// Middle of the exposure by the camera's clock.
-    pub(super) exposed_micros: Option<u64>,
-    pub(super) x: Meters,
-    pub(super) y: Meters,
-    pub(super) heading: Option<Heading>,
-    /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
-    pub(super) covariance: Option<[f64; 4]>,
+    pub(super) exposed: ExposureTime,
+    pub(super) place: FixPlace,
     pub(super) quality: Option<f64>,
     pub(super) reset_counter: u8,
     /// `None` if the camera does not distinguish tags.
     pub(super) tag: Option<u32>,
+}
+
+/// When the middle of the exposure was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum ExposureTime {
+    Unknown,
+    /// By the camera's clock, µs.
+    Stamp(u64),
+    /// Before the line was sent.
+    Ago {
+        least: TimeDelta,
+        most: TimeDelta,
+    },
+    /// The delay of the settings before the picture was received, and that was so long before the line was sent.
+    BeforeReception(TimeDelta),
+}
+
+/// Where the tag is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum FixPlace {
+    Arena {
+        x: Meters,
+        y: Meters,
+        heading: Option<Heading>,
+        /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
+        covariance: Option<[f64; 4]>,
+    },
+    Picture(TagCorners),
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -86,7 +122,7 @@ pub(super) struct FieldError {
 }
 
 impl FieldError {
-    fn for_key(key: &'static str, what: &str) -> Self {
+    pub(super) fn for_key(key: &'static str, what: &str) -> Self {
         Self { key: Some(key), text: format!("`{key}` {what}") }
     }
 
@@ -135,8 +171,8 @@ impl LineKeys<'_> {
             let nanos = nanos.ok_or_else(|| FieldError::for_key("time_s", "is missing beside `time_answer`"))?;
             return Ok(CameraMessage::Time { request, nanos: nanos as i64 });
         }
-        let is_hello =
-            self.0.contains_key("takes_requests") && !["x_m", "y_m"].iter().any(|key| self.0.contains_key(*key));
+        let is_hello = self.0.contains_key("takes_requests")
+            && !["x_m", "y_m", "corners_px"].iter().any(|key| self.0.contains_key(*key));
         if is_hello {
             return Ok(CameraMessage::Hello);
         }
@@ -144,18 +180,104 @@ impl LineKeys<'_> {
     }
 
     fn fix(&self) -> Result<CameraFixMessage, FieldError> {
-        let pose = self.planar_pose()?;
-        let heading = self.heading_rad()?.map(|_| Heading::from_rad(pose.angle));
+        let tag = self.integer("tag", u32::MAX)?;
+        let place = match self.corners()? {
+            Some(_) if tag.is_none() => return Err(FieldError::for_key("tag", "is missing beside `corners_px`")),
+            Some(corners) => FixPlace::Picture(corners),
+            None => {
+                let pose = self.planar_pose()?;
+                let heading = self.heading_rad()?.map(|_| Heading::from_rad(pose.angle));
+                FixPlace::Arena { x: Meters(pose.x), y: Meters(pose.y), heading, covariance: self.covariance(heading)? }
+            }
+        };
         Ok(CameraFixMessage {
-            exposed_micros: self.time("exposed_s", "exposed_us", 1e6)?.map(|micros| micros as u64),
-            x: Meters(pose.x),
-            y: Meters(pose.y),
-            heading,
-            covariance: self.covariance(heading)?,
+            exposed: self.exposure_time()?,
+            place,
             quality: self.bounded("quality", 0.0, 100.0)?,
             reset_counter: self.integer("reset_counter", u32::from(u8::MAX))?.unwrap_or(0) as u8,
-            tag: self.integer("tag", u32::MAX)?,
+            tag,
         })
+    }
+
+    fn exposure_time(&self) -> Result<ExposureTime, FieldError> {
+        let stamp = self.time("exposed_s", "exposed_us", 1e6)?.map(|micros| ExposureTime::Stamp(micros as u64));
+        let age = |micros: f64| TimeDelta::from_secs_f64(1e-6 * micros);
+        let ago = match self.numbers::<2>("exposed_ago_us", 0.0, MAX_AGE_US)? {
+            Some([least, most]) if least > most => {
+                return Err(FieldError::for_key("exposed_ago_us", "must be the least and the most"));
+            }
+            ago => ago.map(|[least, most]| ExposureTime::Ago { least: age(least), most: age(most) }),
+        };
+        let received = self.bounded("received_ago_us", 0.0, MAX_AGE_US)?;
+        let received = received.map(|micros| ExposureTime::BeforeReception(age(micros)));
+        let mut given = [(stamp, "exposed_s"), (ago, "exposed_ago_us"), (received, "received_ago_us")]
+            .into_iter()
+            .filter_map(|(time, key)| Some((time?, key)));
+        let first = given.next();
+        match given.next() {
+            Some((_, key)) => Err(FieldError::for_key(key, "says the same as another key of time")),
+            None => Ok(first.map_or(ExposureTime::Unknown, |(time, _)| time)),
+        }
+    }
+
+    /// The corners of a tag in the picture, if the line has any.
+    fn corners(&self) -> Result<Option<TagCorners>, FieldError> {
+        let Some(corners) = self.0.get("corners_px").filter(|value| !value.is_null()) else {
+            return Ok(None);
+        };
+        if let Some(key) =
+            ["x_m", "y_m", "heading_rad", "heading_deg", "sigma_m"].iter().find(|key| self.0.contains_key(**key))
+        {
+            return Err(FieldError::for_key(key, "says the same as `corners_px`"));
+        }
+        let wrong =
+            || FieldError::for_key("corners_px", "must be four pairs of pixels: [[x, y], [x, y], [x, y], [x, y]]");
+        let pair = |value: &Value| {
+            let [x, y] = value.as_array()?.as_slice() else { return None };
+            let is_pixel = |number: &f64| number.abs() <= MAX_PIXEL;
+            Some(Point2::new(x.as_f64().filter(is_pixel)?, y.as_f64().filter(is_pixel)?))
+        };
+        let pairs: Option<Vec<_>> = corners.as_array().ok_or_else(wrong)?.iter().map(pair).collect();
+        let corners: [Point2<f64>; 4] = pairs.and_then(|pairs| pairs.try_into().ok()).ok_or_else(wrong)?;
+        let covariance = self.corner_covariance()?;
+        let picture = self.numbers::<2>("picture_px", 1.0, MAX_PIXEL)?;
+        Ok(Some(TagCorners { corners, covariance, picture_px: picture.map(|size| size.map(|side| side as usize)) }))
+    }
+
+    /// From its lower triangle, row by row.
+    fn corner_covariance(&self) -> Result<SMatrix<f64, 8, 8>, FieldError> {
+        let Some(triangle) = self.numbers::<36>("corners_cov_px2", -MAX_PIXEL, MAX_PIXEL)? else {
+            return Ok(SMatrix::identity() * DEFAULT_CORNER_SIGMA_PX.powi(2));
+        };
+        let mut covariance = SMatrix::<f64, 8, 8>::zeros();
+        let mut entries = triangle.into_iter();
+        for row in 0..8 {
+            for (column, entry) in (0..=row).zip(&mut entries) {
+                covariance[(row, column)] = entry;
+                covariance[(column, row)] = entry;
+            }
+        }
+        match covariance.cholesky() {
+            Some(_) => Ok(covariance),
+            None => {
+                Err(FieldError::for_key("corners_cov_px2", "must be the lower triangle of a covariance, row by row"))
+            }
+        }
+    }
+
+    fn numbers<const N: usize>(
+        &self,
+        key: &'static str,
+        least: f64,
+        most: f64,
+    ) -> Result<Option<[f64; N]>, FieldError> {
+        let Some(value) = self.0.get(key).filter(|value| !value.is_null()) else {
+            return Ok(None);
+        };
+        let number = |value: &Value| value.as_f64().filter(|number| (least..=most).contains(number));
+        let numbers: Option<Vec<f64>> = value.as_array().and_then(|list| list.iter().map(number).collect());
+        let wrong = || FieldError::for_key(key, &format!("must be {N} numbers between {least:?} and {most:?}"));
+        numbers.and_then(|list| list.try_into().ok()).map(Some).ok_or_else(wrong)
     }
 
     /// Position and heading in the arena; 0 stands for a missing heading.
@@ -272,7 +394,7 @@ impl LineKeys<'_> {
 }
 
 /// Settings for cameras that send JSON.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct CameraJsonSettings {
     /// In a datagram, the end of the chunk ends the last line.
     pub framing: TransportKind,
@@ -282,6 +404,8 @@ pub struct CameraJsonSettings {
     pub delay_spread: TimeDelta,
     /// Fixes of lower quality are dropped, in per cent; a camera that has failed sends 0.
     pub min_quality: f64,
+    /// Without it tags in the picture have no place.
+    pub floor: Option<FloorCamera>,
 }
 
 impl Default for CameraJsonSettings {
@@ -292,6 +416,7 @@ impl Default for CameraJsonSettings {
             delay: TimeDelta::from_millis(60),
             delay_spread: TimeDelta::from_millis(40),
             min_quality: 1.0,
+            floor: None,
         }
     }
 }
