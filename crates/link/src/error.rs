@@ -64,6 +64,8 @@ pub enum OpenError {
         peer: String,
         source: io::Error,
     },
+    #[error("{url}: {reason}")]
+    CameraRefused { url: String, reason: String },
     #[error("{what} did not open within {limit_secs} s")]
     TimedOut { what: String, limit_secs: u64 },
     #[error("{what} is not built into this program: {advice}")]
@@ -93,6 +95,7 @@ impl OpenError {
             | Self::PtyInUse { .. }
             | Self::WrongFileKind { .. }
             | Self::TransportNotBuilt { .. }
+            | Self::CameraRefused { .. }
             | Self::FileNotFound { .. } => false,
             Self::PortInUse { .. }
             | Self::DeviceMissing { .. }
@@ -155,6 +158,8 @@ pub enum LinkError {
     HungUp,
     #[error("{host} is no longer {from}, and is silent there")]
     HostMoved { host: String, from: SocketAddr },
+    #[error("the camera's pictures have ended: {0}")]
+    Camera(String),
     #[error("reading or writing failed: {0}")]
     Io(#[from] io::Error),
 }

@@ -7,6 +7,7 @@ use std::pin::Pin;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use rustix::time::{ClockId, clock_gettime};
 use tokio::time::{Instant, Sleep};
 
 /// The host's clock, zero at the start of the session. Copies share it.
@@ -48,6 +49,12 @@ impl HostTimer {
         let since_start = i128::from(read_utc_micros()) - i128::from(self.utc_start_micros);
         let by_date = i64::try_from(since_start).unwrap_or(i64::MAX);
         TimeDelta::from_micros(by_date) - elapsed
+    }
+
+    /// The instant of a stamp of the system's monotonic clock, by which drivers of cameras stamp pictures.
+    pub fn at_monotonic(&self, stamp: Duration) -> Timestamp<HostClock> {
+        let ago = read_monotonic().saturating_sub(stamp);
+        self.now() - TimeDelta::from_nanos(i64::try_from(ago.as_nanos()).unwrap_or(i64::MAX))
     }
 
     /// The runtime's instant of `stamp`; the start of the session for earlier ones.
@@ -102,6 +109,10 @@ fn read_clock() -> Instant {
 fn read_utc_micros() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
+}
+
+fn read_monotonic() -> Duration {
+    Duration::try_from(clock_gettime(ClockId::Monotonic)).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -50,10 +50,10 @@ pub use capacity::{Backlog, CapacityMeter};
 pub use connection::{Connection, LinkCounters, LinkEvent, OutgoingFrame, QueueStatus, ReceivedBytes};
 pub use error::{LinkError, OpenError};
 pub use host_timer::{DeadlineTimer, HostTimer};
-pub use link::{Link, LinkOpenConfig};
+pub use link::{Link, LinkOpenConfig, Opener};
 pub use link_set::LinkSet;
 pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport};
 pub use transports::{
-    ConnectRole, DeviceDirectories, FirstContact, LineSettingsPolicy, LinkTuning, UDP_RECEIVE_BUFFER_BYTES,
+    ConnectRole, DeviceDirectories, FirstContact, LineSettingsPolicy, LinkTuning, OpenFuture, UDP_RECEIVE_BUFFER_BYTES,
 };
 pub use url::{BluetoothAddress, LinkUrl, Target, UrlError};

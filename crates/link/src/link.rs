@@ -34,10 +34,15 @@ pub struct LinkOpenConfig {
     pub role: ConnectRole,
 }
 
+/// Starts to open a connection that this crate does not know: that to a camera.
+pub type Opener = Box<dyn Fn(HostTimer) -> OpenFuture + Send>;
+
 /// A link that reconnects by itself.
 pub struct Link {
     config: LinkOpenConfig,
     tuning: LinkTuning,
+    /// In place of the transport of the URL.
+    opener: Option<Opener>,
     timer: HostTimer,
     state: ConnectionState,
     /// The device's path that survives a replug.
@@ -81,6 +86,7 @@ impl Link {
             backoff: Backoff::new(config.id, config.url.transport(), SessionSeed::from_timer(&timer)),
             config,
             tuning,
+            opener: None,
             timer,
             state: ConnectionState::Closed,
             stable_path: None,
@@ -89,6 +95,11 @@ impl Link {
             pending_event: None,
             reported_reason: None,
         }
+    }
+
+    /// A link whose connections `opener` opens.
+    pub fn with_opener(config: LinkOpenConfig, opener: Opener, timer: HostTimer) -> Self {
+        Self { opener: Some(opener), ..Self::new(config, timer) }
     }
 
     pub const fn id(&self) -> LinkId {
@@ -291,15 +302,18 @@ impl Link {
     }
 
     fn start_open(&self) -> ConnectionState {
-        let request = OpenRequest {
-            url: self.config.url.clone(),
-            role: self.config.role,
-            timer: self.timer,
-            tuning: self.tuning.clone(),
-            stable_path: self.stable_path.clone(),
+        let attempt = match &self.opener {
+            Some(open) => open(self.timer),
+            None => transports::open(OpenRequest {
+                url: self.config.url.clone(),
+                role: self.config.role,
+                timer: self.timer,
+                tuning: self.tuning.clone(),
+                stable_path: self.stable_path.clone(),
+            }),
         };
         let deadline = self.timer.now() + TimeDelta::from_millis(1_000 * OPEN_DEADLINE_SECS as i64);
-        ConnectionState::Opening { attempt: transports::open(request), deadline: Some(self.sleep_until(deadline)) }
+        ConnectionState::Opening { attempt, deadline: Some(self.sleep_until(deadline)) }
     }
 
     fn mark_up(&mut self, connection: Box<dyn Connection>) {

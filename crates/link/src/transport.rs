@@ -14,6 +14,7 @@ pub const TRANSPORTS: &[Transport] = &[
     Transport::Udp,
     Transport::Ev3,
     Transport::File,
+    Transport::Camera,
 ];
 
 /// The option of every transport; [`crate::Link`] applies it.
@@ -72,6 +73,31 @@ pub(crate) const CHUNK: OptionHelp = OptionHelp {
     help: "bytes per delivered chunk",
 };
 
+/// Pixels across and down that a webcam is asked for.
+pub const WIDTH: OptionHelp = OptionHelp {
+    name: "width",
+    kind: OptionKind::Integer { min: 0, max: 4_928, default: 1_280 },
+    help: "pixels across that a webcam is asked for; 0 takes what it has",
+};
+pub const HEIGHT: OptionHelp =
+    OptionHelp { name: "height", kind: OptionKind::Integer { min: 0, max: 4_928, default: 720 }, help: "pixels down" };
+pub const PICTURES_PER_SECOND: OptionHelp = OptionHelp {
+    name: "fps",
+    kind: OptionKind::Integer { min: 1, max: 240, default: 30 },
+    help: "pictures per second that a webcam is asked for, and with which a folder of pictures without times is played",
+};
+/// Held against the camera's automatic control, which lengthens the exposure in the dark until moving tags are blurred.
+pub const EXPOSURE: OptionHelp = OptionHelp {
+    name: "exposure_us",
+    kind: OptionKind::Integer { min: 0, max: 1_000_000, default: 0 },
+    help: "exposure of a webcam, microseconds, set and held; 0 leaves it to the camera",
+};
+pub const GAIN: OptionHelp = OptionHelp {
+    name: "gain",
+    kind: OptionKind::Integer { min: 0, max: 65_535, default: 0 },
+    help: "gain of a webcam in its own unit, set and held; 0 leaves it to the camera",
+};
+
 /// A kind of link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
@@ -87,6 +113,8 @@ pub enum Transport {
     Ev3,
     /// A file of raw bytes.
     File,
+    /// Pictures of a camera, in which tags are looked for.
+    Camera,
 }
 
 impl Transport {
@@ -100,6 +128,7 @@ impl Transport {
             Self::Udp => "udp",
             Self::Ev3 => "ev3",
             Self::File => "file",
+            Self::Camera => "camera",
         }
     }
 
@@ -114,6 +143,9 @@ impl Transport {
                 "an EV3 by WiFi: listens for one that announces itself, or dials one by address and serial number"
             }
             Self::File => "raw bytes from a file, or sent frames to the end of one",
+            Self::Camera => {
+                "tags in the pictures of a webcam, of a phone or network camera by http://, of a video file or a folder"
+            }
         }
     }
 
@@ -126,12 +158,14 @@ impl Transport {
             Self::Udp => "udp://:14550",
             Self::Ev3 => "ev3://0.0.0.0:3015",
             Self::File => "file://run.bin",
+            Self::Camera => "camera:/dev/video0",
         }
     }
 
     pub const fn target_kind(self) -> TargetKind {
         match self {
             Self::Serial | Self::Pty | Self::File => TargetKind::Path,
+            Self::Camera => TargetKind::Pictures,
             Self::Bluetooth => TargetKind::Bluetooth,
             Self::Tcp | Self::Udp | Self::Ev3 => TargetKind::Host,
         }
@@ -145,6 +179,7 @@ impl Transport {
             Self::Udp => &[IDLE, RATE],
             Self::Ev3 => &[SERIAL_NUMBER, RATE],
             Self::File => &[MODE, CHUNK, RATE],
+            Self::Camera => &[WIDTH, HEIGHT, PICTURES_PER_SECOND, EXPOSURE, GAIN, RATE],
         }
     }
 
@@ -160,6 +195,8 @@ pub enum TargetKind {
     Path,
     Host,
     Bluetooth,
+    /// A path, or a whole URL with options of its own.
+    Pictures,
 }
 
 /// One option of a transport, with its help text.

@@ -114,10 +114,12 @@ impl LinkUrl {
             .copied()
             .find(|transport| transport.scheme() == scheme)
             .ok_or_else(|| UrlError::UnknownScheme { scheme: scheme.to_owned(), known: known_schemes() })?;
-        let (target, query) = rest.rsplit_once('?').unwrap_or((rest, ""));
+        // What follows a question mark in the URL of a network camera is for that camera.
+        let is_whole = transport.target_kind() == TargetKind::Pictures && rest.contains("://");
+        let (target, query) = rest.rsplit_once('?').filter(|_| !is_whole).unwrap_or((rest, ""));
         let target = target.strip_prefix("//").unwrap_or(target);
         let target = match transport.target_kind() {
-            TargetKind::Path => check_path(text, Path::new(target), transport)?,
+            TargetKind::Path | TargetKind::Pictures => check_path(text, Path::new(target), transport)?,
             TargetKind::Host => parse_host(text, target, transport)?,
             TargetKind::Bluetooth => parse_bluetooth(text, target, transport)?,
         };

@@ -23,7 +23,7 @@ pub(crate) use open_request::{OPEN_DEADLINE_SECS, OpenRequest, QUEUE_BYTES, time
 pub use udp_socket::RECEIVE_BUFFER_BYTES as UDP_RECEIVE_BUFFER_BYTES;
 
 /// An attempt to open a link. Dropping it cancels the attempt.
-pub(crate) type OpenFuture = Pin<Box<dyn Future<Output = Result<Box<dyn Connection>, OpenError>> + Send + 'static>>;
+pub type OpenFuture = Pin<Box<dyn Future<Output = Result<Box<dyn Connection>, OpenError>> + Send + 'static>>;
 
 /// Starts to open a link. Needs a runtime with IO and time enabled when polled.
 pub(crate) fn open(request: OpenRequest) -> OpenFuture {
@@ -36,5 +36,9 @@ pub(crate) fn open(request: OpenRequest) -> OpenFuture {
         Transport::Ev3 => Box::pin(ev3::open(request)),
         // Regular files on a local disk answer without delay, so this needs no thread of its own.
         Transport::File => Box::pin(std::future::ready(file::open(&request))),
+        Transport::Camera => Box::pin(std::future::ready(Err(OpenError::TransportNotBuilt {
+            what: "a camera",
+            advice: "only `posebridge run` of a build with the feature `camera` takes its pictures",
+        }))),
     }
 }

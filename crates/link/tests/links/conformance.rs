@@ -24,8 +24,9 @@ fn plan(scheme: &str, device: &Path) -> Option<EndUrls> {
         "pty" => (Some(format!("pty:{device}")), format!("serial:{device}"), false),
         "tcp" => (None, "tcp://127.0.0.1:0".to_owned(), true),
         "udp" => (None, "udp://127.0.0.1:0".to_owned(), false),
-        // A radio and a paired device would be needed; a file is one-way; an EV3 must be a brick. Their own tests bear their names.
-        "bluetooth" | "file" | "ev3" => return None,
+        // A radio and a paired device would be needed; a file is one-way; an EV3 must be a brick; a camera is opened elsewhere. Their
+        // own tests bear their names.
+        "bluetooth" | "file" | "ev3" | "camera" => return None,
         other => panic!("say here what the far end of a {other} link is"),
     };
     Some(EndUrls { near, far, detects_loss })

@@ -1,0 +1,24 @@
+//! Cameras as links of the station: pictures of a webcam, of a phone or network camera, of a file or folder, and the tags in them.
+//!
+//! Two threads serve a camera: one takes its pictures, the other looks for tags in the newest of them. The station's thread is handed
+//! lines of JSON only (docs/protocols/camera-json.md), so no picture delays an estimate. What a camera sends is untrusted: its pictures
+//! have limits, and one that cannot be decoded is counted.
+
+mod capture;
+mod connection;
+mod http_stream;
+mod picture;
+mod picture_server;
+mod picture_slot;
+mod recorded;
+mod still;
+mod tag_lines;
+mod tag_search_thread;
+mod tag_tracker;
+mod view;
+mod webcam;
+
+pub use connection::{CameraSettings, camera_opener};
+pub use picture_server::PictureServer;
+pub use still::take_picture;
+pub use view::{CameraView, SeenPicture};

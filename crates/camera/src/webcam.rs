@@ -1,0 +1,188 @@
+//! Pictures of a webcam, by Video4Linux 2.
+//!
+//! Source: Linux media subsystem documentation, "Video for Linux API": buffers and their time stamps, camera controls.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use moq_v4l::buffer::{Flags, Metadata, Type};
+use moq_v4l::control::{Control, Value};
+use moq_v4l::format::{Format, FourCC};
+use moq_v4l::io::traits::CaptureStream as _;
+use moq_v4l::prelude::{Device, MmapStream};
+use moq_v4l::video::Capture as _;
+use moq_v4l::video::capture::Parameters;
+use posebridge_link::transport::{EXPOSURE, GAIN, HEIGHT, PICTURES_PER_SECOND, WIDTH};
+use posebridge_link::{HostTimer, LinkError, LinkUrl, OpenError};
+use posebridge_telemetry::TimeDelta;
+
+use crate::capture::{Capture, CaptureError};
+use crate::picture::{EncodedPicture, PictureTime};
+
+/// Few, so that no old picture waits in the driver.
+const BUFFERS: u32 = 3;
+/// So long the end of the link is not seen.
+const POLL: Duration = Duration::from_millis(200);
+/// A webcam that gives no picture for so many polls is lost.
+const SILENT_POLLS: u32 = 25;
+
+/// V4L2_CID_EXPOSURE_AUTO with V4L2_EXPOSURE_MANUAL; V4L2_CID_EXPOSURE_ABSOLUTE in units of 100 µs; V4L2_CID_EXPOSURE_DYNAMIC_FRAMERATE,
+/// which would slow the pictures down in the dark.
+const EXPOSURE_AUTO: u32 = 0x009A_0901;
+const EXPOSURE_MANUAL: i64 = 1;
+const EXPOSURE_ABSOLUTE: u32 = 0x009A_0902;
+const EXPOSURE_UNIT_US: u32 = 100;
+const EXPOSURE_DYNAMIC_FRAMERATE: u32 = 0x009A_0903;
+/// V4L2_CID_AUTOGAIN and V4L2_CID_GAIN.
+const AUTO_GAIN: u32 = 0x0098_0912;
+const GAIN_VALUE: u32 = 0x0098_0913;
+
+/// How a webcam gives its pictures, the best first.
+const FORMATS: [(PixelLayout, &[u8; 4]); 3] =
+    [(PixelLayout::Jpeg, b"MJPG"), (PixelLayout::Grey, b"GREY"), (PixelLayout::Yuyv, b"YUYV")];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PixelLayout {
+    Jpeg,
+    /// A byte for each pixel.
+    Grey,
+    /// Brightness and colour in turn.
+    Yuyv,
+}
+
+/// Receives until the webcam is unplugged or the link is closed.
+pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
+    let path = capture.url.path().to_owned();
+    let device = Device::with_path(&path).map_err(|error| open_error(&path, error))?;
+    let failed = |error| open_error(&path, error);
+    let (format, layout) = set_format(&device, &capture.url, &path)?;
+    let rate = Parameters::with_fps(capture.url.integer(&PICTURES_PER_SECOND));
+    // Not every driver can be told; the pictures come as fast as it gives them then.
+    let interval = device.set_params(&rate).ok().map(|set| set.interval);
+    let exposure = hold_exposure(&device, &capture.url, &path)?;
+    let frame = interval.filter(|interval| interval.denominator > 0).map_or(TimeDelta::ZERO, |interval| {
+        TimeDelta::from_secs_f64(f64::from(interval.numerator) / f64::from(interval.denominator))
+    });
+    let mut stream = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(failed)?;
+    stream.set_timeout(POLL);
+    let fourcc = format.fourcc;
+    capture.report_open(format!("{}, {} x {} {fourcc}", name_of(&path), format.width, format.height));
+    let mut silent = 0;
+    while !capture.stop.is_cancelled() {
+        let (bytes, metadata) = match stream.next() {
+            Ok(next) => next,
+            Err(error) if error.kind() == io::ErrorKind::TimedOut && silent < SILENT_POLLS => {
+                silent += 1;
+                continue;
+            }
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => {
+                return Err(CaptureError::Lost(LinkError::Camera("the webcam gives no more pictures".to_owned())));
+            }
+            Err(error) => return Err(CaptureError::Lost(error.into())),
+        };
+        silent = 0;
+        if metadata.flags.contains(Flags::ERROR) {
+            continue;
+        }
+        let used = bytes.get(..metadata.bytesused as usize).unwrap_or(bytes);
+        let time = exposure_time(capture.timer, metadata, exposure, frame);
+        capture.slot.put(EncodedPicture { time, bytes: encoded(used, layout, &format) });
+    }
+    Ok(())
+}
+
+/// The first format of the table that the webcam has, as large as asked for or as near as it comes.
+fn set_format(device: &Device, url: &LinkUrl, path: &Path) -> Result<(Format, PixelLayout), OpenError> {
+    let failed = |error| open_error(path, error);
+    let now = device.format().map_err(failed)?;
+    let asked = |option, current| Some(url.integer(option)).filter(|pixels| *pixels > 0).unwrap_or(current);
+    let (width, height) = (asked(&WIDTH, now.width), asked(&HEIGHT, now.height));
+    for (layout, fourcc) in FORMATS {
+        let fourcc = FourCC::new(fourcc);
+        let set = device.set_format(&Format::new(width, height, fourcc)).map_err(failed)?;
+        if set.fourcc == fourcc {
+            return Ok((set, layout));
+        }
+    }
+    let reason = format!("it gives pictures as {} only; MJPG, GREY and YUYV are read", now.fourcc);
+    Err(OpenError::CameraRefused { url: url.to_string(), reason })
+}
+
+/// Sets what the URL holds; returns the exposure if it is known.
+fn hold_exposure(device: &Device, url: &LinkUrl, path: &Path) -> Result<Option<TimeDelta>, OpenError> {
+    let (exposure_us, gain) = (url.integer(&EXPOSURE), url.integer(&GAIN));
+    let set = |id, value| device.set_control(Control { id, value });
+    let refused = |what: &str, error: &io::Error| OpenError::CameraRefused {
+        url: url.to_string(),
+        reason: format!("{} does not let its {what} be set: {error}; take the option away", name_of(path)),
+    };
+    if gain > 0 {
+        // Many have no automatic gain of its own.
+        drop(set(AUTO_GAIN, Value::Boolean(false)));
+        set(GAIN_VALUE, Value::Integer(gain.into())).map_err(|error| refused("gain", &error))?;
+    }
+    if exposure_us == 0 {
+        return Ok(None);
+    }
+    drop(set(EXPOSURE_DYNAMIC_FRAMERATE, Value::Boolean(false)));
+    set(EXPOSURE_AUTO, Value::Integer(EXPOSURE_MANUAL)).map_err(|error| refused("exposure", &error))?;
+    let units = exposure_us.div_ceil(EXPOSURE_UNIT_US);
+    set(EXPOSURE_ABSOLUTE, Value::Integer(units.into())).map_err(|error| refused("exposure", &error))?;
+    Ok(Some(TimeDelta::from_micros(i64::from(units * EXPOSURE_UNIT_US))))
+}
+
+/// The middle of the exposure, from the buffer's stamp: of the start of exposure, or of the end of reading out.
+fn exposure_time(timer: HostTimer, metadata: &Metadata, exposure: Option<TimeDelta>, frame: TimeDelta) -> PictureTime {
+    if metadata.flags & Flags::TIMESTAMP_MASK != Flags::TIMESTAMP_MONOTONIC {
+        return PictureTime::Received(timer.now());
+    }
+    let stamp = timer.at_monotonic(metadata.timestamp.into());
+    let half = |whole: TimeDelta| TimeDelta::from_nanos(whole.as_nanos() / 2);
+    // An exposure that is not known is at most as long as a frame.
+    let (shortest, longest) =
+        exposure.map_or((TimeDelta::ZERO, half(frame)), |exposure| (half(exposure), half(exposure)));
+    if metadata.flags & Flags::TSTAMP_SRC_MASK == Flags::TSTAMP_SRC_SOE {
+        PictureTime::Exposed { earliest: stamp + shortest, latest: stamp + longest }
+    } else {
+        // Reading out takes a frame at most.
+        PictureTime::Exposed { earliest: stamp - frame - longest, latest: stamp - shortest }
+    }
+}
+
+fn encoded(bytes: &[u8], layout: PixelLayout, format: &Format) -> Vec<u8> {
+    let step = match layout {
+        PixelLayout::Jpeg => return bytes.to_vec(),
+        PixelLayout::Grey => 1,
+        PixelLayout::Yuyv => 2,
+    };
+    let width = format.width as usize;
+    let stride = (format.stride as usize).max(step * width);
+    let mut picture = format!("P5 {} {} 255\n", format.width, format.height).into_bytes();
+    for row in bytes.chunks(stride).take(format.height as usize) {
+        picture.extend(row.iter().step_by(step).take(width));
+    }
+    picture
+}
+
+/// As its driver calls it, else its path.
+fn name_of(path: &Path) -> String {
+    let node = path.canonicalize().unwrap_or_else(|_unknown| path.to_owned());
+    let file = node.file_name().map(|node| PathBuf::from("/sys/class/video4linux").join(node).join("name"));
+    let name = file.and_then(|file| std::fs::read_to_string(file).ok());
+    let path = path.display();
+    name.map_or_else(|| path.to_string(), |name| format!("{} ({path})", name.trim()))
+}
+
+fn open_error(path: &Path, source: io::Error) -> OpenError {
+    let what = path.display().to_string();
+    match source.kind() {
+        io::ErrorKind::NotFound => OpenError::DeviceMissing { path: path.to_owned() },
+        io::ErrorKind::PermissionDenied => OpenError::PermissionDenied {
+            what,
+            advice: "add yourself to the group `video` and log in again".to_owned(),
+        },
+        io::ErrorKind::ResourceBusy => OpenError::PortInUse { path: path.to_owned() },
+        _ => OpenError::Io { what, source },
+    }
+}

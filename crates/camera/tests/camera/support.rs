@@ -1,0 +1,53 @@
+//! A link to a camera, and the lines that it gives.
+
+use posebridge_camera::{CameraSettings, CameraView, camera_opener};
+use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
+use posebridge_telemetry::LinkId;
+use serde_json::Value;
+
+pub(crate) struct CameraLink {
+    pub(crate) link: Link,
+    pub(crate) view: CameraView,
+}
+
+impl CameraLink {
+    pub(crate) fn new(source: &str) -> Self {
+        let url = LinkUrl::parse(&format!("camera:{source}")).expect("a URL");
+        let view = CameraView::default();
+        let settings = CameraSettings { name: "overhead".to_owned(), floor_tags: 580..586, view: view.clone() };
+        let open = LinkOpenConfig { id: LinkId(3), url: url.clone(), role: ConnectRole::Dial };
+        Self { link: Link::with_opener(open, camera_opener(url, settings), HostTimer::start()), view }
+    }
+
+    /// The next line that is no greeting.
+    pub(crate) async fn tag(&mut self) -> Value {
+        loop {
+            if let LinkEvent::Bytes { bytes, .. } = self.link.next_event().await {
+                let lines = String::from_utf8(bytes).expect("text");
+                let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+                if let Some(line) = lines.into_iter().find(|line| line.get("tag").is_some()) {
+                    return line;
+                }
+            }
+        }
+    }
+
+    /// The reason of the next loss.
+    pub(crate) async fn loss(&mut self) -> String {
+        loop {
+            if let LinkEvent::Down { reason, .. } = self.link.next_event().await {
+                return reason;
+            }
+        }
+    }
+}
+
+pub(crate) fn corners_of(line: &Value) -> [[f64; 2]; 4] {
+    serde_json::from_value(line["corners_px"].clone()).expect("four pairs")
+}
+
+/// The largest distance of two corners that belong together, px.
+pub(crate) fn distance(found: [[f64; 2]; 4], expected: [[f64; 2]; 4]) -> f64 {
+    let distances = found.iter().zip(expected).map(|(one, other)| (one[0] - other[0]).hypot(one[1] - other[1]));
+    distances.fold(0.0, f64::max)
+}
