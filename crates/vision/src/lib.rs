@@ -1,6 +1,6 @@
 //! Tags in the pictures of cameras.
 //!
-//! A picture comes in as grey pixels, what was found goes out as values: no camera, no file, no clock.
+//! A picture comes in as grey pixels or as the bytes of a recording, what was found goes out as values: no camera, no path, no clock.
 
 mod blurred_pattern;
 mod camera_model;
