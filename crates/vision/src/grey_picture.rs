@@ -1,7 +1,7 @@
 //! Pictures of files and cameras as grey pixels: JPEG, PNG, and PGM (netpbm's P5).
 
 use std::borrow::Cow;
-use std::io::Cursor;
+use std::io::{Cursor, Read};
 
 use png::{ColorType, Transformations};
 use zune_jpeg::JpegDecoder;
@@ -12,7 +12,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 use crate::grey_image::GreyImage;
 
 /// Longest side that is decoded, px: a camera of 16 megapixels.
-const MAX_SIDE: usize = 4_928;
+pub(crate) const MAX_SIDE: usize = 4_928;
 /// First bytes of every PNG picture.
 const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1A\n";
 /// Most memory for what a PNG picture says beside its pixels, bytes.
@@ -117,7 +117,20 @@ impl GreyPicture {
         Ok(())
     }
 
-    const fn clear(&mut self) {
+    /// Replaces it by the pixels that `input` begins with, and says how many bytes that were; it is empty if they are too few.
+    /// The sides are at most [`MAX_SIDE`].
+    pub(crate) fn read_pixels(&mut self, input: impl Read, width: usize, height: usize) -> std::io::Result<usize> {
+        self.clear();
+        self.pixels.clear();
+        // Memory grows with what comes, not with what was announced.
+        let read = input.take((width * height) as u64).read_to_end(&mut self.pixels)?;
+        if read == width * height {
+            (self.width, self.height) = (width, height);
+        }
+        Ok(read)
+    }
+
+    pub(crate) const fn clear(&mut self) {
         (self.width, self.height) = (0, 0);
     }
 

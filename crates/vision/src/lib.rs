@@ -21,6 +21,8 @@ mod tag_pose;
 mod tag_search;
 mod tag_sheet;
 mod threshold;
+mod video_frame;
+mod y4m;
 
 pub use camera_model::CameraModel;
 pub use floor_calibration::{CalibrationError, FloorCalibration, LensKnowledge, SeenPoint};
@@ -33,3 +35,5 @@ pub use tag_pose::FloorTagPose;
 pub use tag_search::{ImageWindow, TagSearch};
 pub use tag_sheet::{RULER_M, SHEET_SIZE_M, SheetTag, floor_sheet, robot_sheet, sheet_points};
 pub use tag36h11::tag36h11_modules;
+pub use video_frame::{FrameRate, VideoFrame};
+pub use y4m::{Y4mError, Y4mReader};

@@ -19,3 +19,4 @@ mod floor;
 mod recorded;
 mod still;
 mod stream;
+mod y4m;

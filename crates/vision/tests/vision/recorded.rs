@@ -1,6 +1,59 @@
 //! Recorded pictures by OpenCV and ffmpeg, and what these decode from them.
 
+use std::io::{Error, ErrorKind, Read};
+
+use posebridge_vision::{GreyPicture, VideoFrame};
 use proptest::prelude::*;
+
+/// Gives at most so many bytes at a time, and is interrupted in between.
+pub(crate) struct Trickle<'a> {
+    bytes: &'a [u8],
+    most: usize,
+    is_interrupted: bool,
+}
+
+impl Read for Trickle<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        self.is_interrupted = !self.is_interrupted;
+        if self.is_interrupted {
+            return Err(Error::from(ErrorKind::Interrupted));
+        }
+        let most = self.most.min(buffer.len());
+        self.bytes.read(&mut buffer[..most])
+    }
+}
+
+pub(crate) const fn trickle(bytes: &[u8], most: usize) -> Trickle<'_> {
+    Trickle { bytes, most, is_interrupted: false }
+}
+
+/// What a reader gives: its frames with their pixels and its errors.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Reading {
+    pub(crate) frames: Vec<(VideoFrame, Vec<u8>)>,
+    pub(crate) errors: Vec<String>,
+}
+
+impl Reading {
+    /// Returns false at the end.
+    pub(crate) fn push<E: ToString>(&mut self, frame: Result<Option<VideoFrame>, E>, picture: &GreyPicture) -> bool {
+        match frame {
+            Ok(Some(frame)) => {
+                let image = picture.image().unwrap();
+                self.frames.push((frame, (0..image.height()).flat_map(|y| image.row(y)).copied().collect()));
+                return true;
+            }
+            Ok(None) => {}
+            Err(error) => self.errors.push(error.to_string()),
+        }
+        assert!(picture.image().is_none());
+        false
+    }
+
+    pub(crate) fn times(&self) -> Vec<f64> {
+        self.frames.iter().map(|(frame, _)| frame.time_s).collect()
+    }
+}
 
 pub(crate) fn worst_difference(one: &[u8], other: &[u8]) -> u8 {
     assert_eq!(one.len(), other.len());
