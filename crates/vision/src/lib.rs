@@ -2,6 +2,7 @@
 //!
 //! A picture comes in as grey pixels or as the bytes of a recording, what was found goes out as values: no camera, no path, no clock.
 
+mod avi;
 mod blurred_pattern;
 mod camera_model;
 mod decode;
@@ -15,6 +16,7 @@ mod normal_table;
 mod outline;
 mod quad;
 mod refine;
+mod riff;
 mod tag36h11;
 mod tag_detector;
 mod tag_pose;
@@ -24,6 +26,7 @@ mod threshold;
 mod video_frame;
 mod y4m;
 
+pub use avi::{AviCutOff, AviError, AviReader};
 pub use camera_model::CameraModel;
 pub use floor_calibration::{CalibrationError, FloorCalibration, LensKnowledge, SeenPoint};
 pub use floor_view::FloorView;

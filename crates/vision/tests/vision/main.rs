@@ -11,6 +11,7 @@ macro_rules! recorded {
     };
 }
 
+mod avi;
 mod calibration;
 mod corner_accuracy;
 mod detection;

@@ -2,7 +2,7 @@
 
 use std::io::{Error, ErrorKind, Read};
 
-use posebridge_vision::{GreyPicture, VideoFrame};
+use posebridge_vision::{AviCutOff, GreyPicture, VideoFrame};
 use proptest::prelude::*;
 
 /// Gives at most so many bytes at a time, and is interrupted in between.
@@ -27,11 +27,12 @@ pub(crate) const fn trickle(bytes: &[u8], most: usize) -> Trickle<'_> {
     Trickle { bytes, most, is_interrupted: false }
 }
 
-/// What a reader gives: its frames with their pixels and its errors.
+/// What a reader gives: its frames with their pixels, its errors, and how an AVI file was cut off.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Reading {
     pub(crate) frames: Vec<(VideoFrame, Vec<u8>)>,
     pub(crate) errors: Vec<String>,
+    pub(crate) cut_off: Option<AviCutOff>,
 }
 
 impl Reading {
