@@ -17,6 +17,7 @@ mod corner_accuracy;
 mod detection;
 mod drawing;
 mod floor;
+mod picture_times;
 mod recorded;
 mod still;
 mod stream;
