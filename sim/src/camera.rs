@@ -135,7 +135,8 @@ impl Camera {
     /// Takes an image. Every image draws the same number of random values, so that one more outlier or dropout leaves
     /// the noise of the others as it was.
     fn expose(&mut self, world: TimeDelta, pose: Pose<Arena>) {
-        let is_dropped = self.stream.bernoulli(self.settings.dropout) || self.is_dark(world) || self.is_covered;
+        let is_dropped =
+            self.stream.bernoulli(self.settings.dropout) || self.settings.is_dark(world) || self.is_covered;
         let is_outlier = self.stream.bernoulli(self.settings.outlier);
         let gross = f64::from(u8::from(is_outlier));
         // An outlier's own error is drawn in either case.
@@ -178,11 +179,6 @@ impl Camera {
         }
         let index = self.pending.partition_point(|other| other.sent <= sent);
         self.pending.insert(index, fix);
-    }
-
-    fn is_dark(&self, world: TimeDelta) -> bool {
-        let now_s = world.as_secs_f64();
-        self.settings.blackouts.iter().any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
     }
 
     fn message(&self, fix: &CameraFix) -> Message {

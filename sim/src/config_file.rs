@@ -44,6 +44,22 @@ const RANGES: &[(f64, f64, &str)] = &[
     (SMALLEST, LARGEST, "every_s max_range_m size_m"),
     (-LARGEST, LARGEST, "offset_m positions_m value"),
     (0.0, 360.0, "field_of_view_deg"),
+    // The rendered camera's own. Pictures fit into the memory, and the detector takes pictures of this size.
+    (64.0, 2_048.0, "height_px width_px"),
+    (0.0, 100.0, "height_m"),
+    (0.0, 80.0, "tilt_deg"),
+    (-360.0, 360.0, "azimuth_deg"),
+    (10.0, 100_000.0, "focal_px"),
+    (-10.0, 10.0, "radial"),
+    (-1_000.0, 1_000.0, "axis_offset_px"),
+    (0.0, 1_000.0, "exposure_ms line_time_us"),
+    (0.0, 10.0, "blur_px shot_noise"),
+    (1.0, 255.0, "white_level"),
+    (-1.0, 1.0, "light_change"),
+    (0.0, 100.0, "read_noise"),
+    (1.0, 100.0, "jpeg_quality"),
+    // Of the family tag36h11.
+    (0.0, 586.0, "id"),
     // Any seed; what has a check of its own.
     (f64::NEG_INFINITY, f64::INFINITY, "seed points_m lags_s shares"),
     (
@@ -278,6 +294,7 @@ mod tests {
     fn each_range_is_that_of_a_key_and_of_no_other_range_and_each_key_has_one() {
         let files = [
             include_str!("scenario/mod.rs"),
+            include_str!("scenario/pictures.rs"),
             include_str!("scenario/robot.rs"),
             include_str!("scenario/sensors.rs"),
             include_str!("montecarlo/disturbances.rs"),

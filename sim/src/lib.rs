@@ -38,6 +38,7 @@ pub mod motor_bench;
 mod path;
 mod personality;
 mod random;
+pub mod rendered_camera;
 mod robot_body;
 pub mod scenario;
 mod sensors;

@@ -20,8 +20,9 @@ use crate::hand::HandMover;
 use crate::history::{HistoryPolicy, trim_history};
 use crate::path::Path;
 use crate::personality::{Brick, BrickTime};
+use crate::rendered_camera::{Exposure, ExposureRecorder, FrameTimes, LensState, RenderedCamera, RenderedFrame};
 use crate::robot_body::{Displacement, RobotBody};
-use crate::scenario::{Course, DriveEnd, Scenario, Steering};
+use crate::scenario::{Course, DriveEnd, Scenario, ScenarioError, Steering};
 use crate::sensors::SensorBoard;
 use crate::wheels::PerWheel;
 
@@ -86,6 +87,9 @@ pub struct Simulation {
     /// Held until the brick changes it.
     duty: PerWheel<f64>,
     camera: Option<Camera>,
+    pictures: Option<ExposureRecorder>,
+    /// Made for the first frame that [`Simulation::take_due_frames`] renders.
+    rendered_camera: Option<Box<RenderedCamera>>,
     framer: Framer,
     camera_scanner: Framer,
     outgoing: VecDeque<Vec<u8>>,
@@ -127,6 +131,8 @@ impl Simulation {
             brick,
             duty: PerWheel::default(),
             camera,
+            pictures: ExposureRecorder::new(&scenario.camera, scenario.seed, path.start()),
+            rendered_camera: None,
             framer: Framer::new(FramerConfig::default()),
             camera_scanner: Framer::new(FramerConfig::default()),
             outgoing: VecDeque::new(),
@@ -175,6 +181,9 @@ impl Simulation {
         if let Some(camera) = &mut self.camera {
             camera.step(self.world, self.body.pose);
         }
+        if let Some(pictures) = &mut self.pictures {
+            pictures.step(self.world, self.body.pose);
+        }
         self.collect_output();
         self.log_truth();
     }
@@ -201,6 +210,36 @@ impl Simulation {
     /// The next camera image as a line of JSON without its end; `None` unless [`Self::with_images`].
     pub fn poll_image(&mut self) -> Option<String> {
         self.camera.as_mut()?.images.as_mut()?.pop_front()
+    }
+
+    /// When the camera takes its next picture; `None` if the scenario has no `[camera.pictures]`.
+    pub fn next_picture(&self) -> Option<FrameTimes> {
+        self.pictures.as_ref().map(ExposureRecorder::next_exposure)
+    }
+
+    /// The next picture that is exposed and not yet taken, before it is rendered. [`RenderedCamera::take_picture`] renders it, in a thread
+    /// of its own if need be; it is delivered at [`FrameTimes::due`].
+    pub fn take_exposure(&mut self) -> Option<Exposure> {
+        self.pictures.as_mut()?.take_finished()
+    }
+
+    /// Renders the pictures that are due and not yet taken. The first call with one renders what stands still, too.
+    ///
+    /// # Errors
+    /// Settings of a scenario that no file was read from may contradict each other.
+    pub fn take_due_frames(&mut self) -> Result<Vec<RenderedFrame>, ScenarioError> {
+        let (Some(pictures), Some(settings)) = (&mut self.pictures, &self.scenario.camera.pictures) else {
+            return Ok(Vec::new());
+        };
+        let mut frames = Vec::new();
+        while let Some(exposure) = pictures.take_due(self.world) {
+            let camera = match &mut self.rendered_camera {
+                Some(camera) => camera,
+                none => none.insert(Box::new(RenderedCamera::new(settings, self.scenario.seed)?)),
+            };
+            frames.push(camera.take_picture(&exposure));
+        }
+        Ok(frames)
     }
 
     /// Receives bytes from the station now on the brick's link, in pieces of any size; damaged bytes are skipped.
@@ -390,10 +429,19 @@ impl Simulation {
                 if let Some(camera) = &mut self.camera {
                     camera.is_covered = to == SensorSwitch::Off;
                 }
+                if let Some(pictures) = &mut self.pictures {
+                    pictures.set_lens(match to {
+                        SensorSwitch::On => LensState::Open,
+                        SensorSwitch::Off => LensState::Covered,
+                    });
+                }
             }
             SimulatorCommand::CameraDelay { delay } => {
                 if let Some(camera) = &mut self.camera {
                     camera.settings.latency_ms = delay.as_millis_f64();
+                }
+                if let Some(pictures) = &mut self.pictures {
+                    pictures.set_latency(delay);
                 }
             }
             SimulatorCommand::GyroBiasStep { rad_per_s } => {

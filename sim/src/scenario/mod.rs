@@ -4,6 +4,7 @@
 //! with the sources of the defaults. The caller reads files.
 
 mod loading;
+mod pictures;
 mod robot;
 mod sensors;
 mod side_by_side;
@@ -18,6 +19,7 @@ use serde::Deserialize;
 use crate::config_file::{MAX_LAPS, bundle, bundled_text};
 
 pub use crate::config_file::ConfigFileError as ScenarioError;
+pub use pictures::{FloorTagSettings, RenderedCameraSettings, RobotTagSettings};
 pub use robot::{
     BrickProgram, BrickSettings, ErrorSettings, MissingSensor, MotorSettings, Personality, PortSensor, RobotSettings,
     Wire,
@@ -94,6 +96,14 @@ impl Scenario {
 
     pub const fn with_personality(mut self, personality: Personality) -> Self {
         self.brick.personality = personality;
+        self
+    }
+
+    /// With a camera that renders pictures, as the scenario describes it or else the usual one, and sends no fixes.
+    #[must_use]
+    pub fn with_rendered_camera(mut self) -> Self {
+        self.camera.pictures.get_or_insert_default();
+        self.camera.is_present = false;
         self
     }
 

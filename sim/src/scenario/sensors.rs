@@ -1,7 +1,10 @@
 //! The inertial sensors and the thermometer on board, and the camera overhead.
 
+use posebridge_telemetry::TimeDelta;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error};
+
+use super::pictures::{RenderedCameraSettings, pictures};
 
 /// Defaults: the HiTechnic gyro behind a brick that averages over the telemetry interval.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
@@ -121,6 +124,9 @@ pub struct CameraSettings {
     pub clock_start_micros: u64,
     /// Positive runs fast.
     pub clock_skew_ppm: f64,
+    /// Rendered pictures, for a program that finds the tags itself. They need no `is_present`: that is about the fixes.
+    #[serde(deserialize_with = "pictures")]
+    pub pictures: Option<RenderedCameraSettings>,
 }
 
 impl Default for CameraSettings {
@@ -148,7 +154,16 @@ impl Default for CameraSettings {
             tag_y_m: 0.0,
             clock_start_micros: 1_234_567_890,
             clock_skew_ppm: -20.0,
+            pictures: None,
         }
+    }
+}
+
+impl CameraSettings {
+    /// Whether a blackout falls on this time.
+    pub(crate) fn is_dark(&self, world: TimeDelta) -> bool {
+        let now_s = world.as_secs_f64();
+        self.blackouts.iter().any(|dark| (dark.from_s..dark.to_s).contains(&now_s))
     }
 }
 

@@ -10,4 +10,5 @@ mod impairment_statistics;
 mod lego_bricks;
 mod montecarlo;
 mod refused_files;
+mod rendered_camera;
 mod support;
