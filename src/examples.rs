@@ -11,7 +11,7 @@ const EXAMPLES: &[Examples] = &[
     (&[], ["posebridge", "posebridge --laps 1 --open"]),
     (&["run"], [
         "posebridge run --link serial:///dev/ttyUSB0 --robot my-robot.toml",
-        "posebridge run --listen udp://0.0.0.0:14550 --compare odometry,ekf5 --tui",
+        "posebridge run --listen udp://0.0.0.0:14550 --camera overhead.toml --tui",
     ]),
     (&["sim"], ["posebridge sim --listen pty:brick.tty --truth truth.csv", "posebridge sim square --brick nxt --listen tcp://127.0.0.1:5760"]),
     (&["play"], [

@@ -1,20 +1,29 @@
 //! The file of a calibrated camera, which `posebridge camera calibrate` writes.
 
+use std::fmt;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use posebridge_vision::{CameraModel, FloorView};
-use serde::{Deserialize, Serialize};
+use schemars::JsonSchema;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{self, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::text_file::read_text;
 
 /// A camera above the floor.
-#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Debug, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFile {
+    /// Its name, up to 16 letters and digits.
     pub name: String,
-    /// Of its pictures, px. A picture of another size has another focal length.
+    /// Where its pictures come from, as after `camera:` in the URL of a link.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+    /// Width of its pictures, px. A picture of another size has another focal length.
     pub width: usize,
+    /// Their height, px.
     pub height: usize,
     /// Focal lengths across and down.
     pub focal_px: [f64; 2],
@@ -26,25 +35,88 @@ pub struct CameraFile {
     pub position_m: [f64; 3],
     /// From the camera's axes (right, down, ahead) to the arena's (x, y, up), as a unit quaternion: w, x, y, z.
     pub rotation: [f64; 4],
+    /// How long after the exposure a picture comes in, where the camera does not say; without it `camera.json.delay_ms`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delay_ms: Option<f64>,
+    /// It may be so much more or less; without it `camera.json.delay_spread_ms`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delay_spread_ms: Option<f64>,
     /// How the calibration went.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationNote>,
 }
 
 /// For people; nothing reads it.
-#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationNote {
+    /// Corners that it was computed from.
     pub points: usize,
+    /// Root mean square of what remained of them in the pictures.
     pub rms_px: f64,
+    /// The same on the floor.
     pub floor_rms_mm: f64,
 }
 
+/// The camera of a link: the path of its file, or what stands in it, as recordings have it.
+#[derive(Clone, Debug, JsonSchema, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum CameraChoice {
+    /// Relative to the working directory.
+    File(String),
+    /// The content of a file.
+    Camera(Box<CameraFile>),
+}
+
+impl CameraChoice {
+    pub fn read(&self) -> Result<CameraFile> {
+        match self {
+            Self::File(path) => CameraFile::read(Path::new(path)),
+            Self::Camera(camera) => {
+                camera.view()?;
+                Ok((**camera).clone())
+            }
+        }
+    }
+}
+
+/// Not derived: an error in the table would not be named.
+impl<'de> Deserialize<'de> for CameraChoice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct ChoiceVisitor;
+
+        impl<'de> Visitor<'de> for ChoiceVisitor {
+            type Value = CameraChoice;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the path of a camera's file, or its table")
+            }
+
+            fn visit_str<E: de::Error>(self, path: &str) -> Result<CameraChoice, E> {
+                Ok(CameraChoice::File(path.to_owned()))
+            }
+
+            fn visit_map<M: MapAccess<'de>>(self, map: M) -> Result<CameraChoice, M::Error> {
+                CameraFile::deserialize(MapAccessDeserializer::new(map))
+                    .map(|file| CameraChoice::Camera(Box::new(file)))
+            }
+        }
+
+        deserializer.deserialize_any(ChoiceVisitor)
+    }
+}
+
 impl CameraFile {
-    pub fn new(name: &str, (width, height): (usize, usize), view: &FloorView, calibration: CalibrationNote) -> Self {
+    pub fn new(
+        name: &str,
+        (width, height): (usize, usize),
+        view: &FloorView,
+        calibration: Option<CalibrationNote>,
+    ) -> Self {
         let camera = &view.camera;
         Self {
             name: name.to_owned(),
+            source: None,
             width,
             height,
             focal_px: camera.focal_px.into(),
@@ -52,7 +124,9 @@ impl CameraFile {
             radial: camera.radial,
             position_m: view.position_m(),
             rotation: view.rotation(),
-            calibration: Some(calibration),
+            delay_ms: None,
+            delay_spread_ms: None,
+            calibration,
         }
     }
 
@@ -91,7 +165,7 @@ mod tests {
         std::fs::write(&path, TEXT).unwrap();
         let read = CameraFile::read(&path).unwrap();
         let note = CalibrationNote { points: 24, rms_px: 0.2, floor_rms_mm: 0.7 };
-        let again = CameraFile::new("overhead", (1280, 720), &read.view().unwrap(), note);
+        let again = CameraFile::new("overhead", (1280, 720), &read.view().unwrap(), Some(note));
         assert_eq!(CameraFile { calibration: None, ..again.clone() }, read);
         std::fs::write(&path, again.to_toml().unwrap()).unwrap();
         assert_eq!(CameraFile::read(&path).unwrap(), again);

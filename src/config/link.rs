@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_link::{LinkUrl, UrlError};
+use posebridge_link::{LinkUrl, Transport, UrlError};
 use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
 use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
@@ -19,10 +19,11 @@ use posebridge_telemetry::{LinkId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::bricks::FixSection;
+use super::camera_file::{CameraChoice, CameraFile};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
 use super::signing::SigningSection;
+use super::station::CameraConfig;
 use crate::text_file::read_text;
 
 /// One link.
@@ -38,6 +39,9 @@ pub struct LinkSection {
     /// What the brick at its other end speaks, if it is no MAVLink: docs/protocols/mavlink.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brick: Option<String>,
+    /// Where a camera at its other end stands: its file of `posebridge camera calibrate` (docs/camera.md).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraChoice>,
     /// Accept MAVLink 1 too.
     #[serde(default)]
     pub accept_mavlink1: bool,
@@ -127,6 +131,24 @@ impl LinkSection {
         })
     }
 
+    /// Whether this program looks for tags in the pictures of a camera there.
+    pub fn has_pictures(&self) -> bool {
+        matches!(LinkTarget::parse(&self.url), Ok(LinkTarget::Url(url)) if url.transport() == Transport::Camera)
+    }
+
+    /// A link to a camera: by the file of a calibrated one, or by the source of its pictures.
+    pub fn for_camera(file_or_source: &str) -> Result<Self> {
+        let section = |source: &str| Self { outputs: Some(Vec::new()), ..Self::new(&format!("camera:{source}")) };
+        if !is_toml_file(file_or_source) {
+            return Ok(section(file_or_source));
+        }
+        let camera = CameraFile::read(Path::new(file_or_source))?;
+        let source = camera.source.clone().context(
+            "the file does not say where the pictures come from: add a line such as `source = \"/dev/video0\"`",
+        )?;
+        Ok(Self { camera: Some(CameraChoice::Camera(Box::new(camera))), ..section(&source) })
+    }
+
     fn outputs(&self) -> Vec<OutputSection> {
         match (&self.outputs, self.ground_station) {
             (Some(outputs), _) => outputs.clone(),
@@ -140,6 +162,7 @@ impl LinkSection {
             url: url.to_owned(),
             listen: false,
             brick: None,
+            camera: None,
             accept_mavlink1: false,
             send_mavlink1: false,
             ground_station: false,
@@ -334,11 +357,20 @@ const MAVLINK: &str = "mavlink";
 /// The protocol that reads numbers by their order and no names.
 const COLUMNS: &str = "columns";
 
+/// The protocol of a link to a camera.
+const CAMERA_JSON: &str = "camera-json";
+
 /// `None` for MAVLink.
-pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSection) -> Result<Option<BrickLink>> {
-    let Some(name) = &link.brick else {
+pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &CameraConfig) -> Result<Option<BrickLink>> {
+    let has_pictures = link.has_pictures();
+    let Some(name) = link.brick.as_deref().or(has_pictures.then_some(CAMERA_JSON)) else {
+        ensure!(link.camera.is_none(), "`camera` belongs to `brick = \"{CAMERA_JSON}\"`, or to a URL of `camera:`");
         return Ok(None);
     };
+    ensure!(
+        name == CAMERA_JSON || !(has_pictures || link.camera.is_some()),
+        "`brick = \"{name}\"` is no camera: take `brick` away, or `camera`"
+    );
     let Some(protocol) = brick_protocol(name) else {
         let known: Vec<&str> = BRICK_PROTOCOLS.iter().map(|row| row.name).collect();
         bail!("`brick` is `{name}`; there are: {}", known.join(", "));
@@ -360,8 +392,10 @@ pub(super) fn brick_link(link: &LinkSection, robot: &RobotFile, cameras: &FixSec
         name != COLUMNS || !has_keys,
         "`[robot.line]` has `keys`, which `brick = \"{name}\"` does not read: write `brick = \"line\"`, or `columns` in place of `keys`"
     );
+    let camera = link.camera.as_ref().map(CameraChoice::read).transpose().context("`camera`")?;
+    let fixes = cameras.json_settings(camera.as_ref())?;
     let settings = CodecSettings {
-        fixes: CameraJsonSettings { framing: framing_of(&link.url), ..cameras.settings().context("`[camera.json]`")? },
+        fixes: CameraJsonSettings { framing: framing_of(&link.url), ..fixes },
         ..codec_settings(robot)?
     };
     Ok(Some(BrickLink { protocol, settings }))

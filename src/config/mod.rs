@@ -4,7 +4,6 @@
 
 mod bricks;
 mod calibration;
-#[cfg(feature = "camera")]
 mod camera_file;
 mod lengths;
 mod link;
@@ -18,6 +17,7 @@ mod routing;
 mod sections;
 mod sensor;
 mod signing;
+mod simulated_camera;
 mod station;
 mod wiring;
 
@@ -27,8 +27,7 @@ pub use bricks::{
 pub use calibration::{
     CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise, learnable_keys,
 };
-#[cfg(feature = "camera")]
-pub use camera_file::{CalibrationNote, CameraFile};
+pub use camera_file::{CalibrationNote, CameraChoice, CameraFile};
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, PinChoice, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,

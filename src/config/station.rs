@@ -5,15 +5,18 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
+use posebridge_protocol::bricks::camera_json::{CameraJsonSettings, FloorCamera};
 use posebridge_sim::Scenario;
 use posebridge_station::{
     DescriptionPolicy, FixRequestConfig, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig,
 };
 use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
+use posebridge_vision::FLOOR_TAGS;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bricks::FixSection;
+use super::camera_file::{CameraChoice, CameraFile};
 use super::link::{LinkSection, LinkTarget, brick_link, rules_of};
 use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
@@ -75,6 +78,12 @@ pub struct CameraConfig {
     pub tag_x_m: f64,
     /// Where the tag sits, left of mid-axle.
     pub tag_y_m: f64,
+    /// Side of the black rim of the robots' tags, for cameras whose pictures are searched for them (docs/camera.md).
+    pub tag_side_m: f64,
+    /// Height of the robots' tags above the floor.
+    pub tag_height_m: f64,
+    /// Number of the first of six tags that lie on the floor and are no robots.
+    pub floor_tags_from: u16,
     /// Ask cameras that answer for a fix when the position's standard deviation is above this.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ask_above_m: Option<f64>,
@@ -92,6 +101,9 @@ impl Default for CameraConfig {
         Self {
             tag_x_m: 0.0,
             tag_y_m: 0.0,
+            tag_side_m: 0.08,
+            tag_height_m: 0.0,
+            floor_tags_from: 580,
             ask_above_m: None,
             ask_above_deg: None,
             ask_interval_ms: 250,
@@ -101,6 +113,31 @@ impl Default for CameraConfig {
 }
 
 impl CameraConfig {
+    /// Settings of a link to a camera; `camera` is where it stands.
+    pub(super) fn json_settings(&self, camera: Option<&CameraFile>) -> Result<CameraJsonSettings> {
+        for (key, value, range) in
+            [("tag_side_m", self.tag_side_m, 0.005..=2.0), ("tag_height_m", self.tag_height_m, 0.0..=5.0)]
+        {
+            ensure!(range.contains(&value), "`camera.{key}` is {value}, must lie between {range:?}");
+        }
+        let Some(camera) = camera else {
+            return self.json.settings().context("`[camera.json]`");
+        };
+        let json = FixSection {
+            delay_ms: camera.delay_ms.unwrap_or(self.json.delay_ms),
+            delay_spread_ms: camera.delay_spread_ms.unwrap_or(self.json.delay_spread_ms),
+            ..self.json
+        };
+        let floor = FloorCamera {
+            view: camera.view()?,
+            picture_px: [camera.width, camera.height],
+            tag_side_m: self.tag_side_m,
+            tag_height_m: self.tag_height_m,
+            floor_tags: (u32::from(self.floor_tags_from), u32::from(FLOOR_TAGS)),
+        };
+        Ok(CameraJsonSettings { floor: Some(floor), ..json.settings().context("the camera's file")? })
+    }
+
     fn fix_requests(&self) -> Result<FixRequestConfig> {
         for (key, limit) in [("ask_above_m", self.ask_above_m), ("ask_above_deg", self.ask_above_deg)] {
             ensure!(
@@ -211,7 +248,7 @@ impl Config {
         self.check_signing()?;
         let rules = rules_of(&self.links)?.into_iter();
         let links = self.links.iter().zip(rules).enumerate().map(|(index, (link, rules))| {
-            let brick = brick_link(link, self.robot_of_link(index), &self.camera.json);
+            let brick = brick_link(link, self.robot_of_link(index), &self.camera);
             let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
             let config = link.to_link_config(index, rules)?;
             Ok(LinkConfig { brick, ..config })
@@ -237,6 +274,17 @@ impl Config {
             duplicate_window: self.routing.window()?,
             links: links.collect::<Result<_>>()?,
         })
+    }
+
+    /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them.
+    pub fn with_cameras_read(mut self) -> Result<Self> {
+        for (index, link) in self.links.iter_mut().enumerate() {
+            if let Some(camera) = &mut link.camera {
+                let read = camera.read().with_context(|| format!("link {index} `{}`: `camera`", link.url))?;
+                *camera = CameraChoice::Camera(Box::new(read));
+            }
+        }
+        Ok(self)
     }
 
     /// Takes what is known of the scenario's camera, as far as the configuration does not say it: the position of the tag, and the error

@@ -22,6 +22,11 @@ pub struct RunArgs {
     /// addition to the other links. Can be repeated (docs/ground-stations.md).
     #[arg(long = "gcs", value_name = "URL")]
     pub ground_stations: Vec<String>,
+    /// Camera above the floor, in whose pictures robots' tags are looked for: its file of `posebridge camera calibrate`, or to
+    /// see whether it sees any /dev/video0, http://... of a phone, a video file or a folder of pictures. In addition to the other
+    /// links. Can be repeated (docs/camera.md).
+    #[arg(long = "camera", value_name = "FILE.toml|SOURCE")]
+    pub cameras: Vec<String>,
     /// Protocol of the robot on the first link: mavlink, nxt, nxt-push, ev3, line, columns or camera-json (docs/protocols/mavlink.md).
     #[arg(long, value_name = "PROTOCOL")]
     pub brick: Option<String>,

@@ -10,6 +10,7 @@ use posebridge_telemetry::{LinkId, RobotId};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
+use super::cameras::Cameras;
 use super::simulator::{BrickStart, EmbeddedBricks};
 use crate::config::{Config, LinkTarget, load_scenario};
 use crate::console::print_line;
@@ -33,6 +34,7 @@ pub(super) struct SimulatedSession<'a> {
     pub(super) timer: HostTimer,
     pub(super) folder: &'a Path,
     pub(super) laps: LapLimit,
+    pub(super) cameras: &'a Cameras,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,7 +93,7 @@ pub(super) async fn open_links(
             LinkTarget::Url(url) => (url, role),
             LinkTarget::Sim(name) => {
                 ensure!(matches!(simulated, SimulatedLink::None), "only one link may be sim://");
-                let planned = PlannedBricks { scenarios: scenarios(args, &name, session.laps)?, name, link: id };
+                let planned = PlannedBricks { scenarios: scenarios(args, &name, session)?, name, link: id };
                 if args.robots.is_some() {
                     simulated = SimulatedLink::Planned(planned);
                     (LinkUrl::parse(SHARED_PORT)?, ConnectRole::Listen)
@@ -103,8 +105,11 @@ pub(super) async fn open_links(
                 }
             }
         };
-        let tuning = LinkTuning { first_contact: FirstContact::Stranger, ..LinkTuning::default() };
-        ports.push(Link::with_tuning(LinkOpenConfig { id, url, role }, tuning, session.timer));
+        let open = LinkOpenConfig { id, url, role };
+        ports.push(session.cameras.link(open, session.timer).unwrap_or_else(|open| {
+            let tuning = LinkTuning { first_contact: FirstContact::Stranger, ..LinkTuning::default() };
+            Link::with_tuning(open, tuning, session.timer)
+        }));
     }
     ensure!(
         args.robots.is_none() || !matches!(simulated, SimulatedLink::None),
@@ -154,15 +159,16 @@ struct PlannedBricks {
     link: LinkId,
 }
 
-fn scenarios(args: &RunArgs, name: &str, laps: LapLimit) -> Result<Vec<Scenario>> {
+fn scenarios(args: &RunArgs, name: &str, session: SimulatedSession<'_>) -> Result<Vec<Scenario>> {
     let mut scenario = load_scenario(name)?;
     if let Some(seed) = args.seed {
         scenario = scenario.with_seed(seed);
     }
-    let scenario = laps.apply_to(scenario);
+    let scenario = session.laps.apply_to(scenario);
     let Some(count) = args.robots else {
-        return Ok(vec![scenario]);
+        return Ok(vec![session.cameras.watched(scenario)]);
     };
+    ensure!(!session.cameras.has_simulated(), "--camera sim shows one robot: take --robots away");
     if scenario.brick.personality != Personality::Mavlink {
         bail!("--robots: the bricks of `{name}` speak no MAVLink, and only such robots can share one port");
     }
@@ -179,7 +185,13 @@ fn start_bricks(
     let PlannedBricks { scenarios, name, link } = planned;
     let starts = scenarios.into_iter().map(|scenario| {
         let (url, role, robot) = ends(&scenario)?;
-        Ok(BrickStart { scenario, link: LinkOpenConfig { id: LinkId(0), url, role }, robot })
+        Ok(BrickStart {
+            #[cfg(feature = "camera")]
+            pictures: session.cameras.rendered(&scenario, session.timer)?,
+            scenario,
+            link: LinkOpenConfig { id: LinkId(0), url, role },
+            robot,
+        })
     });
     EmbeddedBricks::start(name, link, starts.collect::<Result<_>>()?, session.timer, stop.clone())
 }

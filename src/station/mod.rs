@@ -3,6 +3,8 @@
 //! drop and count when full, and whose readers may stand still: a terminal, a disk, a browser. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
+#[cfg_attr(not(feature = "camera"), path = "no_cameras.rs")]
+mod cameras;
 mod dead_reckoning;
 pub mod event_collector;
 pub mod event_file;

@@ -114,6 +114,9 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
         let section = LinkSection::for_ground_stations(url);
         config.links.push(section.with_context(|| format!("--gcs {url}"))?);
     }
+    for camera in &args.cameras {
+        config.links.push(LinkSection::for_camera(camera).with_context(|| format!("--camera {camera}"))?);
+    }
     if let (Some(name), Some(first)) = (&args.brick, config.links.first_mut()) {
         first.brick = Some(name.clone());
     }
@@ -132,9 +135,11 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
     }
     for (target, _) in config.targets()? {
         if let LinkTarget::Sim(name) = target {
-            config = config.with_camera_of(&load_scenario(&name)?);
+            let scenario = load_scenario(&name)?;
+            config = config.with_camera_of(&scenario).with_rendered_camera(&scenario)?;
         }
     }
+    let config = config.with_cameras_read()?;
     config.validate()?;
     Ok(config)
 }

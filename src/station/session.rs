@@ -9,6 +9,7 @@ use posebridge_telemetry::{TimeDelta, Timestamp};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
+use super::cameras::Cameras;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
 use super::link_log::LinkLog;
@@ -24,7 +25,7 @@ use super::signing::{SigningSession, warn_of_open_listeners};
 use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
-use super::viewers::{Viewers, reserve_dashboard};
+use super::viewers::{ShownSession, Viewers, reserve_dashboard};
 use super::watchdog::{OnStall, Watchdog};
 use super::wiring_fix::WiringReport;
 use crate::config::Config;
@@ -76,7 +77,8 @@ pub(super) async fn session(
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
     let signals = Signals::listen().before_start()?;
-    let simulated = SimulatedSession { timer, folder: &folder, laps };
+    let cameras = Cameras::new(config).before_start()?;
+    let simulated = SimulatedSession { timer, folder: &folder, laps, cameras: &cameras };
     let opened = open(args, config, simulated, &stop).await;
     let (ports, mut embedded) = opened.before_start()?;
     let recording = folder.join(file_name);
@@ -95,7 +97,8 @@ pub(super) async fn session(
     let recorder = start_recorder(args, &for_recordings, &timer, &recording, &mut failures).before_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).before_start()?;
     let current = recorder.as_ref().map(|_| recording);
-    let viewers = Viewers::start(reserved, args, config, timer, &folder, embedded.as_ref());
+    let shown = ShownSession { timer, folder: &folder, embedded: embedded.as_ref(), cameras: cameras.sources() };
+    let viewers = Viewers::start(reserved, args, config, shown);
     let (mut viewers, dashboard) = viewers.before_start()?;
     let on_stall = if args.watchdog.watchdog_exit { OnStall::Exit } else { OnStall::Tell };
     let mut station_loop = StationLoop {

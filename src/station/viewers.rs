@@ -9,8 +9,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result, ensure};
 use posebridge_dashboard::model::{ArenaRow, ParameterRow, PlaceRow, SimulatorFacts, SimulatorNow};
 use posebridge_dashboard::{
-    BoundListener, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTap, FrameTaps,
-    ListenAddress, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
+    BoundListener, CameraSource, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTap,
+    FrameTaps, ListenAddress, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -40,23 +40,29 @@ pub(super) struct Viewers {
     quit: CancellationToken,
 }
 
+/// The parts of a session that viewers show.
+pub(super) struct ShownSession<'a> {
+    pub(super) timer: HostTimer,
+    pub(super) folder: &'a Path,
+    pub(super) embedded: Option<&'a EmbeddedBricks>,
+    pub(super) cameras: Vec<CameraSource>,
+}
+
 impl Viewers {
     /// Starts them; returns the station loop's end of the channels, if there are any.
     pub(super) fn start(
         reserved: Option<ReservedListener>,
         args: &RunArgs,
         config: &Config,
-        timer: HostTimer,
-        folder: &Path,
-        embedded: Option<&EmbeddedBricks>,
+        shown: ShownSession<'_>,
     ) -> Result<(Self, Option<DashboardHandle>)> {
-        let facts = embedded.map(simulator_facts);
+        let facts = shown.embedded.map(simulator_facts);
         let mut taps = FrameTaps::default();
         let terminal_frames = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
         let configured = config.plotjuggler.checked()?;
         let plotted = args.views.plotjuggler.or_else(|| config.plotjuggler.enabled.then_some(configured));
         let plotted = plotted.map(|address| (address, taps.add(plotjuggler::WAITING_FRAMES)));
-        let started = start_dashboard(reserved, &args.page, config, timer, folder, embedded, taps)?;
+        let started = start_dashboard(reserved, &args.page, config, shown, taps)?;
         let Some((dashboard, handle)) = started else {
             return Ok((Self::default(), None));
         };
@@ -154,11 +160,10 @@ fn start_dashboard(
     reserved: Option<ReservedListener>,
     flags: &DashboardFlags,
     config: &Config,
-    timer: HostTimer,
-    folder: &Path,
-    embedded: Option<&EmbeddedBricks>,
+    shown: ShownSession<'_>,
     taps: FrameTaps,
 ) -> Result<Option<(Dashboard, DashboardHandle)>> {
+    let ShownSession { timer, folder, embedded, cameras } = shown;
     if reserved.is_none() && taps.is_empty() {
         return Ok(None);
     }
@@ -176,6 +181,7 @@ fn start_dashboard(
         replay: Box::new(|path| page_history::build_history(path).map_err(|error| format!("{error:#}"))),
         ui_dir: flags.ui_dir.clone(),
         taps,
+        cameras,
     };
     let started = Dashboard::start(bound, facts, sources);
     let (dashboard, feed, commands) = started.context("starting the dashboard")?;

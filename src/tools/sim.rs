@@ -2,6 +2,8 @@
 //! It listens for a station, or connects to one, drives its path and writes the truth to a file on request. The truth is never sent
 //! over the link. The camera of a brick without MAVLink has a separate link.
 
+#[cfg(feature = "camera")]
+use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -17,6 +19,8 @@ use crate::console::print_line;
 use crate::exit::{ExitStage, Failure, Signals};
 use crate::flags::{LinkFlag, StationLink};
 use crate::runtime::run_in_runtime;
+#[cfg(feature = "camera")]
+use crate::station::simulator::RenderedPictures;
 use crate::station::simulator::{Announcement, BrickDrive, BrickPorts, SimulatedCable, drive};
 
 /// Placeholder for a robot's system in a URL or file name.
@@ -77,6 +81,11 @@ pub struct SimArgs {
     /// camera sends no fixes (docs/protocols/camera-json.md).
     #[arg(long, value_name = "URL")]
     pub images_listen: Option<String>,
+    /// Render the pictures of the simulated camera, with tags on the floor and on the robot, and serve them to
+    /// `posebridge run --camera http://IP:PORT/`; the camera sends no fixes then (docs/camera.md).
+    #[cfg(feature = "camera")]
+    #[arg(long, value_name = "IP:PORT")]
+    pub pictures_listen: Option<SocketAddr>,
     /// Announce the simulated EV3 to this UDP address once per second, e.g. udp://127.0.0.1:3015. It must listen on a TCP port of
     /// four digits.
     #[arg(long, value_name = "URL", requires = "listen")]
@@ -138,6 +147,10 @@ fn scenario(args: &SimArgs) -> Result<Scenario> {
             BrickKind::Line => Personality::Line,
         });
     }
+    #[cfg(feature = "camera")]
+    if args.pictures_listen.is_some() {
+        scenario = scenario.with_rendered_camera();
+    }
     check_links(args, scenario.brick.personality)?;
     check_robots(args, scenario.brick.personality)?;
     Ok(scenario)
@@ -153,6 +166,10 @@ fn check_robots(args: &SimArgs, personality: Personality) -> Result<()> {
     }
     if args.images_listen.is_some() {
         bail!("--robots: the images of several cameras cannot go to one camera program");
+    }
+    #[cfg(feature = "camera")]
+    if args.pictures_listen.is_some() {
+        bail!("--robots: the simulated camera renders the tag of one robot only");
     }
     let has_placeholder = |text: &str| text.contains(SYSTEM_PLACEHOLDER);
     if args.link.listen.as_deref().is_some_and(|url| !has_placeholder(url)) {
@@ -201,8 +218,8 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
         let system = scenario.brick.system;
         let mut link = args.link.flag().before_start()?;
         link.url = for_system(&link.url, system);
+        let (ports, endpoint) = ports(args, &link, &scenario, timer).await.before_start()?;
         let simulation = simulation(scenario, args);
-        let (ports, endpoint) = ports(args, &link, timer).await.before_start()?;
         let name = args.robots.map_or_else(|| "brick".to_owned(), |_| format!("brick {system}"));
         print_line(&format!("{name} up, seed {}, {endpoint}", simulation.scenario().seed));
         bricks.push(BrickDrive::unattended(simulation, ports));
@@ -221,7 +238,13 @@ async fn run_bricks(scenarios: Vec<Scenario>, args: &SimArgs) -> Result<Vec<Simu
 }
 
 /// All open ports of a brick, and a description of them.
-async fn ports(args: &SimArgs, link: &LinkFlag, timer: HostTimer) -> Result<(BrickPorts, String)> {
+async fn ports(
+    args: &SimArgs,
+    link: &LinkFlag,
+    #[cfg_attr(not(feature = "camera"), expect(unused_variables, reason = "only a camera needs it"))]
+    scenario: &Scenario,
+    timer: HostTimer,
+) -> Result<(BrickPorts, String)> {
     let (brick, mut places) = link.open(timer).await?;
     let beacon_port = brick.local_address().map(|address| address.port());
     let mut ports = BrickPorts::of(SimulatedCable::fixed(brick));
@@ -235,6 +258,14 @@ async fn ports(args: &SimArgs, link: &LinkFlag, timer: HostTimer) -> Result<(Bri
         let (port, place) = images.open(timer).await?;
         ports.images = Some(port);
         places = format!("{places}; its images {place}");
+    }
+    #[cfg(feature = "camera")]
+    if let Some(address) = args.pictures_listen {
+        let listener = TcpListener::bind(address).with_context(|| format!("--pictures-listen {address}"))?;
+        let settings = scenario.camera.pictures.clone().unwrap_or_default();
+        let pictures = RenderedPictures::start(listener, &settings, scenario.seed, timer)?;
+        places = format!("{places}; pictures of its camera: {}", pictures.url());
+        ports.pictures = Some(pictures);
     }
     if let Some(announce) = LinkFlag::from_values(None, args.announce.as_deref()) {
         let beacon = beacon_of(beacon_port)?;

@@ -2,6 +2,7 @@
 
 import { arena } from './arena.js';
 import { calibration } from './calibration.js';
+import { cameras } from './cameras.js';
 import { comparison } from './comparison.js';
 import { error } from './error.js';
 import { innovations } from './innovations.js';
@@ -20,5 +21,5 @@ import { simulator } from './simulator.js';
  * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
 export const PANELS = [
-  setup, robots, arena, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
+  setup, robots, arena, cameras, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
 ];

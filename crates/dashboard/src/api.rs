@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use posebridge_telemetry::{DriveGeometry, HostClock, Observation, Odom, Pose, Timestamp};
 
+use crate::cameras::CameraSource;
 use crate::feed::SimulatedTruth;
 use crate::model::{ArenaRow, Frame, ParameterRow, SimulatorFacts};
 use crate::taps::FrameTaps;
@@ -91,6 +92,7 @@ pub struct DashboardInputs {
     /// Serves the page from this folder instead of from the program.
     pub ui_dir: Option<PathBuf>,
     pub taps: FrameTaps,
+    pub cameras: Vec<CameraSource>,
 }
 
 /// Why the dashboard cannot start.

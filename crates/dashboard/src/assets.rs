@@ -40,6 +40,7 @@ assets![
     "model/words.js",
     "panels/arena.js",
     "panels/calibration.js",
+    "panels/cameras.js",
     "panels/comparison.js",
     "panels/error.js",
     "panels/index.js",

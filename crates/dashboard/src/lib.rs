@@ -11,6 +11,7 @@
 
 mod api;
 mod assets;
+mod cameras;
 pub mod command;
 mod counters;
 mod feed;
@@ -28,6 +29,7 @@ mod token_file;
 pub mod views;
 
 pub use api::{DashboardInputs, DashboardStartError, DeadReckoning, DeadReckoningBuilder, StationInfo, TokenPolicy};
+pub use cameras::{CameraPicture, CameraSource};
 pub use feed::{EventBatch, EventFeed, RobotStatus, SimulatedTruth, StationStatus};
 pub use hub::SessionViews;
 pub use schema::schema;

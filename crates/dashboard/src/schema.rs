@@ -5,7 +5,9 @@ use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
 use crate::command::{COMMANDS, CommandRow, CommandTarget, FieldKind, ROBOT_FIELD};
-use crate::model::{Accepted, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State};
+use crate::model::{
+    Accepted, CameraRow, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State,
+};
 
 /// The file `schema/v1.json` holds it, and a test compares the two.
 pub fn schema() -> Value {
@@ -16,6 +18,7 @@ pub fn schema() -> Value {
         "GET /v1/robots": reference::<Vec<RobotRow>>(&mut generator),
         "GET /v1/sources": reference::<Vec<SourceRow>>(&mut generator),
         "GET /v1/parameters": reference::<Vec<ParameterRow>>(&mut generator),
+        "GET /v1/cameras": reference::<Vec<CameraRow>>(&mut generator),
         "GET /v1/recordings": reference::<Vec<RecordingRow>>(&mut generator),
         "GET /v1/recordings/{name}/replay": reference::<crate::model::Frame>(&mut generator),
         "POST /v1/commands": reference::<Accepted>(&mut generator),

@@ -82,6 +82,7 @@ impl Dashboard {
                 clock: Arc::clone(&clock),
                 recordings: recordings.clone(),
                 assets: Assets::new(sources.ui_dir),
+                cameras: sources.cameras,
                 replay: sources.replay,
                 replay_slot: Arc::new(Semaphore::new(1)),
                 stop: stop.clone(),

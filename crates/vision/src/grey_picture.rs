@@ -159,6 +159,25 @@ impl GreyPicture {
         Ok(())
     }
 
+    /// As PGM.
+    pub fn to_pgm(&self) -> Vec<u8> {
+        let header = format!("P5 {} {} 255\n", self.width, self.height);
+        [header.as_bytes(), &self.pixels[..self.width * self.height]].concat()
+    }
+
+    /// As PNG, which browsers show.
+    pub fn to_png(&self) -> Option<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let mut encoder =
+            png::Encoder::new(&mut bytes, u32::try_from(self.width).ok()?, u32::try_from(self.height).ok()?);
+        encoder.set_color(ColorType::Grayscale);
+        encoder.set_compression(png::Compression::Fastest);
+        let mut writer = encoder.write_header().ok()?;
+        writer.write_image_data(&self.pixels[..self.width * self.height]).ok()?;
+        writer.finish().ok()?;
+        Some(bytes)
+    }
+
     /// `None` while it is empty.
     pub fn image(&self) -> Option<GreyImage<'_>> {
         GreyImage::new(&self.pixels, self.width, self.height, self.width).filter(|image| image.height() > 0)

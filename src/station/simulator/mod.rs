@@ -1,6 +1,8 @@
 //! Simulated bricks in real time behind real links: on a thread in `run`, as the whole process in `posebridge sim`.
 
 mod controls;
+#[cfg(feature = "camera")]
+mod rendered_pictures;
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -19,6 +21,8 @@ pub use self::controls::{
     COMMAND_CAPACITY, CommandSender, ControlReceiver, SimulatedCable, SimulatorControls, TimedTruthSample, TruthTap,
     controls,
 };
+#[cfg(feature = "camera")]
+pub use self::rendered_pictures::RenderedPictures;
 
 /// Step of the real-time loop: host timers have a resolution of a millisecond, and telemetry of 200 Hz is still on time.
 const STEP_CHUNK: TimeDelta = TimeDelta::from_millis(2);
@@ -33,6 +37,9 @@ pub struct BrickPorts {
     pub camera: Option<Link>,
     /// Output of the camera's images for another program.
     pub images: Option<Link>,
+    /// The camera renders, and another program finds the tags.
+    #[cfg(feature = "camera")]
+    pub pictures: Option<RenderedPictures>,
     pub announcement: Option<Announcement>,
 }
 
@@ -57,7 +64,14 @@ impl Announcement {
 
 impl BrickPorts {
     pub const fn of(brick: SimulatedCable) -> Self {
-        Self { brick, camera: None, images: None, announcement: None }
+        Self {
+            brick,
+            camera: None,
+            images: None,
+            #[cfg(feature = "camera")]
+            pictures: None,
+            announcement: None,
+        }
     }
 
     /// Waits for the next event, advances the simulation to its time and handles it.
@@ -140,6 +154,10 @@ impl BrickDrive {
                 controls.publish_truth(start, &simulation);
             }
             ports.send_all(now, &mut simulation);
+            #[cfg(feature = "camera")]
+            if let Some(pictures) = &mut ports.pictures {
+                pictures.take_from(&mut simulation, start);
+            }
             progress.send_replace(simulation.progress());
             if simulation.is_finished() {
                 let end = *ends_at.get_or_insert(now + LINGER_AFTER_END);
@@ -175,13 +193,15 @@ fn step_to(simulation: &mut Simulation, elapsed: TimeDelta) {
     }
 }
 
-#[derive(Clone, Debug)]
 pub struct BrickStart {
     pub scenario: Scenario,
     /// Its end of the link to the station.
     pub link: LinkOpenConfig,
     /// `None` for the only one.
     pub robot: Option<RobotId>,
+    /// Its camera renders pictures for the station.
+    #[cfg(feature = "camera")]
+    pub pictures: Option<RenderedPictures>,
 }
 
 pub struct EmbeddedBrick {
@@ -228,13 +248,18 @@ impl EmbeddedBricks {
         let (ready, is_ready) = sync_channel::<Result<()>>(1);
         let mut bricks = Vec::new();
         let mut drives = Vec::new();
-        for BrickStart { scenario, link: config, robot } in starts {
+        for start in starts {
+            let BrickStart { scenario, link: config, robot, .. } = start;
             let (sender, progress) = watch::channel(0.0);
             let (controls, receiver) = controls();
             let truth = Some(TruthTap::new(&controls.truth, robot));
             drives.push(BrickDrive {
                 simulation: Simulation::new(scenario.clone()),
-                ports: BrickPorts::of(SimulatedCable::pluggable(config, timer)),
+                ports: BrickPorts {
+                    #[cfg(feature = "camera")]
+                    pictures: start.pictures,
+                    ..BrickPorts::of(SimulatedCable::pluggable(config, timer))
+                },
                 progress: sender,
                 controls: Some(receiver),
             });

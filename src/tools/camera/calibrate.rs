@@ -10,7 +10,7 @@ use posebridge_vision::{
     DetectedTag, FloorCalibration, LensKnowledge, SeenPoint, SheetTag, Tag36h11Detector, floor_sheet, sheet_points,
 };
 
-use super::detect::detect;
+use super::detect::{detect, read_picture};
 use crate::config::{CalibrationNote, CameraFile};
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
@@ -18,7 +18,7 @@ use crate::exit::{ExitStage, Failure};
 /// Flags of `camera calibrate`.
 #[derive(Args, Clone, Debug)]
 pub struct CalibrateCameraArgs {
-    /// Pictures (JPEG or PGM) of the floor sheet by the camera at its place.
+    /// Pictures (JPEG, PNG or PGM) of the floor sheet by the camera at its place; `camera detect --save` takes them.
     #[arg(required = true, value_name = "PICTURE")]
     pub pictures: Vec<PathBuf>,
     /// Where the lower left corner of the sheet lies in the arena, and how its short side is turned from x: once for all pictures, or
@@ -34,6 +34,9 @@ pub struct CalibrateCameraArgs {
     /// A calibrated camera whose lens is kept: only its place is found.
     #[arg(long, value_name = "FILE")]
     pub lens: Option<PathBuf>,
+    /// Where `run` takes the camera's pictures from: /dev/v4l/by-id/..., or http://... of a phone.
+    #[arg(long, value_name = "SOURCE")]
+    pub source: Option<String>,
     /// Name of the camera.
     #[arg(long, default_value = "overhead")]
     pub name: String,
@@ -105,7 +108,7 @@ fn see(args: &CalibrateCameraArgs, sheet: &[SheetTag]) -> Result<SeenSheets> {
     let mut seen: Option<SeenSheets> = None;
     for (index, path) in args.pictures.iter().enumerate() {
         let name = path.display().to_string();
-        let (size, tags) = detect(path, &mut detector)?;
+        let (size, tags) = detect(path, &read_picture(path)?, &mut detector)?;
         let seen = seen.get_or_insert(SeenSheets { size, points: Vec::new(), labels: Vec::new() });
         ensure!(
             seen.size == size,
@@ -153,7 +156,10 @@ fn calibrate(args: &CalibrateCameraArgs, seen: &SeenSheets) -> Result<(FloorCali
         rms_px: calibration.rms_px,
         floor_rms_mm: 1e3 * rms(&calibration.errors_m),
     };
-    let file = CameraFile::new(&args.name, seen.size, &calibration.view, note);
+    let file = CameraFile {
+        source: args.source.clone(),
+        ..CameraFile::new(&args.name, seen.size, &calibration.view, Some(note))
+    };
     Ok((calibration, file))
 }
 

@@ -3,8 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use clap::Args;
+use posebridge_camera::take_picture;
+use posebridge_link::LinkUrl;
 use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_vision::{DetectedTag, FloorTagPose, GreyPicture, Tag36h11Detector, TagDetector};
 use serde_json::{Value, json};
@@ -16,9 +18,12 @@ use crate::exit::{ExitStage, Failure};
 /// Flags of `camera detect`.
 #[derive(Args, Clone, Debug)]
 pub struct DetectArgs {
-    /// Pictures, JPEG or PGM.
-    #[arg(required = true, value_name = "PICTURE")]
+    /// Pictures (JPEG, PNG or PGM), or cameras, of each of which one picture is taken: /dev/video0, or http://... of a phone.
+    #[arg(required = true, value_name = "PICTURE|SOURCE")]
     pub pictures: Vec<PathBuf>,
+    /// Write the picture that was taken here, for `camera calibrate`.
+    #[arg(long, value_name = "FILE")]
+    pub save: Option<PathBuf>,
     /// A calibrated camera: where the tags are is printed as well.
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
@@ -37,8 +42,15 @@ pub(super) fn execute(args: &DetectArgs) -> Result<(), Failure> {
     let camera = args.camera.as_deref().map(CameraFile::read).transpose().before_start()?;
     let mut detector = Tag36h11Detector::default();
     let mut pictures = Vec::new();
+    if args.save.is_some() && args.pictures.len() > 1 {
+        return Err(anyhow!("--save writes one picture: give one")).before_start();
+    }
     for path in &args.pictures {
-        let (size, tags) = detect(path, &mut detector).before_start()?;
+        let bytes = read_picture(path).before_start()?;
+        let (size, tags) = detect(path, &bytes, &mut detector).before_start()?;
+        if let Some(save) = &args.save {
+            fs::write(save, &bytes).with_context(|| format!("writing `{}`", save.display())).before_start()?;
+        }
         let tags = tags.into_iter().map(|tag| Ok((tag, place_of(&tag, args, camera.as_ref(), size)?)));
         pictures.push((path.display().to_string(), tags.collect::<Result<Vec<PlacedTag>>>().before_start()?));
     }
@@ -74,12 +86,26 @@ fn place_of(
     Ok(FloorTagPose::solve(&camera.view()?, &tag.corners, &tag.covariance, side_m, height_m))
 }
 
-/// The size of a picture, and its tags in the order of their ids.
-pub(super) fn detect(path: &Path, detector: &mut Tag36h11Detector) -> Result<((usize, usize), Vec<DetectedTag>)> {
+/// A picture from a file, or by a camera.
+pub(super) fn read_picture(path: &Path) -> Result<Vec<u8>> {
     let name = path.display();
-    let bytes = fs::read(path).with_context(|| format!("reading the picture `{name}`"))?;
+    let is_camera = name.to_string().contains("://") || path.starts_with("/dev");
+    if is_camera {
+        let url = LinkUrl::parse(&format!("camera:{name}"))?;
+        return take_picture(&url).map_err(|error| anyhow!(error));
+    }
+    fs::read(path).with_context(|| format!("reading the picture `{name}`"))
+}
+
+/// The size of a picture, and its tags in the order of their ids.
+pub(super) fn detect(
+    path: &Path,
+    bytes: &[u8],
+    detector: &mut Tag36h11Detector,
+) -> Result<((usize, usize), Vec<DetectedTag>)> {
+    let name = path.display();
     let mut picture = GreyPicture::default();
-    picture.decode(&bytes).with_context(|| format!("the picture `{name}`"))?;
+    picture.decode(bytes).with_context(|| format!("the picture `{name}`"))?;
     let image = picture.image().with_context(|| format!("the picture `{name}` is empty"))?;
     let mut tags = detector.detect(image);
     tags.sort_by_key(|tag| tag.id);

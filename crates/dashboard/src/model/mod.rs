@@ -168,6 +168,52 @@ pub struct RecordingRow {
     pub is_current: bool,
 }
 
+/// A camera whose pictures the station searches for tags: one of `GET /v1/cameras`.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraRow {
+    /// Its link, by which `GET /v1/cameras/{link}/picture` shows its last picture.
+    pub link: u16,
+    /// Its name.
+    pub name: String,
+    /// `null` before the first one.
+    pub picture: Option<CameraPictureRow>,
+}
+
+/// The last searched picture of a camera.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraPictureRow {
+    /// So many pictures were searched since the camera was opened.
+    pub number: u64,
+    /// So many were replaced by newer ones before they were searched.
+    pub dropped: u64,
+    /// So many could not be decoded.
+    pub damaged: u64,
+    /// In pixels.
+    pub width: usize,
+    /// In pixels.
+    pub height: usize,
+    /// Since its search ended.
+    pub age_s: f64,
+    /// From its reception, or its exposure where that is known, to the end of its search.
+    pub latency_s: f64,
+    /// The tags in it.
+    pub tags: Vec<SeenTagRow>,
+}
+
+/// A tag in a picture.
+#[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeenTagRow {
+    /// Its number in tag36h11.
+    pub id: u16,
+    /// The tag's upper left corner first, clockwise, in pixels.
+    pub corners: [[f64; 2]; 4],
+    /// Mean distance of its bits from the level between black and white, in grey levels; below 10 the light is poor.
+    pub margin: f64,
+}
+
 /// `GET /v1/state`.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]

@@ -17,6 +17,7 @@ use super::guard::RequestGuard;
 use super::hub_task::{HubQuery, Topic};
 use crate::api::{HostClockSource, ReplayLoader};
 use crate::assets::Assets;
+use crate::cameras::CameraSource;
 use crate::command::{self, CommandContext};
 use crate::counters::{ServerCounter, ServerCounters};
 use crate::limits::COMMANDS_PER_S;
@@ -36,6 +37,7 @@ pub(crate) struct AppState {
     pub(crate) clock: Arc<HostClockSource>,
     pub(crate) recordings: RecordingFolder,
     pub(crate) assets: Assets,
+    pub(crate) cameras: Vec<CameraSource>,
     pub(crate) replay: Box<ReplayLoader>,
     /// One replay at a time, because it takes a core.
     pub(crate) replay_slot: Arc<Semaphore>,

@@ -28,6 +28,7 @@ use super::connection_table::{ConnectionSlot, OpenRequest};
 use super::guard::RequestAdmission;
 use super::hub_task::{Topic, to_json};
 use super::stream;
+use crate::cameras::media_type;
 use crate::counters::ServerCounter;
 use crate::limits::{MAX_MESSAGE_BYTES, REPLAY_TIMEOUT, REQUEST_TIMEOUT};
 use crate::metrics;
@@ -52,6 +53,8 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
         .route("/v1/robots", text(|hub, _| to_json(&hub.robots()), JSON))
         .route("/v1/sources", text(|hub, _| to_json(&hub.sources()), JSON))
         .route("/v1/parameters", text(|hub, _| to_json(&hub.parameters()), JSON))
+        .route("/v1/cameras", get(cameras))
+        .route("/v1/cameras/{link}/picture", get(picture))
         .route("/v1/recordings", get(recordings))
         .route("/v1/recordings/{name}", get(download))
         .route("/v1/recordings/{name}/replay", get(replay))
@@ -146,6 +149,20 @@ fn accepts_page(headers: &HeaderMap) -> bool {
 
 fn schema() -> Ready<Response> {
     ready(with_content_type(JSON, include_str!("../../schema/v1.json").into()))
+}
+
+fn cameras(State(app): SharedApp) -> Ready<Response> {
+    let now = (app.clock)();
+    let rows: Vec<_> = app.cameras.iter().map(|camera| camera.row(now)).collect();
+    ready(with_content_type(JSON, to_json(&rows).into()))
+}
+
+fn picture(State(app): SharedApp, link: Result<Path<u16>, PathRejection>) -> Ready<Response> {
+    let camera = link.ok().and_then(|Path(link)| app.cameras.iter().find(|camera| camera.link.0 == link));
+    ready(match camera.and_then(|camera| (camera.bytes)()) {
+        Some(bytes) => with_content_type(media_type(&bytes), Bytes::from_owner(bytes).into()),
+        None => app.not_found("there is no such picture; /v1/cameras lists the cameras"),
+    })
 }
 
 async fn recordings(State(app): SharedApp) -> Response {

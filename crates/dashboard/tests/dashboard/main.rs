@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
+mod cameras;
 #[path = "../support/http.rs"]
 mod http;
 mod limits;

@@ -54,6 +54,10 @@ pub(super) enum CornersError {
 
 /// Sides further off than this, as a share, are of another tag, at another height, or of a camera that was moved.
 const MAX_SIDE_ERROR: f64 = 0.15;
+/// What no picture says of itself: errors of lens, paper and light that the corners of a tag share, and those of each. A tag that stands
+/// still has them in every picture, so they must not vanish beside the noise of a pixel.
+const SHARED_SIGMA_PX: f64 = 0.1;
+const CORNER_SIGMA_PX: f64 = 0.05;
 /// Degrees of freedom of the misfit of four corners.
 const MISFIT_FREEDOM: f64 = 5.0;
 
@@ -67,8 +71,8 @@ impl FloorCamera {
         if let Some(seen) = seen.picture_px.filter(|size| *size != self.picture_px) {
             return Err(CornersError::PictureSize { seen, expected: self.picture_px });
         }
-        let solved =
-            FloorTagPose::solve(&self.view, &seen.corners, &seen.covariance, self.tag_side_m, self.tag_height_m);
+        let covariance = seen.covariance + systematic_covariance();
+        let solved = FloorTagPose::solve(&self.view, &seen.corners, &covariance, self.tag_side_m, self.tag_height_m);
         let solved = solved.ok_or(CornersError::NoFloor)?;
         if (solved.side_ratio - 1.0).abs() > MAX_SIDE_ERROR {
             return Err(CornersError::Side { percent: 100.0 * solved.side_ratio });
@@ -82,4 +86,12 @@ impl FloorCamera {
             covariance: [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)], covariance[(2, 2)]],
         })
     }
+}
+
+fn systematic_covariance() -> SMatrix<f64, 8, 8> {
+    SMatrix::from_fn(|row, column| {
+        let shared = if row % 2 == column % 2 { SHARED_SIGMA_PX.powi(2) } else { 0.0 };
+        let own = if row == column { CORNER_SIGMA_PX.powi(2) } else { 0.0 };
+        shared + own
+    })
 }

@@ -1,0 +1,100 @@
+// Cameras whose pictures the station searches: the last picture of each with the tags in it, a few times a second.
+
+import { element, setText } from '../view/dom.js';
+
+const PERIOD_MS = 300;
+// The picture is drawn by the browser, the tags above it by this.
+const SVG = 'http://www.w3.org/2000/svg';
+// A margin below this is poor light.
+const LEAST_MARGIN = 10;
+const OLD_FROM_S = 1;
+
+let rows = [];
+
+export const cameras = {
+  id: 'cameras',
+  title: 'Cameras',
+  isLive: true,
+  isShown: (view) => !view.isReplay && rows.length > 0,
+  build(body) {
+    const shown = new Map();
+    const ask = async () => {
+      try {
+        const answer = await fetch('v1/cameras', { cache: 'no-store' });
+        if (answer.ok) rows = await answer.json();
+      } catch {
+        // The connection's own line says that the station is away.
+      }
+      for (const row of rows) {
+        if (!shown.has(row.link)) shown.set(row.link, new CameraFigure(row, body));
+        // Nobody looks at a panel that is scrolled away or in a hidden tab.
+        if (isVisible(body)) await shown.get(row.link).show(row);
+      }
+      // A station without a camera never gets one while it runs.
+      if (rows.length > 0) setTimeout(ask, PERIOD_MS);
+    };
+    ask();
+    return { draw() {} };
+  },
+};
+
+function isVisible(body) {
+  const { top, bottom } = body.getBoundingClientRect();
+  return !document.hidden && bottom > 0 && top < innerHeight;
+}
+
+class CameraFigure {
+  #last = null;
+
+  constructor({ link, name }, body) {
+    this.link = link;
+    this.image = element('img', { alt: `Picture of the camera ${name}` });
+    this.overlay = document.createElementNS(SVG, 'svg');
+    this.overlay.setAttribute('aria-hidden', 'true');
+    this.state = element('p', { class: 'figure' });
+    this.tags = element('p', { class: 'note' });
+    body.append(element('figure', { class: 'camera' },
+      element('figcaption', { text: name }), element('div', { class: 'picture' }, this.image, this.overlay), this.state, this.tags));
+  }
+
+  async show({ picture }) {
+    if (!picture) {
+      setText(this.state, 'no picture yet');
+      return;
+    }
+    const at_s = performance.now() / 1000 - picture.age_s;
+    const rate_hz = this.#last && at_s > this.#last.at_s ? (picture.number - this.#last.number) / (at_s - this.#last.at_s) : 0;
+    if (this.#last?.number !== picture.number) {
+      this.image.src = `v1/cameras/${this.link}/picture?number=${picture.number}`;
+      // A picture that the browser cannot show is no reason to stop.
+      await this.image.decode().catch(() => {});
+      this.#drawTags(picture);
+    }
+    setText(this.state, [
+      `${picture.width} x ${picture.height}`, `${rate_hz.toFixed(1)} pictures/s`, `searched after ${(1000 * picture.latency_s).toFixed(0)} ms`,
+      `${picture.dropped} dropped`, `${picture.damaged} damaged`,
+    ].join(', '));
+    this.state.classList.toggle('stale', picture.age_s > OLD_FROM_S);
+    const poor = picture.tags.filter((tag) => tag.margin < LEAST_MARGIN);
+    const ids = picture.tags.map((tag) => tag.id).join(', ');
+    const light = poor.length > 0 ? '; more light: black and white are hardly apart' : '';
+    setText(this.tags, picture.tags.length > 0 ? `tags ${ids}${light}` : 'no tag: is one wholly in the picture, flat, and with white around it?');
+    this.#last = { number: picture.number, at_s };
+  }
+
+  #drawTags({ width, height, tags }) {
+    // The centre of the first pixel is at 0, 0.
+    this.overlay.setAttribute('viewBox', `-0.5 -0.5 ${width} ${height}`);
+    this.overlay.replaceChildren(...tags.flatMap((tag) => {
+      const outline = document.createElementNS(SVG, 'polygon');
+      outline.setAttribute('points', tag.corners.map((corner) => corner.join(',')).join(' '));
+      const id = document.createElementNS(SVG, 'text');
+      const middle = [0, 1].map((axis) => tag.corners.reduce((sum, corner) => sum + corner[axis], 0) / 4);
+      id.setAttribute('x', middle[0]);
+      id.setAttribute('y', middle[1]);
+      id.setAttribute('font-size', Math.max(14, width / 40));
+      id.textContent = String(tag.id);
+      return [outline, id];
+    }));
+  }
+}
