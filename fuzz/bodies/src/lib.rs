@@ -10,6 +10,7 @@ mod framing;
 mod impairment;
 mod operands;
 mod pictures;
+mod recorded_pictures;
 mod recording;
 mod routing;
 mod session;
@@ -37,6 +38,10 @@ pub const TARGETS: &[Target] = &[
     Target::new("tlog", tlog::check, 60_000),
     Target::new("table", table::check, 30_000),
     Target::new("pictures", pictures::check, 3_000),
+    Target::new("avi", recorded_pictures::check_avi, 70_000),
+    Target::new("y4m", recorded_pictures::check_y4m, 400_000),
+    Target::new("png", recorded_pictures::check_png, 200_000),
+    Target::new("picture_times", recorded_pictures::check_picture_times, 90_000),
     Target::new("line", bricks::check_line, 700_000),
     Target::new("camera_json", bricks::check_camera_json, 200_000),
     Target::new("dashboard_command", text::check_dashboard_command, 300_000),
