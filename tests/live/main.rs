@@ -14,6 +14,7 @@ mod support;
 mod camera_fixes;
 mod dashboard;
 mod plotjuggler;
+mod rendered_camera;
 mod runs;
 mod terminal_picture;
 mod terminal_view;

@@ -9,39 +9,33 @@ const SVG = 'http://www.w3.org/2000/svg';
 const LEAST_MARGIN = 10;
 const OLD_FROM_S = 1;
 
-let rows = [];
-
 export const cameras = {
   id: 'cameras',
   title: 'Cameras',
   isLive: true,
-  isShown: (view) => !view.isReplay && rows.length > 0,
+  isShown: (view) => !view.isReplay && view.session.links.some((link) => String(link.name).startsWith('camera:')),
   build(body) {
     const shown = new Map();
+    let asked_ms = -Infinity;
     const ask = async () => {
-      try {
-        const answer = await fetch('v1/cameras', { cache: 'no-store' });
-        if (answer.ok) rows = await answer.json();
-      } catch {
-        // The connection's own line says that the station is away.
-      }
-      for (const row of rows) {
+      const answer = await fetch('v1/cameras', { cache: 'no-store' });
+      for (const row of answer.ok ? await answer.json() : []) {
         if (!shown.has(row.link)) shown.set(row.link, new CameraFigure(row, body));
-        // Nobody looks at a panel that is scrolled away or in a hidden tab.
-        if (isVisible(body)) await shown.get(row.link).show(row);
+        await shown.get(row.link).show(row);
       }
-      // A station without a camera never gets one while it runs.
-      if (rows.length > 0) setTimeout(ask, PERIOD_MS);
     };
-    ask();
-    return { draw() {} };
+    return {
+      // The last answer is waited for before the next question.
+      draw({ stalled_s }) {
+        const now_ms = performance.now();
+        if (stalled_s > 0 || now_ms - asked_ms < PERIOD_MS || document.hidden) return;
+        asked_ms = Infinity;
+        // The connection's own line says when the station is away.
+        ask().catch(() => {}).finally(() => { asked_ms = performance.now(); });
+      },
+    };
   },
 };
-
-function isVisible(body) {
-  const { top, bottom } = body.getBoundingClientRect();
-  return !document.hidden && bottom > 0 && top < innerHeight;
-}
 
 class CameraFigure {
   #last = null;

@@ -1,11 +1,12 @@
 //! Pictures of a drive: their times, and the robot's pose in them.
 
+use posebridge_sim::rendered_camera::{Exposure, FrameSchedule, LensState, RenderedCamera, RenderedFrame};
+use posebridge_sim::scenario::RenderedCameraSettings;
 use posebridge_sim::{Scenario, Simulation};
 use posebridge_telemetry::{SensorSwitch, SimulatorCommand, TimeDelta};
 use posebridge_vision::{FloorTagPose, GreyPicture, Tag36h11Detector, TagDetector};
 
 use super::{floor_view, pose};
-use posebridge_sim::rendered_camera::RenderedFrame;
 
 const CIRCLE: &str = "seed = 9\n[path.circle]\nradius_m = 0.4\n[start]\nx_m = 0.4\n[drive]\nrest_s = 0.2\nspeed_m_per_s = 0.3\n\
                       [brick]\ntelemetry_hz = 200\n[camera]\ntag_x_m = 0.03\n[camera.pictures]\n";
@@ -80,6 +81,10 @@ fn frames_come_in_order_and_after_their_latency() {
     // A frame waits for a slow one before it.
     assert!((38.0..46.0).contains(&mean_ms), "{mean_ms}");
     assert!(simulation.camera_fixes().is_empty());
+    // Without any latency a frame still waits for its last row.
+    let text = "[camera.pictures]\nlatency_ms = 0\njitter_ms = 0\nline_time_us = 40\n";
+    let first = Simulation::new(Scenario::from_toml(text).unwrap()).next_picture().unwrap();
+    assert_eq!((first.due, first.end), (first.end, TimeDelta::from_micros(8_000 + 40 * 479)));
     assert_eq!(Simulation::new(Scenario::default()).next_picture(), None);
 }
 
@@ -104,8 +109,27 @@ fn commands_cover_the_lens_and_delay_the_frames() {
 }
 
 #[test]
+fn between_two_steps_a_tag_moves_evenly_and_turns_the_short_way() {
+    let ms = TimeDelta::from_millis;
+    let schedule = FrameSchedule::new(&RenderedCameraSettings::default(), 1);
+    let track = vec![(ms(10), pose(1.0, 2.0, 3.1)), (ms(11), pose(1.2, 2.4, -3.1)), (ms(13), pose(1.2, 2.4, -3.1))];
+    let exposure = Exposure::new(schedule.next_exposure(), LensState::Open, track).unwrap();
+    for (micros, x_m, y_m, heading_rad) in [
+        (9_000, 1.0, 2.0, 3.1_f64),
+        (10_500, 1.1, 2.2, std::f64::consts::PI),
+        (10_250, 1.05, 2.1, 3.120_8),
+        (12_000, 1.2, 2.4, -3.1),
+        (20_000, 1.2, 2.4, -3.1),
+    ] {
+        let found = exposure.tag_pose(TimeDelta::from_micros(micros));
+        assert!((found.x.0 - x_m).hypot(found.y.0 - y_m) < 1e-9, "{micros}: {found:?}");
+        assert!((found.heading.rad() - heading_rad).sin().abs() < 1e-4, "{micros}: {found:?}");
+    }
+    assert_eq!(Exposure::new(schedule.next_exposure(), LensState::Open, Vec::new()), None);
+}
+
+#[test]
 fn an_exposure_can_be_rendered_elsewhere() {
-    use posebridge_sim::rendered_camera::RenderedCamera;
     let scenario = Scenario::from_toml(CIRCLE).unwrap();
     let mut elsewhere = RenderedCamera::new(scenario.camera.pictures.as_ref().unwrap(), scenario.seed).unwrap();
     let (mut here, mut there) = (Simulation::new(scenario.clone()), Simulation::new(scenario));
