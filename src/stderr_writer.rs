@@ -230,7 +230,7 @@ mod tests {
         assert!((9..=10).contains(&dropped), "{dropped}");
         assert!(!writer.flush(Duration::ZERO), "it is stopped");
         drop(go);
-        assert!(writer.flush(Duration::from_secs(60)));
+        assert!(writer.flush(Duration::from_mins(1)));
         let lines: Vec<String> = lines.try_iter().collect();
         let notice = format!("{dropped} messages are missing here: this terminal took none for a while");
         assert_eq!(lines.iter().filter(|line| **line == notice).count(), 1, "{lines:?}");

@@ -154,9 +154,25 @@ impl CameraFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Config, LinkSection};
 
     const TEXT: &str = "name = \"overhead\"\nwidth = 1280\nheight = 720\nfocal_px = [900.0, 901.0]\ncentre_px = [639.5, 359.5]\n\
                         radial = [-0.2, 0.05]\nposition_m = [0.4, -0.3, 2.5]\nrotation = [0.0, 1.0, 0.0, 0.0]\n";
+
+    #[test]
+    fn the_delay_of_a_network_camera_is_learned_unless_somebody_knows_it() {
+        let sigma_s = |url: &str, delay_ms: Option<f64>, known_s: f64| {
+            let camera = CameraFile { delay_ms, ..toml::from_str(TEXT).unwrap() };
+            let link = LinkSection { camera: Some(CameraChoice::Camera(Box::new(camera))), ..LinkSection::new(url) };
+            let mut config = Config { links: vec![link], ..Config::default() };
+            config.robot.calibration.fix_delay_s.value = known_s;
+            config.with_cameras_read().unwrap().robot.calibration.fix_delay_s.sigma
+        };
+        assert_eq!(sigma_s("camera:http://phone/video", None, 0.0), 0.1);
+        assert_eq!(sigma_s("camera:http://phone/video", Some(150.0), 0.0), 0.0);
+        assert_eq!(sigma_s("camera:http://phone/video", None, 0.08), 0.0);
+        assert_eq!(sigma_s("camera:/dev/video0", None, 0.0), 0.0, "its driver stamps its pictures");
+    }
 
     #[test]
     fn a_camera_is_read_as_it_was_written_and_a_wrong_one_is_refused() {

@@ -19,11 +19,11 @@ use posebridge_telemetry::{LinkId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::camera::CameraConfig;
 use super::camera_file::{CameraChoice, CameraFile};
 use super::robot::RobotFile;
 use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
 use super::signing::SigningSection;
-use super::station::CameraConfig;
 use crate::text_file::read_text;
 
 /// One link.

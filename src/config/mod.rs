@@ -4,6 +4,7 @@
 
 mod bricks;
 mod calibration;
+mod camera;
 mod camera_file;
 mod lengths;
 mod link;
@@ -27,6 +28,7 @@ pub use bricks::{
 pub use calibration::{
     CALIBRATION_KEYS, CalibrationEntry, CalibrationKey, RobotCalibration, RobotNoise, learnable_keys,
 };
+pub use camera::CameraConfig;
 pub use camera_file::{CalibrationNote, CameraChoice, CameraFile};
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, PinChoice, load_link_profile, load_scenario};
 pub use load::{
@@ -48,5 +50,5 @@ pub use sections::{
 };
 pub use sensor::SensorSection;
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
-pub use station::{CameraConfig, ClockConfig, Config, StationSection};
+pub use station::{ClockConfig, Config, StationSection};
 pub use wiring::{CameraUnitName, GyroUnitName, RobotWiring};

@@ -6,9 +6,10 @@ use posebridge_sim::rendered_camera::Projection;
 use posebridge_sim::scenario::RenderedCameraSettings;
 use posebridge_vision::{CameraModel, FloorView};
 
+use super::camera::CameraConfig;
 use super::camera_file::{CameraChoice, CameraFile};
 use super::link::LinkSection;
-use super::station::{CameraConfig, Config};
+use super::station::Config;
 
 /// The source of the simulated brick's own pictures.
 const SIMULATED: &str = "camera:sim";

@@ -5,18 +5,14 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
-use posebridge_protocol::bricks::camera_json::{CameraJsonSettings, FloorCamera};
 use posebridge_sim::Scenario;
-use posebridge_station::{
-    DescriptionPolicy, FixRequestConfig, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig,
-};
+use posebridge_station::{DescriptionPolicy, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig};
 use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
-use posebridge_vision::FLOOR_TAGS;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::bricks::FixSection;
-use super::camera_file::{CameraChoice, CameraFile};
+use super::camera::CameraConfig;
+use super::camera_file::CameraChoice;
 use super::link::{LinkSection, LinkTarget, brick_link, rules_of};
 use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
@@ -70,91 +66,6 @@ pub struct StationSection {
     pub max_robots: u16,
 }
 
-/// The camera.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
-#[serde(default, deny_unknown_fields)]
-pub struct CameraConfig {
-    /// Where the tag sits, forward of mid-axle.
-    pub tag_x_m: f64,
-    /// Where the tag sits, left of mid-axle.
-    pub tag_y_m: f64,
-    /// Side of the black rim of the robots' tags, for cameras whose pictures are searched for them (docs/camera.md).
-    pub tag_side_m: f64,
-    /// Height of the robots' tags above the floor.
-    pub tag_height_m: f64,
-    /// Number of the first of six tags that lie on the floor and are no robots.
-    pub floor_tags_from: u16,
-    /// Ask cameras that answer for a fix when the position's standard deviation is above this.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ask_above_m: Option<f64>,
-    /// Ask them when the heading's standard deviation is above this.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ask_above_deg: Option<f64>,
-    /// Not sooner after the last request.
-    pub ask_interval_ms: u32,
-    /// Settings for cameras that send JSON.
-    pub json: FixSection,
-}
-
-impl Default for CameraConfig {
-    fn default() -> Self {
-        Self {
-            tag_x_m: 0.0,
-            tag_y_m: 0.0,
-            tag_side_m: 0.08,
-            tag_height_m: 0.0,
-            floor_tags_from: 580,
-            ask_above_m: None,
-            ask_above_deg: None,
-            ask_interval_ms: 250,
-            json: FixSection::default(),
-        }
-    }
-}
-
-impl CameraConfig {
-    /// Settings of a link to a camera; `camera` is where it stands.
-    pub(super) fn json_settings(&self, camera: Option<&CameraFile>) -> Result<CameraJsonSettings> {
-        for (key, value, range) in
-            [("tag_side_m", self.tag_side_m, 0.005..=2.0), ("tag_height_m", self.tag_height_m, 0.0..=5.0)]
-        {
-            ensure!(range.contains(&value), "`camera.{key}` is {value}, must lie between {range:?}");
-        }
-        let Some(camera) = camera else {
-            return self.json.settings().context("`[camera.json]`");
-        };
-        let json = FixSection {
-            delay_ms: camera.delay_ms.unwrap_or(self.json.delay_ms),
-            delay_spread_ms: camera.delay_spread_ms.unwrap_or(self.json.delay_spread_ms),
-            ..self.json
-        };
-        let floor = FloorCamera {
-            view: camera.view()?,
-            picture_px: [camera.width, camera.height],
-            tag_side_m: self.tag_side_m,
-            tag_height_m: self.tag_height_m,
-            floor_tags: (u32::from(self.floor_tags_from), u32::from(FLOOR_TAGS)),
-        };
-        Ok(CameraJsonSettings { floor: Some(floor), ..json.settings().context("the camera's file")? })
-    }
-
-    fn fix_requests(&self) -> Result<FixRequestConfig> {
-        for (key, limit) in [("ask_above_m", self.ask_above_m), ("ask_above_deg", self.ask_above_deg)] {
-            ensure!(
-                limit.is_none_or(|limit| limit.is_finite() && limit > 0.0),
-                "`camera.{key}` is {}, must be more than zero; leave it out to request no fixes",
-                limit.unwrap_or_default()
-            );
-        }
-        ensure!(self.ask_interval_ms >= 10, "`camera.ask_interval_ms` must be at least 10");
-        Ok(FixRequestConfig {
-            above_m: self.ask_above_m,
-            above_rad: self.ask_above_deg.map(f64::to_radians),
-            interval: TimeDelta::from_millis(i64::from(self.ask_interval_ms)),
-        })
-    }
-}
-
 /// The alignment of clocks.
 #[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
 #[serde(default, deny_unknown_fields)]
@@ -196,6 +107,9 @@ impl Default for ClockConfig {
         Self { timesync_period_ms: 200, telemetry_interval_ms: 0 }
     }
 }
+
+/// How much later than `camera.json.delay_ms` the pictures of phones and network cameras come in.
+const NETWORK_DELAY_SIGMA_S: f64 = 0.1;
 
 impl Config {
     pub fn filter_config(&self) -> Result<FilterConfig> {
@@ -276,12 +190,21 @@ impl Config {
         })
     }
 
-    /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them.
+    /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them. The delay of a network
+    /// camera is learned, unless its file or the calibration of the robot knows it.
     pub fn with_cameras_read(mut self) -> Result<Self> {
+        let mut is_delay_unknown = false;
         for (index, link) in self.links.iter_mut().enumerate() {
             if let Some(camera) = &mut link.camera {
                 let read = camera.read().with_context(|| format!("link {index} `{}`: `camera`", link.url))?;
+                is_delay_unknown |= read.delay_ms.is_none() && link.url.contains("://");
                 *camera = CameraChoice::Camera(Box::new(read));
+            }
+        }
+        let robots = self.robots.iter_mut().map(|block| &mut block.robot).chain([&mut self.robot]);
+        for delay in robots.map(|robot| &mut robot.calibration.fix_delay_s) {
+            if is_delay_unknown && (delay.value, delay.sigma) == (0.0, 0.0) {
+                delay.sigma = NETWORK_DELAY_SIGMA_S;
             }
         }
         Ok(self)

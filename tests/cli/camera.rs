@@ -143,7 +143,7 @@ fn a_picture_that_cannot_calibrate_is_named_with_the_cure() {
     std::fs::write(folder.join("note.txt"), "no picture").unwrap();
     for (arguments, words) in [
         (&["empty.pgm"][..], "shows no tag of the floor sheet (580 to 585)"),
-        (&["note.txt"], "neither a JPEG nor a PGM"),
+        (&["note.txt"], "neither a JPEG nor a PNG nor a PGM"),
         (&["empty.pgm", "--ruler-mm", "10"], "--ruler-mm 10"),
         (&["empty.pgm", "--sheet-at", "1,2"], "three numbers"),
         (&["empty.pgm", "--sheet-at", "0,0,0", "--sheet-at", "1,0,0"], "given 2 times for 1 pictures"),

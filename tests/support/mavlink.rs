@@ -10,7 +10,7 @@ use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks, Timestamp};
 
 /// Only a test that fails waits for so long.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// The brick's heartbeat.
 pub(crate) const HEARTBEAT: Message =

@@ -10,7 +10,7 @@ use posebridge_link::{
 use posebridge_telemetry::{HostClock, PeerId, Timestamp};
 use tokio::sync::mpsc;
 
-use crate::capture::{RunningCapture, died, spawn};
+use crate::capture_thread::{RunningCapture, died, spawn};
 use crate::picture_slot::StreamEnd;
 use crate::tag_search_thread::{Sighting, lines_of, search_pictures};
 use crate::view::CameraView;

@@ -5,6 +5,7 @@
 //! have limits, and one that cannot be decoded is counted.
 
 mod capture;
+mod capture_thread;
 mod connection;
 mod http_stream;
 mod picture;

@@ -45,13 +45,12 @@ pub(crate) fn play(capture: &mut Capture) -> Result<(), CaptureError> {
 }
 
 fn open(path: &Path, pictures_per_s: f64) -> Result<Box<dyn Recording>, OpenError> {
-    let metadata = path.metadata().map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => OpenError::FileNotFound {
-            path: path.to_owned(),
-            advice: "write /dev/video0 for a webcam, http://... for a phone, a video file or a folder of pictures",
-        },
-        _ => io_error(path)(error),
-    })?;
+    let missing = || OpenError::FileNotFound {
+        path: path.to_owned(),
+        advice: "write /dev/video0 for a webcam, http://... for a phone, a video file or a folder of pictures",
+    };
+    let metadata =
+        path.metadata().map_err(|error| if is_missing(&error) { missing() } else { io_error(path)(error) })?;
     if metadata.is_dir() {
         return Ok(Box::new(open_folder(path, pictures_per_s)?));
     }
@@ -147,13 +146,15 @@ impl ConvertedVideo {
             .stderr(Stdio::null())
             .spawn();
         let refused = |reason: String| OpenError::CameraRefused { url: path.display().to_string(), reason };
-        let mut ffmpeg = started.map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => refused(
+        let mut ffmpeg = started.map_err(|error| {
+            if !is_missing(&error) {
+                return io_error(Path::new("ffmpeg"))(error);
+            }
+            refused(
                 "videos other than .y4m and .avi (MJPEG) are decoded by `ffmpeg`, which is not installed: install it, or convert the \
                  video elsewhere"
                     .to_owned(),
-            ),
-            _ => io_error(Path::new("ffmpeg"))(error),
+            )
         })?;
         let output = ffmpeg.stdout.take().ok_or_else(|| refused("ffmpeg has no output".to_owned()))?;
         let frames = Y4mReader::new(output).map_err(|_no_header| refused("ffmpeg finds no video in it".to_owned()))?;
@@ -182,6 +183,10 @@ fn ending(path: &Path) -> String {
 
 fn lost(error: &dyn std::error::Error) -> CaptureError {
     CaptureError::Lost(LinkError::Camera(error.to_string()))
+}
+
+fn is_missing(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::NotFound
 }
 
 fn io_error(path: &Path) -> impl Fn(io::Error) -> OpenError {

@@ -2,7 +2,7 @@
 
 use posebridge_link::{HostTimer, LinkUrl};
 
-use crate::capture::{RunningCapture, died};
+use crate::capture_thread::{RunningCapture, died};
 use crate::picture_slot::StreamEnd;
 
 /// So many pictures are passed over: a webcam's automatic exposure begins in the dark.

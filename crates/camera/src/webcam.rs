@@ -175,14 +175,14 @@ fn name_of(path: &Path) -> String {
 }
 
 fn open_error(path: &Path, source: io::Error) -> OpenError {
-    let what = path.display().to_string();
-    match source.kind() {
-        io::ErrorKind::NotFound => OpenError::DeviceMissing { path: path.to_owned() },
-        io::ErrorKind::PermissionDenied => OpenError::PermissionDenied {
-            what,
-            advice: "add yourself to the group `video` and log in again".to_owned(),
-        },
-        io::ErrorKind::ResourceBusy => OpenError::PortInUse { path: path.to_owned() },
-        _ => OpenError::Io { what, source },
+    let (what, kind) = (path.display().to_string(), source.kind());
+    if kind == io::ErrorKind::NotFound {
+        OpenError::DeviceMissing { path: path.to_owned() }
+    } else if kind == io::ErrorKind::PermissionDenied {
+        OpenError::PermissionDenied { what, advice: "add yourself to the group `video` and log in again".to_owned() }
+    } else if kind == io::ErrorKind::ResourceBusy {
+        OpenError::PortInUse { path: path.to_owned() }
+    } else {
+        OpenError::Io { what, source }
     }
 }

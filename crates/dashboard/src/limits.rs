@@ -24,7 +24,7 @@ pub(crate) const FAREWELL_TIMEOUT: Duration = Duration::from_millis(100);
 pub(crate) const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Timeout for a replay: a quarter of an hour of a usual brick takes about half a minute in a debug build.
-pub(crate) const REPLAY_TIMEOUT: Duration = Duration::from_secs(300);
+pub(crate) const REPLAY_TIMEOUT: Duration = Duration::from_mins(5);
 /// A reader that receives nothing for this long is disconnected.
 pub(crate) const SEND_TIMEOUT: Duration = Duration::from_secs(10);
 pub(crate) const PING_PERIOD: Duration = Duration::from_secs(10);

@@ -61,9 +61,7 @@ impl HostTimer {
     pub(crate) fn instant(self, stamp: Timestamp<HostClock>) -> Instant {
         let nanos = u64::try_from(stamp.as_nanos()).unwrap_or(0);
         // A stamp beyond what the runtime can express sleeps for a day and is then looked at again.
-        self.start
-            .checked_add(Duration::from_nanos(nanos))
-            .unwrap_or_else(|| read_clock() + Duration::from_secs(86_400))
+        self.start.checked_add(Duration::from_nanos(nanos)).unwrap_or_else(|| read_clock() + Duration::from_hours(24))
     }
 }
 
@@ -125,7 +123,7 @@ mod tests {
         let before = timer.utc_drift();
         assert!(before < TimeDelta::from_millis(60_000) && before > TimeDelta::from_millis(-60_000));
         // The session's clock goes on by an hour, the date does not: as if it had been set back.
-        tokio::time::advance(Duration::from_secs(3_600)).await;
+        tokio::time::advance(Duration::from_hours(1)).await;
         let leapt = timer.utc_drift() - before;
         assert!((leapt.as_secs_f64() + 3_600.0).abs() < 60.0, "{leapt:?}");
     }

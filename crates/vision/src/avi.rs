@@ -3,7 +3,7 @@
 use std::io::Read;
 
 use crate::grey_picture::{GreyPicture, PictureError};
-use crate::riff::{RiffItem, RiffReader};
+use crate::riff::{AviCutOff, RiffItem, RiffReader};
 use crate::video_frame::{FrameRate, VideoFrame};
 
 /// Largest picture, bytes; a larger one is an error, and is skipped.
@@ -40,19 +40,6 @@ pub enum AviError {
     Interlaced { offset: u64, number: u64 },
     #[error("byte {offset}: {source}")]
     Read { offset: u64, source: std::io::Error },
-}
-
-/// Why a file may have fewer pictures than were recorded: a loss of power, or a full disk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AviCutOff {
-    #[error("the file ends at byte {offset}, {missing} bytes before the end of a chunk")]
-    InChunk { offset: u64, missing: u64 },
-    #[error("the file ends at byte {offset}; by its header it ends at {declared}")]
-    BetweenChunks { offset: u64, declared: u64 },
-    #[error("the header has no size: its writer did not finish, or wrote to a pipe")]
-    Unfinished,
-    #[error("no chunk begins at byte {offset}; nothing is read from there on")]
-    NoChunk { offset: u64 },
 }
 
 /// Reads the pictures of the first MJPEG stream, one after the other; the input need not seek.

@@ -27,7 +27,7 @@ mod threshold;
 mod video_frame;
 mod y4m;
 
-pub use avi::{AviCutOff, AviError, AviReader};
+pub use avi::{AviError, AviReader};
 pub use camera_model::CameraModel;
 pub use floor_calibration::{CalibrationError, FloorCalibration, LensKnowledge, SeenPoint};
 pub use floor_view::FloorView;
@@ -35,6 +35,7 @@ pub use grey_image::GreyImage;
 pub use grey_picture::{GreyPicture, PictureError};
 pub use multipart::{MultipartReader, Part};
 pub use picture_times::{PictureTime, PictureTimesError, parse_picture_times};
+pub use riff::AviCutOff;
 pub use tag_detector::{DetectedTag, Tag36h11Detector, TagDetector};
 pub use tag_pose::FloorTagPose;
 pub use tag_search::{ImageWindow, TagSearch};

@@ -2,7 +2,18 @@
 
 use std::io::{BufReader, Read, Result, copy, sink};
 
-use crate::avi::AviCutOff;
+/// Why a file may have fewer pictures than were recorded: a loss of power, or a full disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AviCutOff {
+    #[error("the file ends at byte {offset}, {missing} bytes before the end of a chunk")]
+    InChunk { offset: u64, missing: u64 },
+    #[error("the file ends at byte {offset}; by its header it ends at {declared}")]
+    BetweenChunks { offset: u64, declared: u64 },
+    #[error("the header has no size: its writer did not finish, or wrote to a pipe")]
+    Unfinished,
+    #[error("no chunk begins at byte {offset}; nothing is read from there on")]
+    NoChunk { offset: u64 },
+}
 
 /// Lists whose chunks are walked as if they stood in the file itself; others are chunks like any other. So it does not matter whether
 /// the writer of the file ever filled in the sizes of these.

@@ -101,7 +101,7 @@ mod tests {
             }
             watch.poll_move(cx)
         });
-        let found = tokio::time::timeout(std::time::Duration::from_secs(60), found).await.ok()?;
+        let found = tokio::time::timeout(std::time::Duration::from_mins(1), found).await.ok()?;
         Some((found.to_string(), timer.now() - posebridge_telemetry::Timestamp::ZERO))
     }
 

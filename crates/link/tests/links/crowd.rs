@@ -18,7 +18,7 @@ async fn server() -> (Link, SocketAddr) {
 fn connect(address: SocketAddr) -> TcpStream {
     let stream = TcpStream::connect(address).expect("it listens");
     // Only a test that fails waits so long.
-    stream.set_read_timeout(Some(Duration::from_secs(60))).expect("own socket");
+    stream.set_read_timeout(Some(Duration::from_mins(1))).expect("own socket");
     stream
 }
 

@@ -28,6 +28,9 @@ fn the_usual_links_are_understood_and_printed_back() {
     check_target("pty:brick.tty", "pty", &path("brick.tty"));
     check_target("pty:///run/user/brick.tty", "pty", &path("/run/user/brick.tty"));
     check_target("file://run.bin", "file", &path("run.bin"));
+    check_target("camera:/dev/video0?exposure_us=5000", "camera", &path("/dev/video0"));
+    // What follows the question mark is for the phone.
+    check_target("camera:http://phone:8080/video?fps=5", "camera", &path("http://phone:8080/video?fps=5"));
     check_target("tcp://robot.local:5760", "tcp", &host("robot.local", 5760));
     check_target("tcp://[fe80::1]:5760/", "tcp", &host("fe80::1", 5760));
     check_target("udp://:14550", "udp", &host("", 14550));

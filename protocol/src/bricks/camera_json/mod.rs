@@ -205,9 +205,9 @@ impl CameraJsonCodec {
             sink(CodecEvent::Message { from, message });
         }
         self.report_unknown_keys(from, &line.unknown, sink);
-        match line.message {
-            CameraMessage::Fix(fix) => self.emit_fix(now, from, &fix, sink)?,
-            CameraMessage::Time { request, nanos } => {
+        match &line.message {
+            CameraMessage::Fix(fix) => self.emit_fix(now, from, fix, sink)?,
+            &CameraMessage::Time { request, nanos } => {
                 // Zero would make a request of it.
                 let answer = TimeSync { answer_nanos: nanos.max(1), request_nanos: request, target: None };
                 sink(CodecEvent::Message { from, message: Message::TimeSync(answer) });
@@ -230,8 +230,8 @@ impl CameraJsonCodec {
             sink(CodecEvent::Error(ReceiveError::Payload { message_id }));
             return Ok(());
         }
-        let (x, y, heading, covariance) = match fix.place {
-            FixPlace::Arena { x, y, heading, covariance } => (x, y, heading, covariance),
+        let (x, y, heading, covariance) = match &fix.place {
+            FixPlace::Arena { x, y, heading, covariance } => (*x, *y, *heading, *covariance),
             FixPlace::Picture(corners) => {
                 let Some(floor) = &self.settings.floor else {
                     let what =
@@ -241,7 +241,7 @@ impl CameraJsonCodec {
                 if fix.tag.is_some_and(|tag| floor.is_on_floor(tag)) {
                     return Ok(());
                 }
-                let solved = floor.solve(&corners);
+                let solved = floor.solve(corners);
                 let TagFix { x, y, heading, covariance } =
                     solved.map_err(|error| FieldError::for_key("corners_px", &error.to_string()))?;
                 (x, y, Some(heading), Some(covariance))

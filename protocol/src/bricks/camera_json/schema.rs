@@ -77,7 +77,7 @@ pub(super) enum CameraMessage {
     Hello,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct CameraFixMessage {
     pub(super) exposed: ExposureTime,
     pub(super) place: FixPlace,
@@ -103,7 +103,7 @@ pub(super) enum ExposureTime {
 }
 
 /// Where the tag is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum FixPlace {
     Arena {
         x: Meters,
@@ -112,7 +112,7 @@ pub(super) enum FixPlace {
         /// Variances as in [`VisionFix::covariance`](crate::message::VisionFix::covariance).
         covariance: Option<[f64; 4]>,
     },
-    Picture(TagCorners),
+    Picture(Box<TagCorners>),
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -183,7 +183,7 @@ impl LineKeys<'_> {
         let tag = self.integer("tag", u32::MAX)?;
         let place = match self.corners()? {
             Some(_) if tag.is_none() => return Err(FieldError::for_key("tag", "is missing beside `corners_px`")),
-            Some(corners) => FixPlace::Picture(corners),
+            Some(corners) => FixPlace::Picture(Box::new(corners)),
             None => {
                 let pose = self.planar_pose()?;
                 let heading = self.heading_rad()?.map(|_| Heading::from_rad(pose.angle));
@@ -425,29 +425,33 @@ impl Default for CameraJsonSettings {
 mod tests {
     use super::*;
 
-    fn fix(line: &str) -> CameraFixMessage {
+    fn place(line: &str) -> (Meters, Meters, Option<Heading>, Option<[f64; 4]>) {
         match parse_line(line.as_bytes()).unwrap().message {
-            CameraMessage::Fix(fix) => fix,
-            other @ (CameraMessage::Time { .. } | CameraMessage::Hello) => panic!("{line}: {other:?}"),
+            CameraMessage::Fix(CameraFixMessage { place: FixPlace::Arena { x, y, heading, covariance }, .. }) => {
+                (x, y, heading, covariance)
+            }
+            other @ (CameraMessage::Fix(_) | CameraMessage::Time { .. } | CameraMessage::Hello) => {
+                panic!("{line}: {other:?}")
+            }
         }
     }
 
     #[test]
     fn a_fix_is_in_the_arena_or_north_east_down() {
-        let turned = fix("{\"x_m\": 3, \"y_m\": 4, \"heading_deg\": 30, \"space\": \"ned\"}");
-        assert_eq!((turned.x, turned.y), (Meters(4.0), Meters(3.0)));
-        assert!((turned.heading.unwrap().rad().to_degrees() - 60.0).abs() < 1e-9);
-        let still = fix("{\"x_m\": 3, \"y_m\": 4, \"space\": \"ned\"}");
-        assert_eq!(still.heading, None);
+        let (x, y, heading, _) = place("{\"x_m\": 3, \"y_m\": 4, \"heading_deg\": 30, \"space\": \"ned\"}");
+        assert_eq!((x, y), (Meters(4.0), Meters(3.0)));
+        assert!((heading.unwrap().rad().to_degrees() - 60.0).abs() < 1e-9);
+        let (.., heading, _) = place("{\"x_m\": 3, \"y_m\": 4, \"space\": \"ned\"}");
+        assert_eq!(heading, None);
     }
 
     #[test]
     fn sigmas_become_variances_and_no_heading_is_left_without_one() {
         let line = "{\"x_m\": 0, \"y_m\": 0, \"heading_rad\": 0, \"sigma_m\": 0.1, \"sigma_heading_rad\": 0.2}";
-        let [xx, xy, yy, hh] = fix(line).covariance.unwrap();
+        let [xx, xy, yy, hh] = place(line).3.unwrap();
         assert!((xx - 0.01).abs() < 1e-15 && xy == 0.0 && yy == xx);
         assert!((hh - 0.04).abs() < 1e-15);
-        let [.., hh] = fix("{\"x_m\": 0, \"y_m\": 0, \"sigma_m\": 0.1}").covariance.unwrap();
+        let [.., hh] = place("{\"x_m\": 0, \"y_m\": 0, \"sigma_m\": 0.1}").3.unwrap();
         assert_eq!(hh, f64::INFINITY);
     }
 
