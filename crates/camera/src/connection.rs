@@ -12,21 +12,13 @@ use tokio::sync::mpsc;
 
 use crate::capture_thread::{RunningCapture, died, spawn};
 use crate::picture_slot::StreamEnd;
-use crate::tag_search_thread::{Sighting, lines_of, search_pictures};
-use crate::view::CameraView;
+use crate::settings::CameraSettings;
+use crate::sighting::Sighting;
+use crate::tag_lines::lines_of;
+use crate::tag_search_thread::search_pictures;
 
 /// Searched pictures that wait for the station. It takes each at once; while it stands still the next ones are dropped.
 const WAITING_PICTURES: usize = 4;
-
-/// How a camera's tags are looked for and called.
-#[derive(Clone, Debug)]
-pub struct CameraSettings {
-    /// Its name in the lines: 1 to 16 printable ASCII characters, no space.
-    pub name: String,
-    /// Tags that lie on the floor and are not followed.
-    pub floor_tags: std::ops::Range<u16>,
-    pub view: CameraView,
-}
 
 /// Opens the camera of a `camera:` URL, again after each loss.
 pub fn camera_opener(url: LinkUrl, settings: CameraSettings) -> Opener {

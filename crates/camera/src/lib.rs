@@ -12,6 +12,8 @@ mod picture;
 mod picture_server;
 mod picture_slot;
 mod recorded;
+mod settings;
+mod sighting;
 mod still;
 mod tag_lines;
 mod tag_search_thread;
@@ -19,7 +21,8 @@ mod tag_tracker;
 mod view;
 mod webcam;
 
-pub use connection::{CameraSettings, camera_opener};
+pub use connection::camera_opener;
 pub use picture_server::PictureServer;
+pub use settings::CameraSettings;
 pub use still::take_picture;
 pub use view::{CameraView, SeenPicture};

@@ -5,13 +5,21 @@ use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use serde_json::{Value, json};
 
 use crate::picture::PictureTime;
-use crate::tag_search_thread::TaggedPicture;
+use crate::sighting::{Sighting, TaggedPicture};
 
 /// Decimals of a pixel: far below the error of any corner.
 const PIXEL_DECIMALS: i32 = 4;
 
-/// A line for each tag of a picture, sent at `now`.
-pub(crate) fn tag_lines(camera: &str, seen: &TaggedPicture, now: Timestamp<HostClock>) -> Vec<u8> {
+/// The lines of a sighting that the station takes at `now`.
+pub(crate) fn lines_of(sighting: &Sighting, camera: &str, now: Timestamp<HostClock>) -> Vec<u8> {
+    match sighting {
+        Sighting::Tags(seen) => tag_lines(camera, seen, now),
+        Sighting::Nothing => hello_line(camera),
+    }
+}
+
+/// A line for each tag of a picture.
+fn tag_lines(camera: &str, seen: &TaggedPicture, now: Timestamp<HostClock>) -> Vec<u8> {
     let TaggedPicture { tags, picture_px, time } = seen;
     let mut lines = Vec::new();
     let micros = |since: Timestamp<HostClock>| (now - since).max(TimeDelta::ZERO).as_nanos() / 1_000;
@@ -35,7 +43,7 @@ pub(crate) fn tag_lines(camera: &str, seen: &TaggedPicture, now: Timestamp<HostC
 }
 
 /// Says that the camera is there while it sees no tag.
-pub(crate) fn hello_line(camera: &str) -> Vec<u8> {
+fn hello_line(camera: &str) -> Vec<u8> {
     let mut line = Vec::new();
     push_line(&mut line, &json!({ "camera": camera, "takes_requests": false }));
     line

@@ -8,10 +8,10 @@ use posebridge_vision::{DetectedTag, GreyPicture, Tag36h11Detector, TagSearch};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
 
-use crate::connection::CameraSettings;
-use crate::picture::{EncodedPicture, PictureTime};
+use crate::picture::EncodedPicture;
 use crate::picture_slot::PictureSlot;
-use crate::tag_lines::hello_line;
+use crate::settings::CameraSettings;
+use crate::sighting::{Sighting, TaggedPicture};
 use crate::tag_tracker::TagTracker;
 use crate::view::{CameraCounts, SeenPicture, SeenTag};
 
@@ -19,22 +19,6 @@ use crate::view::{CameraCounts, SeenPicture, SeenTag};
 const WHOLE_EVERY: u32 = 10;
 /// A camera without tags says that it is there so often.
 const HELLO_PERIOD: TimeDelta = TimeDelta::from_millis(500);
-
-/// The tags of one picture, on their way to the station.
-#[derive(Debug)]
-pub(crate) struct TaggedPicture {
-    pub(crate) tags: Vec<DetectedTag>,
-    pub(crate) picture_px: (usize, usize),
-    pub(crate) time: PictureTime,
-}
-
-/// What the station's thread is handed.
-#[derive(Debug)]
-pub(crate) enum Sighting {
-    Tags(TaggedPicture),
-    /// Pictures come, and there is no tag in them.
-    Nothing,
-}
 
 /// Searches until there are no more pictures, or nobody wants the tags.
 pub(crate) fn search_pictures(
@@ -110,13 +94,5 @@ impl PictureSearch<'_> {
 impl From<&DetectedTag> for SeenTag {
     fn from(tag: &DetectedTag) -> Self {
         Self { id: tag.id, corners: tag.corners, margin: tag.margin }
-    }
-}
-
-/// The lines of a sighting that the station takes at `now`.
-pub(crate) fn lines_of(sighting: &Sighting, camera: &str, now: Timestamp<HostClock>) -> Vec<u8> {
-    match sighting {
-        Sighting::Tags(seen) => crate::tag_lines::tag_lines(camera, seen, now),
-        Sighting::Nothing => hello_line(camera),
     }
 }
