@@ -13,7 +13,7 @@ export const cameras = {
   id: 'cameras',
   title: 'Cameras',
   isLive: true,
-  isShown: (view) => !view.isReplay && view.session.links.some((link) => String(link.name).startsWith('camera:')),
+  isShown: hasCamera,
   build(body) {
     const shown = new Map();
     let asked_ms = -Infinity;
@@ -26,9 +26,9 @@ export const cameras = {
     };
     return {
       // The last answer is waited for before the next question.
-      draw({ stalled_s }) {
+      draw(view) {
         const now_ms = performance.now();
-        if (stalled_s > 0 || now_ms - asked_ms < PERIOD_MS || document.hidden) return;
+        if (!hasCamera(view) || view.stalled_s > 0 || now_ms - asked_ms < PERIOD_MS || document.hidden) return;
         asked_ms = Infinity;
         // The connection's own line says when the station is away.
         ask().catch(() => {}).finally(() => { asked_ms = performance.now(); });
@@ -36,6 +36,10 @@ export const cameras = {
     };
   },
 };
+
+function hasCamera({ isReplay, session }) {
+  return !isReplay && session.links.some((link) => String(link.name).startsWith('camera:'));
+}
 
 class CameraFigure {
   #last = null;
