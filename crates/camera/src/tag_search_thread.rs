@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use posebridge_link::HostTimer;
+use posebridge_link::{HostTimer, LinkError};
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
-use posebridge_vision::{DetectedTag, GreyPicture, Tag36h11Detector, TagSearch};
+use posebridge_vision::{DetectedTag, GreyPicture, PictureError, Tag36h11Detector, TagSearch};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::mpsc::error::TrySendError;
 
 use crate::picture::EncodedPicture;
-use crate::picture_slot::PictureSlot;
+use crate::picture_slot::{PictureSlot, StreamEnd};
 use crate::settings::CameraSettings;
 use crate::sighting::{Sighting, TaggedPicture};
 use crate::tag_tracker::TagTracker;
@@ -17,6 +17,8 @@ use crate::view::{CameraCounts, SeenPicture, SeenTag};
 
 /// Every so many pictures are searched as a whole, so that a new tag is seen within half a second.
 const WHOLE_EVERY: u32 = 10;
+/// After so many pictures in a row that cannot be decoded the camera is lost, with the reason: it may begin anew.
+const MAX_DAMAGED_IN_A_ROW: u32 = 60;
 /// A camera without tags says that it is there so often.
 const HELLO_PERIOD: TimeDelta = TimeDelta::from_millis(500);
 
@@ -34,11 +36,19 @@ pub(crate) fn search_pictures(
         search: TagSearch::new(WHOLE_EVERY),
         tracker: TagTracker::default(),
         counts: CameraCounts::default(),
+        damaged_in_a_row: 0,
         next_hello: timer.now(),
     };
     while let Some((picture, dropped)) = slot.take() {
         search.counts.dropped = dropped;
-        let sighting = search.next(picture, timer);
+        let sighting = match search.next(picture, timer) {
+            Ok(sighting) => sighting,
+            Err(error) if search.damaged_in_a_row >= MAX_DAMAGED_IN_A_ROW => {
+                let text = format!("{MAX_DAMAGED_IN_A_ROW} pictures in a row cannot be decoded: {error}");
+                return slot.end(StreamEnd::Lost(LinkError::Camera(text)));
+            }
+            Err(_) => None,
+        };
         match sighting.map_or(Ok(()), |sighting| found.try_send(sighting)) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => search.counts.late += 1,
@@ -54,16 +64,19 @@ struct PictureSearch<'a> {
     search: TagSearch,
     tracker: TagTracker,
     counts: CameraCounts,
+    damaged_in_a_row: u32,
     next_hello: Timestamp<HostClock>,
 }
 
 impl PictureSearch<'_> {
-    fn next(&mut self, encoded: EncodedPicture, timer: HostTimer) -> Option<Sighting> {
-        let decoded = self.picture.decode(&encoded.bytes).ok().and_then(|()| self.picture.image());
-        let Some(image) = decoded else {
+    fn next(&mut self, encoded: EncodedPicture, timer: HostTimer) -> Result<Option<Sighting>, PictureError> {
+        if let Err(error) = self.picture.decode(&encoded.bytes) {
             self.counts.damaged += 1;
-            return None;
-        };
+            self.damaged_in_a_row += 1;
+            return Err(error);
+        }
+        self.damaged_in_a_row = 0;
+        let Some(image) = self.picture.image() else { return Ok(None) };
         let picture_px = (image.width(), image.height());
         let windows = self.tracker.windows(image.width(), image.height());
         let tags = self.search.detect(&mut self.detector, image, &windows);
@@ -81,13 +94,13 @@ impl PictureSearch<'_> {
         });
         if !tags.is_empty() {
             self.next_hello = now + HELLO_PERIOD;
-            return Some(Sighting::Tags(TaggedPicture { tags, picture_px, time: encoded.time }));
+            return Ok(Some(Sighting::Tags(TaggedPicture { tags, picture_px, time: encoded.time })));
         }
         if now < self.next_hello {
-            return None;
+            return Ok(None);
         }
         self.next_hello = now + HELLO_PERIOD;
-        Some(Sighting::Nothing)
+        Ok(Some(Sighting::Nothing))
     }
 }
 

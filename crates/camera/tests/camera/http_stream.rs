@@ -122,6 +122,23 @@ async fn damaged_pictures_are_counted_and_the_next_good_one_is_searched() {
 }
 
 #[tokio::test]
+async fn a_camera_that_sends_nothing_but_damage_is_lost_with_the_reason() {
+    let (listener, url) = listener().await;
+    let mut camera = CameraLink::new(&url);
+    let serve = async {
+        let mut stream = ServedStream::accept(&listener, BodyEncoding::Plain).await;
+        loop {
+            stream.send_picture(b"\xFF\xD8 no picture at all").await;
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::select! {
+        reason = camera.loss() => assert!(reason.contains("60 pictures in a row cannot be decoded: the picture is damaged"), "{reason}"),
+        () = serve => {}
+    }
+}
+
+#[tokio::test]
 async fn what_is_no_stream_of_pictures_says_what_to_do() {
     for (status, content_type, words) in [
         ("404 Not Found", "text/html", "often /video or /stream"),
