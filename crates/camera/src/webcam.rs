@@ -22,10 +22,9 @@ use crate::picture::{EncodedPicture, PictureTime};
 
 /// Few, so that no old picture waits in the driver.
 const BUFFERS: u32 = 3;
-/// So long the end of the link is not seen.
-const POLL: Duration = Duration::from_millis(200);
-/// A webcam that gives no picture for so many polls is lost.
-const SILENT_POLLS: u32 = 25;
+/// A webcam that gives no picture for so long is lost. Its wait cannot be cut into shorter ones: the next call of the stream would hand the
+/// driver a buffer that it has already, which it refuses.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// V4L2_CID_EXPOSURE_AUTO with V4L2_EXPOSURE_MANUAL; V4L2_CID_EXPOSURE_ABSOLUTE in units of 100 µs; V4L2_CID_EXPOSURE_DYNAMIC_FRAMERATE,
 /// which would slow the pictures down in the dark.
@@ -65,23 +64,17 @@ pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
         TimeDelta::from_secs_f64(f64::from(interval.numerator) / f64::from(interval.denominator))
     });
     let mut stream = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(failed)?;
-    stream.set_timeout(POLL);
+    stream.set_timeout(SILENCE);
     let fourcc = format.fourcc;
     capture.report_open(format!("{}, {} x {} {fourcc}", name_of(&path), format.width, format.height));
-    let mut silent = 0;
     while !capture.stop.is_cancelled() {
         let (bytes, metadata) = match stream.next() {
             Ok(next) => next,
-            Err(error) if error.kind() == io::ErrorKind::TimedOut && silent < SILENT_POLLS => {
-                silent += 1;
-                continue;
-            }
             Err(error) if error.kind() == io::ErrorKind::TimedOut => {
                 return Err(CaptureError::Lost(LinkError::Camera("the webcam gives no more pictures".to_owned())));
             }
             Err(error) => return Err(CaptureError::Lost(error.into())),
         };
-        silent = 0;
         if metadata.flags.contains(Flags::ERROR) {
             continue;
         }

@@ -11,7 +11,7 @@ use posebridge_sim::rendered_camera::{Exposure, RenderedCamera};
 use posebridge_sim::scenario::RenderedCameraSettings;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
-/// Exposures that wait for the renderer; a computer that is too slow drops the next ones.
+/// Exposures that wait for the renderer, beside those whose pictures are not due yet; a computer that is too slow drops the next ones.
 const WAITING_EXPOSURES: usize = 2;
 
 /// A camera that renders. It ends when it is dropped.
@@ -32,7 +32,8 @@ impl RenderedPictures {
         let camera = RenderedCamera::new(settings, seed).context("the simulated camera")?;
         let server = PictureServer::start(listener).context("serving the pictures of the simulated camera")?;
         let address = server.address();
-        let (exposures, taken) = sync_channel(WAITING_EXPOSURES);
+        let latency_s = (settings.latency_ms + settings.jitter_ms) / 1e3;
+        let (exposures, taken) = sync_channel((latency_s * settings.rate_hz).ceil() as usize + WAITING_EXPOSURES);
         std::thread::Builder::new()
             .name("renderer".to_owned())
             .spawn(move || render(camera, &server, &taken, timer))
