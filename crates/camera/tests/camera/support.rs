@@ -2,12 +2,16 @@
 
 use posebridge_camera::{CameraSettings, CameraView, camera_opener};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
-use posebridge_telemetry::LinkId;
+use posebridge_telemetry::{HostClock, LinkId, Timestamp};
 use serde_json::Value;
+
+/// A link that is up, down and greets so often without a tag finds none.
+const MOST_EVENTS: usize = 30;
 
 pub(crate) struct CameraLink {
     pub(crate) link: Link,
     pub(crate) view: CameraView,
+    pub(crate) timer: HostTimer,
 }
 
 impl CameraLink {
@@ -16,20 +20,27 @@ impl CameraLink {
         let view = CameraView::default();
         let settings = CameraSettings { name: "overhead".to_owned(), floor_tags: 580..586, view: view.clone() };
         let open = LinkOpenConfig { id: LinkId(3), url: url.clone(), role: ConnectRole::Dial };
-        Self { link: Link::with_opener(open, camera_opener(url, settings), HostTimer::start()), view }
+        let timer = HostTimer::start();
+        Self { link: Link::with_opener(open, camera_opener(url, settings), timer), view, timer }
     }
 
     /// The next line that is no greeting.
     pub(crate) async fn tag(&mut self) -> Value {
-        loop {
-            if let LinkEvent::Bytes { bytes, .. } = self.link.next_event().await {
+        self.tag_at().await.1
+    }
+
+    /// With the time to which it refers.
+    pub(crate) async fn tag_at(&mut self) -> (Timestamp<HostClock>, Value) {
+        for _ in 0..MOST_EVENTS {
+            if let LinkEvent::Bytes { arrival, bytes, .. } = self.link.next_event().await {
                 let lines = String::from_utf8(bytes).expect("text");
                 let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
                 if let Some(line) = lines.into_iter().find(|line| line.get("tag").is_some()) {
-                    return line;
+                    return (arrival, line);
                 }
             }
         }
+        panic!("{MOST_EVENTS} events, and no tag");
     }
 
     /// The reason of the next loss.
