@@ -26,6 +26,10 @@ const BUFFERS: u32 = 3;
 /// driver a buffer that it has already, which it refuses.
 const SILENCE: Duration = Duration::from_secs(5);
 
+/// Errors of the system: no such kind of pictures, or no such value; no video device at all.
+const EINVAL: i32 = 22;
+const ENOTTY: i32 = 25;
+
 /// V4L2_CID_EXPOSURE_AUTO with V4L2_EXPOSURE_MANUAL; V4L2_CID_EXPOSURE_ABSOLUTE in units of 100 µs; V4L2_CID_EXPOSURE_DYNAMIC_FRAMERATE,
 /// which would slow the pictures down in the dark.
 const EXPOSURE_AUTO: u32 = 0x009A_0901;
@@ -54,27 +58,28 @@ enum PixelLayout {
 pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
     let path = capture.url.path().to_owned();
     let device = Device::with_path(&path).map_err(|error| open_error(&path, error))?;
-    let failed = |error| open_error(&path, error);
     let (format, layout) = set_format(&device, &capture.url, &path)?;
     let rate = Parameters::with_fps(capture.url.integer(&PICTURES_PER_SECOND));
     // Not every driver can be told; the pictures come as fast as it gives them then.
     let interval = device.set_params(&rate).ok().map(|set| set.interval);
-    let exposure = hold_exposure(&device, &capture.url, &path)?;
     let frame = interval.filter(|interval| interval.denominator > 0).map_or(TimeDelta::ZERO, |interval| {
         TimeDelta::from_secs_f64(f64::from(interval.numerator) / f64::from(interval.denominator))
     });
-    let mut stream = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS).map_err(failed)?;
+    let exposure = hold_exposure(&device, &capture.url, &path)?;
+    let buffers = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS);
+    let mut stream = buffers.map_err(|error| open_error(&path, error))?;
     stream.set_timeout(SILENCE);
-    let fourcc = format.fourcc;
-    capture.report_open(format!("{}, {} x {} {fourcc}", name_of(&path), format.width, format.height));
     while !capture.stop.is_cancelled() {
         let (bytes, metadata) = match stream.next() {
             Ok(next) => next,
-            Err(error) if error.kind() == io::ErrorKind::TimedOut => {
-                return Err(CaptureError::Lost(LinkError::Camera("the webcam gives no more pictures".to_owned())));
-            }
-            Err(error) => return Err(CaptureError::Lost(error.into())),
+            // The stream starts with the first picture, and only then it is known whether the bus has room for it.
+            Err(error) if capture.opened.is_some() => return Err(start_error(&capture.url, &path, error).into()),
+            Err(error) => return Err(CaptureError::Lost(loss(error))),
         };
+        if capture.opened.is_some() {
+            let (name, Format { width, height, fourcc, .. }) = (name_of(&path), format);
+            capture.report_open(format!("{name}, {width} x {height} {fourcc}"));
+        }
         if metadata.flags.contains(Flags::ERROR) {
             continue;
         }
@@ -88,7 +93,14 @@ pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
 /// The first format of the table that the webcam has, as large as asked for or as near as it comes.
 fn set_format(device: &Device, url: &LinkUrl, path: &Path) -> Result<(Format, PixelLayout), OpenError> {
     let failed = |error| open_error(path, error);
-    let now = device.format().map_err(failed)?;
+    let refused = |reason| OpenError::CameraRefused { url: url.to_string(), reason };
+    let now = device.format().map_err(|error| {
+        // Webcams have a second device file, for metadata.
+        let gives_none = matches!(error.raw_os_error(), Some(EINVAL | ENOTTY));
+        let reason =
+            "it gives no pictures; webcams have another device file, often that with the number before".to_owned();
+        if gives_none { refused(reason) } else { failed(error) }
+    })?;
     let asked = |option, current| Some(url.integer(option)).filter(|pixels| *pixels > 0).unwrap_or(current);
     let (width, height) = (asked(&WIDTH, now.width), asked(&HEIGHT, now.height));
     for (layout, fourcc) in FORMATS {
@@ -99,7 +111,7 @@ fn set_format(device: &Device, url: &LinkUrl, path: &Path) -> Result<(Format, Pi
         }
     }
     let reason = format!("it gives pictures as {} only; MJPG, GREY and YUYV are read", now.fourcc);
-    Err(OpenError::CameraRefused { url: url.to_string(), reason })
+    Err(refused(reason))
 }
 
 /// Sets what the URL holds; returns the exposure if it is known.
@@ -165,6 +177,29 @@ fn name_of(path: &Path) -> String {
     let name = file.and_then(|file| std::fs::read_to_string(file).ok());
     let path = path.display();
     name.map_or_else(|| path.to_string(), |name| format!("{} ({path})", name.trim()))
+}
+
+/// Why the first picture of a webcam does not come.
+fn start_error(url: &LinkUrl, path: &Path, error: io::Error) -> OpenError {
+    let what = url.to_string();
+    if error.kind() == io::ErrorKind::StorageFull {
+        let reason = "the USB bus has no room for its pictures: plug it into another USB port, or ask for fewer or smaller ones \
+                      (fps, width, height)";
+        OpenError::CameraRefused { url: what, reason: reason.to_owned() }
+    } else if error.kind() == io::ErrorKind::TimedOut {
+        OpenError::TimedOut { what, limit_secs: SILENCE.as_secs() }
+    } else {
+        open_error(path, error)
+    }
+}
+
+/// Why no picture follows.
+fn loss(error: io::Error) -> LinkError {
+    if error.kind() == io::ErrorKind::TimedOut {
+        LinkError::Camera("the webcam gives no more pictures".to_owned())
+    } else {
+        error.into()
+    }
 }
 
 fn open_error(path: &Path, source: io::Error) -> OpenError {

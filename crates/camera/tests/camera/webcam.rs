@@ -194,6 +194,32 @@ fn a_webcam_that_refuses_its_exposure_says_so() {
 }
 
 #[test]
+fn the_other_device_file_of_a_webcam_says_that_it_has_no_pictures() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_LACKS", "capture")], async |webcam| {
+        let reason = refusal(&webcam, "").await;
+        assert!(reason.contains("gives no pictures") && reason.contains("another device file"), "{reason}");
+    });
+}
+
+#[test]
+fn a_webcam_without_a_first_picture_is_not_open() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_LACKS", "pictures")], async |webcam| {
+        let event = webcam.link("").link.next_event().await;
+        let LinkEvent::Down { reason, .. } = event else { panic!("{event:?}") };
+        assert!(reason.ends_with("did not open within 5 s"), "{reason}");
+    });
+}
+
+#[test]
+fn a_bus_without_room_says_what_helps() {
+    const ENOSPC: &str = "28";
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_BUS_ERROR", ENOSPC)], async |webcam| {
+        let reason = refusal(&webcam, "").await;
+        assert!(reason.contains("another USB port") && reason.contains("width"), "{reason}");
+    });
+}
+
+#[test]
 fn a_webcam_serves_one_program_and_then_the_next() {
     with_webcam(Pictures::Jpeg, &[], async |webcam| {
         let mut first = webcam.open("width=160").await.unwrap();
