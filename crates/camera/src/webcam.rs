@@ -26,7 +26,8 @@ const BUFFERS: u32 = 3;
 /// driver a buffer that it has already, which it refuses.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// Errors of the system: no such kind of pictures, or no such value; no video device at all.
+/// Errors of the system: no such device; no such kind of pictures, or no such value; no video device at all.
+const ENODEV: i32 = 19;
 const EINVAL: i32 = 22;
 const ENOTTY: i32 = 25;
 
@@ -118,22 +119,25 @@ fn set_format(device: &Device, url: &LinkUrl, path: &Path) -> Result<(Format, Pi
 fn hold_exposure(device: &Device, url: &LinkUrl, path: &Path) -> Result<Option<TimeDelta>, OpenError> {
     let (exposure_us, gain) = (url.integer(&EXPOSURE), url.integer(&GAIN));
     let set = |id, value| device.set_control(Control { id, value });
-    let refused = |what: &str, error: &io::Error| OpenError::CameraRefused {
-        url: url.to_string(),
-        reason: format!("{} does not let its {what} be set: {error}; take the option away", name_of(path)),
+    let refused = |what: &str, error: io::Error| {
+        if is_unplugged(&error) {
+            return open_error(path, error);
+        }
+        let reason = format!("{} does not let its {what} be set: {error}; take the option away", name_of(path));
+        OpenError::CameraRefused { url: url.to_string(), reason }
     };
     if gain > 0 {
         // Many have no automatic gain of its own.
         drop(set(AUTO_GAIN, Value::Boolean(false)));
-        set(GAIN_VALUE, Value::Integer(gain.into())).map_err(|error| refused("gain", &error))?;
+        set(GAIN_VALUE, Value::Integer(gain.into())).map_err(|error| refused("gain", error))?;
     }
     if exposure_us == 0 {
         return Ok(None);
     }
     drop(set(EXPOSURE_DYNAMIC_FRAMERATE, Value::Boolean(false)));
-    set(EXPOSURE_AUTO, Value::Integer(EXPOSURE_MANUAL)).map_err(|error| refused("exposure", &error))?;
+    set(EXPOSURE_AUTO, Value::Integer(EXPOSURE_MANUAL)).map_err(|error| refused("exposure", error))?;
     let units = exposure_us.div_ceil(EXPOSURE_UNIT_US);
-    set(EXPOSURE_ABSOLUTE, Value::Integer(units.into())).map_err(|error| refused("exposure", &error))?;
+    set(EXPOSURE_ABSOLUTE, Value::Integer(units.into())).map_err(|error| refused("exposure", error))?;
     Ok(Some(TimeDelta::from_micros(i64::from(units * EXPOSURE_UNIT_US))))
 }
 
@@ -197,14 +201,20 @@ fn start_error(url: &LinkUrl, path: &Path, error: io::Error) -> OpenError {
 fn loss(error: io::Error) -> LinkError {
     if error.kind() == io::ErrorKind::TimedOut {
         LinkError::Camera("the webcam gives no more pictures".to_owned())
+    } else if is_unplugged(&error) {
+        LinkError::HungUp
     } else {
         error.into()
     }
 }
 
+fn is_unplugged(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(ENODEV)
+}
+
 fn open_error(path: &Path, source: io::Error) -> OpenError {
     let (what, kind) = (path.display().to_string(), source.kind());
-    if kind == io::ErrorKind::NotFound {
+    if kind == io::ErrorKind::NotFound || is_unplugged(&source) {
         OpenError::DeviceMissing { path: path.to_owned() }
     } else if kind == io::ErrorKind::PermissionDenied {
         OpenError::PermissionDenied { what, advice: "add yourself to the group `video` and log in again".to_owned() }

@@ -48,6 +48,10 @@ impl Webcam {
         Ok(camera)
     }
 
+    fn unplug(&self) {
+        std::fs::remove_file(self.folder.join("plugged")).expect("it is plugged in");
+    }
+
     fn plug(&self) {
         std::fs::write(self.folder.join("plugged"), "").expect("a folder");
     }
@@ -234,6 +238,21 @@ fn a_webcam_serves_one_program_and_then_the_next() {
             }
         };
         expect_tags(&mut second, SIZES[1]).await;
+    });
+}
+
+#[test]
+fn a_webcam_that_is_unplugged_is_lost_until_it_is_there_again() {
+    with_webcam(Pictures::Jpeg, &[], async |webcam| {
+        let mut camera = webcam.open("width=160&height=120").await.unwrap();
+        camera.tag().await;
+        webcam.unplug();
+        let reason = camera.loss().await;
+        assert!(reason.contains("unplugged"), "{reason}");
+        assert_eq!(camera.loss().await, format!("{DEVICE} is not there: plug the device in or check the name"));
+        webcam.plug();
+        expect_tags(&mut camera, SIZES[0]).await;
+        assert_eq!(camera.link.counters().reconnects, 1);
     });
 }
 
