@@ -126,19 +126,26 @@ fn hold_exposure(device: &Device, url: &LinkUrl, path: &Path) -> Result<Option<T
         let reason = format!("{} does not let its {what} be set: {error}; take the option away", name_of(path));
         OpenError::CameraRefused { url: url.to_string(), reason }
     };
+    let mut held = None;
+    if exposure_us > 0 {
+        drop(set(EXPOSURE_DYNAMIC_FRAMERATE, Value::Boolean(false)));
+        set(EXPOSURE_AUTO, Value::Integer(EXPOSURE_MANUAL)).map_err(|error| refused("exposure", error))?;
+        let asked = i64::from(exposure_us.div_ceil(EXPOSURE_UNIT_US));
+        set(EXPOSURE_ABSOLUTE, Value::Integer(asked)).map_err(|error| refused("exposure", error))?;
+        // It takes the nearest exposure that it has.
+        let units = match device.control(EXPOSURE_ABSOLUTE) {
+            Ok(Control { value: Value::Integer(units), .. }) => units,
+            Ok(_) | Err(_) => asked,
+        };
+        held = Some(TimeDelta::from_micros(units * i64::from(EXPOSURE_UNIT_US)));
+    }
+    // The gain comes after the exposure: an automatic exposure sets it, too.
     if gain > 0 {
         // Many have no automatic gain of its own.
         drop(set(AUTO_GAIN, Value::Boolean(false)));
         set(GAIN_VALUE, Value::Integer(gain.into())).map_err(|error| refused("gain", error))?;
     }
-    if exposure_us == 0 {
-        return Ok(None);
-    }
-    drop(set(EXPOSURE_DYNAMIC_FRAMERATE, Value::Boolean(false)));
-    set(EXPOSURE_AUTO, Value::Integer(EXPOSURE_MANUAL)).map_err(|error| refused("exposure", error))?;
-    let units = exposure_us.div_ceil(EXPOSURE_UNIT_US);
-    set(EXPOSURE_ABSOLUTE, Value::Integer(units.into())).map_err(|error| refused("exposure", error))?;
-    Ok(Some(TimeDelta::from_micros(i64::from(units * EXPOSURE_UNIT_US))))
+    Ok(held)
 }
 
 /// The middle of the exposure, from the buffer's stamp: of the start of exposure, or of the end of reading out.

@@ -188,6 +188,18 @@ fn a_webcam_that_gives_yuyv_only_is_read_in_the_size_that_it_has() {
 }
 
 #[test]
+fn exposure_and_gain_are_set_and_held() {
+    with_webcam(Pictures::Jpeg, &[], async |webcam| {
+        let mut camera = webcam.open("exposure_us=5000&gain=64").await.unwrap();
+        camera.tag().await;
+        let mut set = webcam.logged("control");
+        set.sort();
+        assert_eq!(set, ["exposure_absolute 51", "exposure_auto 1", "exposure_dynamic_framerate 0", "gain 64"]);
+        assert_eq!(webcam.logged("ignored"), [""; 0], "nothing is set while the automatic exposure still runs");
+    });
+}
+
+#[test]
 fn a_webcam_that_refuses_its_exposure_says_so() {
     with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_LACKS", "exposure")], async |webcam| {
         let reason = refusal(&webcam, "exposure_us=5000").await;
@@ -289,6 +301,13 @@ async fn expect_times(webcam: &Webcam, options: &str, spread: Spread) {
 fn a_stamp_of_the_start_and_a_known_exposure_give_the_middle_of_the_exposure() {
     with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "start")], async |webcam| {
         expect_times(&webcam, "width=160&fps=10&exposure_us=50000", Spread::Exact).await;
+    });
+}
+
+#[test]
+fn an_exposure_that_the_webcam_shortens_counts_as_it_is() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "start")], async |webcam| {
+        expect_times(&webcam, "width=160&fps=10&exposure_us=300000", Spread::Exact).await;
     });
 }
 
