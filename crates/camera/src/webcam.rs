@@ -67,6 +67,7 @@ pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
         TimeDelta::from_secs_f64(f64::from(interval.numerator) / f64::from(interval.denominator))
     });
     let exposure = hold_exposure(&device, &capture.url, &path)?;
+    let mut clock = ExposureClock { timer: capture.timer, exposure, frame, last: None };
     let buffers = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS);
     let mut stream = buffers.map_err(|error| open_error(&path, error))?;
     stream.set_timeout(SILENCE);
@@ -81,11 +82,11 @@ pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
             let (name, Format { width, height, fourcc, .. }) = (name_of(&path), format);
             capture.report_open(format!("{name}, {width} x {height} {fourcc}"));
         }
+        let Some(time) = clock.time_of(metadata) else { continue };
         if metadata.flags.contains(Flags::ERROR) {
             continue;
         }
         let used = bytes.get(..metadata.bytesused as usize).unwrap_or(bytes);
-        let time = exposure_time(capture.timer, metadata, exposure, frame);
         capture.slot.put(EncodedPicture { time, bytes: encoded(used, layout, &format) });
     }
     Ok(())
@@ -148,21 +149,39 @@ fn hold_exposure(device: &Device, url: &LinkUrl, path: &Path) -> Result<Option<T
     Ok(held)
 }
 
-/// The middle of the exposure, from the buffer's stamp: of the start of exposure, or of the end of reading out.
-fn exposure_time(timer: HostTimer, metadata: &Metadata, exposure: Option<TimeDelta>, frame: TimeDelta) -> PictureTime {
-    if metadata.flags & Flags::TIMESTAMP_MASK != Flags::TIMESTAMP_MONOTONIC {
-        return PictureTime::Received(timer.now());
-    }
-    let stamp = timer.at_monotonic(metadata.timestamp.into());
-    let half = |whole: TimeDelta| TimeDelta::from_nanos(whole.as_nanos() / 2);
-    // An exposure that is not known is at most as long as a frame.
-    let (shortest, longest) =
-        exposure.map_or((TimeDelta::ZERO, half(frame)), |exposure| (half(exposure), half(exposure)));
-    if metadata.flags & Flags::TSTAMP_SRC_MASK == Flags::TSTAMP_SRC_SOE {
-        PictureTime::Exposed { earliest: stamp + shortest, latest: stamp + longest }
-    } else {
-        // Reading out takes a frame at most.
-        PictureTime::Exposed { earliest: stamp - frame - longest, latest: stamp - shortest }
+/// When pictures were exposed, from the stamps of their buffers.
+struct ExposureClock {
+    timer: HostTimer,
+    /// If it is known.
+    exposure: Option<TimeDelta>,
+    /// As the driver tells it; zero if it does not.
+    frame: TimeDelta,
+    /// Number and stamp of the last picture.
+    last: Option<(u32, Duration)>,
+}
+
+impl ExposureClock {
+    /// The middle of the exposure. The stamp is of its start, or of the end of reading out. `None` for the first picture: how long a
+    /// frame is shows with the second, because an automatic exposure may make it longer than the driver says.
+    fn time_of(&mut self, metadata: &Metadata) -> Option<PictureTime> {
+        if metadata.flags & Flags::TIMESTAMP_MASK != Flags::TIMESTAMP_MONOTONIC {
+            return Some(PictureTime::Received(self.timer.now()));
+        }
+        let stamp = Duration::from(metadata.timestamp);
+        let (last_number, last_stamp) = self.last.replace((metadata.sequence, stamp))?;
+        let apart = stamp.saturating_sub(last_stamp) / metadata.sequence.wrapping_sub(last_number).max(1);
+        let frame = self.frame.max(TimeDelta::from_secs_f64(apart.as_secs_f64()));
+        // No exposure is longer than a frame.
+        let half = |whole: TimeDelta| TimeDelta::from_nanos(whole.as_nanos() / 2);
+        let shortest = half(self.exposure.unwrap_or(TimeDelta::ZERO).min(frame));
+        let longest = half(self.exposure.unwrap_or(frame).min(frame));
+        let stamp = self.timer.at_monotonic(stamp);
+        Some(if metadata.flags & Flags::TSTAMP_SRC_MASK == Flags::TSTAMP_SRC_SOE {
+            PictureTime::Exposed { earliest: stamp + shortest, latest: stamp + longest }
+        } else {
+            // Reading out takes a frame at most.
+            PictureTime::Exposed { earliest: stamp - frame - longest, latest: stamp - shortest }
+        })
     }
 }
 

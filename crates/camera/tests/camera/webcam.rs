@@ -312,8 +312,37 @@ fn an_exposure_that_the_webcam_shortens_counts_as_it_is() {
 }
 
 #[test]
+fn an_exposure_counts_at_most_as_long_as_a_frame() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "start")], async |webcam| {
+        expect_times(&webcam, "width=160&fps=30&exposure_us=60000", Spread::Exact).await;
+    });
+}
+
+#[test]
 fn a_stamp_of_the_end_leaves_the_time_of_reading_out_open() {
     with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "end")], async |webcam| {
         expect_times(&webcam, "width=160&fps=10&exposure_us=50000", Spread::Within(TimeDelta::from_millis(101))).await;
+    });
+}
+
+#[test]
+fn an_automatic_exposure_that_slows_the_pictures_down_counts_as_long_as_it_can_be() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "start")], async |webcam| {
+        expect_times(&webcam, "width=160&fps=20", Spread::Within(TimeDelta::from_millis(51))).await;
+    });
+}
+
+#[test]
+fn an_automatic_exposure_is_as_uncertain_before_the_end_of_reading_out() {
+    with_webcam(Pictures::Jpeg, &[("SIMULATED_WEBCAM_STAMPS", "end")], async |webcam| {
+        expect_times(&webcam, "width=160&fps=20", Spread::Within(TimeDelta::from_millis(151))).await;
+    });
+}
+
+#[test]
+fn a_webcam_that_does_not_tell_its_rate_leaves_as_much_open_as_its_pictures_lie_apart() {
+    let settings = [("SIMULATED_WEBCAM_STAMPS", "end"), ("SIMULATED_WEBCAM_LACKS", "interval")];
+    with_webcam(Pictures::Jpeg, &settings, async |webcam| {
+        expect_times(&webcam, "width=160", Spread::Within(TimeDelta::from_millis(110))).await;
     });
 }
