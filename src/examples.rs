@@ -47,7 +47,6 @@ const EXAMPLES: &[Examples] = &[
     (&["calibrate", "umbmark"], ["posebridge calibrate umbmark --ends ends.csv", "posebridge calibrate umbmark --sim --runs 5"]),
     (&["calibrate", "path"], ["posebridge calibrate path run/recording.mcap", "posebridge calibrate path run/recording.mcap --unknown-start"]),
     (&["calibrate", "rest"], ["posebridge calibrate rest run/recording.mcap", "posebridge calibrate rest run/recording.mcap --json"]),
-    (&["calibrate", "camera"], ["posebridge calibrate camera points.toml", "posebridge calibrate camera points.toml --json"]),
     (&["identify"], ["posebridge identify rest --recording run/recording.mcap", "posebridge identify step --recording one.csv --save sensor.toml"]),
     (&["identify", "rest"], ["posebridge identify rest --recording run/recording.mcap", "posebridge identify rest --seed 2 --json"]),
     (&["identify", "straight"], ["posebridge identify straight --recording run/recording.mcap", "posebridge identify straight --seed 2 --json"]),
@@ -58,7 +57,7 @@ const EXAMPLES: &[Examples] = &[
     (&["camera"], ["posebridge camera sheet --robots 1,2", "posebridge camera detect photo.jpg"]),
     (&["camera", "sheet"], ["posebridge camera sheet --robots 1,2", "posebridge camera sheet --side-mm 60 --out tags"]),
     (&["camera", "calibrate"], [
-        "posebridge camera calibrate photo.jpg --out overhead.toml",
+        "posebridge camera calibrate --drive drive/recording.mcap --out overhead.toml",
         "posebridge camera calibrate a.jpg b.jpg --sheet-at 0,0,0 --sheet-at 1.2,0.4,90",
     ]),
     (&["camera", "detect"], ["posebridge camera detect photo.jpg", "posebridge camera detect photo.jpg --camera overhead.toml --height-mm 85"]),

@@ -23,7 +23,7 @@ pub struct CameraConfig {
     pub tag_side_m: f64,
     /// Height of the robots' tags above the floor.
     pub tag_height_m: f64,
-    /// Number of the first of six tags that lie on the floor and are no robots.
+    /// Number of the first of four tags that lie on the floor and are no robots.
     pub floor_tags_from: u16,
     /// Ask cameras that answer for a fix when the position's standard deviation is above this.
     #[serde(skip_serializing_if = "Option::is_none")]

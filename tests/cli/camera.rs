@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use posebridge::config::CameraFile;
 use posebridge_vision::{CameraModel, FloorView, SheetTag, floor_sheet, robot_sheet, tag36h11_modules};
 use serde_json::Value;
 
@@ -107,7 +108,7 @@ fn a_printed_sheet_and_two_pictures_show_where_a_robot_is_within_three_millimetr
             "overhead.toml",
         ],
     );
-    assert!(calibrated.contains("48 corners"), "{calibrated}");
+    assert!(calibrated.contains("32 corners"), "{calibrated}");
     // The sheets lie in the middle.
     assert!(calibrated.contains("known badly") && calibrated.contains("upper left"), "{calibrated}");
     let shown = run(
@@ -136,13 +137,42 @@ fn a_printed_sheet_and_two_pictures_show_where_a_robot_is_within_three_millimetr
 }
 
 #[test]
+fn measured_marks_calibrate_and_a_mistyped_one_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let marks: [[f64; 2]; 8] =
+        [[-0.2, 0.0], [0.8, 0.0], [0.8, 0.9], [-0.2, 0.9], [0.3, 0.4], [0.1, 0.6], [0.6, 0.3], [0.4, 0.8]];
+    let table = |slip_m: f64| {
+        let rows = marks.iter().enumerate().map(|(index, [x_m, y_m])| {
+            let pixel = view().pixel_of([*x_m, *y_m, 0.0].into()).unwrap();
+            let x_m = if index == 4 { x_m + slip_m } else { *x_m };
+            format!("{:.2},{:.2},{x_m},{y_m}\n", pixel.x, pixel.y)
+        });
+        "u,v,x_m,y_m\n".to_owned() + &rows.collect::<String>()
+    };
+    std::fs::write(folder.join("marks.csv"), table(0.0)).unwrap();
+    std::fs::write(folder.join("wrong.csv"), table(0.1)).unwrap();
+    let size = format!("{WIDTH}x{HEIGHT}");
+    let calibrate = |file: &str| run(folder, &["camera", "calibrate", "--points", file, "--picture-px", &size]);
+    let right = calibrate("marks.csv");
+    assert!(right.contains("8 corners") && !right.contains("mistyped"), "{right}");
+    let found = CameraFile::read(&folder.join("camera.toml")).unwrap().view().unwrap();
+    for [x_m, y_m] in marks {
+        let (seen, _) = found.point_at_height(view().pixel_of([x_m, y_m, 0.0].into()).unwrap(), 0.0).unwrap();
+        assert!((seen.x - x_m).hypot(seen.y - y_m) < 0.002, "{seen}");
+    }
+    let wrong = calibrate("wrong.csv");
+    assert!(wrong.contains("without point 5") && wrong.contains("mistyped"), "{wrong}");
+}
+
+#[test]
 fn a_picture_that_cannot_calibrate_is_named_with_the_cure() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     picture(folder, "empty.pgm", &[]);
     std::fs::write(folder.join("note.txt"), "no picture").unwrap();
     for (arguments, words) in [
-        (&["empty.pgm"][..], "shows no tag of the floor sheet (580 to 585)"),
+        (&["empty.pgm"][..], "shows no tag of the floor sheet (580 to 583)"),
         (&["note.txt"], "neither a JPEG nor a PNG nor a PGM"),
         (&["empty.pgm", "--ruler-mm", "10"], "--ruler-mm 10"),
         (&["empty.pgm", "--sheet-at", "1,2"], "three numbers"),

@@ -163,23 +163,6 @@ fn real_robots_are_what_their_data_sets_say() {
     assert!((scale - 0.92).abs() < 0.015, "{scale}");
 }
 
-#[test]
-fn a_camera_is_calibrated_by_points_and_a_mistyped_one_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    // A camera of 4 mm per pixel that hangs straight, and one cross that was measured 10 cm off.
-    let mut table = String::from("u,v,x_m,y_m\n");
-    let points = [(0, 0), (300, 10), (290, 200), (10, 210), (150, 100), (80, 30), (220, 170)];
-    for (index, (u, v)) in points.into_iter().enumerate() {
-        let slip_m = if index == 4 { 0.1 } else { 0.0 };
-        writeln!(table, "{u},{v},{},{}", 0.004 * f64::from(u) + slip_m, 0.004 * f64::from(v)).unwrap();
-    }
-    write_text(folder.path(), "points.csv", &table);
-    let found = calibrate(folder.path(), &["camera", "points.csv", "--save", "c.toml"]);
-    assert_eq!(found["suspect"], 5, "{found}");
-    let numbers: toml::Table = toml::from_str(&read_text(folder.path(), "c.toml")).unwrap();
-    assert_eq!(numbers["camera"]["homography"].as_array().unwrap().len(), 3);
-}
-
 /// Of a descriptor: a robot at rest with a gyro, whose column in `wheels.csv` is `gyro`; [`WHEELS_CSV`] belongs behind it.
 const GYRO_BESIDE_WHEELS: &str = include_str!("../data/lab/gyro-beside-wheels.toml");
 

@@ -1,24 +1,25 @@
 //! The place of a camera, and its lens, from points of the arena that it shows.
 
-use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Matrix2x3, Matrix3, Point2, Point3, Rotation3, SMatrix, Translation3,
-    UnitQuaternion, Vector2, Vector3,
-};
+use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, SMatrix, UnitQuaternion, Vector3};
 
 use crate::camera_model::CameraModel;
+use crate::flat_tag::{FLAT_TAG_FREEDOM, FlatTag, TagEquations};
 use crate::floor_view::FloorView;
+use crate::rough_view::{rough_view, rough_view_with_focal};
 
 /// Fewest points: corners of one tag, or four marks.
 const MIN_POINTS: usize = 4;
 const MAX_ITERATIONS: usize = 60;
 /// Relative decrease of the cost that ends it.
 const CONVERGED: f64 = 1e-10;
-/// Largest and smallest focal length in widths of the picture: telephoto lens and fisheye.
-const FOCAL_BOUNDS: (f64, f64) = (0.2, 20.0);
 /// Of the pose and the lens: rotation, translation, logarithm of the focal length, two radial terms.
-const PARAMETERS: usize = 9;
+pub(crate) const PARAMETERS: usize = 9;
 /// Step of numerical derivatives, rad, m and shares.
 const DIFFERENCE: f64 = 1e-5;
+/// Focal lengths to begin with where nothing tells it, in widths of the picture.
+const FOCAL_GUESSES: [f64; 4] = [0.5, 0.8, 1.3, 2.5];
+/// A tag whose misfit is so many times the usual one is left out: it was not flat, half hidden, or not found well.
+const OUTLIER_RATIO: f64 = 9.0;
 /// What a lens may be expected to be before it is measured: standard deviations of its radial terms.
 const RADIAL_SIGMAS: [f64; 2] = [0.3, 0.15];
 
@@ -29,6 +30,14 @@ pub struct SeenPoint {
     pub pixel: Point2<f64>,
     /// Of the pixel, px².
     pub covariance: Matrix2<f64>,
+}
+
+impl SeenPoint {
+    /// A mark on the floor; `sigma_px` is how well each coordinate of its pixel is known.
+    pub fn on_floor([x_m, y_m]: [f64; 2], pixel: [f64; 2], sigma_px: f64) -> Self {
+        let covariance = Matrix2::identity() * sigma_px.powi(2);
+        Self { point: Point3::new(x_m, y_m, 0.0), pixel: pixel.into(), covariance }
+    }
 }
 
 /// What is to be found besides the camera's place.
@@ -44,10 +53,12 @@ pub enum LensKnowledge {
 #[derive(Clone, Debug)]
 pub struct FloorCalibration {
     pub view: FloorView,
-    /// Root mean square of the residuals, px.
+    /// Root mean square of the residuals of the points, px.
     pub rms_px: f64,
     /// Of each point, m: how far its pixel is from it on its height.
     pub errors_m: Vec<f64>,
+    /// Of each flat tag, m: how far its corners are from those of a square of its side, root mean square; `None` if it was left out.
+    pub tag_errors_m: Vec<Option<f64>>,
     /// One standard deviation of the focal length, as a share of it; zero for a known lens.
     pub focal_sigma: f64,
     /// One standard deviation of the camera's position, m.
@@ -63,45 +74,42 @@ pub enum CalibrationError {
     TooFew(usize),
     #[error("the points lie on one line, or their pixels are mixed up: spread them over the picture")]
     Degenerate,
-    #[error("these points show nothing of the focal length: tilt the camera, or state `focal_px`")]
+    #[error("these points show nothing of the focal length: tilt the camera, or state its lens")]
     NoFocalLength,
 }
 
 impl FloorCalibration {
     /// Finds the camera that shows all points where they were seen. Points of several heights are welcome; most lie on the floor.
-    pub fn solve(points: &[SeenPoint], lens: LensKnowledge) -> Result<Self, CalibrationError> {
-        if points.len() < MIN_POINTS {
-            return Err(CalibrationError::TooFew(points.len()));
+    /// `tags` have unknown places: that they are squares of a known side says how the lens draws where they are. Those that fit much
+    /// worse than the others are left out. Without points the tags' rough poses are where they start, and those that are held say
+    /// where the arena's axes are.
+    pub fn solve(points: &[SeenPoint], tags: &[FlatTag], lens: LensKnowledge) -> Result<Self, CalibrationError> {
+        let rough;
+        let beginning = if points.is_empty() && !tags.is_empty() {
+            rough = tags.iter().flat_map(FlatTag::rough_points).collect::<Vec<_>>();
+            rough.as_slice()
+        } else {
+            points
+        };
+        if beginning.len() < MIN_POINTS {
+            return Err(CalibrationError::TooFew(beginning.len()));
         }
-        let start = start(points, lens)?;
-        let mut fit = CalibrationFit { view: start, is_lens_known: matches!(lens, LensKnowledge::Known(_)) };
-        let mut damping = 1e-3;
-        let (mut normal, mut right, mut cost) = fit.equations(points, &start).ok_or(CalibrationError::Degenerate)?;
-        for _ in 0..MAX_ITERATIONS {
-            let mut damped = normal;
-            for index in 0..PARAMETERS {
-                damped[(index, index)] *= 1.0 + damping;
+        let starts = rough_view(beginning, lens).map(|view| vec![view]).or_else(|error| match (&error, lens) {
+            // A camera that looks straight down: the tags above the floor, and their sides, tell the focal length.
+            (CalibrationError::NoFocalLength, LensKnowledge::Unknown { width, .. }) if !tags.is_empty() => {
+                FOCAL_GUESSES
+                    .iter()
+                    .map(|widths| rough_view_with_focal(beginning, lens, widths * width as f64))
+                    .collect()
             }
-            let step = damped.cholesky().ok_or(CalibrationError::Degenerate)?.solve(&right);
-            let tried = CalibrationFit { view: fit.moved(&step), ..fit };
-            match tried.equations(points, &start) {
-                Some((next_normal, next_right, next_cost)) if next_cost <= cost => {
-                    let is_done = cost - next_cost <= CONVERGED * cost;
-                    (fit, normal, right, cost) = (tried, next_normal, next_right, next_cost);
-                    damping *= 0.2;
-                    if is_done {
-                        break;
-                    }
-                }
-                _ => {
-                    damping *= 10.0;
-                    if damping > 1e9 {
-                        break;
-                    }
-                }
-            }
-        }
-        fit.finish(points, &normal)
+            _ => Err(error),
+        })?;
+        let fits = starts.iter().filter_map(|view| {
+            let fit = CalibrationFit { view: *view, is_lens_known: matches!(lens, LensKnowledge::Known(_)) };
+            fit.converge(points, tags)
+        });
+        let best = fits.min_by(|one, other| one.cost.total_cmp(&other.cost)).ok_or(CalibrationError::Degenerate)?;
+        best.finish(points, tags)
     }
 
     /// How well the floor under a pixel is known: one standard deviation along its worst direction, m. `None` above the horizon.
@@ -123,13 +131,30 @@ impl FloorCalibration {
 }
 
 #[derive(Clone, Copy)]
-struct CalibrationFit {
+pub(crate) struct CalibrationFit {
     view: FloorView,
     is_lens_known: bool,
 }
 
-type NormalMatrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
-type ParameterVector = SMatrix<f64, PARAMETERS, 1>;
+/// A fit with the poses of the tags.
+struct ConvergedFit {
+    fit: CalibrationFit,
+    /// x, y and heading of each tag; `None` if it was left out.
+    poses: Vec<Option<Vector3<f64>>>,
+    normal: NormalMatrix,
+    cost: f64,
+}
+
+pub(crate) type NormalMatrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
+pub(crate) type ParameterVector = SMatrix<f64, PARAMETERS, 1>;
+
+/// The normal equations of the camera without the poses of the tags, which follow from its step.
+struct CameraEquations {
+    normal: NormalMatrix,
+    right: ParameterVector,
+    cost: f64,
+    tags: Vec<Option<TagEquations>>,
+}
 
 impl CalibrationFit {
     fn moved(&self, step: &ParameterVector) -> FloorView {
@@ -145,8 +170,64 @@ impl CalibrationFit {
         view
     }
 
-    /// The normal equations and the cost; `None` if a point is behind the camera.
-    fn equations(&self, points: &[SeenPoint], start: &FloorView) -> Option<(NormalMatrix, ParameterVector, f64)> {
+    /// The best camera near this one, first with all tags, then without those that fit badly.
+    fn converge(self, points: &[SeenPoint], tags: &[FlatTag]) -> Option<ConvergedFit> {
+        let poses = tags.iter().map(|tag| tag.pose_in(&self.view)).collect();
+        let mut found = self.iterate(points, tags, poses)?;
+        let misfits: Vec<Option<f64>> =
+            tags.iter().zip(&found.poses).map(|(tag, pose)| Some(tag.equations(&found.fit, &(*pose)?)?.cost)).collect();
+        let mut sorted: Vec<f64> = misfits.iter().flatten().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        let usual = sorted.get(sorted.len() / 2).copied().unwrap_or_default().max(FLAT_TAG_FREEDOM);
+        let is_outlier = |misfit: &Option<f64>| misfit.is_some_and(|misfit| misfit > OUTLIER_RATIO * usual);
+        if misfits.iter().any(is_outlier) {
+            let left = found.poses.iter().zip(&misfits).map(|(pose, misfit)| pose.filter(|_| !is_outlier(misfit)));
+            found = found.fit.iterate(points, tags, left.collect())?;
+        }
+        Some(found)
+    }
+
+    fn iterate(self, points: &[SeenPoint], tags: &[FlatTag], poses: Vec<Option<Vector3<f64>>>) -> Option<ConvergedFit> {
+        let (start, mut fit, mut poses) = (self.view, self, poses);
+        let mut damping = 1e-3;
+        let mut equations = fit.equations(points, tags, &poses, &start)?;
+        for _ in 0..MAX_ITERATIONS {
+            let mut damped = equations.normal;
+            for index in 0..PARAMETERS {
+                damped[(index, index)] *= 1.0 + damping;
+            }
+            let step = damped.cholesky()?.solve(&equations.right);
+            let tried = Self { view: fit.moved(&step), ..fit };
+            let moved = poses.iter().zip(&equations.tags).map(|(pose, tag)| Some((*pose)? + tag.as_ref()?.step(&step)));
+            let moved: Vec<Option<Vector3<f64>>> = moved.collect();
+            match tried.equations(points, tags, &moved, &start) {
+                Some(next) if next.cost <= equations.cost => {
+                    let is_done = equations.cost - next.cost <= CONVERGED * equations.cost;
+                    (fit, poses, equations) = (tried, moved, next);
+                    damping *= 0.2;
+                    if is_done {
+                        break;
+                    }
+                }
+                _ => {
+                    damping *= 10.0;
+                    if damping > 1e9 {
+                        break;
+                    }
+                }
+            }
+        }
+        Some(ConvergedFit { fit, poses, normal: equations.normal, cost: equations.cost })
+    }
+
+    /// `None` if something is behind the camera.
+    fn equations(
+        &self,
+        points: &[SeenPoint],
+        tags: &[FlatTag],
+        poses: &[Option<Vector3<f64>>],
+        start: &FloorView,
+    ) -> Option<CameraEquations> {
         let mut normal = NormalMatrix::zeros();
         let mut right = ParameterVector::zeros();
         let mut cost = 0.0;
@@ -157,6 +238,18 @@ impl CalibrationFit {
             normal += jacobian.transpose() * weight * jacobian;
             right += jacobian.transpose() * weight * residual;
             cost += residual.dot(&(weight * residual));
+        }
+        let mut tag_equations = Vec::with_capacity(tags.len());
+        for (tag, pose) in tags.iter().zip(poses) {
+            let Some(pose) = pose else {
+                tag_equations.push(None);
+                continue;
+            };
+            let tag = tag.equations(self, pose)?;
+            normal += tag.normal;
+            right += tag.right;
+            cost += tag.cost;
+            tag_equations.push(Some(tag));
         }
         if self.is_lens_known {
             for index in 6..PARAMETERS {
@@ -171,11 +264,11 @@ impl CalibrationFit {
                 cost += information * away * away;
             }
         }
-        Some((normal, right, cost))
+        Some(CameraEquations { normal, right, cost, tags: tag_equations })
     }
 
     /// The pixel of a point, and its derivative by the parameters.
-    fn project(&self, point: Point3<f64>) -> Option<(Point2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
+    pub(crate) fn project(&self, point: Point3<f64>) -> Option<(Point2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
         let FloorView { camera, pose } = &self.view;
         let to_camera = pose.rotation.to_rotation_matrix().inverse();
         let offset = point.coords - pose.translation.vector;
@@ -204,127 +297,37 @@ impl CalibrationFit {
         }
         Some((pixel, jacobian))
     }
+}
 
-    fn finish(&self, points: &[SeenPoint], normal: &NormalMatrix) -> Result<FloorCalibration, CalibrationError> {
+impl ConvergedFit {
+    fn finish(&self, points: &[SeenPoint], tags: &[FlatTag]) -> Result<FloorCalibration, CalibrationError> {
+        let Self { fit, poses, normal, .. } = self;
         let covariance = normal.cholesky().ok_or(CalibrationError::Degenerate)?.inverse();
         let (mut squares, mut errors_m) = (0.0, Vec::with_capacity(points.len()));
         for seen in points {
-            let pixel = self.view.pixel_of(seen.point).ok_or(CalibrationError::Degenerate)?;
+            let pixel = fit.view.pixel_of(seen.point).ok_or(CalibrationError::Degenerate)?;
             squares += (pixel - seen.pixel).norm_squared();
-            let at = self.view.point_at_height(seen.pixel, seen.point.z).ok_or(CalibrationError::Degenerate)?.0;
+            let at = fit.view.point_at_height(seen.pixel, seen.point.z).ok_or(CalibrationError::Degenerate)?.0;
             errors_m.push((at - seen.point.xy()).norm());
         }
         let sigma = |index: usize| covariance[(index, index)].sqrt();
         Ok(FloorCalibration {
-            view: self.view,
-            rms_px: (squares / points.len() as f64).sqrt(),
+            view: fit.view,
+            rms_px: (squares / points.len().max(1) as f64).sqrt(),
             errors_m,
-            focal_sigma: if self.is_lens_known { 0.0 } else { sigma(6) },
+            tag_errors_m: tags.iter().zip(poses).map(|(tag, pose)| tag.error_m(&fit.view, &(*pose)?)).collect(),
+            focal_sigma: if fit.is_lens_known { 0.0 } else { sigma(6) },
             position_sigma_m: Vector3::new(sigma(3), sigma(4), sigma(5)),
-            is_lens_known: self.is_lens_known,
+            is_lens_known: fit.is_lens_known,
             covariance,
         })
     }
 }
 
-/// A camera without distortion that shows the points about where they are.
-fn start(points: &[SeenPoint], lens: LensKnowledge) -> Result<FloorView, CalibrationError> {
-    let (centre, known_focal) = match lens {
-        LensKnowledge::Known(camera) => (camera.centre_px, Some(camera)),
-        LensKnowledge::Unknown { width, height } => {
-            (Point2::new((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0), None)
-        }
-    };
-    // With a known lens in directions, else in pixels from the middle.
-    let straight: Option<Vec<_>> = points
-        .iter()
-        .map(|seen| {
-            let at = match known_focal {
-                Some(camera) => camera.direction(seen.pixel)?.0,
-                None => seen.pixel - centre,
-            };
-            Some((seen.point.xy(), at))
-        })
-        .collect();
-    let plane = plane_perspective(&straight.ok_or(CalibrationError::Degenerate)?)?;
-    let focal = match (known_focal, lens) {
-        (Some(_), _) => 1.0,
-        (None, LensKnowledge::Unknown { width, .. }) => focal_of(&plane, width as f64)?,
-        (None, LensKnowledge::Known(_)) => return Err(CalibrationError::Degenerate),
-    };
-    let unscaled = Matrix3::from_diagonal(&Vector3::new(1.0 / focal, 1.0 / focal, 1.0)) * plane;
-    let scale = 2.0 / (unscaled.column(0).norm() + unscaled.column(1).norm());
-    // The floor is in front of the camera.
-    let middle = points.iter().map(|seen| seen.point.coords.xy()).sum::<Vector2<f64>>() / points.len() as f64;
-    let depth = (unscaled * Vector3::new(middle.x, middle.y, 1.0)).z;
-    let scaled = unscaled * scale * depth.signum();
-    let (first, second) = (scaled.column(0).into_owned(), scaled.column(1).into_owned());
-    let rough = Matrix3::from_columns(&[first, second, first.cross(&second)]);
-    let to_camera = Rotation3::from_matrix(&rough);
-    let rotation = UnitQuaternion::from_rotation_matrix(&to_camera.inverse());
-    let position = -(rotation * scaled.column(2).into_owned());
-    let camera = known_focal.unwrap_or(CameraModel {
-        focal_px: Vector2::new(focal, focal),
-        centre_px: centre,
-        radial: [0.0; 2],
-    });
-    Ok(FloorView { camera, pose: Isometry3::from_parts(Translation3::from(position), rotation) })
-}
-
-/// The perspective from the floor to what was seen, without the heights of the points (direct linear transform).
-fn plane_perspective(points: &[(Point2<f64>, Vector2<f64>)]) -> Result<Matrix3<f64>, CalibrationError> {
-    let normalised = |of: &dyn Fn(usize) -> Vector2<f64>| {
-        let count = points.len() as f64;
-        let middle = (0..points.len()).map(of).sum::<Vector2<f64>>() / count;
-        let spread = (0..points.len()).map(|index| (of(index) - middle).norm()).sum::<f64>() / count;
-        let scale = 2_f64.sqrt() / spread.max(1e-12);
-        Matrix3::new(scale, 0.0, -scale * middle.x, 0.0, scale, -scale * middle.y, 0.0, 0.0, 1.0)
-    };
-    let from = normalised(&|index| points[index].0.coords);
-    let to = normalised(&|index| points[index].1);
-    let mut system = DMatrix::<f64>::zeros(2 * points.len(), 9);
-    for (index, (point, seen)) in points.iter().enumerate() {
-        let p = from * Vector3::new(point.x, point.y, 1.0);
-        let q = to * Vector3::new(seen.x, seen.y, 1.0);
-        for column in 0..3 {
-            system[(2 * index, column)] = p[column];
-            system[(2 * index, column + 6)] = -q.x * p[column];
-            system[(2 * index + 1, column + 3)] = p[column];
-            system[(2 * index + 1, column + 6)] = -q.y * p[column];
-        }
-    }
-    let squares = system.transpose() * &system;
-    let eigen = squares.symmetric_eigen();
-    let mut order: Vec<usize> = (0..9).collect();
-    order.sort_by(|one, other| eigen.eigenvalues[*one].total_cmp(&eigen.eigenvalues[*other]));
-    // Points on a line leave a second direction open.
-    if eigen.eigenvalues[order[1]] < 1e-9 * eigen.eigenvalues[order[8]] {
-        return Err(CalibrationError::Degenerate);
-    }
-    let solution: DVector<f64> = eigen.eigenvectors.column(order[0]).into_owned();
-    let normal = Matrix3::from_row_slice(solution.as_slice());
-    Ok(to.try_inverse().ok_or(CalibrationError::Degenerate)? * normal * from)
-}
-
-/// The focal length of a camera with square pixels whose axis meets the middle: the axes of the floor are perpendicular and of one length.
-fn focal_of(plane: &Matrix3<f64>, width: f64) -> Result<f64, CalibrationError> {
-    let (one, two) = (plane.column(0).into_owned(), plane.column(1).into_owned());
-    // one.xy · two.xy / f² + one.z two.z = 0, and |one.xy|² / f² + one.z² = |two.xy|² / f² + two.z².
-    let candidates = [
-        (one.xy().dot(&two.xy()), -one.z * two.z),
-        (one.xy().norm_squared() - two.xy().norm_squared(), two.z * two.z - one.z * one.z),
-    ];
-    let (squares, weights) = candidates.into_iter().fold((0.0, 0.0), |(squares, weights), (above, below)| {
-        // Least squares over both: above = f² below.
-        (squares + above * below, weights + below * below)
-    });
-    let focal = (squares / weights).sqrt();
-    let bounds = FOCAL_BOUNDS.0 * width..FOCAL_BOUNDS.1 * width;
-    if bounds.contains(&focal) { Ok(focal) } else { Err(CalibrationError::NoFocalLength) }
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Isometry3, Translation3, Vector2};
+
     use super::*;
 
     #[test]

@@ -21,7 +21,7 @@ pub struct FloorTagPose {
 }
 
 /// The corners of a tag, upper left one first, clockwise, in parts of its side: way up along x, left along y.
-const CORNERS: [(f64, f64); 4] = [(0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5)];
+pub(crate) const CORNERS: [(f64, f64); 4] = [(0.5, 0.5), (0.5, -0.5), (-0.5, -0.5), (-0.5, 0.5)];
 
 impl FloorTagPose {
     /// Of a tag with a black rim of `side_m`, flat at `height_m` above the floor. `covariance` is that of the corners' pixels. `None` if

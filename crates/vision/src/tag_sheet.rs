@@ -1,21 +1,20 @@
 //! Tags to print: a sheet for the floor, whose tags have known places on it, and sheets for robots.
 
-use nalgebra::{Isometry2, Matrix2, Point2, Point3, Vector2};
+use nalgebra::{Isometry2, Matrix2, Point2, Point3, SMatrix, Vector2};
 
 use crate::floor_calibration::SeenPoint;
-use crate::tag_detector::DetectedTag;
 
 /// A4, m.
 pub const SHEET_SIZE_M: (f64, f64) = (0.210, 0.297);
 /// Length of the line that shows whether the printer has scaled, m.
 pub const RULER_M: f64 = 0.1;
 /// Tags of a floor sheet.
-pub const FLOOR_TAGS: u16 = 6;
+pub const FLOOR_TAGS: u16 = 4;
 /// Their sides, and the distances of their middles along the sheet's short and long side, m.
-const FLOOR_SIDE_M: f64 = 0.05;
-const FLOOR_SPACING_M: (f64, f64) = (0.1, 0.085);
+const FLOOR_SIDE_M: f64 = 0.08;
+const FLOOR_SPACING_M: (f64, f64) = (0.1, 0.135);
 /// The middle of the first one on the sheet, from its lower left corner, m.
-const FIRST_M: (f64, f64) = (0.055, 0.062);
+const FIRST_M: (f64, f64) = (0.055, 0.08);
 /// What is added to the error of a corner of a printed sheet, px.
 const PAPER_SIGMA_PX: f64 = 0.1;
 /// Largest side of a robot's tag that leaves room for the white around it, m.
@@ -51,28 +50,35 @@ pub fn floor_sheet(first_id: u16) -> Option<Vec<SheetTag>> {
     Some((0..FLOOR_TAGS).map(tag).collect())
 }
 
-/// The corners of the tags of a floor sheet that were seen, with their places in the arena. The sheet's lower left corner lies at
-/// `origin_m`, its short side `turned_rad` from x; the printer has scaled it by `scale`.
-pub fn sheet_points(
-    sheet: &[SheetTag],
-    seen: &[DetectedTag],
-    origin_m: [f64; 2],
-    turned_rad: f64,
-    scale: f64,
-) -> Vec<SeenPoint> {
-    let place = Isometry2::new(Vector2::from(origin_m), turned_rad);
-    let mut points = Vec::new();
-    for found in seen {
-        let Some(tag) = sheet.iter().find(|tag| tag.id == found.id) else { continue };
-        for (index, (corner, pixel)) in tag.corners_m().iter().zip(found.corners).enumerate() {
-            let at = place * (corner * scale);
-            let covariance: Matrix2<f64> = found.covariance.fixed_view::<2, 2>(2 * index, 2 * index).into_owned();
+/// Where a printed sheet lies in the arena.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SheetPlacement {
+    /// Of its lower left corner, m.
+    pub origin_m: [f64; 2],
+    /// From x to its short side, rad.
+    pub turned_rad: f64,
+    /// By which the printer has made it larger.
+    pub scale: f64,
+}
+
+impl SheetPlacement {
+    /// The corners of a tag of the sheet with their pixels; `covariance` is that of the pixels' coordinates, px².
+    pub fn points(
+        &self,
+        tag: &SheetTag,
+        corners: &[Point2<f64>; 4],
+        covariance: &SMatrix<f64, 8, 8>,
+    ) -> [SeenPoint; 4] {
+        let place = Isometry2::new(Vector2::from(self.origin_m), self.turned_rad);
+        let printed = tag.corners_m();
+        std::array::from_fn(|index| {
+            let at = place * (printed[index] * self.scale);
+            let own: Matrix2<f64> = covariance.fixed_view::<2, 2>(2 * index, 2 * index).into_owned();
             // Paper is not flat, and a lens has more than two terms: no corner is known better than this.
-            let covariance = covariance + Matrix2::identity() * PAPER_SIGMA_PX.powi(2);
-            points.push(SeenPoint { point: Point3::new(at.x, at.y, 0.0), pixel, covariance });
-        }
+            let covariance = own + Matrix2::identity() * PAPER_SIGMA_PX.powi(2);
+            SeenPoint { point: Point3::new(at.x, at.y, 0.0), pixel: corners[index], covariance }
+        })
     }
-    points
 }
 
 /// The tag of a robot, in the middle of a sheet of its own. `None` for an id that there is not, or a side that does not fit.

@@ -58,7 +58,8 @@ pub struct RenderedCameraSettings {
 
 impl Default for RenderedCameraSettings {
     fn default() -> Self {
-        let floor_tag = |id, x_m, y_m| FloorTagSettings { id, side_m: 0.15, x_m, y_m, heading_deg: 90.0 };
+        // The sheet of `posebridge camera sheet`, its lower left corner at (0.395, 0.35).
+        let floor_tag = |id, x_m, y_m| FloorTagSettings { id, side_m: 0.08, x_m, y_m, heading_deg: 90.0 };
         Self {
             width_px: 640,
             height_px: 480,
@@ -83,12 +84,10 @@ impl Default for RenderedCameraSettings {
             jpeg_quality: 80,
             robot_tag: RobotTagSettings::default(),
             floor_tags: vec![
-                floor_tag(580, -0.4, -0.3),
-                floor_tag(581, 0.5, -0.3),
-                floor_tag(582, 1.4, -0.3),
-                floor_tag(583, -0.4, 1.3),
-                floor_tag(584, 0.5, 1.3),
-                floor_tag(585, 1.4, 1.3),
+                floor_tag(580, 0.45, 0.43),
+                floor_tag(581, 0.55, 0.43),
+                floor_tag(582, 0.45, 0.565),
+                floor_tag(583, 0.55, 0.565),
             ],
         }
     }

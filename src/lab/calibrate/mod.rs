@@ -1,9 +1,8 @@
-//! `posebridge calibrate`: calibrates a robot from squares, from any drive with external positions, or at rest, and an overhead camera.
+//! `posebridge calibrate`: calibrates a robot from squares, from any drive with external positions, or at rest.
 //!
 //! docs/lab/calibration.md explains the drives and the results. The estimation is in `posebridge_lab::calibration`; this module reads
 //! files, and writes profiles, tables and pages.
 
-mod camera;
 mod path;
 mod path_report;
 mod profile;
@@ -31,8 +30,6 @@ pub enum CalibrateBy {
     Path(path::PathArgs),
     /// Gyro and accelerometers from the times at which the robot stood still.
     Rest(rest::RestArgs),
-    /// Overhead camera from points with known positions on the floor.
-    Camera(camera::CameraArgs),
 }
 
 pub fn execute(args: &CalibrateArgs) -> Result<(), Failure> {
@@ -40,6 +37,5 @@ pub fn execute(args: &CalibrateArgs) -> Result<(), Failure> {
         CalibrateBy::Umbmark(args) => umbmark::execute(args),
         CalibrateBy::Path(args) => path::execute(args),
         CalibrateBy::Rest(args) => rest::execute(args),
-        CalibrateBy::Camera(args) => camera::execute(args),
     }
 }

@@ -1,28 +1,45 @@
-//! `posebridge camera calibrate`: the place and the lens of a camera, from pictures of the floor sheet.
+//! `posebridge camera calibrate`: the place and the lens of a camera, from pictures of the floor sheet, a drive, or measured points.
 
-use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use posebridge_report::tables::{TextTable, wrapped};
+use posebridge_camera::device_identity;
+use posebridge_link::LinkUrl;
+use posebridge_report::tables::wrapped;
 use posebridge_vision::{
-    DetectedTag, FloorCalibration, LensKnowledge, SeenPoint, SheetTag, Tag36h11Detector, floor_sheet, sheet_points,
+    FlatTag, FloorCalibration, LensKnowledge, SeenPoint, SheetPlacement, SheetTag, Tag36h11Detector, floor_sheet,
 };
 
+use super::calibration_report::{calibration_report, rms};
 use super::detect::{detect, read_picture};
+use super::recorded_drive::{PictureDelay, RecordedDrive};
 use crate::config::{CalibrationNote, CameraFile};
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
+use crate::tools::csv_table::CsvTable;
 
 /// Flags of `camera calibrate`.
 #[derive(Args, Clone, Debug)]
 pub struct CalibrateCameraArgs {
     /// Pictures (JPEG, PNG or PGM) of the floor sheet by the camera at its place; `camera detect --save` takes them.
-    #[arg(required = true, value_name = "PICTURE")]
+    #[arg(required_unless_present_any = ["drive", "points"], value_name = "PICTURE")]
     pub pictures: Vec<PathBuf>,
-    /// Where the lower left corner of the sheet lies in the arena, and how its short side is turned from x: once for all pictures, or
-    /// once for each.
+    /// A recording of the robot in the camera's sight, best with the floor sheet beside its path: the sides of its tag show how the
+    /// lens draws where no sheet lay, and its wheels how long pictures take to come.
+    #[arg(long, value_name = "RECORDING")]
+    pub drive: Option<PathBuf>,
+    /// The link of the camera in the recording, if there are several.
+    #[arg(long, value_name = "NUMBER", requires = "drive")]
+    pub link: Option<u16>,
+    /// CSV table of marks on the floor with the columns u, v (pixel in the picture) and x_m, y_m (place in the arena).
+    #[arg(long, value_name = "FILE.csv", requires = "picture_px")]
+    pub points: Option<PathBuf>,
+    /// Size of the picture in which the points were read.
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = picture_size)]
+    pub picture_px: Option<(usize, usize)>,
+    /// Where the lower left corner of the sheet lies in the arena, and how its short side is turned from x: once for all, or once for each
+    /// picture and then for the drive.
     #[arg(long, value_name = "X_M,Y_M,DEG", default_value = "0,0,0", value_parser = sheet_place, allow_hyphen_values = true)]
     pub sheet_at: Vec<SheetPlace>,
     /// Number of the first tag of the sheet.
@@ -34,7 +51,7 @@ pub struct CalibrateCameraArgs {
     /// A calibrated camera whose lens is kept: only its place is found.
     #[arg(long, value_name = "FILE")]
     pub lens: Option<PathBuf>,
-    /// Where `run` takes the camera's pictures from: /dev/v4l/by-id/..., or http://... of a phone.
+    /// Where `run` takes the camera's pictures from: /dev/v4l/by-id/..., or http://... of a phone. Default: as in the drive.
     #[arg(long, value_name = "SOURCE")]
     pub source: Option<String>,
     /// Name of the camera.
@@ -64,159 +81,221 @@ fn sheet_place(text: &str) -> Result<SheetPlace, String> {
     Ok(SheetPlace { origin_m: [*x_m, *y_m], turned_deg: *turned_deg })
 }
 
+fn picture_size(text: &str) -> Result<(usize, usize), String> {
+    let sides = text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    sides.filter(|(width, height)| *width > 0 && *height > 0).ok_or_else(|| "must be as 1280x720".to_owned())
+}
+
 /// A printer scales by less.
 const RULER_BOUNDS_MM: std::ops::RangeInclusive<f64> = 80.0..=120.0;
-/// Where the floor is known worse than this, the sheet should lie there, too, mm.
-const MAX_SIGMA_MM: f64 = 3.0;
+/// How well people read the pixel of a mark.
+const MARK_SIGMA_PX: f64 = 0.5;
+/// With so few marks or fewer, those that are left fit too well to blame one.
+const MIN_MARKS_TO_JUDGE: usize = 6;
+/// Improvement of the fit without a mark that makes it suspect.
+const SUSPECT_RATIO: f64 = 3.0;
 
 pub(super) fn execute(args: &CalibrateCameraArgs) -> Result<(), Failure> {
-    let sheet = floor_sheet(args.floor_from)
-        .with_context(|| format!("--floor-from {}: there are fewer than six tags from there on", args.floor_from))
-        .before_start()?;
-    let seen = see(args, &sheet).before_start()?;
-    let (calibration, file) = calibrate(args, &seen).before_start()?;
+    let evidence = CameraEvidence::collect(args).before_start()?;
+    let lens = lens_of(args, evidence.size).before_start()?;
+    let calibration = FloorCalibration::solve(&evidence.points, &evidence.tags, lens).before_start()?;
+    let suspect = evidence.suspect_mark(lens, &calibration);
+    let mut file = file_of(args, &evidence, &calibration);
+    let mut delay = None;
+    if let Some(drive) = evidence.drive.as_ref().filter(|drive| !drive.is_exposure_known()) {
+        delay = drive.delay(&file).while_running()?;
+    }
+    if let Some(PictureDelay { mean, spread, .. }) = delay {
+        let tenths = |seconds: f64| (1e4 * seconds).round() / 10.0;
+        file.delay_ms = Some(tenths(mean.as_secs_f64()));
+        file.delay_spread_ms = Some(tenths(2.0 * spread.as_secs_f64()).max(1.0));
+    }
     let text = file.to_toml().before_start()?;
     std::fs::write(&args.out, text).with_context(|| format!("writing `{}`", args.out.display())).before_start()?;
-    print_result(&report(&calibration, &file, &seen)).while_running()?;
+    print_result(&calibration_report(&calibration, &file, &evidence, delay)).while_running()?;
+    if let Some(mark) = suspect {
+        print_result(&wrapped(
+            "mistyped?  ",
+            &format!("without {mark} the others fit {SUSPECT_RATIO:.0} times better or more: was it taken for another, or mistyped?"),
+        ))
+        .while_running()?;
+    }
     print_line(&format!("`{}` holds the camera", args.out.display()));
     Ok(())
 }
 
-/// What the pictures show of the sheet.
-struct SeenSheets {
-    size: (usize, usize),
-    points: Vec<SeenPoint>,
-    /// Picture and tag of each four points.
-    labels: Vec<(String, u16)>,
+/// What is known of a camera.
+pub(super) struct CameraEvidence {
+    pub(super) size: (usize, usize),
+    pub(super) points: Vec<SeenPoint>,
+    pub(super) groups: Vec<PointGroup>,
+    /// Of the robot, in the pictures of the drive.
+    pub(super) tags: Vec<FlatTag>,
+    pub(super) robot_tag: u32,
+    pub(super) drive: Option<RecordedDrive>,
 }
 
-fn see(args: &CalibrateCameraArgs, sheet: &[SheetTag]) -> Result<SeenSheets> {
-    let places = args.sheet_at.len();
-    ensure!(
-        places == 1 || places == args.pictures.len(),
-        "--sheet-at is given {places} times for {} pictures: give it once, or once for each",
-        args.pictures.len()
-    );
-    ensure!(
-        RULER_BOUNDS_MM.contains(&args.ruler_mm),
-        "--ruler-mm {}: the line of 100 mm is between {} and {} mm long on any printer",
-        args.ruler_mm,
-        RULER_BOUNDS_MM.start(),
-        RULER_BOUNDS_MM.end()
-    );
-    let mut detector = Tag36h11Detector::default();
-    let mut seen: Option<SeenSheets> = None;
-    for (index, path) in args.pictures.iter().enumerate() {
-        let name = path.display().to_string();
-        let (size, tags) = detect(path, &read_picture(path)?, &mut detector)?;
-        let seen = seen.get_or_insert(SeenSheets { size, points: Vec::new(), labels: Vec::new() });
+/// Points that are reported together.
+pub(super) struct PointGroup {
+    /// Picture, recording or table.
+    pub(super) file: String,
+    pub(super) name: String,
+    pub(super) count: usize,
+}
+
+impl CameraEvidence {
+    fn collect(args: &CalibrateCameraArgs) -> Result<Self> {
+        let sheet = floor_sheet(args.floor_from).with_context(|| {
+            format!("--floor-from {}: there are fewer than four tags from there on", args.floor_from)
+        })?;
+        let (places, sheets) = (args.sheet_at.len(), args.pictures.len() + usize::from(args.drive.is_some()));
         ensure!(
-            seen.size == size,
+            places == 1 || places == sheets,
+            "--sheet-at is given {places} times for {sheets} pictures: give it once, or once for each"
+        );
+        ensure!(
+            RULER_BOUNDS_MM.contains(&args.ruler_mm),
+            "--ruler-mm {}: the line of 100 mm is between {} and {} mm long on any printer",
+            args.ruler_mm,
+            RULER_BOUNDS_MM.start(),
+            RULER_BOUNDS_MM.end()
+        );
+        let mut evidence =
+            Self { size: (0, 0), points: Vec::new(), groups: Vec::new(), tags: Vec::new(), robot_tag: 0, drive: None };
+        for (index, path) in args.pictures.iter().enumerate() {
+            evidence.add_picture(path, &sheet, placement(args, index), args.floor_from)?;
+        }
+        if let Some(path) = &args.points {
+            evidence.add_points(path, args.picture_px)?;
+        }
+        if let Some(path) = &args.drive {
+            let drive = RecordedDrive::read(path, args.link)?;
+            evidence.add_drive(drive, &sheet, placement(args, args.pictures.len()))?;
+        }
+        Ok(evidence)
+    }
+
+    fn check_size(&mut self, name: &str, size: (usize, usize)) -> Result<()> {
+        if self.size == (0, 0) {
+            self.size = size;
+        }
+        ensure!(
+            self.size == size,
             "`{name}` has {} x {} pixels, the picture before it {} x {}: calibrate each size by itself",
             size.0,
             size.1,
-            seen.size.0,
-            seen.size.1
+            self.size.0,
+            self.size.1
         );
-        let place = args.sheet_at[index.min(places - 1)];
-        let scale = args.ruler_mm / 100.0;
-        let on_sheet: Vec<DetectedTag> =
-            tags.into_iter().filter(|tag| sheet.iter().any(|printed| printed.id == tag.id)).collect();
-        ensure!(
-            !on_sheet.is_empty(),
-            "`{name}` shows no tag of the floor sheet ({} to {}): `posebridge camera detect` says what it shows",
-            args.floor_from,
-            usize::from(args.floor_from) + sheet.len() - 1
-        );
-        seen.labels.extend(on_sheet.iter().map(|tag| (name.clone(), tag.id)));
-        seen.points.extend(sheet_points(sheet, &on_sheet, place.origin_m, place.turned_deg.to_radians(), scale));
+        Ok(())
     }
-    seen.context("there is no picture")
+
+    fn add_picture(&mut self, path: &Path, sheet: &[SheetTag], place: SheetPlacement, first: u16) -> Result<()> {
+        let file = path.display().to_string();
+        let (size, tags) = detect(path, &read_picture(path)?, &mut Tag36h11Detector::default())?;
+        self.check_size(&file, size)?;
+        let before = self.points.len();
+        for seen in &tags {
+            if let Some(printed) = sheet.iter().find(|printed| printed.id == seen.id) {
+                let points = place.points(printed, &seen.corners, &seen.covariance);
+                self.add_group(&file, format!("tag {}", seen.id), &points);
+            }
+        }
+        ensure!(
+            self.points.len() > before,
+            "`{file}` shows no tag of the floor sheet ({first} to {}): `posebridge camera detect` says what it shows",
+            usize::from(first) + sheet.len() - 1
+        );
+        Ok(())
+    }
+
+    fn add_points(&mut self, path: &Path, size: Option<(usize, usize)>) -> Result<()> {
+        let file = path.display().to_string();
+        self.check_size(&file, size.context("--picture-px is missing")?)?;
+        for (index, row) in CsvTable::read(path)?.rows().enumerate() {
+            let (pixel, place_m) = ([row.number("u")?, row.number("v")?], [row.number("x_m")?, row.number("y_m")?]);
+            let point = SeenPoint::on_floor(place_m, pixel, MARK_SIGMA_PX);
+            self.add_group(&file, format!("point {}", index + 1), &[point]);
+        }
+        Ok(())
+    }
+
+    fn add_drive(&mut self, drive: RecordedDrive, sheet: &[SheetTag], place: SheetPlacement) -> Result<()> {
+        self.check_size(&drive.name, drive.size)?;
+        for seen in drive.floor_tags()? {
+            if let Some(printed) = sheet.iter().find(|printed| printed.id == seen.id) {
+                let points = place.points(printed, &seen.corners.corners, &seen.corners.full_covariance());
+                self.add_group(&drive.name, format!("tag {}", seen.id), &points);
+            }
+        }
+        (self.robot_tag, self.tags) = drive.robot_tags()?;
+        self.drive = Some(drive);
+        Ok(())
+    }
+
+    /// The measured mark without which the others fit much better.
+    fn suspect_mark(&self, lens: LensKnowledge, with_all: &FloorCalibration) -> Option<&str> {
+        let marks = self.groups.iter().filter(|group| group.count == 1).count();
+        let mut from = 0;
+        let mut found = None;
+        for group in &self.groups {
+            let own = from..from + group.count;
+            from = own.end;
+            if group.count > 1 || marks <= MIN_MARKS_TO_JUDGE {
+                continue;
+            }
+            let mut others = self.points.clone();
+            others.drain(own);
+            let without = FloorCalibration::solve(&others, &self.tags, lens).ok();
+            if let Some(rms_px) = without.map(|without| without.rms_px)
+                && rms_px * SUSPECT_RATIO < with_all.rms_px
+                && found.is_none_or(|(_, least)| rms_px < least)
+            {
+                found = Some((group.name.as_str(), rms_px));
+            }
+        }
+        found.map(|(name, _)| name)
+    }
+
+    fn add_group(&mut self, file: &str, name: String, points: &[SeenPoint]) {
+        self.groups.push(PointGroup { file: file.to_owned(), name, count: points.len() });
+        self.points.extend_from_slice(points);
+    }
 }
 
-fn calibrate(args: &CalibrateCameraArgs, seen: &SeenSheets) -> Result<(FloorCalibration, CameraFile)> {
-    let (width, height) = seen.size;
-    let lens = match &args.lens {
-        None => LensKnowledge::Unknown { width, height },
-        Some(path) => {
-            let file = CameraFile::read(path)?;
-            ensure!(
-                (file.width, file.height) == seen.size,
-                "the camera `{}` has pictures of {} x {} pixels, these have {width} x {height}",
-                path.display(),
-                file.width,
-                file.height
-            );
-            LensKnowledge::Known(file.view()?.camera)
-        }
+/// Of the sheet in the picture with this number, or in the drive after the last one.
+fn placement(args: &CalibrateCameraArgs, index: usize) -> SheetPlacement {
+    let SheetPlace { origin_m, turned_deg } = args.sheet_at[index.min(args.sheet_at.len() - 1)];
+    SheetPlacement { origin_m, turned_rad: turned_deg.to_radians(), scale: args.ruler_mm / 100.0 }
+}
+
+fn lens_of(args: &CalibrateCameraArgs, (width, height): (usize, usize)) -> Result<LensKnowledge> {
+    let Some(path) = &args.lens else {
+        return Ok(LensKnowledge::Unknown { width, height });
     };
-    let calibration = FloorCalibration::solve(&seen.points, lens)?;
+    let file = CameraFile::read(path)?;
+    ensure!(
+        (file.width, file.height) == (width, height),
+        "the camera `{}` has pictures of {} x {} pixels, these have {width} x {height}",
+        path.display(),
+        file.width,
+        file.height
+    );
+    Ok(LensKnowledge::Known(file.view()?.camera))
+}
+
+fn file_of(args: &CalibrateCameraArgs, evidence: &CameraEvidence, calibration: &FloorCalibration) -> CameraFile {
     let note = CalibrationNote {
-        points: seen.points.len(),
+        points: evidence.points.len() + 4 * calibration.tag_errors_m.iter().flatten().count(),
         rms_px: calibration.rms_px,
         floor_rms_mm: 1e3 * rms(&calibration.errors_m),
     };
-    let file = CameraFile {
-        source: args.source.clone(),
-        ..CameraFile::new(&args.name, seen.size, &calibration.view, Some(note))
-    };
-    Ok((calibration, file))
-}
-
-fn rms(numbers: &[f64]) -> f64 {
-    (numbers.iter().map(|number| number * number).sum::<f64>() / numbers.len().max(1) as f64).sqrt()
-}
-
-fn report(calibration: &FloorCalibration, file: &CameraFile, seen: &SeenSheets) -> String {
-    let [x_m, y_m, z_m] = file.position_m;
-    let note = file.calibration.map_or(0.0, |note| note.floor_rms_mm);
-    let mut text = format!(
-        "camera     {} at x {x_m:.3}, y {y_m:.3}, {z_m:.3} m above the floor (± {:.0} mm)\nlens       focal length {:.0} px (± {:.1} %), \
-         distortion {:+.3}, {:+.3}\nerrors     {note:.2} mm on the floor, {:.2} px (rms of {} corners)\n\n",
-        file.name,
-        1e3 * calibration.position_sigma_m.norm(),
-        file.focal_px[0],
-        1e2 * calibration.focal_sigma,
-        file.radial[0],
-        file.radial[1],
-        calibration.rms_px,
-        seen.points.len()
-    );
-    let mut table = TextTable::new(["picture", "tag", "error mm"]).labels(2);
-    let mut tags: BTreeMap<&(String, u16), f64> = BTreeMap::new();
-    for (label, errors) in seen.labels.iter().zip(calibration.errors_m.chunks(4)) {
-        tags.insert(label, 1e3 * rms(errors));
+    let recorded = evidence.drive.as_ref().and_then(RecordedDrive::source);
+    let source = args.source.clone().or(recorded);
+    let url = source.as_ref().and_then(|source| LinkUrl::parse(&format!("camera:{source}")).ok());
+    CameraFile {
+        source,
+        device: url.and_then(|url| device_identity(&url)),
+        ..CameraFile::new(&args.name, evidence.size, &calibration.view, Some(note))
     }
-    for ((picture, tag), error) in tags {
-        table.push([picture.clone(), tag.to_string(), format!("{error:.2}")]);
-    }
-    text.push_str(&table.render());
-    text + &advice(calibration, seen.size)
-}
-
-/// Where the floor is known badly, and what to do.
-fn advice(calibration: &FloorCalibration, (width, height): (usize, usize)) -> String {
-    let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-    let places = [
-        ("upper left", 0.0, 0.0),
-        ("upper right", right, 0.0),
-        ("lower right", right, bottom),
-        ("lower left", 0.0, bottom),
-        ("middle", right / 2.0, bottom / 2.0),
-    ];
-    let bad: Vec<String> = places
-        .into_iter()
-        .filter_map(|(name, x, y)| {
-            let sigma_mm = 1e3 * calibration.floor_sigma_m([x, y].into())?;
-            (sigma_mm > MAX_SIGMA_MM).then(|| format!("{name} ± {sigma_mm:.0} mm"))
-        })
-        .collect();
-    if bad.is_empty() {
-        return String::new();
-    }
-    let text = format!(
-        "the floor is known badly in these parts of the picture: {}; lay the sheet there as well (another picture, and another --sheet-at)",
-        bad.join(", ")
-    );
-    format!("\n{}\n", wrapped("advice     ", &text))
 }

@@ -1,7 +1,9 @@
 //! `posebridge camera`: tags to print, and tags in pictures (docs/camera.md).
 
 mod calibrate;
+mod calibration_report;
 mod detect;
+mod recorded_drive;
 mod sheet;
 
 use clap::{Args, Subcommand};
@@ -21,7 +23,7 @@ pub struct CameraArgs {
 pub enum CameraAction {
     /// Write sheets with tags to print: one for the floor, one for each robot, as SVG and PDF (docs/camera.md).
     Sheet(sheet::SheetArgs),
-    /// Find the place and the lens of a camera from pictures of the floor sheet (docs/camera.md).
+    /// Find the place and the lens of a camera from pictures of the floor sheet, a drive, or measured points (docs/camera.md).
     Calibrate(calibrate::CalibrateCameraArgs),
     /// Find the tags in pictures, and with a calibrated camera where they are: whether they can be seen from where the camera is (docs/camera.md).
     Detect(detect::DetectArgs),

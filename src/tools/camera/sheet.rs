@@ -21,7 +21,7 @@ pub struct SheetArgs {
     /// Side of the black rim of the robots' tags, mm.
     #[arg(long, value_name = "MM", default_value_t = 80.0)]
     pub side_mm: f64,
-    /// Number of the first of the six tags of the floor sheet.
+    /// Number of the first of the four tags of the floor sheet.
     #[arg(long, value_name = "ID", default_value_t = 580)]
     pub floor_from: u16,
     /// Folder for `tags.pdf`, `floor.svg` and a `robot-ID.svg` for each robot.
@@ -61,7 +61,7 @@ pub(super) fn execute(args: &SheetArgs) -> Result<(), Failure> {
 
 fn pages(args: &SheetArgs) -> Result<Vec<Page>> {
     let floor = floor_sheet(args.floor_from).with_context(|| {
-        format!("--floor-from {}: six tags from there on are more than tag36h11 has (0 to 586)", args.floor_from)
+        format!("--floor-from {}: four tags from there on are more than tag36h11 has (0 to 586)", args.floor_from)
     })?;
     let mut pages = vec![Page {
         name: "floor".to_owned(),
@@ -241,7 +241,7 @@ mod tests {
     #[test]
     fn the_detector_finds_each_printed_tag_at_its_place_with_its_way_up() {
         let pages = pages(&usual()).unwrap();
-        assert_eq!(pages.iter().map(|page| page.tags.len()).collect::<Vec<_>>(), [6, 1, 1]);
+        assert_eq!(pages.iter().map(|page| page.tags.len()).collect::<Vec<_>>(), [4, 1, 1]);
         for page in pages {
             let (pixels, width, height) = print(&svg(&page));
             let mut found = Tag36h11Detector::default().detect(GreyImage::new(&pixels, width, height, width).unwrap());
@@ -284,7 +284,7 @@ mod tests {
     #[test]
     fn tags_that_there_are_not_are_refused() {
         for (args, words) in [
-            (SheetArgs { floor_from: 582, ..usual() }, "--floor-from 582"),
+            (SheetArgs { floor_from: 584, ..usual() }, "--floor-from 584"),
             (SheetArgs { robots: vec![587], ..usual() }, "--robots 587"),
             (SheetArgs { side_mm: 151.0, ..usual() }, "--side-mm 151"),
             (SheetArgs { robots: vec![583], ..usual() }, "--robots 583: this tag is on the floor sheet"),

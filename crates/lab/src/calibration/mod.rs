@@ -1,8 +1,7 @@
-//! Calibrates a robot: wheels, track, tag position, inertial sensors, overhead camera.
+//! Calibrates a robot: wheels, track, tag position, inertial sensors.
 //!
 //! docs/lab/calibration.md has the equations.
 
-pub mod camera;
 pub mod free_path;
 mod least_squares;
 pub mod umbmark;

@@ -6,13 +6,20 @@ use posebridge_vision::{FloorTagPose, FloorView};
 
 /// Corners of one tag in a picture, as `corners_px` gives them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct TagCorners {
+pub struct TagCorners {
     /// The tag's upper left corner first, clockwise; px, the centre of the first pixel is (0, 0).
-    pub(super) corners: [Point2<f64>; 4],
+    pub corners: [Point2<f64>; 4],
     /// Of x and y of each corner, in that order, px².
-    pub(super) covariance: SMatrix<f64, 8, 8>,
+    pub covariance: SMatrix<f64, 8, 8>,
     /// Width and height of the picture, px.
-    pub(super) picture_px: Option<[usize; 2]>,
+    pub picture_px: Option<[usize; 2]>,
+}
+
+impl TagCorners {
+    /// The covariance with the errors that no picture shows.
+    pub fn full_covariance(&self) -> SMatrix<f64, 8, 8> {
+        self.covariance + systematic_covariance()
+    }
 }
 
 /// The camera of a link, and the tags that it sees.
@@ -71,7 +78,7 @@ impl FloorCamera {
         if let Some(seen) = seen.picture_px.filter(|size| *size != self.picture_px) {
             return Err(CornersError::PictureSize { seen, expected: self.picture_px });
         }
-        let covariance = seen.covariance + systematic_covariance();
+        let covariance = seen.full_covariance();
         let solved = FloorTagPose::solve(&self.view, &seen.corners, &covariance, self.tag_side_m, self.tag_height_m);
         let solved = solved.ok_or(CornersError::NoFloor)?;
         if (solved.side_ratio - 1.0).abs() > MAX_SIDE_ERROR {

@@ -16,8 +16,8 @@ use posebridge_telemetry::{
 };
 use serde_json::json;
 
-pub use self::floor_camera::FloorCamera;
 use self::floor_camera::TagFix;
+pub use self::floor_camera::{FloorCamera, TagCorners};
 pub use self::schema::CameraJsonSettings;
 use self::schema::{CameraFixMessage, CameraLine, CameraMessage, ExposureTime, FieldError, FixPlace};
 use super::codec::{BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource};
@@ -35,6 +35,33 @@ const MAX_REPLIES: usize = 64;
 const MAX_UNKNOWN_KEYS: usize = 8;
 /// The message id of a line in [`ReceiveError`](posebridge_telemetry::ReceiveError)s, which has none.
 const LINE_ID: u32 = 0;
+
+/// A tag in a picture, for programs that calibrate the camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeenTag {
+    pub camera: ChannelName,
+    pub tag: u32,
+    pub corners: TagCorners,
+    /// Since the middle of the exposure, when the line was sent. Where nobody knows the exposure, since the picture was received.
+    pub age: TimeDelta,
+    pub is_exposure_known: bool,
+}
+
+/// The tag of a line that gives its corners; `None` of other lines.
+pub fn read_seen_tag(line: &[u8]) -> Option<SeenTag> {
+    let line = schema::parse_line(line).ok()?;
+    let CameraMessage::Fix(CameraFixMessage { place: FixPlace::Picture(corners), tag: Some(tag), exposed, .. }) =
+        line.message
+    else {
+        return None;
+    };
+    let (age, is_exposure_known) = match exposed {
+        ExposureTime::Ago { least, most } => (TimeDelta::from_nanos((least + most).as_nanos() / 2), true),
+        ExposureTime::BeforeReception(ago) => (ago, false),
+        ExposureTime::Stamp(_) | ExposureTime::Unknown => (TimeDelta::ZERO, false),
+    };
+    Some(SeenTag { camera: line.camera, tag, corners: *corners, age, is_exposure_known })
+}
 
 #[derive(Debug)]
 struct CameraJsonCodec {
@@ -234,8 +261,7 @@ impl CameraJsonCodec {
             FixPlace::Arena { x, y, heading, covariance } => (*x, *y, *heading, *covariance),
             FixPlace::Picture(corners) => {
                 let Some(floor) = &self.settings.floor else {
-                    let what =
-                        "has no place on the floor without the camera's file: add `camera = \"FILE.toml\"` to the link";
+                    let what = "has no place on the floor until the camera is calibrated (docs/camera.md) and the link has its file: `camera = \"FILE.toml\"`";
                     return Err(FieldError::for_key("corners_px", what));
                 };
                 if fix.tag.is_some_and(|tag| floor.is_on_floor(tag)) {
