@@ -21,6 +21,9 @@ pub struct CameraFile {
     /// Where its pictures come from, as after `camera:` in the URL of a link.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
+    /// Which webcam it is: its name, and the ids and serial number of USB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
     /// Width of its pictures, px. A picture of another size has another focal length.
     pub width: usize,
     /// Their height, px.
@@ -117,6 +120,7 @@ impl CameraFile {
         Self {
             name: name.to_owned(),
             source: None,
+            device: None,
             width,
             height,
             focal_px: camera.focal_px.into(),

@@ -59,6 +59,9 @@ pub struct RunArgs {
     /// Do not record.
     #[arg(long)]
     pub no_record: bool,
+    /// Also keep the pictures of the cameras, in a folder for each beside the recording (docs/camera.md).
+    #[arg(long, conflicts_with = "no_record")]
+    pub record_video: bool,
     /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
     #[arg(long, conflicts_with = "no_record")]
     pub tlog: bool,

@@ -1,10 +1,11 @@
 //! Cameras whose pictures this program searches for tags: their links, and their pictures for the page.
 
 use std::net::{Ipv4Addr, TcpListener};
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use posebridge_camera::{CameraSettings, CameraView, SeenPicture, camera_opener};
+use posebridge_camera::{CameraSettings, CameraView, PictureSaver, SeenPicture, camera_opener, device_identity};
 use posebridge_dashboard::model::SeenTagRow;
 use posebridge_dashboard::{CameraPicture, CameraSource};
 use posebridge_link::{HostTimer, Link, LinkOpenConfig, LinkUrl};
@@ -28,22 +29,33 @@ pub(super) struct Cameras {
 struct Camera {
     link: LinkId,
     is_simulated: bool,
+    is_calibrated: bool,
     settings: CameraSettings,
 }
 
 impl Cameras {
-    /// Binds a port for the pictures of the simulated brick's camera, if the configuration has it.
-    pub(super) fn new(config: &Config) -> Result<Self> {
+    /// Binds a port for the pictures of the simulated brick's camera, if the configuration has it. `kept` is where pictures are kept, if
+    /// at all.
+    pub(super) fn new(config: &Config, kept: Option<&Path>) -> Result<Self> {
         let first = config.camera.floor_tags_from;
         let cameras = config.links.iter().enumerate().filter(|(_, link)| link.has_pictures()).map(|(index, link)| {
+            let name = name_of(link);
+            warn_of_another_camera(link);
+            let saver = kept.map(|folder| start_saver(&folder.join(format!("pictures-{name}")))).transpose()?;
             let settings = CameraSettings {
-                name: name_of(link).to_owned(),
+                name: name.to_owned(),
                 floor_tags: first..first.saturating_add(FLOOR_TAGS),
                 view: CameraView::default(),
+                saver: saver.map(Arc::new),
             };
-            Camera { link: LinkId(index as u16), is_simulated: link.is_simulated_camera(), settings }
+            Ok(Camera {
+                link: LinkId(index as u16),
+                is_simulated: link.is_simulated_camera(),
+                is_calibrated: link.camera.is_some(),
+                settings,
+            })
         });
-        let cameras: Vec<Camera> = cameras.collect();
+        let cameras: Vec<Camera> = cameras.collect::<Result<_>>()?;
         let is_simulated = cameras.iter().any(|camera| camera.is_simulated);
         let has_brick = config.links.iter().any(|link| matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))));
         ensure!(!is_simulated || has_brick, "--camera sim is the camera of a simulated brick: add --link sim://square");
@@ -90,6 +102,8 @@ impl Cameras {
             CameraSource {
                 link: camera.link,
                 name: camera.settings.name.clone(),
+                is_calibrated: camera.is_calibrated,
+                floor_tags: [camera.settings.floor_tags.start, camera.settings.floor_tags.end.saturating_sub(1)],
                 latest: Box::new(move || view.borrow().as_ref().map(picture_of)),
                 bytes: Box::new(move || {
                     let newest = pictures.borrow().as_ref().map(|seen| Arc::clone(&seen.bytes));
@@ -99,6 +113,31 @@ impl Cameras {
         };
         self.cameras.iter().map(source).collect()
     }
+}
+
+/// A file of another camera gives wrong fixes that look right.
+fn warn_of_another_camera(link: &LinkSection) {
+    let Some(CameraChoice::Camera(file)) = &link.camera else { return };
+    let Ok(LinkTarget::Url(url)) = LinkTarget::parse(&link.url) else { return };
+    if let (Some(calibrated), Some(present)) = (&file.device, device_identity(&url))
+        && *calibrated != present
+    {
+        tracing::warn!(
+            link = link.url,
+            calibrated,
+            present,
+            "another camera stands here than the one that was calibrated: calibrate it, or plug in the other one"
+        );
+    }
+}
+
+fn start_saver(folder: &Path) -> Result<PictureSaver> {
+    let name = folder.display().to_string();
+    let failed = {
+        let name = name.clone();
+        move |error| tracing::warn!(folder = name, %error, "the pictures of the camera are not kept any more")
+    };
+    PictureSaver::start(folder, failed).with_context(|| format!("creating `{name}` for the pictures"))
 }
 
 fn name_of(link: &LinkSection) -> &str {

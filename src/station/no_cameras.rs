@@ -1,6 +1,8 @@
 //! In place of `cameras.rs` in a build without the feature `camera`: no link leads to a camera.
 #![expect(clippy::unused_self, clippy::unnecessary_wraps, reason = "as with the feature")]
 
+use std::path::Path;
+
 use anyhow::Result;
 use posebridge_dashboard::CameraSource;
 use posebridge_link::{HostTimer, Link, LinkOpenConfig};
@@ -11,7 +13,7 @@ use crate::config::Config;
 pub(super) struct Cameras;
 
 impl Cameras {
-    pub(super) const fn new(_config: &Config) -> Result<Self> {
+    pub(super) const fn new(_config: &Config, _kept: Option<&Path>) -> Result<Self> {
         Ok(Self)
     }
 

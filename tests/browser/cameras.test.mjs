@@ -36,3 +36,27 @@ test('the picture is shown a few times a second, with its tags drawn on it', asy
   assert.match(state, /^640 x 480, \d+\.\d pictures\/s, searched after \d+ ms, \d+ dropped, 0 damaged$/);
   if (process.env.CAMERA_SCREENSHOT) await (await page.$('#cameras')).screenshot({ path: process.env.CAMERA_SCREENSHOT });
 });
+
+test('a camera that nobody has calibrated shows the steps to it, and where in the picture the robot has been', async () => {
+  const brick = Program.start(['sim', 'square', '--listen', 'tcp://127.0.0.1:0', '--pictures-listen', '127.0.0.1:0'], await newFolder());
+  const [, link] = await brick.finds(/listening on (127\.0\.0\.1:\d+)/);
+  const [source] = await brick.finds(/http:\/\/127\.0\.0\.1:\d+\//);
+  const uncalibrated = Program.start(
+    ['run', '--link', `tcp://${link}`, '--camera', source, '--dashboard', '127.0.0.1:0', '--no-record'], await newFolder());
+  try {
+    const page = await browser.open(await uncalibrated.address());
+    await page.waitForSelector('#cameras .steps');
+    const done = (count) => page.waitForFunction((least) => document.querySelectorAll('#cameras .steps .done').length >= least, count);
+    await done(2);
+    const steps = await page.$$eval('#cameras .steps li', (items) => items.map((item) => item.textContent));
+    assert.equal(steps.length, 4);
+    assert.match(steps[0], /4 of 4 tags seen$/);
+    assert.match(steps[3], /posebridge camera calibrate --drive/);
+    await page.waitForFunction(() => document.querySelectorAll('#cameras rect').length >= 2);
+    if (process.env.CAMERA_SCREENSHOT) await (await page.$('#cameras')).screenshot({ path: `${process.env.CAMERA_SCREENSHOT}.steps.png` });
+    await page.close();
+  } finally {
+    await uncalibrated.remove();
+    await brick.remove();
+  }
+});

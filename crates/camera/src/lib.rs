@@ -7,8 +7,10 @@
 mod capture;
 mod capture_thread;
 mod connection;
+mod device_identity;
 mod http_stream;
 mod picture;
+mod picture_saver;
 mod picture_server;
 mod picture_slot;
 mod recorded;
@@ -22,6 +24,8 @@ mod view;
 mod webcam;
 
 pub use connection::camera_opener;
+pub use device_identity::device_identity;
+pub use picture_saver::PictureSaver;
 pub use picture_server::PictureServer;
 pub use settings::CameraSettings;
 pub use still::take_picture;

@@ -14,7 +14,7 @@ use crate::capture::{Capture, CaptureError};
 use crate::picture::{EncodedPicture, PictureTime};
 
 /// The table of times in a folder of pictures.
-const TIMES_FILE: &str = "times.csv";
+pub(crate) const TIMES_FILE: &str = "times.csv";
 const PICTURE_ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "pgm"];
 
 /// A picture, and when it was taken since the first one, s. One that cannot be read is empty.

@@ -1,5 +1,8 @@
 //! The settings of a camera.
 
+use std::sync::Arc;
+
+use crate::picture_saver::PictureSaver;
 use crate::view::CameraView;
 
 /// How a camera's tags are looked for and called.
@@ -10,4 +13,6 @@ pub struct CameraSettings {
     /// Tags that lie on the floor and are not followed.
     pub floor_tags: std::ops::Range<u16>,
     pub view: CameraView,
+    /// Keeps the pictures; `None` if nobody asked for it.
+    pub saver: Option<Arc<PictureSaver>>,
 }

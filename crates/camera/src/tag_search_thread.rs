@@ -84,8 +84,14 @@ impl PictureSearch<'_> {
         self.counts.searched += 1;
         let now = timer.now();
         self.counts.age = now - encoded.time.since();
+        let bytes: Arc<[u8]> = encoded.bytes.into();
+        if let Some(saver) = &self.settings.saver
+            && !saver.save(encoded.time.since(), &bytes)
+        {
+            self.counts.unsaved += 1;
+        }
         self.settings.view.publish(|| SeenPicture {
-            bytes: encoded.bytes.into(),
+            bytes,
             width: picture_px.0,
             height: picture_px.1,
             tags: tags.iter().map(SeenTag::from).collect(),

@@ -40,6 +40,8 @@ pub struct CameraCounts {
     pub damaged: u64,
     /// Searched pictures that were not taken by the station in time.
     pub late: u64,
+    /// Searched pictures that the disk was too slow to keep.
+    pub unsaved: u64,
     /// Time between the reception of the last picture, or its exposure where that is known, and the end of its search.
     pub age: TimeDelta,
 }

@@ -10,6 +10,10 @@ use crate::model::{CameraPictureRow, CameraRow, SeenTagRow};
 pub struct CameraSource {
     pub link: LinkId,
     pub name: String,
+    /// Whether it is known where it stands.
+    pub is_calibrated: bool,
+    /// The first and the last tag of the floor sheet.
+    pub floor_tags: [u16; 2],
     /// The last searched picture; `None` before the first one.
     pub latest: Box<dyn Fn() -> Option<CameraPicture> + Send + Sync>,
     /// The same as JPEG or PNG.
@@ -44,7 +48,13 @@ impl CameraSource {
             latency_s: picture.latency.as_secs_f64(),
             tags: picture.tags,
         });
-        CameraRow { link: self.link.0, name: self.name.clone(), picture }
+        CameraRow {
+            link: self.link.0,
+            name: self.name.clone(),
+            is_calibrated: self.is_calibrated,
+            floor_tags: self.floor_tags,
+            picture,
+        }
     }
 }
 

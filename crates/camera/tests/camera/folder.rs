@@ -1,5 +1,6 @@
 //! Folders of pictures.
 
+use posebridge_camera::PictureSaver;
 use posebridge_link::LinkEvent;
 
 use crate::drawing::{corners, empty_picture, picture_with_tag};
@@ -27,6 +28,28 @@ async fn a_folder_is_played_in_the_order_of_its_names_and_then_ends() {
         assert!(covariance.len() == 36 && covariance[0] > 0.0, "{line}");
     }
     assert!(matches!(camera.link.next_event().await, LinkEvent::Finished { .. }));
+}
+
+#[tokio::test]
+async fn kept_pictures_are_played_again() {
+    let [played, kept] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let places = [(20, 30), (24, 30), (28, 33)];
+    for (number, place) in places.into_iter().enumerate() {
+        std::fs::write(played.path().join(format!("{number}.pgm")), picture_with_tag(SIZE, 7, place)).unwrap();
+    }
+    let (sender, failure) = std::sync::mpsc::channel();
+    let saver = PictureSaver::start(kept.path(), move |error| sender.send(error).unwrap()).unwrap();
+    let mut camera = CameraLink::with_saver(&format!("{}?fps=100", played.path().display()), Some(saver));
+    while !matches!(camera.link.next_event().await, LinkEvent::Finished { .. }) {}
+    drop(camera);
+    // The thread has ended when its end of the channel is gone: all is written.
+    assert!(failure.recv().is_err());
+    let table = std::fs::read_to_string(kept.path().join("times.csv")).unwrap();
+    assert_eq!(table.lines().count(), 1 + places.len(), "{table}");
+    let mut again = CameraLink::new(&kept.path().display().to_string());
+    for place in places {
+        assert!(distance(corners_of(&again.tag().await), corners(place)) < 0.1);
+    }
 }
 
 #[tokio::test]

@@ -1,6 +1,8 @@
 //! A link to a camera, and the lines that it gives.
 
-use posebridge_camera::{CameraSettings, CameraView, camera_opener};
+use std::sync::Arc;
+
+use posebridge_camera::{CameraSettings, CameraView, PictureSaver, camera_opener};
 use posebridge_link::{ConnectRole, HostTimer, Link, LinkEvent, LinkOpenConfig, LinkUrl};
 use posebridge_telemetry::{HostClock, LinkId, Timestamp};
 use serde_json::Value;
@@ -16,9 +18,14 @@ pub(crate) struct CameraLink {
 
 impl CameraLink {
     pub(crate) fn new(source: &str) -> Self {
+        Self::with_saver(source, None)
+    }
+
+    pub(crate) fn with_saver(source: &str, saver: Option<PictureSaver>) -> Self {
         let url = LinkUrl::parse(&format!("camera:{source}")).expect("a URL");
         let view = CameraView::default();
-        let settings = CameraSettings { name: "overhead".to_owned(), floor_tags: 580..586, view: view.clone() };
+        let (name, saver) = ("overhead".to_owned(), saver.map(Arc::new));
+        let settings = CameraSettings { name, floor_tags: 580..584, view: view.clone(), saver };
         let open = LinkOpenConfig { id: LinkId(3), url: url.clone(), role: ConnectRole::Dial };
         let timer = HostTimer::start();
         Self { link: Link::with_opener(open, camera_opener(url, settings), timer), view, timer }

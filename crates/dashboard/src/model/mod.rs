@@ -176,6 +176,10 @@ pub struct CameraRow {
     pub link: u16,
     /// Its name.
     pub name: String,
+    /// Whether it is known where it stands: its tags become fixes.
+    pub is_calibrated: bool,
+    /// The first and the last tag of the floor sheet.
+    pub floor_tags: [u16; 2],
     /// `null` before the first one.
     pub picture: Option<CameraPictureRow>,
 }

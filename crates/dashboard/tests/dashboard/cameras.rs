@@ -16,6 +16,8 @@ fn camera(link: u16, picture: Option<CameraPicture>) -> CameraSource {
     CameraSource {
         link: LinkId(link),
         name: format!("camera {link}"),
+        is_calibrated: link == 1,
+        floor_tags: [580, 583],
         latest: Box::new(move || picture.clone()),
         bytes: Box::new(move || bytes.clone()),
     }
@@ -42,7 +44,11 @@ fn cameras_are_listed_with_their_tags_and_their_last_pictures_are_shown() {
     let address = dashboard.address().unwrap();
 
     let rows: Vec<CameraRow> = serde_json::from_slice(&get(address, "/v1/cameras").body).unwrap();
-    let [CameraRow { link: 1, name, picture: Some(seen) }, CameraRow { link: 4, picture: None, .. }] = &rows[..] else {
+    let [
+        CameraRow { link: 1, name, is_calibrated: true, floor_tags: [580, 583], picture: Some(seen) },
+        CameraRow { link: 4, is_calibrated: false, picture: None, .. },
+    ] = &rows[..]
+    else {
         panic!("{rows:?}");
     };
     assert_eq!((name.as_str(), seen.number, seen.dropped, seen.damaged), ("camera 1", 70, 3, 1));
