@@ -1,4 +1,4 @@
-//! The age of estimates beside a terminal, a pipe, a page's reader or a disk that takes nothing.
+//! The age of estimates beside a terminal, a pipe, a page's reader or a disk that takes nothing, and beside cameras that misbehave.
 //!
 //! Two stations of the program, each with a robot that asks for an estimate and waits for it, take turns in one run; one of them has
 //! the stall. Printed is the time from the counts to their estimate, and the ratio of both; above 1.10 at the 99th percentile the
@@ -23,12 +23,13 @@ mod support;
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::{Duration, Instant};
 
+use posebridge_sim::rendered_camera::encode_jpeg;
 use robot::{Robot, Station, folder_file, full_pipe};
 
 const ROUNDS: usize = 200;
@@ -66,16 +67,23 @@ fn fsfreeze(flag: &str, folder: &Path) {
 }
 
 impl Side {
-    fn start(folder: PathBuf, page: &str, output: [OwnedFd; 2], stall: Option<Stall>) -> Self {
+    fn start(folder: PathBuf, flags: &[&str], output: [OwnedFd; 2], stall: Option<Stall>) -> Self {
         let robot = Robot::new();
         let [stdout, stderr] = output;
-        let station = robot.start_station(&folder, &[page], stderr, stdout);
+        let station = robot.start_station(&folder, flags, stderr, stdout);
         Self { robot, station, folder, ages: Vec::new(), stall }
     }
 
     fn control(folder: PathBuf, page: &str) -> Self {
         let output = files(&folder);
-        Self::start(folder, page, output, None)
+        Self::start(folder, &[page], output, None)
+    }
+
+    /// With a camera whose pictures are searched for tags.
+    fn with_camera(folder: PathBuf, camera: BadCamera) -> Self {
+        let source = format!("http://{}/", camera.serve());
+        let output = files(&folder);
+        Self::start(folder, &[NO_PAGE, "--camera", &source], output, None)
     }
 
     fn round(&mut self) {
@@ -105,6 +113,66 @@ impl Side {
     }
 }
 
+/// A network camera with 60 pictures a second.
+#[derive(Clone, Copy)]
+enum BadCamera {
+    /// None of which can be decoded, 150 kB each.
+    Garbage,
+    /// Every fifth one cut off, 640 x 480 and 1280 x 720 in turn, a pause after each second, and the end of the connection after two.
+    Restless,
+}
+
+impl BadCamera {
+    fn serve(self) -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
+        let address = listener.local_addr().expect("an address");
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                // The other end may be gone.
+                drop(self.send_pictures(stream.expect("loopback")));
+            }
+        });
+        address
+    }
+
+    fn send_pictures(self, mut stream: TcpStream) -> std::io::Result<()> {
+        let mut request = [0; 4_096];
+        let _ = stream.read(&mut request)?;
+        stream.write_all(b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=next\r\n\r\n")?;
+        let pictures = self.pictures();
+        for (number, picture) in pictures.iter().cycle().enumerate() {
+            if matches!(self, Self::Restless) && number % 120 == 60 {
+                std::thread::sleep(Duration::from_millis(500));
+            }
+            if matches!(self, Self::Restless) && number == 120 {
+                return Ok(());
+            }
+            write!(stream, "--next\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", picture.len())?;
+            stream.write_all(picture)?;
+            stream.write_all(b"\r\n")?;
+            std::thread::sleep(Duration::from_millis(16));
+        }
+        Ok(())
+    }
+
+    fn pictures(self) -> Vec<Vec<u8>> {
+        let Self::Restless = self else {
+            // Begins as a JPEG picture does.
+            return vec![[&[0xFF, 0xD8, 0xFF, 0xDB], vec![0x5A; 150_000].as_slice()].concat()];
+        };
+        let drawn = |number: u16| {
+            let (width, height) = if number.is_multiple_of(2) { (640, 480) } else { (1280, 720) };
+            let pixels: Vec<u8> = (0..u32::from(width) * u32::from(height)).map(|pixel| (pixel % 251) as u8).collect();
+            let mut jpeg = encode_jpeg(&pixels, width, height, 80).expect("it fits");
+            if number.is_multiple_of(5) {
+                jpeg.truncate(jpeg.len() / 2);
+            }
+            jpeg
+        };
+        (0..10).map(drawn).collect()
+    }
+}
+
 fn files(folder: &Path) -> [OwnedFd; 2] {
     ["tables.txt", "messages.txt"].map(|name| folder_file(folder, name))
 }
@@ -126,7 +194,7 @@ fn main() -> ExitCode {
 
     let [(out_reader, stdout), (error_reader, stderr)] = [full_pipe(), full_pipe()];
     let stall = Stall::Pipes { _readers: [out_reader, error_reader] };
-    let stalled = Side::start(folder("pipes"), NO_PAGE, [stdout, stderr], Some(stall));
+    let stalled = Side::start(folder("pipes"), &[NO_PAGE], [stdout, stderr], Some(stall));
     is_within &= compare("full pipes", [Side::control(folder("pipes-control"), NO_PAGE), stalled]);
 
     let pty = nix::pty::openpty(None, None).expect("a terminal");
@@ -134,7 +202,7 @@ fn main() -> ExitCode {
     keyboard.write_all(b"\x13").expect("Ctrl-S");
     let terminal = folder("terminal");
     let output = [folder_file(&terminal, "tables.txt"), pty.slave];
-    let stalled = Side::start(terminal, NO_PAGE, output, Some(Stall::Terminal { _keyboard: keyboard }));
+    let stalled = Side::start(terminal, &[NO_PAGE], output, Some(Stall::Terminal { _keyboard: keyboard }));
     is_within &= compare("Ctrl-S", [Side::control(folder("terminal-control"), NO_PAGE), stalled]);
 
     let mut control = Side::control(folder("page-control"), PAGE);
@@ -147,10 +215,15 @@ fn main() -> ExitCode {
     stalled.stall = Some(Stall::Page { _stream: stalled.open_page() });
     is_within &= compare("a page that reads nothing", [control, stalled]);
 
+    for (name, camera) in [("a camera's garbage", BadCamera::Garbage), ("a restless camera", BadCamera::Restless)] {
+        let control = Side::control(folder(&format!("{name}, control")), NO_PAGE);
+        is_within &= compare(name, [control, Side::with_camera(folder(name), camera)]);
+    }
+
     if let Some(disk) = disk {
         let control = Side::control(folder("disk-control"), NO_PAGE);
         let output = files(&folder("disk-output"));
-        let mut stalled = Side::start(disk.clone(), NO_PAGE, output, None);
+        let mut stalled = Side::start(disk.clone(), &[NO_PAGE], output, None);
         stalled.robot.drive(100);
         fsfreeze("-f", &disk);
         stalled.stall = Some(Stall::Disk(disk));

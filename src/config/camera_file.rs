@@ -164,7 +164,7 @@ mod tests {
                         radial = [-0.2, 0.05]\nposition_m = [0.4, -0.3, 2.5]\nrotation = [0.0, 1.0, 0.0, 0.0]\n";
 
     #[test]
-    fn the_delay_of_a_network_camera_is_learned_unless_somebody_knows_it() {
+    fn the_delay_of_a_camera_is_learned_unless_somebody_knows_it() {
         let sigma_s = |url: &str, delay_ms: Option<f64>, known_s: f64| {
             let camera = CameraFile { delay_ms, ..toml::from_str(TEXT).unwrap() };
             let link = LinkSection { camera: Some(CameraChoice::Camera(Box::new(camera))), ..LinkSection::new(url) };
@@ -175,7 +175,8 @@ mod tests {
         assert_eq!(sigma_s("camera:http://phone/video", None, 0.0), 0.1);
         assert_eq!(sigma_s("camera:http://phone/video", Some(150.0), 0.0), 0.0);
         assert_eq!(sigma_s("camera:http://phone/video", None, 0.08), 0.0);
-        assert_eq!(sigma_s("camera:/dev/video0", None, 0.0), 0.0, "its driver stamps its pictures");
+        assert_eq!(sigma_s("camera:/dev/video0", None, 0.0), 0.03, "its driver stamps its pictures, to about a frame");
+        assert_eq!(sigma_s("camera:pictures", None, 0.0), 0.0, "a table says when they were taken");
     }
 
     #[test]

@@ -110,6 +110,19 @@ impl Default for ClockConfig {
 
 /// How much later than `camera.json.delay_ms` the pictures of phones and network cameras come in.
 const NETWORK_DELAY_SIGMA_S: f64 = 0.1;
+/// How far the stamps of webcams are from their exposures: some hold a picture back for a frame, and few say so.
+const WEBCAM_DELAY_SIGMA_S: f64 = 0.03;
+
+/// How badly the delay of a camera is known whose file does not say it.
+fn delay_sigma_of(url: &str) -> f64 {
+    if url.contains("://") {
+        NETWORK_DELAY_SIGMA_S
+    } else if url.starts_with("camera:/dev/") {
+        WEBCAM_DELAY_SIGMA_S
+    } else {
+        0.0
+    }
+}
 
 impl Config {
     pub fn filter_config(&self) -> Result<FilterConfig> {
@@ -190,21 +203,23 @@ impl Config {
         })
     }
 
-    /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them. The delay of a network
-    /// camera is learned, unless its file or the calibration of the robot knows it.
+    /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them. The delay of a camera
+    /// is learned, unless its file or the calibration of the robot knows it.
     pub fn with_cameras_read(mut self) -> Result<Self> {
-        let mut is_delay_unknown = false;
+        let mut delay_sigma_s = 0.0_f64;
         for (index, link) in self.links.iter_mut().enumerate() {
             if let Some(camera) = &mut link.camera {
                 let read = camera.read().with_context(|| format!("link {index} `{}`: `camera`", link.url))?;
-                is_delay_unknown |= read.delay_ms.is_none() && link.url.contains("://");
+                if read.delay_ms.is_none() {
+                    delay_sigma_s = delay_sigma_s.max(delay_sigma_of(&link.url));
+                }
                 *camera = CameraChoice::Camera(Box::new(read));
             }
         }
         let robots = self.robots.iter_mut().map(|block| &mut block.robot).chain([&mut self.robot]);
         for delay in robots.map(|robot| &mut robot.calibration.fix_delay_s) {
-            if is_delay_unknown && (delay.value, delay.sigma) == (0.0, 0.0) {
-                delay.sigma = NETWORK_DELAY_SIGMA_S;
+            if (delay.value, delay.sigma) == (0.0, 0.0) {
+                delay.sigma = delay_sigma_s;
             }
         }
         Ok(self)

@@ -9,6 +9,20 @@ use posebridge_telemetry::{Arena, Command, Pose};
 use crate::config::PLOTJUGGLER_ADDRESS;
 use crate::flags::{ConfigFlags, DashboardFlags, DetailFlags, LinkFlags, positive};
 
+/// What a run records.
+#[derive(Args, Clone, Debug, Default)]
+pub struct RecordFlags {
+    /// Do not record.
+    #[arg(long)]
+    pub no_record: bool,
+    /// Also keep the pictures of the cameras, in a folder for each beside the recording (docs/camera.md).
+    #[arg(long, conflicts_with = "no_record")]
+    pub record_video: bool,
+    /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
+    #[arg(long, conflicts_with = "no_record")]
+    pub tlog: bool,
+}
+
 /// Flags of `run`.
 #[derive(Args, Clone, Debug, Default)]
 pub struct RunArgs {
@@ -56,15 +70,9 @@ pub struct RunArgs {
     /// Folder for the recording and the pictures. Default: a new folder named after the time.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Do not record.
-    #[arg(long)]
-    pub no_record: bool,
-    /// Also keep the pictures of the cameras, in a folder for each beside the recording (docs/camera.md).
-    #[arg(long, conflicts_with = "no_record")]
-    pub record_video: bool,
-    /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
-    #[arg(long, conflicts_with = "no_record")]
-    pub tlog: bool,
+    /// What is recorded.
+    #[command(flatten)]
+    pub record: RecordFlags,
     /// Write every event to this file, as one JSON object per line.
     #[arg(long, value_name = "FILE")]
     pub events: Option<PathBuf>,

@@ -70,7 +70,7 @@ pub(super) fn start_recorder(
     path: &Path,
     failures: &mut DeferredErrors,
 ) -> Result<Option<Recorder>> {
-    if args.no_record || !config.record.enabled {
+    if args.record.no_record || !config.record.enabled {
         return Ok(None);
     }
     let started = Recorder::start(path, &header(config, timer.utc_start())?, config.record.limits());
@@ -104,7 +104,7 @@ pub(super) fn start_tlog(
     recording: &Path,
     failures: &mut DeferredErrors,
 ) -> Result<Option<TlogRecorder>> {
-    if args.no_record || !(args.tlog || config.record.tlog) {
+    if args.record.no_record || !(args.record.tlog || config.record.tlog) {
         return Ok(None);
     }
     let path = recording.with_extension("tlog");

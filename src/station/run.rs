@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use posebridge_link::ConnectRole;
 use posebridge_report::tables::source_table;
 
-use super::args::RunArgs;
+use super::args::{RecordFlags, RunArgs};
 use super::links::LapLimit;
 use super::recording_files::RECORDING;
 use super::run_report::{finish, save_learned};
@@ -73,7 +73,7 @@ pub fn check_setup(config: &Path, links: &[String], duration_s: f64) -> Result<V
         config: ConfigFlags { config: Some(config.to_owned()), ..ConfigFlags::default() },
         links: LinkFlags(links.collect()),
         duration: Some(duration_s),
-        no_record: true,
+        record: RecordFlags { no_record: true, ..RecordFlags::default() },
         page: DashboardFlags { no_dashboard: true, ..DashboardFlags::default() },
         ..RunArgs::default()
     };

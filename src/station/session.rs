@@ -77,7 +77,7 @@ pub(super) async fn session(
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
     let signals = Signals::listen().before_start()?;
-    let kept = args.record_video.then_some(folder.as_path());
+    let kept = args.record.record_video.then_some(folder.as_path());
     let cameras = Cameras::new(config, kept).before_start()?;
     let simulated = SimulatedSession { timer, folder: &folder, laps, cameras: &cameras };
     let opened = open(args, config, simulated, &stop).await;

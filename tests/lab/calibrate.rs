@@ -3,7 +3,6 @@
 //! One set of recordings is committed (OptiOdom, MIT). The others are read where POSEBRIDGE_DATA says they are; without it their
 //! figures are not looked at.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::support::{

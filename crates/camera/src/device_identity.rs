@@ -15,13 +15,27 @@ pub fn device_identity(url: &LinkUrl) -> Option<String> {
     identity_below(Path::new(VIDEO_DEVICES), url.path())
 }
 
+/// As the driver of a webcam calls it; `None` of another file.
+pub(crate) fn device_name(path: &Path) -> Option<String> {
+    read(&folder_of(Path::new(VIDEO_DEVICES), path)?.join("name"))
+}
+
+/// The name of the driver of a webcam.
+pub(crate) fn driver_of(path: &Path) -> Option<String> {
+    let driver = folder_of(Path::new(VIDEO_DEVICES), path)?.join("device/driver").canonicalize().ok()?;
+    Some(driver.file_name()?.to_string_lossy().into_owned())
+}
+
+/// A link below /dev/v4l/by-id leads to the node.
+fn folder_of(devices: &Path, path: &Path) -> Option<PathBuf> {
+    Some(devices.join(path.canonicalize().ok()?.file_name()?))
+}
+
 fn identity_below(devices: &Path, path: &Path) -> Option<String> {
-    // A link below /dev/v4l/by-id leads to the node.
-    let node = path.canonicalize().ok()?;
-    let device = devices.join(node.file_name()?);
+    let device = folder_of(devices, path)?;
     let name = read(&device.join("name"))?;
     // The node's device is an interface of the USB device.
-    let usb: PathBuf = device.join("device/..");
+    let usb = device.join("device/..");
     let ids = read(&usb.join("idVendor"))
         .zip(read(&usb.join("idProduct")))
         .map(|(vendor, product)| format!("{vendor}:{product}"));

@@ -3,7 +3,7 @@
 //! Source: Linux media subsystem documentation, "Video for Linux API": buffers and their time stamps, camera controls.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use moq_v4l::buffer::{Flags, Metadata, Type};
@@ -18,6 +18,7 @@ use posebridge_link::{HostTimer, LinkError, LinkUrl, OpenError};
 use posebridge_telemetry::TimeDelta;
 
 use crate::capture::{Capture, CaptureError};
+use crate::device_identity::{device_name, driver_of};
 use crate::picture::{EncodedPicture, PictureTime};
 
 /// Few, so that no old picture waits in the driver.
@@ -41,6 +42,10 @@ const EXPOSURE_DYNAMIC_FRAMERATE: u32 = 0x009A_0903;
 /// V4L2_CID_AUTOGAIN and V4L2_CID_GAIN.
 const AUTO_GAIN: u32 = 0x0098_0912;
 const GAIN_VALUE: u32 = 0x0098_0913;
+
+/// The driver of webcams on USB. It calls its stamps those of the start of exposure, and takes them when the first bytes of a picture
+/// arrive (drivers/media/usb/uvc: uvc_queue.c, uvc_video.c), unless it is loaded with `hwtimestamps=1`.
+const USB_DRIVER: &str = "uvcvideo";
 
 /// How a webcam gives its pictures, the best first.
 const FORMATS: [(PixelLayout, &[u8; 4]); 3] =
@@ -67,7 +72,8 @@ pub(crate) fn receive(capture: &mut Capture) -> Result<(), CaptureError> {
         TimeDelta::from_secs_f64(f64::from(interval.numerator) / f64::from(interval.denominator))
     });
     let exposure = hold_exposure(&device, &capture.url, &path)?;
-    let mut clock = ExposureClock { timer: capture.timer, exposure, frame, last: None };
+    let is_stamped_on_arrival = driver_of(&path).is_some_and(|driver| driver == USB_DRIVER);
+    let mut clock = ExposureClock { timer: capture.timer, exposure, frame, is_stamped_on_arrival, last: None };
     let buffers = MmapStream::with_buffers(&device, Type::VideoCapture, BUFFERS);
     let mut stream = buffers.map_err(|error| open_error(&path, error))?;
     stream.set_timeout(SILENCE);
@@ -156,6 +162,8 @@ struct ExposureClock {
     exposure: Option<TimeDelta>,
     /// As the driver tells it; zero if it does not.
     frame: TimeDelta,
+    /// Whether its driver stamps a picture when its first bytes arrive, whatever it says.
+    is_stamped_on_arrival: bool,
     /// Number and stamp of the last picture.
     last: Option<(u32, Duration)>,
 }
@@ -176,7 +184,10 @@ impl ExposureClock {
         let shortest = half(self.exposure.unwrap_or(TimeDelta::ZERO).min(frame));
         let longest = half(self.exposure.unwrap_or(frame).min(frame));
         let stamp = self.timer.at_monotonic(stamp);
-        Some(if metadata.flags & Flags::TSTAMP_SRC_MASK == Flags::TSTAMP_SRC_SOE {
+        Some(if self.is_stamped_on_arrival {
+            // The first rows are exposed by then, the last ones soon; the camera may have held the picture back for a frame.
+            PictureTime::Exposed { earliest: stamp - frame - longest, latest: stamp + half(frame) - shortest }
+        } else if metadata.flags & Flags::TSTAMP_SRC_MASK == Flags::TSTAMP_SRC_SOE {
             PictureTime::Exposed { earliest: stamp + shortest, latest: stamp + longest }
         } else {
             // Reading out takes a frame at most.
@@ -202,11 +213,9 @@ fn encoded(bytes: &[u8], layout: PixelLayout, format: &Format) -> Vec<u8> {
 
 /// As its driver calls it, else its path.
 fn name_of(path: &Path) -> String {
-    let node = path.canonicalize().unwrap_or_else(|_unknown| path.to_owned());
-    let file = node.file_name().map(|node| PathBuf::from("/sys/class/video4linux").join(node).join("name"));
-    let name = file.and_then(|file| std::fs::read_to_string(file).ok());
+    let name = device_name(path);
     let path = path.display();
-    name.map_or_else(|| path.to_string(), |name| format!("{} ({path})", name.trim()))
+    name.map_or_else(|| path.to_string(), |name| format!("{name} ({path})"))
 }
 
 /// Why the first picture of a webcam does not come.

@@ -37,7 +37,7 @@ async fn kept_pictures_are_played_again() {
     for (number, place) in places.into_iter().enumerate() {
         std::fs::write(played.path().join(format!("{number}.pgm")), picture_with_tag(SIZE, 7, place)).unwrap();
     }
-    let (sender, failure) = std::sync::mpsc::channel();
+    let (sender, failure) = std::sync::mpsc::sync_channel(1);
     let saver = PictureSaver::start(kept.path(), move |error| sender.send(error).unwrap()).unwrap();
     let mut camera = CameraLink::with_saver(&format!("{}?fps=100", played.path().display()), Some(saver));
     while !matches!(camera.link.next_event().await, LinkEvent::Finished { .. }) {}

@@ -2,7 +2,8 @@
 
 use nalgebra::{Isometry3, Matrix2, Point2, Point3, Rotation2, Rotation3, SMatrix, Translation3, Vector2, Vector3};
 use posebridge_vision::{
-    CalibrationError, CameraModel, FlatTag, FloorCalibration, FloorView, LensKnowledge, SeenPoint, floor_sheet,
+    CalibrationError, CameraModel, FlatTag, FloorCalibration, FloorView, LensKnowledge, SeenPoint, SheetTag,
+    floor_sheet,
 };
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -139,7 +140,7 @@ fn one_sheet_and_a_drive_calibrate_what_the_sheet_alone_does_not() {
         let (middle, _) = view.point_at_height(view.camera.centre_px, 0.0).unwrap();
         let mut noise = || -> f64 { 0.1 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random) };
         let mut sheet = Vec::new();
-        for corner in floor_sheet(580).unwrap().iter().flat_map(|tag| tag.corners_m()) {
+        for corner in floor_sheet(580).unwrap().iter().flat_map(SheetTag::corners_m) {
             let point = Point3::new(middle.x - 0.4 + corner.x, middle.y - 0.3 + corner.y, 0.0);
             let pixel = view.pixel_of(point).unwrap() + Vector2::new(noise(), noise());
             sheet.push(SeenPoint { point, pixel, covariance: Matrix2::identity() * 0.01 });
