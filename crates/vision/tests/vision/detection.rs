@@ -112,6 +112,20 @@ fn a_tag_is_found_whose_diagonal_is_as_long_as_a_side() {
     assert_eq!(missed, []);
 }
 
+/// The rim is 1.4 px thick: the blur mixes it with the white on both sides of it.
+#[test]
+fn a_tag_is_found_whose_rim_is_hardly_thicker_than_a_pixel() {
+    let mut random = Pcg32::seed_from_u64(9);
+    let mut missed = Vec::new();
+    for index in 0..16 {
+        let view = sheared(90.0, 11.5, 1.5, 0.4 * f64::from(index));
+        if !is_found(31 * index, view, &mut random) {
+            missed.push(index);
+        }
+    }
+    assert_eq!(missed, []);
+}
+
 #[test]
 fn clutter_is_no_tag() {
     let mut random = Pcg32::seed_from_u64(5);
