@@ -79,6 +79,9 @@ fn a_window_shows_the_same_corners_and_without_its_tag_the_whole_picture_is_sear
     assert_eq!(ids(&[around]), [7, 8], "every third is");
     assert_eq!(ids(&[around, beside]), [7, 8], "one window is empty");
     assert_eq!(ids(&[]), [7, 8]);
+    let mut rare = TagSearch::new(u32::MAX);
+    let mut count = || rare.detect(&mut detector, image(&picture), &[around]).len();
+    assert_eq!([count(), count()], [2, 1], "hardly ever another one");
 }
 
 /// A tag of `long_px` x `short_px`, sheared until its angle is `angle_rad`, turned.
