@@ -5,13 +5,14 @@
 use std::error::Error;
 
 use nix::time::{ClockId, clock_gettime};
-use posebridge_vision::{GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
+use posebridge_vision::{DetectedTag, GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
 use serde_json::json;
 
 const WIDTH: usize = 1280;
 const HEIGHT: usize = 720;
-/// Half the side of the window around the first tag of the frame before, px.
-const REACH: usize = 96;
+/// Half the side of the window around a tag, px, and how far inside of it the tag must be, with the white around.
+const REACH: f64 = 96.0;
+const MARGIN: f64 = 16.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -23,12 +24,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         for (number, pixels) in bytes.chunks_exact(WIDTH * HEIGHT).enumerate() {
             let image = GreyImage::new(pixels, WIDTH, HEIGHT, WIDTH).ok_or("the picture is incomplete")?;
             let (tags, ms) = timed(|| detector.detect(image))?;
-            // As if the prediction were exact: the time of a window with one tag.
-            let mut search = TagSearch::new(u32::MAX);
-            let windows: Vec<ImageWindow> =
-                tags.first().map(|tag| around(tag.corners[0].x, tag.corners[0].y)).into_iter().collect();
-            search.detect(&mut detector, image, &[]);
-            let (_, window_ms) = timed(|| search.detect(&mut detector, image, &windows))?;
+            // As if the prediction were exact: the time of a window with one tag. Without a tag that fits, there is none.
+            let mut window_ms = None;
+            if let Some(window) = tags.iter().find_map(window_around) {
+                let mut search = TagSearch::new(u32::MAX);
+                search.detect(&mut detector, image, &[]);
+                let (_, ms) = timed(|| search.detect(&mut detector, image, &[window]))?;
+                window_ms = Some(ms);
+            }
             let corners: Vec<_> =
                 tags.iter().map(|tag| json!([tag.id, tag.corners.map(|corner| [corner.x, corner.y])])).collect();
             frames.push(json!({"set": set, "n": number, "ms": ms, "window_ms": window_ms, "d": corners}));
@@ -38,9 +41,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn around(x: f64, y: f64) -> ImageWindow {
-    let (left, top) = ((x as usize).saturating_sub(REACH), (y as usize).saturating_sub(REACH));
-    ImageWindow { left, top, width: 2 * REACH, height: 2 * REACH }
+/// The window around the middle of a tag, if it is all within: else the search would find nothing there and go on in the whole picture.
+fn window_around(tag: &DetectedTag) -> Option<ImageWindow> {
+    let middle = tag.corners.iter().fold([0.0, 0.0], |[x, y], corner| [x + corner.x / 4.0, y + corner.y / 4.0]);
+    let is_within = |of: f64, middle: f64| (of - middle).abs() < REACH - MARGIN;
+    let fits = tag.corners.iter().all(|corner| is_within(corner.x, middle[0]) && is_within(corner.y, middle[1]));
+    let [left, top] = middle.map(|of| (of - REACH).max(0.0) as usize);
+    let side = 2 * REACH as usize;
+    fits.then_some(ImageWindow { left, top, width: side, height: side })
 }
 
 /// The result, and the CPU time of this thread, ms.

@@ -13,8 +13,13 @@ const MIN_AREA: f64 = MIN_SIDE * MIN_SIDE / 2.0;
 /// side.
 const MAX_DISTANCE: f64 = 2.0;
 const MAX_RELATIVE_DISTANCE: f64 = 0.06;
-/// At most this share of the points between two corners may be away from the line between them.
-const MAX_AWAY: f64 = 0.6;
+/// At least this share of the line between two corners must have points of the outline. How many others lie between the corners does
+/// not matter: where bright bits break a thin rim, the outline runs far around them.
+const MIN_COVERED: f64 = 0.4;
+/// Where an outline encloses so many times more than the quadrilateral of its corners, these are wrong: it may only bulge by pixels.
+const MAX_OUTSIDE: f64 = 1.05;
+/// How often the diagonals of an outline are looked for once more.
+const MAX_DIAGONALS: usize = 3;
 /// How much the areas of outline and quadrilateral may differ.
 const MAX_AREA_DIFFERENCE: f64 = 0.4;
 /// How often the sides are fitted, each time between the corners of the last time.
@@ -94,32 +99,45 @@ fn double_area(quad: &Quad) -> f64 {
     (0..4).map(|corner| quad[corner].coords.perp(&quad[(corner + 1) % 4].coords)).sum()
 }
 
-/// The numbers of the points at the corners, in their order: the ends of a diagonal, and what is farthest from it on each side.
+/// The numbers of the points at the corners, in their order: the ends of a diagonal, and what is farthest from it on each side. What
+/// looked like a diagonal may be a side as long as it: while the corners enclose too little, what is farthest from the other diagonal
+/// replaces its ends.
 fn find_corners(outline: &Outline) -> Option<[usize; 4]> {
     let points = &outline.points;
     let [left, right, top, bottom] = outline.bounds();
     let middle = (i32::midpoint(left, right), i32::midpoint(top, bottom));
     let first = farthest_from(points, middle)?;
-    let third = farthest_from(points, points[first])?;
-    let (from, to) = (points[first], points[third]);
-    let (dx, dy) = (i64::from(to.0 - from.0), i64::from(to.1 - from.1));
-    let (mut second, mut fourth) = ((0, first), (0, first));
-    for (index, (x, y)) in points.iter().enumerate() {
-        let distance = dx * i64::from(y - from.1) - dy * i64::from(x - from.0);
-        if distance < second.0 {
-            second = (distance, index);
-        } else if distance > fourth.0 {
-            fourth = (distance, index);
+    let mut corners = [first, 0, farthest_from(points, points[first])?, 0];
+    [corners[1], corners[3]] = farthest_beside(points, corners[0], corners[2]);
+    for _ in 0..MAX_DIAGONALS {
+        let quad = corners.map(|index| outline.point(index));
+        if outline.double_area as f64 <= MAX_OUTSIDE * double_area(&quad) {
+            break;
         }
+        let [third, first] = farthest_beside(points, corners[1], corners[3]);
+        let [second, fourth] = farthest_beside(points, first, third);
+        corners = [first, second, third, fourth];
     }
-    if second.0 == 0 || fourth.0 == 0 {
-        return None;
-    }
-    // Clockwise, the second corner is left of the way from the first to the third.
-    let corners = [first, second.1, third, fourth.1];
-    let mut order = corners.map(|corner| (corner + points.len() - first) % points.len());
+    let mut order = corners.map(|corner| (corner + points.len() - corners[0]) % points.len());
     order[0] = 0;
     order.is_sorted().then_some(corners)
+}
+
+/// What is farthest from the line between two points: left and right of it. On a clockwise outline the former comes after the first
+/// point; where there is nothing beside the line, it is the first point itself.
+fn farthest_beside(points: &[(i32, i32)], first: usize, last: usize) -> [usize; 2] {
+    let (from, to) = (points[first], points[last]);
+    let (dx, dy) = (i64::from(to.0 - from.0), i64::from(to.1 - from.1));
+    let (mut left, mut right) = ((0, first), (0, first));
+    for (index, (x, y)) in points.iter().enumerate() {
+        let distance = dx * i64::from(y - from.1) - dy * i64::from(x - from.0);
+        if distance < left.0 {
+            left = (distance, index);
+        } else if distance > right.0 {
+            right = (distance, index);
+        }
+    }
+    [left.1, right.1]
 }
 
 fn farthest_from(points: &[(i32, i32)], from: (i32, i32)) -> Option<usize> {
@@ -162,18 +180,20 @@ fn fit_side(
     let length = (to + count - from) % count;
     let side = (end - start).norm();
     let margin = (CORNER_SHARE * side).max(1.0);
+    // An outline has a point for each step right, left, up or down.
+    let steps = (end.x - start.x).abs() + (end.y - start.y).abs();
     let mut line = Line { along: (end - start) / side, through: start.coords };
     let mut inside_limit = limit;
     for _ in 0..MAX_TRIMS {
-        let (mut away, mut n, mut sum, mut squares) = (0, 0.0, Vector2::zeros(), [0.0; 3]);
+        let (mut near, mut n, mut sum, mut squares) = (0, 0.0, Vector2::zeros(), [0.0; 3]);
         for step in 0..=length {
             let offset = outline.point((from + step) % count).coords - line.through;
             // The outline is clockwise: what is right of the line is inside.
             let inside = line.along.perp(&offset);
             if inside > inside_limit || inside < -limit {
-                away += 1;
                 continue;
             }
+            near += 1;
             let position = line.along.dot(&offset);
             if position < margin || position > side - margin {
                 continue;
@@ -184,7 +204,7 @@ fn fit_side(
             squares[1] += offset.x * offset.y;
             squares[2] += offset.y * offset.y;
         }
-        if n < 3.0 || f64::from(away) > MAX_AWAY * length as f64 {
+        if n < 3.0 || f64::from(near) < MIN_COVERED * steps {
             return None;
         }
         let mean = sum / n;

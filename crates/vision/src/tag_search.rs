@@ -35,7 +35,7 @@ impl TagSearch {
         image: GreyImage<'_>,
         expected: &[ImageWindow],
     ) -> Vec<DetectedTag> {
-        self.since_whole += 1;
+        self.since_whole = self.since_whole.saturating_add(1);
         if !expected.is_empty() && self.since_whole < self.whole_every {
             let found: Vec<_> = expected.iter().map(|window| detect_in_window(detector, image, *window)).collect();
             if found.iter().all(|tags| !tags.is_empty()) {

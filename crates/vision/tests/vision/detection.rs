@@ -1,11 +1,12 @@
 //! Which tags are found, and that nothing else is.
 
-use posebridge_vision::{GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
+use nalgebra::Matrix3;
+use posebridge_vision::{DetectedTag, GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-use crate::drawing::{Camera, Picture, corners, draw, draw_clutter, view};
+use crate::drawing::{Camera, Picture, View, corners, draw, draw_clutter, view};
 
 const USUAL: Camera = Camera { black: 20.0, white: 210.0, blur_px: 0.7, noise: 2.0 };
 
@@ -78,6 +79,40 @@ fn a_window_shows_the_same_corners_and_without_its_tag_the_whole_picture_is_sear
     assert_eq!(ids(&[around]), [7, 8], "every third is");
     assert_eq!(ids(&[around, beside]), [7, 8], "one window is empty");
     assert_eq!(ids(&[]), [7, 8]);
+    let mut rare = TagSearch::new(u32::MAX);
+    let mut count = || rare.detect(&mut detector, image(&picture), &[around]).len();
+    assert_eq!([count(), count()], [2, 1], "hardly ever another one");
+}
+
+/// A tag of `long_px` x `short_px`, sheared until its angle is `angle_rad`, turned.
+fn sheared(long_px: f64, short_px: f64, angle_rad: f64, turned_rad: f64) -> View {
+    let (sine, cosine) = turned_rad.sin_cos();
+    let turn = Matrix3::new(cosine, -sine, 70.0, sine, cosine, 70.0, 0.0, 0.0, 1.0);
+    let [along, across] = [long_px / 8.0, short_px / 8.0];
+    let shear = Matrix3::new(along, across * angle_rad.cos(), 0.0, 0.0, across * angle_rad.sin(), 0.0, 0.0, 0.0, 1.0);
+    turn * shear * Matrix3::new(1.0, 0.0, -4.0, 0.0, 1.0, -4.0, 0.0, 0.0, 1.0)
+}
+
+fn is_found(id: u16, view: View, random: &mut Pcg32) -> bool {
+    let picture = draw(140, 140, &[(id, view)], USUAL, random);
+    let tags = Tag36h11Detector::default().detect(image(&picture));
+    let near =
+        |tag: &DetectedTag| tag.corners.iter().zip(corners(&view)).all(|(found, drawn)| (found - drawn).norm() < 1.0);
+    tags.len() == 1 && tags[0].id == id && near(&tags[0])
+}
+
+/// The rim is 1.4 px thick: the blur mixes it with the white on both sides of it.
+#[test]
+fn a_tag_is_found_whose_rim_is_hardly_thicker_than_a_pixel() {
+    let mut random = Pcg32::seed_from_u64(9);
+    let mut missed = Vec::new();
+    for index in 0..16 {
+        let view = sheared(90.0, 11.5, 1.5, 0.4 * f64::from(index));
+        if !is_found(31 * index, view, &mut random) {
+            missed.push(index);
+        }
+    }
+    assert_eq!(missed, []);
 }
 
 #[test]
