@@ -2,8 +2,9 @@
 
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, SMatrix, SVector, Vector2, Vector3};
 
-use crate::floor_calibration::{CalibrationFit, NormalMatrix, PARAMETERS, ParameterVector, SeenPoint};
+use crate::camera_fit::{CalibrationFit, NormalMatrix, PARAMETERS, ParameterVector};
 use crate::floor_view::FloorView;
+use crate::seen_point::SeenPoint;
 use crate::tag_pose::{CORNERS, FloorTagPose};
 
 /// Degrees of freedom of eight coordinates without a pose on the floor.

@@ -1,19 +1,16 @@
 //! The place of a camera, and its lens, from points of the arena that it shows.
 
-use nalgebra::{Matrix2, Matrix2x3, Point2, Point3, SMatrix, UnitQuaternion, Vector3};
+use nalgebra::{Point2, SMatrix, Vector3};
 
-use crate::camera_model::CameraModel;
+use crate::camera_fit::{CalibrationFit, NormalMatrix, PARAMETERS, ParameterVector};
 use crate::flat_tag::{FLAT_TAG_FREEDOM, FlatTag, TagEquations};
 use crate::floor_view::FloorView;
 use crate::rough_view::{rough_view, rough_view_with_focal};
+use crate::seen_point::{CalibrationError, LensKnowledge, MIN_POINTS, SeenPoint};
 
-/// Fewest points: corners of one tag, or four marks.
-const MIN_POINTS: usize = 4;
 const MAX_ITERATIONS: usize = 60;
 /// Relative decrease of the cost that ends it.
 const CONVERGED: f64 = 1e-10;
-/// Of the pose and the lens: rotation, translation, logarithm of the focal length, two radial terms.
-pub(crate) const PARAMETERS: usize = 9;
 /// Step of numerical derivatives, rad, m and shares.
 const DIFFERENCE: f64 = 1e-5;
 /// Focal lengths to begin with where nothing tells it, in widths of the picture.
@@ -22,32 +19,6 @@ const FOCAL_GUESSES: [f64; 4] = [0.5, 0.8, 1.3, 2.5];
 const OUTLIER_RATIO: f64 = 9.0;
 /// What a lens may be expected to be before it is measured: standard deviations of its radial terms.
 const RADIAL_SIGMAS: [f64; 2] = [0.3, 0.15];
-
-/// A point of the arena and the pixel that shows it.
-#[derive(Clone, Copy, Debug)]
-pub struct SeenPoint {
-    pub point: Point3<f64>,
-    pub pixel: Point2<f64>,
-    /// Of the pixel, px².
-    pub covariance: Matrix2<f64>,
-}
-
-impl SeenPoint {
-    /// A mark on the floor; `sigma_px` is how well each coordinate of its pixel is known.
-    pub fn on_floor([x_m, y_m]: [f64; 2], pixel: [f64; 2], sigma_px: f64) -> Self {
-        let covariance = Matrix2::identity() * sigma_px.powi(2);
-        Self { point: Point3::new(x_m, y_m, 0.0), pixel: pixel.into(), covariance }
-    }
-}
-
-/// What is to be found besides the camera's place.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum LensKnowledge {
-    /// The lens is known.
-    Known(CameraModel),
-    /// Square pixels, axis in the middle of a picture of this size; focal length and distortion are to be found.
-    Unknown { width: usize, height: usize },
-}
 
 /// A calibrated camera.
 #[derive(Clone, Debug)]
@@ -65,17 +36,6 @@ pub struct FloorCalibration {
     pub position_sigma_m: Vector3<f64>,
     is_lens_known: bool,
     covariance: NormalMatrix,
-}
-
-/// Why a camera could not be calibrated, and what to do.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
-    #[error("{0} points are known; a calibration needs {MIN_POINTS} or more that are not on one line")]
-    TooFew(usize),
-    #[error("the points lie on one line, or their pixels are mixed up: spread them over the picture")]
-    Degenerate,
-    #[error("these points show nothing of the focal length: tilt the camera, or state its lens")]
-    NoFocalLength,
 }
 
 impl FloorCalibration {
@@ -130,12 +90,6 @@ impl FloorCalibration {
     }
 }
 
-#[derive(Clone, Copy)]
-pub(crate) struct CalibrationFit {
-    view: FloorView,
-    is_lens_known: bool,
-}
-
 /// A fit with the poses of the tags.
 struct ConvergedFit {
     fit: CalibrationFit,
@@ -144,9 +98,6 @@ struct ConvergedFit {
     normal: NormalMatrix,
     cost: f64,
 }
-
-pub(crate) type NormalMatrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
-pub(crate) type ParameterVector = SMatrix<f64, PARAMETERS, 1>;
 
 /// The normal equations of the camera without the poses of the tags, which follow from its step.
 struct CameraEquations {
@@ -157,19 +108,6 @@ struct CameraEquations {
 }
 
 impl CalibrationFit {
-    fn moved(&self, step: &ParameterVector) -> FloorView {
-        let mut view = self.view;
-        let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-        view.pose.rotation = turn * view.pose.rotation;
-        view.pose.translation.vector += step.fixed_rows::<3>(3);
-        if !self.is_lens_known {
-            view.camera.focal_px *= step[6].exp();
-            view.camera.radial[0] += step[7];
-            view.camera.radial[1] += step[8];
-        }
-        view
-    }
-
     /// The best camera near this one, first with all tags, then without those that fit badly.
     fn converge(self, points: &[SeenPoint], tags: &[FlatTag]) -> Option<ConvergedFit> {
         let poses = tags.iter().map(|tag| tag.pose_in(&self.view)).collect();
@@ -266,37 +204,6 @@ impl CalibrationFit {
         }
         Some(CameraEquations { normal, right, cost, tags: tag_equations })
     }
-
-    /// The pixel of a point, and its derivative by the parameters.
-    pub(crate) fn project(&self, point: Point3<f64>) -> Option<(Point2<f64>, SMatrix<f64, 2, PARAMETERS>)> {
-        let FloorView { camera, pose } = &self.view;
-        let to_camera = pose.rotation.to_rotation_matrix().inverse();
-        let offset = point.coords - pose.translation.vector;
-        let seen = to_camera * offset;
-        if seen.z <= 1e-6 {
-            return None;
-        }
-        let direction = seen.xy() / seen.z;
-        let pixel = camera.project(direction)?;
-        let squared = direction.norm_squared();
-        let [second, fourth] = camera.radial;
-        let radial = 1.0 + second * squared + fourth * squared * squared;
-        let distortion =
-            Matrix2::identity() * radial + direction * direction.transpose() * (2.0 * second + 4.0 * fourth * squared);
-        let focal = Matrix2::from_diagonal(&camera.focal_px);
-        let by_seen = Matrix2x3::new(1.0, 0.0, -direction.x, 0.0, 1.0, -direction.y) / seen.z;
-        let by_offset = focal * distortion * by_seen * to_camera.matrix();
-        let mut jacobian = SMatrix::<f64, 2, PARAMETERS>::zeros();
-        // Turning the camera by a small vector turns the offset back.
-        jacobian.fixed_columns_mut::<3>(0).copy_from(&(by_offset * offset.cross_matrix()));
-        jacobian.fixed_columns_mut::<3>(3).copy_from(&-by_offset);
-        if !self.is_lens_known {
-            jacobian.set_column(6, &(pixel - camera.centre_px));
-            jacobian.set_column(7, &(focal * direction * squared));
-            jacobian.set_column(8, &(focal * direction * squared * squared));
-        }
-        Some((pixel, jacobian))
-    }
 }
 
 impl ConvergedFit {
@@ -321,39 +228,5 @@ impl ConvergedFit {
             is_lens_known: fit.is_lens_known,
             covariance,
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::{Isometry3, Translation3, Vector2};
-
-    use super::*;
-
-    #[test]
-    fn derivatives_are_those_of_differences() {
-        let camera = CameraModel {
-            focal_px: Vector2::new(800.0, 800.0),
-            centre_px: Point2::new(639.5, 359.5),
-            radial: [-0.2, 0.05],
-        };
-        let pose = Isometry3::from_parts(
-            Translation3::new(0.3, -0.2, 2.0),
-            UnitQuaternion::from_scaled_axis(Vector3::new(2.8, 0.4, 0.1)),
-        );
-        let fit = CalibrationFit { view: FloorView { camera, pose }, is_lens_known: false };
-        for point in [Point3::new(0.4, 0.3, 0.0), Point3::new(-0.5, -0.9, 0.2)] {
-            let (_, jacobian) = fit.project(point).unwrap();
-            for parameter in 0..PARAMETERS {
-                let pixel = |by: f64| {
-                    let mut step = ParameterVector::zeros();
-                    step[parameter] = by;
-                    fit.moved(&step).pixel_of(point).unwrap()
-                };
-                let difference = (pixel(1e-6) - pixel(-1e-6)) / 2e-6;
-                let derivative = jacobian.column(parameter);
-                assert!((derivative - difference).norm() < 1e-3, "{parameter}: {derivative} {difference}");
-            }
-        }
     }
 }

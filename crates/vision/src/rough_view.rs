@@ -5,8 +5,8 @@ use nalgebra::{
 };
 
 use crate::camera_model::CameraModel;
-use crate::floor_calibration::{CalibrationError, LensKnowledge, SeenPoint};
 use crate::floor_view::FloorView;
+use crate::seen_point::{CalibrationError, LensKnowledge, SeenPoint};
 
 /// Largest and smallest focal length in widths of the picture: telephoto lens and fisheye.
 const FOCAL_BOUNDS: (f64, f64) = (0.2, 20.0);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry2, Matrix2, Point2, Point3, SMatrix, Vector2};
 
-use crate::floor_calibration::SeenPoint;
+use crate::seen_point::SeenPoint;
 
 /// A4, m.
 pub const SHEET_SIZE_M: (f64, f64) = (0.210, 0.297);

@@ -1,23 +1,20 @@
 //! `posebridge camera calibrate`: the place and the lens of a camera, from pictures of the floor sheet, a drive, or measured points.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use posebridge_camera::device_identity;
 use posebridge_link::LinkUrl;
 use posebridge_report::tables::wrapped;
-use posebridge_vision::{
-    FlatTag, FloorCalibration, LensKnowledge, SeenPoint, SheetPlacement, SheetTag, Tag36h11Detector, floor_sheet,
-};
+use posebridge_vision::{FloorCalibration, LensKnowledge, SheetPlacement, floor_sheet};
 
 use super::calibration_report::{calibration_report, rms};
-use super::detect::{detect, read_picture};
+use super::camera_evidence::{CameraEvidence, SUSPECT_RATIO};
 use super::recorded_drive::{PictureDelay, RecordedDrive};
 use crate::config::{CalibrationNote, CameraFile};
 use crate::console::{print_line, print_result};
 use crate::exit::{ExitStage, Failure};
-use crate::tools::csv_table::CsvTable;
 
 /// Flags of `camera calibrate`.
 #[derive(Args, Clone, Debug)]
@@ -88,15 +85,8 @@ fn picture_size(text: &str) -> Result<(usize, usize), String> {
 
 /// A printer scales by less.
 const RULER_BOUNDS_MM: std::ops::RangeInclusive<f64> = 80.0..=120.0;
-/// How well people read the pixel of a mark.
-const MARK_SIGMA_PX: f64 = 0.5;
-/// With so few marks or fewer, those that are left fit too well to blame one.
-const MIN_MARKS_TO_JUDGE: usize = 6;
-/// Improvement of the fit without a mark that makes it suspect.
-const SUSPECT_RATIO: f64 = 3.0;
-
 pub(super) fn execute(args: &CalibrateCameraArgs) -> Result<(), Failure> {
-    let evidence = CameraEvidence::collect(args).before_start()?;
+    let evidence = collect_evidence(args).before_start()?;
     let lens = lens_of(args, evidence.size).before_start()?;
     let calibration = FloorCalibration::solve(&evidence.points, &evidence.tags, lens).before_start()?;
     let suspect = evidence.suspect_mark(lens, &calibration);
@@ -124,143 +114,33 @@ pub(super) fn execute(args: &CalibrateCameraArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What is known of a camera.
-pub(super) struct CameraEvidence {
-    pub(super) size: (usize, usize),
-    pub(super) points: Vec<SeenPoint>,
-    pub(super) groups: Vec<PointGroup>,
-    /// Of the robot, in the pictures of the drive.
-    pub(super) tags: Vec<FlatTag>,
-    pub(super) robot_tag: u32,
-    pub(super) drive: Option<RecordedDrive>,
-}
-
-/// Points that are reported together.
-pub(super) struct PointGroup {
-    /// Picture, recording or table.
-    pub(super) file: String,
-    pub(super) name: String,
-    pub(super) count: usize,
-}
-
-impl CameraEvidence {
-    fn collect(args: &CalibrateCameraArgs) -> Result<Self> {
-        let sheet = floor_sheet(args.floor_from).with_context(|| {
-            format!("--floor-from {}: there are fewer than four tags from there on", args.floor_from)
-        })?;
-        let (places, sheets) = (args.sheet_at.len(), args.pictures.len() + usize::from(args.drive.is_some()));
-        ensure!(
-            places == 1 || places == sheets,
-            "--sheet-at is given {places} times for {sheets} pictures: give it once, or once for each"
-        );
-        ensure!(
-            RULER_BOUNDS_MM.contains(&args.ruler_mm),
-            "--ruler-mm {}: the line of 100 mm is between {} and {} mm long on any printer",
-            args.ruler_mm,
-            RULER_BOUNDS_MM.start(),
-            RULER_BOUNDS_MM.end()
-        );
-        let mut evidence =
-            Self { size: (0, 0), points: Vec::new(), groups: Vec::new(), tags: Vec::new(), robot_tag: 0, drive: None };
-        for (index, path) in args.pictures.iter().enumerate() {
-            evidence.add_picture(path, &sheet, placement(args, index), args.floor_from)?;
-        }
-        if let Some(path) = &args.points {
-            evidence.add_points(path, args.picture_px)?;
-        }
-        if let Some(path) = &args.drive {
-            let drive = RecordedDrive::read(path, args.link)?;
-            evidence.add_drive(drive, &sheet, placement(args, args.pictures.len()))?;
-        }
-        Ok(evidence)
+fn collect_evidence(args: &CalibrateCameraArgs) -> Result<CameraEvidence> {
+    let sheet = floor_sheet(args.floor_from)
+        .with_context(|| format!("--floor-from {}: there are fewer than four tags from there on", args.floor_from))?;
+    let (places, sheets) = (args.sheet_at.len(), args.pictures.len() + usize::from(args.drive.is_some()));
+    ensure!(
+        places == 1 || places == sheets,
+        "--sheet-at is given {places} times for {sheets} pictures: give it once, or once for each"
+    );
+    ensure!(
+        RULER_BOUNDS_MM.contains(&args.ruler_mm),
+        "--ruler-mm {}: the line of 100 mm is between {} and {} mm long on any printer",
+        args.ruler_mm,
+        RULER_BOUNDS_MM.start(),
+        RULER_BOUNDS_MM.end()
+    );
+    let mut evidence = CameraEvidence::default();
+    for (index, path) in args.pictures.iter().enumerate() {
+        evidence.add_picture(path, &sheet, placement(args, index), args.floor_from)?;
     }
-
-    fn check_size(&mut self, name: &str, size: (usize, usize)) -> Result<()> {
-        if self.size == (0, 0) {
-            self.size = size;
-        }
-        ensure!(
-            self.size == size,
-            "`{name}` has {} x {} pixels, the picture before it {} x {}: calibrate each size by itself",
-            size.0,
-            size.1,
-            self.size.0,
-            self.size.1
-        );
-        Ok(())
+    if let Some(path) = &args.points {
+        evidence.add_points(path, args.picture_px)?;
     }
-
-    fn add_picture(&mut self, path: &Path, sheet: &[SheetTag], place: SheetPlacement, first: u16) -> Result<()> {
-        let file = path.display().to_string();
-        let (size, tags) = detect(path, &read_picture(path)?, &mut Tag36h11Detector::default())?;
-        self.check_size(&file, size)?;
-        let before = self.points.len();
-        for seen in &tags {
-            if let Some(printed) = sheet.iter().find(|printed| printed.id == seen.id) {
-                let points = place.points(printed, &seen.corners, &seen.covariance);
-                self.add_group(&file, format!("tag {}", seen.id), &points);
-            }
-        }
-        ensure!(
-            self.points.len() > before,
-            "`{file}` shows no tag of the floor sheet ({first} to {}): `posebridge camera detect` says what it shows",
-            usize::from(first) + sheet.len() - 1
-        );
-        Ok(())
+    if let Some(path) = &args.drive {
+        let drive = RecordedDrive::read(path, args.link)?;
+        evidence.add_drive(drive, &sheet, placement(args, args.pictures.len()))?;
     }
-
-    fn add_points(&mut self, path: &Path, size: Option<(usize, usize)>) -> Result<()> {
-        let file = path.display().to_string();
-        self.check_size(&file, size.context("--picture-px is missing")?)?;
-        for (index, row) in CsvTable::read(path)?.rows().enumerate() {
-            let (pixel, place_m) = ([row.number("u")?, row.number("v")?], [row.number("x_m")?, row.number("y_m")?]);
-            let point = SeenPoint::on_floor(place_m, pixel, MARK_SIGMA_PX);
-            self.add_group(&file, format!("point {}", index + 1), &[point]);
-        }
-        Ok(())
-    }
-
-    fn add_drive(&mut self, drive: RecordedDrive, sheet: &[SheetTag], place: SheetPlacement) -> Result<()> {
-        self.check_size(&drive.name, drive.size)?;
-        for seen in drive.floor_tags()? {
-            if let Some(printed) = sheet.iter().find(|printed| printed.id == seen.id) {
-                let points = place.points(printed, &seen.corners.corners, &seen.corners.full_covariance());
-                self.add_group(&drive.name, format!("tag {}", seen.id), &points);
-            }
-        }
-        (self.robot_tag, self.tags) = drive.robot_tags()?;
-        self.drive = Some(drive);
-        Ok(())
-    }
-
-    /// The measured mark without which the others fit much better.
-    fn suspect_mark(&self, lens: LensKnowledge, with_all: &FloorCalibration) -> Option<&str> {
-        let marks = self.groups.iter().filter(|group| group.count == 1).count();
-        let mut from = 0;
-        let mut found = None;
-        for group in &self.groups {
-            let own = from..from + group.count;
-            from = own.end;
-            if group.count > 1 || marks <= MIN_MARKS_TO_JUDGE {
-                continue;
-            }
-            let mut others = self.points.clone();
-            others.drain(own);
-            let without = FloorCalibration::solve(&others, &self.tags, lens).ok();
-            if let Some(rms_px) = without.map(|without| without.rms_px)
-                && rms_px * SUSPECT_RATIO < with_all.rms_px
-                && found.is_none_or(|(_, least)| rms_px < least)
-            {
-                found = Some((group.name.as_str(), rms_px));
-            }
-        }
-        found.map(|(name, _)| name)
-    }
-
-    fn add_group(&mut self, file: &str, name: String, points: &[SeenPoint]) {
-        self.groups.push(PointGroup { file: file.to_owned(), name, count: points.len() });
-        self.points.extend_from_slice(points);
-    }
+    Ok(evidence)
 }
 
 /// Of the sheet in the picture with this number, or in the drive after the last one.

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use posebridge_report::tables::{TextTable, wrapped};
 use posebridge_vision::FloorCalibration;
 
-use super::calibrate::CameraEvidence;
+use super::camera_evidence::CameraEvidence;
 use super::recorded_drive::PictureDelay;
 use crate::config::CameraFile;
 

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod calibration_report;
+mod camera_evidence;
 mod detect;
 mod recorded_drive;
 mod sheet;
