@@ -1,5 +1,6 @@
-//! Detects the tags in raw grey pictures of 1280 x 720, one file per set, for `benches/tag_detectors.py`:
-//! `detect_tags FOLDER SET...` prints a JSON list with the corners of each frame and the CPU milliseconds of its detection.
+//! Detects the tags in raw grey pictures, one file per set, for `benches/tag_detectors.py` and `benches/tag_photographs.py`:
+//! `detect_tags FOLDER SET...` prints a JSON list with the corners of each frame and the CPU milliseconds of its detection. Pictures
+//! have 1280 x 720 pixels unless the set is given as `SET:WIDTHxHEIGHT`.
 #![expect(clippy::print_stdout, reason = "its output is its result")]
 
 use std::error::Error;
@@ -19,10 +20,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (folder, sets) = arguments.split_first().ok_or("usage: detect_tags FOLDER SET...")?;
     let mut frames = Vec::new();
     for set in sets {
+        let (set, width, height) = name_and_size(set).ok_or("a set is SET or SET:WIDTHxHEIGHT")?;
         let bytes = std::fs::read(format!("{folder}/{set}.raw"))?;
         let mut detector = Tag36h11Detector::default();
-        for (number, pixels) in bytes.chunks_exact(WIDTH * HEIGHT).enumerate() {
-            let image = GreyImage::new(pixels, WIDTH, HEIGHT, WIDTH).ok_or("the picture is incomplete")?;
+        for (number, pixels) in bytes.chunks_exact(width * height).enumerate() {
+            let image = GreyImage::new(pixels, width, height, width).ok_or("the picture is incomplete")?;
             let (tags, ms) = timed(|| detector.detect(image))?;
             // As if the prediction were exact: the time of a window with one tag. Without a tag that fits, there is none.
             let mut window_ms = None;
@@ -49,6 +51,14 @@ fn window_around(tag: &DetectedTag) -> Option<ImageWindow> {
     let [left, top] = middle.map(|of| (of - REACH).max(0.0) as usize);
     let side = 2 * REACH as usize;
     fits.then_some(ImageWindow { left, top, width: side, height: side })
+}
+
+fn name_and_size(set: &str) -> Option<(&str, usize, usize)> {
+    let Some((name, size)) = set.split_once(':') else {
+        return Some((set, WIDTH, HEIGHT));
+    };
+    let (width, height) = size.split_once('x')?;
+    Some((name, width.parse().ok()?, height.parse().ok()?))
 }
 
 /// The result, and the CPU time of this thread, ms.

@@ -75,6 +75,10 @@ impl GreyPicture {
         if width.max(height) > MAX_SIDE {
             return Err(PictureError::TooLarge { width, height });
         }
+        // As in the other formats: what was decoded has pixels.
+        if width.min(height) == 0 {
+            return Err(damaged("it has no pixels"));
+        }
         // One blank ends the header.
         let pixels =
             rest.get(1..).and_then(|rest| rest.get(..width * height)).ok_or_else(|| damaged("it ends too early"))?;

@@ -6,6 +6,8 @@
 const MAX_PART_BYTES: usize = 8 << 20;
 /// Longest header of a part, bytes.
 const MAX_HEADER_BYTES: usize = 4_096;
+/// Longest blank line behind a header, with the end of the line before it, bytes.
+const MAX_BLANK_BYTES: usize = 4;
 
 /// Cuts a stream into parts.
 #[derive(Debug)]
@@ -113,7 +115,8 @@ impl MultipartReader {
             return (used > 0).then_some(used);
         };
         let behind = at + self.delimiter.len();
-        let header = &rest[behind..];
+        // No farther: a stream of nothing but boundaries would else be searched to its end for each of them.
+        let header = &rest[behind..rest.len().min(behind + MAX_HEADER_BYTES + MAX_BLANK_BYTES)];
         let ends = [(find(header, b"\r\n\r\n"), 4), (find(header, b"\n\n"), 2)];
         let end = ends.into_iter().filter_map(|(at, length)| Some((at?, length))).min();
         match end {
@@ -126,7 +129,7 @@ impl MultipartReader {
                 }
                 Some(behind + length + blank)
             }
-            None if header.len() <= MAX_HEADER_BYTES => (at > 0).then_some(at),
+            None if header.len() < MAX_HEADER_BYTES + MAX_BLANK_BYTES => (at > 0).then_some(at),
             _ => {
                 self.dropped += 1;
                 Some(behind)

@@ -7,15 +7,17 @@ const CONTENT_TYPE: &str = "multipart/x-mixed-replace; boundary=frame";
 /// Larger pictures take too long to search.
 const MAX_SIDE: usize = 400;
 
-/// Input: a byte that says whether the rest is a stream, a JPEG picture or grey pixels; the size of chunks, or the width; the rest.
+/// Input: a byte that says whether the rest is a stream, a JPEG picture, grey pixels or what follows the magic number of a PGM picture; the
+/// size of chunks, or the width; the rest.
 pub(crate) fn check(data: &[u8]) {
     let [kind, size, rest @ ..] = data else {
         return;
     };
     let size = usize::from(*size).max(1);
-    match kind % 3 {
+    match kind % 4 {
         0 => check_stream(rest, size),
         1 => check_jpeg(rest),
+        3 => check_pgm(rest),
         _ => {
             let height = rest.len() / size;
             check_tags(GreyImage::new(rest, size, height, size).expect("there are as many pixels"));
@@ -48,6 +50,20 @@ fn check_jpeg(bytes: &[u8]) {
     {
         check_tags(image);
     }
+}
+
+fn check_pgm(rest: &[u8]) {
+    let mut picture = GreyPicture::default();
+    let decoded = picture.decode(&[b"P5", rest].concat());
+    assert_eq!(decoded.is_ok(), picture.image().is_some(), "{decoded:?}");
+    let Some(image) = picture.image() else {
+        return;
+    };
+    let pixels = image.width() * image.height();
+    assert!((1..=rest.len()).contains(&pixels), "{pixels} pixels from {} bytes", rest.len());
+    let mut again = GreyPicture::default();
+    assert!(again.decode(&picture.to_pgm()).is_ok());
+    assert!(again == picture, "what was written reads as another picture");
 }
 
 fn check_tags(image: GreyImage<'_>) {

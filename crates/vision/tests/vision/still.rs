@@ -59,6 +59,16 @@ fn png_that_is_cut_or_too_large_is_refused_before_it_takes_memory() {
     assert!(memory.bytes_max < 500_000, "{memory:?}");
 }
 
+#[test]
+fn pgm_without_rows_or_columns_is_refused() {
+    let mut picture = GreyPicture::default();
+    for size in ["0 0", "0 3", "3 0"] {
+        let error = picture.decode(format!("P5 {size} 255\nabcdef").as_bytes()).unwrap_err();
+        assert!(error.to_string().contains("it has no pixels"), "{error}");
+        assert!(picture.image().is_none());
+    }
+}
+
 fn crc32(bytes: &[u8]) -> u32 {
     let shift = |crc: u32, _| if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), shift))

@@ -41,6 +41,27 @@ fn parts_are_the_same_however_the_stream_is_cut() {
 }
 
 #[test]
+fn the_longest_header_is_read_however_it_is_cut_and_a_longer_one_is_not() {
+    for (length, blank, count) in
+        [(4_096, "\r\n\r\n", 1), (4_096, "\n\n", 1), (4_097, "\r\n\r\n", 0), (4_097, "\n\n", 0)]
+    {
+        let header = format!("\r\nContent-Length: 2\r\nX: {:x>1$}", "", length - 24);
+        let stream = format!("--frame{header}{blank}ok--frame\n\n");
+        assert_eq!(header.len(), length);
+        for cut in 4_090..4_115 {
+            let mut reader = MultipartReader::new("multipart/x-mixed-replace; boundary=frame").unwrap();
+            let mut parts = Vec::new();
+            let (before, behind) = stream.as_bytes().split_at(cut);
+            for bytes in [before, behind] {
+                reader.push(bytes, |part| parts.push(part.bytes));
+            }
+            assert_eq!(parts, vec![b"ok".to_vec(); count], "{length}, {blank:?}, {cut}");
+            assert_eq!(reader.dropped(), 1 - count as u64);
+        }
+    }
+}
+
+#[test]
 fn a_part_without_end_and_a_header_without_end_fill_no_memory() {
     let mut reader = MultipartReader::new("multipart/x-mixed-replace; boundary=frame").unwrap();
     for begin in [&b"--frame\r\n\r\n"[..], b"--frame\r\nX: "] {
