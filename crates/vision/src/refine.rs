@@ -21,7 +21,7 @@ const BLUR: usize = 11;
 const SHAPE: usize = 9;
 /// Most iterations, and the change of the corners that ends them, px.
 const MAX_ITERATIONS: usize = 10;
-const CONVERGED: f64 = 0.03;
+const CONVERGED: f64 = 0.06;
 const COARSE_CONVERGED: f64 = 0.1;
 /// Most that corners may move, px and parts of a module.
 const MAX_SHIFT: f64 = 1.0;
@@ -66,7 +66,8 @@ pub(crate) struct Refinement<'a> {
     axis: LensAxis,
     /// The tag's middle, around which the lens bends.
     middle: Point2<f64>,
-    least_bend: f64,
+    /// Least and most k1.
+    bend_bounds: (f64, f64),
     /// Columns and rows to compare, with their grey levels.
     pixels: Vec<(f64, f64, f64)>,
 }
@@ -82,9 +83,9 @@ struct Fit {
 }
 
 impl Fit {
-    /// The parameters after a damped step (Levenberg-Marquardt) from those with this `bend`, which becomes no less than `least_bend`; the
+    /// The parameters after a damped step (Levenberg-Marquardt) from those with this `bend`, which stays within `bounds`; the
     /// prior is one to residuals of this `variance`.
-    fn step(&self, damping: f64, bend: &Bend, least_bend: f64, variance: f64) -> Option<SVector<f64, PARAMETERS>> {
+    fn step(&self, damping: f64, bend: &Bend, bounds: (f64, f64), variance: f64) -> Option<SVector<f64, PARAMETERS>> {
         let mut damped = self.normal_with_prior(variance);
         let mut right = self.right;
         right[BEND] -= variance * self.parameters[BEND] / USUAL_BEND.powi(2);
@@ -93,9 +94,9 @@ impl Fit {
         }
         let mut step = damped.cholesky()?.solve(&right);
         let mut k1 = bend.k1_after(step[BEND]);
-        if !(least_bend..=MAX_BEND).contains(&k1) {
+        if !(bounds.0..=bounds.1).contains(&k1) {
             // The others' step with the bound is another one than that with the bend that they were solved with.
-            k1 = k1.clamp(least_bend, MAX_BEND);
+            k1 = k1.clamp(bounds.0, bounds.1);
             let bounded = bend.step_to(k1);
             right -= damped.column(BEND) * bounded;
             damped.fill_row(BEND, 0.0);
@@ -133,14 +134,17 @@ impl<'a> Refinement<'a> {
             pattern: BlurredPattern::new(tag36h11_modules(id.unwrap_or(0))?),
             axis,
             middle: modules.map(SIDE as f64 / 2.0, SIDE as f64 / 2.0),
-            least_bend: -MAX_BEND,
+            bend_bounds: (0.0, 0.0),
             pixels: Vec::new(),
         };
         let inner = if id.is_some() { SIDE as f64 } else { RIM_DEPTH };
         one.choose_pixels(modules, inner)?;
-        let farthest = one.pixels.iter().map(|(x, y, _)| axis.ray(*x, *y).norm_squared()).fold(0.0, f64::max);
-        let unbent = farthest / (1.0 - MAX_SHORTENING).powi(2);
-        one.least_bend = one.least_bend.max(-MAX_SHORTENING / unbent);
+        // The rim alone is too little to tell a bend from the perspective.
+        if id.is_some() {
+            let farthest = one.pixels.iter().map(|(x, y, _)| axis.ray(*x, *y).norm_squared()).fold(0.0, f64::max);
+            let unbent = farthest / (1.0 - MAX_SHORTENING).powi(2);
+            one.bend_bounds = ((-MAX_SHORTENING / unbent).max(-MAX_BEND), MAX_BEND);
+        }
         Some(one)
     }
 
@@ -209,13 +213,13 @@ impl<'a> Refinement<'a> {
         let mut damping = 1e-3;
         let mut doubt = FIRST_DOUBT;
         for _ in 0..MAX_ITERATIONS {
-            let next = fit.step(damping, &self.bend(&fit.parameters)?, self.least_bend, doubt * fit.variance)?;
+            let next = fit.step(damping, &self.bend(&fit.parameters)?, self.bend_bounds, doubt * fit.variance)?;
             let moved = largest_move(&self.corners_of(&fit.parameters)?, &self.corners_of(&next)?);
             if every == 1 && moved < CONVERGED && doubt <= 1.0 {
                 fit.parameters = next;
                 break;
             }
-            let is_coarse_enough = every > 1 && moved < COARSE_CONVERGED;
+            let is_coarse_enough = every > 1 && moved < COARSE_CONVERGED && doubt <= 1.0;
             if moved < COARSE_CONVERGED {
                 doubt = 1.0;
             }
