@@ -41,11 +41,12 @@ const RIM_DEPTH: f64 = 0.7;
 /// Standard deviation of the blur before anything is known, px, and its bounds.
 const USUAL_BLUR: f64 = 0.8;
 const BLUR_BOUNDS: (f64, f64) = (0.35, 5.0);
-/// Standard deviation of k1 among lenses of cameras, and most of it. A small tag says nothing of it, its k1 stays near zero.
-const USUAL_BEND: f64 = 0.3;
+/// Standard deviation of k1 among lenses of cameras, and most of it. A small tag says nothing of it, its k1 stays near zero. With 0.3,
+/// dim tags through a straight lens lose twice as much.
+const USUAL_BEND: f64 = 0.15;
 const MAX_BEND: f64 = 0.45;
 /// Far from the place, residuals are no noise and would be taken for a bend: how much more their variance counts there.
-const FIRST_DOUBT: f64 = 25.0;
+const FIRST_DOUBT: f64 = 6.0;
 /// Most that -k1 shortens the farthest pixel: at a third the picture is folded back.
 const MAX_SHORTENING: f64 = 0.25;
 /// Residuals beyond so many standard deviations count less (Huber).
