@@ -46,6 +46,7 @@ test('a camera that nobody has calibrated shows the steps to it, and where in th
   try {
     const page = await browser.open(await uncalibrated.address());
     await page.waitForSelector('#cameras .steps');
+    await page.evaluate(() => document.getElementById('cameras').scrollIntoView());
     const done = (count) => page.waitForFunction((least) => document.querySelectorAll('#cameras .steps .done').length >= least, count);
     await done(2);
     const steps = await page.$$eval('#cameras .steps li', (items) => items.map((item) => item.textContent));

@@ -96,7 +96,9 @@ class CameraFigure {
       const middle = [0, 1].map((axis) => tag.corners.reduce((sum, corner) => sum + corner[axis], 0) / 4);
       id.setAttribute('x', middle[0]);
       id.setAttribute('y', middle[1]);
-      id.setAttribute('font-size', Math.max(14, width / 40));
+      // No larger than the tag, or neighbours cover each other.
+      const side = Math.hypot(tag.corners[1][0] - tag.corners[0][0], tag.corners[1][1] - tag.corners[0][1]);
+      id.setAttribute('font-size', Math.min(width / 40, Math.max(width / 90, side / 2)));
       id.textContent = String(tag.id);
       return [outline, id];
     }));

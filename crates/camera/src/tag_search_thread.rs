@@ -36,6 +36,7 @@ pub(crate) fn search_pictures(
         search: TagSearch::new(WHOLE_EVERY),
         tracker: TagTracker::default(),
         counts: CameraCounts::default(),
+        still_tags: Vec::new(),
         damaged_in_a_row: 0,
         next_hello: timer.now(),
     };
@@ -64,6 +65,8 @@ struct PictureSearch<'a> {
     search: TagSearch,
     tracker: TagTracker,
     counts: CameraCounts,
+    /// Tags of the floor, for people, with the number of the picture in which each was seen last: windows leave them out.
+    still_tags: Vec<(SeenTag, u64)>,
     damaged_in_a_row: u32,
     next_hello: Timestamp<HostClock>,
 }
@@ -90,11 +93,14 @@ impl PictureSearch<'_> {
         {
             self.counts.unsaved += 1;
         }
+        self.update_still_tags(&tags);
+        let still =
+            self.still_tags.iter().map(|(tag, _)| *tag).filter(|still| tags.iter().all(|tag| tag.id != still.id));
         self.settings.view.publish(|| SeenPicture {
             bytes,
             width: picture_px.0,
             height: picture_px.1,
-            tags: tags.iter().map(SeenTag::from).collect(),
+            tags: tags.iter().map(SeenTag::from).chain(still).collect(),
             at: now,
             counts: self.counts,
         });
@@ -107,6 +113,14 @@ impl PictureSearch<'_> {
         }
         self.next_hello = now + HELLO_PERIOD;
         Ok(Some(Sighting::Nothing))
+    }
+
+    fn update_still_tags(&mut self, tags: &[DetectedTag]) {
+        let number = self.counts.searched;
+        let is_seen = |still: &SeenTag| tags.iter().any(|tag| tag.id == still.id);
+        self.still_tags.retain(|(still, seen)| seen + 2 * u64::from(WHOLE_EVERY) > number && !is_seen(still));
+        let on_floor = tags.iter().filter(|tag| self.settings.floor_tags.contains(&tag.id));
+        self.still_tags.extend(on_floor.map(|tag| (SeenTag::from(tag), number)));
     }
 }
 

@@ -4,10 +4,11 @@ use nalgebra::{Point2, SMatrix};
 
 use crate::decode::decode;
 use crate::grey_image::GreyImage;
-use crate::homography::Homography;
+use crate::homography::{Homography, LensAxis};
 use crate::outline::{Outline, for_each_outline};
 use crate::quad::{MIN_POINTS, Quad, fit_quad};
 use crate::refine::Refinement;
+use crate::tag_search::ImageWindow;
 use crate::tag36h11::SIDE;
 use crate::threshold::DarkPixels;
 
@@ -28,7 +29,13 @@ pub struct DetectedTag {
 /// Finds tags of one family.
 pub trait TagDetector {
     /// The tags in a picture, each id once, the clearest.
-    fn detect(&mut self, image: GreyImage<'_>) -> Vec<DetectedTag>;
+    fn detect(&mut self, image: GreyImage<'_>) -> Vec<DetectedTag> {
+        let window = ImageWindow { left: 0, top: 0, width: image.width(), height: image.height() };
+        self.detect_in_window(image, window)
+    }
+
+    /// Those in a part of the picture, with corners in the whole of it: a lens bends around the middle of the whole.
+    fn detect_in_window(&mut self, image: GreyImage<'_>, window: ImageWindow) -> Vec<DetectedTag>;
 }
 
 /// Finds tags of the family tag36h11.
@@ -40,38 +47,45 @@ pub struct Tag36h11Detector {
 }
 
 impl TagDetector for Tag36h11Detector {
-    fn detect(&mut self, image: GreyImage<'_>) -> Vec<DetectedTag> {
+    fn detect_in_window(&mut self, image: GreyImage<'_>, window: ImageWindow) -> Vec<DetectedTag> {
+        let ImageWindow { left, top, width, height } = window;
+        let axis = LensAxis::of_picture(image.width(), image.height(), left, top);
+        let image = image.window(left, top, width, height);
         let Self { dark, outline, quads } = self;
         dark.find(image);
         quads.clear();
         for_each_outline(dark, outline, MIN_POINTS, |outline| quads.extend(fit_quad(outline)));
         let mut tags: Vec<DetectedTag> = Vec::new();
-        for tag in quads.iter().filter_map(|quad| detect_in(image, quad)) {
+        for tag in quads.iter().filter_map(|quad| detect_in(image, axis, quad)) {
             match tags.iter_mut().find(|other| other.id == tag.id) {
                 Some(other) if other.margin < tag.margin => *other = tag,
                 Some(_) => {}
                 None => tags.push(tag),
             }
         }
+        for corner in tags.iter_mut().flat_map(|tag| &mut tag.corners) {
+            corner.x += left as f64;
+            corner.y += top as f64;
+        }
         tags
     }
 }
 
-fn detect_in(image: GreyImage<'_>, quad: &Quad) -> Option<DetectedTag> {
+fn detect_in(image: GreyImage<'_>, axis: LensAxis, quad: &Quad) -> Option<DetectedTag> {
     let side = SIDE as f64;
     let rough = Homography::of_square(side, quad)?;
     let mut quad = *quad;
     let mut decoded = decode(image, &rough)?;
     if decoded.tag.is_none() {
         // The outline runs between whole pixels: that is too coarse for modules of little more than one.
-        quad = Refinement::new(image, None, &rough)?.run(&rough, decoded.black, decoded.white)?.corners;
+        quad = Refinement::new(image, axis, None, &rough)?.run(&rough, decoded.black, decoded.white)?.corners;
         decoded = decode(image, &Homography::of_square(side, &quad)?)?;
     }
     let tag = decoded.tag?;
     // From here on with the tag's own first corner.
     let turned = std::array::from_fn(|corner| quad[(corner + tag.turns) % 4]);
     let modules = Homography::of_square(side, &turned)?;
-    let refinement = Refinement::new(image, Some(tag.id), &modules)?;
+    let refinement = Refinement::new(image, axis, Some(tag.id), &modules)?;
     let refined = refinement.run(&modules, decoded.black, decoded.white)?;
     Some(DetectedTag {
         id: tag.id,

@@ -37,7 +37,7 @@ impl TagSearch {
     ) -> Vec<DetectedTag> {
         self.since_whole = self.since_whole.saturating_add(1);
         if !expected.is_empty() && self.since_whole < self.whole_every {
-            let found: Vec<_> = expected.iter().map(|window| detect_in_window(detector, image, *window)).collect();
+            let found: Vec<_> = expected.iter().map(|window| detector.detect_in_window(image, *window)).collect();
             if found.iter().all(|tags| !tags.is_empty()) {
                 let mut tags: Vec<DetectedTag> = Vec::new();
                 for tag in found.into_iter().flatten() {
@@ -51,14 +51,4 @@ impl TagSearch {
         self.since_whole = 0;
         detector.detect(image)
     }
-}
-
-fn detect_in_window(detector: &mut dyn TagDetector, image: GreyImage<'_>, window: ImageWindow) -> Vec<DetectedTag> {
-    let ImageWindow { left, top, width, height } = window;
-    let mut tags = detector.detect(image.window(left, top, width, height));
-    for corner in tags.iter_mut().flat_map(|tag| &mut tag.corners) {
-        corner.x += left as f64;
-        corner.y += top as f64;
-    }
-    tags
 }

@@ -1,6 +1,6 @@
 //! Which tags are found, and that nothing else is.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Point2};
 use posebridge_vision::{DetectedTag, GreyImage, ImageWindow, Tag36h11Detector, TagDetector, TagSearch};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -82,6 +82,50 @@ fn a_window_shows_the_same_corners_and_without_its_tag_the_whole_picture_is_sear
     let mut rare = TagSearch::new(u32::MAX);
     let mut count = || rare.detect(&mut detector, image(&picture), &[around]).len();
     assert_eq!([count(), count()], [2, 1], "hardly ever another one");
+}
+
+/// Where a lens with this k1, with a focal length of 0.8 of the picture's width, moves a pixel of a picture of 640 x 360.
+fn bent(k1: f64, at: Point2<f64>) -> Point2<f64> {
+    let middle = Point2::new(319.5, 179.5);
+    let ray = (at - middle) / 512.0;
+    middle + ray * (1.0 + k1 * ray.norm_squared()) * 512.0
+}
+
+/// A picture as the lens shows it.
+fn take(straight: &Picture, k1: f64) -> Picture {
+    let drawn = image(straight);
+    let mut pixels = Vec::new();
+    for y in 0..straight.height {
+        for x in 0..straight.width {
+            let pixel = Point2::new(x as f64, y as f64);
+            // The inverse of `bent`, by fixed-point iteration.
+            let origin = (0..60).fold(pixel, |at, _| at + (pixel - bent(k1, at)));
+            pixels.push(drawn.sample(origin.x, origin.y).round() as u8);
+        }
+    }
+    Picture { pixels, width: straight.width, height: straight.height }
+}
+
+/// Its straight edges are bent by a pixel or two, about the middle of the whole picture and not about that of a window.
+#[test]
+fn a_lens_does_not_move_the_corners_of_a_large_tag() {
+    let mut random = Pcg32::seed_from_u64(12);
+    let view = view(450.0, 95.0, 84.0, 0.4, 0.2);
+    let straight = draw(640, 360, &[(17, view)], USUAL, &mut random);
+    let around = ImageWindow { left: 370, top: 20, width: 160, height: 150 };
+    let mut detector = Tag36h11Detector::default();
+    for k1 in [-0.3, -0.15, 0.0, 0.1] {
+        let picture = take(&straight, k1);
+        let mut search = TagSearch::new(u32::MAX);
+        for windows in [[].as_slice(), &[around]] {
+            let tags = search.detect(&mut detector, image(&picture), windows);
+            assert_eq!(tags.len(), 1, "{k1}");
+            for (found, drawn) in tags[0].corners.iter().zip(corners(&view)) {
+                let away = (found - bent(k1, drawn)).norm();
+                assert!(away < 0.05, "k1 {k1}, {windows:?}: {away} px");
+            }
+        }
+    }
 }
 
 /// A tag of `long_px` x `short_px`, sheared until its angle is `angle_rad`, turned.
