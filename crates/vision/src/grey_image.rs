@@ -9,6 +9,15 @@ pub struct GreyImage<'a> {
     stride: usize,
 }
 
+/// A part of a picture, px.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageWindow {
+    pub left: usize,
+    pub top: usize,
+    pub width: usize,
+    pub height: usize,
+}
+
 impl<'a> GreyImage<'a> {
     /// `stride` is the distance between the beginnings of two rows. `None` if `pixels` are too few.
     pub fn new(pixels: &'a [u8], width: usize, height: usize, stride: usize) -> Option<Self> {

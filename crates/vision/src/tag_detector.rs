@@ -3,12 +3,11 @@
 use nalgebra::{Point2, SMatrix};
 
 use crate::decode::decode;
-use crate::grey_image::GreyImage;
+use crate::grey_image::{GreyImage, ImageWindow};
 use crate::homography::{Homography, LensAxis};
 use crate::outline::{Outline, for_each_outline};
 use crate::quad::{MIN_POINTS, Quad, fit_quad};
 use crate::refine::Refinement;
-use crate::tag_search::ImageWindow;
 use crate::tag36h11::SIDE;
 use crate::threshold::DarkPixels;
 

@@ -1,16 +1,7 @@
 //! Where tags are looked for: around their expected places first, in the whole picture now and then.
 
-use crate::grey_image::GreyImage;
+use crate::grey_image::{GreyImage, ImageWindow};
 use crate::tag_detector::{DetectedTag, TagDetector};
-
-/// A part of a picture, px.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageWindow {
-    pub left: usize,
-    pub top: usize,
-    pub width: usize,
-    pub height: usize,
-}
 
 /// Looks for tags in a row of pictures.
 #[derive(Debug)]
