@@ -3,24 +3,23 @@
 //! files.
 
 mod atomic_file;
+mod files;
 mod path_csv;
 
-use std::fs::File;
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use posebridge_estimator::FilterConfig;
 use posebridge_recording::container::RecordingReader;
-use posebridge_recording::csv::CsvWriter;
 use posebridge_recording::tlog::TlogWriter;
 use posebridge_recording::tum;
 use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
-use self::atomic_file::AtomicFile;
+use self::files::{OutputFolder, RunFiles, print_written};
 use self::path_csv::write_path_csv;
 use super::dataset::RobotRun;
 use super::ground_truth::GroundTruth;
@@ -82,6 +81,8 @@ pub enum Format {
     Tlog,
     /// A posebridge recording.
     Mcap,
+    /// A ROS 2 bag in MCAP: odometry, pose, IMU, transforms, diagnostics.
+    Ros2,
 }
 
 fn station(args: &ExportArgs) -> StationOptions<'_> {
@@ -101,7 +102,7 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
         copy_tlog(args).while_running()?;
     }
     let needs_engine = |format: &Format| match format {
-        Format::Csv | Format::Tum => true,
+        Format::Csv | Format::Tum | Format::Ros2 => true,
         Format::Tlog => !is_copied,
         Format::Mcap => false,
     };
@@ -147,7 +148,7 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
 }
 
 fn write_mcap(args: &ExportArgs) -> Result<()> {
-    let (file, fresh) = create_new(args, "mcap")?;
+    let (file, fresh) = output_folder(args).create_new(".mcap")?;
     let (_, account) = import::import(&args.recording, &args.data, station(args), file)?;
     print_lines(&account.notes);
     print_written(fresh.path(), account.inputs, "inputs");
@@ -156,7 +157,7 @@ fn write_mcap(args: &ExportArgs) -> Result<()> {
 
 /// Copies the valid frames of a telemetry log, with big-endian times that never decrease.
 fn copy_tlog(args: &ExportArgs) -> Result<()> {
-    let (out, fresh) = create_new(args, "tlog")?;
+    let (out, fresh) = output_folder(args).create_new(".tlog")?;
     let mut writer = TlogWriter::new(BufWriter::new(out));
     let mut written = Ok(0);
     let notes = import::logged_frames(&args.recording, station(args), &mut |micros, frame| {
@@ -245,11 +246,6 @@ struct RobotPoses {
     truth: Option<PoseTrack>,
 }
 
-struct ExportFiles {
-    csv: Option<CsvWriter<'static, File>>,
-    tlog: Option<TrafficLog<BufWriter<File>>>,
-}
-
 impl ExportSession {
     fn open(args: &ExportArgs, kind: InputKind) -> Result<Self> {
         let name = args.recording.display().to_string();
@@ -296,15 +292,18 @@ impl ExportSession {
         let mut reader = RecordingReader::open(&self.bytes)?;
         let station_config = recorded_station_config(&self.config, &args.keys)?;
         let utc_start_micros = reader.header().utc_start_micros;
-        let tlog = engine_formats.contains(&Format::Tlog).then(|| create_new(args, "tlog"));
-        let (tlog, fresh) = tlog.transpose()?.unzip();
-        let mut files = ExportFiles {
-            csv: engine_formats.contains(&Format::Csv).then(|| streams(&args.out)),
-            tlog: tlog.map(|file| {
-                let out = BufWriter::new(file);
-                TrafficLog::new(out, utc_start_micros, &station_config.links)
-            }),
-        };
+        let mut files = RunFiles::default();
+        if engine_formats.contains(&Format::Csv) {
+            files.add_tables(&args.out);
+        }
+        if engine_formats.contains(&Format::Tlog) {
+            let (out, fresh) = output_folder(args).create_new(".tlog")?;
+            let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, &station_config.links);
+            files.add_traffic(log, fresh);
+        }
+        if engine_formats.contains(&Format::Ros2) {
+            files.add_bag(output_folder(args), utc_start_micros)?;
+        }
         let mut station = Station::new(station_config, Timestamp::ZERO)?;
         let mut scorer = self.scorer;
         let retains_observations = hindsights(args).next().is_some();
@@ -312,7 +311,7 @@ impl ExportSession {
         for_each_input(&self.name, &mut reader, |now, input| {
             files.record_input(now, input)?;
             station.handle(now, input);
-            files.record_outputs(now, &mut station, &mut estimates)?;
+            record_outputs(now, &mut station, &mut files, &mut estimates)?;
             if let (Some(scorer), Input::Observation(one)) = (&mut scorer, input) {
                 scorer.on_observation(&one.measurement, one.stamp, &station);
             }
@@ -321,7 +320,7 @@ impl ExportSession {
         if let Some(scorer) = &mut scorer {
             scorer.finish(&station);
         }
-        files.finish(args, fresh)?;
+        files.finish()?;
         let hindsight = |label: &str, id: Option<RobotId>, collected: &CollectedPoses| {
             let robot = station.robots().iter().find(|robot| Some(robot.id()) == id);
             let mut filter_config = self.config.filter_config_of(self.config.robot_file(robot))?;
@@ -363,59 +362,28 @@ fn robot_poses(
     robots.collect()
 }
 
-/// Opens streams in a folder; overwrites those of an earlier export.
-fn streams(folder: &Path) -> CsvWriter<'static, File> {
-    let folder = folder.to_owned();
-    CsvWriter::new(move |name: &str| File::create(folder.join(format!("{name}.csv"))))
+fn output_folder(args: &ExportArgs) -> OutputFolder<'_> {
+    OutputFolder { folder: &args.out, recording: &args.recording }
 }
 
-impl ExportFiles {
-    fn record_input(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
-        if let (Some(tlog), Input::Bytes { link, peer, bytes }) = (&mut self.tlog, input) {
-            tlog.received(now, *link, *peer, bytes).context("writing the telemetry log")?;
-        }
-        Ok(())
-    }
-
-    fn record_outputs(
-        &mut self,
-        now: Timestamp<HostClock>,
-        station: &mut Station,
-        estimates: &mut PerRobot<CollectedPoses>,
-    ) -> Result<()> {
-        while let Some(output) = station.poll() {
-            match output {
-                Output::Event(event) => {
-                    if let Some(csv) = &mut self.csv {
-                        csv.record(now, &event).context("writing CSV")?;
-                    }
-                    estimates.push(&event, CollectedPoses::on_event);
-                }
-                Output::Transmit { link, priority, bytes, .. } => {
-                    if let Some(tlog) = &mut self.tlog {
-                        tlog.sent(now, link, priority, &bytes).context("writing the telemetry log")?;
-                    }
-                }
-                // What the live program did for it, it did then.
-                Output::Request(_) => {}
+fn record_outputs(
+    now: Timestamp<HostClock>,
+    station: &mut Station,
+    files: &mut RunFiles,
+    estimates: &mut PerRobot<CollectedPoses>,
+) -> Result<()> {
+    while let Some(output) = station.poll() {
+        match output {
+            Output::Event(event) => {
+                files.record_event(now, &event)?;
+                estimates.push(&event, CollectedPoses::on_event);
             }
+            Output::Transmit { link, priority, bytes, .. } => files.record_sent(now, link, priority, &bytes)?,
+            // What the live program did for it, it did then.
+            Output::Request(_) => {}
         }
-        Ok(())
     }
-
-    fn finish(self, args: &ExportArgs, fresh: Option<AtomicFile>) -> Result<()> {
-        if let Some(csv) = self.csv {
-            for (name, lines) in csv.finish().context("writing CSV")? {
-                print_written(&args.out.join(format!("{name}.csv")), lines, "lines");
-            }
-        }
-        if let (Some(tlog), Some(fresh)) = (self.tlog, fresh) {
-            let (_, frames) = tlog.finish().context("writing the telemetry log")?;
-            print_written(fresh.path(), frames, "frames");
-            fresh.finish()?;
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
@@ -491,23 +459,6 @@ fn write_one(args: &ExportArgs, name: &str, poses: &[TimedPose]) -> Result<()> {
     Ok(())
 }
 
-/// Creates a file named after the recording in the folder; never overwrites a file.
-fn create_new(args: &ExportArgs, extension: &str) -> Result<(File, AtomicFile)> {
-    let name = format!("{}.{extension}", stem(&args.recording));
-    AtomicFile::create(args.out.join(name))
-}
-
-fn stem(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let name = name.strip_suffix(".gz").unwrap_or(&name);
-    let without = Path::new(name).file_stem().unwrap_or_default();
-    without.to_string_lossy().into_owned()
-}
-
-fn print_written(path: &Path, count: u64, what: &str) {
-    print_line(&format!("wrote `{}`: {count} {what}", path.display()));
-}
-
 /// The paths in hindsight that were asked for, with the names of their files.
 fn hindsights(args: &ExportArgs) -> impl Iterator<Item = (&'static str, SmoothingSpan)> {
     let lag = args.fixed_lag.map(|lag_s| ("fixed-lag", SmoothingSpan::Lag(TimeDelta::from_secs_f64(lag_s))));
@@ -573,15 +524,4 @@ fn write_hindsight(args: &ExportArgs, robots: &[RobotPoses]) -> Result<()> {
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_file_is_named_after_its_recording() {
-        assert_eq!(stem(Path::new("a/drive.2.tlog.gz")), "drive.2");
-        assert_eq!(stem(Path::new("recording.mcap")), "recording");
-    }
 }

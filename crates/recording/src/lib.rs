@@ -2,6 +2,7 @@
 //!
 //! - [`container`] writes and reads the station's inputs, bit for bit, in an MCAP file that survives a crash.
 //! - [`foxglove`] converts the station's outputs to messages for viewers and notebooks, stored beside the inputs.
+//! - [`ros2`] writes the station's outputs as a ROS 2 bag.
 //! - [`tlog`] reads and writes the telemetry logs of ground stations.
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
@@ -12,12 +13,15 @@
 //! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and of wire formats
 //! it knows only the length of a MAVLink frame.
 
+mod clock_alignment;
 pub mod container;
 pub mod csv;
 pub mod csv_dialect;
 pub mod dataset;
 pub mod event_json;
 pub mod foxglove;
+mod planar;
 pub mod robot_names;
+pub mod ros2;
 pub mod tlog;
 pub mod tum;

@@ -8,8 +8,9 @@ use posebridge_telemetry::{
 
 use super::channels::{self, Channel, EncodedMessage};
 use super::records::{self, ClockAlignment, CommandRequest, LinkReport, Record, TemperatureReading};
-use super::robot_outputs::{ClockAlignmentPoint, RobotOutputsTable};
+use super::robot_outputs::RobotOutputsTable;
 use super::wire;
+use crate::clock_alignment::ClockAlignmentPoint;
 use crate::container::{RecordingGap, TruthSample};
 
 /// Low, because each message contains the whole path.

@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use posebridge_telemetry::{
-    Arena, BrickClock, Estimate, Event, HostClock, Pose, RobotId, SensorId, TimeDelta, Timestamp,
-};
+use posebridge_telemetry::{Arena, BrickClock, Estimate, Event, HostClock, Pose, RobotId, SensorId, Timestamp};
 
 use super::channels::EncodedMessage;
 use super::wire::{BODY, START};
+use crate::clock_alignment::ClockAlignmentPoint;
 use crate::robot_names::RobotNames;
 
 /// Robots with topics: the station's default limit.
@@ -44,14 +43,6 @@ pub(super) struct RobotOutputs {
     pub(super) last_compared_estimates: BTreeMap<&'static str, Option<Timestamp<HostClock>>>,
     pub(super) last_compared_fusions: BTreeMap<(&'static str, SensorId, &'static str), Option<Timestamp<HostClock>>>,
     pub(super) path: PathHistory,
-}
-
-/// One instant by both clocks.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ClockAlignmentPoint {
-    pub(super) host: Timestamp<HostClock>,
-    pub(super) brick: Timestamp<BrickClock>,
-    pub(super) skew_ppm: f64,
 }
 
 #[derive(Debug, Default)]
@@ -141,9 +132,7 @@ impl RobotOutputs {
 
     /// Converts brick time to host time; `None` before the first alignment.
     pub(super) fn host_time(&self, brick: Timestamp<BrickClock>) -> Option<Timestamp<HostClock>> {
-        let ClockAlignmentPoint { host, brick: zero, skew_ppm } = self.alignment?;
-        let since_s = (brick - zero).as_secs_f64() / (1.0 + 1e-6 * skew_ppm);
-        Some(host + TimeDelta::from_secs_f64(since_s))
+        Some(self.alignment?.host_time(brick))
     }
 }
 

@@ -4,8 +4,9 @@
 //!
 //! Source: the `foxglove.*` schemas of the Foxglove SDK, version 0.30.3 (`descriptors/README.md`).
 
-use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{Arena, Estimate, Pose};
+
+use crate::planar::{POSE_ROWS, VELOCITY_ROWS, quaternion_about_z, spatial_covariance};
 
 /// A message under construction, field by field. Zeros and empty texts are the format's defaults and not written.
 ///
@@ -80,25 +81,13 @@ pub(super) fn timestamp(unix_nanos: i128) -> Message {
 /// `foxglove.Odometry`: timestamp, frame, body frame, pose, linear and angular velocity; covariances, 6 x 6 row by row, of x, y, z,
 /// roll, pitch, yaw and of their rates. `body` is the robot's body frame.
 pub(super) fn odometry(estimate: &Estimate, frame: &str, body: &str, timestamp: &Message) -> Message {
-    // Rows of a pose in space, and of a velocity, that a robot on a plane has.
-    const POSE_ROWS: [(usize, usize); 3] = [(0, row::X), (1, row::Y), (5, row::HEADING)];
-    const VELOCITY_ROWS: [(usize, usize); 2] = [(0, row::FORWARD), (5, row::TURN)];
-    let spread = |rows: &[(usize, usize)]| {
-        let mut matrix = [0.0; 36];
-        for (i, from_i) in rows {
-            for (j, from_j) in rows {
-                matrix[6 * i + j] = estimate.covariance[*from_i][*from_j];
-            }
-        }
-        matrix
-    };
     in_frame(frame, timestamp)
         .text(3, body)
         .message(4, &pose_in_space(estimate.pose))
         .message(5, &vector(estimate.forward_speed.0, 0.0, 0.0))
         .message(6, &vector(0.0, 0.0, estimate.turn_rate.0))
-        .doubles(7, &spread(&POSE_ROWS))
-        .doubles(8, &spread(&VELOCITY_ROWS))
+        .doubles(7, &spatial_covariance(estimate, &POSE_ROWS, 0.0))
+        .doubles(8, &spatial_covariance(estimate, &VELOCITY_ROWS, 0.0))
 }
 
 /// `foxglove.PoseInFrame`: timestamp, frame, pose.
@@ -157,8 +146,8 @@ fn pose_message(pose: Pose<Arena>, angle_rad: f64) -> Message {
 
 /// `foxglove.Quaternion`: x, y, z, w.
 fn rotation_about_z(angle_rad: f64) -> Message {
-    let (z, w) = (angle_rad / 2.0).sin_cos();
-    vector(0.0, 0.0, z).double(4, w)
+    let [x, y, z, w] = quaternion_about_z(angle_rad);
+    vector(x, y, z).double(4, w)
 }
 
 /// `foxglove.Vector3`: x, y, z.

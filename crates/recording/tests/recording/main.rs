@@ -12,6 +12,7 @@ mod foxglove;
 mod golden_outputs;
 mod protobuf;
 mod published_figures;
+mod ros2;
 
 use std::cell::RefCell;
 use std::io::{Result as IoResult, Write};
