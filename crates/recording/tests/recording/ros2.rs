@@ -47,8 +47,8 @@ fn robot(system: u8) -> RobotId {
     RobotId { link: LinkId(0), address: Address::new(system, 1) }
 }
 
-fn updated(robot: RobotId, estimate: Estimate) -> Event {
-    Event::EstimateUpdated { robot, estimate }
+fn updated(robot: RobotId, estimate: &Estimate) -> Event {
+    Event::EstimateUpdated { robot, estimate: *estimate }
 }
 
 fn named(robot: RobotId, name: &str) -> Event {
@@ -87,7 +87,7 @@ fn a_bag_has_the_profile_of_ros_and_a_summary() {
 
 #[test]
 fn the_log_time_is_the_arrival_and_the_stamp_the_instant_of_the_estimate() {
-    let (found, _) = write_bag(&[(900, aligned_event(robot(1), 1_000)), (1_100, updated(robot(1), estimate(5_000)))]);
+    let (found, _) = write_bag(&[(900, aligned_event(robot(1), 1_000)), (1_100, updated(robot(1), &estimate(5_000)))]);
     let odometry = of_topic(&found, "/odom");
     assert_eq!(odometry[0].log_time, UTC_START_MICROS * 1_000 + 1_100_000_000);
     // The brick's clock shows 5 s at one second of the host.
@@ -97,12 +97,12 @@ fn the_log_time_is_the_arrival_and_the_stamp_the_instant_of_the_estimate() {
 #[test]
 fn robots_have_topics_and_frames_of_their_names() {
     let (found, _) = write_bag(&[
-        (10, updated(robot(1), estimate(10))),
+        (10, updated(robot(1), &estimate(10))),
         (20, named(robot(2), "left #1")),
-        (30, updated(robot(2), estimate(30))),
+        (30, updated(robot(2), &estimate(30))),
         (40, named(robot(3), "left/1")),
-        (50, updated(robot(3), estimate(50))),
-        (60, updated(robot(4), estimate(60))),
+        (50, updated(robot(3), &estimate(50))),
+        (60, updated(robot(4), &estimate(60))),
     ]);
     for (topic, body) in [
         ("/odom", "base_link"),
@@ -119,7 +119,7 @@ fn robots_have_topics_and_frames_of_their_names() {
 
 #[test]
 fn a_name_that_comes_before_the_first_estimate_counts_also_for_the_first_robot() {
-    let (found, _) = write_bag(&[(10, named(robot(1), "red")), (20, updated(robot(1), estimate(20)))]);
+    let (found, _) = write_bag(&[(10, named(robot(1), "red")), (20, updated(robot(1), &estimate(20)))]);
     assert_eq!(of_topic(&found, "/red/odom").len(), 1);
     assert_eq!(of_topic(&found, "/red/pose").len(), 1);
     assert!(of_topic(&found, "/odom").is_empty());
@@ -136,9 +136,9 @@ fn a_relative_estimate_is_in_odom_and_no_pose_in_the_map() {
         Estimate { validity, ..estimate(100) }
     };
     let (found, _) = write_bag(&[
-        (50, updated(robot(1), relative(50))),
-        (100, updated(robot(1), without_heading)),
-        (150, updated(robot(1), estimate(150))),
+        (50, updated(robot(1), &relative(50))),
+        (100, updated(robot(1), &without_heading)),
+        (150, updated(robot(1), &estimate(150))),
     ]);
     let odometry = of_topic(&found, "/odom");
     assert_eq!(odometry.len(), 2);
@@ -153,12 +153,12 @@ fn a_relative_estimate_is_in_odom_and_no_pose_in_the_map() {
 
 #[test]
 fn an_instant_has_one_transform() {
-    let again = updated(robot(1), estimate(50));
+    let again = updated(robot(1), &estimate(50));
     let (found, _) = write_bag(&[
         (40, aligned_event(robot(1), 1_000)),
         (1_050, again.clone()),
         (1_060, again),
-        (1_070, updated(robot(1), estimate(49))),
+        (1_070, updated(robot(1), &estimate(49))),
     ]);
     assert_eq!(of_topic(&found, "/odom").len(), 3);
     assert_eq!(of_topic(&found, "/tf").len(), 1);
