@@ -12,10 +12,10 @@ use posebridge_telemetry::{
 use crate::dialect::{Encoder, decode};
 use crate::framing::{Framer, FramerConfig, FramerOutput, WireVersion};
 use crate::message::{
-    CommandResult, Heartbeat, Message, Odometry, OdometryPose, PlanarImu, RobotDescription, VisionFix, WheelTicks,
-    WireStamp,
+    CommandResult, Heartbeat, ImuMessage, Message, Odometry, OdometryPose, PlanarImu, RobotDescription, VisionFix,
+    WheelTicks, WireStamp,
 };
-use crate::session::{Session, SessionConfig, SessionOutput};
+use crate::session::{RequestedMessages, Session, SessionConfig, SessionOutput};
 
 /// The player's address: a robot's own component.
 pub const ADDRESS: Address = Address::new(1, 1);
@@ -61,7 +61,7 @@ impl RecordedRobot {
             heartbeat_period: HEARTBEAT_PERIOD,
             timesync_period: None,
             peer_timeout: PEER_TIMEOUT,
-            requested_messages: vec![],
+            requested_messages: RequestedMessages::default(),
             offered_messages: vec![],
         };
         let description = RobotDescription {
@@ -148,7 +148,8 @@ impl RecordedRobot {
                 Some(self.integrate_commanded(observation.stamp, stamp, forward, turn))
             }
             ObservationKind::TurnRate(rate) => {
-                Some(Message::HighresImu(PlanarImu { stamp, turn_rate: Some(rate), forward_acceleration: None }))
+                let message = ImuMessage::Highres;
+                Some(Message::Imu(PlanarImu { message, stamp, turn_rate: Some(rate), forward_acceleration: None }))
             }
             ObservationKind::Fix(fix) => Some(Message::VisionPosition(VisionFix {
                 stamp,

@@ -6,7 +6,7 @@ use posebridge_brick::Link;
 use posebridge_protocol::dialect::{Encoder, ids};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{CommandLong, CommandResult, Heartbeat, Message};
-use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_protocol::session::{RequestedMessages, Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 
@@ -50,7 +50,7 @@ impl<C: Clock> MavlinkNode<C> {
             heartbeat_period: TimeDelta::from_millis(1_000),
             timesync_period: None,
             peer_timeout: TimeDelta::from_millis(5_000),
-            requested_messages: Vec::new(),
+            requested_messages: RequestedMessages::default(),
             offered_messages: offered.to_vec(),
         };
         Self {

@@ -9,7 +9,7 @@ use posebridge_link::{LinkUrl, Transport, UrlError};
 use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
 use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
-use posebridge_protocol::routing::{ForwardPolicy, LinkRules};
+use posebridge_protocol::routing::{ForwardPolicy, ForwardedDialects, LinkRules};
 use posebridge_sim::Scenario;
 use posebridge_sim::impairment::LinkProfile;
 use posebridge_station::{
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use super::camera::CameraConfig;
 use super::camera_file::{CameraChoice, CameraFile};
 use super::robot::RobotFile;
-use super::routing::{ForwardChoice, FrameFilterSection, LimitsSection};
+use super::routing::{DialectChoice, ForwardChoice, FrameFilterSection, LimitsSection};
 use super::signing::SigningSection;
 use crate::text_file::read_text;
 
@@ -51,6 +51,10 @@ pub struct LinkSection {
     /// Ground stations are at its other end: the station speaks there as the robot, too (docs/ground-stations.md).
     #[serde(default)]
     pub ground_station: bool,
+    /// Of which dialects others' frames are passed on to it: `stock` (without our own messages) or `all`. Without it a link for ground
+    /// stations has `stock`: a program that does not know a message counts it as lost.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dialects: Option<DialectChoice>,
     /// What is sent there; without it planar_pose, or on a link for ground stations what they draw.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outputs: Option<Vec<OutputSection>>,
@@ -166,6 +170,7 @@ impl LinkSection {
             accept_mavlink1: false,
             send_mavlink1: false,
             ground_station: false,
+            dialects: None,
             outputs: Some(outputs_for_bricks()),
             signing: None,
             pin: None,
@@ -288,6 +293,10 @@ fn rules_of_link(link: &LinkSection, group: Option<u16>) -> Result<LinkRules> {
         },
         inward: link.filter_in.filter().context("`filter_in`")?,
         outward: link.filter_out.filter().context("`filter_out`")?,
+        dialects: match (link.dialects, link.ground_station) {
+            (Some(DialectChoice::Stock), _) | (None, true) => ForwardedDialects::Stock,
+            (Some(DialectChoice::All), _) | (None, false) => ForwardedDialects::All,
+        },
         limits: link.limits.limits().context("`limits`")?,
     })
 }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_protocol::routing::{AllowBlockList, FrameFilter, RateLimits, message_id_named};
+use posebridge_protocol::dialect::message_id_named;
+use posebridge_protocol::routing::{AllowBlockList, FrameFilter, RateLimits};
 use posebridge_telemetry::{ComponentId, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,6 +42,16 @@ pub enum ForwardChoice {
     Targeted,
     /// Nothing, nor anything from it to other links.
     None,
+}
+
+/// The dialects of others' frames that are passed on to a link.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum DialectChoice {
+    /// Those of the MAVLink project, which ground stations know; without our own.
+    Stock,
+    /// All, known or not.
+    All,
 }
 
 /// Which frames pass. An empty list of those that are allowed allows all.

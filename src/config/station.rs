@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
+use posebridge_protocol::dialect::ids;
 use posebridge_sim::Scenario;
 use posebridge_station::{DescriptionPolicy, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig};
-use posebridge_telemetry::{Address, Meters, Point2, SystemId, TimeDelta};
+use posebridge_telemetry::{Address, GeodeticOrigin, GeodeticPoint, Meters, Point2, Radians, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +65,36 @@ pub struct StationSection {
     pub robot_system: u8,
     /// Most robots at a time; strangers beyond are not followed.
     pub max_robots: u16,
+    /// Where the arena lies on the Earth: then fixes of satellite receivers are used, and ground stations get the position for their
+    /// maps.
+    pub origin: Option<OriginSection>,
+}
+
+/// The position of the arena's origin; the arena's x is east and its y north.
+#[derive(Clone, Copy, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct OriginSection {
+    /// Degrees, north positive (WGS 84).
+    pub latitude: f64,
+    /// Degrees, east positive.
+    pub longitude: f64,
+    /// Metres above mean sea level.
+    #[serde(default)]
+    pub altitude: f64,
+}
+
+impl OriginSection {
+    fn to_origin(self) -> Result<GeodeticOrigin> {
+        let Self { latitude, longitude, altitude } = self;
+        let point =
+            GeodeticPoint { latitude: Radians(latitude.to_radians()), longitude: Radians(longitude.to_radians()) };
+        GeodeticOrigin::new(point, Meters(altitude)).with_context(|| {
+            format!(
+                "`station.origin` is latitude {latitude}, longitude {longitude}, altitude {altitude}: this is no point on the Earth, \
+                 or nearer than a tenth of a degree to a pole"
+            )
+        })
+    }
 }
 
 /// The alignment of clocks.
@@ -98,7 +129,7 @@ impl Default for Config {
 impl Default for StationSection {
     /// 1/197: the robot's system, MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY.
     fn default() -> Self {
-        Self { system: 1, component: 197, robot_system: 0, max_robots: 1_024 }
+        Self { system: 1, component: 197, robot_system: 0, max_robots: 1_024, origin: None }
     }
 }
 
@@ -108,6 +139,11 @@ impl Default for ClockConfig {
     }
 }
 
+/// The interval of an autopilot's sensors, unless `clock.telemetry_interval_ms` asks for another: 20 Hz of inertial readings take a third of
+/// a telemetry radio of 57 600 baud.
+const AUTOPILOT_INTERVAL_MS: u32 = 50;
+/// Satellite receivers have hardly more.
+const AUTOPILOT_FIX_INTERVAL_MS: u32 = 200;
 /// How much later than `camera.json.delay_ms` the pictures of phones and network cameras come in.
 const NETWORK_DELAY_SIGMA_S: f64 = 0.1;
 /// How far the stamps of webcams are from their exposures: some hold a picture back for a frame, and few say so.
@@ -183,10 +219,7 @@ impl Config {
         let interval = TimeDelta::from_millis(i64::from(self.clock.telemetry_interval_ms));
         let intervals = match self.clock.telemetry_interval_ms {
             0 => vec![],
-            _ => vec![
-                (posebridge_protocol::dialect::ids::PB_WHEEL_TICKS, interval),
-                (posebridge_protocol::dialect::ids::PB_INERTIAL, interval),
-            ],
+            _ => vec![(ids::PB_WHEEL_TICKS, interval), (ids::PB_INERTIAL, interval)],
         };
         ensure!(self.clock.timesync_period_ms >= 10, "`clock.timesync_period_ms` must be at least 10");
         Ok(StationConfig {
@@ -195,12 +228,33 @@ impl Config {
             robots: self.robot_blocks()?,
             max_robots: usize::from(self.station.max_robots),
             robot_system: (self.station.robot_system != 0).then_some(SystemId(self.station.robot_system)),
+            origin: self.station.origin.map(OriginSection::to_origin).transpose()?,
             fix_requests: self.camera.fix_requests()?,
             timesync_period: TimeDelta::from_millis(i64::from(self.clock.timesync_period_ms)),
             brick_message_intervals: intervals,
+            autopilot_message_intervals: self.autopilot_message_intervals(),
             duplicate_window: self.routing.window()?,
             links: links.collect::<Result<_>>()?,
         })
+    }
+
+    /// What an autopilot is asked for: it sends little of this by itself.
+    fn autopilot_message_intervals(&self) -> Vec<(u32, TimeDelta)> {
+        let asked = match self.clock.telemetry_interval_ms {
+            0 => AUTOPILOT_INTERVAL_MS,
+            asked => asked,
+        };
+        let interval = TimeDelta::from_millis(i64::from(asked));
+        let slow = TimeDelta::from_millis(i64::from(asked.max(AUTOPILOT_FIX_INTERVAL_MS)));
+        vec![
+            (ids::WHEEL_DISTANCE, interval),
+            (ids::RPM, interval),
+            (ids::ODOMETRY, interval),
+            (ids::RAW_IMU, interval),
+            (ids::HIGHRES_IMU, interval),
+            (ids::DISTANCE_SENSOR, interval),
+            (ids::GPS_RAW_INT, slow),
+        ]
     }
 
     /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them. The delay of a camera

@@ -35,6 +35,7 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
     if args.fix_wiring {
         failures.record(print_result(&wiring_text(&session.wiring)).context("the wiring is not printed"));
     }
+    let missing_sensors = session.missing_sensors.clone();
     let has_observations = session.collectors.entries().iter().any(|robot| robot.value.observations > 0);
     failures.record(session.into_result());
     if !has_observations {
@@ -44,10 +45,15 @@ pub fn execute(args: &RunArgs) -> Result<(), Failure> {
                 "the robot's file has a table for --brick {brick}, and its link was taken for MAVLink: add --brick {brick}"
             ));
         }
-        print_line(
-            "no robot was heard; `posebridge doctor` looks for ports, rights and settings, `posebridge doctor URL` listens on a link, and \
+        for line in &missing_sensors {
+            print_line(line);
+        }
+        if missing_sensors.is_empty() {
+            print_line(
+                "no robot was heard; `posebridge doctor` looks for ports, rights and settings, `posebridge doctor URL` listens on a link, and \
              `posebridge init --guide --probe --link URL` asks a LEGO brick, which says nothing by itself",
-        );
+            );
+        }
     }
     failures.into_result().while_running()
 }

@@ -41,6 +41,8 @@ pub(super) struct Session {
     pub(super) simulations: Vec<FinishedSimulation>,
     pub(super) learned: Vec<LearnedCalibration>,
     pub(super) wiring: Vec<WiringReport>,
+    /// What vehicles sent and what they lack, a line each.
+    pub(super) missing_sensors: Vec<String>,
     /// At the end, of each robot.
     pub(super) setup: Vec<RobotSetup>,
     pub(super) signing_result: Result<()>,
@@ -128,6 +130,7 @@ pub(super) async fn session(
     let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;
     let wiring = WiringReport::of_session(&station_loop.station, config);
     let setup = station_loop.setup.items(timer.now(), &station_loop.station);
+    let missing_sensors = station_loop.station.missing_sensors();
     station_loop.record_truth();
     let closed = close(station_loop).while_running()?;
     viewers.finish().while_running()?;
@@ -139,6 +142,7 @@ pub(super) async fn session(
         simulations: driven,
         learned,
         wiring,
+        missing_sensors,
         setup,
         signing_result: kept,
         failures: closed.failures,

@@ -191,10 +191,8 @@ impl<W: Write> TrafficLog<W> {
         if self.peers.len() >= MAX_PEERS && !self.peers.contains_key(&key) {
             evict_oldest_peer(&mut self.peers);
         }
-        let stream = self
-            .peers
-            .entry(key)
-            .or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::with_all_dialects(*config) });
+        let stream =
+            self.peers.entry(key).or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::new(*config) });
         stream.last_seen = now;
         let (writer, frames) = (&mut self.writer, &mut self.frames);
         let mut written = Ok(());

@@ -164,6 +164,10 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         }
         Ok(())
     })?;
+    let missing_sensors = station.missing_sensors();
+    if let ([line, ..], []) = (missing_sensors.as_slice(), session.observations.as_slice()) {
+        bail!("`{name}` holds no observation: {line}");
+    }
     ensure!(
         !(session.observations.is_empty() && session.thermometers.is_empty()),
         "`{name}` holds no observation: no robot was heard while it was recorded; look for the robot with `posebridge doctor` and \

@@ -9,7 +9,9 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_protocol::routing::{ForwardPolicy, LinkRules, RouterConfig};
 use posebridge_protocol::signing::SigningConfig;
-use posebridge_telemetry::{Address, Body, ChannelName, ComponentId, LinkId, Point2, SystemId, TimeDelta, Wiring};
+use posebridge_telemetry::{
+    Address, Body, ChannelName, ComponentId, GeodeticOrigin, LinkId, Point2, SystemId, TimeDelta, Wiring,
+};
 
 use crate::sender_pins::PinPolicy;
 
@@ -26,10 +28,15 @@ pub struct StationConfig {
     pub max_robots: usize,
     /// The only system that may be a robot; `None` accepts every sender of odometry.
     pub robot_system: Option<SystemId>,
+    /// Where the arena lies on the Earth, if that is known.
+    pub origin: Option<GeodeticOrigin>,
     pub fix_requests: FixRequestConfig,
     /// Interval of time requests to brick and camera, after the first replies.
     pub timesync_period: TimeDelta,
+    /// What every other robot is asked to send.
     pub brick_message_intervals: Vec<(u32, TimeDelta)>,
+    /// What every autopilot of a dialect of its own is asked to send.
+    pub autopilot_message_intervals: Vec<(u32, TimeDelta)>,
     /// How long a frame is remembered to detect duplicates from other endpoints; zero turns this off.
     pub duplicate_window: TimeDelta,
     pub links: Vec<LinkConfig>,

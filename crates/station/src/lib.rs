@@ -21,6 +21,8 @@ mod estimate_publisher;
 mod estimator;
 mod fix_requests;
 mod fusion_alarms;
+mod heard_sensors;
+mod imu_choice;
 mod link_context;
 mod message_requests;
 mod observation_extractor;

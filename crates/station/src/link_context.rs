@@ -272,6 +272,7 @@ impl LinkContext {
         };
         self.health.frames_lost = sources.iter().map(|source| source.lost).sum();
         self.health.frames_in = counters.frames;
+        self.health.foreign_frames = counters.foreign_frames;
         self.health.checksum_errors = counters.checksum_errors;
         self.health.garbage_bytes = counters.garbage_bytes;
         self.health.unknown_ids = counters.unknown_ids;

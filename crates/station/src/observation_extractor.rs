@@ -1,13 +1,18 @@
 //! Extracts observations from messages, with the clock of their stamps. This is the only place that corrects them by the robot's wiring.
 
 use posebridge_protocol::message::{
-    Inertial, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks, WireStamp,
+    GnssFix, ImuMessage, Inertial, LandmarkSighting, Message, Odometry, OdometryPose, PlanarImu, VisionFix, WheelTicks,
+    WireStamp,
 };
 use posebridge_telemetry::{
-    Body, DriveGeometry, Fix, GyroUnit, ObservationKind, Point2, PositionCovariance, Radians, SensorId, Wiring,
+    Body, DriveGeometry, Fix, GeodeticOrigin, GyroUnit, HostClock, MetersPerSecond, ObservationKind, Point2,
+    PositionCovariance, Radians, RadiansPerSecond, SensorId, Timestamp, Wiring,
 };
 
 use crate::config::RobotConfig;
+
+/// 2001 in microseconds since 1970: larger stamps are no time since boot (common.xml, GPS_RAW_INT.time_usec).
+const UNIX_MICROS: u64 = 1_000_000_000_000_000;
 
 /// The clock of a reading's stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +32,8 @@ pub(crate) struct UnalignedObservation {
     pub(crate) gyro_turn: Option<Radians>,
     /// The number of a fix's tag.
     pub(crate) tag: Option<u32>,
+    /// The message of a reading of an inertial unit that may come in several.
+    pub(crate) imu: Option<ImuMessage>,
 }
 
 impl UnalignedObservation {
@@ -47,19 +54,30 @@ pub(crate) struct ObservationExtractor {
     pub(crate) geometry: DriveGeometry,
     pub(crate) tag_in_body: Point2<Body>,
     pub(crate) wiring: Wiring,
+    /// Where the arena lies on the Earth; without it no position of a satellite receiver is used.
+    pub(crate) origin: Option<GeodeticOrigin>,
 }
 
 impl ObservationExtractor {
-    pub(crate) const fn new(config: &RobotConfig) -> Self {
-        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body, wiring: config.wiring }
+    pub(crate) const fn new(config: &RobotConfig, origin: Option<GeodeticOrigin>) -> Self {
+        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body, wiring: config.wiring, origin }
     }
 
-    /// The observations in a message: none, one or two.
-    pub(crate) fn extract(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
-        self.extract_uncorrected(message).map(|observation| observation.map(|observation| self.correct(observation)))
+    /// The observations in a message that arrived at `arrival`: none, one or two.
+    pub(crate) fn extract(
+        &self,
+        arrival: Timestamp<HostClock>,
+        message: &Message,
+    ) -> [Option<UnalignedObservation>; 2] {
+        self.extract_uncorrected(arrival, message)
+            .map(|observation| observation.map(|observation| self.correct(observation)))
     }
 
     fn correct(&self, observation: UnalignedObservation) -> UnalignedObservation {
+        if observation.sensor == SensorId::GNSS {
+            // The wiring of fixes is that of a camera.
+            return observation;
+        }
         UnalignedObservation {
             observed: self.wiring.correct(observation.observed, &self.geometry),
             gyro_turn: observation.gyro_turn.and_then(|turn| match self.wiring.gyro_unit {
@@ -71,7 +89,11 @@ impl ObservationExtractor {
         }
     }
 
-    fn extract_uncorrected(&self, message: &Message) -> [Option<UnalignedObservation>; 2] {
+    fn extract_uncorrected(
+        &self,
+        arrival: Timestamp<HostClock>,
+        message: &Message,
+    ) -> [Option<UnalignedObservation>; 2] {
         #[expect(clippy::wildcard_enum_match_arm, reason = "most messages observe nothing")]
         match message {
             Message::WheelTicks(ticks) => [Some(self.wheel_ticks(ticks)), None],
@@ -83,7 +105,13 @@ impl ObservationExtractor {
                 [Some(robot_observation(SensorId::WHEELS, *stamp, observed)), None]
             }
             Message::Inertial(inertial) => inertial_readings(inertial),
-            Message::ScaledImu(imu) | Message::HighresImu(imu) => [imu_reading(imu), None],
+            Message::WheelSpeeds { left, right } => [Some(self.wheel_speeds(arrival, *left, *right)), None],
+            Message::Imu(imu) => [imu_reading(imu), None],
+            Message::GnssFix(fix) => [self.origin.map(|origin| gnss_fix(arrival, fix, &origin)), None],
+            Message::LandmarkSighting(LandmarkSighting { stamp, landmark, range, bearing }) => {
+                let observed = ObservationKind::Landmark { id: *landmark, range: *range, bearing: *bearing };
+                [Some(robot_observation(SensorId::LANDMARKS, *stamp, observed)), None]
+            }
             Message::DistanceSensor { stamp, range, .. } => {
                 [Some(robot_observation(SensorId::RANGE, *stamp, ObservationKind::WallRange(*range))), None]
             }
@@ -106,6 +134,21 @@ impl ObservationExtractor {
         robot_observation(SensorId::WHEELS, ticks.stamp, observed)
     }
 
+    fn wheel_speeds(
+        &self,
+        arrival: Timestamp<HostClock>,
+        left: RadiansPerSecond,
+        right: RadiansPerSecond,
+    ) -> UnalignedObservation {
+        let left_m_per_s = left.0 * self.geometry.left_wheel_radius.0;
+        let right_m_per_s = right.0 * self.geometry.right_wheel_radius.0;
+        let observed = ObservationKind::BodyVelocity {
+            forward: MetersPerSecond(0.5 * (left_m_per_s + right_m_per_s)),
+            turn: RadiansPerSecond((right_m_per_s - left_m_per_s) / self.geometry.track_width.0),
+        };
+        robot_observation(SensorId::WHEELS, at_arrival(arrival), observed)
+    }
+
     fn fix(&self, fix: &VisionFix) -> UnalignedObservation {
         let covariance = fix.covariance.map(|[xx_m2, xy_m2, yy_m2, heading_rad2]| PositionCovariance {
             xx_m2,
@@ -118,6 +161,7 @@ impl ObservationExtractor {
             stamp: fix.stamp,
             clock_source: ClockSource::Observer,
             gyro_turn: None,
+            imu: None,
             tag: fix.tag,
             observed: ObservationKind::Fix(Fix {
                 position: Point2::new(fix.x, fix.y),
@@ -136,7 +180,8 @@ fn known_or_infinite(heading_rad2: f64) -> f64 {
 }
 
 fn robot_observation(sensor: SensorId, stamp: WireStamp, observed: ObservationKind) -> UnalignedObservation {
-    UnalignedObservation { sensor, stamp, clock_source: ClockSource::Robot, observed, gyro_turn: None, tag: None }
+    let clock_source = ClockSource::Robot;
+    UnalignedObservation { sensor, stamp, clock_source, observed, gyro_turn: None, tag: None, imu: None }
 }
 
 fn inertial_readings(inertial: &Inertial) -> [Option<UnalignedObservation>; 2] {
@@ -151,7 +196,33 @@ fn inertial_readings(inertial: &Inertial) -> [Option<UnalignedObservation>; 2] {
 }
 
 fn imu_reading(imu: &PlanarImu) -> Option<UnalignedObservation> {
-    imu.turn_rate.map(|rate| robot_observation(SensorId::GYRO, imu.stamp, ObservationKind::TurnRate(rate)))
+    imu.turn_rate.map(|rate| UnalignedObservation {
+        imu: Some(imu.message),
+        ..robot_observation(SensorId::GYRO, imu.stamp, ObservationKind::TurnRate(rate))
+    })
+}
+
+/// The position of the receiver, which is taken for the body's origin: its error is far larger than a robot.
+fn gnss_fix(arrival: Timestamp<HostClock>, fix: &GnssFix, origin: &GeodeticOrigin) -> UnalignedObservation {
+    let covariance = fix.sigma.map(|sigma| {
+        let variance_m2 = sigma.0.powi(2);
+        PositionCovariance { xx_m2: variance_m2, xy_m2: 0.0, yy_m2: variance_m2, heading_rad2: f64::INFINITY }
+    });
+    let is_since_boot = fix.stamp.as_micros() < UNIX_MICROS;
+    let stamp = if is_since_boot { fix.stamp } else { at_arrival(arrival) };
+    let observed = ObservationKind::Fix(Fix {
+        position: origin.to_arena(fix.position),
+        heading: None,
+        covariance,
+        tag_in_body: Point2::ORIGIN,
+        reset_counter: 0,
+    });
+    robot_observation(SensorId::GNSS, stamp, observed)
+}
+
+/// For a message without a time of the robot's clock.
+const fn at_arrival(arrival: Timestamp<HostClock>) -> WireStamp {
+    WireStamp::HostInterval { sent: arrival, answered: arrival }
 }
 
 fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
@@ -165,6 +236,7 @@ fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
                 stamp: odometry.stamp,
                 clock_source: ClockSource::Observer,
                 gyro_turn: None,
+                imu: None,
                 tag: None,
                 observed: ObservationKind::Fix(Fix {
                     position: pose.origin(),
@@ -183,7 +255,7 @@ fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{CameraUnit, Heading, Meters, Polarity, RadiansPerSecond, WheelOrder};
+    use posebridge_telemetry::{CameraUnit, GeodeticPoint, Heading, Meters, Polarity, WheelOrder};
 
     const INTERPRETER: ObservationExtractor = ObservationExtractor {
         geometry: DriveGeometry {
@@ -202,6 +274,7 @@ mod tests {
             camera_y: Polarity::Normal,
             camera_unit: CameraUnit::Meters,
         },
+        origin: None,
     };
 
     fn fix_with(covariance: Option<[f64; 4]>) -> Fix {
@@ -214,7 +287,7 @@ mod tests {
             reset_counter: 0,
             tag: None,
         });
-        let [Some(reading), None] = INTERPRETER.extract(&message) else {
+        let [Some(reading), None] = INTERPRETER.extract(Timestamp::ZERO, &message) else {
             panic!("a fix is one reading");
         };
         assert_eq!(reading.clock_source, ClockSource::Observer);
@@ -239,7 +312,7 @@ mod tests {
     fn a_compass_of_the_brick_is_a_heading() {
         let heading = Heading::from_rad(0.5);
         let stamp = WireStamp::Millis32(9);
-        let [Some(reading), None] = INTERPRETER.extract(&Message::Compass { stamp, heading }) else {
+        let [Some(reading), None] = INTERPRETER.extract(Timestamp::ZERO, &Message::Compass { stamp, heading }) else {
             panic!("a compass is one reading");
         };
         assert_eq!(reading.sensor, SensorId::COMPASS);
@@ -257,14 +330,14 @@ mod tests {
             turn: Some(Radians(2.0)),
             wheel_accelerations: None,
         };
-        let [Some(gyro), None] = extractor.extract(&Message::Inertial(inertial)) else {
+        let [Some(gyro), None] = extractor.extract(Timestamp::ZERO, &Message::Inertial(inertial)) else {
             panic!("a gyro is one reading");
         };
         assert_eq!(gyro.observed, ObservationKind::TurnRate(RadiansPerSecond(-0.5)));
         assert_eq!(gyro.gyro_turn, Some(Radians(-2.0)));
         let in_degrees = Wiring { gyro_unit: GyroUnit::DegreesPerSecond, ..INTERPRETER.wiring };
         let extractor = ObservationExtractor { wiring: in_degrees, ..INTERPRETER };
-        let [Some(gyro), None] = extractor.extract(&Message::Inertial(inertial)) else {
+        let [Some(gyro), None] = extractor.extract(Timestamp::ZERO, &Message::Inertial(inertial)) else {
             panic!("a gyro is one reading");
         };
         assert_eq!(gyro.observed, ObservationKind::TurnRate(RadiansPerSecond(0.5_f64.to_radians())));
@@ -272,9 +345,43 @@ mod tests {
     }
 
     #[test]
+    fn a_satellite_fix_needs_an_origin_and_a_stamp_since_1970_is_not_of_the_robots_clock() {
+        let point = |latitude: f64, longitude: f64| GeodeticPoint {
+            latitude: Radians(latitude.to_radians()),
+            longitude: Radians(longitude.to_radians()),
+        };
+        let origin = GeodeticOrigin::new(point(41.0, -96.0), Meters(0.0)).unwrap();
+        let arrival = Timestamp::from_millis(700);
+        let message = |micros| {
+            Message::GnssFix(GnssFix {
+                stamp: WireStamp::Micros64(micros),
+                position: point(41.001, -96.0),
+                sigma: Some(Meters(3.0)),
+            })
+        };
+        assert_eq!(INTERPRETER.extract(arrival, &message(5)), [None, None]);
+        // The camera's y is not that of the receiver.
+        let wiring = Wiring { camera_y: Polarity::Reversed, ..INTERPRETER.wiring };
+        let placed = ObservationExtractor { origin: Some(origin), wiring, ..INTERPRETER };
+        let [Some(since_boot), None] = placed.extract(arrival, &message(5)) else {
+            panic!("a fix is one reading");
+        };
+        assert_eq!((since_boot.sensor, since_boot.stamp), (SensorId::GNSS, WireStamp::Micros64(5)));
+        let ObservationKind::Fix(fix) = since_boot.observed else {
+            panic!("a fix is a fix");
+        };
+        assert!((fix.position.y.0 - 111.06).abs() < 0.1 && fix.position.x.0.abs() < 1e-6, "{fix:?}");
+        assert_eq!(fix.covariance.unwrap().yy_m2, 9.0);
+        let [Some(since_1970), None] = placed.extract(arrival, &message(1_742_581_143_368_055)) else {
+            panic!("a fix is one reading");
+        };
+        assert_eq!(since_1970.stamp, WireStamp::HostInterval { sent: arrival, answered: arrival });
+    }
+
+    #[test]
     fn distances_of_wheels_of_unequal_size_become_their_rotations() {
         let message = Message::WheelDistance { stamp: WireStamp::Micros64(7), left: Meters(0.3), right: Meters(-0.1) };
-        let [Some(reading), None] = INTERPRETER.extract(&message) else {
+        let [Some(reading), None] = INTERPRETER.extract(Timestamp::ZERO, &message) else {
             panic!("both wheels are one reading");
         };
         let ObservationKind::WheelAngles { left, right } = reading.observed else {

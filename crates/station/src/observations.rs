@@ -47,7 +47,7 @@ impl Station {
         let extractor = known.map(|index| self.robots.get(index).extractor);
         let extractor =
             extractor.unwrap_or_else(|| self.extractor_for_unknown(received.endpoint, observer, content.fix_tag()));
-        let observations = extractor.extract(content);
+        let observations = extractor.extract(received.host_time, content);
         let has_observation = observations.iter().flatten().next().is_some();
         let peer = received.endpoint.peer;
         let claim = IdentityClaim { ids: source, has_observation, peer, host: None, is_signed };
@@ -67,6 +67,10 @@ impl Station {
         }
         if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
             self.emit(Event::Text { source, severity: *severity, text: text.clone() });
+        }
+        let has_origin = self.config.origin.is_some();
+        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, has_origin) {
+            self.report_own_text(severity::NOTICE, line);
         }
         self.observers.fix_requests.observe_message((home, source), content);
         if let (Message::Heartbeat(heartbeat), DuplicateStatus::New) = (content, duplicate_status)
@@ -164,7 +168,8 @@ impl Station {
         for earlier in self.robots.contested.take(endpoint, address) {
             if let ContestedMessage::Message(earlier, message) = earlier {
                 sender.received = earlier;
-                let observations = self.extractor_for(sender, message.fix_tag()).extract(&message);
+                let extractor = self.extractor_for(sender, message.fix_tag());
+                let observations = extractor.extract(earlier.host_time, &message);
                 self.handle_content(sender, &message, &observations);
             }
         }
@@ -248,7 +253,10 @@ impl Station {
         sender: ObserverAddress,
         tag: Option<u32>,
     ) -> ObservationExtractor {
-        let unknown = ObservationExtractor::new(self.robots.config_for(&self.config, sender.home, sender.address));
+        let unknown = ObservationExtractor::new(
+            self.robots.config_for(&self.config, sender.home, sender.address),
+            self.config.origin,
+        );
         let robot = self
             .robots
             .of_fix(&self.config, endpoint, sender.address, tag, None)
@@ -343,6 +351,9 @@ impl Station {
             return;
         };
         let robot = self.robots.get_mut(index);
+        if observation.imu.is_some_and(|message| !robot.imu.is_used(received.host_time, message)) {
+            return;
+        }
         let measurement = robot.clocks.mean_turn_rate(time, observation);
         let source = robot.id.address;
         let aligned = Observation { sensor: observation.sensor, stamp: time, stamp_sigma: sigma, measurement };

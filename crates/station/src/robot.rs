@@ -5,8 +5,8 @@ use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntr
 use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, Fix, FusionOutcome, HostClock,
-    Observation, Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
+    Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, Fix, FusionOutcome, GeodeticOrigin,
+    HostClock, Observation, Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
 };
 
 use crate::camera_table::{CameraTable, FixAdmission, Newcomers};
@@ -16,6 +16,7 @@ use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::{Estimator, FusionReport};
 use crate::fusion_alarms::FusionAlarms;
+use crate::imu_choice::ImuChoice;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
@@ -63,6 +64,7 @@ pub struct Robot {
     /// The address that ground stations see as the vehicle.
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
+    pub(crate) imu: ImuChoice,
     pub(crate) clocks: ClockAlignment,
     pub(crate) estimator: Estimator,
     pub(crate) compared: ComparedEstimators,
@@ -79,7 +81,12 @@ pub struct Robot {
 
 impl Robot {
     /// A robot without messages yet; `links` are those of the station.
-    pub(crate) fn new(filters: &RobotFilters, config: &RobotConfig, links: &[LinkConfig]) -> Self {
+    pub(crate) fn new(
+        filters: &RobotFilters,
+        config: &RobotConfig,
+        links: &[LinkConfig],
+        origin: Option<GeodeticOrigin>,
+    ) -> Self {
         Self {
             id: RobotId::default(),
             block: None,
@@ -87,7 +94,8 @@ impl Robot {
             tag: config.tag,
             wire_address: Address::default(),
             vehicle_address: Address::default(),
-            extractor: ObservationExtractor::new(config),
+            extractor: ObservationExtractor::new(config, origin),
+            imu: ImuChoice::default(),
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(filters.own, &config.filter_config),
             compared: ComparedEstimators::new(&filters.compared, &config.filter_config),

@@ -81,7 +81,7 @@ impl RobotTable {
     /// Fails if a filter is unknown.
     pub(crate) fn new(config: &StationConfig) -> Result<Self, BuildError> {
         Ok(Self {
-            robots: vec![Robot::new(&RobotFilters::find(&config.robot)?, &config.robot, &config.links)],
+            robots: vec![Robot::new(&RobotFilters::find(&config.robot)?, &config.robot, &config.links, config.origin)],
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
             contested: ContestedMessages::default(),
@@ -234,7 +234,7 @@ impl RobotTable {
         // The first robot replaces the configured one, with what that was given before the detection.
         if index == self.robots.len() || *robot_config != config.robot {
             let filters = RobotFilters::find(robot_config).ok()?;
-            let mut robot = Robot::new(&filters, robot_config, &config.links);
+            let mut robot = Robot::new(&filters, robot_config, &config.links, config.origin);
             robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
             self.settings.apply(&mut robot, robot_config);
             for (link, message_id, interval) in &self.intervals {

@@ -9,7 +9,9 @@ use posebridge_protocol::dialect::commands::SUPPORTED_COMMANDS;
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint, FrameRouter};
-use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput, SessionSender};
+use posebridge_protocol::session::{
+    HeartbeatMode, RequestedMessages, Session, SessionConfig, SessionOutput, SessionSender,
+};
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
 
 use crate::config::{AnnouncedAs, LinkConfig, OUTPUTS, StationConfig};
@@ -73,7 +75,7 @@ impl Sessions {
         let vehicle = SessionConfig {
             heartbeat: Heartbeat::ROVER,
             timesync_period: None,
-            requested_messages: Vec::new(),
+            requested_messages: RequestedMessages::default(),
             ..station_session_config(config)
         };
         Self { has_ground_stations: links.values().any(|link| link.is_for_ground_stations), links, vehicle }
@@ -221,7 +223,7 @@ fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostCl
     let mut session_config = station_session_config(config);
     if link.brick.is_some() {
         // A link without MAVLink gets no requests for messages.
-        session_config.requested_messages.clear();
+        session_config.requested_messages = RequestedMessages::default();
     }
     let mut session = Session::new(session_config, now);
     let params = &config.robot.filter_config.params;
@@ -243,7 +245,10 @@ fn station_session_config(config: &StationConfig) -> SessionConfig {
         heartbeat_period: HEARTBEAT_PERIOD,
         timesync_period: Some(config.timesync_period),
         peer_timeout: PEER_TIMEOUT,
-        requested_messages: config.brick_message_intervals.clone(),
+        requested_messages: RequestedMessages {
+            of_robots: config.brick_message_intervals.clone(),
+            of_autopilots: config.autopilot_message_intervals.clone(),
+        },
         offered_messages: OUTPUTS.iter().map(|output| output.message_id).collect(),
     }
 }

@@ -18,6 +18,7 @@ use posebridge_telemetry::{
 
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
+use crate::heard_sensors::HeardSensors;
 use crate::link_context::LinkContext;
 use crate::observers::Observers;
 use crate::operator::OperatorState;
@@ -57,6 +58,7 @@ pub struct Station {
     pub(crate) robots: RobotTable,
     pub(crate) thermometers: ThermometerBank,
     pub(crate) operator: OperatorState,
+    pub(crate) heard_sensors: HeardSensors,
     pub(crate) status_texts: StatusTextQueue,
     pub(crate) egress: Egress,
     pub(crate) outputs: OutputQueue,
@@ -94,6 +96,7 @@ impl Station {
             robots: RobotTable::new(&config)?,
             thermometers: ThermometerBank::default(),
             operator: OperatorState::new(config.robot.filter_config.params),
+            heard_sensors: HeardSensors::default(),
             status_texts: StatusTextQueue::default(),
             egress: Egress::new(&config.links, now),
             outputs: OutputQueue::default(),
@@ -186,6 +189,11 @@ impl Station {
     /// All robots, in the order of their first message; before any is detected, the configured one.
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
+    }
+
+    /// A line for each vehicle that lacks a sensor: what it sends and what is missing.
+    pub fn missing_sensors(&self) -> Vec<String> {
+        self.heard_sensors.missing(self.config.origin.is_some())
     }
 
     /// Before any robot is detected, the configured one.

@@ -50,6 +50,8 @@ impl SensorId {
     /// Radio ranges to beacons.
     pub const BEACONS: Self = Self(8);
     pub const COMPASS: Self = Self(9);
+    /// A receiver of satellites on board, whose fixes need the arena's place on the Earth.
+    pub const GNSS: Self = Self(10);
 
     const SECOND_CAMERA: u8 = 32;
     const FURTHER_CAMERAS: [&'static str; 7] =
@@ -84,6 +86,7 @@ impl SensorId {
             Self::LANDMARKS => "landmarks",
             Self::BEACONS => "beacons",
             Self::COMPASS => "compass",
+            Self::GNSS => "gnss",
             Self(id) => id
                 .checked_sub(Self::SECOND_CAMERA)
                 .and_then(|index| Self::FURTHER_CAMERAS.get(usize::from(index)))
@@ -186,7 +189,7 @@ mod tests {
         assert_eq!(names[7..], ["camera 8"; 3]);
         assert_eq!(SensorId(31).name(), "sensor");
         let known: Vec<u8> = (0..=u8::MAX).filter(|id| SensorId(*id).is_known()).collect();
-        assert_eq!(known, (0..=9).chain(32..=38).collect::<Vec<u8>>());
+        assert_eq!(known, (0..=10).chain(32..=38).collect::<Vec<u8>>());
     }
 
     #[test]

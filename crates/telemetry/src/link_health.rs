@@ -46,6 +46,8 @@ pub struct LinkHealth {
     pub garbage_bytes: u64,
     /// Frames with an unknown message id; their checksum cannot be verified.
     pub unknown_ids: u64,
+    /// Frames of dialects that the station verifies and forwards, but does not decode.
+    pub foreign_frames: u64,
     /// Candidates given up because their bytes stopped coming.
     pub timeouts: u64,
     /// Frames missing in the sequence numbers, summed over the senders; a late one is subtracted again.
@@ -93,6 +95,7 @@ impl LinkCounter {
     pub const CHECKSUM_ERRORS: Self = Self::new("checksum_errors", "damaged", "Candidates with a wrong checksum.", |of| of.checksum_errors);
     pub const GARBAGE_BYTES: Self = Self::new("garbage_bytes", "garbage bytes", "Bytes outside every frame.", |of| of.garbage_bytes);
     pub const UNKNOWN_IDS: Self = Self::new("unknown_ids", "unknown ids", "Frames with an unknown message id.", |of| of.unknown_ids);
+    pub const FOREIGN_FRAMES: Self = Self::new("foreign_frames", "foreign dialects", "Frames of dialects that the station forwards and does not decode.", |of| of.foreign_frames);
     pub const TIMEOUTS: Self = Self::new("stalls", "stalls", "Candidates whose bytes stopped coming.", |of| of.timeouts);
     pub const FRAMES_LOST: Self = Self::new("frames_lost", "lost", "Frames missing in the sequence numbers.", |of| of.frames_lost);
     pub const RECONNECTS: Self = Self::new("reconnects", "reconnects", "Times the link came up again.", |of| of.reconnects);
@@ -111,7 +114,7 @@ impl LinkCounter {
         Self::BYTES_IN, Self::BYTES_OUT, Self::FRAMES_IN, Self::FRAMES_OUT, Self::CHECKSUM_ERRORS, Self::GARBAGE_BYTES,
         Self::UNKNOWN_IDS, Self::TIMEOUTS, Self::FRAMES_LOST, Self::RECONNECTS, Self::DROPS_OUT, Self::REJECTED_FRAMES,
         Self::DUPLICATES, Self::ADDRESS_CONFLICTS, Self::FORWARDED, Self::FILTERED, Self::RATE_LIMITED,
-        Self::KERNEL_DROPS, Self::FLOOD_DROPS,
+        Self::KERNEL_DROPS, Self::FLOOD_DROPS, Self::FOREIGN_FRAMES,
     ];
 
     /// The drops of the station and of the transport; tables and CSV have their sum.

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use posebridge_protocol::dialect::{MESSAGES, decode};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::message::{CommandResult, Heartbeat, Message};
-use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_protocol::session::{RequestedMessages, Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, BrickClock, HostClock, TimeDelta, Timestamp};
 
 use crate::operands::Operands;
@@ -62,7 +62,10 @@ fn config() -> SessionConfig {
         heartbeat_period: TimeDelta::from_millis(1_000),
         timesync_period: Some(TimeDelta::from_millis(500)),
         peer_timeout: TimeDelta::from_millis(3_000),
-        requested_messages: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::ZERO)],
+        requested_messages: RequestedMessages {
+            of_robots: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::ZERO)],
+            ..RequestedMessages::default()
+        },
         offered_messages: vec![30, 331, 42_102],
     }
 }
@@ -255,5 +258,11 @@ fn spelled(operands: &mut Operands<'_>) -> String {
 }
 
 fn parameter_config() -> SessionConfig {
-    SessionConfig { own: OWN, timesync_period: None, requested_messages: vec![], offered_messages: vec![], ..config() }
+    SessionConfig {
+        own: OWN,
+        timesync_period: None,
+        requested_messages: RequestedMessages::default(),
+        offered_messages: vec![],
+        ..config()
+    }
 }

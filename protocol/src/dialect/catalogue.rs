@@ -16,16 +16,14 @@ const PAGE: usize = 256;
 /// Ids have 24 bits.
 const PAGES: usize = 1 << 16;
 
-pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
-    LazyLock::new(|| MessageCatalogue::build(supported_messages()));
-/// Also with the messages of foreign dialects.
-pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
+/// The messages of all dialects.
+pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
     let foreign = FOREIGN_MESSAGES.iter().map(|message| (message.id, message.layout));
     MessageCatalogue::build(supported_messages().chain(foreign))
 });
 
-/// Messages that the station does not decode but can verify, by rising id. The live framer forwards them unverified; an
-/// inspection of a recording verifies and names them. The generated types of these dialects would double the build time.
+/// Messages without generated types, by rising id, so that they are verified, counted and named: the types of these dialects would double
+/// the build time. A sender may use another version of such a dialect; what fails here is forwarded like a message of no dialect.
 ///
 /// # Sources
 /// `all.xml` and `ardupilotmega.xml` of the MAVLink project with everything that they include (upstream commit
@@ -52,6 +50,7 @@ impl ForeignMessage {
             crc_extra: crc_extra.parse().ok()?,
             max_len_v1: max_len_v1.parse().ok()?,
             max_len_v2: max_len_v2.parse().ok()?,
+            is_foreign: true,
         };
         Some(Self { id: id.parse().ok()?, layout, name })
     }
@@ -66,6 +65,18 @@ pub fn message_name(id: u32) -> Option<&'static str> {
         index.ok().and_then(|index| FOREIGN_MESSAGES.get(index))
     };
     standard().or_else(own).or_else(|| foreign().map(|message| message.name))
+}
+
+/// Whether a message belongs to a dialect of the MAVLink project, and not to ours or to none.
+pub(crate) fn is_stock_message(id: u32) -> bool {
+    CATALOGUE.layout(id).is_some() && !posebridge::MavMessage::all_ids().contains(&id)
+}
+
+/// The id of the message with this name, in any dialect; case-sensitive.
+pub fn message_id_named(name: &str) -> Option<u32> {
+    let standard = common::MavMessage::message_id_from_name(name);
+    let foreign = || Some(FOREIGN_MESSAGES.iter().find(|message| message.name == name)?.id);
+    standard.or_else(|| posebridge::MavMessage::message_id_from_name(name)).or_else(foreign)
 }
 
 fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
@@ -86,6 +97,8 @@ pub(crate) struct MessageLayout {
     pub(crate) max_len_v1: u8,
     /// Payload length with extension fields.
     pub(crate) max_len_v2: u8,
+    /// Whether it belongs to neither common.xml nor our own dialect.
+    pub(crate) is_foreign: bool,
 }
 
 /// Every message that this station can verify.
@@ -126,6 +139,7 @@ fn measure_layout<M: Message>(id: u32) -> Option<MessageLayout> {
         crc_extra: M::extra_crc(id),
         max_len_v1: written_length(&message, MavlinkVersion::V1),
         max_len_v2: written_length(&message, MavlinkVersion::V2),
+        is_foreign: false,
     })
 }
 
@@ -151,7 +165,7 @@ mod tests {
         let known: BTreeSet<u32> = supported_messages().map(|(id, _)| id).chain(foreign).collect();
         assert!(known.len() > 300);
         for id in (0..70_000).chain([0x00FF_FFFF, u32::MAX]) {
-            assert_eq!(FULL_CATALOGUE.layout(id).is_some(), known.contains(&id), "{id}");
+            assert_eq!(CATALOGUE.layout(id).is_some(), known.contains(&id), "{id}");
         }
         for (id, shape) in supported_messages() {
             assert_eq!(CATALOGUE.layout(id), Some(shape), "{id}");
@@ -171,7 +185,7 @@ mod tests {
             (331, 91, 230, 233),
             (9000, 113, 137, 137),
         ] {
-            let expected = MessageLayout { crc_extra, max_len_v1, max_len_v2 };
+            let expected = MessageLayout { crc_extra, max_len_v1, max_len_v2, is_foreign: false };
             assert_eq!(CATALOGUE.layout(id), Some(expected), "message {id}");
         }
     }
@@ -188,12 +202,11 @@ mod tests {
         assert_eq!(FOREIGN_MESSAGES.len(), FOREIGN_TABLE.lines().count() - 1);
         assert!(FOREIGN_MESSAGES.is_sorted_by(|one, next| one.id < next.id));
         for message in FOREIGN_MESSAGES.iter() {
-            assert_eq!(CATALOGUE.layout(message.id), None, "{}", message.name);
+            assert_eq!(CATALOGUE.layout(message.id), Some(message.layout), "{}", message.name);
         }
         // RADIO of ArduPilot, as ardupilotmega.xml defines it.
-        let radio = FULL_CATALOGUE.layout(166).unwrap();
+        let radio = CATALOGUE.layout(166).unwrap();
         assert_eq!((radio.crc_extra, radio.max_len_v1), (21, 9));
-        assert_eq!(FULL_CATALOGUE.layout(0), CATALOGUE.layout(0));
     }
 
     #[test]
@@ -202,8 +215,11 @@ mod tests {
         assert_eq!(message_name(166), Some("RADIO"));
         assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
         assert_eq!(message_name(9_999_999), None);
+        assert_eq!(message_id_named("heartbeat"), None);
         for id in 0..100_000 {
-            assert_eq!(FULL_CATALOGUE.layout(id).is_some(), message_name(id).is_some(), "{id}");
+            let name = message_name(id);
+            assert_eq!(CATALOGUE.layout(id).is_some(), name.is_some(), "{id}");
+            assert_eq!(name.and_then(message_id_named), name.map(|_| id), "{id}");
         }
     }
 

@@ -16,14 +16,15 @@ mod posebridge;
 mod poses;
 mod sensors;
 mod services;
+mod vehicle;
 
-pub use catalogue::message_name;
+pub use catalogue::{message_id_named, message_name};
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;
 
 use crate::framing::FrameRef;
-use crate::message::{Message, WireStamp};
+use crate::message::{ImuMessage, Message, WireStamp};
 
 /// Decodes a verified frame.
 ///
@@ -48,7 +49,13 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::COMPONENT_INFORMATION_BASIC => Ok(Some(services::component_information(payload))),
         ids::MESSAGE_INTERVAL => Ok(Some(services::message_interval(payload))),
         ids::DEBUG_FLOAT_ARRAY => Ok(Some(services::float_array(payload))),
-        ids::SCALED_IMU => sensors::scaled_imu(payload),
+        ids::SCALED_IMU => sensors::scaled_imu(ImuMessage::Scaled, payload),
+        ids::SCALED_IMU2 => sensors::scaled_imu(ImuMessage::Scaled2, payload),
+        ids::SCALED_IMU3 => sensors::scaled_imu(ImuMessage::Scaled3, payload),
+        ids::RAW_IMU => Ok(Some(sensors::raw_imu(payload))),
+        ids::RPM => sensors::wheel_speeds(payload),
+        ids::GPS_RAW_INT => Ok(poses::gnss_fix(payload)),
+        ids::LANDING_TARGET => poses::landing_target(payload),
         ids::SCALED_PRESSURE => sensors::scaled_pressure(payload),
         ids::NAMED_VALUE_FLOAT => sensors::named_value(payload),
         ids::HIGHRES_IMU => sensors::highres_imu(payload),
@@ -57,9 +64,22 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::ATTITUDE => poses::attitude(payload),
         ids::LOCAL_POSITION_NED => poses::local_position(payload),
         ids::VISION_POSITION_ESTIMATE => poses::vision_position(payload),
+        // The same fields; its frame is called global, and is that of the sender's local positions.
+        ids::GLOBAL_VISION_POSITION_ESTIMATE => poses::vision_position(payload),
         ids::ATT_POS_MOCAP => poses::mocap_position(payload),
         ids::ESTIMATOR_STATUS => poses::estimator_status(payload),
         ids::ODOMETRY => poses::odometry(payload),
+        ids::SYS_STATUS => Ok(Some(vehicle::system_status(payload))),
+        ids::BATTERY_STATUS => Ok(Some(vehicle::battery_status(payload))),
+        ids::EXTENDED_SYS_STATE => Ok(vehicle::on_ground(payload)),
+        ids::GLOBAL_POSITION_INT => Ok(Some(vehicle::global_position(payload))),
+        ids::HOME_POSITION => Ok(Some(vehicle::home_position(payload))),
+        ids::GPS_GLOBAL_ORIGIN => Ok(Some(vehicle::global_origin(payload))),
+        ids::SET_GPS_GLOBAL_ORIGIN => Ok(Some(vehicle::set_global_origin(payload))),
+        ids::VFR_HUD => vehicle::head_up_display(payload),
+        ids::ATTITUDE_QUATERNION => vehicle::attitude_quaternion(payload),
+        ids::MANUAL_CONTROL => Ok(Some(vehicle::manual_control(payload))),
+        ids::SET_POSITION_TARGET_LOCAL_NED => vehicle::position_target(payload),
         ids::PB_WHEEL_TICKS => posebridge::wheel_ticks(payload),
         ids::PB_INERTIAL => posebridge::inertial(payload),
         ids::PB_PLANAR_POSE => posebridge::planar_pose(payload),

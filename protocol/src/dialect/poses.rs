@@ -10,7 +10,9 @@ use mavlink::dialects::common::{
     ATT_POS_MOCAP_DATA, ATTITUDE_DATA, ESTIMATOR_STATUS_DATA, EstimatorStatusFlags, LOCAL_POSITION_NED_DATA,
     VISION_POSITION_ESTIMATE_DATA,
 };
-use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond};
+use posebridge_telemetry::{
+    GeodeticPoint, Heading, LandmarkId, Meters, MetersPerSecond, Pose, Radians, RadiansPerSecond,
+};
 
 use super::frames::{
     PlanarPoint, TRIANGLE_LEN, negate, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
@@ -20,7 +22,9 @@ use super::ids;
 use super::payload::{
     Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
-use crate::message::{EstimatorStatus, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp};
+use crate::message::{
+    EstimatorStatus, GnssFix, LandmarkSighting, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp,
+};
 
 /// MAV_FRAME values of ODOMETRY.
 mod frame {
@@ -45,6 +49,23 @@ const ESTIMATOR_UNKNOWN: u8 = 0;
 /// MAV_ESTIMATOR_TYPE_VISION: an external observer without inertial sensors.
 const ESTIMATOR_VISION: u8 = 2;
 const ESTIMATOR_MOCAP: u8 = 6;
+
+/// Unit of latitude and longitude.
+const DEGREES_E7: f64 = 1e-7;
+/// Unit of GPS_RAW_INT.eph and of the accuracies.
+const HUNDREDTH: f64 = 1e-2;
+const MILLIMETER_M: f64 = 1e-3;
+/// GPS_RAW_INT.eph when the sender does not know it.
+const DILUTION_UNKNOWN: u16 = u16::MAX;
+/// The error of a range to a satellite, by which a dilution of precision becomes a length: a receiver with the broadcast corrections, one
+/// frequency, open sky (GPS Standard Positioning Service Performance Standard, 2020, appendix B).
+const USER_RANGE_ERROR_M: f64 = 2.5;
+/// GPS_FIX_TYPE_2D_FIX, the lowest that is a position, and GPS_FIX_TYPE_STATIC, the first that is not measured.
+const GPS_FIX_2D: u8 = 2;
+const GPS_FIX_3D: u8 = 3;
+const GPS_FIX_STATIC: u8 = 7;
+/// LANDING_TARGET_TYPE_VISION_OTHER.
+const LANDING_TARGET_OTHER: u8 = 3;
 
 pub(super) fn attitude(payload: &[u8]) -> Decoded {
     let data: ATTITUDE_DATA = decode_generated(payload)?;
@@ -109,6 +130,101 @@ pub(super) fn vision_position(payload: &[u8]) -> Decoded {
         reset_counter: data.reset_counter,
         tag: None,
     })))
+}
+
+/// A position that two or three dimensions are known of; others are no fix.
+pub(super) fn gnss_fix(payload: &[u8]) -> Option<Message> {
+    let mut reader = PayloadReader::new(payload);
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
+    let [latitude, longitude, _altitude]: [i32; 3] = std::array::from_fn(|_| reader.number());
+    let horizontal_dilution = reader.number::<u16>();
+    reader.skip::<6>();
+    let fix_type = reader.number::<u8>();
+    // The number of satellites, and as an extension the altitude above the ellipsoid.
+    reader.skip::<5>();
+    let horizontal_accuracy_mm = reader.number::<u32>();
+    let in_degrees = |value: i32| f64::from(value) * DEGREES_E7;
+    let is_on_earth = in_degrees(latitude).abs() <= 90.0 && in_degrees(longitude).abs() <= 180.0;
+    if !(GPS_FIX_2D..GPS_FIX_STATIC).contains(&fix_type) || !is_on_earth {
+        return None;
+    }
+    let sigma_m = match (horizontal_accuracy_mm, horizontal_dilution) {
+        (0, 0 | DILUTION_UNKNOWN) => None,
+        (0, dilution) => Some(f64::from(dilution) * HUNDREDTH * USER_RANGE_ERROR_M),
+        (accuracy_mm, _) => Some(f64::from(accuracy_mm) * MILLIMETER_M),
+    };
+    Some(Message::GnssFix(GnssFix { stamp, position: geodetic_point(latitude, longitude), sigma: sigma_m.map(Meters) }))
+}
+
+/// From the unit of the wire.
+pub(super) fn geodetic_point(latitude: i32, longitude: i32) -> GeodeticPoint {
+    let [latitude, longitude] =
+        [latitude, longitude].map(|value| Radians((f64::from(value) * DEGREES_E7).to_radians()));
+    GeodeticPoint { latitude, longitude }
+}
+
+/// In the unit of the wire.
+pub(super) fn latitude_e7(point: GeodeticPoint) -> i32 {
+    (point.latitude.0.to_degrees() / DEGREES_E7).round() as i32
+}
+
+/// In the unit of the wire.
+pub(super) fn longitude_e7(point: GeodeticPoint) -> i32 {
+    (point.longitude.0.to_degrees() / DEGREES_E7).round() as i32
+}
+
+pub(super) fn write_gnss_fix(fix: &GnssFix) -> Payload {
+    let accuracy_mm = fix.sigma.map_or(0, |sigma| (sigma.0 / MILLIMETER_M).round() as u32);
+    let (altitude_mm, satellites, no_speed) = (0, u8::MAX, u16::MAX);
+    Payload::new(ids::GPS_RAW_INT)
+        .number::<u64>(micros64(fix.stamp))
+        .number::<i32>(latitude_e7(fix.position))
+        .number::<i32>(longitude_e7(fix.position))
+        .number::<i32>(altitude_mm)
+        .number::<u16>(DILUTION_UNKNOWN)
+        .number::<u16>(DILUTION_UNKNOWN)
+        .number::<u16>(no_speed)
+        .number::<u16>(no_speed)
+        .number::<u8>(GPS_FIX_3D)
+        .number::<u8>(satellites)
+        .number::<i32>(altitude_mm)
+        .number::<u32>(accuracy_mm)
+}
+
+/// Only positions that the sender calls valid, in the vehicle's own axes: angles in a picture need its camera.
+pub(super) fn landing_target(payload: &[u8]) -> Decoded {
+    let mut reader = PayloadReader::new(payload);
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
+    reader.skip::<{ 5 * 4 }>();
+    let (target, target_frame) = (reader.number::<u8>(), reader.number::<u8>());
+    let [forward, right, _down] = reader.f32s();
+    reader.skip::<{ 4 * 4 + 1 }>();
+    let is_position_valid = reader.number::<u8>() == 1;
+    if !is_position_valid || !matches!(target_frame, frame::BODY_FRD | frame::BODY_NED) {
+        return Ok(None);
+    }
+    let forward_m = require_finite(ids::LANDING_TARGET, "x", f64::from(forward))?;
+    let left_m = negate(require_finite(ids::LANDING_TARGET, "y", f64::from(right))?);
+    Ok(Some(Message::LandmarkSighting(LandmarkSighting {
+        stamp,
+        landmark: LandmarkId(u32::from(target)),
+        range: Meters(forward_m.hypot(left_m)),
+        bearing: Radians(left_m.atan2(forward_m)),
+    })))
+}
+
+pub(super) fn write_landing_target(sighting: &LandmarkSighting) -> Payload {
+    let (left, forward) = sighting.bearing.0.sin_cos();
+    let (kind, position_valid) = (LANDING_TARGET_OTHER, 1);
+    Payload::new(ids::LANDING_TARGET)
+        .number::<u64>(micros64(sighting.stamp))
+        .f32s(&[0.0, 0.0, sighting.range.0 as f32, 0.0, 0.0])
+        .number::<u8>(sighting.landmark.0 as u8)
+        .number::<u8>(frame::BODY_FRD)
+        .f32s(&[(sighting.range.0 * forward) as f32, negate(sighting.range.0 * left) as f32, 0.0])
+        .f32s(&[1.0, 0.0, 0.0, 0.0])
+        .number::<u8>(kind)
+        .number::<u8>(position_valid)
 }
 
 pub(super) fn write_vision(fix: &VisionFix) -> Payload {
@@ -290,12 +406,12 @@ pub(super) fn write_estimator_status(status: &EstimatorStatus) -> Payload {
     Payload::encode(&data)
 }
 
-fn heading_from_yaw(yaw_rad: f64) -> Heading {
+pub(super) fn heading_from_yaw(yaw_rad: f64) -> Heading {
     let pose = PlanarPoint { x: 0.0, y: 0.0, angle: yaw_rad };
     Heading::from_rad(turn_ned(pose).angle)
 }
 
-fn yaw_from_heading(heading: Heading) -> f64 {
+pub(super) fn yaw_from_heading(heading: Heading) -> f64 {
     heading_from_yaw(heading.rad()).rad()
 }
 

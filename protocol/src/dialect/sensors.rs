@@ -11,12 +11,14 @@ use super::payload::{
     Decoded, Payload, PayloadError, PayloadReader, decode_generated, micros64, millis32, require_finite,
 };
 use super::services::{NAME_BYTES, write_named_value};
-use crate::message::{Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
+use crate::message::{ImuMessage, Message, NamedValue, PlanarImu, SCALED_PRESSURE_CHANNEL, WireStamp};
 
 /// Unit of SCALED_IMU.xacc, a thousandth of the standard gravity (CGPM 1901).
 const MILLI_GRAVITY_M_PER_S2: f64 = 9.806_65e-3;
 /// Unit of SCALED_IMU.zgyro.
 const MILLI_RAD_PER_S: f64 = 1e-3;
+/// Unit of RPM: turns per minute.
+const RPM_RAD_PER_S: f64 = std::f64::consts::TAU / 60.0;
 /// Unit of DISTANCE_SENSOR's distances.
 const CENTIMETER_M: f64 = 1e-2;
 /// MAV_SENSOR_ROTATION_NONE: looks forward.
@@ -57,26 +59,60 @@ pub(super) fn write_wheel_distance(stamp: WireStamp, left: Meters, right: Meters
     Payload::encode(&WHEEL_DISTANCE_DATA { time_usec: micros64(stamp), distance, count: 2 })
 }
 
-pub(super) fn scaled_imu(payload: &[u8]) -> Decoded {
+/// SCALED_IMU, SCALED_IMU2 and SCALED_IMU3 have the same fields.
+pub(super) fn scaled_imu(message: ImuMessage, payload: &[u8]) -> Decoded {
     let data: SCALED_IMU_DATA = decode_generated(payload)?;
-    Ok(Some(Message::ScaledImu(PlanarImu {
-        stamp: WireStamp::Millis32(data.time_boot_ms),
-        turn_rate: Some(RadiansPerSecond(negate(f64::from(data.zgyro)) * MILLI_RAD_PER_S)),
-        forward_acceleration: Some(MetersPerSecondSquared(f64::from(data.xacc) * MILLI_GRAVITY_M_PER_S2)),
-    })))
+    let stamp = WireStamp::Millis32(data.time_boot_ms);
+    Ok(Some(Message::Imu(imu_in_thousandths(message, stamp, data.xacc, data.zgyro))))
 }
 
-/// SCALED_IMU has no value for "missing": zero is written.
-pub(super) fn write_scaled(imu: &PlanarImu) -> Payload {
-    let turn_rate = imu.turn_rate.unwrap_or_default();
-    let acceleration = imu.forward_acceleration.unwrap_or_default();
-    let data = SCALED_IMU_DATA {
-        time_boot_ms: millis32(imu.stamp),
-        xacc: (acceleration.0 / MILLI_GRAVITY_M_PER_S2).round() as i16,
-        zgyro: (negate(turn_rate.0) / MILLI_RAD_PER_S).round() as i16,
-        ..SCALED_IMU_DATA::DEFAULT
+pub(super) fn raw_imu(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let stamp = WireStamp::Micros64(reader.number::<u64>());
+    let [x_acceleration, _, _, _, _, z_rate]: [i16; 6] = std::array::from_fn(|_| reader.number());
+    Message::Imu(imu_in_thousandths(ImuMessage::Raw, stamp, x_acceleration, z_rate))
+}
+
+fn imu_in_thousandths(message: ImuMessage, stamp: WireStamp, x_acceleration: i16, z_rate: i16) -> PlanarImu {
+    PlanarImu {
+        message,
+        stamp,
+        turn_rate: Some(RadiansPerSecond(negate(f64::from(z_rate)) * MILLI_RAD_PER_S)),
+        forward_acceleration: Some(MetersPerSecondSquared(f64::from(x_acceleration) * MILLI_GRAVITY_M_PER_S2)),
+    }
+}
+
+pub(super) fn write_imu(imu: &PlanarImu) -> Payload {
+    let message_id = match imu.message {
+        ImuMessage::Highres => return write_highres(imu),
+        ImuMessage::Raw => return write_in_thousandths(Payload::new(ids::RAW_IMU).number(micros64(imu.stamp)), imu),
+        ImuMessage::Scaled => ids::SCALED_IMU,
+        ImuMessage::Scaled2 => ids::SCALED_IMU2,
+        ImuMessage::Scaled3 => ids::SCALED_IMU3,
     };
-    Payload::encode(&data)
+    write_in_thousandths(Payload::new(message_id).number(millis32(imu.stamp)), imu)
+}
+
+/// These messages have no value for "missing": zero is written.
+fn write_in_thousandths(stamped: Payload, imu: &PlanarImu) -> Payload {
+    let acceleration = imu.forward_acceleration.unwrap_or_default().0 / MILLI_GRAVITY_M_PER_S2;
+    let turn_rate = negate(imu.turn_rate.unwrap_or_default().0) / MILLI_RAD_PER_S;
+    let [x_acceleration, z_rate] = [acceleration, turn_rate].map(|value| value.round() as i16);
+    [x_acceleration, 0, 0, 0, 0, z_rate].into_iter().fold(stamped, |payload, value| payload.number::<i16>(value))
+}
+
+/// Only the first two speeds, of which the first is the left one, as in WHEEL_DISTANCE.
+pub(super) fn wheel_speeds(payload: &[u8]) -> Decoded {
+    let [left, right] = PayloadReader::new(payload).f32s();
+    let checked = |value| require_finite(ids::RPM, "rpm", f64::from(value));
+    Ok(Some(Message::WheelSpeeds {
+        left: RadiansPerSecond(checked(left)? * RPM_RAD_PER_S),
+        right: RadiansPerSecond(checked(right)? * RPM_RAD_PER_S),
+    }))
+}
+
+pub(super) fn write_wheel_speeds(left: RadiansPerSecond, right: RadiansPerSecond) -> Payload {
+    Payload::new(ids::RPM).f32s(&[left, right].map(|speed| (speed.0 / RPM_RAD_PER_S) as f32))
 }
 
 pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
@@ -84,14 +120,15 @@ pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     let has = |field| data.fields_updated.contains(field);
     let has_turn_rate = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO);
     let has_acceleration = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC);
-    Ok(Some(Message::HighresImu(PlanarImu {
+    Ok(Some(Message::Imu(PlanarImu {
+        message: ImuMessage::Highres,
         stamp: WireStamp::Micros64(data.time_usec),
         turn_rate: has_turn_rate.then(|| RadiansPerSecond(negate(f64::from(data.zgyro)))),
         forward_acceleration: has_acceleration.then(|| MetersPerSecondSquared(f64::from(data.xacc))),
     })))
 }
 
-pub(super) fn write_highres(imu: &PlanarImu) -> Payload {
+fn write_highres(imu: &PlanarImu) -> Payload {
     // Not the generated default: that is the first flag, not the empty set.
     let mut fields_updated = HighresImuUpdatedFlags::empty();
     fields_updated.set(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO, imu.turn_rate.is_some());

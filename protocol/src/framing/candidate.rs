@@ -8,7 +8,7 @@ use posebridge_telemetry::Address;
 
 use super::checksum::checksum;
 use super::{FLAG_SIGNED, FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
-use crate::dialect::catalogue::{FULL_CATALOGUE, MessageCatalogue};
+use crate::dialect::catalogue::{CATALOGUE, MessageLayout};
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
 const HEADER_V2: usize = 10;
@@ -39,7 +39,7 @@ pub(crate) enum FrameCandidate {
     },
     Supported {
         header: FrameHeader,
-        crc_extra: u8,
+        layout: MessageLayout,
     },
     Unknown {
         header: FrameHeader,
@@ -57,9 +57,8 @@ pub enum VerifiedFrame<'a> {
 }
 
 /// Verifies bytes that were framed by something else, such as a record of a file: they must be exactly one frame.
-/// Includes the foreign dialects, as [`super::Framer::with_all_dialects`].
 pub fn verify(raw: &[u8]) -> VerifiedFrame<'_> {
-    let candidate = classify(raw, &FULL_CATALOGUE);
+    let candidate = classify(raw);
     if let FrameCandidate::Unknown { header } = candidate
         && header.total == raw.len()
     {
@@ -72,12 +71,12 @@ impl FrameCandidate {
     /// The frame of a supported message; `None` unless `raw`, which was classified as this, holds exactly that frame and
     /// its checksum matches.
     pub(crate) fn verified_frame(self, raw: &[u8]) -> Option<FrameRef<'_>> {
-        let Self::Supported { header, crc_extra } = self else { return None };
+        let Self::Supported { header, layout } = self else { return None };
         if header.total != raw.len() {
             return None;
         }
         let (covered, found) = header.covered(raw);
-        (checksum(covered, crc_extra) == found).then(|| header.frame(raw))
+        (checksum(covered, layout.crc_extra) == found).then(|| header.frame(raw))
     }
 }
 
@@ -91,7 +90,7 @@ pub fn parse_verified(raw: &[u8]) -> Option<FrameRef<'_>> {
 
 /// Classifies `bytes`, which begin with a start byte of the version.
 #[inline]
-pub(crate) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandidate {
+pub(crate) fn classify(bytes: &[u8]) -> FrameCandidate {
     if let [START_BYTE_V2, length, flags, ..] = *bytes
         && flags & !FLAG_SIGNED != 0
     {
@@ -101,10 +100,10 @@ pub(crate) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandi
     let Some(header) = FrameHeader::parse(bytes) else {
         return FrameCandidate::Incomplete;
     };
-    let Some(shape) = catalogue.layout(header.message_id) else {
+    let Some(layout) = CATALOGUE.layout(header.message_id) else {
         return FrameCandidate::Unknown { header };
     };
-    let (shortest, longest) = (usize::from(shape.max_len_v1), usize::from(shape.max_len_v2));
+    let (shortest, longest) = (usize::from(layout.max_len_v1), usize::from(layout.max_len_v2));
     let fits = match header.version {
         // Version 1 cuts no zeros off: a payload has the length of its definition. Extension fields do not belong there,
         // but pymavlink sends them when it is set to version 1.
@@ -112,7 +111,10 @@ pub(crate) fn classify(bytes: &[u8], catalogue: &MessageCatalogue) -> FrameCandi
         WireVersion::V2 => header.payload_len <= longest,
     };
     if fits {
-        FrameCandidate::Supported { header, crc_extra: shape.crc_extra }
+        FrameCandidate::Supported { header, layout }
+    } else if layout.is_foreign {
+        // Another version of its dialect has other fields.
+        FrameCandidate::Unknown { header }
     } else {
         FrameCandidate::Impossible { message_id: header.message_id, length: header.payload_len as u8 }
     }

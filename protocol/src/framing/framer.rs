@@ -12,7 +12,7 @@ use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 use super::candidate::{FrameCandidate, FrameHeader, UnknownSpan, UnknownSpans, classify};
 use super::checksum::checksum;
 use super::{FramerConfig, FramerCounters, FramerOutput, START_BYTE_V1, START_BYTE_V2, TransportKind};
-use crate::dialect::catalogue::{CATALOGUE, FULL_CATALOGUE, MessageCatalogue};
+use crate::dialect::catalogue::MessageLayout;
 
 type FramerSink<'s> = dyn FnMut(FramerOutput<'_>) + 's;
 
@@ -39,7 +39,6 @@ type FramerSink<'s> = dyn FnMut(FramerOutput<'_>) + 's;
 #[derive(Debug)]
 pub struct Framer {
     config: FramerConfig,
-    catalogue: &'static MessageCatalogue,
     pending: Vec<u8>,
     progress: ScanProgress,
     last_byte: Timestamp<HostClock>,
@@ -81,7 +80,6 @@ impl Framer {
     pub fn new(config: FramerConfig) -> Self {
         Self {
             config,
-            catalogue: &CATALOGUE,
             pending: Vec::new(),
             progress: ScanProgress::default(),
             last_byte: Timestamp::ZERO,
@@ -89,12 +87,6 @@ impl Framer {
             overdue_end: 0,
             counters: FramerCounters::default(),
         }
-    }
-
-    /// Also verifies the messages of foreign dialects, for recordings. A live link forwards them unverified, because
-    /// its peers may use a newer version of their dialect.
-    pub fn with_all_dialects(config: FramerConfig) -> Self {
-        Self { catalogue: &FULL_CATALOGUE, ..Self::new(config) }
     }
 
     /// Takes one chunk, which arrived at `now`, and emits what it completes, in the order of the bytes.
@@ -214,7 +206,6 @@ impl Framer {
         ScanPass {
             buffer,
             accept_v1: self.config.accept_v1,
-            catalogue: self.catalogue,
             progress: &mut progress,
             counters: &mut self.counters.clone(),
             sink: &mut |_| {},
@@ -228,7 +219,6 @@ impl Framer {
         ScanPass {
             buffer,
             accept_v1: self.config.accept_v1,
-            catalogue: self.catalogue,
             progress: &mut self.progress,
             counters: &mut self.counters,
             sink,
@@ -241,7 +231,6 @@ impl Framer {
 struct ScanPass<'p, 'b, 's> {
     buffer: &'b [u8],
     accept_v1: bool,
-    catalogue: &'static MessageCatalogue,
     progress: &'p mut ScanProgress,
     counters: &'p mut FramerCounters,
     sink: &'p mut FramerSink<'s>,
@@ -253,9 +242,9 @@ impl ScanPass<'_, '_, '_> {
         while self.find_start() {
             let at = self.progress.cursor;
             let rest = &self.buffer[at..];
-            match classify(rest, self.catalogue) {
-                FrameCandidate::Supported { header, crc_extra } if header.total <= rest.len() => {
-                    self.verify(&header, crc_extra);
+            match classify(rest) {
+                FrameCandidate::Supported { header, layout } if header.total <= rest.len() => {
+                    self.verify(&header, layout);
                 }
                 FrameCandidate::Supported { .. } | FrameCandidate::Incomplete => {
                     if !wait_policy.has_expired_at(at) {
@@ -263,11 +252,7 @@ impl ScanPass<'_, '_, '_> {
                     }
                     self.skip_incomplete();
                 }
-                FrameCandidate::Unknown { header } => {
-                    let end = at + header.total;
-                    self.progress.unknown_spans.push(UnknownSpan { start: at, end });
-                    self.progress.cursor += 1;
-                }
+                FrameCandidate::Unknown { header } => self.claim_unknown(&header),
                 FrameCandidate::Impossible { message_id, length } => {
                     self.counters.impossible_headers += 1;
                     (self.sink)(FramerOutput::Error(ReceiveError::ImpossibleHeader { message_id, length }));
@@ -298,23 +283,33 @@ impl ScanPass<'_, '_, '_> {
     }
 
     #[inline]
-    fn verify(&mut self, header: &FrameHeader, crc_extra: u8) {
+    fn verify(&mut self, header: &FrameHeader, layout: MessageLayout) {
         let at = self.progress.cursor;
         let raw = &self.buffer[at..at + header.total];
         let (covered, found) = header.covered(raw);
-        let expected = checksum(covered, crc_extra);
+        let expected = checksum(covered, layout.crc_extra);
         if found == expected {
             self.decide_to(at);
             self.counters.frames += 1;
+            self.counters.foreign_frames += u64::from(layout.is_foreign);
             (self.sink)(FramerOutput::Frame(header.frame(raw)));
             self.progress.cursor += header.total;
             self.progress.decided = self.progress.cursor;
             self.progress.frames_end = self.progress.cursor;
+        } else if layout.is_foreign {
+            // Another version of its dialect has another seed.
+            self.claim_unknown(header);
         } else {
             self.counters.checksum_errors += 1;
             (self.sink)(FramerOutput::Error(ReceiveError::Checksum { message_id: header.message_id, found, expected }));
             self.progress.cursor += 1;
         }
+    }
+
+    fn claim_unknown(&mut self, header: &FrameHeader) {
+        let start = self.progress.cursor;
+        self.progress.unknown_spans.push(UnknownSpan { start, end: start + header.total });
+        self.progress.cursor += 1;
     }
 
     fn skip_incomplete(&mut self) {
@@ -344,7 +339,7 @@ impl ScanPass<'_, '_, '_> {
 
     fn emit_unknown(&mut self, span: UnknownSpan) {
         let raw = &self.buffer[span.start..span.end];
-        if let FrameCandidate::Unknown { header } = classify(raw, self.catalogue) {
+        if let Some(header) = FrameHeader::parse(raw) {
             self.counters.unknown_ids += 1;
             (self.sink)(FramerOutput::UnknownFrame(header.frame(raw)));
             self.progress.decided = span.end;

@@ -65,7 +65,10 @@ impl Default for FramerConfig {
 /// bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FramerCounters {
+    /// Those of foreign dialects included.
     pub frames: u64,
+    /// Of a dialect that the station does not decode.
+    pub foreign_frames: u64,
     pub checksum_errors: u64,
     /// Bytes outside every frame.
     pub garbage_bytes: u64,
@@ -80,6 +83,7 @@ impl FramerCounters {
     pub const fn merged(self, other: &Self) -> Self {
         Self {
             frames: self.frames + other.frames,
+            foreign_frames: self.foreign_frames + other.foreign_frames,
             checksum_errors: self.checksum_errors + other.checksum_errors,
             garbage_bytes: self.garbage_bytes + other.garbage_bytes,
             unknown_ids: self.unknown_ids + other.unknown_ids,

@@ -5,14 +5,19 @@
 //! [`Message::Compass`], which only bricks with other protocols send.
 
 use posebridge_telemetry::{
-    Address, Arena, Celsius, ChannelName, EncoderTicks, Heading, HostClock, Meters, MetersPerSecond,
-    MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
+    Address, Arena, Celsius, ChannelName, EncoderTicks, GeodeticPoint, Heading, HostClock, LandmarkId, Meters,
+    MetersPerSecond, MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
 };
 
 mod commands;
+mod vehicle;
 
 pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
+pub use vehicle::{
+    AttitudeQuaternion, Battery, GlobalPosition, GlobalReference, HeadUpDisplay, ManualControl, PositionTarget,
+    SetGlobalOrigin, Setpoint, SystemStatus,
+};
 
 /// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
 pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
@@ -70,10 +75,39 @@ pub enum Message {
         left: Meters,
         right: Meters,
     },
-    /// SCALED_IMU (26) in SI units; only the planar parts.
-    ScaledImu(PlanarImu),
-    /// HIGHRES_IMU (105), only the planar parts.
-    HighresImu(PlanarImu),
+    /// The planar parts of a message of [`ImuMessage`], in SI units.
+    Imu(PlanarImu),
+    /// RPM (226, ardupilotmega): the speeds of both wheels. The message has no timestamp.
+    WheelSpeeds {
+        left: RadiansPerSecond,
+        right: RadiansPerSecond,
+    },
+    /// GPS_RAW_INT (24) with a fix of two or three dimensions.
+    GnssFix(GnssFix),
+    /// LANDING_TARGET (149) with a valid position, as a sighting of a landmark.
+    LandmarkSighting(LandmarkSighting),
+    /// GLOBAL_POSITION_INT (33).
+    GlobalPosition(GlobalPosition),
+    /// HOME_POSITION (242).
+    HomePosition(GlobalReference),
+    /// GPS_GLOBAL_ORIGIN (49).
+    GlobalOrigin(GlobalReference),
+    /// SET_GPS_GLOBAL_ORIGIN (48).
+    SetGlobalOrigin(SetGlobalOrigin),
+    /// VFR_HUD (74).
+    HeadUpDisplay(HeadUpDisplay),
+    /// ATTITUDE_QUATERNION (31).
+    AttitudeQuaternion(AttitudeQuaternion),
+    /// SYS_STATUS (1).
+    SystemStatus(SystemStatus),
+    /// BATTERY_STATUS (147).
+    BatteryStatus(Battery),
+    /// EXTENDED_SYS_STATE (245) of a vehicle that does not fly.
+    OnGround,
+    /// MANUAL_CONTROL (69).
+    ManualControl(ManualControl),
+    /// SET_POSITION_TARGET_LOCAL_NED (84).
+    PositionTarget(PositionTarget),
     /// DISTANCE_SENSOR (132), forward looking.
     DistanceSensor {
         stamp: WireStamp,
@@ -169,8 +203,11 @@ impl Message {
             | Self::PlanarPose(PlanarPose { stamp, .. })
             | Self::FusionHealth(FusionHealth { stamp, .. })
             | Self::WheelDistance { stamp, .. }
-            | Self::ScaledImu(PlanarImu { stamp, .. })
-            | Self::HighresImu(PlanarImu { stamp, .. })
+            | Self::Imu(PlanarImu { stamp, .. })
+            | Self::GnssFix(GnssFix { stamp, .. })
+            | Self::LandmarkSighting(LandmarkSighting { stamp, .. })
+            | Self::GlobalPosition(GlobalPosition { stamp, .. })
+            | Self::AttitudeQuaternion(AttitudeQuaternion { stamp, .. })
             | Self::DistanceSensor { stamp, .. }
             | Self::Thermometer { stamp, .. }
             | Self::Compass { stamp, .. }
@@ -195,6 +232,17 @@ impl Message {
             // For people's eyes, by whichever clock their sender had at hand.
             | Self::NamedValue(_)
             | Self::FloatArray(_)
+            | Self::WheelSpeeds { .. }
+            // Places do not move, and the others have no stamp or none that is needed.
+            | Self::HomePosition(_)
+            | Self::GlobalOrigin(_)
+            | Self::SetGlobalOrigin(_)
+            | Self::HeadUpDisplay(_)
+            | Self::SystemStatus(_)
+            | Self::BatteryStatus(_)
+            | Self::OnGround
+            | Self::ManualControl(_)
+            | Self::PositionTarget(_)
             | Self::RobotDescription(_)
             | Self::ParamRequestList { .. }
             | Self::ParamRequestRead { .. }
@@ -264,9 +312,28 @@ impl Inertial {
     }
 }
 
+/// The messages of inertial measurement units. An autopilot sends the readings of its first unit in several of them, and those of
+/// further units in messages of their own.
+///
+/// They are in the order in which they are preferred: by resolution, the autopilot's first unit before the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ImuMessage {
+    /// HIGHRES_IMU (105).
+    Highres,
+    /// SCALED_IMU (26).
+    Scaled,
+    /// RAW_IMU (27). The definition leaves its units open; ArduPilot, its most common sender, uses those of SCALED_IMU.
+    Raw,
+    /// SCALED_IMU2 (116).
+    Scaled2,
+    /// SCALED_IMU3 (129).
+    Scaled3,
+}
+
 /// The planar parts of an inertial measurement unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarImu {
+    pub message: ImuMessage,
     pub stamp: WireStamp,
     /// Counter-clockwise positive.
     pub turn_rate: Option<RadiansPerSecond>,
@@ -371,6 +438,28 @@ pub struct VisionFix {
     pub reset_counter: u8,
     /// MAVLink's messages have none.
     pub tag: Option<u32>,
+}
+
+/// GPS_RAW_INT: a position by satellites.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GnssFix {
+    /// Time since boot, or since 1970: the definition leaves it open, and the magnitude tells.
+    pub stamp: WireStamp,
+    pub position: GeodeticPoint,
+    /// One standard deviation of each horizontal axis; `None` if the sender does not know it.
+    pub sigma: Option<Meters>,
+}
+
+/// LANDING_TARGET with a position relative to the vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LandmarkSighting {
+    pub stamp: WireStamp,
+    /// The number of the target, which is that of the landmark.
+    pub landmark: LandmarkId,
+    /// In the floor's plane, from the vehicle.
+    pub range: Meters,
+    /// Counter-clockwise from forward.
+    pub bearing: Radians,
 }
 
 /// ODOMETRY: a pose with covariance in the standard dialect.

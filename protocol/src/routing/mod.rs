@@ -14,7 +14,9 @@ use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipie
 
 pub use duplicates::has_timestamp;
 pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, ROUTE_LIFETIME, retarget, target_of};
-pub use rules::{AllowBlockList, ForwardPolicy, FrameFilter, LinkRateLimiter, LinkRules, RateLimits, message_id_named};
+pub use rules::{
+    AllowBlockList, ForwardPolicy, ForwardedDialects, FrameFilter, LinkRateLimiter, LinkRules, RateLimits,
+};
 
 use self::duplicates::{DuplicateGuard, SentFrameLog, content_key, frame_key};
 use self::endpoints::RouteTable;
@@ -309,7 +311,7 @@ impl FrameRouter {
             ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
             ForwardPolicy::Disabled => false,
         };
-        is_forwarded && rules.outward.admits(frame.source, frame.message_id)
+        is_forwarded && rules.admits_outward(frame.source, frame.message_id)
     }
 }
 

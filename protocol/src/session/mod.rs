@@ -20,6 +20,7 @@ use self::output::{MIN_PERIOD, next_period};
 pub use self::output::{SessionOutput, SessionSender};
 use self::parameters::ParameterServer;
 use self::peers::PeerTable;
+pub use self::peers::RequestedMessages;
 use self::time_requests::TimeRequests;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
@@ -35,8 +36,7 @@ pub struct SessionConfig {
     pub timesync_period: Option<TimeDelta>,
     /// Silence after which a peer is lost.
     pub peer_timeout: TimeDelta,
-    /// Messages that are requested from every new robot, with their intervals.
-    pub requested_messages: Vec<(u32, TimeDelta)>,
+    pub requested_messages: RequestedMessages,
     /// Messages whose interval others may set; a request for any other gets the reply "unsupported".
     pub offered_messages: Vec<u32>,
 }
@@ -194,8 +194,7 @@ impl<C: Clock> Session<C> {
         }
         let listed = self.parameters.due(now);
         self.outputs.extend(listed.map(SessionOutput::Send));
-        for (target, index) in self.peers.due_requests(now, self.config.requested_messages.len()) {
-            let (message_id, interval) = self.config.requested_messages[index];
+        for (target, (message_id, interval)) in self.peers.due_requests(now, &self.config.requested_messages) {
             self.send(Message::SetMessageInterval(SetMessageInterval { target, message_id, interval: Some(interval) }));
         }
     }

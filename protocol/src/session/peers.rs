@@ -12,11 +12,49 @@ use crate::message::Heartbeat;
 
 /// MAV_AUTOPILOT_INVALID: a participant that is not a vehicle.
 const NOT_AN_AUTOPILOT: u8 = 8;
+/// MAV_AUTOPILOT_GENERIC.
+const GENERIC_AUTOPILOT: u8 = 0;
 /// MAV_TYPE_GCS: some ground stations claim an autopilot.
 const GROUND_STATION: u8 = 6;
 /// Number of requests of one interval before the next one is requested.
 const MAX_ATTEMPTS: u8 = 5;
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+
+/// The messages that are requested from every new vehicle, with their intervals.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RequestedMessages {
+    /// From a robot of no particular autopilot, which may speak our dialect.
+    pub of_robots: Vec<(u32, TimeDelta)>,
+    /// From one of a known autopilot, such as ArduPilot or PX4.
+    pub of_autopilots: Vec<(u32, TimeDelta)>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PeerKind {
+    /// A camera, a ground station, a companion computer.
+    NoVehicle,
+    Robot,
+    Autopilot,
+}
+
+impl PeerKind {
+    const fn of(heartbeat: Heartbeat) -> Self {
+        match heartbeat.autopilot {
+            _ if heartbeat.vehicle_type == GROUND_STATION => Self::NoVehicle,
+            NOT_AN_AUTOPILOT => Self::NoVehicle,
+            GENERIC_AUTOPILOT => Self::Robot,
+            _ => Self::Autopilot,
+        }
+    }
+
+    fn messages(self, requested: &RequestedMessages) -> &[(u32, TimeDelta)] {
+        match self {
+            Self::NoVehicle => &[],
+            Self::Robot => &requested.of_robots,
+            Self::Autopilot => &requested.of_autopilots,
+        }
+    }
+}
 
 #[derive(Clone, Copy, Debug)]
 struct RequestProgress<C: Clock> {
@@ -34,7 +72,7 @@ impl<C: Clock> RequestProgress<C> {
 #[derive(Debug)]
 struct SessionPeer<C: Clock> {
     last_seen: Timestamp<C>,
-    is_robot: bool,
+    kind: PeerKind,
     request_progress: Option<RequestProgress<C>>,
 }
 
@@ -60,15 +98,14 @@ impl<C: Clock> PeerTable<C> {
         if self.peers.contains_key(&from) {
             return false;
         }
-        let is_robot = heartbeat.autopilot != NOT_AN_AUTOPILOT && heartbeat.vehicle_type != GROUND_STATION;
-        let peer =
-            SessionPeer { last_seen: now, is_robot, request_progress: is_robot.then(|| RequestProgress::new(0, now)) };
-        self.peers.insert(from, peer);
+        let kind = PeerKind::of(heartbeat);
+        let request_progress = (kind != PeerKind::NoVehicle).then(|| RequestProgress::new(0, now));
+        self.peers.insert(from, SessionPeer { last_seen: now, kind, request_progress });
         true
     }
 
     pub(super) fn restart_requests(&mut self, now: Timestamp<C>, peer: Address) {
-        if let Some(peer) = self.peers.get_mut(&peer).filter(|peer| peer.is_robot) {
+        if let Some(peer) = self.peers.get_mut(&peer).filter(|peer| peer.kind != PeerKind::NoVehicle) {
             peer.request_progress = Some(RequestProgress::new(0, now));
         }
     }
@@ -87,12 +124,18 @@ impl<C: Clock> PeerTable<C> {
         lost
     }
 
-    /// The peers to send a request now, each with the index of the requested message, of `requested_count` ones.
-    pub(super) fn due_requests(&mut self, now: Timestamp<C>, requested_count: usize) -> Vec<(Address, usize)> {
-        self.peers
-            .iter_mut()
-            .filter_map(|(&address, peer)| Some((address, peer.due_request(now, requested_count)?)))
-            .collect()
+    /// The peers to send a request now, each with the message and its interval.
+    pub(super) fn due_requests(
+        &mut self,
+        now: Timestamp<C>,
+        requested: &RequestedMessages,
+    ) -> Vec<(Address, (u32, TimeDelta))> {
+        let due = self.peers.iter_mut().filter_map(|(&address, peer)| {
+            let messages = peer.kind.messages(requested);
+            let index = peer.due_request(now, messages.len())?;
+            Some((address, messages[index]))
+        });
+        due.collect()
     }
 
     /// The robot has replied to the open request, whatever the result: continues with the next one.

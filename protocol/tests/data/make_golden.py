@@ -1,6 +1,6 @@
 """Writes golden.json: frames made by pymavlink, a foreign implementation, to test our codec against.
 
-Usage: make_golden.py posebridge.xml common.xml > golden.json     (see README.md for the whole recipe)
+Usage: make_golden.py posebridge.xml common.xml ardupilotmega.xml > golden.json     (see README.md for the whole recipe)
 """
 
 import importlib.util
@@ -172,6 +172,90 @@ def sensor_cases(std):
         std, "distance_sensor", 1, 1, 22, covariance=4, **dict(ranger, signal_quality=1))
 
 
+def vehicle_cases(std, ardupilot):
+    """What autopilots send of their sensors."""
+    raw = dict(xacc=-999, yacc=0, zacc=0, xgyro=0, ygyro=0, zgyro=-750, xmag=0, ymag=0, zmag=0, temperature=0)
+    yield "raw_imu", frame(std, "raw_imu", 1, 1, 52, time_usec=404409989, id=0, **raw)
+    yield "scaled_imu2", frame(std, "scaled_imu2", 1, 1, 53, time_boot_ms=404428, **raw)
+    yield "scaled_imu3", frame(std, "scaled_imu3", 1, 1, 54, time_boot_ms=404429, **raw)
+    yield "rpm", frame(ardupilot, "rpm", 1, 1, 55, rpm1=120.0, rpm2=-60.0)
+    yield "rpm_not_a_number", frame(ardupilot, "rpm", 1, 1, 56, rpm1=NAN, rpm2=0.0)
+    place = dict(
+        time_usec=300324000, lat=411847694, lon=-960099007, alt=0, epv=65535, vel=65535, cog=65535, satellites_visible=255,
+        alt_ellipsoid=0, v_acc=0, vel_acc=0, hdg_acc=0)
+    yield "gps_raw_int", frame(std, "gps_raw_int", 1, 1, 57, fix_type=3, eph=65535, h_acc=1250, **place)
+    yield "gps_raw_int_dilution", frame(std, "gps_raw_int", 1, 1, 58, fix_type=3, eph=186, h_acc=0, **place)
+    yield "gps_raw_int_of_unknown_accuracy", frame(std, "gps_raw_int", 1, 1, 59, fix_type=2, eph=65535, h_acc=0, **place)
+    yield "gps_raw_int_without_fix", frame(std, "gps_raw_int", 1, 1, 60, fix_type=1, eph=186, h_acc=0, **place)
+    yield "gps_raw_int_static", frame(std, "gps_raw_int", 1, 1, 61, fix_type=7, eph=186, h_acc=0, **place)
+    yield "gps_raw_int_off_the_earth", frame(
+        std, "gps_raw_int", 1, 1, 62, fix_type=3, eph=186, h_acc=0, **dict(place, lat=910000000))
+    target = dict(
+        time_usec=12000000, target_num=7, angle_x=0.0, angle_y=0.0, distance=5.0, size_x=0.0, size_y=0.0, z=0.0,
+        q=[1.0, 0.0, 0.0, 0.0], type=3)
+    yield "landing_target", frame(
+        std, "landing_target", 1, 1, 63, frame=12, x=3.0, y=-4.0, position_valid=1, **target)
+    yield "landing_target_by_angles", frame(
+        std, "landing_target", 1, 1, 64, frame=12, x=0.0, y=0.0, position_valid=0, **target)
+    yield "landing_target_north_east_down", frame(
+        std, "landing_target", 1, 1, 65, frame=1, x=3.0, y=-4.0, position_valid=1, **target)
+    yield "global_vision", frame(
+        std, "global_vision_position_estimate", 1, 100, 66, usec=8000000, x=2.0, y=1.0, z=0.0, roll=0.0, pitch=0.0,
+        yaw=math.radians(30.0), covariance=upper(0.04, 0.005, 0.0, 0.01, 0.0, 0.002), reset_counter=3)
+
+
+def display_cases(std):
+    """What ground stations show of a vehicle, and how they steer it."""
+    place = dict(latitude=520115000, longitude=-43571000, altitude=12500)
+    half_turn = math.radians(30.0) / 2
+    yield "global_position_int", frame(
+        std, "global_position_int", 1, 1, 67, time_boot_ms=123456, lat=520115000, lon=-43571000, alt=12500, relative_alt=0,
+        vx=50, vy=-25, vz=0, hdg=3000)
+    yield "global_position_int_without_heading", frame(
+        std, "global_position_int", 1, 1, 68, time_boot_ms=123456, lat=520115000, lon=-43571000, alt=12500, relative_alt=0,
+        vx=50, vy=-25, vz=0, hdg=65535)
+    yield "home_position", frame(
+        std, "home_position", 1, 1, 69, x=0.0, y=0.0, z=0.0, q=[1.0, 0.0, 0.0, 0.0], approach_x=0.0, approach_y=0.0,
+        approach_z=0.0, time_usec=5000000, **place)
+    yield "gps_global_origin", frame(std, "gps_global_origin", 1, 1, 70, time_usec=5000000, **place)
+    yield "set_gps_global_origin", frame(std, "set_gps_global_origin", 255, 190, 71, target_system=1, time_usec=0, **place)
+    yield "vfr_hud", frame(
+        std, "vfr_hud", 1, 1, 72, airspeed=0.5, groundspeed=0.5, heading=30, throttle=0, alt=12.5, climb=0.0)
+    yield "attitude_quaternion", frame(
+        std, "attitude_quaternion", 1, 1, 73, time_boot_ms=123456, q1=math.cos(half_turn), q2=0.0, q3=0.0, q4=math.sin(half_turn),
+        rollspeed=0.0, pitchspeed=0.0, yawspeed=-0.25)
+    errors = dict(drop_rate_comm=0, errors_comm=0, errors_count1=0, errors_count2=0, errors_count3=0, errors_count4=0)
+    sensors = dict(onboard_control_sensors_present=0x2041, onboard_control_sensors_enabled=0x2041, onboard_control_sensors_health=0x2001)
+    yield "sys_status", frame(
+        std, "sys_status", 1, 1, 74, load=0, voltage_battery=7910, current_battery=125, battery_remaining=80, **sensors, **errors)
+    yield "sys_status_of_unknown_battery", frame(
+        std, "sys_status", 1, 1, 75, load=0, voltage_battery=65535, current_battery=-1, battery_remaining=-1, **sensors, **errors)
+    pack = dict(id=0, battery_function=1, type=0, temperature=32767, current_consumed=-1, energy_consumed=-1)
+    yield "battery_status", frame(
+        std, "battery_status", 1, 1, 76, voltages=[7910] + [65535] * 9, current_battery=-1, battery_remaining=80, **pack)
+    yield "battery_status_of_cells", frame(
+        std, "battery_status", 1, 1, 77, voltages=[4100, 4050] + [65535] * 8, current_battery=125, battery_remaining=-1, **pack)
+    yield "extended_sys_state", frame(std, "extended_sys_state", 1, 1, 78, vtol_state=0, landed_state=1)
+    yield "extended_sys_state_in_air", frame(std, "extended_sys_state", 1, 1, 79, vtol_state=0, landed_state=2)
+    yield "manual_control", frame(std, "manual_control", 255, 190, 80, target=1, x=500, y=32767, z=32767, r=-250, buttons=0)
+    yield "manual_control_without_turn", frame(
+        std, "manual_control", 255, 190, 81, target=1, x=-1000, y=0, z=500, r=32767, buttons=3)
+    still = dict(z=0.0, vy=0.0, vz=0.0, afx=0.0, afy=0.0, afz=0.0, yaw=0.0)
+    target = dict(time_boot_ms=0, target_system=1, target_component=1)
+    yield "position_target", frame(
+        std, "set_position_target_local_ned", 255, 190, 82, coordinate_frame=1, type_mask=0b111111111100, x=2.0, y=1.0, vx=0.0,
+        yaw_rate=0.0, **target, **still)
+    yield "velocity_target", frame(
+        std, "set_position_target_local_ned", 255, 190, 83, coordinate_frame=12, type_mask=0b011111110111, x=0.0, y=0.0, vx=0.25,
+        yaw_rate=-0.5, **target, **still)
+    yield "velocity_target_north_east_down", frame(
+        std, "set_position_target_local_ned", 255, 190, 84, coordinate_frame=1, type_mask=0b011111110111, x=0.0, y=0.0, vx=0.25,
+        yaw_rate=-0.5, **target, **still)
+    yield "velocity_target_not_a_number", frame(
+        std, "set_position_target_local_ned", 255, 190, 85, coordinate_frame=12, type_mask=0b011111110111, x=0.0, y=0.0, vx=NAN,
+        yaw_rate=-0.5, **target, **still)
+
+
 def thermometer_cases(std):
     pressure = dict(time_boot_ms=123456, press_abs=1013.25, press_diff=-0.5, temperature_press_diff=0)
     yield "scaled_pressure", frame(std, "scaled_pressure", 1, 1, 34, temperature=-1234, **pressure)
@@ -261,9 +345,11 @@ def main():
     own = load(sys.argv[1], "2.0")
     std = load(sys.argv[2], "2.0")
     std_v1 = load(sys.argv[2], "1.0")
+    ardupilot = load(sys.argv[3], "2.0")
     cases = {}
     for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1),
-                  thermometer_cases(std), request_cases(std), component_cases(std)):
+                  thermometer_cases(std), request_cases(std), component_cases(std),
+                  vehicle_cases(std, ardupilot), display_cases(std)):
         cases.update(group)
     json.dump(cases, sys.stdout, indent=1)
     print()

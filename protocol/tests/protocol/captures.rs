@@ -1,8 +1,7 @@
 //! Frames of real vehicles, against counts that foreign decoders made.
 //!
 //! A part of one recording lies beside the tests; the whole collection is used when POSEBRIDGE_DATA names the folder that
-//! holds `mavlink/`. Expected counts come from pymavlink with the ardupilotmega dialect, so messages that the common
-//! dialect lacks are unknown here.
+//! holds `mavlink/`. Expected counts come from pymavlink with the ardupilotmega dialect.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -11,9 +10,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
-use mavlink::Message as _;
-use mavlink::dialects::common::MavMessage;
-use posebridge_protocol::dialect::decode;
+use posebridge_protocol::dialect::{decode, message_id_named};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, SequenceTracker, TransportKind};
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::Timestamp;
@@ -28,6 +25,7 @@ struct ScanTotals {
     by_id: BTreeMap<u32, u64>,
     by_source: BTreeMap<String, u64>,
     missing: BTreeMap<String, u64>,
+    foreign: u64,
     unknown: u64,
     garbage: u64,
     messages: Vec<Message>,
@@ -65,6 +63,7 @@ fn census<'a>(transport: TransportKind, pieces: impl Iterator<Item = &'a [u8]>) 
         framer.tick(deadline, &mut take);
     }
     framer.finish(&mut take);
+    census.foreign = framer.counters().foreign_frames;
     census.garbage = framer.counters().garbage_bytes;
     census
 }
@@ -90,9 +89,9 @@ fn the_beginning_of_a_recorded_flight() {
     let records = records(RECORDED);
     assert_eq!(records.len(), 150);
     let totals = census(TransportKind::Datagram, records.into_iter());
-    // HEARTBEAT, PARAM_REQUEST_LIST, PARAM_VALUE; 7 RADIO (166) belong to another dialect.
-    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
-    assert_eq!((totals.unknown, totals.garbage), (7, 0));
+    // HEARTBEAT, PARAM_REQUEST_LIST, PARAM_VALUE; RADIO belongs to ArduPilot's dialect.
+    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128), (166, 7)]));
+    assert_eq!((totals.foreign, totals.unknown, totals.garbage), (7, 0, 0));
     let Some(Message::Heartbeat(first)) = totals.messages.first() else {
         panic!("{:?}", totals.messages.first());
     };
@@ -102,7 +101,7 @@ fn the_beginning_of_a_recorded_flight() {
 #[test]
 fn times_between_the_frames_are_only_garbage() {
     let totals = census(TransportKind::Stream, std::iter::once(RECORDED));
-    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128)]));
+    assert_eq!(totals.by_id, BTreeMap::from([(0, 14), (21, 1), (22, 128), (166, 7)]));
 }
 
 #[derive(Debug)]
@@ -166,18 +165,10 @@ fn compare(expected: &ExpectedCounts, bytes: &[u8]) {
     } else {
         census(TransportKind::Stream, std::iter::once(bytes))
     };
-    let mut known = BTreeMap::new();
-    let mut foreign = 0;
-    for (name, count) in expected.counts("by_message") {
-        match MavMessage::message_id_from_name(&name) {
-            Some(id) => {
-                known.insert(id, count);
-            }
-            None => foreign += count,
-        }
-    }
-    assert_eq!(totals.by_id, known, "{file}");
-    assert_eq!(totals.unknown, foreign, "{file}: frames of another dialect");
+    let by_message = expected.counts("by_message").into_iter();
+    let by_id = by_message.map(|(name, count)| (message_id_named(&name).expect("a known message"), count));
+    assert_eq!(totals.by_id, by_id.collect(), "{file}");
+    assert_eq!(totals.unknown, 0, "{file}");
     assert_eq!(totals.by_source, expected.counts("by_source"), "{file}");
     if has_times {
         compare_losses(expected, &totals);

@@ -22,9 +22,13 @@ fn odometry() -> Vec<u8> {
 
 /// A frame of a message that no dialect has; its checksum is right for some CRC_EXTRA that we do not know.
 fn stranger(payload: &[u8]) -> Vec<u8> {
-    let mut frame = vec![0xFD, payload.len() as u8, 0, 0, 7, 9, 1, 0x39, 0x30, 0x00];
+    frame_of([0x39, 0x30, 0x00], payload, 0x5A)
+}
+
+fn frame_of(id: [u8; 3], payload: &[u8], crc_extra: u8) -> Vec<u8> {
+    let mut frame = [&[0xFD, payload.len() as u8, 0, 0, 7, 9, 1], &id[..]].concat();
     frame.extend_from_slice(payload);
-    let sum = checksum(&frame[1..], 0x5A);
+    let sum = checksum(&frame[1..], crc_extra);
     frame.extend_from_slice(&sum.to_le_bytes());
     frame
 }
@@ -226,6 +230,23 @@ fn an_unknown_frame_is_emitted_when_a_verified_one_follows() {
         }
     });
     assert_eq!(ids, [(12_345, Address::new(9, 1), 7); 2]);
+}
+
+/// RPM of ardupilotmega.xml: CRC_EXTRA 207, eight bytes. A sender may have been built from another version of that file.
+#[test]
+fn a_frame_of_a_foreign_dialect_is_verified_and_one_of_another_version_of_it_is_unknown() {
+    const RPM: [u8; 3] = [226, 0, 0];
+    let same = frame_of(RPM, &[1; 8], 207);
+    let other_fields = frame_of(RPM, &[1; 8], 0x5A);
+    let longer = frame_of(RPM, &[1; 12], 207);
+    let stream = [&same, &other_fields, &longer, &heartbeat()].map(Vec::as_slice).concat();
+    let expected = [Frame(same), UnknownFrame(other_fields), UnknownFrame(longer), Frame(heartbeat())];
+    for chunk in 1..=stream.len() {
+        let (found, counters) = scan(FramerConfig::default(), &stream, chunk);
+        assert_eq!(found, expected, "in pieces of {chunk} bytes");
+        assert_eq!((counters.frames, counters.foreign_frames, counters.unknown_ids), (2, 1, 2));
+        assert_eq!((counters.checksum_errors, counters.garbage_bytes), (0, 0));
+    }
 }
 
 #[test]

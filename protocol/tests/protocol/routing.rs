@@ -1,9 +1,10 @@
 //! Who gets a frame: targets against frames of a foreign encoder, and the decisions of a router between several links.
 
+use posebridge_protocol::dialect::message_id_named;
 use posebridge_protocol::message::{CommandAck, CommandLong, Message};
 use posebridge_protocol::routing::{
     DuplicateStatus, Endpoint, ForwardPolicy, FrameRouter, LinkRules, MessageTarget, RouterConfig, RoutingDecision,
-    SenderCheck, message_id_named, priority_of, target_of,
+    SenderCheck, priority_of, target_of,
 };
 use posebridge_telemetry::{Address, LinkId, PeerId, Priority, Recipients, SystemId, TimeDelta};
 

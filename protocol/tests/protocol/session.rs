@@ -3,7 +3,7 @@
 use posebridge_protocol::message::{
     CommandAck, CommandInt, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TextPart, TimeSync,
 };
-use posebridge_protocol::session::{Session, SessionConfig, SessionOutput};
+use posebridge_protocol::session::{RequestedMessages, Session, SessionConfig, SessionOutput};
 use posebridge_telemetry::{Address, BrickClock, HostClock, TimeDelta, Timestamp};
 
 use crate::support::{CAMERA, GCS, ROBOT, ROVER, STATION, at};
@@ -21,7 +21,7 @@ fn quiet() -> SessionConfig {
         heartbeat_period: TimeDelta::from_millis(1_000),
         timesync_period: None,
         peer_timeout: TimeDelta::from_millis(3_000),
-        requested_messages: Vec::new(),
+        requested_messages: RequestedMessages::default(),
         offered_messages: vec![],
     }
 }
@@ -195,7 +195,10 @@ fn only_true_fresh_and_first_answers_count() {
 
 fn with_requested_intervals() -> SessionConfig {
     SessionConfig {
-        requested_messages: vec![(42_100, TimeDelta::from_millis(20)), (42_101, TimeDelta::from_millis(50))],
+        requested_messages: RequestedMessages {
+            of_robots: vec![(42_100, TimeDelta::from_millis(20)), (42_101, TimeDelta::from_millis(50))],
+            ..RequestedMessages::default()
+        },
         ..quiet()
     }
 }
@@ -253,8 +256,13 @@ fn no_requests_are_sent_to_cameras_and_ground_stations() {
 
 #[test]
 fn requests_are_repeated_after_a_robots_restart() {
-    let mut station =
-        Station::new(SessionConfig { requested_messages: vec![(42_100, TimeDelta::from_millis(20))], ..quiet() });
+    let mut station = Station::new(SessionConfig {
+        requested_messages: RequestedMessages {
+            of_robots: vec![(42_100, TimeDelta::from_millis(20))],
+            ..RequestedMessages::default()
+        },
+        ..quiet()
+    });
     station.receive(ROBOT, &Message::Heartbeat(ROVER));
     station.run_until(at(100));
     station.receive(ROBOT, &ack(0));
@@ -341,7 +349,10 @@ fn a_clock_that_wraps_does_not_stop_the_heartbeats() {
 fn is_due_is_true_exactly_when_a_tick_does_something() {
     let config = SessionConfig {
         timesync_period: Some(TimeDelta::from_millis(700)),
-        requested_messages: vec![(30, TimeDelta::from_millis(50)), (31, TimeDelta::from_millis(50))],
+        requested_messages: RequestedMessages {
+            of_robots: vec![(30, TimeDelta::from_millis(50)), (31, TimeDelta::from_millis(50))],
+            ..RequestedMessages::default()
+        },
         ..quiet()
     };
     // One is ticked only when it is due, the other at every step.

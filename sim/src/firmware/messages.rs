@@ -5,7 +5,9 @@
 
 use posebridge_brick::{Inertial, InertialParts, Sides, WheelTicks};
 use posebridge_protocol::dialect::ids;
-use posebridge_protocol::message::{Heartbeat, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp};
+use posebridge_protocol::message::{
+    Heartbeat, ImuMessage, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp,
+};
 use posebridge_telemetry::{
     Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters, MetersPerSecondSquared, Pose,
     RadiansPerSecond, SensorNoise, TimeDelta, Timestamp,
@@ -121,7 +123,8 @@ impl BrickMessenger {
             }
             Wire::Standard => {
                 let wheels = reading.wheels_m_per_s2;
-                self.node.send(&Message::ScaledImu(PlanarImu {
+                self.node.send(&Message::Imu(PlanarImu {
+                    message: ImuMessage::Scaled,
                     stamp: WireStamp::Millis32((now.as_micros() / 1_000) as u32),
                     turn_rate: Some(RadiansPerSecond(reading.turn_rate_rad_per_s)),
                     forward_acceleration: Some(MetersPerSecondSquared(0.5 * (wheels.left + wheels.right))),

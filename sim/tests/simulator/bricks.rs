@@ -71,7 +71,7 @@ fn the_standard_wire_uses_standard_messages_only() {
     scenario.brick.wire = Wire::Standard;
     let received = listen(&mut Simulation::new(scenario), 1_990);
     assert_eq!(count(&received, |message| matches!(message, Message::WheelDistance { .. })), 40);
-    assert_eq!(count(&received, |message| matches!(message, Message::ScaledImu(_))), 40);
+    assert_eq!(count(&received, |message| matches!(message, Message::Imu(_))), 40);
     assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_) | Message::Inertial(_))), 0);
 }
 

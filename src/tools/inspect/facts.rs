@@ -173,7 +173,7 @@ pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {
 
 /// A framer for foreign recordings: both versions and every dialect.
 fn inspection_framer() -> Framer {
-    Framer::with_all_dialects(FramerConfig { accept_v1: true, ..FramerConfig::default() })
+    Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() })
 }
 
 fn record_frame(framed: &mut FramedFacts, link: LinkId, found: FramerOutput<'_>, at: Option<Timestamp<HostClock>>) {

@@ -202,9 +202,11 @@ pub fn replay_run(
         robots: vec![],
         max_robots: 1,
         robot_system: None,
+        origin: None,
         fix_requests: FixRequestConfig::default(),
         timesync_period: TimeDelta::from_millis(1_000),
         brick_message_intervals: vec![],
+        autopilot_message_intervals: vec![],
         duplicate_window: TimeDelta::ZERO,
         links: vec![],
     };

@@ -59,6 +59,9 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
         print_line(&format!("{}: {note}", recording.name));
     }
     let stations: Vec<Station> = lanes.into_iter().map(|lane| lane.station).collect();
+    for line in stations.last().map(Station::missing_sensors).unwrap_or_default() {
+        print_line(&format!("{}: {line}", recording.name));
+    }
     let collectors: Vec<_> = watchers.into_iter().map(ReplayWatcher::finish).collect();
     if let Some(events) = events {
         finish_events(events).while_running()?;

@@ -93,6 +93,7 @@ fn health_event() -> Event {
         checksum_errors: 5,
         garbage_bytes: 6,
         unknown_ids: 7,
+        foreign_frames: 26,
         timeouts: 8,
         frames_lost: 9,
         reconnects: 10,

@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 
 use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, WireVersion};
 use posebridge_protocol::routing::{
-    AllowBlockList, DuplicateStatus, Endpoint, ForwardPolicy, FrameFilter, FrameRouter, LinkRateLimiter, LinkRules,
-    MessageTarget, RateLimits, RouterConfig, RoutingDecision, SenderCheck, priority_of, target_of,
+    AllowBlockList, DuplicateStatus, Endpoint, ForwardPolicy, ForwardedDialects, FrameFilter, FrameRouter,
+    LinkRateLimiter, LinkRules, MessageTarget, RateLimits, RouterConfig, RoutingDecision, SenderCheck, priority_of,
+    target_of,
 };
 use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, SystemId, TimeDelta, Timestamp};
 
@@ -73,6 +74,7 @@ fn link_rules(byte: u8) -> LinkRules {
         forward,
         inward: filter(byte >> 4 & 3),
         outward: filter(byte >> 6),
+        dialects: if byte % 4 == 3 { ForwardedDialects::Stock } else { ForwardedDialects::All },
         limits: RateLimits::default(),
     }
 }

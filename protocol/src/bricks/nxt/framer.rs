@@ -12,7 +12,6 @@ use super::settings::WheelSource;
 use super::telegram::{
     DIRECT_NO_REPLY, MAX_TELEGRAM_BYTES, NxtReply, PREFIX_BYTES, REPLY, bytes_at, opcode, reply_bytes,
 };
-use crate::dialect::catalogue::CATALOGUE;
 use crate::framing::{START_BYTE_V2, classify};
 
 /// Silence that proves the start of a telegram: three turn-arounds of the radio chip, at about 30 ms.
@@ -191,7 +190,7 @@ fn find_resync_point(stream: &[u8]) -> ResyncPoint {
 
 /// Whether this is an undamaged MAVLink 2 frame of a known message.
 fn has_right_checksum(frame: &[u8]) -> bool {
-    classify(frame, &CATALOGUE).verified_frame(frame).is_some()
+    classify(frame).verified_frame(frame).is_some()
 }
 
 /// Decides as early as the bytes allow: does not wait for the rest of a wrong beginning.

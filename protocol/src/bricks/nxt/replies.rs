@@ -16,7 +16,7 @@ use super::settings::{AccelerometerMounting, MotorMounting, MotorPort, NxtSensor
 use super::telegram::{NxtReply, NxtStatus, bytes_at};
 use crate::bricks::codec::{CodecEvent, CodecEventSink};
 use crate::bricks::counters::CounterUpdate;
-use crate::message::{Inertial, Message, PlanarImu, WheelTicks};
+use crate::message::{ImuMessage, Inertial, Message, PlanarImu, WheelTicks};
 
 /// Replies between two host timestamps, where the brick does not report its own clock.
 const REPLIES_PER_HOST_TICK: u8 = 9;
@@ -359,7 +359,8 @@ impl NxtCodec {
         };
         match place {
             AccelerometerMounting::Centre => {
-                return Some(Message::ScaledImu(PlanarImu {
+                return Some(Message::Imu(PlanarImu {
+                    message: ImuMessage::Scaled,
                     stamp: interval.stamp(),
                     turn_rate: None,
                     forward_acceleration: Some(along),

@@ -50,9 +50,11 @@ pub(crate) fn config() -> StationConfig {
         robots: vec![],
         max_robots: 64,
         robot_system: None,
+        origin: None,
         fix_requests: FixRequestConfig::default(),
         timesync_period: TimeDelta::from_millis(500),
         brick_message_intervals: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::from_millis(50))],
+        autopilot_message_intervals: vec![],
         duplicate_window: TimeDelta::from_millis(15_000),
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }
