@@ -5,7 +5,7 @@ use posebridge_protocol::message::{
     WireStamp,
 };
 use posebridge_telemetry::{
-    Body, DriveGeometry, Fix, GeodeticOrigin, GyroUnit, HostClock, MetersPerSecond, ObservationKind, Point2,
+    Body, DriveGeometry, Fix, GeodeticOrigin, GyroUnit, HostClock, Meters, MetersPerSecond, ObservationKind, Point2,
     PositionCovariance, Radians, RadiansPerSecond, SensorId, Timestamp, Wiring,
 };
 
@@ -108,8 +108,12 @@ impl ObservationExtractor {
             Message::WheelSpeeds { left, right } => [Some(self.wheel_speeds(arrival, *left, *right)), None],
             Message::Imu(imu) => [imu_reading(imu), None],
             Message::GnssFix(fix) => [self.origin.map(|origin| gnss_fix(arrival, fix, &origin)), None],
-            Message::LandmarkSighting(LandmarkSighting { stamp, landmark, range, bearing }) => {
-                let observed = ObservationKind::Landmark { id: *landmark, range: *range, bearing: *bearing };
+            Message::LandmarkSighting(LandmarkSighting { stamp, landmark, forward, left }) => {
+                let observed = ObservationKind::Landmark {
+                    id: *landmark,
+                    range: Meters(forward.0.hypot(left.0)),
+                    bearing: Radians(left.0.atan2(forward.0)),
+                };
                 [Some(robot_observation(SensorId::LANDMARKS, *stamp, observed)), None]
             }
             Message::DistanceSensor { stamp, range, .. } => {
@@ -255,7 +259,7 @@ fn odometry_reading(odometry: &Odometry) -> UnalignedObservation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_telemetry::{CameraUnit, GeodeticPoint, Heading, Meters, Polarity, WheelOrder};
+    use posebridge_telemetry::{CameraUnit, GeodeticPoint, Heading, Polarity, WheelOrder};
 
     const INTERPRETER: ObservationExtractor = ObservationExtractor {
         geometry: DriveGeometry {

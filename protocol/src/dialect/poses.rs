@@ -208,20 +208,21 @@ pub(super) fn landing_target(payload: &[u8]) -> Decoded {
     Ok(Some(Message::LandmarkSighting(LandmarkSighting {
         stamp,
         landmark: LandmarkId(u32::from(target)),
-        range: Meters(forward_m.hypot(left_m)),
-        bearing: Radians(left_m.atan2(forward_m)),
+        forward: Meters(forward_m),
+        left: Meters(left_m),
     })))
 }
 
 pub(super) fn write_landing_target(sighting: &LandmarkSighting) -> Payload {
-    let (left, forward) = sighting.bearing.0.sin_cos();
+    let LandmarkSighting { forward, left, .. } = sighting;
+    let distance_m = forward.0.hypot(left.0);
     let (kind, position_valid) = (LANDING_TARGET_OTHER, 1);
     Payload::new(ids::LANDING_TARGET)
         .number::<u64>(micros64(sighting.stamp))
-        .f32s(&[0.0, 0.0, sighting.range.0 as f32, 0.0, 0.0])
+        .f32s(&[0.0, 0.0, distance_m as f32, 0.0, 0.0])
         .number::<u8>(sighting.landmark.0 as u8)
         .number::<u8>(frame::BODY_FRD)
-        .f32s(&[(sighting.range.0 * forward) as f32, negate(sighting.range.0 * left) as f32, 0.0])
+        .f32s(&[forward.0 as f32, negate(left.0) as f32, 0.0])
         .f32s(&[1.0, 0.0, 0.0, 0.0])
         .number::<u8>(kind)
         .number::<u8>(position_valid)

@@ -205,14 +205,17 @@ pub(super) fn battery_status(payload: &[u8]) -> Message {
     })
 }
 
+/// A voltage that does not fit into one cell goes on in the next, as the definition asks.
 pub(super) fn write_battery_status(battery: &Battery) -> Payload {
     let (drawn, id) = (i32::from(UNKNOWN), 0);
-    let payload = Payload::new(ids::BATTERY_STATUS)
-        .number::<i32>(drawn)
-        .number::<i32>(drawn)
-        .number::<i16>(TEMPERATURE_UNKNOWN)
-        .number::<u16>(millivolts(battery));
-    let payload = [VOLTAGE_UNKNOWN; CELLS - 1].into_iter().fold(payload, |payload, cell| payload.number::<u16>(cell));
+    let payload =
+        Payload::new(ids::BATTERY_STATUS).number::<i32>(drawn).number::<i32>(drawn).number::<i16>(TEMPERATURE_UNKNOWN);
+    let mut rest_mv = battery.voltage_v.map(|volts| (volts / MILLIVOLT_V).round() as u32);
+    let payload = (0..CELLS).fold(payload, |payload, _| {
+        let cell_mv = rest_mv.map_or(VOLTAGE_UNKNOWN, |rest| rest.min(u32::from(VOLTAGE_UNKNOWN) - 1) as u16);
+        rest_mv = rest_mv.map(|rest| rest - u32::from(cell_mv)).filter(|rest| *rest > 0);
+        payload.number::<u16>(cell_mv)
+    });
     payload
         .number::<i16>(centiamperes(battery))
         .number::<u8>(id)

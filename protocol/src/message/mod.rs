@@ -456,10 +456,9 @@ pub struct LandmarkSighting {
     pub stamp: WireStamp,
     /// The number of the target, which is that of the landmark.
     pub landmark: LandmarkId,
-    /// In the floor's plane, from the vehicle.
-    pub range: Meters,
-    /// Counter-clockwise from forward.
-    pub bearing: Radians,
+    /// Its position in the vehicle's own axes.
+    pub forward: Meters,
+    pub left: Meters,
 }
 
 /// ODOMETRY: a pose with covariance in the standard dialect.

@@ -29,6 +29,7 @@ fn heading_of(message: &mut Message) -> Option<&mut Heading> {
     match message {
         Message::VisionPosition(fix) | Message::MocapPosition(fix) => fix.heading.as_mut(),
         Message::Attitude { heading, .. } => Some(heading),
+        Message::AttitudeQuaternion(attitude) => Some(&mut attitude.heading),
         Message::PlanarPose(planar) => Some(&mut planar.pose.heading),
         Message::Odometry(Odometry { pose: OdometryPose::Arena(pose), .. }) => Some(&mut pose.heading),
         Message::Odometry(Odometry { pose: OdometryPose::Odom(pose), .. }) => Some(&mut pose.heading),
