@@ -192,6 +192,8 @@ fn outputs_for_ground_stations() -> Vec<OutputSection> {
     vec![
         output("attitude", 100),
         output("local_position", 100),
+        output("global_position", 200),
+        output("vfr_hud", 250),
         output("odometry", 100),
         output("distance_sensor", 200),
         output("estimator_status", 1_000),

@@ -260,6 +260,11 @@ pub enum OutputKind {
     NamedValue,
     /// DEBUG_FLOAT_ARRAY, innovation, NIS and expected standard deviations of each sensor.
     FloatArray,
+    /// GLOBAL_POSITION_INT, where the arena has a place on the Earth.
+    GlobalPosition,
+    /// VFR_HUD.
+    HeadUpDisplay,
+    AttitudeQuaternion,
 }
 
 /// One row of [`OUTPUTS`].
@@ -283,6 +288,13 @@ pub const OUTPUTS: &[OutputInfo] = &[
     OutputInfo { name: "distance_sensor", kind: OutputKind::DistanceSensor, message_id: ids::DISTANCE_SENSOR },
     OutputInfo { name: "named_value_float", kind: OutputKind::NamedValue, message_id: ids::NAMED_VALUE_FLOAT },
     OutputInfo { name: "debug_float_array", kind: OutputKind::FloatArray, message_id: ids::DEBUG_FLOAT_ARRAY },
+    OutputInfo { name: "global_position", kind: OutputKind::GlobalPosition, message_id: ids::GLOBAL_POSITION_INT },
+    OutputInfo { name: "vfr_hud", kind: OutputKind::HeadUpDisplay, message_id: ids::VFR_HUD },
+    OutputInfo {
+        name: "attitude_quaternion",
+        kind: OutputKind::AttitudeQuaternion,
+        message_id: ids::ATTITUDE_QUATERNION,
+    },
 ];
 
 impl OutputKind {

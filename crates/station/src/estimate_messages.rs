@@ -8,12 +8,12 @@
 //! ```
 
 use posebridge_protocol::message::{
-    EstimatorStatus, FloatArray, FusionHealth, Message, NamedValue, Odometry, OdometryPose, PlanarPose, PoseFlags,
-    WireStamp,
+    AttitudeQuaternion, EstimatorStatus, FloatArray, FusionHealth, GlobalPosition, HeadUpDisplay, Message, NamedValue,
+    Odometry, OdometryPose, PlanarPose, PoseFlags, WireStamp,
 };
 use posebridge_telemetry::{
-    BrickClock, ChannelName, Estimate, FusionOutcome, FusionRecord, HostClock, Meters, MetersPerSecond, Pose, SensorId,
-    TimeDelta, Timestamp, estimate::row,
+    BrickClock, ChannelName, Estimate, FusionOutcome, FusionRecord, GeodeticOrigin, HostClock, Meters, MetersPerSecond,
+    Pose, SensorId, TimeDelta, Timestamp, estimate::row,
 };
 
 use crate::config::{AnnouncedAs, OutputKind};
@@ -27,12 +27,14 @@ pub(crate) struct PublishContext {
     pub(crate) host: Timestamp<HostClock>,
     /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
     pub(crate) fix_ratio: f64,
+    /// Where the arena lies on the Earth.
+    pub(crate) origin: Option<GeodeticOrigin>,
     /// The recipient: for a ground station the arena's frame is an arbitrary local one.
     pub(crate) announced_as: AnnouncedAs,
 }
 
 pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &PublishContext) -> Option<Message> {
-    let PublishContext { is_predicted, host, fix_ratio, announced_as } = *context;
+    let PublishContext { is_predicted, host, fix_ratio, origin, announced_as } = *context;
     let flags = PoseFlags {
         position_valid: estimate.validity.position,
         heading_valid: estimate.validity.heading,
@@ -44,15 +46,37 @@ pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &
         OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, flags))),
         OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, announced_as))),
         OutputKind::LocalPosition => {
-            let (sin, cos) = estimate.pose.heading.rad().sin_cos();
+            let [x_speed, y_speed] = velocity(estimate);
             Some(Message::LocalPosition {
                 stamp: host_stamp(host),
                 x: estimate.pose.x,
                 y: estimate.pose.y,
-                x_speed: MetersPerSecond(estimate.forward_speed.0 * cos),
-                y_speed: MetersPerSecond(estimate.forward_speed.0 * sin),
+                x_speed,
+                y_speed,
             })
         }
+        // A relative pose is nowhere on the Earth.
+        OutputKind::GlobalPosition => origin.filter(|_| !estimate.is_relative()).map(|origin| {
+            let [east_speed, north_speed] = velocity(estimate);
+            Message::GlobalPosition(GlobalPosition {
+                stamp: host_stamp(host),
+                position: origin.to_geodetic(estimate.pose.origin()),
+                altitude: origin.altitude(),
+                east_speed,
+                north_speed,
+                heading: estimate.validity.heading.then_some(estimate.pose.heading),
+            })
+        }),
+        OutputKind::HeadUpDisplay => Some(Message::HeadUpDisplay(HeadUpDisplay {
+            ground_speed: MetersPerSecond(estimate.forward_speed.0.abs()),
+            heading: estimate.pose.heading,
+            altitude: origin.map_or(Meters(0.0), |origin| origin.altitude()),
+        })),
+        OutputKind::AttitudeQuaternion => Some(Message::AttitudeQuaternion(AttitudeQuaternion {
+            stamp: host_stamp(host),
+            heading: estimate.pose.heading,
+            turn_rate: estimate.turn_rate,
+        })),
         OutputKind::Attitude => Some(Message::Attitude {
             stamp: host_stamp(host),
             heading: estimate.pose.heading,
@@ -71,6 +95,12 @@ pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &
         })),
         OutputKind::FusionHealth | OutputKind::DistanceSensor | OutputKind::NamedValue | OutputKind::FloatArray => None,
     }
+}
+
+/// Along the arena's x and y.
+fn velocity(estimate: &Estimate) -> [MetersPerSecond; 2] {
+    let (sin, cos) = estimate.pose.heading.rad().sin_cos();
+    [cos, sin].map(|share| MetersPerSecond(estimate.forward_speed.0 * share))
 }
 
 fn planar_pose(estimate: &Estimate, flags: PoseFlags) -> PlanarPose {
@@ -189,6 +219,9 @@ pub(crate) fn record_message(
         | OutputKind::LocalPosition
         | OutputKind::Attitude
         | OutputKind::EstimatorStatus
+        | OutputKind::GlobalPosition
+        | OutputKind::HeadUpDisplay
+        | OutputKind::AttitudeQuaternion
         | OutputKind::DistanceSensor => None,
     }
 }

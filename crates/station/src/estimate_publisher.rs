@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use posebridge_protocol::message::Message;
 use posebridge_telemetry::{
-    BrickClock, Estimate, FusionRecord, HostClock, LinkId, Meters, Priority, SensorId, TimeDelta, Timestamp,
+    BrickClock, Estimate, FusionRecord, GeodeticOrigin, HostClock, LinkId, Meters, Priority, SensorId, TimeDelta,
+    Timestamp,
 };
 
 use crate::clock_alignment::ClockAlignment;
@@ -26,6 +27,7 @@ pub(crate) struct EstimateSource<'a> {
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) clocks: &'a ClockAlignment,
     pub(crate) estimator: &'a Estimator,
+    pub(crate) origin: Option<GeodeticOrigin>,
 }
 
 /// The outputs of one robot.
@@ -134,6 +136,9 @@ impl EstimatePublisher {
             | OutputKind::Odometry
             | OutputKind::LocalPosition
             | OutputKind::Attitude
+            | OutputKind::GlobalPosition
+            | OutputKind::HeadUpDisplay
+            | OutputKind::AttitudeQuaternion
             | OutputKind::EstimatorStatus => {
                 let stream = OutputStream { kind, interval: TimeDelta::ZERO, instant: OutputInstant::Observed };
                 let announced_as = schedule.map_or(AnnouncedAs::Station, |schedule| schedule.announced_as);
@@ -152,7 +157,7 @@ fn estimate_message(
     announced_as: AnnouncedAs,
     source: EstimateSource<'_>,
 ) -> Option<Message> {
-    let EstimateSource { now, clocks, estimator } = source;
+    let EstimateSource { now, clocks, estimator, origin } = source;
     let arrival = now + estimate_messages::travel_time(clocks.aligner.round_trip());
     let ahead: Option<Timestamp<BrickClock>> = match stream.instant {
         OutputInstant::Observed => None,
@@ -161,7 +166,7 @@ fn estimate_message(
     let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
     let is_predicted = predicted.is_some();
     let host = if is_predicted { arrival } else { clocks.to_host(observed.stamp).unwrap_or(now) };
-    let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, announced_as };
+    let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, origin, announced_as };
     estimate_messages::estimate_message(stream.kind, predicted.as_ref().unwrap_or(observed), &context)
 }
 
@@ -191,7 +196,7 @@ mod tests {
         let estimator = Estimator::new(find_filter(&config.robot.filter).unwrap(), &config.robot.filter_config);
         let clocks = ClockAlignment::default();
         let now = at(500);
-        let source = EstimateSource { now, clocks: &clocks, estimator: &estimator };
+        let source = EstimateSource { now, clocks: &clocks, estimator: &estimator, origin: None };
         assert_eq!(publisher.current(LinkId(0), OutputKind::DistanceSensor, source), []);
         let sent = publisher.publish_range(now, Meters(0.7), now, |link| link == LinkId(1));
         assert_eq!(sent.iter().map(|message| message.link).collect::<Vec<_>>(), [LinkId(1)]);

@@ -5,7 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::message::{ImuMessage, Message};
-use posebridge_telemetry::{Address, GeodeticPoint, HostClock, LinkId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, GeodeticOrigin, GeodeticPoint, HostClock, LinkId, TimeDelta, Timestamp};
 
 /// How long to listen before something is called missing: the requests for messages are sent and answered by then.
 const LISTENING_TIME: TimeDelta = TimeDelta::from_millis(5_000);
@@ -38,7 +38,7 @@ impl HeardSensors {
         now: Timestamp<HostClock>,
         (link, sender): (LinkId, Address),
         message: &Message,
-        has_origin: bool,
+        origin: Option<GeodeticOrigin>,
     ) -> Option<String> {
         if let Message::Heartbeat(heartbeat) = message
             && heartbeat.autopilot != NOT_AN_AUTOPILOT
@@ -53,12 +53,12 @@ impl HeardSensors {
             return None;
         }
         vehicle.has_reported = true;
-        vehicle.missing(sender, has_origin)
+        vehicle.missing(sender, origin)
     }
 
     /// The lines about all vehicles so far.
-    pub(crate) fn missing(&self, has_origin: bool) -> Vec<String> {
-        self.vehicles.iter().filter_map(|((_, sender), vehicle)| vehicle.missing(*sender, has_origin)).collect()
+    pub(crate) fn missing(&self, origin: Option<GeodeticOrigin>) -> Vec<String> {
+        self.vehicles.iter().filter_map(|((_, sender), vehicle)| vehicle.missing(*sender, origin)).collect()
     }
 }
 
@@ -99,8 +99,8 @@ impl HeardVehicle {
     }
 
     /// `None` when nothing is missing.
-    fn missing(&self, sender: Address, has_origin: bool) -> Option<String> {
-        let unplaced = self.satellite_position.filter(|_| !has_origin);
+    fn missing(&self, sender: Address, origin: Option<GeodeticOrigin>) -> Option<String> {
+        let unplaced = self.satellite_position.filter(|_| origin.is_none());
         if self.has_motion && unplaced.is_none() {
             return None;
         }
@@ -152,15 +152,15 @@ mod tests {
 
     const ROBOT: (LinkId, Address) = (LinkId(0), Address::new(1, 1));
 
-    fn heard_after(messages: &[Message], has_origin: bool) -> Option<String> {
+    fn heard_after(messages: &[Message], origin: Option<GeodeticOrigin>) -> Option<String> {
         let mut sensors = HeardSensors::default();
         let heartbeat = Message::Heartbeat(Heartbeat::ROVER);
-        let all = [&[heartbeat.clone()], messages].concat();
+        let all = [std::slice::from_ref(&heartbeat), messages].concat();
         for message in &all {
-            assert_eq!(sensors.observe(Timestamp::ZERO, ROBOT, message, has_origin), None);
+            assert_eq!(sensors.observe(Timestamp::ZERO, ROBOT, message, origin), None);
         }
-        let line = sensors.observe(Timestamp::from_millis(5_000), ROBOT, &heartbeat, has_origin);
-        assert_eq!(sensors.observe(Timestamp::from_millis(9_000), ROBOT, &heartbeat, has_origin), None, "once");
+        let line = sensors.observe(Timestamp::from_millis(5_000), ROBOT, &heartbeat, origin);
+        assert_eq!(sensors.observe(Timestamp::from_millis(9_000), ROBOT, &heartbeat, origin), None, "once");
         line
     }
 
@@ -173,18 +173,18 @@ mod tests {
         let wheels = Message::WheelDistance { stamp: WireStamp::Micros64(1), left: Meters(0.0), right: Meters(0.0) };
         let position = GeodeticPoint { latitude: Radians(0.5), longitude: Radians(-1.0) };
         let satellites = Message::GnssFix(GnssFix { stamp: WireStamp::Micros64(1), position, sigma: None });
-        assert_eq!(heard_after(&[wheels.clone(), imu(ImuMessage::Raw)], false), None);
+        assert_eq!(heard_after(&[wheels.clone(), imu(ImuMessage::Raw)], None), None);
         let imus = [ImuMessage::Scaled3, ImuMessage::Raw, ImuMessage::Scaled2].map(imu);
         assert_eq!(
-            heard_after(&imus, false).unwrap(),
+            heard_after(&imus, None).unwrap(),
             "1/1: heard RAW_IMU, SCALED_IMU2, SCALED_IMU3 (RAW_IMU is used), no wheels: posebridge needs WHEEL_DISTANCE, RPM, ODOMETRY or \
              PB_WHEEL_TICKS, or fixes beside the gyro"
         );
         assert_eq!(
-            heard_after(&[wheels, satellites], false).unwrap(),
+            heard_after(&[wheels, satellites], None).unwrap(),
             "1/1: heard GPS_RAW_INT; GPS_RAW_INT needs the arena's place: --set station.origin.latitude=28.6478898 \
              --set station.origin.longitude=-57.2957795"
         );
-        assert!(heard_after(&[], true).unwrap().starts_with("1/1: heard nothing that moves a filter, no wheels"));
+        assert!(heard_after(&[], None).unwrap().starts_with("1/1: heard nothing that moves a filter, no wheels"));
     }
 }

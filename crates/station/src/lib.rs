@@ -39,12 +39,14 @@ mod robot_table;
 mod sender_identity;
 mod sender_pins;
 mod sessions;
+mod set_origin;
 mod station;
 mod status_text;
 mod temperatures;
 mod thermometer_bank;
 mod transmitter;
 mod vehicle_proxy;
+mod vehicle_status;
 
 #[cfg(test)]
 extern crate self as posebridge_station;

@@ -20,6 +20,7 @@ use crate::robot::described_geometry;
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
 use crate::sender_pins::{IdentityClaim, PinVerdict};
 use crate::station::Station;
+use crate::vehicle_status::battery_of;
 
 const MAV_TYPE_GCS: u8 = 6;
 
@@ -68,8 +69,10 @@ impl Station {
         if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
             self.emit(Event::Text { source, severity: *severity, text: text.clone() });
         }
-        let has_origin = self.config.origin.is_some();
-        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, has_origin) {
+        if let (Message::SetGlobalOrigin(request), DuplicateStatus::New) = (content, duplicate_status) {
+            self.handle_set_origin(received.endpoint.link, request);
+        }
+        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, self.config.origin) {
             self.report_own_text(severity::NOTICE, line);
         }
         self.observers.fix_requests.observe_message((home, source), content);
@@ -194,6 +197,9 @@ impl Station {
         let origin = sender.origin;
         if let Message::RobotDescription(description) = content {
             self.handle_description(sender, description);
+        }
+        if let (Some(index), Some(battery)) = (sender.robot, battery_of(content)) {
+            self.robots.get_mut(index).battery = Some(battery);
         }
         if let Message::Thermometer { stamp, channel, temperature } = *content {
             self.handle_temperature(sender, stamp, channel, temperature);
@@ -405,6 +411,7 @@ impl Station {
             }
         }
         let robot_entry = self.robots.get_mut(index);
+        robot_entry.sensor_health.observe(now, report.record.sensor, report.record.outcome);
         for message in robot_entry.publisher.publish_record(now, &report.record, &robot_entry.clocks) {
             self.transmitter().send_published(index, &message);
         }

@@ -168,7 +168,14 @@ impl OutputKind {
     /// Whether it contains an estimate, and not an observation.
     const fn is_estimate_output(self) -> bool {
         match self {
-            Self::PlanarPose | Self::Odometry | Self::LocalPosition | Self::Attitude | Self::EstimatorStatus => true,
+            Self::PlanarPose
+            | Self::Odometry
+            | Self::LocalPosition
+            | Self::Attitude
+            | Self::EstimatorStatus
+            | Self::GlobalPosition
+            | Self::HeadUpDisplay
+            | Self::AttitudeQuaternion => true,
             Self::FusionHealth | Self::DistanceSensor | Self::NamedValue | Self::FloatArray => false,
         }
     }

@@ -2,7 +2,7 @@
 
 use posebridge_estimator::wiring::{WiringFinding, WiringMonitor};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntry, find_filter};
-use posebridge_protocol::message::RobotDescription;
+use posebridge_protocol::message::{Battery, RobotDescription};
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, Fix, FusionOutcome, GeodeticOrigin,
@@ -20,6 +20,7 @@ use crate::imu_choice::ImuChoice;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
+use crate::vehicle_status::SensorHealth;
 
 /// The filters of a robot, found in the table of filters.
 pub(crate) struct RobotFilters {
@@ -65,6 +66,9 @@ pub struct Robot {
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
     pub(crate) imu: ImuChoice,
+    pub(crate) sensor_health: SensorHealth,
+    /// As it described it last.
+    pub(crate) battery: Option<Battery>,
     pub(crate) clocks: ClockAlignment,
     pub(crate) estimator: Estimator,
     pub(crate) compared: ComparedEstimators,
@@ -96,6 +100,8 @@ impl Robot {
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config, origin),
             imu: ImuChoice::default(),
+            sensor_health: SensorHealth::default(),
+            battery: None,
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(filters.own, &config.filter_config),
             compared: ComparedEstimators::new(&filters.compared, &config.filter_config),
@@ -194,11 +200,14 @@ impl Robot {
     }
 
     pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {
-        EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator }
+        EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator, origin: self.extractor.origin }
     }
 
     pub(crate) fn publishing(&mut self, now: Timestamp<HostClock>) -> (&mut EstimatePublisher, EstimateSource<'_>) {
-        (&mut self.publisher, EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator })
+        (
+            &mut self.publisher,
+            EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator, origin: self.extractor.origin },
+        )
     }
 
     /// Whether the robot's description replaces the configured geometry, which happens once.

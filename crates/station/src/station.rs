@@ -34,6 +34,7 @@ use crate::status_text::{StatusTextQueue, TextContext};
 use crate::thermometer_bank::ThermometerBank;
 use crate::transmitter::Transmitter;
 use crate::vehicle_proxy::CommandResponder;
+use crate::vehicle_status::vehicle_status;
 
 /// The health of every link is emitted once per second.
 const HEALTH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -193,7 +194,7 @@ impl Station {
 
     /// A line for each vehicle that lacks a sensor: what it sends and what is missing.
     pub fn missing_sensors(&self) -> Vec<String> {
-        self.heard_sensors.missing(self.config.origin.is_some())
+        self.heard_sensors.missing(self.config.origin)
     }
 
     /// Before any robot is detected, the configured one.
@@ -349,7 +350,12 @@ impl Station {
         let id = received.endpoint.link;
         while let Some((role, output)) = self.sessions.poll(id) {
             match output {
-                SessionOutput::Send(message) => self.transmitter().send_session_message(id, role, &message),
+                SessionOutput::Send(message) => {
+                    self.transmitter().send_session_message(id, role, &message);
+                    if let (SenderRole::Vehicle(robot), Message::Heartbeat(_)) = (role, &message) {
+                        self.send_vehicle_status(id, robot);
+                    }
+                }
                 SessionOutput::PeerSeen { peer, .. } | SessionOutput::PeerLost { peer, .. }
                     if self.robots.is_shared(self.router.first_of_group(id), peer) => {}
                 SessionOutput::PeerSeen { peer, .. } => {
@@ -380,6 +386,16 @@ impl Station {
                 }
                 SessionOutput::ParameterUnknown { requested, .. } => self.handle_unknown_parameter(id, &requested),
             }
+        }
+    }
+
+    /// Sends the status of a robot as a vehicle on a link, right after its heartbeat.
+    fn send_vehicle_status(&mut self, link: LinkId, robot: RobotId) {
+        let Some(index) = self.robots.find(robot) else {
+            return;
+        };
+        for message in vehicle_status(self.time.now, self.robots.get(index)) {
+            self.transmitter().send_as(link, SenderRole::Vehicle(robot), &message, Priority::Session);
         }
     }
 

@@ -21,6 +21,7 @@ use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
+use crate::vehicle_status::status_message_id;
 
 /// Sends messages and forwards frames, at one instant.
 pub(crate) struct Transmitter<'a> {
@@ -85,8 +86,9 @@ impl Transmitter<'_> {
         let Some(vehicles) = self.sessions.vehicles(link) else {
             return;
         };
-        let is_heartbeat = matches!(message, Message::Heartbeat(_));
-        let is_sent_by_robot = is_heartbeat && vehicles.is_sent_by_robot(now, robot, ids::HEARTBEAT);
+        let id =
+            if matches!(message, Message::Heartbeat(_)) { Some(ids::HEARTBEAT) } else { status_message_id(message) };
+        let is_sent_by_robot = id.is_some_and(|id| vehicles.is_sent_by_robot(now, robot, id));
         if vehicles.is_suppressed(now, robot) || is_sent_by_robot {
             return;
         }
@@ -397,7 +399,11 @@ impl OutputKind {
     /// Whether a ground station expects it from the vehicle.
     const fn is_vehicle_output(self) -> bool {
         match self {
-            Self::Attitude | Self::DistanceSensor => true,
+            Self::Attitude
+            | Self::DistanceSensor
+            | Self::GlobalPosition
+            | Self::HeadUpDisplay
+            | Self::AttitudeQuaternion => true,
             Self::PlanarPose
             | Self::Odometry
             | Self::LocalPosition

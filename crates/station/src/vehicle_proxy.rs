@@ -24,6 +24,7 @@ use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, T
 use crate::config::OutputKind;
 use crate::link_context::LinkContext;
 use crate::robot::Robot;
+use crate::vehicle_status::STATUS_MESSAGES;
 
 /// MAV_COMP_ID_AUTOPILOT1: the component that a ground station takes for the vehicle.
 pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
@@ -170,7 +171,8 @@ impl VehicleProxies {
     /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
         // The others are never requested; so the map stays small whatever comes.
-        if message_id == ids::HEARTBEAT || OutputKind::of_message(message_id).is_some() {
+        let is_status = message_id == ids::HEARTBEAT || STATUS_MESSAGES.contains(&message_id);
+        if is_status || OutputKind::of_message(message_id).is_some() {
             self.last_forwarded.insert((from, message_id), now);
         }
     }

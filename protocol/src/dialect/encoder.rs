@@ -8,7 +8,7 @@ use posebridge_telemetry::Address;
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
 use super::services::PARAM_TYPE_REAL32;
-use super::{posebridge, poses, sensors, services, vehicle};
+use super::{posebridge, poses, sensors, services, vehicle_state};
 use crate::framing::{FrameHeader, START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
@@ -157,17 +157,17 @@ fn payload_of(message: &Message) -> Option<Payload> {
         Message::Imu(imu) => sensors::write_imu(imu),
         Message::WheelSpeeds { left, right } => sensors::write_wheel_speeds(*left, *right),
         Message::GnssFix(fix) => poses::write_gnss_fix(fix),
-        Message::GlobalPosition(position) => vehicle::write_global_position(position),
-        Message::HomePosition(home) => vehicle::write_home_position(home),
-        Message::GlobalOrigin(origin) => vehicle::write_global_origin(origin),
-        Message::SetGlobalOrigin(request) => vehicle::write_set_global_origin(request),
-        Message::HeadUpDisplay(display) => vehicle::write_head_up_display(display),
-        Message::AttitudeQuaternion(attitude) => vehicle::write_attitude_quaternion(attitude),
-        Message::SystemStatus(status) => vehicle::write_system_status(status),
-        Message::BatteryStatus(battery) => vehicle::write_battery_status(battery),
-        Message::OnGround => vehicle::write_on_ground(),
-        Message::ManualControl(control) => vehicle::write_manual_control(control),
-        Message::PositionTarget(request) => vehicle::write_position_target(request),
+        Message::GlobalPosition(position) => vehicle_state::write_global_position(position),
+        Message::HomePosition(home) => vehicle_state::write_home_position(home),
+        Message::GlobalOrigin(origin) => vehicle_state::write_global_origin(origin),
+        Message::SetGlobalOrigin(request) => vehicle_state::write_set_global_origin(request),
+        Message::HeadUpDisplay(display) => vehicle_state::write_head_up_display(display),
+        Message::AttitudeQuaternion(attitude) => vehicle_state::write_attitude_quaternion(attitude),
+        Message::SystemStatus(status) => vehicle_state::write_system_status(status),
+        Message::BatteryStatus(battery) => vehicle_state::write_battery_status(battery),
+        Message::OnGround => vehicle_state::write_on_ground(),
+        Message::ManualControl(control) => vehicle_state::write_manual_control(control),
+        Message::PositionTarget(request) => vehicle_state::write_position_target(request),
         Message::LandmarkSighting(sighting) => poses::write_landing_target(sighting),
         Message::DistanceSensor { stamp, range, sigma } => sensors::write_distance(*stamp, *range, *sigma),
         Message::Thermometer { stamp, channel, temperature } => {

@@ -16,7 +16,7 @@ mod posebridge;
 mod poses;
 mod sensors;
 mod services;
-mod vehicle;
+mod vehicle_state;
 
 pub use catalogue::{message_id_named, message_name};
 pub use encoder::{Encoder, RenumberError, is_signed};
@@ -63,23 +63,22 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::WHEEL_DISTANCE => sensors::wheel_distance(payload),
         ids::ATTITUDE => poses::attitude(payload),
         ids::LOCAL_POSITION_NED => poses::local_position(payload),
-        ids::VISION_POSITION_ESTIMATE => poses::vision_position(payload),
-        // The same fields; its frame is called global, and is that of the sender's local positions.
-        ids::GLOBAL_VISION_POSITION_ESTIMATE => poses::vision_position(payload),
+        // The same fields; the second one's frame is called global, and is that of the sender's local positions.
+        ids::VISION_POSITION_ESTIMATE | ids::GLOBAL_VISION_POSITION_ESTIMATE => poses::vision_position(payload),
         ids::ATT_POS_MOCAP => poses::mocap_position(payload),
         ids::ESTIMATOR_STATUS => poses::estimator_status(payload),
         ids::ODOMETRY => poses::odometry(payload),
-        ids::SYS_STATUS => Ok(Some(vehicle::system_status(payload))),
-        ids::BATTERY_STATUS => Ok(Some(vehicle::battery_status(payload))),
-        ids::EXTENDED_SYS_STATE => Ok(vehicle::on_ground(payload)),
-        ids::GLOBAL_POSITION_INT => Ok(Some(vehicle::global_position(payload))),
-        ids::HOME_POSITION => Ok(Some(vehicle::home_position(payload))),
-        ids::GPS_GLOBAL_ORIGIN => Ok(Some(vehicle::global_origin(payload))),
-        ids::SET_GPS_GLOBAL_ORIGIN => Ok(Some(vehicle::set_global_origin(payload))),
-        ids::VFR_HUD => vehicle::head_up_display(payload),
-        ids::ATTITUDE_QUATERNION => vehicle::attitude_quaternion(payload),
-        ids::MANUAL_CONTROL => Ok(Some(vehicle::manual_control(payload))),
-        ids::SET_POSITION_TARGET_LOCAL_NED => vehicle::position_target(payload),
+        ids::SYS_STATUS => Ok(Some(vehicle_state::system_status(payload))),
+        ids::BATTERY_STATUS => Ok(Some(vehicle_state::battery_status(payload))),
+        ids::EXTENDED_SYS_STATE => Ok(vehicle_state::on_ground(payload)),
+        ids::GLOBAL_POSITION_INT => Ok(Some(vehicle_state::global_position(payload))),
+        ids::HOME_POSITION => Ok(Some(vehicle_state::home_position(payload))),
+        ids::GPS_GLOBAL_ORIGIN => Ok(Some(vehicle_state::global_origin(payload))),
+        ids::SET_GPS_GLOBAL_ORIGIN => Ok(Some(vehicle_state::set_global_origin(payload))),
+        ids::VFR_HUD => vehicle_state::head_up_display(payload),
+        ids::ATTITUDE_QUATERNION => vehicle_state::attitude_quaternion(payload),
+        ids::MANUAL_CONTROL => Ok(Some(vehicle_state::manual_control(payload))),
+        ids::SET_POSITION_TARGET_LOCAL_NED => vehicle_state::position_target(payload),
         ids::PB_WHEEL_TICKS => posebridge::wheel_ticks(payload),
         ids::PB_INERTIAL => posebridge::inertial(payload),
         ids::PB_PLANAR_POSE => posebridge::planar_pose(payload),

@@ -98,7 +98,7 @@ fn write_in_thousandths(stamped: Payload, imu: &PlanarImu) -> Payload {
     let acceleration = imu.forward_acceleration.unwrap_or_default().0 / MILLI_GRAVITY_M_PER_S2;
     let turn_rate = negate(imu.turn_rate.unwrap_or_default().0) / MILLI_RAD_PER_S;
     let [x_acceleration, z_rate] = [acceleration, turn_rate].map(|value| value.round() as i16);
-    [x_acceleration, 0, 0, 0, 0, z_rate].into_iter().fold(stamped, |payload, value| payload.number::<i16>(value))
+    [x_acceleration, 0, 0, 0, 0, z_rate].into_iter().fold(stamped, Payload::number::<i16>)
 }
 
 /// Only the first two speeds, of which the first is the left one, as in WHEEL_DISTANCE.

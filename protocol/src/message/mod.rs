@@ -10,11 +10,11 @@ use posebridge_telemetry::{
 };
 
 mod commands;
-mod vehicle;
+mod vehicle_state;
 
 pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
-pub use vehicle::{
+pub use vehicle_state::{
     AttitudeQuaternion, Battery, GlobalPosition, GlobalReference, HeadUpDisplay, ManualControl, PositionTarget,
     SetGlobalOrigin, Setpoint, SystemStatus,
 };

@@ -332,7 +332,7 @@ fn a_source_that_is_switched_off_is_shown_but_not_used() {
 fn a_source_that_is_none_is_not_switched() {
     let mut ground = Ground::new(|_| {});
     ground.drive(0, 1_000);
-    for unknown in [10.0, 31.0, 39.0, 250.0, 256.0] {
+    for unknown in [11.0, 31.0, 39.0, 250.0, 256.0] {
         assert_eq!(ground.result(6_010, SOURCE, &[unknown, 0.0]), DENIED);
     }
     assert_eq!(ground.result(6_015, SOURCE, &[38.0, 0.0]), ACCEPTED);

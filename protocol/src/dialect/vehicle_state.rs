@@ -183,7 +183,7 @@ pub(super) fn write_system_status(status: &SystemStatus) -> Payload {
         .number::<u16>(load)
         .number::<u16>(millivolts(&status.battery))
         .number::<i16>(centiamperes(&status.battery));
-    let payload = [errors; 6].into_iter().fold(payload, |payload, error| payload.number::<u16>(error));
+    let payload = [errors; 6].into_iter().fold(payload, Payload::number::<u16>);
     payload.number::<i8>(percent(&status.battery))
 }
 
