@@ -6,6 +6,7 @@
     reason = "helpers stop at the first surprise and pick the events that they are about; the figures are to be read"
 )]
 
+mod autopilots;
 mod brick_clocks;
 mod brick_links;
 mod camera_fixes;
@@ -26,4 +27,5 @@ mod signing;
 mod strangers;
 mod support;
 mod thermometers;
+mod vehicle_status;
 mod wall_range;
