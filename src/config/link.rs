@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
-use posebridge_link::{LinkUrl, Transport, UrlError};
+use posebridge_link::{LinkUrl, Transport, UrlError, VERSION};
 use posebridge_protocol::bricks::camera_json::CameraJsonSettings;
 use posebridge_protocol::bricks::{BRICK_PROTOCOLS, CodecSettings, brick_protocol};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
@@ -140,6 +140,11 @@ impl LinkSection {
         matches!(LinkTarget::parse(&self.url), Ok(LinkTarget::Url(url)) if url.transport() == Transport::Camera)
     }
 
+    /// Whether the URL asks for MAVLink 1.
+    fn is_version_1(&self) -> bool {
+        matches!(LinkTarget::parse(&self.url), Ok(LinkTarget::Url(url)) if url.option_text(&VERSION) == "1")
+    }
+
     /// A link to a camera: by the file of a calibrated one, or by the source of its pictures.
     pub fn for_camera(file_or_source: &str) -> Result<Self> {
         let section = |source: &str| Self { outputs: Some(Vec::new()), ..Self::new(&format!("camera:{source}")) };
@@ -208,12 +213,17 @@ impl LinkSection {
     pub(super) fn to_link_config(&self, index: usize, rules: LinkRules) -> Result<LinkConfig> {
         let outputs = self.outputs();
         let outputs = outputs.iter().map(OutputSection::to_output_stream);
+        let is_version_1 = self.is_version_1();
         Ok(LinkConfig {
             brick: None,
             id: LinkId(index as u16),
             framing: framing_of(&self.url),
-            accepted_versions: if self.accept_mavlink1 { AcceptedVersions::V1AndV2 } else { AcceptedVersions::V2 },
-            send_version: if self.send_mavlink1 { WireVersion::V1 } else { WireVersion::V2 },
+            accepted_versions: if self.accept_mavlink1 || is_version_1 {
+                AcceptedVersions::V1AndV2
+            } else {
+                AcceptedVersions::V2
+            },
+            send_version: if self.send_mavlink1 || is_version_1 { WireVersion::V1 } else { WireVersion::V2 },
             outputs: outputs.collect::<Result<_>>().with_context(|| format!("link {index} `{}`", self.url))?,
             pin: self.pin_policy().with_context(|| format!("link {index} `{}`", self.url))?,
             announced_as: if self.ground_station { AnnouncedAs::StationAndVehicle } else { AnnouncedAs::Station },

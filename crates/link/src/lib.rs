@@ -52,7 +52,7 @@ pub use error::{LinkError, OpenError};
 pub use host_timer::{DeadlineTimer, HostTimer};
 pub use link::{Link, LinkOpenConfig, Opener};
 pub use link_set::LinkSet;
-pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport};
+pub use transport::{OptionHelp, OptionKind, TRANSPORTS, Transport, VERSION};
 pub use transports::{
     ConnectRole, DeviceDirectories, FirstContact, LineSettingsPolicy, LinkTuning, OpenFuture, UDP_RECEIVE_BUFFER_BYTES,
 };

@@ -24,6 +24,13 @@ pub(crate) const RATE: OptionHelp = OptionHelp {
     help: "most bytes per second that are sent, counted once per peer; 0 is no limit",
 };
 
+/// The version of MAVLink that is spoken; the program applies it, links do not know protocols.
+pub const VERSION: OptionHelp = OptionHelp {
+    name: "version",
+    kind: OptionKind::Choice { choices: &["2", "1"] },
+    help: "version of MAVLink: 1 sends it, and accepts both",
+};
+
 /// The speed of a serial line. 115200 is the factory setting of MAVLink boards and their radios; the range is that of Linux's
 /// termios constants.
 pub(crate) const BAUD: OptionHelp = OptionHelp {
@@ -173,12 +180,12 @@ impl Transport {
 
     pub const fn options(self) -> &'static [OptionHelp] {
         match self {
-            Self::Serial => &[BAUD, DTR, RATE],
-            Self::Bluetooth => &[CHANNEL, RATE],
-            Self::Pty | Self::Tcp => &[RATE],
-            Self::Udp => &[IDLE, RATE],
+            Self::Serial => &[BAUD, DTR, RATE, VERSION],
+            Self::Bluetooth => &[CHANNEL, RATE, VERSION],
+            Self::Pty | Self::Tcp => &[RATE, VERSION],
+            Self::Udp => &[IDLE, RATE, VERSION],
             Self::Ev3 => &[SERIAL_NUMBER, RATE],
-            Self::File => &[MODE, CHUNK, RATE],
+            Self::File => &[MODE, CHUNK, RATE, VERSION],
             Self::Camera => &[WIDTH, HEIGHT, PICTURES_PER_SECOND, EXPOSURE, GAIN, RATE],
         }
     }

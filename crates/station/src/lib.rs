@@ -24,6 +24,7 @@ mod fusion_alarms;
 mod heard_sensors;
 mod imu_choice;
 mod link_context;
+mod mavlink1_probe;
 mod message_requests;
 mod observation_extractor;
 mod observations;

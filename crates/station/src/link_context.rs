@@ -11,6 +11,7 @@ use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealt
 
 use crate::config::{AcceptedVersions, LinkConfig};
 use crate::decoder::Decoder;
+use crate::mavlink1_probe::Mavlink1Probe;
 use crate::peer_framers::PeerFramers;
 use crate::sender_pins::SenderPins;
 
@@ -19,6 +20,8 @@ pub(crate) struct LinkContext {
     has_been_up: bool,
     pub(crate) health: LinkHealth,
     pub(crate) framers: PeerFramers,
+    /// Until it is known whether the link's garbage is MAVLink 1.
+    pub(crate) mavlink1_probe: Option<Mavlink1Probe>,
     pub(crate) verifier: FrameVerifier,
     pub(crate) decoder: Decoder,
     /// Peers whose heartbeat has the type ground station.
@@ -139,6 +142,8 @@ impl LinkContext {
                 transport: config.framing,
                 ..FramerConfig::default()
             }),
+            mavlink1_probe: (config.accepted_versions == AcceptedVersions::V2 && config.brick.is_none())
+                .then(|| Mavlink1Probe::new(config.framing)),
             verifier: FrameVerifier::new(config.signing.clone()),
             decoder: Decoder::default(),
             ground_stations: BTreeSet::new(),

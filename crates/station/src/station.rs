@@ -235,6 +235,18 @@ impl Station {
             }
             return;
         }
+        if let FramerInput::Bytes(bytes) = input
+            && let Some(is_mavlink1) = link.mavlink1_probe.as_mut().and_then(|probe| probe.push(now, bytes))
+        {
+            link.mavlink1_probe = None;
+            if is_mavlink1 {
+                let text = format!("link {id}: this is MAVLink 1: add ?version=1 to its URL");
+                self.report_own_text(severity::WARNING, text);
+            }
+        }
+        let Some(link) = self.links.get_mut(&id) else {
+            return;
+        };
         let sharing = link.sharing(peer, now);
         link.admit_peer(peer);
         let LinkContext { framers, verifier, decoder, .. } = link;

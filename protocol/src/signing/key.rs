@@ -32,6 +32,11 @@ impl Key {
         Self(bytes)
     }
 
+    /// The key of a passphrase: the SHA-256 of its UTF-8 bytes, which MAVProxy, Mission Planner and QGroundControl use, too.
+    pub fn from_passphrase(passphrase: &str) -> Self {
+        Self(Sha256::digest(passphrase.as_bytes()).into())
+    }
+
     /// Eight hexadecimal digits that distinguish keys and reveal none: the first four bytes of a SHA-256 over a fixed
     /// text and the key.
     pub fn name(&self) -> String {
@@ -102,6 +107,13 @@ mod tests {
         let wrong = format!("{}g", "5a".repeat(32));
         let error = wrong[1..].parse::<Key>().unwrap_err().to_string();
         assert!(!error.contains("5a"), "{error}");
+    }
+
+    /// As `printf 'correct horse' | sha256sum` says.
+    #[test]
+    fn a_passphrase_gives_the_key_that_ground_stations_derive() {
+        let key = Key::from_passphrase("correct horse");
+        assert_eq!(key.reveal_hex(), "4104d36f8da2c254349f85836793ebe029e0c957063a34c91c2e9203187b5631");
     }
 
     #[test]

@@ -48,10 +48,16 @@ pub fn read_key(path: &Path) -> Result<Key> {
 
 /// Creates a key from random bytes of the operating system and writes it to a new file. Never overwrites a file.
 pub fn create_key(path: &Path) -> Result<Key> {
-    let name = path.display();
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).map_err(|error| anyhow!("the operating system gives no random bytes: {error}"))?;
     let key = Key::from_bytes(bytes);
+    write_key(path, &key)?;
+    Ok(key)
+}
+
+/// Writes a key to a new file, for its owner alone. Never overwrites a file.
+pub fn write_key(path: &Path, key: &Key) -> Result<()> {
+    let name = path.display();
     let mut file = OpenOptions::new().write(true).create_new(true).mode(OWNER_ONLY).open(path).map_err(|error| {
         if error.kind() == ErrorKind::AlreadyExists {
             return anyhow!("`{name}` is there already, and a key is never overwritten");
@@ -60,8 +66,7 @@ pub fn create_key(path: &Path) -> Result<Key> {
     })?;
     writeln!(file, "{}", key.reveal_hex())
         .and_then(|()| file.sync_all())
-        .with_context(|| format!("writing the key `{name}`"))?;
-    Ok(key)
+        .with_context(|| format!("writing the key `{name}`"))
 }
 
 const VERSION: u32 = 1;

@@ -19,7 +19,7 @@ use self::state_writer::SignedLink;
 use crate::config::{Config, LinkSection, MemoryRecord, PinChoice, SigningSection};
 use crate::console::print_line;
 
-pub use files::{create_key, read_key};
+pub use files::{create_key, read_key, write_key};
 pub use state_writer::SigningStateWriter;
 
 /// A larger lag of the date behind the state is reported: peers may be slightly ahead without an error.
