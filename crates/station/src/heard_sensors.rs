@@ -47,9 +47,9 @@ impl HeardSensors {
         {
             self.vehicles.entry((link, sender)).or_insert_with(|| HeardVehicle::new(now));
         }
-        let vehicle = self.vehicles.get_mut(&(link, sender)).filter(|vehicle| !vehicle.has_reported)?;
+        let vehicle = self.vehicles.get_mut(&(link, sender))?;
         vehicle.observe(message);
-        if now - vehicle.since < LISTENING_TIME {
+        if vehicle.has_reported || now - vehicle.since < LISTENING_TIME {
             return None;
         }
         vehicle.has_reported = true;
@@ -113,7 +113,7 @@ impl HeardVehicle {
             format!("{sender}: heard {}", heard.join(", "))
         };
         if self.imus.len() > 1 {
-            // The first of the set, as in `ImuChoice`.
+            // The first of the set, as in `MotionSource`.
             let used = self.imus.first().map_or("", |imu| imu_name(*imu));
             text = format!("{text} ({used} is used)");
         }
@@ -172,7 +172,8 @@ mod tests {
     fn what_is_missing_is_said_once_with_what_is_heard() {
         let wheels = Message::WheelDistance { stamp: WireStamp::Micros64(1), left: Meters(0.0), right: Meters(0.0) };
         let position = GeodeticPoint { latitude: Radians(0.5), longitude: Radians(-1.0) };
-        let satellites = Message::GnssFix(GnssFix { stamp: WireStamp::Micros64(1), position, sigma: None });
+        let satellites =
+            Message::GnssFix(GnssFix { stamp: WireStamp::Micros64(1), position, sigma: None, ground_speed: None });
         assert_eq!(heard_after(&[wheels.clone(), imu(ImuMessage::Raw)], None), None);
         let imus = [ImuMessage::Scaled3, ImuMessage::Raw, ImuMessage::Scaled2].map(imu);
         assert_eq!(

@@ -107,7 +107,9 @@ impl ObservationExtractor {
             Message::Inertial(inertial) => inertial_readings(inertial),
             Message::WheelSpeeds { left, right } => [Some(self.wheel_speeds(arrival, *left, *right)), None],
             Message::Imu(imu) => [imu_reading(imu), None],
-            Message::GnssFix(fix) => [self.origin.map(|origin| gnss_fix(arrival, fix, &origin)), None],
+            Message::GnssFix(fix) => {
+                [self.origin.map(|origin| gnss_fix(arrival, fix, &origin)), ground_speed(arrival, fix)]
+            }
             Message::LandmarkSighting(LandmarkSighting { stamp, landmark, forward, left }) => {
                 let observed = ObservationKind::Landmark {
                     id: *landmark,
@@ -212,8 +214,6 @@ fn gnss_fix(arrival: Timestamp<HostClock>, fix: &GnssFix, origin: &GeodeticOrigi
         let variance_m2 = sigma.0.powi(2);
         PositionCovariance { xx_m2: variance_m2, xy_m2: 0.0, yy_m2: variance_m2, heading_rad2: f64::INFINITY }
     });
-    let is_since_boot = fix.stamp.as_micros() < UNIX_MICROS;
-    let stamp = if is_since_boot { fix.stamp } else { at_arrival(arrival) };
     let observed = ObservationKind::Fix(Fix {
         position: origin.to_arena(fix.position),
         heading: None,
@@ -221,7 +221,17 @@ fn gnss_fix(arrival: Timestamp<HostClock>, fix: &GnssFix, origin: &GeodeticOrigi
         tag_in_body: Point2::ORIGIN,
         reset_counter: 0,
     });
-    robot_observation(SensorId::GNSS, stamp, observed)
+    robot_observation(SensorId::GNSS, gnss_stamp(arrival, fix), observed)
+}
+
+/// The speed over the ground, taken for forward. The receiver does not know the turn: the robot adds that of its gyro.
+fn ground_speed(arrival: Timestamp<HostClock>, fix: &GnssFix) -> Option<UnalignedObservation> {
+    let observed = ObservationKind::BodyVelocity { forward: fix.ground_speed?, turn: RadiansPerSecond(0.0) };
+    Some(robot_observation(SensorId::GNSS, gnss_stamp(arrival, fix), observed))
+}
+
+fn gnss_stamp(arrival: Timestamp<HostClock>, fix: &GnssFix) -> WireStamp {
+    if fix.stamp.as_micros() < UNIX_MICROS { fix.stamp } else { at_arrival(arrival) }
 }
 
 /// For a message without a time of the robot's clock.
@@ -361,6 +371,7 @@ mod tests {
                 stamp: WireStamp::Micros64(micros),
                 position: point(41.001, -96.0),
                 sigma: Some(Meters(3.0)),
+                ground_speed: None,
             })
         };
         assert_eq!(INTERPRETER.extract(arrival, &message(5)), [None, None]);

@@ -357,9 +357,9 @@ impl Station {
             return;
         };
         let robot = self.robots.get_mut(index);
-        if observation.imu.is_some_and(|message| !robot.imu.is_used(received.host_time, message)) {
+        let Some(observation) = &robot.motion_source.choose(received.host_time, observation) else {
             return;
-        }
+        };
         let measurement = robot.clocks.mean_turn_rate(time, observation);
         let source = robot.id.address;
         let aligned = Observation { sensor: observation.sensor, stamp: time, stamp_sigma: sigma, measurement };

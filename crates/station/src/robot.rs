@@ -16,7 +16,7 @@ use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::{Estimator, FusionReport};
 use crate::fusion_alarms::FusionAlarms;
-use crate::imu_choice::ImuChoice;
+use crate::motion_source::MotionSource;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
@@ -65,7 +65,7 @@ pub struct Robot {
     /// The address that ground stations see as the vehicle.
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
-    pub(crate) imu: ImuChoice,
+    pub(crate) motion_source: MotionSource,
     pub(crate) sensor_health: SensorHealth,
     /// As it described it last.
     pub(crate) battery: Option<Battery>,
@@ -99,7 +99,7 @@ impl Robot {
             wire_address: Address::default(),
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config, origin),
-            imu: ImuChoice::default(),
+            motion_source: MotionSource::default(),
             sensor_health: SensorHealth::default(),
             battery: None,
             clocks: ClockAlignment::default(),

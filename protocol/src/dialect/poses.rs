@@ -55,8 +55,9 @@ const DEGREES_E7: f64 = 1e-7;
 /// Unit of GPS_RAW_INT.eph and of the accuracies.
 const HUNDREDTH: f64 = 1e-2;
 const MILLIMETER_M: f64 = 1e-3;
-/// GPS_RAW_INT.eph when the sender does not know it.
+/// GPS_RAW_INT.eph and vel when the sender does not know them.
 const DILUTION_UNKNOWN: u16 = u16::MAX;
+const SPEED_UNKNOWN: u16 = u16::MAX;
 /// The error of a range to a satellite, by which a dilution of precision becomes a length: a receiver with the broadcast corrections, one
 /// frequency, open sky (GPS Standard Positioning Service Performance Standard, 2020, appendix B).
 const USER_RANGE_ERROR_M: f64 = 2.5;
@@ -138,7 +139,9 @@ pub(super) fn gnss_fix(payload: &[u8]) -> Option<Message> {
     let stamp = WireStamp::Micros64(reader.number::<u64>());
     let [latitude, longitude, _altitude]: [i32; 3] = std::array::from_fn(|_| reader.number());
     let horizontal_dilution = reader.number::<u16>();
-    reader.skip::<6>();
+    let _vertical_dilution = reader.number::<u16>();
+    let ground_speed_cm_per_s = reader.number::<u16>();
+    let _course = reader.number::<u16>();
     let fix_type = reader.number::<u8>();
     // The number of satellites, and as an extension the altitude above the ellipsoid.
     reader.skip::<5>();
@@ -153,7 +156,13 @@ pub(super) fn gnss_fix(payload: &[u8]) -> Option<Message> {
         (0, dilution) => Some(f64::from(dilution) * HUNDREDTH * USER_RANGE_ERROR_M),
         (accuracy_mm, _) => Some(f64::from(accuracy_mm) * MILLIMETER_M),
     };
-    Some(Message::GnssFix(GnssFix { stamp, position: geodetic_point(latitude, longitude), sigma: sigma_m.map(Meters) }))
+    Some(Message::GnssFix(GnssFix {
+        stamp,
+        position: geodetic_point(latitude, longitude),
+        sigma: sigma_m.map(Meters),
+        ground_speed: (ground_speed_cm_per_s != SPEED_UNKNOWN)
+            .then(|| MetersPerSecond(f64::from(ground_speed_cm_per_s) * HUNDREDTH)),
+    }))
 }
 
 /// From the unit of the wire.
@@ -175,7 +184,8 @@ pub(super) fn longitude_e7(point: GeodeticPoint) -> i32 {
 
 pub(super) fn write_gnss_fix(fix: &GnssFix) -> Payload {
     let accuracy_mm = fix.sigma.map_or(0, |sigma| (sigma.0 / MILLIMETER_M).round() as u32);
-    let (altitude_mm, satellites, no_speed) = (0, u8::MAX, u16::MAX);
+    let speed = fix.ground_speed.map_or(SPEED_UNKNOWN, |speed| (speed.0 / HUNDREDTH).round() as u16);
+    let (altitude_mm, satellites, no_course) = (0, u8::MAX, u16::MAX);
     Payload::new(ids::GPS_RAW_INT)
         .number::<u64>(micros64(fix.stamp))
         .number::<i32>(latitude_e7(fix.position))
@@ -183,8 +193,8 @@ pub(super) fn write_gnss_fix(fix: &GnssFix) -> Payload {
         .number::<i32>(altitude_mm)
         .number::<u16>(DILUTION_UNKNOWN)
         .number::<u16>(DILUTION_UNKNOWN)
-        .number::<u16>(no_speed)
-        .number::<u16>(no_speed)
+        .number::<u16>(speed)
+        .number::<u16>(no_course)
         .number::<u8>(GPS_FIX_3D)
         .number::<u8>(satellites)
         .number::<i32>(altitude_mm)

@@ -448,6 +448,8 @@ pub struct GnssFix {
     pub position: GeodeticPoint,
     /// One standard deviation of each horizontal axis; `None` if the sender does not know it.
     pub sigma: Option<Meters>,
+    /// Over the ground, never negative; `None` if the sender does not know it.
+    pub ground_speed: Option<MetersPerSecond>,
 }
 
 /// LANDING_TARGET with a position relative to the vehicle.

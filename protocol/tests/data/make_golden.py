@@ -181,10 +181,10 @@ def vehicle_cases(std, ardupilot):
     yield "rpm", frame(ardupilot, "rpm", 1, 1, 55, rpm1=120.0, rpm2=-60.0)
     yield "rpm_not_a_number", frame(ardupilot, "rpm", 1, 1, 56, rpm1=NAN, rpm2=0.0)
     place = dict(
-        time_usec=300324000, lat=411847694, lon=-960099007, alt=0, epv=65535, vel=65535, cog=65535, satellites_visible=255,
+        time_usec=300324000, lat=411847694, lon=-960099007, alt=0, epv=65535, vel=357, cog=65535, satellites_visible=255,
         alt_ellipsoid=0, v_acc=0, vel_acc=0, hdg_acc=0)
     yield "gps_raw_int", frame(std, "gps_raw_int", 1, 1, 57, fix_type=3, eph=65535, h_acc=1250, **place)
-    yield "gps_raw_int_dilution", frame(std, "gps_raw_int", 1, 1, 58, fix_type=3, eph=186, h_acc=0, **place)
+    yield "gps_raw_int_dilution", frame(std, "gps_raw_int", 1, 1, 58, fix_type=3, eph=186, h_acc=0, **dict(place, vel=65535))
     yield "gps_raw_int_of_unknown_accuracy", frame(std, "gps_raw_int", 1, 1, 59, fix_type=2, eph=65535, h_acc=0, **place)
     yield "gps_raw_int_without_fix", frame(std, "gps_raw_int", 1, 1, 60, fix_type=1, eph=186, h_acc=0, **place)
     yield "gps_raw_int_static", frame(std, "gps_raw_int", 1, 1, 61, fix_type=7, eph=186, h_acc=0, **place)

@@ -6,8 +6,8 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{GnssFix, Heartbeat, ImuMessage, LandmarkSighting, Message, PlanarImu, WireStamp};
 use posebridge_station::StationConfig;
 use posebridge_telemetry::{
-    Address, GeodeticOrigin, GeodeticPoint, LandmarkId, LinkId, Meters, ObservationKind, Point2, Radians,
-    RadiansPerSecond, SensorId, TimeDelta,
+    Address, GeodeticOrigin, GeodeticPoint, LandmarkId, LinkId, Meters, MetersPerSecond, ObservationKind, Point2,
+    Radians, RadiansPerSecond, SensorId, TimeDelta,
 };
 
 /// ArduPilot on a ground rover.
@@ -37,6 +37,7 @@ fn satellites(millis: i64, x_m: f64, y_m: f64) -> Message {
         stamp: WireStamp::Micros64(millis as u64 * 1_000),
         position: origin().to_geodetic(point),
         sigma: Some(Meters(0.5)),
+        ground_speed: None,
     })
 }
 
@@ -70,6 +71,45 @@ fn without_wheels_satellites_place_the_robot_and_one_of_its_units_turns_it() {
     let said = "1/1: heard RAW_IMU, SCALED_IMU2, GPS_RAW_INT (RAW_IMU is used), no wheels: posebridge needs WHEEL_DISTANCE, RPM, ODOMETRY or \
                 PB_WHEEL_TICKS";
     assert_eq!(station.texts().iter().filter(|text| **text == said).count(), 1, "{:?}", station.texts());
+}
+
+/// A rover that drives east at 1 m/s; wheels are heard from the twentieth second on.
+#[test]
+fn the_speed_of_a_satellite_receiver_stands_in_for_wheels_and_makes_way_for_them() {
+    let mut config = with_origin();
+    config.robot.filter_config.start = None;
+    let mut station = TestStation::new(&config);
+    let mut rover = RemotePeer::new(BRICK, LINK, 0);
+    for millis in (0..25_000).step_by(50) {
+        let now = at(millis + 5);
+        if millis % 1_000 == 0 {
+            rover.send(&mut station, now, &ROVER);
+        }
+        rover.send(&mut station, now, &imu(ImuMessage::Raw, millis, 0.0));
+        if millis % 200 == 0 {
+            let Message::GnssFix(fix) = satellites(millis, millis as f64 * 1e-3, 0.0) else { unreachable!() };
+            let moving = GnssFix { ground_speed: Some(MetersPerSecond(1.0)), ..fix };
+            rover.send(&mut station, now, &Message::GnssFix(moving));
+        }
+        if millis >= 20_000 {
+            let travel = Meters((millis - 20_000) as f64 * 1e-3);
+            let wheels = Message::WheelDistance {
+                stamp: WireStamp::Micros64(millis as u64 * 1_000),
+                left: travel,
+                right: travel,
+            };
+            rover.send(&mut station, now, &wheels);
+        }
+        if millis == 19_900 {
+            let estimate = station.last_estimate();
+            assert!(estimate.validity.heading && estimate.pose.heading.rad().abs() < 0.1, "{estimate:?}");
+            assert!((estimate.pose.x.0 - 19.8).hypot(estimate.pose.y.0) < 0.5, "{:?}", estimate.pose);
+        }
+    }
+    let aligned = station.aligned();
+    let is_speed = |kind| matches!(kind, ObservationKind::BodyVelocity { .. });
+    let speeds = aligned.iter().filter(|one| is_speed(one.observation.measurement));
+    assert_eq!(speeds.count(), 101, "none after the first of the wheels");
 }
 
 #[test]
