@@ -23,6 +23,7 @@ mod fix_requests;
 mod fusion_alarms;
 mod link_context;
 mod message_requests;
+mod metadata_files;
 mod observation_extractor;
 mod observations;
 mod observers;
@@ -41,6 +42,7 @@ mod station;
 mod status_text;
 mod temperatures;
 mod thermometer_bank;
+mod token_bucket;
 mod transmitter;
 mod vehicle_proxy;
 

@@ -216,14 +216,13 @@ impl ReceivePass<'_> {
         Some(bytes)
     }
 
-    /// Whether a frame commands a robot something that the station handles in its name.
+    /// Whether a frame asks a robot for something that the station answers in its name.
     fn is_answered_here(&self, frame: &FrameRef<'_>) -> bool {
-        let is_command = matches!(frame.message_id, ids::COMMAND_LONG | ids::COMMAND_INT);
-        let Some(vehicles) = self.vehicles.filter(|_| is_command) else {
+        let Some(vehicles) = self.vehicles.filter(|_| ids::is_request(frame.message_id)) else {
             return false;
         };
         let message = dialect::decode(frame).ok().flatten();
-        message.is_some_and(|message| vehicles.commanded_vehicle(self.now, &message).is_some())
+        message.is_some_and(|message| vehicles.is_answered_here(self.now, &message))
     }
 }
 

@@ -331,6 +331,9 @@ impl Transmitter<'_> {
         // A sender with a robot's address on a link without robots must not silence the station.
         let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, self.router).is_empty();
         let is_signed_link = self.links.get(&id)?.verifier.is_signed();
+        if is_from_robot && from.component == VEHICLE_COMPONENT && frame.message_id == ids::HEARTBEAT {
+            self.sessions.follow_heartbeat(now, id);
+        }
         let vehicles = self.sessions.vehicles_mut(id)?;
         if is_from_robot && from.component == VEHICLE_COMPONENT {
             vehicles.record_forwarded(now, from.system, frame.message_id);
@@ -382,7 +385,7 @@ fn recipients_in_crowd(
         Message::SetMessageInterval(SetMessageInterval { target, .. })
         | Message::Command(CommandLong { target, .. })
         | Message::CommandInt(CommandInt { target, .. }) => Some(*target),
-        _ => None,
+        other => other.service_target(),
     };
     if let Some(target) = target {
         let peers = router.peers_of(now, id, target);

@@ -10,9 +10,14 @@ use posebridge_telemetry::{
 };
 
 mod commands;
+mod vehicle;
 
 pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
+pub use vehicle::{
+    AvailableMode, ComponentMetadata, FileTransfer, LogMessage, MetadataForm, MissionCurrent, PlanContent, PlanMessage,
+    plan,
+};
 
 /// The channel of the thermometer in SCALED_PRESSURE, which has no name on the wire.
 pub const SCALED_PRESSURE_CHANNEL: &[u8] = b"scaled_pressure";
@@ -152,6 +157,18 @@ pub enum Message {
         count: u16,
         index: u16,
     },
+    /// PARAM_VALUE (22) with the name `_HASH_CHECK`: a checksum over all parameters, by which a ground station knows whether
+    /// those that it keeps are still right.
+    ParamHash {
+        hash: u32,
+        count: u16,
+    },
+    Plan(PlanMessage),
+    MissionCurrent(MissionCurrent),
+    FileTransfer(FileTransfer),
+    Log(LogMessage),
+    AvailableMode(AvailableMode),
+    ComponentMetadata(ComponentMetadata),
 }
 
 impl Message {
@@ -200,7 +217,14 @@ impl Message {
             | Self::ParamRequestRead { .. }
             | Self::ParamSet { .. }
             | Self::ParamSetUnsupported { .. }
-            | Self::ParamValue { .. } => None,
+            | Self::ParamValue { .. }
+            | Self::ParamHash { .. }
+            | Self::Plan(_)
+            | Self::MissionCurrent(_)
+            | Self::FileTransfer(_)
+            | Self::Log(_)
+            | Self::AvailableMode(_)
+            | Self::ComponentMetadata(_) => None,
         }
     }
 }
