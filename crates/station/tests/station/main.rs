@@ -26,4 +26,5 @@ mod signing;
 mod strangers;
 mod support;
 mod thermometers;
+mod vehicle_requests;
 mod wall_range;
