@@ -259,9 +259,9 @@ class InitialConnect(unittest.TestCase):
 
 class FirstHeartbeat(unittest.TestCase):
     def test_is_the_vehicles_whenever_somebody_begins_to_listen(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
         for name, make in (("mavlink", self.with_mavlink), ("nxt", self.with_nxt)):
+            folder = tempfile.TemporaryDirectory()
+            self.addCleanup(folder.cleanup)
             station = make(folder.name)
             host, port = station.addresses[-1]
             for attempt in range(6):

@@ -20,6 +20,7 @@ mod estimate_messages;
 mod estimate_publisher;
 mod estimator;
 mod fix_requests;
+mod forwarded_frame;
 mod fusion_alarms;
 mod link_context;
 mod message_requests;

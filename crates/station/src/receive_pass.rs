@@ -6,14 +6,15 @@
 
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::frame_verifier::{FrameVerifier, VerifiedSender};
-use posebridge_protocol::framing::{FrameRef, FramerOutput, WireVersion};
+use posebridge_protocol::framing::{FrameRef, FramerOutput};
 use posebridge_protocol::routing::{
     DuplicateStatus, Endpoint, FrameRouter, LinkSharing, MessageTarget, SenderCheck, SenderInfo, priority_of, retarget,
     target_of,
 };
-use posebridge_telemetry::{Address, HostClock, LinkId, Priority, ReceiveError, Recipients, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, ReceiveError, Recipients, Timestamp};
 
 use crate::decoder::Decoder;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::observers::{ObserverAddress, Observers};
 use crate::receive::ReceivedMessage;
 use crate::robot_table::RobotTable;
@@ -56,19 +57,6 @@ pub(crate) struct ForwardingReport {
     /// readdressed.
     pub(crate) unchangeable: u64,
     pub(crate) forwarded: Vec<ForwardedFrame>,
-}
-
-#[derive(Debug)]
-pub(crate) struct ForwardedFrame {
-    pub(crate) message_id: u32,
-    pub(crate) source: Address,
-    pub(crate) sequence: u8,
-    pub(crate) is_signed: bool,
-    pub(crate) version: WireVersion,
-    pub(crate) priority: Priority,
-    pub(crate) from: Endpoint,
-    pub(crate) to: Vec<(LinkId, Recipients)>,
-    pub(crate) bytes: Vec<u8>,
 }
 
 impl ForwardingReport {

@@ -14,9 +14,10 @@ use posebridge_telemetry::{
 use crate::config::OutputKind;
 use crate::egress::{Egress, OutgoingMessage};
 use crate::estimate_publisher::PublishedMessage;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::link_context::LinkContext;
 use crate::output_queue::OutputQueue;
-use crate::receive_pass::{ForwardedFrame, ForwardingReport};
+use crate::receive_pass::ForwardingReport;
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
@@ -92,6 +93,9 @@ impl Transmitter<'_> {
         }
         if let Some(sender) = self.vehicle_sender(link, robot) {
             self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
+        }
+        if is_heartbeat {
+            self.release_heartbeats(link);
         }
     }
 
@@ -218,11 +222,40 @@ impl Transmitter<'_> {
                 link.health.duplicates += duplicates;
                 link.health.address_conflicts += address_conflicts;
             }
-            for frame in &forwarded {
+            for mut frame in forwarded {
+                let held_on = self.hold_heartbeat(&frame);
+                frame.to.retain(|(link, _)| !held_on.contains(link));
                 for to_link in frame.to.chunk_by(|one, next| one.0 == next.0) {
-                    self.forward_frame(to_link, frame);
+                    self.forward_frame(to_link, &frame);
                 }
             }
+        }
+    }
+
+    /// Holds the heartbeat of a camera or another component back on links for ground stations until the vehicle's has been sent, and
+    /// returns those links: programs take whoever sends the first heartbeat that they hear for the vehicle. One of each sender is held; a later one
+    /// replaces it.
+    fn hold_heartbeat(&mut self, frame: &ForwardedFrame) -> Vec<LinkId> {
+        // A signed frame keeps its number: later ones of its sender must not overtake it.
+        if frame.message_id != ids::HEARTBEAT || frame.is_signed || frame.source.component == VEHICLE_COMPONENT {
+            return Vec::new();
+        }
+        let links = frame.to.chunk_by(|one, next| one.0 == next.0);
+        let held_on = links.filter_map(|to_link| {
+            let (id, _) = to_link.first()?;
+            let vehicles = self.sessions.vehicles_mut(*id)?;
+            let held = ForwardedFrame { to: to_link.to_vec(), bytes: frame.bytes.clone(), ..*frame };
+            vehicles.hold_heartbeat(self.now, held).then_some(*id)
+        });
+        held_on.collect()
+    }
+
+    /// Forwards the heartbeats that waited on a link for the vehicle's.
+    fn release_heartbeats(&mut self, id: LinkId) {
+        let now = self.now;
+        let held = self.sessions.vehicles_mut(id).map(|vehicles| vehicles.release_heartbeats(now));
+        for frame in held.into_iter().flatten() {
+            self.forward_frame(&frame.to, &frame);
         }
     }
 
@@ -365,6 +398,9 @@ impl Transmitter<'_> {
         link.count_sent(&bytes);
         link.health.forwarded += 1;
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
+        if frame.message_id == ids::HEARTBEAT && frame.source.component == VEHICLE_COMPONENT {
+            self.release_heartbeats(id);
+        }
     }
 }
 

@@ -20,10 +20,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{CommandLong, Message};
+use posebridge_protocol::routing::Endpoint;
 use posebridge_protocol::session::{HeartbeatMode, Session, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
 
 use crate::config::OutputKind;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::link_context::LinkContext;
 use crate::robot::Robot;
 
@@ -31,6 +33,11 @@ use crate::robot::Robot;
 pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
 /// A message that was not forwarded for this long is no longer sent by the robot: five heartbeats.
 const RECENT_WINDOW: TimeDelta = TimeDelta::from_millis(5_000);
+
+/// Other heartbeats wait for a vehicle's that comes once a second.
+const HEARTBEAT_PATIENCE: TimeDelta = TimeDelta::from_millis(1_500);
+/// Components of others whose heartbeats wait: more than a robot has.
+const MAX_HELD: usize = 64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandResponder {
@@ -96,6 +103,9 @@ pub(crate) struct VehicleProxies {
     of_own_dialect: BTreeSet<SystemId>,
     /// Services that a vehicle has been heard to answer for itself.
     own_services: BTreeSet<(SystemId, VehicleService)>,
+    /// Heartbeats of other components that wait for the next one of a vehicle, the last of each sender.
+    held_heartbeats: BTreeMap<(Endpoint, Address), ForwardedFrame>,
+    last_heartbeat: Option<Timestamp<HostClock>>,
     /// The robot with the lowest id if several have one address.
     by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have output.
@@ -153,6 +163,25 @@ impl VehicleProxies {
         self.active.insert(robot);
         self.plan(robot);
         Some(done)
+    }
+
+    /// Holds a forwarded heartbeat back until a vehicle has sent one; false, and holds nothing, if none has for a while.
+    pub(crate) fn hold_heartbeat(&mut self, now: Timestamp<HostClock>, frame: ForwardedFrame) -> bool {
+        let has_beaten = self.last_heartbeat.is_some_and(|last| now - last < HEARTBEAT_PATIENCE);
+        let sender = (frame.from, frame.source);
+        // What waited before is out of date, whether this one waits or not.
+        self.held_heartbeats.remove(&sender);
+        let is_held = has_beaten && self.held_heartbeats.len() < MAX_HELD;
+        if is_held {
+            self.held_heartbeats.insert(sender, frame);
+        }
+        is_held
+    }
+
+    /// The heartbeats that waited for that of a vehicle, which is sent now.
+    pub(crate) fn release_heartbeats(&mut self, now: Timestamp<HostClock>) -> Vec<ForwardedFrame> {
+        self.last_heartbeat = Some(now);
+        std::mem::take(&mut self.held_heartbeats).into_values().collect()
     }
 
     pub(crate) fn set_heartbeat_mode(&mut self, robot: RobotId, mode: HeartbeatMode) {

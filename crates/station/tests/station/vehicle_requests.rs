@@ -7,13 +7,14 @@ use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, link, messages, stream, ticks};
 use posebridge_protocol::dialect::ids::{self, COMMAND_REQUEST_MESSAGE};
 use posebridge_protocol::message::{
-    CommandLong, FileTransfer, LogMessage, Message, PlanContent, PlanMessage, TimeSync, WireStamp,
+    CommandLong, FileTransfer, Heartbeat, LogMessage, Message, PlanContent, PlanMessage, TimeSync, WireStamp,
 };
 use posebridge_station::{AnnouncedAs, OutputKind, StationConfig};
 use posebridge_telemetry::{Address, HostClock, Meters, Priority, Timestamp};
 
 /// A robot that is no vehicle by its own address, as one without MAVLink.
 const WITHOUT_VEHICLE: Address = Address::new(1, 25);
+const CAMERA: Address = Address::new(1, 100);
 const ALL_OF_ROBOT: Address = Address::new(1, 0);
 
 fn two_links() -> StationConfig {
@@ -169,22 +170,24 @@ fn the_first_heartbeat_that_anybody_hears_is_the_vehicles() {
     for address in [BRICK, WITHOUT_VEHICLE] {
         let mut station = TestStation::new(&two_links());
         let mut robot = RemotePeer::new(address, LINK, 0);
+        let mut camera = RemotePeer::new(CAMERA, LINK, 1);
         station.pass_until(at(770));
         // Its period is not quite the station's.
         for from_ms in [1_000, 3_000, 5_050, 7_050] {
             drive(&mut station, &mut robot, from_ms, wheels);
+            camera.send(&mut station, at(i64::from(from_ms) + 1_960), &Message::Heartbeat(Heartbeat::CAMERA));
         }
         let beats: Vec<(Timestamp<HostClock>, Address)> = station
             .sent()
             .filter(|sent| sent.link == GCS_LINK && matches!(messages(sent.bytes)[..], [Message::Heartbeat(_)]))
             .map(|sent| (sent.now, Address::new(sent.bytes[5], sent.bytes[6])))
-            .filter(|(_, source)| *source == BRICK || *source == STATION)
             .collect();
-        assert!(beats.len() > 14, "{address}: {beats:?}");
-        for (index, (now, source)) in beats.iter().enumerate() {
-            if *source == STATION {
-                assert!(index > 0 && beats[index - 1] == (*now, BRICK), "{address} at {now:?}: {beats:?}");
-            }
+        let of = |sender| beats.iter().filter(|(_, source)| *source == sender).count();
+        assert!(of(BRICK) >= 8 && of(STATION) >= 7 && of(CAMERA) >= 3, "{address}: {beats:?}");
+        // Before the vehicle is known nobody waits for it.
+        let first = beats.iter().position(|(_, source)| *source == BRICK).expect("it beats");
+        for at_once in beats[first..].chunk_by(|(one, _), (next, _)| one == next) {
+            assert_eq!(at_once[0].1, BRICK, "{address}: {beats:?}");
         }
     }
 }
