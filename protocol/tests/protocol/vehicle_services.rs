@@ -125,7 +125,7 @@ fn on_path(opcode: u8, session: u8, path: &str) -> FileTransfer {
     request(opcode, session, 0, path.len() as u8, path.as_bytes())
 }
 
-fn transfer(session: &mut Session<HostClock>, peer: u32, request: FileTransfer) -> Vec<FileTransfer> {
+fn transfer(session: &mut Session<HostClock>, peer: u32, request: &FileTransfer) -> Vec<FileTransfer> {
     let answers = answers_from(session, peer, &Message::FileTransfer(request.clone()));
     let answers = answers.into_iter().map(|answer| match answer {
         Message::FileTransfer(answer) => answer,
@@ -140,7 +140,7 @@ fn transfer(session: &mut Session<HostClock>, peer: u32, request: FileTransfer) 
 }
 
 /// The only answer: its opcode and its data.
-fn answer(session: &mut Session<HostClock>, request: FileTransfer) -> (u8, Vec<u8>) {
+fn answer(session: &mut Session<HostClock>, request: &FileTransfer) -> (u8, Vec<u8>) {
     match &transfer(session, 0, request)[..] {
         [answer] => {
             assert_eq!(answer.data.len(), usize::from(answer.size));
@@ -154,12 +154,12 @@ fn answer(session: &mut Session<HostClock>, request: FileTransfer) -> (u8, Vec<u
 fn a_file_comes_whole_in_bursts_that_end_and_by_single_reads() {
     let mut session = vehicle();
     for path in ["long", "/long", "./long", "/long\0rest"] {
-        assert_eq!(answer(&mut session, on_path(OPEN, 3, path)), (ACK, vec![0xB8, 0x0B, 0, 0]), "{path}");
+        assert_eq!(answer(&mut session, &on_path(OPEN, 3, path)), (ACK, vec![0xB8, 0x0B, 0, 0]), "{path}");
     }
     for size in [239, 80, 0] {
         let (mut file, mut bursts) = (Vec::new(), 0);
         while file.len() < long_file().len() {
-            let frames = transfer(&mut session, 0, request(BURST, 3, file.len() as u32, size, &[]));
+            let frames = transfer(&mut session, 0, &request(BURST, 3, file.len() as u32, size, &[]));
             let (last, others) = frames.split_last().expect("it brings something");
             assert!(last.burst_complete == 1 && others.iter().all(|frame| frame.burst_complete == 0));
             for frame in &frames {
@@ -171,10 +171,10 @@ fn a_file_comes_whole_in_bursts_that_end_and_by_single_reads() {
         assert_eq!(file, long_file());
         assert_eq!(bursts, if size == 80 { 5 } else { 2 }, "eight frames of {size} each");
     }
-    assert_eq!(answer(&mut session, request(BURST, 3, 3_000, 239, &[])), (NAK, vec![6]), "the end");
-    assert_eq!(answer(&mut session, request(READ, 3, 2_990, 239, &[])), (ACK, long_file()[2_990..].to_vec()));
-    assert_eq!(answer(&mut session, request(READ, 3, u32::MAX, 239, &[])), (NAK, vec![6]));
-    let crc = answer(&mut session, on_path(14, 0, "long"));
+    assert_eq!(answer(&mut session, &request(BURST, 3, 3_000, 239, &[])), (NAK, vec![6]), "the end");
+    assert_eq!(answer(&mut session, &request(READ, 3, 2_990, 239, &[])), (ACK, long_file()[2_990..].to_vec()));
+    assert_eq!(answer(&mut session, &request(READ, 3, u32::MAX, 239, &[])), (NAK, vec![6]));
+    let crc = answer(&mut session, &on_path(14, 0, "long"));
     assert_eq!(crc, (ACK, crc32(0, &long_file()).to_le_bytes().to_vec()));
 }
 
@@ -189,40 +189,40 @@ fn the_checksum_is_that_of_other_implementations() {
 fn what_is_not_there_or_would_write_is_refused_with_its_reason() {
     let mut session = vehicle();
     for path in ["/other", "/long/", "//long", "../long", "/../etc/passwd", ""] {
-        assert_eq!(answer(&mut session, on_path(OPEN, 0, path)), (NAK, vec![10]), "{path}");
+        assert_eq!(answer(&mut session, &on_path(OPEN, 0, path)), (NAK, vec![10]), "{path}");
     }
-    assert_eq!(answer(&mut session, on_path(LIST, 0, "/folder")), (NAK, vec![10]));
-    assert_eq!(answer(&mut session, request(READ, 0, 0, 239, &[])), (NAK, vec![4]), "nothing is open");
-    assert_eq!(answer(&mut session, request(BURST, 0, 0, 239, &[])), (NAK, vec![4]));
-    assert_eq!(answer(&mut session, request(READ, 0, 0, 240, &[])), (NAK, vec![3]));
+    assert_eq!(answer(&mut session, &on_path(LIST, 0, "/folder")), (NAK, vec![10]));
+    assert_eq!(answer(&mut session, &request(READ, 0, 0, 239, &[])), (NAK, vec![4]), "nothing is open");
+    assert_eq!(answer(&mut session, &request(BURST, 0, 0, 239, &[])), (NAK, vec![4]));
+    assert_eq!(answer(&mut session, &request(READ, 0, 0, 240, &[])), (NAK, vec![3]));
     for opcode in [6, 7, 8, 9, 10, 11, 12, 13, 16, 127, 255] {
-        assert_eq!(answer(&mut session, on_path(opcode, 0, "long")), (NAK, vec![7]), "{opcode}");
+        assert_eq!(answer(&mut session, &on_path(opcode, 0, "long")), (NAK, vec![7]), "{opcode}");
     }
     for opcode in [ACK, NAK] {
-        assert_eq!(transfer(&mut session, 0, on_path(opcode, 0, "long")), [], "an answer has none");
+        assert_eq!(transfer(&mut session, 0, &on_path(opcode, 0, "long")), [], "an answer has none");
     }
     for path in ["/", "", "."] {
-        let listed = answer(&mut session, on_path(LIST, 0, path));
+        let listed = answer(&mut session, &on_path(LIST, 0, path));
         assert_eq!(listed, (ACK, b"Fempty\t0\0Flong\t3000\0".to_vec()));
     }
-    assert_eq!(answer(&mut session, request(LIST, 0, 2, 1, b"/")), (NAK, vec![6]));
-    assert_eq!(answer(&mut session, on_path(OPEN, 0, "empty")), (ACK, vec![0; 4]));
-    assert_eq!(answer(&mut session, request(READ, 0, 0, 239, &[])), (NAK, vec![6]));
+    assert_eq!(answer(&mut session, &request(LIST, 0, 2, 1, b"/")), (NAK, vec![6]));
+    assert_eq!(answer(&mut session, &on_path(OPEN, 0, "empty")), (ACK, vec![0; 4]));
+    assert_eq!(answer(&mut session, &request(READ, 0, 0, 239, &[])), (NAK, vec![6]));
 }
 
 #[test]
 fn sessions_are_kept_for_each_client_and_there_are_only_so_many() {
     let mut session = vehicle();
-    let read = |session: &mut Session<HostClock>, peer| transfer(session, peer, request(READ, 1, 0, 4, &[]))[0].opcode;
-    transfer(&mut session, 1, on_path(OPEN, 1, "long"));
-    transfer(&mut session, 2, on_path(OPEN, 1, "long"));
+    let read = |session: &mut Session<HostClock>, peer| transfer(session, peer, &request(READ, 1, 0, 4, &[]))[0].opcode;
+    transfer(&mut session, 1, &on_path(OPEN, 1, "long"));
+    transfer(&mut session, 2, &on_path(OPEN, 1, "long"));
     // Two ground stations may have one address: the end of one transfer ends not the other.
-    transfer(&mut session, 1, request(1, 1, 0, 0, &[]));
+    transfer(&mut session, 1, &request(1, 1, 0, 0, &[]));
     assert_eq!((read(&mut session, 1), read(&mut session, 2)), (NAK, ACK));
-    transfer(&mut session, 2, request(2, 0, 0, 0, &[]));
+    transfer(&mut session, 2, &request(2, 0, 0, 0, &[]));
     assert_eq!(read(&mut session, 2), NAK);
     for peer in 10..27 {
-        transfer(&mut session, peer, on_path(OPEN, 1, "long"));
+        transfer(&mut session, peer, &on_path(OPEN, 1, "long"));
     }
     assert_eq!((read(&mut session, 10), read(&mut session, 11), read(&mut session, 26)), (NAK, ACK, ACK));
 }
