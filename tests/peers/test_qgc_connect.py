@@ -263,6 +263,8 @@ class FirstHeartbeat(unittest.TestCase):
             folder = tempfile.TemporaryDirectory()
             self.addCleanup(folder.cleanup)
             station = make(folder.name)
+            # Nobody's heartbeat waits for a vehicle that is not known yet.
+            station.wait_for("robot 0/1/1 detected")
             host, port = station.addresses[-1]
             for attempt in range(6):
                 link = mavutil.mavlink_connection(f"tcp:{host}:{port}", source_system=255, source_component=attempt + 1)

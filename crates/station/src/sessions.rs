@@ -127,7 +127,7 @@ impl Sessions {
         for (id, link) in self.links.iter_mut().filter(|(_, link)| link.is_for_ground_stations) {
             let vehicles = &mut link.vehicles;
             let mut has_new_vehicle = false;
-            link.station.set_heartbeat_mode(station_mode);
+            link.station.set_heartbeat_mode(now, station_mode);
             for robot in robots.detected() {
                 // A robot that is received on a link itself needs no session of the station there.
                 if vehicles.address(robot.id).is_none()
@@ -148,7 +148,7 @@ impl Sessions {
                     vehicles.add(robot.id, session, responder);
                     has_new_vehicle = true;
                 }
-                vehicles.set_heartbeat_mode(robot.id, mode(robot.is_alive(now)));
+                vehicles.set_heartbeat_mode(now, robot.id, mode(robot.is_alive(now)));
             }
             if has_new_vehicle {
                 link.station.beat_now(now);

@@ -184,10 +184,8 @@ impl VehicleProxies {
         std::mem::take(&mut self.held_heartbeats).into_values().collect()
     }
 
-    pub(crate) fn set_heartbeat_mode(&mut self, robot: RobotId, mode: HeartbeatMode) {
-        if let Some(vehicle) = self.vehicles.get_mut(&robot) {
-            vehicle.session.set_heartbeat_mode(mode);
-        }
+    pub(crate) fn set_heartbeat_mode(&mut self, now: Timestamp<HostClock>, robot: RobotId, mode: HeartbeatMode) {
+        self.with_session(robot, |session| session.set_heartbeat_mode(now, mode));
     }
 
     /// Passes a request to the session of its vehicle, if the station is to reply.

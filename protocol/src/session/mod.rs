@@ -241,9 +241,12 @@ impl<C: Clock> Session<C> {
         self.peers.record_activity(now, from);
     }
 
-    /// Starts or stops the heartbeats; their schedule stays.
-    pub const fn set_heartbeat_mode(&mut self, presence: HeartbeatMode) {
-        self.heartbeat_mode = presence;
+    /// Starts or stops the heartbeats. The first one is due at once.
+    pub fn set_heartbeat_mode(&mut self, now: Timestamp<C>, presence: HeartbeatMode) {
+        let before = std::mem::replace(&mut self.heartbeat_mode, presence);
+        if before == HeartbeatMode::Suppressed && presence == HeartbeatMode::Active {
+            self.beat_now(now);
+        }
     }
 
     /// The content of a heartbeat; `None` while suppressed.
