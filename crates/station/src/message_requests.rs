@@ -186,7 +186,7 @@ impl RequestContext<'_> {
     fn component_metadata(&self, form: MetadataForm) -> Message {
         Message::ComponentMetadata(ComponentMetadata {
             form,
-            stamp: host_stamp(self.now),
+            boot_millis: (self.now.as_micros() / 1_000) as u32,
             file_crc: general_crc(),
             uri: GENERAL_URI.to_owned(),
         })

@@ -3,10 +3,10 @@
 //! Read and written field by field in wire order (largest type first, extensions last). Source: MAVLink common.xml.
 
 use super::ids;
-use super::payload::{Payload, PayloadReader, millis32};
+use super::payload::{Payload, PayloadReader};
 use crate::message::{
     AvailableMode, ComponentMetadata, FileTransfer, LogMessage, Message, MetadataForm, MissionCurrent, PlanContent,
-    PlanMessage, WireStamp, plan,
+    PlanMessage, plan,
 };
 
 /// Bytes of a file in one FILE_TRANSFER_PROTOCOL.
@@ -216,23 +216,23 @@ pub(super) fn write_available_mode(mode: &AvailableMode) -> Payload {
 
 pub(super) fn component_metadata(payload: &[u8], form: MetadataForm) -> Message {
     let mut reader = PayloadReader::new(payload);
-    let stamp = WireStamp::Millis32(reader.number::<u32>());
+    let boot_millis = reader.number::<u32>();
     let file_crc = reader.number::<u32>();
     if form == MetadataForm::Deprecated {
         let _peripherals_crc = reader.number::<u32>();
     }
-    Message::ComponentMetadata(ComponentMetadata { form, stamp, file_crc, uri: reader.text::<URI>() })
+    Message::ComponentMetadata(ComponentMetadata { form, boot_millis, file_crc, uri: reader.text::<URI>() })
 }
 
 /// Its address must end with a zero. There are no peripherals.
 pub(super) fn write_component_metadata(message: &ComponentMetadata) -> Payload {
-    let ComponentMetadata { form, stamp, file_crc, uri } = message;
+    let ComponentMetadata { form, boot_millis, file_crc, uri } = message;
     let payload = match form {
         MetadataForm::Current => {
-            Payload::new(ids::COMPONENT_METADATA).number::<u32>(millis32(*stamp)).number::<u32>(*file_crc)
+            Payload::new(ids::COMPONENT_METADATA).number::<u32>(*boot_millis).number::<u32>(*file_crc)
         }
         MetadataForm::Deprecated => Payload::new(ids::COMPONENT_INFORMATION)
-            .number::<u32>(millis32(*stamp))
+            .number::<u32>(*boot_millis)
             .number::<u32>(*file_crc)
             .number::<u32>(0),
     };

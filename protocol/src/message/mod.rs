@@ -177,6 +177,19 @@ impl Message {
         if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
     }
 
+    /// The target of a message about plans, files or logs; `None` for an answer without one, and for every other message.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
+    pub const fn service_target(&self) -> Option<Address> {
+        match self {
+            Self::Plan(PlanMessage { target, .. })
+            | Self::FileTransfer(FileTransfer { target, .. })
+            | Self::Log(LogMessage::RequestList { target, .. } | LogMessage::RequestData { target, .. }) => {
+                Some(*target)
+            }
+            _ => None,
+        }
+    }
+
     /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for requests and replies, some of
     /// which hold two clocks.
     pub const fn stamp(&self) -> Option<WireStamp> {

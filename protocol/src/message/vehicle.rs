@@ -2,8 +2,6 @@
 
 use posebridge_telemetry::Address;
 
-use super::{Message, WireStamp};
-
 /// The plans that a vehicle may hold: MAV_MISSION_TYPE of common.xml.
 pub mod plan {
     pub const MISSION: u8 = 0;
@@ -104,7 +102,8 @@ pub struct AvailableMode {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ComponentMetadata {
     pub form: MetadataForm,
-    pub stamp: WireStamp,
+    /// Of the sender's clock, since its start.
+    pub boot_millis: u32,
     pub file_crc: u32,
     /// At most 99 bytes.
     pub uri: String,
@@ -115,19 +114,4 @@ pub enum MetadataForm {
     Current,
     /// COMPONENT_INFORMATION, which newer ground stations ask for only if the other is not answered.
     Deprecated,
-}
-
-impl Message {
-    /// The target of a message about plans, files or logs; `None` for an answer without one, and for every other message.
-    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
-    pub const fn service_target(&self) -> Option<Address> {
-        match self {
-            Self::Plan(PlanMessage { target, .. })
-            | Self::FileTransfer(FileTransfer { target, .. })
-            | Self::Log(LogMessage::RequestList { target, .. } | LogMessage::RequestData { target, .. }) => {
-                Some(*target)
-            }
-            _ => None,
-        }
-    }
 }
