@@ -64,7 +64,8 @@ class GroundStation(Common):
             self.assertEqual(ground.command(REQUEST_MESSAGE, number), ACCEPTED)
             ground.hear_from(ESTIMATOR, name)
         ground.parameters()
-        # Out of its range: a text says so.
+        # Out of its range: a text says so. The station says one line in five seconds, and has said one when it found the robot.
+        ground.hear_beats(6, of=(ESTIMATOR,))
         ground.mav.param_set_send(*ESTIMATOR, b"SLIP_NIS", -1.0, 9)
         ground.hear_from(ESTIMATOR, "STATUSTEXT", lambda said: "slip_nis" in said.text.lower())
         for of, names in ((ESTIMATOR, OF_ESTIMATOR), (VEHICLE, OF_VEHICLE)):
