@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use posebridge_report::tables::{NO_VALUE, TextTable};
 use posebridge_telemetry::{LinkCounter, LinkHealth, LinkId, SourceHealth, TimeDelta};
 
-const PROBLEM_COUNTERS: [LinkCounter; 15] = [
+const PROBLEM_COUNTERS: [LinkCounter; 16] = [
     LinkCounter::KERNEL_DROPS,
     LinkCounter::FLOOD_DROPS,
     LinkCounter::CHECKSUM_ERRORS,
@@ -18,6 +18,7 @@ const PROBLEM_COUNTERS: [LinkCounter; 15] = [
     LinkCounter::FILTERED,
     LinkCounter::FORWARDED,
     LinkCounter::RATE_LIMITED,
+    LinkCounter::EXCESS_REQUESTS,
     LinkCounter::UNSENT,
     LinkCounter::QUEUED_FRAMES,
     LinkCounter::RECONNECTS,

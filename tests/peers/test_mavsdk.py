@@ -10,14 +10,17 @@ import unittest
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
+from mavsdk.asyncio.plugins.mission import MissionAsync
+from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.mocap import MocapAsync
+from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.logging import log_subscribe
 from mavsdk.plugins.mavlink_direct import MavlinkMessage
 from mavsdk.plugins.mocap import AngleBody, Covariance, PositionBody, VisionPositionEstimate
 
 from drives import for_ground_stations, nxt_station, simulated
-from harness import DEADLINE_S, RunningStation
+from harness import DEADLINE_S, RunningStation, posebridge
 
 # A robot that stands where nobody sees it.
 AT_REST = """
@@ -36,6 +39,9 @@ SIGMA_M, SIGMA_RAD = 0.005, 0.01
 # Height, roll and pitch: nobody knows them.
 UNKNOWN = 1e4
 PLANAR_POSE = 42102
+
+# Within which everything that MAVSDK asks by default is there.
+CONNECT_S = 5.0
 
 # What MAVSDK says of itself would stand between the tests' names.
 log_subscribe(lambda level, text, file, line: True)
@@ -100,6 +106,26 @@ class Mavsdk41(unittest.IsolatedAsyncioTestCase):
             await direct.send_message(message("PARAM_SET", param_id="SLIP_NIS", param_value=-1.0, param_type=9))
             await asyncio.wait({text}, timeout=1.0)
         self.assertIn("not in", text.result().text)
+
+    async def test_parameters_and_plans_come_at_once_with_default_arguments(self):
+        names = {line.split()[0].upper() for line in posebridge(self.folder, "config", "params").splitlines() if not line.startswith(" ")}
+        for name, make in (("nxt", lambda: nxt_station(self, self.folder, for_ground_stations("udp"))), ("dialect", self.at_rest)):
+            folder = tempfile.TemporaryDirectory()
+            self.addCleanup(folder.cleanup)
+            self.folder = folder.name
+            station = make()
+            system = await self.connected(station)
+            async with asyncio.timeout(CONNECT_S):
+                parameters = await ParamAsync(system).get_all_params()
+            found = {parameter.name: parameter.value for parameter in parameters.float_params}
+            self.assertEqual(({*found}, len(parameters.int_params)), (names, 0), name)
+            async with asyncio.timeout(CONNECT_S):
+                self.assertEqual((await MissionAsync(system).download_mission()).mission_items, [], name)
+                self.assertEqual(await MissionRawAsync(system).download_mission(), [], name)
+                self.assertEqual(await ParamAsync(system).get_param_float("SLIP_NIS"), found["SLIP_NIS"], name)
+            async with asyncio.timeout(CONNECT_S):
+                await ParamAsync(system).set_param_float("SLIP_NIS", 20.0)
+            station.kill()
 
     async def test_custom_xml_decodes(self):
         station = self.at_rest()

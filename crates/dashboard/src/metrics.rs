@@ -31,6 +31,7 @@ const LINK_METRICS: &[LinkMetric] = &[
     LinkMetric { name: "lost_frames", kind: "gauge", help: "Frames missing in the sequence numbers.", read: |of| Some(of.frames_lost as f64) },
     LinkMetric { name: "kernel_drops_total", kind: "counter", help: LinkCounter::KERNEL_DROPS.help, read: |of| Some(of.port.kernel_drops as f64) },
     LinkMetric { name: "flood_drops_total", kind: "counter", help: LinkCounter::FLOOD_DROPS.help, read: |of| Some(of.port.flood_drops as f64) },
+    LinkMetric { name: "excess_requests_total", kind: "counter", help: LinkCounter::EXCESS_REQUESTS.help, read: |of| Some(of.excess_requests as f64) },
     LinkMetric { name: "checksum_errors_total", kind: "counter", help: "Frames whose checksum was wrong.", read: |of| Some(of.checksum_errors as f64) },
     LinkMetric { name: "garbage_bytes_total", kind: "counter", help: "Bytes outside every frame.", read: |of| Some(of.garbage_bytes as f64) },
     LinkMetric { name: "stalls_total", kind: "counter", help: "Frames whose bytes stopped coming.", read: |of| Some(of.timeouts as f64) },

@@ -154,7 +154,7 @@ impl Station {
     }
 
     /// Carries out a command from a link, and reports the result. A robot as a vehicle accepts only commands about
-    /// robots.
+    /// robots and parameters.
     fn execute_link_command(
         &mut self,
         link: LinkId,
@@ -174,7 +174,7 @@ impl Station {
             return CommandResult::Unsupported;
         };
         let outcome = match decode_command(command) {
-            Ok(command) if role != SenderRole::Station && !command.is_for_robots() => {
+            Ok(command) if role != SenderRole::Station && !is_for_vehicle(command) => {
                 return CommandResult::Unsupported;
             }
             Ok(command) => {
@@ -327,8 +327,10 @@ impl Station {
             return;
         };
         let value = (row.read)(&self.config.robot.filter_config.params) as f32;
-        for (link, message) in self.sessions.report_parameter(index, value) {
-            self.send_answer(link, &message);
+        for (link, role, message) in self.sessions.report_parameter(index, value) {
+            if self.links.get(&link).is_some_and(|link| link.state == LinkState::Up) {
+                self.transmitter().send_as(link, role, &message, Priority::Command);
+            }
         }
     }
 
@@ -426,6 +428,11 @@ impl Station {
         let source = self.config.own_address;
         self.emit(Event::Text { source, severity, text });
     }
+}
+
+/// Whether a command may be given to a robot as a vehicle: those about robots, and about the parameters that are shown there.
+const fn is_for_vehicle(command: Command) -> bool {
+    command.is_for_robots() || matches!(command, Command::Parameters(_))
 }
 
 /// The shortest decimal number that has this value as a 32-bit float.

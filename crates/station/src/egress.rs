@@ -9,8 +9,8 @@ use posebridge_protocol::routing::LinkRateLimiter;
 use posebridge_telemetry::{Address, HostClock, LinkId, LinkState, Priority, Timestamp};
 
 use crate::config::LinkConfig;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::link_context::LinkContext;
-use crate::receive_pass::ForwardedFrame;
 
 /// Message ids have 24 bits; the sensor's number may be above them.
 const MAX_MESSAGE_ID: u32 = 0x00FF_FFFF;

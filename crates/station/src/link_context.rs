@@ -14,6 +14,7 @@ use crate::decoder::Decoder;
 use crate::mavlink1_probe::Mavlink1Probe;
 use crate::peer_framers::PeerFramers;
 use crate::sender_pins::SenderPins;
+use crate::token_bucket::{TokenBucket, TokenRate};
 
 pub(crate) struct LinkContext {
     pub(crate) state: LinkState,
@@ -33,7 +34,8 @@ pub(crate) struct LinkContext {
     /// The addresses of peers, where the transport knows them.
     hosts: BTreeMap<PeerId, IpAddr>,
     pub(crate) pins: Option<SenderPins>,
-    forwarding: BTreeMap<PeerId, ForwardingBudget>,
+    forwarding: BTreeMap<PeerId, TokenBucket>,
+    requests: BTreeMap<PeerId, TokenBucket>,
     /// The codec of a brick that does not use MAVLink; then framers and verifier are unused.
     pub(crate) codec: Option<Box<dyn BrickCodec>>,
     pub(crate) losses: LossAlarm,
@@ -92,38 +94,11 @@ const MAX_GROUND_STATIONS: usize = 32;
 
 /// Copies of its frames that one peer may cause in a second, and at once: ten ground stations see all of a robot that sends a thousand
 /// frames a second.
-const FORWARDED_PER_SECOND: i64 = 10_000;
+const FORWARDED_COPIES: TokenRate = TokenRate { per_second: 10_000, at_once: 10_000 };
 
-/// What is left of a peer's forwarded copies.
-#[derive(Clone, Copy, Debug)]
-struct ForwardingBudget {
-    /// In copies times nanoseconds per second, so that no rounding adds up.
-    left: i64,
-    refilled: Timestamp<HostClock>,
-}
-
-const NANOS_PER_SEC: i64 = 1_000_000_000;
-const FULL_BUDGET: i64 = FORWARDED_PER_SECOND * NANOS_PER_SEC;
-
-impl Default for ForwardingBudget {
-    fn default() -> Self {
-        Self { left: FULL_BUDGET, refilled: Timestamp::ZERO }
-    }
-}
-
-impl ForwardingBudget {
-    fn charge(&mut self, now: Timestamp<HostClock>, copies: usize) -> bool {
-        let elapsed = (now - self.refilled).as_nanos().clamp(0, NANOS_PER_SEC);
-        self.refilled = self.refilled.max(now);
-        self.left = (self.left + elapsed * FORWARDED_PER_SECOND).min(FULL_BUDGET);
-        let cost = i64::try_from(copies).unwrap_or(i64::MAX).saturating_mul(NANOS_PER_SEC);
-        let is_covered = cost <= self.left;
-        if is_covered {
-            self.left -= cost;
-        }
-        is_covered
-    }
-}
+/// Answers that one peer may cause. A ground station that connects asks for about a hundred; one that repeats its requests without end
+/// gets less than 60 kB a second.
+const REQUESTED_ANSWERS: TokenRate = TokenRate { per_second: 200, at_once: 400 };
 
 /// Fewer lost frames than this, or a smaller share, harm no estimate.
 const MIN_LOST_FRAMES: u64 = 5;
@@ -152,6 +127,7 @@ impl LinkContext {
             hosts: BTreeMap::new(),
             pins: config.pin.map(SenderPins::new),
             forwarding: BTreeMap::new(),
+            requests: BTreeMap::new(),
             losses: LossAlarm::default(),
             codec: config.brick.as_ref().map(|brick| (brick.protocol.open)(&brick.settings)),
         }
@@ -173,6 +149,7 @@ impl LinkContext {
                 self.ground_stations.clear();
                 self.parameter_clients.clear();
                 self.forwarding.clear();
+                self.requests.clear();
                 self.hosts.clear();
                 if let Some(pins) = &mut self.pins {
                     pins.handle_link_loss();
@@ -211,7 +188,14 @@ impl LinkContext {
 
     /// Whether a peer may cause so many copies of one of its frames now; if so it is charged.
     pub(crate) fn charge_forwarding(&mut self, now: Timestamp<HostClock>, peer: PeerId, copies: usize) -> bool {
-        self.forwarding.entry(peer).or_default().charge(now, copies)
+        self.forwarding.entry(peer).or_insert(TokenBucket::new(FORWARDED_COPIES)).charge(now, copies)
+    }
+
+    /// Whether a request of a peer may cause so many answers now; if so it is charged, else it is counted.
+    pub(crate) fn charge_request(&mut self, now: Timestamp<HostClock>, peer: PeerId, answers: usize) -> bool {
+        let is_covered = self.requests.entry(peer).or_insert(TokenBucket::new(REQUESTED_ANSWERS)).charge(now, answers);
+        self.health.excess_requests += u64::from(!is_covered);
+        is_covered
     }
 
     /// Notes a peer that reads parameters, like a ground station. Beyond the limit the first of them makes room.
@@ -245,6 +229,7 @@ impl LinkContext {
             self.ground_stations.remove(peer);
             self.parameter_clients.remove(peer);
             self.forwarding.remove(peer);
+            self.requests.remove(peer);
             self.hosts.remove(peer);
         }
     }

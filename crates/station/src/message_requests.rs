@@ -5,24 +5,31 @@
 //! Sources: MAVLink guide, "Command Protocol"; common.xml, MAV_CMD_REQUEST_MESSAGE and MAV_CMD_GET_MESSAGE_INTERVAL.
 
 use posebridge_protocol::dialect::ids::{
-    self, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE, COMMAND_SET_MESSAGE_INTERVAL,
+    self, COMMAND_GET_HOME_POSITION, COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_CAPABILITIES,
+    COMMAND_REQUEST_MESSAGE, COMMAND_REQUEST_PROTOCOL_VERSION, COMMAND_SET_MESSAGE_INTERVAL,
 };
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
-    AutopilotVersion, CommandLong, CommandResult, ComponentInformation, Heartbeat, Message, MessageInterval,
-    ProtocolVersion,
+    AutopilotVersion, AvailableMode, CommandLong, CommandResult, ComponentInformation, ComponentMetadata, Heartbeat,
+    Message, MessageInterval, MetadataForm, ProtocolVersion,
 };
 use posebridge_telemetry::{ComponentId, HostClock, LinkId, Timestamp};
 
 use crate::config::{AcceptedVersions, LinkConfig, OutputKind, StationConfig};
 use crate::estimate_messages::host_stamp;
+use crate::metadata_files::{GENERAL_URI, general_crc};
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
+use crate::vehicle_status::{STATUS_MESSAGES, status_message_id, vehicle_status};
 
 /// MAV_PROTOCOL_CAPABILITY: COMMAND_INT is supported.
 const CAPABILITY_COMMAND_INT: u64 = 8;
+/// A vehicle's plans are requested with MISSION_REQUEST_INT: without this some ground stations do not ask for them at all.
+const CAPABILITY_MISSION_INT: u64 = 4;
+/// Files are served.
+const CAPABILITY_FTP: u64 = 32;
 /// Parameters are sent as the bytes of their type.
 const CAPABILITY_PARAM_BYTEWISE: u64 = 16;
 /// MAVLink 2 is supported.
@@ -30,6 +37,10 @@ const CAPABILITY_MAVLINK2: u64 = 8_192;
 /// FIRMWARE_VERSION_TYPE_DEV and FIRMWARE_VERSION_TYPE_OFFICIAL.
 const FIRMWARE_DEVELOPMENT: u8 = 0;
 const FIRMWARE_RELEASE: u8 = 255;
+/// The only mode of a robot, whoever steers it: its custom mode is that of its heartbeat.
+const MODE_NAME: &str = "Driving";
+/// MAV_MODE_PROPERTY_NOT_USER_SELECTABLE.
+const NOT_SELECTABLE: u32 = 2;
 /// MESSAGE_INTERVAL for a message that does not exist.
 const NO_SUCH_MESSAGE: i32 = 0;
 
@@ -43,6 +54,16 @@ pub(crate) struct RequestReply {
 impl RequestReply {
     pub(crate) const fn of(result: CommandResult) -> Self {
         Self { result, messages: Vec::new() }
+    }
+
+    /// Without any, there was none yet; it may be requested again.
+    fn of_messages(messages: Vec<Message>) -> Self {
+        let result = if messages.is_empty() { CommandResult::TemporarilyRejected } else { CommandResult::Accepted };
+        Self { result, messages }
+    }
+
+    fn with(message: Message) -> Self {
+        Self { result: CommandResult::Accepted, messages: vec![message] }
     }
 
     /// A request to all components may be for any that supports it: when the station does not, another one may.
@@ -73,6 +94,9 @@ impl RequestContext<'_> {
                 Some(message_id) => self.interval(message_id),
                 None => RequestReply::of(CommandResult::Denied),
             }),
+            COMMAND_REQUEST_PROTOCOL_VERSION => Some(RequestReply::with(self.protocol_version())),
+            COMMAND_GET_HOME_POSITION => Some(RequestReply::of_messages(self.vehicle_status(ids::HOME_POSITION))),
+            COMMAND_REQUEST_CAPABILITIES => Some(RequestReply::with(self.autopilot_version())),
             // It names no message, or an interval that is none.
             COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(CommandResult::Denied)),
             _ => None,
@@ -85,12 +109,26 @@ impl RequestContext<'_> {
         };
         let messages = match message_id {
             ids::HEARTBEAT => heartbeat.map(Message::Heartbeat).into_iter().collect(),
-            ids::AUTOPILOT_VERSION => vec![Message::AutopilotVersion(AutopilotVersion {
-                capabilities: self.capabilities(),
-                software: firmware_version(),
-            })],
+            ids::AUTOPILOT_VERSION => vec![self.autopilot_version()],
             ids::PROTOCOL_VERSION => vec![self.protocol_version()],
             ids::COMPONENT_INFORMATION_BASIC => vec![self.component_information()],
+            ids::COMPONENT_METADATA if self.is_vehicle() => vec![self.component_metadata(MetadataForm::Current)],
+            ids::COMPONENT_INFORMATION if self.is_vehicle() => vec![self.component_metadata(MetadataForm::Deprecated)],
+            ids::AVAILABLE_MODES if self.is_vehicle() => {
+                let [_, index, ..] = command.params;
+                // 0 is all of them, and there is one.
+                if !(0.0..2.0).contains(&index) {
+                    return RequestReply::of(CommandResult::Denied);
+                }
+                vec![Message::AvailableMode(AvailableMode {
+                    custom_mode: 0,
+                    properties: NOT_SELECTABLE,
+                    modes: 1,
+                    index: 1,
+                    standard_mode: 0,
+                    name: MODE_NAME.to_owned(),
+                })]
+            }
             ids::MESSAGE_INTERVAL => {
                 let [_, about, ..] = command.params;
                 // The id is the second parameter, and the reply has 16 bits for it.
@@ -99,6 +137,7 @@ impl RequestContext<'_> {
                 }
                 return self.interval(about as u32);
             }
+            status if STATUS_MESSAGES.contains(&status) => self.vehicle_status(status),
             other => match OutputKind::of_message(other) {
                 Some(kind) => match self.robot() {
                     Some(robot) => robot.publisher.current(self.link, kind, robot.estimate_source(self.now)),
@@ -107,11 +146,13 @@ impl RequestContext<'_> {
                 None => return RequestReply::of(CommandResult::Unsupported),
             },
         };
-        if messages.is_empty() {
-            // There was none yet; it may be requested again.
-            return RequestReply::of(CommandResult::TemporarilyRejected);
-        }
-        RequestReply { result: CommandResult::Accepted, messages }
+        RequestReply::of_messages(messages)
+    }
+
+    /// The status message of the robot with this id; none while it is unknown.
+    fn vehicle_status(&self, message_id: u32) -> Vec<Message> {
+        let messages = self.robot().map_or_else(Vec::new, |robot| vehicle_status(self.now, robot));
+        messages.into_iter().filter(|message| status_message_id(message) == Some(message_id)).collect()
     }
 
     /// The robot of the reply: the one as which the station replies, or the requesting one, or the only one.
@@ -138,9 +179,28 @@ impl RequestContext<'_> {
         RequestReply { result: CommandResult::Accepted, messages: vec![reply] }
     }
 
+    fn is_vehicle(&self) -> bool {
+        self.role != SenderRole::Station
+    }
+
     fn capabilities(&self) -> u64 {
         let sends_v2 = self.link_config().is_some_and(|link| link.send_version == WireVersion::V2);
-        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | if sends_v2 { CAPABILITY_MAVLINK2 } else { 0 }
+        let of_vehicle = if self.is_vehicle() { CAPABILITY_MISSION_INT | CAPABILITY_FTP } else { 0 };
+        let of_link = if sends_v2 { CAPABILITY_MAVLINK2 } else { 0 };
+        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | of_vehicle | of_link
+    }
+
+    fn autopilot_version(&self) -> Message {
+        Message::AutopilotVersion(AutopilotVersion { capabilities: self.capabilities(), software: firmware_version() })
+    }
+
+    fn component_metadata(&self, form: MetadataForm) -> Message {
+        Message::ComponentMetadata(ComponentMetadata {
+            form,
+            boot_millis: (self.now.as_micros() / 1_000) as u32,
+            file_crc: general_crc(),
+            uri: GENERAL_URI.to_owned(),
+        })
     }
 
     fn link_config(&self) -> Option<&LinkConfig> {

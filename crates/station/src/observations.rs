@@ -5,6 +5,7 @@ use std::net::IpAddr;
 use posebridge_protocol::bricks::CodecEvent;
 use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
+use posebridge_protocol::session::most_answers;
 use posebridge_telemetry::{
     Address, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, ReceiveError, TimeDelta, Timestamp,
     severity,
@@ -55,8 +56,10 @@ impl Station {
         if !self.admit_claim(received.endpoint, claim) {
             return;
         }
-        self.sessions.handle(now, received.endpoint, message, known);
-        self.drain_sessions(received);
+        if self.affords_request(received.endpoint, content) {
+            self.sessions.handle(now, received.endpoint, message, known);
+            self.drain_sessions(received);
+        }
         if duplicate_status == DuplicateStatus::Duplicate {
             self.observe_copy(received, observer, known, content, &observations);
             // Robots that are built alike begin with the same bytes: it is no copy if its sender proves to be another one.
@@ -129,6 +132,16 @@ impl Station {
         if let Some(index) = sender.robot.filter(|_| !was_robot) {
             self.distinguish_cameras(&sender, index);
         }
+    }
+
+    /// Whether a message asks for nothing, or for no more than its peer may ask for.
+    fn affords_request(&mut self, endpoint: Endpoint, message: &Message) -> bool {
+        let now = self.time.now;
+        if !self.sessions.are_asked(now, endpoint.link, message) {
+            return true;
+        }
+        let link = self.links.get_mut(&endpoint.link);
+        link.is_none_or(|link| link.charge_request(now, endpoint.peer, most_answers(message)))
     }
 
     /// Whether the sender of a message may use these ids, on a link with pins. A refusal is counted, and told now and then.

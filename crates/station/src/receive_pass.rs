@@ -6,14 +6,15 @@
 
 use posebridge_protocol::dialect::{self, ids, is_signed};
 use posebridge_protocol::frame_verifier::{FrameVerifier, VerifiedSender};
-use posebridge_protocol::framing::{FrameRef, FramerOutput, WireVersion};
+use posebridge_protocol::framing::{FrameRef, FramerOutput};
 use posebridge_protocol::routing::{
     DuplicateStatus, Endpoint, FrameRouter, LinkSharing, MessageTarget, SenderCheck, SenderInfo, priority_of, retarget,
     target_of,
 };
-use posebridge_telemetry::{Address, HostClock, LinkId, Priority, ReceiveError, Recipients, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, ReceiveError, Recipients, Timestamp};
 
 use crate::decoder::Decoder;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::observers::{ObserverAddress, Observers};
 use crate::receive::ReceivedMessage;
 use crate::robot_table::RobotTable;
@@ -56,19 +57,6 @@ pub(crate) struct ForwardingReport {
     /// readdressed.
     pub(crate) unchangeable: u64,
     pub(crate) forwarded: Vec<ForwardedFrame>,
-}
-
-#[derive(Debug)]
-pub(crate) struct ForwardedFrame {
-    pub(crate) message_id: u32,
-    pub(crate) source: Address,
-    pub(crate) sequence: u8,
-    pub(crate) is_signed: bool,
-    pub(crate) version: WireVersion,
-    pub(crate) priority: Priority,
-    pub(crate) from: Endpoint,
-    pub(crate) to: Vec<(LinkId, Recipients)>,
-    pub(crate) bytes: Vec<u8>,
 }
 
 impl ForwardingReport {
@@ -216,14 +204,13 @@ impl ReceivePass<'_> {
         Some(bytes)
     }
 
-    /// Whether a frame commands a robot something that the station handles in its name.
+    /// Whether a frame asks a robot for something that the station answers in its name.
     fn is_answered_here(&self, frame: &FrameRef<'_>) -> bool {
-        let is_command = matches!(frame.message_id, ids::COMMAND_LONG | ids::COMMAND_INT);
-        let Some(vehicles) = self.vehicles.filter(|_| is_command) else {
+        let Some(vehicles) = self.vehicles.filter(|_| ids::is_request(frame.message_id)) else {
             return false;
         };
         let message = dialect::decode(frame).ok().flatten();
-        message.is_some_and(|message| vehicles.commanded_vehicle(self.now, &message).is_some())
+        message.is_some_and(|message| vehicles.is_answered_here(self.now, &message))
     }
 }
 

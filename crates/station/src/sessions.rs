@@ -3,6 +3,7 @@
 //! On every link the station has a session as itself; on a link for ground stations it has one for each robot, too.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use posebridge_estimator::PARAMS;
 use posebridge_protocol::dialect::commands::SUPPORTED_COMMANDS;
@@ -10,11 +11,12 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint, FrameRouter};
 use posebridge_protocol::session::{
-    HeartbeatMode, RequestedMessages, Session, SessionConfig, SessionOutput, SessionSender,
+    HeartbeatMode, RequestedMessages, ServedCommands, ServedFile, Session, SessionConfig, SessionOutput, SessionSender,
 };
-use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, SystemId, TimeDelta, Timestamp};
 
 use crate::config::{AnnouncedAs, LinkConfig, OUTPUTS, StationConfig};
+use crate::metadata_files::metadata_files;
 use crate::receive::ReceivedMessage;
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
@@ -50,6 +52,9 @@ pub(crate) struct Sessions {
     links: BTreeMap<LinkId, LinkSessions>,
     /// The configuration of a robot's session as a vehicle.
     vehicle: SessionConfig,
+    /// The files by which a vehicle describes itself.
+    files: Arc<[ServedFile]>,
+    own_system: SystemId,
     has_ground_stations: bool,
 }
 
@@ -78,7 +83,13 @@ impl Sessions {
             requested_messages: RequestedMessages::default(),
             ..station_session_config(config)
         };
-        Self { has_ground_stations: links.values().any(|link| link.is_for_ground_stations), links, vehicle }
+        Self {
+            has_ground_stations: links.values().any(|link| link.is_for_ground_stations),
+            links,
+            vehicle,
+            files: metadata_files().into(),
+            own_system: config.own_address.system,
+        }
     }
 
     pub(crate) const fn has_ground_stations(&self) -> bool {
@@ -115,7 +126,8 @@ impl Sessions {
         let station_mode = mode(robots.is_any_alive(now));
         for (id, link) in self.links.iter_mut().filter(|(_, link)| link.is_for_ground_stations) {
             let vehicles = &mut link.vehicles;
-            link.station.set_heartbeat_mode(station_mode);
+            let mut has_new_vehicle = false;
+            link.station.set_heartbeat_mode(now, station_mode);
             for robot in robots.detected() {
                 // A robot that is received on a link itself needs no session of the station there.
                 if vehicles.address(robot.id).is_none()
@@ -123,11 +135,41 @@ impl Sessions {
                     && let Some(responder) = responder(robot)
                 {
                     let config = SessionConfig { own: robot.vehicle_address, ..self.vehicle.clone() };
-                    vehicles.add(robot.id, config, responder, now);
+                    let mut session = Session::new(config, now);
+                    session.offer_parameters(link.station.offered_parameters());
+                    // What concerns the station as a whole is answered once where both are components of one system.
+                    let is_own_system = robot.vehicle_address.system == self.own_system;
+                    session.serve_commands(ServedCommands::AllBut(if is_own_system {
+                        &SUPPORTED_COMMANDS
+                    } else {
+                        &[]
+                    }));
+                    session.serve_as_vehicle(Arc::clone(&self.files));
+                    vehicles.add(robot.id, session, responder);
+                    has_new_vehicle = true;
                 }
-                vehicles.set_heartbeat_mode(robot.id, mode(robot.is_alive(now)));
+                vehicles.set_heartbeat_mode(now, robot.id, mode(robot.is_alive(now)));
+            }
+            if has_new_vehicle {
+                link.station.beat_now(now);
             }
         }
+    }
+
+    /// A robot's own heartbeat is forwarded on a link for ground stations: the station's goes right behind it. Programs take whoever sends
+    /// the first heartbeat that they hear for the vehicle, whenever they begin to listen.
+    pub(crate) fn follow_heartbeat(&mut self, now: Timestamp<HostClock>, id: LinkId) {
+        if let Some(link) = self.links.get_mut(&id).filter(|link| link.is_for_ground_stations) {
+            link.station.follow_heartbeat(now);
+        }
+    }
+
+    /// Whether a message asks the station, or a robot in whose name it replies, for something that costs an answer.
+    pub(crate) fn are_asked(&self, now: Timestamp<HostClock>, id: LinkId, message: &Message) -> bool {
+        let Some(link) = self.links.get(&id) else {
+            return false;
+        };
+        link.station.is_asked(message) || link.vehicles.responding_vehicle(now, message).is_some()
     }
 
     /// Passes a message to the sessions of its link; `robot` is its sender, if that is one.
@@ -158,18 +200,19 @@ impl Sessions {
         }
         // A copy may have come by another peer than its sender's own.
         let peer = (received.duplicate_status == DuplicateStatus::New).then_some(endpoint.peer);
-        link.station.handle_from_peer(now, SessionSender { address: received.source, peer }, message);
-        link.vehicles.handle(now, received.source, message);
+        let sender = SessionSender { address: received.source, peer };
+        link.station.handle_from_peer(now, sender, message);
+        link.vehicles.handle(now, sender, message);
     }
 
-    /// The next output of a link's sessions, with its role.
+    /// The next output of a link's sessions, with its role. The vehicles are first: programs take whoever sends the first heartbeat that they
+    /// hear for the vehicle.
     pub(crate) fn poll(&mut self, id: LinkId) -> Option<(SenderRole, SessionOutput<HostClock>)> {
         let link = self.links.get_mut(&id)?;
-        if let Some(output) = link.station.poll() {
-            return Some((SenderRole::Station, output));
+        if let Some((robot, output)) = link.vehicles.poll() {
+            return Some((SenderRole::Vehicle(robot), output));
         }
-        let (robot, output) = link.vehicles.poll()?;
-        Some((SenderRole::Vehicle(robot), output))
+        Some((SenderRole::Station, link.station.poll()?))
     }
 
     pub(crate) fn are_idle(&self) -> bool {
@@ -211,11 +254,16 @@ impl Sessions {
         }
     }
 
-    /// The messages that report a parameter's value, on every link where a peer has requested parameters.
-    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(LinkId, Message)> {
-        let reports =
-            self.links.iter_mut().filter_map(|(id, link)| Some((*id, link.station.report_parameter(index, value)?)));
-        reports.collect()
+    /// The messages that report a parameter's value, on every link where a peer has requested parameters, from those of which it has.
+    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(LinkId, SenderRole, Message)> {
+        let mut reports = Vec::new();
+        for (id, link) in &mut self.links {
+            let of_vehicles = link.vehicles.report_parameter(index, value).into_iter();
+            reports.extend(of_vehicles.map(|(robot, message)| (*id, SenderRole::Vehicle(robot), message)));
+            let of_station = link.station.report_parameter(index, value);
+            reports.extend(of_station.map(|message| (*id, SenderRole::Station, message)));
+        }
+        reports
     }
 }
 
@@ -229,7 +277,7 @@ fn open_session(link: &LinkConfig, config: &StationConfig, now: Timestamp<HostCl
     let params = &config.robot.filter_config.params;
     // In capitals, as MAVLink's parameters are: MAVProxy requests no others.
     session.offer_parameters(PARAMS.iter().map(|row| (row.key.to_ascii_uppercase(), (row.read)(params) as f32)));
-    session.serve_commands(&SERVED_COMMANDS);
+    session.serve_commands(ServedCommands::These(&SERVED_COMMANDS));
     session
 }
 
@@ -269,6 +317,9 @@ const fn is_request(message: &Message) -> bool {
             | Message::ParamRequestRead { .. }
             | Message::ParamSet { .. }
             | Message::ParamSetUnsupported { .. }
+            | Message::Plan(_)
+            | Message::FileTransfer(_)
+            | Message::Log(_)
     )
 }
 

@@ -14,9 +14,10 @@ use posebridge_telemetry::{
 use crate::config::OutputKind;
 use crate::egress::{Egress, OutgoingMessage};
 use crate::estimate_publisher::PublishedMessage;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::link_context::LinkContext;
 use crate::output_queue::OutputQueue;
-use crate::receive_pass::{ForwardedFrame, ForwardingReport};
+use crate::receive_pass::ForwardingReport;
 use crate::robot_table::RobotTable;
 use crate::sender_identity::RobotIndex;
 use crate::sessions::{SenderRole, Sessions, session_priority};
@@ -86,14 +87,17 @@ impl Transmitter<'_> {
         let Some(vehicles) = self.sessions.vehicles(link) else {
             return;
         };
-        let id =
-            if matches!(message, Message::Heartbeat(_)) { Some(ids::HEARTBEAT) } else { status_message_id(message) };
+        let is_heartbeat = matches!(message, Message::Heartbeat(_));
+        let id = if is_heartbeat { Some(ids::HEARTBEAT) } else { status_message_id(message) };
         let is_sent_by_robot = id.is_some_and(|id| vehicles.is_sent_by_robot(now, robot, id));
         if vehicles.is_suppressed(now, robot) || is_sent_by_robot {
             return;
         }
         if let Some(sender) = self.vehicle_sender(link, robot) {
             self.transmit(Transmission { link, sender, message, priority, to: Recipients::All });
+        }
+        if is_heartbeat {
+            self.release_heartbeats(link);
         }
     }
 
@@ -220,11 +224,40 @@ impl Transmitter<'_> {
                 link.health.duplicates += duplicates;
                 link.health.address_conflicts += address_conflicts;
             }
-            for frame in &forwarded {
+            for mut frame in forwarded {
+                let held_on = self.hold_heartbeat(&frame);
+                frame.to.retain(|(link, _)| !held_on.contains(link));
                 for to_link in frame.to.chunk_by(|one, next| one.0 == next.0) {
-                    self.forward_frame(to_link, frame);
+                    self.forward_frame(to_link, &frame);
                 }
             }
+        }
+    }
+
+    /// Holds the heartbeat of a camera or another component back on links for ground stations until the vehicle's has been sent, and
+    /// returns those links: programs take whoever sends the first heartbeat that they hear for the vehicle. One of each sender is held; a later one
+    /// replaces it.
+    fn hold_heartbeat(&mut self, frame: &ForwardedFrame) -> Vec<LinkId> {
+        // A signed frame keeps its number: later ones of its sender must not overtake it.
+        if frame.message_id != ids::HEARTBEAT || frame.is_signed || frame.source.component == VEHICLE_COMPONENT {
+            return Vec::new();
+        }
+        let links = frame.to.chunk_by(|one, next| one.0 == next.0);
+        let held_on = links.filter_map(|to_link| {
+            let (id, _) = to_link.first()?;
+            let vehicles = self.sessions.vehicles_mut(*id)?;
+            let held = ForwardedFrame { to: to_link.to_vec(), bytes: frame.bytes.clone(), ..*frame };
+            vehicles.hold_heartbeat(self.now, held).then_some(*id)
+        });
+        held_on.collect()
+    }
+
+    /// Forwards the heartbeats that waited on a link for the vehicle's.
+    fn release_heartbeats(&mut self, id: LinkId) {
+        let now = self.now;
+        let held = self.sessions.vehicles_mut(id).map(|vehicles| vehicles.release_heartbeats(now));
+        for frame in held.into_iter().flatten() {
+            self.forward_frame(&frame.to, &frame);
         }
     }
 
@@ -333,6 +366,9 @@ impl Transmitter<'_> {
         // A sender with a robot's address on a link without robots must not silence the station.
         let is_from_robot = self.robots.len() == 0 || !self.robots.at_home(frame.from.link, self.router).is_empty();
         let is_signed_link = self.links.get(&id)?.verifier.is_signed();
+        if is_from_robot && from.component == VEHICLE_COMPONENT && frame.message_id == ids::HEARTBEAT {
+            self.sessions.follow_heartbeat(now, id);
+        }
         let vehicles = self.sessions.vehicles_mut(id)?;
         if is_from_robot && from.component == VEHICLE_COMPONENT {
             vehicles.record_forwarded(now, from.system, frame.message_id);
@@ -364,6 +400,9 @@ impl Transmitter<'_> {
         link.count_sent(&bytes);
         link.health.forwarded += 1;
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
+        if frame.message_id == ids::HEARTBEAT && frame.source.component == VEHICLE_COMPONENT {
+            self.release_heartbeats(id);
+        }
     }
 }
 
@@ -384,7 +423,7 @@ fn recipients_in_crowd(
         Message::SetMessageInterval(SetMessageInterval { target, .. })
         | Message::Command(CommandLong { target, .. })
         | Message::CommandInt(CommandInt { target, .. }) => Some(*target),
-        _ => None,
+        other => other.service_target(),
     };
     if let Some(target) = target {
         let peers = router.peers_of(now, id, target);

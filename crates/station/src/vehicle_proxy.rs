@@ -12,16 +12,20 @@
 //!   there, and signed frames must not be mixed with unsigned ones of the robot: the station does not send as the robot there,
 //!   either. docs/adr/README.md, decision 10, gives the reasons.
 //!
+//! What is asked of the vehicle is answered for it where it cannot answer itself ([`VehicleProxies::responding_vehicle`]).
+//!
 //! [`Encoder::readdress`]: posebridge_protocol::dialect::Encoder::readdress
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::dialect::ids;
-use posebridge_protocol::message::Message;
-use posebridge_protocol::session::{HeartbeatMode, Session, SessionConfig, SessionOutput};
+use posebridge_protocol::message::{CommandLong, Message};
+use posebridge_protocol::routing::Endpoint;
+use posebridge_protocol::session::{HeartbeatMode, Session, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
 
 use crate::config::OutputKind;
+use crate::forwarded_frame::ForwardedFrame;
 use crate::link_context::LinkContext;
 use crate::robot::Robot;
 use crate::vehicle_status::STATUS_MESSAGES;
@@ -31,12 +35,51 @@ pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
 /// A message that was not forwarded for this long is no longer sent by the robot: five heartbeats.
 const RECENT_WINDOW: TimeDelta = TimeDelta::from_millis(5_000);
 
+/// Other heartbeats wait for a vehicle's that comes once a second.
+const HEARTBEAT_PATIENCE: TimeDelta = TimeDelta::from_millis(1_500);
+/// Components of others whose heartbeats wait: more than a robot has.
+const MAX_HELD: usize = 64;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommandResponder {
     /// The station, because the robot cannot: it does not use MAVLink, or uses another component.
     Station,
-    /// The robot, except for messages that the station sends in its name.
+    /// The robot, except for messages that the station sends in its name, and for what a brick of our dialect lacks.
     Robot,
+}
+
+/// The kinds of requests that a vehicle answers beside commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum VehicleService {
+    /// Its version, modes and files about itself.
+    Description,
+    Parameters,
+    Plans,
+    Files,
+    Logs,
+}
+
+impl VehicleService {
+    /// The service that a message answers for.
+    const fn of_answer(message_id: u32) -> Option<Self> {
+        match message_id {
+            ids::AUTOPILOT_VERSION => Some(Self::Description),
+            ids::PARAM_VALUE => Some(Self::Parameters),
+            ids::MISSION_COUNT | ids::MISSION_ACK | ids::MISSION_CURRENT => Some(Self::Plans),
+            ids::FILE_TRANSFER_PROTOCOL => Some(Self::Files),
+            ids::LOG_ENTRY | ids::LOG_DATA => Some(Self::Logs),
+            _ => None,
+        }
+    }
+}
+
+/// What a message asks of a vehicle.
+enum VehicleRequest {
+    /// A command, and the message that it is about, if any.
+    Command {
+        about: Option<u32>,
+    },
+    Service(VehicleService),
 }
 
 impl CommandResponder {
@@ -57,6 +100,13 @@ pub(crate) struct VehicleProxies {
     last_unmodified: BTreeMap<Address, Timestamp<HostClock>>,
     /// When a vehicle's own frame was last forwarded here, on a link with a key.
     last_on_signed_link: BTreeMap<SystemId, Timestamp<HostClock>>,
+    /// Systems whose vehicle sends our own dialect: bricks that were programmed for this station.
+    of_own_dialect: BTreeSet<SystemId>,
+    /// Services that a vehicle has been heard to answer for itself.
+    own_services: BTreeSet<(SystemId, VehicleService)>,
+    /// Heartbeats of other components that wait for the next one of a vehicle, the last of each sender.
+    held_heartbeats: BTreeMap<(Endpoint, Address), ForwardedFrame>,
+    last_heartbeat: Option<Timestamp<HostClock>>,
     /// The robot with the lowest id if several have one address.
     by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have output.
@@ -75,21 +125,15 @@ struct VehicleProxy {
 }
 
 impl VehicleProxies {
-    /// Adds a robot to this link; `config` has its address there. Does nothing if it was added before.
-    pub(crate) fn add(
-        &mut self,
-        robot: RobotId,
-        config: SessionConfig,
-        responder: CommandResponder,
-        now: Timestamp<HostClock>,
-    ) {
+    /// Adds a robot to this link with the session of its address there. Does nothing if it was added before.
+    pub(crate) fn add(&mut self, robot: RobotId, session: Session<HostClock>, responder: CommandResponder) {
         if self.vehicles.contains_key(&robot) {
             return;
         }
-        let address = config.own;
+        let address = session.own_address();
         let first = self.by_address.entry(address).or_insert(robot);
         *first = robot.min(*first);
-        self.vehicles.insert(robot, VehicleProxy { address, responder, session: Session::new(config, now), due: None });
+        self.vehicles.insert(robot, VehicleProxy { address, responder, session, due: None });
         self.active.insert(robot);
         self.plan(robot);
     }
@@ -122,17 +166,43 @@ impl VehicleProxies {
         Some(done)
     }
 
-    pub(crate) fn set_heartbeat_mode(&mut self, robot: RobotId, mode: HeartbeatMode) {
-        if let Some(vehicle) = self.vehicles.get_mut(&robot) {
-            vehicle.session.set_heartbeat_mode(mode);
+    /// Holds a forwarded heartbeat back until a vehicle has sent one; false, and holds nothing, if none has for a while.
+    pub(crate) fn hold_heartbeat(&mut self, now: Timestamp<HostClock>, frame: ForwardedFrame) -> bool {
+        let has_beaten = self.last_heartbeat.is_some_and(|last| now - last < HEARTBEAT_PATIENCE);
+        let sender = (frame.from, frame.source);
+        // What waited before is out of date, whether this one waits or not.
+        self.held_heartbeats.remove(&sender);
+        let is_held = has_beaten && self.held_heartbeats.len() < MAX_HELD;
+        if is_held {
+            self.held_heartbeats.insert(sender, frame);
+        }
+        is_held
+    }
+
+    /// The heartbeats that waited for that of a vehicle, which is sent now.
+    pub(crate) fn release_heartbeats(&mut self, now: Timestamp<HostClock>) -> Vec<ForwardedFrame> {
+        self.last_heartbeat = Some(now);
+        std::mem::take(&mut self.held_heartbeats).into_values().collect()
+    }
+
+    pub(crate) fn set_heartbeat_mode(&mut self, now: Timestamp<HostClock>, robot: RobotId, mode: HeartbeatMode) {
+        self.with_session(robot, |session| session.set_heartbeat_mode(now, mode));
+    }
+
+    /// Passes a request to the session of its vehicle, if the station is to reply.
+    pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, from: SessionSender, message: &Message) {
+        if let Some(robot) = self.responding_vehicle(now, message) {
+            self.with_session(robot, |session| session.handle_from_peer(now, from, message));
         }
     }
 
-    /// Passes a command to the session of its vehicle, if the station is to reply.
-    pub(crate) fn handle(&mut self, now: Timestamp<HostClock>, from: Address, message: &Message) {
-        if let Some(robot) = self.commanded_vehicle(now, message) {
-            self.with_session(robot, |session| session.handle(now, from, message));
-        }
+    /// Stores the value of a parameter and returns the messages that report it, of the vehicles whose parameters were requested.
+    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(RobotId, Message)> {
+        let reports = self
+            .vehicles
+            .iter_mut()
+            .filter_map(|(robot, vehicle)| Some((*robot, vehicle.session.report_parameter(index, value)?)));
+        reports.collect()
     }
 
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>) {
@@ -170,6 +240,10 @@ impl VehicleProxies {
 
     /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
+        if matches!(message_id, ids::PB_WHEEL_TICKS..=ids::PB_ROBOT_DESCRIPTION) {
+            self.of_own_dialect.insert(from);
+        }
+        self.own_services.extend(VehicleService::of_answer(message_id).map(|service| (from, service)));
         // The others are never requested; so the map stays small whatever comes.
         let is_status = message_id == ids::HEARTBEAT || STATUS_MESSAGES.contains(&message_id);
         if is_status || OutputKind::of_message(message_id).is_some() {
@@ -206,18 +280,40 @@ impl VehicleProxies {
         is_recent(now, own.and_then(|own| self.last_forwarded.get(&(own.system, message_id))))
     }
 
-    /// The vehicle of a command to which the station is to reply: any command where the robot cannot, else those about
-    /// messages that the station sends in its name.
-    pub(crate) fn commanded_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
-        let (target, concerns) = command_target(message)?;
+    /// The vehicle of a request to which the station is to reply:
+    ///
+    /// - any request where the robot cannot, because it speaks no MAVLink or uses another component;
+    /// - commands about messages that the station sends in its name;
+    /// - of a robot that sends our own dialect, and so is a brick that was programmed for this station: what it is, parameters, plans, files
+    ///   and logs, unless it has been heard to answer such requests itself. Its other commands are its own.
+    ///
+    /// Every other robot that speaks MAVLink is left alone.
+    pub(crate) fn responding_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
+        let (target, request) = vehicle_request(message)?;
+        let is_for_all = target.component == ComponentId(0);
+        let target = if is_for_all { Address { component: VEHICLE_COMPONENT, ..target } } else { target };
         let robot = self.by_address.get(&target)?;
         let vehicle = self.vehicles.get(robot)?;
         if self.is_suppressed(now, *robot) {
             return None;
         }
-        let is_ours = |id| OutputKind::of_message(id).is_some() && !self.is_sent_by_robot(now, *robot, id);
-        let is_answered = vehicle.responder == CommandResponder::Station || concerns.is_some_and(is_ours);
-        is_answered.then_some(*robot)
+        let lacks = |service| {
+            self.of_own_dialect.contains(&target.system) && !self.own_services.contains(&(target.system, service))
+        };
+        let is_ours = match request {
+            VehicleRequest::Command { about: Some(id) } if OutputKind::of_message(id).is_some() => {
+                !self.is_sent_by_robot(now, *robot, id)
+            }
+            VehicleRequest::Command { .. } => false,
+            VehicleRequest::Service(service) => lacks(service),
+        };
+        (vehicle.responder == CommandResponder::Station || is_ours).then_some(*robot)
+    }
+
+    /// Whether a request is for one vehicle alone and the station replies in its place: then nobody else needs it.
+    pub(crate) fn is_answered_here(&self, now: Timestamp<HostClock>, message: &Message) -> bool {
+        let is_for_one = vehicle_request(message).is_some_and(|(target, _)| target.component == VEHICLE_COMPONENT);
+        is_for_one && self.responding_vehicle(now, message).is_some()
     }
 }
 
@@ -225,19 +321,32 @@ fn is_recent(now: Timestamp<HostClock>, last: Option<&Timestamp<HostClock>>) -> 
     last.is_some_and(|last| now - *last < RECENT_WINDOW)
 }
 
-/// The target of a command, and the message that the command is about, if any.
-fn command_target(message: &Message) -> Option<(Address, Option<u32>)> {
-    #[expect(
-        clippy::wildcard_enum_match_arm,
-        reason = "only these are commands, however many kinds of messages there are"
-    )]
+/// The target of a request, and what is asked.
+#[expect(clippy::wildcard_enum_match_arm, reason = "only these are requests, however many kinds of messages there are")]
+fn vehicle_request(message: &Message) -> Option<(Address, VehicleRequest)> {
+    let service = |target: &Address, service| Some((*target, VehicleRequest::Service(service)));
     match message {
-        Message::SetMessageInterval(request) => Some((request.target, Some(request.message_id))),
-        Message::Command(command) => Some((command.target, command.named_message())),
-        Message::CommandInt(command) => {
-            let command = command.to_long();
-            Some((command.target, command.named_message()))
+        Message::SetMessageInterval(request) => {
+            Some((request.target, VehicleRequest::Command { about: Some(request.message_id) }))
         }
+        Message::Command(command) => Some((command.target, requested_by(command))),
+        Message::CommandInt(command) => Some((command.target, requested_by(&command.to_long()))),
+        Message::ParamRequestList { target }
+        | Message::ParamRequestRead { target, .. }
+        | Message::ParamSet { target, .. }
+        | Message::ParamSetUnsupported { target, .. } => service(target, VehicleService::Parameters),
+        Message::Plan(request) => service(&request.target, VehicleService::Plans),
+        Message::FileTransfer(request) => service(&request.target, VehicleService::Files),
+        Message::Log(_) => service(&message.service_target()?, VehicleService::Logs),
         _ => None,
+    }
+}
+
+fn requested_by(command: &CommandLong) -> VehicleRequest {
+    let about = command.named_message();
+    if ids::is_description(command.command, about) {
+        VehicleRequest::Service(VehicleService::Description)
+    } else {
+        VehicleRequest::Command { about }
     }
 }

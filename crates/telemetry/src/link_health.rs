@@ -67,6 +67,8 @@ pub struct LinkHealth {
     pub filtered: u64,
     /// Forwarded frames and own estimates dropped by this link's rate limits.
     pub rate_limited: u64,
+    /// Requests that were not answered, because their peer asked more often than anybody needs.
+    pub excess_requests: u64,
     pub port: LinkCounts,
     /// Round-trip time of the last answered time request.
     pub round_trip: Option<TimeDelta>,
@@ -106,6 +108,7 @@ impl LinkCounter {
     pub const FORWARDED: Self = Self::new("forwarded", "passed on to it", "Frames of others passed on to it.", |of| of.forwarded);
     pub const FILTERED: Self = Self::new("filtered", "filtered", "Frames kept out by its filter.", |of| of.filtered);
     pub const RATE_LIMITED: Self = Self::new("thinned", "thinned", "Frames held back by its limits.", |of| of.rate_limited);
+    pub const EXCESS_REQUESTS: Self = Self::new("excess_requests", "too many requests", "Requests above the budget of their peer.", |of| of.excess_requests);
     pub const KERNEL_DROPS: Self = Self::new("kernel_drops", "lost in the system", "Received datagrams that the system dropped.", |of| of.port.kernel_drops);
     pub const FLOOD_DROPS: Self = Self::new("flood_drops", "cut of floods", "Received datagrams above the budget of their peer.", |of| of.port.flood_drops);
 
@@ -114,7 +117,7 @@ impl LinkCounter {
         Self::BYTES_IN, Self::BYTES_OUT, Self::FRAMES_IN, Self::FRAMES_OUT, Self::CHECKSUM_ERRORS, Self::GARBAGE_BYTES,
         Self::UNKNOWN_IDS, Self::TIMEOUTS, Self::FRAMES_LOST, Self::RECONNECTS, Self::DROPS_OUT, Self::REJECTED_FRAMES,
         Self::DUPLICATES, Self::ADDRESS_CONFLICTS, Self::FORWARDED, Self::FILTERED, Self::RATE_LIMITED,
-        Self::KERNEL_DROPS, Self::FLOOD_DROPS, Self::FOREIGN_FRAMES,
+        Self::EXCESS_REQUESTS, Self::KERNEL_DROPS, Self::FLOOD_DROPS, Self::FOREIGN_FRAMES,
     ];
 
     /// The drops of the station and of the transport; tables and CSV have their sum.

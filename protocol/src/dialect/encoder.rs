@@ -8,7 +8,7 @@ use posebridge_telemetry::Address;
 use super::catalogue::CATALOGUE;
 use super::payload::Payload;
 use super::services::PARAM_TYPE_REAL32;
-use super::{posebridge, poses, sensors, services, vehicle_state};
+use super::{posebridge, poses, sensors, services, vehicle, vehicle_state};
 use crate::framing::{FrameHeader, START_BYTE_V1, START_BYTE_V2, WireVersion, checksum, crc_extra_of};
 use crate::message::Message;
 use crate::signing::{FLAG_SIGNED, FrameSigner};
@@ -153,6 +153,13 @@ fn payload_of(message: &Message) -> Option<Payload> {
         Message::MessageInterval(message) => services::write_message_interval(*message),
         Message::NamedValue(message) => services::write_named_value(message),
         Message::FloatArray(message) => services::write_float_array(message),
+        Message::ParamHash { hash, count } => services::write_param_hash(*hash, *count),
+        Message::Plan(message) => vehicle::write_plan(message),
+        Message::MissionCurrent(current) => vehicle::write_mission_current(*current),
+        Message::FileTransfer(message) => vehicle::write_file_transfer(message),
+        Message::Log(message) => vehicle::write_log(message),
+        Message::AvailableMode(mode) => vehicle::write_available_mode(mode),
+        Message::ComponentMetadata(message) => vehicle::write_component_metadata(message),
         Message::WheelDistance { stamp, left, right } => sensors::write_wheel_distance(*stamp, *left, *right),
         Message::Imu(imu) => sensors::write_imu(imu),
         Message::WheelSpeeds { left, right } => sensors::write_wheel_speeds(*left, *right),

@@ -37,8 +37,18 @@ messages! {
     ATTITUDE_QUATERNION = 31,
     LOCAL_POSITION_NED = 32,
     GLOBAL_POSITION_INT = 33,
+    MISSION_REQUEST_PARTIAL_LIST = 37,
+    MISSION_WRITE_PARTIAL_LIST = 38,
+    MISSION_REQUEST = 40,
+    MISSION_SET_CURRENT = 41,
+    MISSION_CURRENT = 42,
+    MISSION_REQUEST_LIST = 43,
+    MISSION_COUNT = 44,
+    MISSION_CLEAR_ALL = 45,
+    MISSION_ACK = 47,
     SET_GPS_GLOBAL_ORIGIN = 48,
     GPS_GLOBAL_ORIGIN = 49,
+    MISSION_REQUEST_INT = 51,
     MANUAL_CONTROL = 69,
     VFR_HUD = 74,
     COMMAND_INT = 75,
@@ -48,8 +58,13 @@ messages! {
     GLOBAL_VISION_POSITION_ESTIMATE = 101,
     VISION_POSITION_ESTIMATE = 102,
     HIGHRES_IMU = 105,
+    FILE_TRANSFER_PROTOCOL = 110,
     TIMESYNC = 111,
     SCALED_IMU2 = 116,
+    LOG_REQUEST_LIST = 117,
+    LOG_ENTRY = 118,
+    LOG_REQUEST_DATA = 119,
+    LOG_DATA = 120,
     SCALED_IMU3 = 129,
     DISTANCE_SENSOR = 132,
     ATT_POS_MOCAP = 138,
@@ -66,7 +81,10 @@ messages! {
     PROTOCOL_VERSION = 300,
     ODOMETRY = 331,
     DEBUG_FLOAT_ARRAY = 350,
+    COMPONENT_INFORMATION = 395,
     COMPONENT_INFORMATION_BASIC = 396,
+    COMPONENT_METADATA = 397,
+    AVAILABLE_MODES = 435,
     WHEEL_DISTANCE = 9000,
     PB_WHEEL_TICKS = 42100,
     PB_INERTIAL = 42101,
@@ -75,10 +93,16 @@ messages! {
     PB_ROBOT_DESCRIPTION = 42104,
 }
 
+/// MAV_CMD_GET_HOME_POSITION, superseded by MAV_CMD_REQUEST_MESSAGE and still sent.
+pub const COMMAND_GET_HOME_POSITION: u16 = 410;
 /// MAV_CMD_GET_MESSAGE_INTERVAL: parameter 1 is the message.
 pub const COMMAND_GET_MESSAGE_INTERVAL: u16 = 510;
 /// MAV_CMD_REQUEST_MESSAGE: parameter 1 is the message, parameter 2 distinguishes it from others of its kind.
 pub const COMMAND_REQUEST_MESSAGE: u16 = 512;
+/// MAV_CMD_REQUEST_PROTOCOL_VERSION, an older form of a request for PROTOCOL_VERSION.
+pub const COMMAND_REQUEST_PROTOCOL_VERSION: u16 = 519;
+/// MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, an older form of a request for AUTOPILOT_VERSION.
+pub const COMMAND_REQUEST_CAPABILITIES: u16 = 520;
 /// MAV_CMD_SET_MESSAGE_INTERVAL, the command that [`crate::message::Message::SetMessageInterval`] is.
 pub const COMMAND_SET_MESSAGE_INTERVAL: u16 = 511;
 /// MAV_CMD_PREFLIGHT_STORAGE; [`super::commands`] defines the meaning of this and the following.
@@ -93,3 +117,45 @@ pub const COMMAND_RESET_POSE: u16 = 31_011;
 pub const COMMAND_CALIBRATION: u16 = 31_012;
 /// MAV_CMD_USER_4: switch a sensor off or on.
 pub const COMMAND_SOURCE: u16 = 31_013;
+
+/// Whether a command asks a component what it is: its version, its modes, its files about itself. `about` is the message that the command
+/// names.
+pub const fn is_description(command: u16, about: Option<u32>) -> bool {
+    match (command, about) {
+        (COMMAND_REQUEST_PROTOCOL_VERSION | COMMAND_REQUEST_CAPABILITIES, _) => true,
+        (COMMAND_REQUEST_MESSAGE, Some(message)) => matches!(
+            message,
+            AUTOPILOT_VERSION
+                | PROTOCOL_VERSION
+                | COMPONENT_INFORMATION
+                | COMPONENT_INFORMATION_BASIC
+                | COMPONENT_METADATA
+                | AVAILABLE_MODES
+        ),
+        _ => false,
+    }
+}
+
+/// Whether a message may ask a component for something: those that a station answers in the name of a vehicle.
+pub const fn is_request(message: u32) -> bool {
+    matches!(
+        message,
+        COMMAND_LONG
+            | COMMAND_INT
+            | PARAM_REQUEST_LIST
+            | PARAM_REQUEST_READ
+            | PARAM_SET
+            | MISSION_REQUEST_LIST
+            | MISSION_REQUEST_PARTIAL_LIST
+            | MISSION_WRITE_PARTIAL_LIST
+            | MISSION_REQUEST
+            | MISSION_REQUEST_INT
+            | MISSION_SET_CURRENT
+            | MISSION_COUNT
+            | MISSION_CLEAR_ALL
+            | MISSION_ACK
+            | FILE_TRANSFER_PROTOCOL
+            | LOG_REQUEST_LIST
+            | LOG_REQUEST_DATA
+    )
+}

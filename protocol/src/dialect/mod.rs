@@ -15,7 +15,8 @@ mod payload;
 mod posebridge;
 mod poses;
 mod sensors;
-mod services;
+pub(crate) mod services;
+pub(crate) mod vehicle;
 mod vehicle_state;
 
 pub use catalogue::{message_id_named, message_name};
@@ -24,7 +25,7 @@ pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;
 
 use crate::framing::FrameRef;
-use crate::message::{ImuMessage, Message, WireStamp};
+use crate::message::{ImuMessage, Message, MetadataForm, PlanContent, WireStamp};
 
 /// Decodes a verified frame.
 ///
@@ -49,6 +50,24 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::COMPONENT_INFORMATION_BASIC => Ok(Some(services::component_information(payload))),
         ids::MESSAGE_INTERVAL => Ok(Some(services::message_interval(payload))),
         ids::DEBUG_FLOAT_ARRAY => Ok(Some(services::float_array(payload))),
+        ids::MISSION_REQUEST_PARTIAL_LIST
+        | ids::MISSION_WRITE_PARTIAL_LIST
+        | ids::MISSION_REQUEST
+        | ids::MISSION_SET_CURRENT
+        | ids::MISSION_CURRENT
+        | ids::MISSION_REQUEST_LIST
+        | ids::MISSION_COUNT
+        | ids::MISSION_CLEAR_ALL
+        | ids::MISSION_ACK
+        | ids::MISSION_REQUEST_INT
+        | ids::FILE_TRANSFER_PROTOCOL
+        | ids::LOG_REQUEST_LIST
+        | ids::LOG_ENTRY
+        | ids::LOG_REQUEST_DATA
+        | ids::LOG_DATA
+        | ids::AVAILABLE_MODES
+        | ids::COMPONENT_INFORMATION
+        | ids::COMPONENT_METADATA => Ok(decode_vehicle_service(frame.message_id, payload)),
         ids::SCALED_IMU => sensors::scaled_imu(ImuMessage::Scaled, payload),
         ids::SCALED_IMU2 => sensors::scaled_imu(ImuMessage::Scaled2, payload),
         ids::SCALED_IMU3 => sensors::scaled_imu(ImuMessage::Scaled3, payload),
@@ -86,6 +105,34 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PB_ROBOT_DESCRIPTION => posebridge::robot_description(payload),
         _ => Ok(None),
     }
+}
+
+fn decode_vehicle_service(message_id: u32, payload: &[u8]) -> Option<Message> {
+    Some(match message_id {
+        ids::MISSION_REQUEST_PARTIAL_LIST => {
+            vehicle::plan_with_range(payload, |first, last| PlanContent::RequestPartialList { first, last })
+        }
+        ids::MISSION_WRITE_PARTIAL_LIST => {
+            vehicle::plan_with_range(payload, |first, last| PlanContent::WritePartialList { first, last })
+        }
+        ids::MISSION_REQUEST => vehicle::plan_with_number(payload, |sequence| PlanContent::Request { sequence }),
+        ids::MISSION_REQUEST_INT => vehicle::plan_with_number(payload, |sequence| PlanContent::RequestInt { sequence }),
+        ids::MISSION_COUNT => vehicle::plan_with_number(payload, |items| PlanContent::Count { items }),
+        ids::MISSION_REQUEST_LIST => vehicle::plan_of_target(payload, PlanContent::RequestList),
+        ids::MISSION_CLEAR_ALL => vehicle::plan_of_target(payload, PlanContent::ClearAll),
+        ids::MISSION_SET_CURRENT => vehicle::mission_set_current(payload),
+        ids::MISSION_CURRENT => vehicle::mission_current(payload),
+        ids::MISSION_ACK => vehicle::mission_ack(payload),
+        ids::FILE_TRANSFER_PROTOCOL => vehicle::file_transfer(payload),
+        ids::LOG_REQUEST_LIST => vehicle::log_request_list(payload),
+        ids::LOG_ENTRY => vehicle::log_entry(payload),
+        ids::LOG_REQUEST_DATA => vehicle::log_request_data(payload),
+        ids::LOG_DATA => vehicle::log_data(payload),
+        ids::AVAILABLE_MODES => vehicle::available_mode(payload),
+        ids::COMPONENT_INFORMATION => vehicle::component_metadata(payload, MetadataForm::Deprecated),
+        ids::COMPONENT_METADATA => vehicle::component_metadata(payload, MetadataForm::Current),
+        _ => return None,
+    })
 }
 
 /// The timestamp in a verified frame, on its sender's clock; `None` if it has none or it is invalid.

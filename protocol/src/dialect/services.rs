@@ -27,6 +27,8 @@ mod integer_type {
     pub(super) const INT32: u8 = 6;
 }
 const PARAM_NAME: usize = 16;
+/// The name under which a vehicle tells the checksum over its parameters: no parameter.
+pub(crate) const PARAM_HASH_NAME: &str = "_HASH_CHECK";
 /// Length of the names in NAMED_VALUE_FLOAT and DEBUG_FLOAT_ARRAY.
 pub(super) const NAME_BYTES: usize = 10;
 pub(super) const STATUS_TEXT: usize = 50;
@@ -196,8 +198,19 @@ pub(super) fn param_value(payload: &[u8]) -> Option<Message> {
     let count = reader.number::<u16>();
     let index = reader.number::<u16>();
     let name = reader.text::<PARAM_NAME>();
-    let is_float = reader.number::<u8>() == PARAM_TYPE_REAL32;
-    is_float.then_some(Message::ParamValue { name, value, count, index })
+    match reader.number::<u8>() {
+        PARAM_TYPE_REAL32 => Some(Message::ParamValue { name, value, count, index }),
+        integer_type::UINT32 if name == PARAM_HASH_NAME => Some(Message::ParamHash { hash: value.to_bits(), count }),
+        _ => None,
+    }
+}
+
+/// The index of a value that is none of the list.
+const NO_INDEX: u16 = u16::MAX;
+
+pub(super) fn write_param_hash(hash: u32, count: u16) -> Payload {
+    let writer = Payload::new(ids::PARAM_VALUE).number::<u32>(hash).number::<u16>(count).number::<u16>(NO_INDEX);
+    writer.text::<PARAM_NAME>(PARAM_HASH_NAME).number::<u8>(integer_type::UINT32)
 }
 
 pub(super) fn write_system_time(unix_micros: u64, since_boot: WireStamp) -> Payload {

@@ -10,10 +10,15 @@ use posebridge_telemetry::{
 };
 
 mod commands;
+mod vehicle;
 mod vehicle_state;
 
 pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
+pub use vehicle::{
+    AvailableMode, ComponentMetadata, FileTransfer, LogMessage, MetadataForm, MissionCurrent, PlanContent, PlanMessage,
+    plan,
+};
 pub use vehicle_state::{
     AttitudeQuaternion, Battery, GlobalPosition, GlobalReference, HeadUpDisplay, ManualControl, PositionTarget,
     SetGlobalOrigin, Setpoint, SystemStatus,
@@ -186,12 +191,37 @@ pub enum Message {
         count: u16,
         index: u16,
     },
+    /// PARAM_VALUE (22) with the name `_HASH_CHECK`: a checksum over all parameters, by which a ground station knows whether
+    /// those that it keeps are still right.
+    ParamHash {
+        hash: u32,
+        count: u16,
+    },
+    Plan(PlanMessage),
+    MissionCurrent(MissionCurrent),
+    FileTransfer(FileTransfer),
+    Log(LogMessage),
+    AvailableMode(AvailableMode),
+    ComponentMetadata(ComponentMetadata),
 }
 
 impl Message {
     /// The number of the tag of a fix, if it has one.
     pub const fn fix_tag(&self) -> Option<u32> {
         if let Self::VisionPosition(fix) | Self::MocapPosition(fix) = self { fix.tag } else { None }
+    }
+
+    /// The target of a message about plans, files or logs; `None` for an answer without one, and for every other message.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
+    pub const fn service_target(&self) -> Option<Address> {
+        match self {
+            Self::Plan(PlanMessage { target, .. })
+            | Self::FileTransfer(FileTransfer { target, .. })
+            | Self::Log(LogMessage::RequestList { target, .. } | LogMessage::RequestData { target, .. }) => {
+                Some(*target)
+            }
+            _ => None,
+        }
     }
 
     /// The timestamp of a measurement or an estimate, on its sender's clock; `None` for requests and replies, some of
@@ -248,7 +278,14 @@ impl Message {
             | Self::ParamRequestRead { .. }
             | Self::ParamSet { .. }
             | Self::ParamSetUnsupported { .. }
-            | Self::ParamValue { .. } => None,
+            | Self::ParamValue { .. }
+            | Self::ParamHash { .. }
+            | Self::Plan(_)
+            | Self::MissionCurrent(_)
+            | Self::FileTransfer(_)
+            | Self::Log(_)
+            | Self::AvailableMode(_)
+            | Self::ComponentMetadata(_) => None,
         }
     }
 }

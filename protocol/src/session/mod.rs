@@ -6,22 +6,28 @@
 //! Sources: MAVLink guide, "Heartbeat/Connection Protocol", "Time Synchronization Protocol v2", "Command Protocol", and
 //! MAV_CMD_SET_MESSAGE_INTERVAL of common.xml.
 
+mod file_server;
 mod output;
 mod parameters;
 mod peers;
 mod time_requests;
+mod vehicle_services;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
 
+pub use self::file_server::{ServedFile, crc32};
 use self::output::{MIN_PERIOD, next_period};
 pub use self::output::{SessionOutput, SessionSender};
 use self::parameters::ParameterServer;
 use self::peers::PeerTable;
 pub use self::peers::RequestedMessages;
 use self::time_requests::TimeRequests;
+use self::vehicle_services::VehicleServices;
+pub use self::vehicle_services::most_answers;
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
 use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
 
@@ -50,20 +56,39 @@ pub enum HeartbeatMode {
     Suppressed,
 }
 
+/// The commands to all components of our system that a [`Session`] passes on; those to itself alone are always passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServedCommands {
+    These(&'static [u16]),
+    /// All but these, which another component of the system serves.
+    AllBut(&'static [u16]),
+}
+
+impl ServedCommands {
+    fn include(self, command: u16) -> bool {
+        match self {
+            Self::These(commands) => commands.contains(&command),
+            Self::AllBut(commands) => !commands.contains(&command),
+        }
+    }
+}
+
 /// One participant's MAVLink services on one link, in its own clock `C`.
 #[derive(Debug)]
 pub struct Session<C: Clock> {
     config: SessionConfig,
     latest: Timestamp<C>,
     next_heartbeat: Timestamp<C>,
+    last_heartbeat: Option<Timestamp<C>>,
     /// Nothing is due before this; `None` if that must be computed. It may be too early, never too late.
     idle_until: Option<Timestamp<C>>,
     heartbeat_mode: HeartbeatMode,
     time_requests: TimeRequests<C>,
     peers: PeerTable<C>,
     parameters: ParameterServer<C>,
-    /// Commands that are passed to the owner.
-    served_commands: &'static [u16],
+    /// Commands to all components that are passed to the owner.
+    served_commands: ServedCommands,
+    vehicle_services: Option<VehicleServices>,
     outputs: VecDeque<SessionOutput<C>>,
 }
 
@@ -73,14 +98,20 @@ impl<C: Clock> Session<C> {
             time_requests: TimeRequests::new(config.timesync_period, now),
             peers: PeerTable::new(config.peer_timeout),
             parameters: ParameterServer::none(),
-            served_commands: &[],
+            served_commands: ServedCommands::These(&[]),
+            vehicle_services: None,
             latest: now,
             next_heartbeat: now,
+            last_heartbeat: None,
             idle_until: None,
             heartbeat_mode: HeartbeatMode::Active,
             outputs: VecDeque::new(),
             config,
         }
+    }
+
+    pub const fn own_address(&self) -> Address {
+        self.config.own
     }
 
     /// Offers parameters by these names, at most sixteen bytes each, with these values. Their number and order must not
@@ -95,10 +126,64 @@ impl<C: Clock> Session<C> {
         self.parameters.set_value(index, value)
     }
 
-    /// Passes these commands to the owner, as [`SessionOutput::CommandReceived`], also when they are for all components
+    /// The offered parameters with their values.
+    pub fn offered_parameters(&self) -> impl Iterator<Item = (String, f32)> {
+        self.parameters.offered()
+    }
+
+    /// Which commands are passed to the owner, as [`SessionOutput::CommandReceived`], also when they are for all components
     /// of our system.
-    pub const fn serve_commands(&mut self, served: &'static [u16]) {
+    pub const fn serve_commands(&mut self, served: ServedCommands) {
         self.served_commands = served;
+    }
+
+    /// Answers what is asked of a vehicle beside telemetry, parameters and commands: plans and logs, of which it has none, and these files.
+    pub fn serve_as_vehicle(&mut self, files: Arc<[ServedFile]>) {
+        self.vehicle_services = Some(VehicleServices::new(files));
+    }
+
+    /// Sends the next heartbeat now, and the following ones from then on.
+    pub fn beat_now(&mut self, now: Timestamp<C>) {
+        self.next_heartbeat = self.next_heartbeat.min(now);
+        self.idle_until = None;
+    }
+
+    /// Whether a message asks us for something that costs an answer.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages ask for nothing")]
+    pub fn is_asked(&self, message: &Message) -> bool {
+        let target = match message {
+            Message::TimeSync(sync) if sync.answer_nanos == 0 => {
+                return sync.target.is_none_or(|to| self.is_for_us(to));
+            }
+            Message::SetMessageInterval(request) => request.target,
+            Message::Command(command) => command.target,
+            Message::CommandInt(command) => command.target,
+            Message::ParamRequestList { target }
+            | Message::ParamRequestRead { target, .. }
+            | Message::ParamSet { target, .. }
+            | Message::ParamSetUnsupported { target, .. } => *target,
+            _ => match message.service_target() {
+                Some(target) if self.vehicle_services.is_some() => target,
+                _ => return false,
+            },
+        };
+        self.is_for_us(target)
+    }
+
+    /// Sends the heartbeats in step with those of another participant from now on, each right after the other's; without any, at our own
+    /// period. Call it for each heartbeat of the other.
+    pub fn follow_heartbeat(&mut self, now: Timestamp<C>) {
+        self.rebase_clock(now);
+        let period = self.config.heartbeat_period.max(MIN_PERIOD);
+        let half = TimeDelta::from_nanos(period.as_nanos() / 2);
+        let is_due = self.last_heartbeat.is_none_or(|last| now - last >= half);
+        if is_due && self.heartbeat_mode == HeartbeatMode::Active {
+            self.last_heartbeat = Some(now);
+            self.send(Message::Heartbeat(self.config.heartbeat));
+        }
+        // The other may be late without being silent.
+        self.next_heartbeat = now + period + half;
+        self.idle_until = None;
     }
 
     /// Handles a message that arrived at `now`. Our own messages, from a link that echoes, are ignored.
@@ -144,6 +229,7 @@ impl<C: Clock> Session<C> {
                 let output = self.parameters.handle(now, own, from, message);
                 self.outputs.extend(output);
             }
+            Message::Plan(_) | Message::FileTransfer(_) | Message::Log(_) => self.on_service_request(sender, message),
             // A sign of life.
             _ => {}
         }
@@ -155,9 +241,12 @@ impl<C: Clock> Session<C> {
         self.peers.record_activity(now, from);
     }
 
-    /// Starts or stops the heartbeats; their schedule stays.
-    pub const fn set_heartbeat_mode(&mut self, presence: HeartbeatMode) {
-        self.heartbeat_mode = presence;
+    /// Starts or stops the heartbeats. The first one is due at once.
+    pub fn set_heartbeat_mode(&mut self, now: Timestamp<C>, presence: HeartbeatMode) {
+        let before = std::mem::replace(&mut self.heartbeat_mode, presence);
+        if before == HeartbeatMode::Suppressed && presence == HeartbeatMode::Active {
+            self.beat_now(now);
+        }
     }
 
     /// The content of a heartbeat; `None` while suppressed.
@@ -181,6 +270,7 @@ impl<C: Clock> Session<C> {
         self.idle_until = None;
         if now >= self.next_heartbeat {
             if self.heartbeat_mode == HeartbeatMode::Active {
+                self.last_heartbeat = Some(now);
                 self.send(Message::Heartbeat(self.config.heartbeat));
             }
             let period = self.config.heartbeat_period.max(MIN_PERIOD);
@@ -290,10 +380,23 @@ impl<C: Clock> Session<C> {
     fn on_command(&mut self, by: Address, command: CommandLong) {
         let is_for_our_system = command.target.system == self.config.own.system
             && self.is_for_us(command.target)
-            && self.served_commands.contains(&command.command);
+            && self.served_commands.include(command.command);
         // Only when meant for us alone: for a command to all components, another one may have the better answer.
         if command.target == self.config.own || is_for_our_system {
             self.outputs.push_back(SessionOutput::CommandReceived { by, command });
+        }
+    }
+
+    fn on_service_request(&mut self, sender: SessionSender, message: &Message) {
+        let own = self.config.own;
+        // A broadcast gets no reply, or a whole class would start to send.
+        let is_ours = |target: &Address| target.system == own.system && self.is_for_us(*target);
+        if message.service_target().as_ref().is_none_or(|target| !is_ours(target)) {
+            return;
+        }
+        if let Some(services) = &mut self.vehicle_services {
+            let answers = services.answer(sender, message);
+            self.outputs.extend(answers.into_iter().map(SessionOutput::Send));
         }
     }
 
@@ -319,6 +422,7 @@ impl<C: Clock> Session<C> {
             self.idle_until = None;
             let fall = self.latest - now;
             self.next_heartbeat = self.next_heartbeat - fall;
+            self.last_heartbeat = self.last_heartbeat.map(|last| last - fall);
             self.time_requests.shift_clock(fall);
             self.peers.shift_clock(fall);
             self.parameters.shift_clock(fall);

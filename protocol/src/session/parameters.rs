@@ -4,11 +4,18 @@
 //! are 32-bit floats, for which bytewise and C-cast encoding are the same. Names are case-insensitive: some ground stations
 //! know only capitals. A list is sent one value at a time, so that a slow link is not flooded; a request during a list
 //! extends it until all values were sent once more.
+//!
+//! Who asks for `_HASH_CHECK` gets a checksum over names and values, by which a ground station knows that the values that it keeps are
+//! still right; setting it ends the list, because the rest is known. It is PX4's: over each name and the four bytes of its value, by
+//! rising name. PX4 sends it unasked before a list, too. Here it is not: a ground station uses it only of PX4, and would show it
+//! among the parameters of any other vehicle.
 
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
 
+use super::file_server::crc32;
 use super::output::SessionOutput;
+use crate::dialect::services::PARAM_HASH_NAME;
 use crate::message::Message;
 
 /// Time between two values of a list: 37 bytes each, a sixth of a line of 115 200 baud.
@@ -48,6 +55,10 @@ impl<C: Clock> ParameterServer<C> {
         self.offered = named.take(i16::MAX as usize).collect();
     }
 
+    pub(super) fn offered(&self) -> impl Iterator<Item = (String, f32)> {
+        self.offered.iter().map(|offered| (offered.name.clone(), offered.value))
+    }
+
     /// Handles a request that arrived at `now` from `by`; returns the resulting outputs.
     #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
     pub(super) fn handle(
@@ -73,6 +84,14 @@ impl<C: Clock> ParameterServer<C> {
             self.list(now);
             return None;
         };
+        if index == -1 && name == PARAM_HASH_NAME {
+            if matches!(message, Message::ParamRequestRead { .. }) {
+                return Some(SessionOutput::Send(self.hash()));
+            }
+            // No answer: it would be taken for another checksum to compare.
+            self.listing = None;
+            return None;
+        }
         let Some(known) = self.find(name, index) else {
             // There is no reply for a parameter that a component does not have; but a request to us alone is reported.
             let requested = if index == -1 { name.clone() } else { index.to_string() };
@@ -132,6 +151,16 @@ impl<C: Clock> ParameterServer<C> {
         }
         let index = usize::try_from(index).ok()?;
         (index < self.offered.len()).then_some(index)
+    }
+
+    fn hash(&self) -> Message {
+        let mut by_name: Vec<&OfferedParameter> = self.offered.iter().collect();
+        by_name.sort_unstable_by(|one, other| one.name.cmp(&other.name));
+        let hash = by_name.iter().fold(0, |crc, offered| {
+            let crc = crc32(crc, offered.name.as_bytes());
+            crc32(crc, &offered.value.to_le_bytes())
+        });
+        Message::ParamHash { hash, count: self.offered.len() as u16 }
     }
 
     fn value(&self, index: usize) -> Option<Message> {

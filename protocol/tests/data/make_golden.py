@@ -335,6 +335,50 @@ def component_cases(std):
         std, "statustext", 1, 197, 51, severity=6, text=b"of two", id=513, chunk_seq=1)
 
 
+def service_cases(std):
+    """What a ground station asks of a vehicle beside parameters and commands, and the answers."""
+    vehicle = dict(target_system=1, target_component=1)
+    ground = dict(target_system=255, target_component=190)
+    yield "mission_request_list", frame(std, "mission_request_list", 255, 190, 60, mission_type=2, **vehicle)
+    yield "mission_request_partial_list", frame(
+        std, "mission_request_partial_list", 255, 190, 61, start_index=3, end_index=-1, mission_type=1, **vehicle)
+    yield "mission_write_partial_list", frame(
+        std, "mission_write_partial_list", 255, 190, 62, start_index=-2, end_index=300, mission_type=0, **vehicle)
+    yield "mission_request", frame(std, "mission_request", 255, 190, 63, seq=513, mission_type=1, **vehicle)
+    yield "mission_request_int", frame(std, "mission_request_int", 255, 190, 64, seq=65535, mission_type=0, **vehicle)
+    yield "mission_set_current", frame(std, "mission_set_current", 255, 190, 65, seq=258, **vehicle)
+    yield "mission_current_none", frame(
+        std, "mission_current", 1, 1, 66, seq=0, total=65535, mission_state=1, mission_mode=0, mission_id=0, fence_id=0,
+        rally_points_id=0)
+    yield "mission_count", frame(std, "mission_count", 255, 190, 67, count=513, mission_type=2, opaque_id=0, **vehicle)
+    yield "mission_count_none", frame(std, "mission_count", 1, 1, 68, count=0, mission_type=0, opaque_id=0, **ground)
+    yield "mission_clear_all", frame(std, "mission_clear_all", 255, 190, 69, mission_type=255, **vehicle)
+    yield "mission_ack", frame(std, "mission_ack", 1, 1, 70, type=13, mission_type=1, opaque_id=0, **ground)
+    header = [0x02, 0x01, 7, 4, 12, 0, 0, 0, 1, 2, 3, 4]
+    path = list(b"/folder/file")
+    yield "file_transfer_open", frame(
+        std, "file_transfer_protocol", 255, 190, 71, target_network=0, payload=header + path + [0] * (239 - len(path)), **vehicle)
+    header = [0xFF, 0xFF, 0, 128, 239, 15, 1, 0, 0, 0, 0, 0x80]
+    yield "file_transfer_burst", frame(
+        std, "file_transfer_protocol", 1, 1, 72, target_network=0, payload=header + list(range(1, 240)), **ground)
+    yield "log_request_list", frame(std, "log_request_list", 255, 190, 73, start=1, end=65535, **vehicle)
+    yield "log_entry", frame(
+        std, "log_entry", 1, 1, 74, id=258, num_logs=772, last_log_num=1286, time_utc=1700000000, size=16909060)
+    yield "log_request_data", frame(std, "log_request_data", 255, 190, 75, id=258, ofs=16909060, count=4294967295, **vehicle)
+    yield "log_data", frame(std, "log_data", 1, 1, 76, id=258, ofs=16909060, count=3, data=[7, 0, 9] + [0] * 87)
+    yield "param_hash", frame(
+        std, "param_value", 1, 1, 77, param_id=b"_HASH_CHECK", param_value=struct.unpack("<f", struct.pack("<I", 0x12345678))[0],
+        param_type=5, param_count=19, param_index=65535)
+    yield "available_mode", frame(
+        std, "available_modes", 1, 1, 78, number_modes=3, mode_index=2, standard_mode=1, custom_mode=16909060, properties=6,
+        mode_name=b"thirty-four bytes of the name of a")
+    yield "component_metadata", frame(
+        std, "component_metadata", 1, 1, 79, time_boot_ms=123456, file_crc=0x89ABCDEF, uri=b"mftp:///general.json")
+    yield "component_information", frame(
+        std, "component_information", 1, 1, 80, time_boot_ms=123456, general_metadata_file_crc=0x89ABCDEF,
+        general_metadata_uri=b"mftp:///general.json", peripherals_metadata_file_crc=0, peripherals_metadata_uri=b"")
+
+
 def v1_cases(std):
     yield "v1_heartbeat", frame(std, "heartbeat", 1, 1, 0, **HEARTBEAT)
     yield "v1_attitude", frame(std, "attitude", 1, 1, 1, **ATTITUDE)
@@ -349,7 +393,7 @@ def main():
     cases = {}
     for group in (own_cases(own), conversation_cases(std), sensor_cases(std), pose_cases(std), v1_cases(std_v1),
                   thermometer_cases(std), request_cases(std), component_cases(std),
-                  vehicle_cases(std, ardupilot), display_cases(std)):
+                  vehicle_cases(std, ardupilot), display_cases(std), service_cases(std)):
         cases.update(group)
     json.dump(cases, sys.stdout, indent=1)
     print()

@@ -24,3 +24,4 @@ mod session;
 mod signing;
 mod text_columns;
 mod text_line;
+mod vehicle_services;

@@ -27,5 +27,6 @@ mod signing;
 mod strangers;
 mod support;
 mod thermometers;
+mod vehicle_requests;
 mod vehicle_status;
 mod wall_range;

@@ -268,8 +268,10 @@ fn a_message_to_one_of_two_robots_with_the_same_ids_reaches_that_one_under_its_o
     let (mut station, _, mut gcs) = two_robots();
     for (target, peer) in [(BRICK, 0), (SECOND, 1)] {
         let first_output = station.outputs.len();
-        gcs.send(&mut station, at(400), &Message::ParamRequestList { target });
-        let expected = (Recipients::Peer(PeerId(peer)), GCS, Message::ParamRequestList { target: BRICK });
+        // A command that is the robot's own.
+        let command = |target| Message::Command(CommandLong { target, command: 400, params: [0.0; 7] });
+        gcs.send(&mut station, at(400), &command(target));
+        let expected = (Recipients::Peer(PeerId(peer)), GCS, command(BRICK));
         let frames = frames_since(&station, first_output, LINK).into_iter().filter(|(_, from, _)| *from == GCS);
         assert_eq!(frames.collect::<Vec<_>>(), [expected], "{target}");
     }

@@ -1,6 +1,6 @@
 //! Commands for one robot of several.
 
-use super::{ACCEPTED, PREFLIGHT_STORAGE, SET_POSE, UNSUPPORTED};
+use super::{ACCEPTED, LOGGING_START, PREFLIGHT_STORAGE, SET_POSE, UNSUPPORTED};
 use crate::support::ground::{GCS, Ground};
 use crate::support::{BRICK, LINK, at, frame, ticks};
 use posebridge_protocol::message::{CommandAck, CommandLong, Message};
@@ -93,6 +93,7 @@ fn a_ground_station_that_commands_a_vehicle_reaches_that_robot() {
     };
     let set_pose = result(300, SET_POSE, [0.0, 0.7, 0.0, 0.01, 0.1, 0.0, 0.0]);
     assert_eq!(set_pose, (vec![ACCEPTED], vec![(0.0, 0), (0.7, 0)]));
-    // The parameters are the station's, and no vehicle's.
-    assert_eq!(result(310, PREFLIGHT_STORAGE, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).0, [UNSUPPORTED]);
+    // The parameters are shown at each vehicle, a recording is the station's.
+    assert_eq!(result(310, PREFLIGHT_STORAGE, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).0, [ACCEPTED]);
+    assert_eq!(result(320, LOGGING_START, [0.0; 7]).0, [UNSUPPORTED]);
 }

@@ -1,0 +1,83 @@
+//! What a vehicle answers that holds no plan and no log: that there are none, and the files that describe it.
+//!
+//! Each request has an answer, because a ground station waits for one before it goes on. A plan that is uploaded is refused at once; one without
+//! items is accepted, because then there is nothing that is not done.
+//!
+//! Sources: MAVLink guide, "Mission Protocol" and "Log Transfer Protocol" (LOG_ENTRY with no logs; LOG_DATA without bytes ends a log).
+
+use std::sync::Arc;
+
+use posebridge_telemetry::Address;
+
+use super::file_server::{FileServer, ServedFile, most_frames};
+use super::output::SessionSender;
+use crate::message::{LogMessage, Message, MissionCurrent, PlanContent, PlanMessage, plan};
+
+/// MAV_MISSION_RESULT.
+mod mission_result {
+    pub(super) const ACCEPTED: u8 = 0;
+    pub(super) const UNSUPPORTED: u8 = 3;
+    pub(super) const INVALID_SEQUENCE: u8 = 13;
+}
+
+/// MISSION_CURRENT without a mission: no number of items, and MISSION_STATE_NO_MISSION.
+const NO_MISSION: MissionCurrent = MissionCurrent { sequence: 0, items: u16::MAX, state: 1 };
+
+#[derive(Debug)]
+pub(super) struct VehicleServices {
+    files: FileServer,
+}
+
+impl VehicleServices {
+    pub(super) const fn new(files: Arc<[ServedFile]>) -> Self {
+        Self { files: FileServer::new(files) }
+    }
+
+    /// The answers to a message that is for this vehicle.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "most messages are about something else")]
+    pub(super) fn answer(&mut self, client: SessionSender, message: &Message) -> Vec<Message> {
+        match message {
+            Message::Plan(request) => answer_about_plan(client.address, request).into_iter().collect(),
+            Message::FileTransfer(request) => {
+                self.files.answer(client, request).into_iter().map(Message::FileTransfer).collect()
+            }
+            Message::Log(LogMessage::RequestList { .. }) => {
+                vec![Message::Log(LogMessage::Entry { unix_s: 0, bytes: 0, id: 0, logs: 0, last: 0 })]
+            }
+            Message::Log(LogMessage::RequestData { id, offset, .. }) => {
+                vec![Message::Log(LogMessage::Data { id: *id, offset: *offset, data: Vec::new() })]
+            }
+            _ => Vec::new(),
+        }
+    }
+}
+
+/// `None` for the end of a transfer.
+fn answer_about_plan(to: Address, request: &PlanMessage) -> Option<Message> {
+    let content = match request.content {
+        PlanContent::Ack { .. } => return None,
+        PlanContent::SetCurrent { .. } => return Some(Message::MissionCurrent(NO_MISSION)),
+        PlanContent::ClearAll => PlanContent::Ack { result: mission_result::ACCEPTED },
+        _ if request.plan > plan::RALLY => PlanContent::Ack { result: mission_result::UNSUPPORTED },
+        PlanContent::RequestList => PlanContent::Count { items: 0 },
+        PlanContent::Count { items: 0 } => PlanContent::Ack { result: mission_result::ACCEPTED },
+        PlanContent::Count { .. } | PlanContent::RequestPartialList { .. } | PlanContent::WritePartialList { .. } => {
+            PlanContent::Ack { result: mission_result::UNSUPPORTED }
+        }
+        PlanContent::Request { .. } | PlanContent::RequestInt { .. } => {
+            PlanContent::Ack { result: mission_result::INVALID_SEQUENCE }
+        }
+    };
+    Some(Message::Plan(PlanMessage { target: to, plan: request.plan, content }))
+}
+
+/// Frames that answer a request, at most, but for those of a list of parameters, which come at a rate of their own.
+#[expect(clippy::wildcard_enum_match_arm, reason = "every other request has one answer")]
+pub const fn most_answers(message: &Message) -> usize {
+    match message {
+        Message::FileTransfer(request) => most_frames(request),
+        // The acknowledgement, and the message that was requested.
+        Message::Command(_) | Message::CommandInt(_) => 2,
+        _ => 1,
+    }
+}
