@@ -40,6 +40,12 @@ SIGMA_M, SIGMA_RAD = 0.005, 0.01
 UNKNOWN = 1e4
 PLANAR_POSE = 42102
 
+LATITUDE, LONGITUDE = 52.0115, 4.3571
+ORIGIN = f"""
+[station.origin]
+latitude = {LATITUDE}
+longitude = {LONGITUDE}
+"""
 # Within which everything that MAVSDK asks by default is there.
 CONNECT_S = 5.0
 
@@ -126,6 +132,22 @@ class Mavsdk41(unittest.IsolatedAsyncioTestCase):
             async with asyncio.timeout(CONNECT_S):
                 await ParamAsync(system).set_param_float("SLIP_NIS", 20.0)
             station.kill()
+
+    async def test_map_battery_and_health_are_there_within_seconds(self):
+        configuration = simulated(self.folder) + ORIGIN + for_ground_stations("udp")
+        station = RunningStation(self.folder, "run", configuration).belongs_to(self)
+        telemetry = TelemetryAsync(await self.connected(station))
+        async with asyncio.timeout(CONNECT_S):
+            home = await self.first(telemetry.subscribe_home())
+            position = await self.first(telemetry.subscribe_position())
+            health = await self.first(telemetry.subscribe_health())
+            battery = await self.first(telemetry.subscribe_battery())
+        self.assertAlmostEqual(home.latitude_deg, LATITUDE, 6)
+        self.assertAlmostEqual(home.longitude_deg, LONGITUDE, 6)
+        # A square of 0.3 m; a degree of latitude has 111 km.
+        self.assertLess(abs(position.latitude_deg - LATITUDE) * 111e3, 0.6)
+        self.assertGreater(battery.voltage_v, 5.0)
+        self.assertTrue(health.is_gyrometer_calibration_ok, health)
 
     async def test_custom_xml_decodes(self):
         station = self.at_rest()

@@ -7,7 +7,7 @@
 //! With a = 8/m and b = 16/m² both errors are critically damped over a length of 0.25 m. A robot far from its path approaches it at an
 //! angle of at most one radian; one with a larger heading error first turns in place, as after being carried.
 
-use posebridge_telemetry::{Arena, BrickClock, Heading, Pose, TimeDelta, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, Heading, Point2, Pose, TimeDelta, Timestamp};
 
 use super::speed_control::PERIOD_S;
 use crate::path::{Path, PathLeg};
@@ -26,6 +26,8 @@ const CREEP_RAD_PER_S: f64 = 0.15;
 /// A leg ends this far before its end; a turn this far from its heading.
 const LEG_END_M: f64 = 0.002;
 const TURN_END_RAD: f64 = 0.017;
+/// A goal is reached this near: nearer, its direction changes faster than the robot turns.
+const GOAL_END_M: f64 = 0.02;
 
 /// Limit of the approach angle: beyond it the robot would turn back rather than approach.
 const STEEPEST_APPROACH_RAD: f64 = 1.0;
@@ -45,6 +47,13 @@ enum Manoeuvre {
     Drive { leg: usize },
 }
 
+/// What a person asks for in place of the path.
+#[derive(Clone, Copy, Debug)]
+enum ManualCommand {
+    Twist { twist: Twist, until: Timestamp<BrickClock> },
+    Goal(Point2<Arena>),
+}
+
 #[derive(Clone, Debug)]
 pub(crate) struct Follower {
     settings: DriveSettings,
@@ -57,8 +66,8 @@ pub(crate) struct Follower {
     completed_m: f64,
     pub(crate) laps_done: u64,
     command: Twist,
-    /// Manual command and its expiry. After it the robot stands until it is sent back to its path.
-    manual_command: Option<(Twist, Timestamp<BrickClock>)>,
+    /// After it the robot stands until it is sent back to its path.
+    manual_command: Option<ManualCommand>,
 }
 
 impl Follower {
@@ -81,8 +90,9 @@ impl Follower {
     /// The motion for the next control period, given the brick's own estimate.
     pub(crate) fn command(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
         let requested = match self.manual_command {
-            Some((twist, until)) if now < until => twist,
-            Some(_) => Twist::default(),
+            Some(ManualCommand::Twist { twist, until }) if now < until => twist,
+            Some(ManualCommand::Twist { .. }) => Twist::default(),
+            Some(ManualCommand::Goal(goal)) => self.approach(goal, estimate),
             None => self.follow(now, estimate),
         };
         let Twist { forward_m_per_s, turn_rad_per_s } = self.command;
@@ -94,7 +104,17 @@ impl Follower {
     }
 
     pub(crate) const fn drive_manually(&mut self, requested: Twist, until: Timestamp<BrickClock>) {
-        self.manual_command = Some((requested, until));
+        self.manual_command = Some(ManualCommand::Twist { twist: requested, until });
+    }
+
+    /// Drives straight to a point and stands there.
+    pub(crate) const fn go_to(&mut self, goal: Point2<Arena>) {
+        self.manual_command = Some(ManualCommand::Goal(goal));
+    }
+
+    /// The speeds of full sticks.
+    pub(crate) const fn full_speed(&self) -> Twist {
+        Twist { forward_m_per_s: self.settings.speed_m_per_s, turn_rad_per_s: self.settings.turn_rate_rad_per_s }
     }
 
     /// Ends manual driving: continues at the point of the present lap that is nearest to the brick's own estimate.
@@ -134,7 +154,9 @@ impl Follower {
         self.begun = None;
         self.command = Twist::default();
         // The instant until which the hand held is one of the clock of before.
-        self.manual_command = self.manual_command.map(|(twist, _)| (twist, Timestamp::ZERO));
+        if let Some(ManualCommand::Twist { until, .. }) = &mut self.manual_command {
+            *until = Timestamp::ZERO;
+        }
     }
 
     fn follow(&mut self, now: Timestamp<BrickClock>, estimate: Pose<Arena>) -> Twist {
@@ -156,6 +178,22 @@ impl Follower {
             Some(Manoeuvre::Drive { leg }) => self.drive(leg, estimate),
             None => Twist::default(),
         }
+    }
+
+    fn approach(&self, goal: Point2<Arena>, estimate: Pose<Arena>) -> Twist {
+        let (x_m, y_m) = (goal.x.0 - estimate.x.0, goal.y.0 - estimate.y.0);
+        let remaining_m = x_m.hypot(y_m);
+        if remaining_m < GOAL_END_M {
+            return Twist::default();
+        }
+        let error_rad = (Heading::from_rad(y_m.atan2(x_m)) - estimate.heading).0;
+        if error_rad.abs() > STEEPEST_APPROACH_RAD {
+            return self.turn(error_rad);
+        }
+        let braking = (2.0 * BRAKING_M_PER_S2 * remaining_m).sqrt();
+        let speed = braking.min(self.settings.speed_m_per_s * error_rad.cos()).max(CREEP_M_PER_S);
+        let limit = self.settings.turn_rate_rad_per_s;
+        Twist { forward_m_per_s: speed, turn_rad_per_s: (speed * HEADING_PER_M * error_rad).clamp(-limit, limit) }
     }
 
     fn turn(&self, error_rad: f64) -> Twist {
@@ -281,6 +319,24 @@ mod tests {
         assert!(follower.is_finished());
         assert!((follower.progress() - 1.0).abs() < 1e-12);
         assert!((pose.x.0 - 3.0).abs() < 0.01, "{pose:?}");
+    }
+
+    #[test]
+    fn a_robot_that_is_sent_behind_itself_turns_and_stands_at_the_goal() {
+        let mut follower = straight(3.0);
+        let goal = Point2::new(Meters(-0.5), Meters(0.3));
+        follower.go_to(goal);
+        let mut pose = Pose::default();
+        for step in 0..2_000 {
+            let twist = follower.command(Timestamp::from_millis(step * 10), pose);
+            let turn = Heading::from_rad(twist.turn_rad_per_s * PERIOD_S);
+            pose = pose * Transform2::new(Meters(twist.forward_m_per_s * PERIOD_S), Meters(0.0), turn);
+        }
+        assert!((pose.x.0 - goal.x.0).hypot(pose.y.0 - goal.y.0) < 0.03, "{pose:?}");
+        assert_eq!(follower.command, Twist::default());
+        // Back to its path, which it has not begun.
+        follower.rejoin(pose);
+        assert!(!follower.is_finished());
     }
 
     #[test]

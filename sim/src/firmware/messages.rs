@@ -50,6 +50,10 @@ impl BrickMessenger {
         }
     }
 
+    pub(crate) fn address(&self) -> Address {
+        self.settings.address_of(BRICK)
+    }
+
     pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard) {
         let requests = self.node.tick(register_time(self.settings.wire, now));
         self.apply_requests(now, &requests);

@@ -6,9 +6,9 @@ mod messages;
 mod onboard_pose;
 mod speed_control;
 
-use posebridge_protocol::message::WireStamp;
+use posebridge_protocol::message::{Message, Setpoint, WireStamp};
 use posebridge_telemetry::simulator::DRIVE_HOLD_TIME;
-use posebridge_telemetry::{Arena, BrickClock, DriveGeometry, Pose, TimeDelta, Timestamp, Transform2};
+use posebridge_telemetry::{Address, Arena, BrickClock, DriveGeometry, Point2, Pose, TimeDelta, Timestamp, Transform2};
 
 use self::follower::Follower;
 use self::onboard_pose::{DeadReckoning, OnboardPose};
@@ -114,6 +114,40 @@ impl Program {
 
     pub(crate) fn drive_manually(&mut self, now: Timestamp<BrickClock>, command: Twist) {
         self.follower.drive_manually(command, now + DRIVE_HOLD_TIME);
+    }
+
+    /// Drives as a message of a ground station asks. Other messages are left.
+    pub(crate) fn steer(&mut self, now: Timestamp<BrickClock>, own: Address, message: &Message) {
+        let is_for_us = |target: Address| {
+            target.system == own.system && (target.component == own.component || target.component.0 == 0)
+        };
+        #[expect(
+            clippy::wildcard_enum_match_arm,
+            reason = "only these steer, however many kinds of messages there are"
+        )]
+        match message {
+            Message::ManualControl(control) if control.system == own.system => {
+                let full = self.follower.full_speed();
+                let twist = Twist {
+                    forward_m_per_s: control.forward.unwrap_or_default() * full.forward_m_per_s,
+                    turn_rad_per_s: control.turn.unwrap_or_default() * full.turn_rad_per_s,
+                };
+                self.drive_manually(now, twist);
+            }
+            Message::PositionTarget(request) if is_for_us(request.target) => match request.setpoint {
+                Setpoint::Position { x, y } => self.follower.go_to(Point2::new(x, y)),
+                Setpoint::BodyVelocity { forward, turn } => {
+                    let full = self.follower.full_speed();
+                    let twist = Twist {
+                        forward_m_per_s: forward.0.clamp(-full.forward_m_per_s, full.forward_m_per_s),
+                        turn_rad_per_s: turn.0.clamp(-full.turn_rad_per_s, full.turn_rad_per_s),
+                    };
+                    self.drive_manually(now, twist);
+                }
+                Setpoint::Unsupported => {}
+            },
+            _ => {}
+        }
     }
 
     pub(crate) fn rejoin(&mut self) {

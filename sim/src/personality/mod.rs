@@ -119,6 +119,7 @@ impl Brick {
         let BrickEmulation::Mavlink(messenger) = &mut self.emulation else {
             return None;
         };
+        self.program.steer(now, messenger.address(), message);
         let (stamp, pose) = messenger.handle(now, from, message)?;
         Some((self.program.apply_estimate(now, stamp, pose), pose))
     }

@@ -1,11 +1,17 @@
 //! Whole drives, and what is done to a simulated robot: it happens to its body, its sensors and its camera as it would to a real one.
 
 use crate::support::{bundled, driven, exact, last, run};
+use posebridge_protocol::dialect::Encoder;
+use posebridge_protocol::framing::WireVersion;
+use posebridge_protocol::message::{ManualControl, Message, PositionTarget, Setpoint};
 use posebridge_sim::scenario::Personality;
 use posebridge_sim::{
     BUNDLED, CommandExecutor, HISTORY_DURATION, HISTORY_TRIM_BLOCK, Scenario, Simulation, Steering, TruthSample,
 };
-use posebridge_telemetry::{SensorSwitch, SimulatorCommand, SlippingWheel, TimeDelta};
+use posebridge_telemetry::{
+    Address, Meters, MetersPerSecond, RadiansPerSecond, SensorSwitch, SimulatorCommand, SlippingWheel, SystemId,
+    TimeDelta,
+};
 
 fn odometry_error_m(sample: &TruthSample) -> f64 {
     sample.odometry.origin().distance(sample.pose.origin()).0
@@ -127,6 +133,39 @@ fn a_kidnapped_robot_is_where_it_was_put_and_its_odometry_knows_nothing_of_it() 
     assert!(after.odometry.x.0 - before.odometry.x.0 > 0.015);
     run(&mut simulation, 1_000);
     assert!(last(&simulation).pose.x.0 > after.pose.x.0 + 0.1, "on the floor it drives on");
+}
+
+/// Messages as a ground station sends them; the same ones for another system change nothing.
+#[test]
+fn a_ground_station_drives_the_brick_by_stick_by_speed_and_to_a_point() {
+    let brick = Address::new(1, 1);
+    let send = |simulation: &mut Simulation, message: &Message| {
+        let mut bytes = Vec::new();
+        Encoder::new(WireVersion::V2).encode(Address::new(255, 190), message, &mut bytes);
+        simulation.receive(&bytes);
+    };
+    let stick =
+        |system| Message::ManualControl(ManualControl { system: SystemId(system), forward: Some(-0.5), turn: None });
+    let setpoint = |target, setpoint| Message::PositionTarget(PositionTarget { target, setpoint });
+    let mut simulation = driving_simulation();
+    send(&mut simulation, &stick(7));
+    send(&mut simulation, &setpoint(Address::new(7, 1), Setpoint::Position { x: Meters(0.0), y: Meters(0.0) }));
+    run(&mut simulation, 1_000);
+    let before = *last(&simulation);
+    send(&mut simulation, &stick(1));
+    run(&mut simulation, 2_000);
+    let back = *last(&simulation);
+    // Half a second backwards at half speed, braking included; the others' messages would have stopped it before.
+    assert!((-0.15..0.3).contains(&(back.pose.x.0 - before.pose.x.0)), "{back:?}");
+    let turning = Setpoint::BodyVelocity { forward: MetersPerSecond(0.0), turn: RadiansPerSecond(1.0) };
+    send(&mut simulation, &setpoint(brick, turning));
+    run(&mut simulation, 1_500);
+    let turned = *last(&simulation);
+    assert!((0.2..0.8).contains(&turned.pose.heading.rad()), "{turned:?}");
+    send(&mut simulation, &setpoint(Address::new(1, 0), Setpoint::Position { x: Meters(0.3), y: Meters(-0.4) }));
+    run(&mut simulation, 20_000);
+    let there = last(&simulation).pose;
+    assert!((there.x.0 - 0.3).hypot(there.y.0 + 0.4) < 0.04, "{there:?}");
 }
 
 #[test]
