@@ -304,6 +304,7 @@ async fn start_station_loop(
         timer,
         recorder: Some(recorder.expect("a recorder")),
         tlog: None,
+        bag: None,
         observer: Observer::start(None, LiveView::silent()).expect("an observer"),
         dashboard: None,
         setup: SetupChecklists::default(),

@@ -21,6 +21,16 @@ pub struct RecordFlags {
     /// Write a telemetry log (.tlog) beside the recording, for other ground stations.
     #[arg(long, conflicts_with = "no_record")]
     pub tlog: bool,
+    /// Write an MCAP file for other programs beside the recording: a ROS 2 bag with the estimates (docs/recordings.md).
+    #[arg(long, value_name = "PROFILE", conflicts_with = "no_record")]
+    pub mcap: Option<McapProfile>,
+}
+
+/// The programs that an MCAP file beside the recording is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum McapProfile {
+    /// A bag, as `posebridge export --format ros2` makes it.
+    Ros2,
 }
 
 /// Flags of `run`.

@@ -8,6 +8,8 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use flate2::read::MultiGzDecoder;
 use posebridge_protocol::framing::{VerifiedFrame, verify};
+use posebridge_recording::container::unpack_recording;
+use posebridge_recording::ros2::bag::is_bag;
 use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
 
 use crate::console::{print_line, progress_bar};
@@ -26,6 +28,7 @@ pub enum InputKind {
     Tlog,
     /// Bytes from a link, without times.
     Bytes,
+    /// Also a ROS 2 bag, for which one is made.
     Descriptor,
 }
 
@@ -44,6 +47,18 @@ impl InputFile {
     /// Opens a file and detects its kind by the first bytes, and by the name where they are ambiguous.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
+        if path.is_dir() {
+            // The folder of a bag; what is in it says who reads it.
+            let reader = Box::new(std::io::empty());
+            return Ok(Self {
+                kind: InputKind::Descriptor,
+                name,
+                size: 0,
+                is_truncated: false,
+                is_compressed: false,
+                reader,
+            });
+        }
         let file = File::open(path).with_context(|| format!("reading the recording `{name}`"))?;
         let size = file.metadata().with_context(|| format!("looking at `{name}`"))?.len();
         let mut plain = BufReader::with_capacity(CHUNK, file);
@@ -94,7 +109,8 @@ impl InputFile {
         }
     }
 
-    /// At most `most` bytes; of a truncated compressed file those before the truncation, with a printed note.
+    /// At most `most` bytes; of a truncated compressed file those before the truncation, with a printed note. The chunks of a recording are
+    /// unpacked.
     pub fn read_all(mut self, most: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if !self.is_compressed {
@@ -112,6 +128,9 @@ impl InputFile {
             }
         }
         self.check_length(bytes.len() as u64, most)?;
+        if self.kind == InputKind::Own {
+            bytes = unpack_recording(bytes, most).with_context(|| format!("`{}`", self.name))?;
+        }
         Ok(bytes)
     }
 
@@ -132,6 +151,9 @@ fn beginning<'a>(reader: &'a mut impl BufRead, name: &str) -> Result<&'a [u8]> {
 }
 
 fn kind_of(path: &Path, beginning: &[u8]) -> InputKind {
+    if is_bag(beginning) {
+        return InputKind::Descriptor;
+    }
     if beginning.starts_with(MCAP) {
         return InputKind::Own;
     }
@@ -207,6 +229,8 @@ mod tests {
         let of = |name: &str, bytes: &[u8]| kind_of(Path::new(name), bytes);
         let record = [0, 6, 0x60, 0xBE, 0x90, 0x38, 2, 0xCB, 0xFD, 9];
         assert_eq!(of("a.tlog", b"\x89MCAP0\r\n"), InputKind::Own);
+        let ros = b"\x89MCAP0\r\n\x01\x0C\0\0\0\0\0\0\0\x04\0\0\0ros2\0\0\0\0";
+        assert_eq!(of("a.mcap", ros), InputKind::Descriptor);
         assert_eq!(of("a.TLOG.gz", &record), InputKind::Tlog);
         assert_eq!(of("a", &record), InputKind::Tlog);
         assert_eq!(of("a.raw", &record), InputKind::Bytes);

@@ -3,6 +3,7 @@
 //! drop and count when full, and whose readers may stand still: a terminal, a disk, a browser. The recorder's channel is long, and the recording states its gaps, because its replay is then not exact.
 
 pub mod args;
+pub mod bag_recorder;
 #[cfg_attr(not(feature = "camera"), path = "no_cameras.rs")]
 mod cameras;
 mod dead_reckoning;
@@ -13,6 +14,7 @@ pub mod learned_calibration;
 pub mod link_log;
 pub mod link_report;
 mod links;
+mod live_log;
 pub mod live_status;
 pub mod observer;
 pub mod page_history;

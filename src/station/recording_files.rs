@@ -6,7 +6,8 @@ use anyhow::{Context, Result};
 use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, RecordingHeader};
 
-use super::args::RunArgs;
+use super::args::{McapProfile, RunArgs};
+use super::bag_recorder::{BagRecorder, BagWritten};
 use super::recorder::{Recorder, RecordingTotals};
 use super::tlog_writer::{TlogRecorder, TlogWritten};
 use crate::config::Config;
@@ -52,6 +53,7 @@ pub(super) fn done_message(what: &str, path: &Path) -> String {
 pub(super) struct RecordedFiles {
     pub(super) inputs: Vec<(PathBuf, RecordingTotals)>,
     pub(super) tlog: Option<TlogWritten>,
+    pub(super) bag: Option<BagWritten>,
 }
 
 pub(super) fn output_folder(args: &RunArgs, config: &Config, timer: &HostTimer) -> Result<PathBuf> {
@@ -112,4 +114,20 @@ pub(super) fn start_tlog(
     let floor_bytes = config.record.limits().min_free_bytes;
     let started = TlogRecorder::start(&path, timer.utc_start(), &links, floor_bytes);
     or_continue_without("telemetry log", started, &path, failures)
+}
+
+pub(super) fn start_bag(
+    args: &RunArgs,
+    config: &Config,
+    timer: &HostTimer,
+    recording: &Path,
+    failures: &mut DeferredErrors,
+) -> Result<Option<BagRecorder>> {
+    let Some(McapProfile::Ros2) = args.record.mcap else {
+        return Ok(None);
+    };
+    let stem = recording.file_stem().unwrap_or_default().to_string_lossy();
+    let path = recording.with_file_name(format!("{stem}-ros2.mcap"));
+    let started = BagRecorder::start(&path, timer.utc_start(), config.record.limits().min_free_bytes);
+    or_continue_without("ROS 2 bag", started, &path, failures)
 }

@@ -120,6 +120,10 @@ pub(super) fn finish(args: &RunArgs, config: &Config, session: &Session) -> Resu
         let (path, frames) = (tlog.path.display(), tlog.frames);
         let _ = writeln!(text, "tlog       {path} ({frames} frames)");
     }
+    if let Some(bag) = &recorded.bag {
+        let (path, messages) = (bag.path.display(), bag.messages);
+        let _ = writeln!(text, "ros2       {path} ({messages} messages)");
+    }
     if let Some((recording, _)) = recorded.inputs.first() {
         let recording = recording.display();
         let _ = writeln!(text, "report     posebridge report {recording}");

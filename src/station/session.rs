@@ -9,6 +9,7 @@ use posebridge_telemetry::{TimeDelta, Timestamp};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
+use super::bag_recorder::{BagRecorder, BagWritten};
 use super::cameras::Cameras;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
@@ -18,7 +19,7 @@ use super::live_status::{ErrorToTruth, LiveView};
 use super::observer::{Observer, ObserverResults};
 use super::per_robot::PerRobot;
 use super::recorder::Recorder;
-use super::recording_files::{RecordedFiles, output_folder, start_recorder, start_tlog};
+use super::recording_files::{RecordedFiles, output_folder, start_bag, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
 use super::setup::{RobotSetup, SetupChecklists};
 use super::signing::{SigningSession, warn_of_open_listeners};
@@ -99,6 +100,7 @@ pub(super) async fn session(
     let mut failures = DeferredErrors::default();
     let recorder = start_recorder(args, &for_recordings, &timer, &recording, &mut failures).before_start()?;
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).before_start()?;
+    let bag = start_bag(args, config, &timer, &recording, &mut failures).before_start()?;
     let current = recorder.as_ref().map(|_| recording);
     let shown = ShownSession { timer, folder: &folder, embedded: embedded.as_ref(), cameras: cameras.sources() };
     let viewers = Viewers::start(reserved, args, config, shown);
@@ -111,6 +113,7 @@ pub(super) async fn session(
         recorder,
         input_count: 0,
         tlog,
+        bag,
         observer,
         failures,
         signing: keeper,
@@ -218,7 +221,7 @@ struct StoppedStation {
 
 /// Closes the links, then waits for recorder and observer.
 fn close(station_loop: StationLoop) -> Result<StoppedStation> {
-    let StationLoop { recorder, tlog, observer, links: ports, mut failures, requests, .. } = station_loop;
+    let StationLoop { recorder, tlog, bag, observer, links: ports, mut failures, requests, .. } = station_loop;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
     if unsent > 0 {
         print_line(&format!("{unsent} messages were not sent: a link was down or too slow"));
@@ -236,10 +239,15 @@ fn close(station_loop: StationLoop) -> Result<StoppedStation> {
     if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
         print_line("the telemetry log has holes: the disk was too slow for it");
     }
+    let bag = bag.map(BagRecorder::finish).transpose();
+    let bag = failures.record(bag.context("the ROS 2 bag is not whole")).flatten();
+    if let Some(BagWritten { dropped: 1.., .. }) = bag {
+        print_line("the ROS 2 bag has holes: the disk was too slow for it");
+    }
     let ObserverResults { collectors, dropped, event_file } = observer.finish()?;
     failures.record(event_file);
     if dropped > 0 {
         tracing::warn!(dropped, "events are missing in the tables: this computer was too slow for them");
     }
-    Ok(StoppedStation { collectors, recorded: RecordedFiles { inputs: recorded, tlog }, failures })
+    Ok(StoppedStation { collectors, recorded: RecordedFiles { inputs: recorded, tlog, bag }, failures })
 }

@@ -14,6 +14,7 @@ use posebridge_telemetry::{
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::bag_recorder::BagRecorder;
 use super::link_log::LinkLog;
 use super::observer::Observer;
 use super::page_history::station_status;
@@ -53,6 +54,7 @@ pub struct StationLoop {
     pub recorder: Option<Recorder>,
     pub input_count: u64,
     pub tlog: Option<TlogRecorder>,
+    pub bag: Option<BagRecorder>,
     pub observer: Observer,
     pub dashboard: Option<DashboardHandle>,
     pub setup: SetupChecklists,
@@ -273,6 +275,7 @@ impl StationLoop {
         let logged = self.log_traffic(now, &input, &sent);
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);
+        let bagged = self.record_bag(now, &events);
         let watched = self.observer.push(now, &events);
         self.setup.observe(now, &events);
         let placed = self.place_first_robot(&events);
@@ -285,7 +288,7 @@ impl StationLoop {
         if let Some(report) = recorded {
             self.handle(now, report);
         }
-        if let Some(report) = logged {
+        for report in [logged, bagged].into_iter().flatten() {
             self.handle(now, report);
         }
         if let Err(error) = watched {
@@ -355,6 +358,20 @@ impl StationLoop {
         tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
         let report = warning(format!("no more telemetry log: {error:#}"));
         self.failures.record::<()>(Err(error.context("the telemetry log is not whole")));
+        Some(report)
+    }
+
+    /// Passes outputs to the ROS 2 bag. Removes a failed one and returns a report.
+    fn record_bag(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) -> Option<Input> {
+        if self.bag.as_mut()?.record(now, events).is_ok() {
+            return None;
+        }
+        let Some(Err(error)) = self.bag.take().map(BagRecorder::finish) else {
+            return None;
+        };
+        tracing::error!(error = format!("{error:#}"), "the ROS 2 bag ends here");
+        let report = warning(format!("no more ROS 2 bag: {error:#}"));
+        self.failures.record::<()>(Err(error.context("the ROS 2 bag is not whole")));
         Some(report)
     }
 }

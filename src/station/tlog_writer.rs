@@ -6,26 +6,24 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::atomic::AtomicU64;
 
 use anyhow::{Context, Result, anyhow};
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, VerifiedFrame, verify};
 use posebridge_protocol::routing::MAX_PEERS;
 use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
 use posebridge_station::{AcceptedVersions, LinkConfig};
-use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, Timestamp};
 
-use super::recording_parts::{SYNC_PERIOD, WatchedFile};
+use super::live_log::{LiveLog, write_while_sent};
+use super::recording_parts::WatchedFile;
 use super::writer_thread::WriterThread;
 
 /// Queued chunks and frames; further ones are dropped.
 const QUEUE_CAPACITY: usize = 16_384;
-/// Period of flushes and of the checks of file and disk.
-const FLUSH_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 
-struct Traffic {
+pub(super) struct Traffic {
     now: Timestamp<HostClock>,
     link: LinkId,
     direction: Direction,
@@ -99,54 +97,34 @@ impl TlogRecorder {
 
 /// Writes until all senders are dropped; returns the number of frames.
 fn write(
-    mut log: TrafficLog<BufWriter<File>>,
+    log: TrafficLog<BufWriter<File>>,
     traffic: &Receiver<Traffic>,
     file: &WatchedFile,
     floor_bytes: u64,
     count: &AtomicU64,
 ) -> Result<u64> {
-    let (mut flushed, mut synced) = (Timestamp::<HostClock>::ZERO, Timestamp::<HostClock>::ZERO);
-    let (mut is_synced, mut silent_flushes) = (true, 0);
-    let flush_timeout = Duration::from_nanos(FLUSH_PERIOD.as_nanos().unsigned_abs());
-    loop {
-        let is_due = match traffic.recv_timeout(flush_timeout) {
-            Ok(one) => {
-                let written = match one.direction {
-                    Direction::In(peer) => log.received(one.now, one.link, peer, &one.bytes),
-                    Direction::Out(priority) => log.sent(one.now, one.link, priority, &one.bytes),
-                };
-                written.with_context(|| file.name())?;
-                count.fetch_add(1, Ordering::Relaxed);
-                (is_synced, silent_flushes) = (false, 0);
-                let is_due = one.now - flushed >= FLUSH_PERIOD;
-                if is_due {
-                    flushed = one.now;
-                }
-                is_due
-            }
-            Err(RecvTimeoutError::Timeout) => {
-                silent_flushes += 1;
-                true
-            }
-            Err(RecvTimeoutError::Disconnected) => break,
-        };
-        if is_due {
-            log.flush().with_context(|| file.name())?;
-            // In a silence no traffic brings it about.
-            let is_silent = silent_flushes == SYNC_PERIOD.as_nanos() / FLUSH_PERIOD.as_nanos();
-            if !is_synced && (is_silent || flushed - synced >= SYNC_PERIOD) {
-                file.sync()?;
-                (is_synced, synced) = (true, flushed);
-            }
-            file.file_size()?;
-            file.check_free_space(floor_bytes)?;
-        }
-    }
+    let log = write_while_sent(log, traffic, file, floor_bytes, count)?;
     let (_, frames) = log.finish().with_context(|| file.name())?;
     file.sync()?;
     // A deleted file counts as not written.
     file.file_size()?;
     Ok(frames)
+}
+
+impl LiveLog for TrafficLog<BufWriter<File>> {
+    type Item = Traffic;
+
+    fn write(&mut self, one: &Traffic) -> Result<Timestamp<HostClock>> {
+        match one.direction {
+            Direction::In(peer) => self.received(one.now, one.link, peer, &one.bytes)?,
+            Direction::Out(priority) => self.sent(one.now, one.link, priority, &one.bytes)?,
+        }
+        Ok(one.now)
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        Ok(Self::flush(self)?)
+    }
 }
 
 /// The stream of one peer of a link, which may end within a frame.

@@ -1,15 +1,15 @@
 //! Foreign recordings for the commands: descriptor, robot, runs.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_recording::dataset::{self, Descriptor, LoadOptions};
+use posebridge_recording::ros2::bag::{BagPlan, WheelGeometry};
 use posebridge_telemetry::ArenaMap;
 
-use crate::config::{FilterSection, ProfileFilter, RobotFile, Setting, filter_config};
+use super::ros2_bag;
+use crate::config::{FilterSection, ProfileFilter, RobotFile, RobotProfile, Setting, filter_config};
 use crate::console::print_line;
 use crate::flags::DataFlags;
 use crate::text_file::read_text;
@@ -17,6 +17,8 @@ use crate::text_file::read_text;
 pub struct DataSet {
     pub descriptor: Descriptor,
     pub runs: Vec<String>,
+    /// UTC of the zero of its times, as far as it is known.
+    pub utc_start_micros: u64,
     root: PathBuf,
 }
 
@@ -31,26 +33,30 @@ pub struct RobotRun {
 impl DataSet {
     pub fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
         let name = path.display();
-        let text = read_text(path).with_context(|| format!("reading the descriptor `{name}`"))?;
+        let bag = ros2_bag::is_bag(path).then(|| BagFile::open(path, flags)).transpose()?;
+        let text = match &bag {
+            Some(bag) => bag.plan.descriptor.clone(),
+            None => read_text(path).with_context(|| format!("reading the descriptor `{name}`"))?,
+        };
         let descriptor = Descriptor::from_toml(&text).with_context(|| format!("descriptor `{name}`"))?;
         let prefix = flags.run.clone().unwrap_or_else(|| descriptor.default_run.clone());
         let runs: Vec<String> = descriptor.select(&prefix).into_iter().map(str::to_owned).collect();
         if runs.is_empty() {
             bail!("no run of `{name}` begins with `{prefix}`; there are: {}", descriptor.runs.join(", "));
         }
+        if let Some(BagFile { plan, folder }) = bag {
+            return Ok(Self { descriptor, runs, utc_start_micros: plan.utc_start_micros, root: folder });
+        }
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
         let own_folder = parent.unwrap_or(Path::new(".")).to_owned();
-        Ok(Self { descriptor, runs, root: flags.data.clone().unwrap_or(own_folder) })
+        Ok(Self { descriptor, runs, utc_start_micros: 0, root: flags.data.clone().unwrap_or(own_folder) })
     }
 
     pub fn load(&self, run: &str, flags: &DataFlags) -> Result<RobotRun> {
         let (robot, filter) = self.robot_and_filter(run, &flags.settings)?;
         let geometry = robot.geometry()?;
         let options = LoadOptions { run, geometry, wiring: robot.wiring(), use_every: flags.use_every };
-        let mut open = |relative: &Path| {
-            let file = File::open(self.root.join(relative))?;
-            Ok(Box::new(file) as Box<dyn Read>)
-        };
+        let mut open = |relative: &Path| ros2_bag::open(&self.root.join(relative));
         let run = dataset::load(&self.descriptor, options, &mut open)
             .with_context(|| format!("recording `{}` in `{}`", self.descriptor.name, self.root.display()))?;
         for dialect in &run.dialects {
@@ -100,6 +106,55 @@ impl DataSet {
     }
 }
 
+/// A bag, with the descriptor that is made for it.
+struct BagFile {
+    plan: BagPlan,
+    folder: PathBuf,
+}
+
+impl BagFile {
+    fn open(path: &Path, flags: &DataFlags) -> Result<Self> {
+        // A name for `.` as well.
+        let path = path.canonicalize().with_context(|| format!("looking for `{}`", path.display()))?;
+        let is_radius = |setting: &Setting| setting.path.iter().any(|part| part == "left_wheel_radius_m");
+        let geometry = if flags.settings.iter().any(is_radius) { WheelGeometry::Known } else { WheelGeometry::Unknown };
+        let folder = path.parent().unwrap_or(Path::new("/")).to_owned();
+        Ok(Self { plan: ros2_bag::plan(&path, geometry)?, folder })
+    }
+}
+
+/// The keys of a robot's profile as settings: of its robot below `robot_path`, and of its filter.
+pub fn profile_settings(path: &Path, robot_path: &[&str]) -> Result<Vec<Setting>> {
+    // Its own reading names what makes no sense better than a laid over table could.
+    RobotProfile::read(path)?;
+    let name = path.display();
+    let text = read_text(path).with_context(|| format!("reading the robot from `{name}`"))?;
+    let page: toml::Table = toml::from_str(&text)?;
+    let mut settings = settings_of_table(&page, "robot", robot_path);
+    settings.extend(settings_of_table(&page, "filter", &["filter"]));
+    Ok(settings)
+}
+
+/// Excludes the filter's name, which `--filter` selects, and the robot's start, which belongs to the recording.
+pub(super) fn settings_of_table(page: &toml::Table, name: &str, path: &[&str]) -> Vec<Setting> {
+    let table = page.get(name).and_then(toml::Value::as_table);
+    let entries = table.into_iter().flatten();
+    let mut settings = Vec::new();
+    for (key, value) in entries {
+        let path: Vec<String> = path.iter().copied().chain([key.as_str()]).map(str::to_owned).collect();
+        let inner = value.as_table().filter(|_| key == "noise" || key == "calibration");
+        match inner {
+            Some(inner) => settings.extend(inner.iter().map(|(inner, value)| Setting {
+                path: path.iter().cloned().chain([inner.clone()]).collect(),
+                value: value.clone(),
+            })),
+            None if key == "start" || (name == "filter" && key == "name") => {}
+            None => settings.push(Setting { path, value: value.clone() }),
+        }
+    }
+    settings
+}
+
 fn world_of(run: &dataset::DatasetRun) -> ArenaMap {
     ArenaMap {
         landmarks: run.landmarks.iter().copied().collect(),
@@ -132,7 +187,7 @@ pub fn report_bad_rows(robot_run: &RobotRun) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Config, RobotProfile};
+    use crate::config::Config;
 
     fn flags(settings: &[&str]) -> DataFlags {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));

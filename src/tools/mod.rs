@@ -20,6 +20,7 @@ pub mod raster;
 pub mod relay;
 pub mod replay;
 pub mod report;
+pub mod ros2_bag;
 pub mod score;
 pub mod session_history;
 pub mod session_report;

@@ -12,6 +12,7 @@ use posebridge_telemetry::{
 };
 
 use super::import::{self, StationOptions};
+use super::ros2_bag;
 use crate::config::{Overlay, RobotFile, config_with_overlay};
 use crate::console::{print_line, print_lines};
 use crate::station::recorded_session::{ClockAlignment, for_each_input, missing_start};
@@ -136,9 +137,9 @@ impl SessionObservations {
     }
 }
 
-/// Whether a path is a posebridge recording and not a descriptor of foreign data.
+/// Whether a path is a posebridge recording and not foreign data: a descriptor, or a ROS 2 bag.
 pub fn is_own(path: &Path) -> bool {
-    path.extension().is_none_or(|extension| extension != "toml")
+    path.extension().is_none_or(|extension| extension != "toml") && !ros2_bag::is_bag(path)
 }
 
 /// Reads a recording as far as possible; truncation or damage is reported on stderr.

@@ -86,9 +86,9 @@ def kept_folder():
 
 @functools.lru_cache(maxsize=None)
 def finished_drive():
-    """A folder with one lap that is over: `run/recording.mcap` with its truth, and `run/recording.tlog`."""
+    """A folder with one lap that is over: `run/recording.mcap` with its truth, `run/recording.tlog` and `run/recording-ros2.mcap`."""
     folder = kept_folder()
-    station = RunningStation(folder, "run", simulated(folder), "--tlog", "--laps", "1")
+    station = RunningStation(folder, "run", simulated(folder), "--tlog", "--mcap", "ros2", "--laps", "1")
     try:
         station.end(LAP_S)
     finally:

@@ -1,4 +1,5 @@
-"""rosbags on the ROS 2 bag that we export: it knows the messages by its own definitions, and its figures are those of our tables."""
+"""rosbags on the ROS 2 bags that we write: it knows the messages by its own definitions, and its figures are those of our tables. And the other way
+round: a bag that rosbags has written is fused, and the result held against the truth."""
 
 import collections
 import csv
@@ -8,13 +9,14 @@ import pathlib
 import tempfile
 import unittest
 
+import numpy
 from mcap.reader import SeekingReader
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drives import finished_drive
-from harness import posebridge
+from harness import json_of, posebridge
 
 TOPICS = {
     "/odom": "nav_msgs/msg/Odometry",
@@ -165,6 +167,147 @@ class Bag(unittest.TestCase):
         self.assertEqual(counts, sorted(counts))
         self.assertGreater(counts[-1], 100)
         self.assertEqual({status.name for status in links}, {"posebridge: link 0"})
+
+    def test_the_bag_beside_a_run_is_that_of_its_recording(self):
+        with Reader(pathlib.Path(finished_drive()) / "run" / "recording-ros2.mcap") as live, Reader(self.path) as exported:
+            pairs = zip(live.messages(), exported.messages(), strict=True)
+            for (ours, at, data), (theirs, then, again) in pairs:
+                self.assertEqual((ours.topic, at, bytes(data)), (theirs.topic, then, bytes(again)))
+
+
+# The robot's clock as a date, and what a message takes to the recorder.
+START_S = 1_700_000_000
+DELAY_NS = 4_000_000
+RADIUS_M, TRACK_M = 0.028, 0.112
+NOISE = ("--set", "noise.fix_position_m=0.005", "--set", "noise.fix_heading_rad=0.0175")
+
+
+class ForeignBag(unittest.TestCase):
+    """The wheels, the gyro and the fixes of a drive as a driver of ROS would have recorded them: its own odometry, in zstd."""
+
+    @classmethod
+    def setUpClass(cls):
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.folder = folder.name
+        posebridge(finished_drive(), "export", "run/recording.mcap", "--format", "csv,tum", "--out", cls.folder)
+        cls.store = get_typestore(Stores.ROS2_JAZZY)
+        truth = map(str.split, (pathlib.Path(cls.folder) / "truth.tum").read_text().splitlines())
+        cls.truth = [(float(t), float(x), float(y), 2.0 * math.atan2(float(qz), float(qw))) for t, x, y, _, _, _, qz, qw in truth]
+        cls.fixes = [tuple(float(row[key]) for key in ("t_s", "x_m", "y_m", "heading_rad")) for row in cls.rows("fix")]
+        cls.odometry, cls.messages = [], []
+        cls.add_odometry()
+        for row in cls.rows("turn_rate"):
+            cls.add("/imu/data", "sensor_msgs/msg/Imu", float(row["t_s"]), "imu_link", cls.rotation(0.0), numpy.zeros(9), cls.vector(
+                0.0, 0.0, float(row["turn_rad_per_s"])), numpy.zeros(9), cls.vector(0.0, 0.0, 9.81), numpy.zeros(9))
+        for t, x, y, heading in cls.fixes:
+            cls.add("/camera/pose", "geometry_msgs/msg/PoseStamped", t, "map", cls.pose(x, y, heading))
+        for t, x, y, heading in cls.truth:
+            cls.add("/ground_truth/pose", "geometry_msgs/msg/PoseStamped", t, "map", cls.pose(x, y, heading))
+        cls.write("drive", CompressionMode.STORAGE)
+        cls.write("plain", None)
+
+    @classmethod
+    def rows(cls, name):
+        with open(os.path.join(cls.folder, f"{name}.csv"), newline="") as file:
+            return list(csv.DictReader(file))
+
+    @classmethod
+    def make(cls, name, *fields):
+        return cls.store.types[name](*fields)
+
+    @classmethod
+    def vector(cls, *numbers):
+        return cls.make("geometry_msgs/msg/Vector3", *numbers)
+
+    @classmethod
+    def rotation(cls, heading):
+        return cls.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
+
+    @classmethod
+    def pose(cls, x, y, heading):
+        return cls.make("geometry_msgs/msg/Pose", cls.make("geometry_msgs/msg/Point", x, y, 0.0), cls.rotation(heading))
+
+    @classmethod
+    def add(cls, topic, kind, t, frame, *fields):
+        stamp = round(t * 1e9) + START_S * 1_000_000_000
+        time = cls.make("builtin_interfaces/msg/Time", stamp // 1_000_000_000, stamp % 1_000_000_000)
+        message = cls.make(kind, cls.make("std_msgs/msg/Header", time, frame), *fields)
+        cls.messages.append((stamp + DELAY_NS, topic, kind, message))
+
+    @classmethod
+    def add_odometry(cls):
+        x = y = heading = 0.0
+        last = None
+        for row in cls.rows("wheel_angles"):
+            t, left, right = (float(row[key]) for key in ("t_s", "left_rad", "right_rad"))
+            way = turn = speed = rate = 0.0
+            if last is not None and t > last[0]:
+                way = RADIUS_M * (left - last[1] + right - last[2]) / 2
+                turn = RADIUS_M * (right - last[2] - left + last[1]) / TRACK_M
+                speed, rate = way / (t - last[0]), turn / (t - last[0])
+            x, y, heading = x + way * math.cos(heading + turn / 2), y + way * math.sin(heading + turn / 2), heading + turn
+            last = (t, left, right)
+            cls.odometry.append((t, x, y, heading))
+            cls.add(
+                "/odom", "nav_msgs/msg/Odometry", t, "odom", "base_link",
+                cls.make("geometry_msgs/msg/PoseWithCovariance", cls.pose(x, y, heading), numpy.zeros(36)),
+                cls.make("geometry_msgs/msg/TwistWithCovariance", cls.make(
+                    "geometry_msgs/msg/Twist", cls.vector(speed, 0.0, 0.0), cls.vector(0.0, 0.0, rate)), numpy.zeros(36)))
+
+    @classmethod
+    def write(cls, name, compression):
+        writer = Writer(pathlib.Path(cls.folder) / name, version=9, storage_plugin=StoragePlugin.MCAP)
+        if compression:
+            writer.set_compression(compression, CompressionFormat.ZSTD)
+        with writer:
+            connections = {}
+            for log, topic, kind, message in sorted(cls.messages, key=lambda one: one[0]):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=cls.store)
+                writer.write(connections[topic], log, cls.store.serialize_cdr(message, kind))
+
+    def rms_to_truth(self, path):
+        """Of a path without a gap, at the times of the truth."""
+        times, xs, ys = (numpy.array(column) for column in list(zip(*path))[:3])
+        squares = [
+            (numpy.interp(t, times, xs) - x) ** 2 + (numpy.interp(t, times, ys) - y) ** 2
+            for t, x, y, _ in self.truth if times[0] <= t <= times[-1]]
+        return math.sqrt(sum(squares) / len(squares))
+
+    def test_a_bag_of_rosbags_is_fused_and_better_than_its_odometry_and_its_fixes(self):
+        odometry = self.rms_to_truth(self.odometry)
+        self.assertGreater(odometry, 0.01)
+        replayed = json_of(self.folder, "replay", "drive", "--filter", "pose", *NOISE, "--json")
+        fused = replayed["estimators"][0]["position_rms_m"]
+        print(f"\n  odometry {1000 * odometry:.1f} mm rms, fused {1000 * fused:.1f} mm")
+        self.assertLess(fused, odometry / 3)
+        self.assertLess(fused, 0.012)
+
+    def test_an_imported_bag_has_every_message_once_and_replays(self):
+        counts = collections.Counter(topic for _, topic, _, _ in self.messages)
+        posebridge(self.folder, "import", "drive", "--out", "imported.mcap", *NOISE)
+        found = json_of(self.folder, "inspect", "imported.mcap", "--json")["recording"]
+        # Of the truth there is none in a recording.
+        self.assertEqual(found["inputs"], counts["/odom"] + counts["/imu/data"] + counts["/camera/pose"])
+        self.assertEqual(found["utc_start_micros"] // 1_000_000, START_S + int(min(self.fixes[0][0], self.odometry[0][0])))
+        posebridge(self.folder, "export", "imported.mcap", "--format", "tum", "--out", "out")
+        lines = (pathlib.Path(self.folder) / "out" / "estimate.tum").read_text().splitlines()
+        estimates = [tuple(map(float, line.split()[:3])) for line in lines]
+        offset = START_S - found["utc_start_micros"] / 1e6
+        rms = self.rms_to_truth([(t - offset, x, y) for t, x, y in estimates])
+        print(f"\n  imported and fused: {1000 * rms:.1f} mm rms")
+        self.assertLess(rms, 0.015)
+
+    def test_compression_folder_and_file_change_nothing(self):
+        (file,) = (pathlib.Path(self.folder) / "plain").glob("*.mcap")
+        results = []
+        for name in ("drive", "plain", str(file)):
+            (one,) = json_of(self.folder, "replay", name, "--filter", "pose", *NOISE, "--json")["estimators"]
+            # It is told by the name of the bag.
+            results.append({**one, "calibration": None})
+        self.assertEqual(results[0], results[1])
+        self.assertEqual(results[1], results[2])
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@
 //! Pure: bytes, text and time are arguments; the caller opens files and reads clocks. This crate estimates nothing, and of wire formats
 //! it knows only the length of a MAVLink frame.
 
+mod chunk_compression;
 mod clock_alignment;
 pub mod container;
 pub mod csv;

@@ -5,6 +5,7 @@
 //! run of the test suite (`tests/fuzz_short.rs`, any compiler). Bodies are deterministic and read no clock, file or
 //! network.
 
+mod bag;
 mod bricks;
 mod framing;
 mod impairment;
@@ -36,6 +37,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("ev3", bricks::check_ev3, 500_000),
     Target::new("brick", bricks::check_brick, 400_000),
     Target::new("tlog", tlog::check, 60_000),
+    Target::new("bag", bag::check, 6_000),
     Target::new("table", table::check, 30_000),
     Target::new("pictures", pictures::check, 3_000),
     Target::new("avi", recorded_pictures::check_avi, 70_000),

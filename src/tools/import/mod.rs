@@ -15,7 +15,7 @@ use posebridge_recording::container::{RecordingHeader, RecordingWriter};
 use posebridge_telemetry::{Address, Arena, Input, Point2};
 
 use self::tlog::timed_frames;
-use super::dataset::{DataSet, RobotRun};
+use super::dataset::{self, DataSet, RobotRun};
 use crate::config::{self, Config, NumberedPlace, RobotFile, RobotProfile, RobotStart, Setting, WorldConfig};
 use crate::console::{print_line, print_lines};
 use crate::exit::{ExitStage, Failure};
@@ -29,7 +29,7 @@ pub use tlog::{InputSink, TlogSource};
 /// Flags of `import`.
 #[derive(Args, Clone, Debug)]
 pub struct ImportArgs {
-    /// A telemetry log (*.tlog, *.tlog.gz) or a recording's descriptor (*.toml).
+    /// A telemetry log (*.tlog, *.tlog.gz), a ROS 2 bag (*.mcap, or its folder) or a recording's descriptor (*.toml).
     pub file: PathBuf,
     /// Recording to write. An existing file is not overwritten.
     #[arg(long, value_name = "FILE.mcap")]
@@ -40,7 +40,7 @@ pub struct ImportArgs {
     /// Configuration of the station for a telemetry log: address, robot, filter. Default: the built-in one.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// Robot of a telemetry log: a robot profile or the descriptor of a recording.
+    /// Robot of a telemetry log or of a bag: a robot profile or the descriptor of a recording.
     #[arg(long, value_name = "FILE.toml")]
     pub robot: Option<PathBuf>,
 }
@@ -118,8 +118,13 @@ pub fn import<W: Write + Seek>(
             write(out, &source.header, |sink| source.inputs(sink))
         }
         InputKind::Descriptor => {
-            let source = DescriptorSource::open(path, data)?;
-            let header = header(&source.config, 0)?;
+            let mut data = data.clone();
+            if let Some(robot) = station.robot {
+                let profile = dataset::profile_settings(robot, &[])?;
+                data.settings.splice(0..0, profile);
+            }
+            let source = DescriptorSource::open(path, &data)?;
+            let header = header(&source.config, source.utc_start_micros)?;
             write(out, &header, |sink| source.inputs(sink))
         }
         InputKind::Own => bail!("`{}` is a recording of posebridge already", path.display()),
@@ -143,7 +148,8 @@ pub fn recording_bytes(path: &Path, station: StationOptions<'_>) -> Result<(Vec<
 /// A descriptor's run as a recording in memory, as [`recording_bytes`], and the run.
 pub fn converted_run(path: &Path, data: &DataFlags) -> Result<(Vec<u8>, Vec<String>, RobotRun)> {
     let source = DescriptorSource::open(path, data)?;
-    let (bytes, notes) = in_memory(path, &header(&source.config, 0)?, |sink| source.inputs(sink))?;
+    let (bytes, notes) =
+        in_memory(path, &header(&source.config, source.utc_start_micros)?, |sink| source.inputs(sink))?;
     Ok((bytes, notes, source.robot_run))
 }
 
@@ -189,6 +195,8 @@ struct DescriptorSource {
     /// Robot, tunables and arena.
     config: Config,
     robot_run: RobotRun,
+    /// Of the zero of its times.
+    utc_start_micros: u64,
 }
 
 impl DescriptorSource {
@@ -220,7 +228,7 @@ impl DescriptorSource {
             links: Vec::new(),
             ..Config::default()
         };
-        Ok(Self { config, robot_run })
+        Ok(Self { config, robot_run, utc_start_micros: data.utc_start_micros })
     }
 
     fn inputs(&self, sink: &mut InputSink<'_>) -> Result<Vec<String>> {

@@ -16,7 +16,7 @@ use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, Smoothe
 use super::watch::{
     ReferenceTracks, ReplayLane, ReplayPacer, ReplayWatcher, Window, WindowPosition, finish_events, write_charts,
 };
-use crate::config::{self, Config, RobotFile, RobotProfile, Setting};
+use crate::config::{self, Config, RobotFile, Setting};
 use crate::console::print_line;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::SessionFlags;
@@ -28,7 +28,7 @@ use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::station::recorded_session::{ReadProgress, RecordingWarnings, nothing_read};
 use crate::station::signing::recorded_station_config;
 use crate::station::wiring_fix::WiringReport;
-use crate::text_file::read_text;
+use crate::tools::dataset;
 use crate::tools::ground_truth::GroundTruth;
 use crate::tools::import::{self, StationOptions, TlogSource};
 
@@ -401,13 +401,7 @@ pub fn changed_settings(flags: &SessionFlags) -> Vec<String> {
 pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Result<Vec<Setting>> {
     let mut settings = Vec::new();
     if let Some(path) = &flags.robot {
-        // Its own reading names what makes no sense better than a laid over table could.
-        RobotProfile::read(path)?;
-        let name = path.display();
-        let text = read_text(path).with_context(|| format!("reading the robot from `{name}`"))?;
-        let page: toml::Table = toml::from_str(&text)?;
-        settings.extend(of_table(&page, "robot", robot_path));
-        settings.extend(of_table(&page, "filter", &["filter"]));
+        settings.extend(dataset::profile_settings(path, robot_path)?);
     }
     if let Some(path) = &flags.sensor {
         let setting = config::sensor_setting(path)?;
@@ -417,26 +411,6 @@ pub(super) fn profile_settings(flags: &SessionFlags, robot_path: &[&str]) -> Res
     settings.extend_from_slice(&flags.data.settings);
     settings.extend_from_slice(&flags.params);
     Ok(settings)
-}
-
-/// Excludes the filter's name, which `--filter` selects, and the robot's start, which belongs to the recording.
-fn of_table(page: &toml::Table, name: &str, path: &[&str]) -> Vec<Setting> {
-    let table = page.get(name).and_then(toml::Value::as_table);
-    let entries = table.into_iter().flatten();
-    let mut settings = Vec::new();
-    for (key, value) in entries {
-        let path: Vec<String> = path.iter().copied().chain([key.as_str()]).map(str::to_owned).collect();
-        let inner = value.as_table().filter(|_| key == "noise" || key == "calibration");
-        match inner {
-            Some(inner) => settings.extend(inner.iter().map(|(inner, value)| Setting {
-                path: path.iter().cloned().chain([inner.clone()]).collect(),
-                value: value.clone(),
-            })),
-            None if key == "start" || (name == "filter" && key == "name") => {}
-            None => settings.push(Setting { path, value: value.clone() }),
-        }
-    }
-    settings
 }
 
 #[cfg(test)]
@@ -450,7 +424,10 @@ mod tests {
         let page: toml::Table = toml::from_str(text).unwrap();
         let paths =
             |settings: Vec<Setting>| -> Vec<String> { settings.iter().map(|setting| setting.path.join(".")).collect() };
-        assert_eq!(paths(of_table(&page, "robot", &["robot"])), ["robot.noise.fix_position_m", "robot.track_width_m"]);
-        assert_eq!(paths(of_table(&page, "filter", &["filter"])), ["filter.accel_m_s2"]);
+        assert_eq!(
+            paths(dataset::settings_of_table(&page, "robot", &["robot"])),
+            ["robot.noise.fix_position_m", "robot.track_width_m"]
+        );
+        assert_eq!(paths(dataset::settings_of_table(&page, "filter", &["filter"])), ["filter.accel_m_s2"]);
     }
 }

@@ -3,7 +3,7 @@
 //! The `mcap` crate's parser allocates the length that a string claims before it checks how many bytes there are: a damaged file of
 //! some hundred bytes made it request four gigabytes. This parser never allocates more than the bytes present.
 //!
-//! Source: MCAP specification, "Metadata (op=0x0C)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)",
+//! Source: MCAP specification, "Metadata (op=0x0C)", "Schema (op=0x03)", "Channel (op=0x04)", "Message (op=0x05)", "Chunk (op=0x06)",
 //! "Serialization": a string is its length (u32) and UTF-8; a map is its length in bytes (u32) and pairs, with no key
 //! twice; little-endian.
 
@@ -12,56 +12,85 @@ use std::collections::BTreeMap;
 use super::encoding::DecodeError;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Metadata<'a> {
-    pub(super) name: &'a str,
-    pub(super) entries: BTreeMap<&'a str, &'a str>,
+pub(crate) struct Metadata<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) entries: BTreeMap<&'a str, &'a str>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Channel<'a> {
-    pub(super) id: u16,
-    pub(super) topic: &'a str,
-    pub(super) message_encoding: &'a str,
+pub(crate) struct Channel<'a> {
+    pub(crate) id: u16,
+    /// 0 for none.
+    pub(crate) schema_id: u16,
+    pub(crate) topic: &'a str,
+    pub(crate) message_encoding: &'a str,
 }
 
 /// `None` if the record is damaged. Extra bytes after its fields belong to newer versions and are ignored.
-pub(super) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
+pub(crate) fn metadata(body: &[u8]) -> Option<Metadata<'_>> {
     let mut fields = ByteReader { remaining: body };
     Some(Metadata { name: fields.text()?, entries: fields.map()? })
 }
 
 /// `None` if the record is damaged.
-pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
+pub(crate) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     let mut fields = ByteReader { remaining: body };
     let id = fields.u16().ok()?;
-    let _schema_id = fields.u16().ok()?;
-    let channel = Channel { id, topic: fields.text()?, message_encoding: fields.text()? };
+    let schema_id = fields.u16().ok()?;
+    let channel = Channel { id, schema_id, topic: fields.text()?, message_encoding: fields.text()? };
     fields.map()?;
     Some(channel)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Chunk<'a> {
+pub(crate) struct Schema<'a> {
+    pub(crate) id: u16,
+    pub(crate) name: &'a str,
+    pub(crate) encoding: &'a str,
+    pub(crate) data: &'a [u8],
+}
+
+/// `None` if the record is damaged.
+pub(crate) fn schema(body: &[u8]) -> Option<Schema<'_>> {
+    let mut fields = ByteReader { remaining: body };
+    Some(Schema {
+        id: fields.u16().ok()?,
+        name: fields.text()?,
+        encoding: fields.text()?,
+        data: fields.length_prefixed()?,
+    })
+}
+
+/// The profile of a file, from its header record; `None` if the record is damaged.
+pub(crate) fn profile(body: &[u8]) -> Option<&str> {
+    ByteReader { remaining: body }.text()
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Chunk<'a> {
+    /// Of the records, uncompressed, as it claims.
+    pub(crate) unpacked_bytes: u64,
     /// CRC-32 of the uncompressed records; 0 when it was not computed.
-    pub(super) crc: u32,
+    pub(crate) crc: u32,
     /// Name of the compression; empty for none.
-    pub(super) compression: &'a str,
+    pub(crate) compression: &'a str,
     /// Offset of the records within the chunk.
-    pub(super) head_bytes: usize,
+    pub(crate) head_bytes: usize,
     /// The records, truncated if the file is.
-    pub(super) records: &'a [u8],
+    pub(crate) records: &'a [u8],
 }
 
 /// `None` if the record is damaged. A truncated chunk has fewer records than its length claims.
-pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
+pub(crate) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
     let mut fields = ByteReader { remaining: body };
     let _first_time = fields.u64().ok()?;
     let _last_time = fields.u64().ok()?;
-    let _uncompressed_bytes = fields.u64().ok()?;
+    let unpacked_bytes = fields.u64().ok()?;
     let crc = fields.u32().ok()?;
     let compression = fields.text()?;
     let bytes = usize::try_from(fields.u64().ok()?).ok()?;
     Some(Chunk {
+        unpacked_bytes,
         crc,
         compression,
         head_bytes: body.len() - fields.remaining.len(),
@@ -70,18 +99,18 @@ pub(super) fn chunk(body: &[u8]) -> Option<Chunk<'_>> {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Message<'a> {
-    pub(super) channel_id: u16,
-    pub(super) sequence: u32,
-    pub(super) log_time: u64,
-    pub(super) data: &'a [u8],
+pub(crate) struct Message<'a> {
+    pub(crate) channel_id: u16,
+    pub(crate) sequence: u32,
+    pub(crate) log_time: u64,
+    pub(crate) data: &'a [u8],
 }
 
 /// Channel (2), sequence (4), log time (8) and publish time (8).
-pub(super) const MESSAGE_HEADER_BYTES: usize = 22;
+pub(crate) const MESSAGE_HEADER_BYTES: usize = 22;
 
 /// `None` if the record is shorter than its header.
-pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
+pub(crate) fn message(body: &[u8]) -> Option<Message<'_>> {
     let mut fields = ByteReader { remaining: body };
     let (channel_id, sequence) = (fields.u16().ok()?, fields.u32().ok()?);
     let log_time = fields.u64().ok()?;
@@ -165,7 +194,7 @@ mod tests {
         assert_eq!(found.entries, BTreeMap::from([("k", "v")]));
 
         let record = b"\x07\0\x01\0\x01\0\0\0t\x02\0\0\0me\0\0\0\0";
-        let expected = Channel { id: 7, topic: "t", message_encoding: "me" };
+        let expected = Channel { id: 7, schema_id: 1, topic: "t", message_encoding: "me" };
         assert_eq!(channel(record), Some(expected));
     }
 

@@ -9,13 +9,15 @@
 //! truth of a simulated run ([`read_truth()`]).
 
 mod encoding;
-mod fields;
+pub(crate) mod fields;
 mod reader;
+mod unpack;
 mod walk;
 mod writer;
 
 pub use encoding::DecodeError;
 pub use reader::{RecordingEnd, RecordingReader, TruthSample, read_truth};
+pub use unpack::{UnpackedTooLarge, unpack_recording};
 pub use writer::{OutputHandover, RecordingWriter, WriteError};
 
 use std::collections::BTreeMap;
@@ -94,8 +96,11 @@ pub enum ReadError {
         "the recording has format {found}, this program reads up to {FORMAT}: read it with the program that wrote it"
     )]
     Format { found: u32 },
-    /// Another program rewrote the file with compression.
-    #[error("byte {offset}: the messages are compressed ({compression}): write the file again without compression")]
+    /// Another program rewrote the file with a compression other than those that [`unpack_recording`] undoes.
+    #[error(
+        "byte {offset}: the messages are compressed ({compression}), which is neither zstd nor lz4: write the file again with one \
+         of these, or without compression"
+    )]
     Compressed { offset: u64, compression: String },
     /// A chunk is damaged; the iteration continues with the intact messages in it and after it.
     #[error("byte {offset}: a chunk of the recording is damaged: {what}")]

@@ -116,6 +116,7 @@ dimension!(
     unit("celsius", 1.0),
     Unit { name: "kelvin", factor: 1.0, zero: -ICE_POINT }
 );
+dimension!(AngleVariance, "variance of an angle", false, unit("rad2", 1.0), unit("deg2", DEGREE * DEGREE));
 dimension!(Area, "variance", false, unit("m2", 1.0), unit("mm2", 1e-6));
 // Ticks and lengths become radians through the robot's geometry; their factors here are within their own kind.
 dimension!(

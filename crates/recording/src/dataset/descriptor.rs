@@ -68,7 +68,8 @@ impl Descriptor {
     /// Invalid TOML, a missing or unknown key, a value of the wrong type, or keys that contradict each other; each error names the line
     /// and the key.
     pub fn from_toml(text: &str) -> Result<Self, DescriptorError> {
-        let raw: RawDescriptor = toml::from_str(text).map_err(|error| key_error(text, &error))?;
+        let mut raw: RawDescriptor = toml::from_str(text).map_err(|error| key_error(text, &error))?;
+        raw.files.values_mut().for_each(FileEntry::fill_topic_defaults);
         let check = DescriptorValidator { text, raw: &raw };
         let resolved = check.resolve_runs()?;
         check.validate_default_run(&resolved)?;
@@ -220,6 +221,10 @@ impl DescriptorValidator<'_> {
                 .chain(plus.map(|part| &part.column))
                 .chain(file.filter.as_ref().map(|filter| &filter.column));
             self.named_columns_need_a_header(file, columns, file.path.span(), &key)?;
+            if file.topic.is_none() && (file.joints.is_some() || file.bearing_deg.is_some()) {
+                let message = "joints and bearing_deg are for a `topic` of a ROS 2 bag";
+                return Err(self.rule_error(file.path.span(), &key, message));
+            }
             if file.comment.as_deref() == Some("") {
                 let message = "an empty comment prefix makes every line a comment";
                 return Err(self.rule_error(file.path.span(), &key, message));

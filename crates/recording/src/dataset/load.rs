@@ -3,7 +3,7 @@
 //! The caller opens the files and resolves relative paths; this module converts their bytes to observations.
 
 use std::collections::BTreeMap;
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -17,7 +17,8 @@ use super::observation_list::TimedObservation;
 use super::run::{DatasetRun, LoadError, MAX_HELD_BYTES, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
 use super::streams::{RowClock, RowReader, positions, sensors};
-use super::table::{DatasetTable, TextLines, seconds_to_nanos};
+use super::table::{DatasetTable, TableSource, TextLines, seconds_to_nanos};
+use crate::ros2::bag::TopicTable;
 
 /// The run to load, the robot's geometry, and the fixes to use.
 #[derive(Clone, Copy, Debug)]
@@ -100,14 +101,23 @@ impl TableCache<'_> {
             return Err(template(format!("there is no [files.{name}]")));
         };
         let path = expand_template(entry.path.get_ref(), &run.values).map_err(template)?;
-        let table = Rc::new(DatasetTable::new(self.lines(&path)?, entry)?);
+        let source = TableSource { file: path, topic: entry.bag_topic() };
+        let lines = self.lines(&source)?;
+        let table = Rc::new(DatasetTable::new(source, lines, entry)?);
         self.tables.insert(name.to_owned(), Rc::clone(&table));
         Ok(table)
     }
 
-    fn lines(&mut self, path: &str) -> Result<TextLines, LoadError> {
-        let file = (self.open)(Path::new(path)).map_err(|source| LoadError::Open { path: path.to_owned(), source })?;
-        TextLines::open(path, file)
+    fn lines(&mut self, source: &TableSource) -> Result<TextLines, LoadError> {
+        let path = source.name();
+        let file = (self.open)(Path::new(&source.file));
+        let file = file.map_err(|error| LoadError::Open { path: path.clone(), source: error })?;
+        let Some(topic) = &source.topic else {
+            return TextLines::open(&path, file);
+        };
+        let bag = |error| LoadError::Bag { path: path.clone(), source: error };
+        let table = TopicTable::open(BufReader::new(file), topic).map_err(bag)?;
+        TextLines::open(&path, Box::new(table))
     }
 }
 
@@ -143,7 +153,7 @@ impl RunLoader<'_> {
         let mut positions = BTreeMap::new();
         let mut number = 0_u32;
         let bad_rows = &mut self.dataset_run.bad_rows;
-        table.for_each_row(self.files.lines(&table.path)?, |row| {
+        table.for_each_row(self.files.lines(&table.source)?, |row| {
             let read_position = || {
                 let id = match &id {
                     Some(column) => column.read_id(row)?,
@@ -227,7 +237,7 @@ impl RunLoader<'_> {
         let (from, to) = (table.bind(&map.from)?, table.bind(&map.to)?);
         let mut ids = BTreeMap::new();
         let bad_rows = &mut self.dataset_run.bad_rows;
-        table.for_each_row(self.files.lines(&table.path)?, |row| {
+        table.for_each_row(self.files.lines(&table.source)?, |row| {
             match (from.read_id(row), to.read_id(row)) {
                 (Ok(from), Ok(to)) => {
                     ids.insert(from, to);
@@ -328,7 +338,7 @@ impl RunLoader<'_> {
         let mut clock = RowClock::new(table.max_gap_nanos);
         let shift_nanos = seconds_to_nanos(common.stamp_shift_s);
         let run = &mut self.dataset_run;
-        table.for_each_row(self.files.lines(&table.path)?, |row| {
+        table.for_each_row(self.files.lines(&table.source)?, |row| {
             let mut read = || {
                 row.check_width()?;
                 let stamp = table.time_nanos(row)?;

@@ -7,6 +7,7 @@ use posebridge_telemetry::{Arena, BeaconId, BrickClock, Fix, Heading, LandmarkId
 
 use super::observation_list::ObservationList;
 use crate::csv_dialect::AmbiguousDialect;
+use crate::ros2::bag::BagError;
 
 /// Limit of the numbers of a run in memory: some forty million readings. Larger than any recording of a small robot.
 pub(super) const MAX_HELD_BYTES: u64 = 1 << 30;
@@ -76,6 +77,8 @@ pub enum BadRowReason {
     OutOfRange,
     /// A landmark or beacon that is not in the map.
     UnknownId,
+    /// A message of a bag that cannot be decoded.
+    Damaged,
 }
 
 impl BadRowReason {
@@ -91,6 +94,7 @@ impl BadRowReason {
             Self::ImpossibleJump => "impossible jump",
             Self::OutOfRange => "out of range",
             Self::UnknownId => "unknown id",
+            Self::Damaged => "damaged message",
         }
     }
 }
@@ -174,6 +178,9 @@ pub enum LoadError {
     Template { run: String, message: String },
     #[error("cannot read {path}: say with --data where the recordings lie")]
     Open { path: String, source: io::Error },
+    /// A bag that cannot be read, or without the topic.
+    #[error("{path}: the bag cannot be read")]
+    Bag { path: String, source: BagError },
     #[error("{path} is damaged or not gzip")]
     Gzip { path: String, source: io::Error },
     /// Larger than any recording of a small robot.

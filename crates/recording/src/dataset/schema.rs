@@ -8,10 +8,11 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::csv_dialect::{DecimalMark, Delimiter};
+use crate::ros2::bag::BagTopic;
 
 use super::column::{
-    Acceleration, Angle, Area, Column, ColumnRef, FiniteNumber, HeadingColumns, Id, Length, Speed, Temperature,
-    TurnRate, WheelTurn,
+    Acceleration, Angle, AngleVariance, Area, Column, ColumnRef, FiniteNumber, HeadingColumns, Id, Length, Speed,
+    Temperature, TurnRate, WheelTurn,
 };
 
 #[derive(Clone, Debug, Deserialize)]
@@ -103,6 +104,12 @@ pub(super) struct TagPosition {
 #[serde(deny_unknown_fields)]
 pub(super) struct FileEntry {
     pub(super) path: Spanned<String>,
+    /// Of a ROS 2 bag; the other keys then have the defaults of [`FileEntry::fill_topic_defaults`].
+    pub(super) topic: Option<String>,
+    /// Names of the joints of the left and the right wheel, in messages of joints.
+    pub(super) joints: Option<[String; 2]>,
+    /// Direction of the range that is taken of a scan.
+    pub(super) bearing_deg: Option<FiniteNumber>,
     /// `None` detects it.
     pub(super) delimiter: Option<Delimiter>,
     pub(super) decimal: Option<DecimalMark>,
@@ -116,6 +123,31 @@ pub(super) struct FileEntry {
     pub(super) max_gap_s: Option<FiniteNumber>,
     #[serde(default)]
     pub(super) order: RowOrder,
+}
+
+impl FileEntry {
+    /// The table that a topic becomes has a header with names, and the times of each message.
+    pub(super) fn fill_topic_defaults(&mut self) {
+        if self.topic.is_none() {
+            return;
+        }
+        let nanos =
+            |name: &str| TimeColumn { column: ColumnRef::Name(name.to_owned()), unit: TimeUnit::Ns, plus: None };
+        self.header_lines = 1;
+        self.delimiter.get_or_insert(Delimiter::Comma);
+        self.decimal.get_or_insert(DecimalMark::Point);
+        self.time.get_or_insert_with(|| nanos("stamp_ns"));
+        self.arrival.get_or_insert_with(|| nanos("log_ns"));
+    }
+
+    /// The topic to read of a bag, if this is one.
+    pub(super) fn bag_topic(&self) -> Option<BagTopic> {
+        Some(BagTopic {
+            name: self.topic.clone()?,
+            joints: self.joints.clone(),
+            bearing_rad: self.bearing_deg.unwrap_or_default().0.to_radians(),
+        })
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -422,6 +454,7 @@ stream! {
         latitude: Option<Column<Angle>>, longitude: Option<Column<Angle>>,
         heading: Option<HeadingColumns>,
         variance_x: Option<Column<Area>>, variance_y: Option<Column<Area>>,
+        variance_heading: Option<Column<AngleVariance>>,
     }
     keys {
         origin: Option<Origin>,
@@ -442,14 +475,16 @@ stream! {
             (None, [false, false]) => Some(false),
             (_, [_, _]) => None,
         };
-        let fits = match (has_position, this.heading_sigma_rad.is_some()) {
+        let heading = this.heading_sigma_rad.is_some() || this.variance_heading.is_some();
+        let is_twice = this.heading_sigma_rad.is_some() && this.variance_heading.is_some();
+        let fits = !is_twice && match (has_position, heading) {
             (None, _) => false,
             (Some(position), true) => position && this.heading.is_some(),
             (Some(true), false) => this.heading.is_none(),
             (Some(false), false) => true,
         };
         let otherwise = "fixes of a position take position_sigma_m or variance_x and variance_y, fixes of a pose also \
-            heading_sigma_rad, or neither";
+            heading_sigma_rad or variance_heading, or neither";
         fits.then_some(()).ok_or_else(|| otherwise.to_owned())
     }
 }

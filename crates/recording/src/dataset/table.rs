@@ -3,7 +3,7 @@
 //! Each line is parsed separately, so that an unbalanced quote invalidates one row and not the rest of the file.
 
 use std::borrow::Cow;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read};
 
 use flate2::bufread::MultiGzDecoder;
 use posebridge_telemetry::Heading;
@@ -12,6 +12,7 @@ use super::column::{Angle, Column, ColumnRef, Dimension, HeadingColumns};
 use super::run::{BadRowReason, LoadError, MAX_HELD_BYTES, RowError};
 use super::schema::{FileEntry, RowOrder, TimeColumn, TimeUnit};
 use crate::csv_dialect::{CsvDialect, DecimalMark, Delimiter, DialectSearch, StatedDialect};
+use crate::ros2::bag::{BagError, BagTopic, DAMAGED};
 
 /// Limit of the unpacked size of a gzip file: no recording of a small robot is so large.
 const MAX_TEXT_BYTES: u64 = 1 << 30;
@@ -37,7 +38,7 @@ pub(super) struct TextLines {
 impl TextLines {
     pub(super) fn open(path: &str, file: Box<dyn Read>) -> Result<Self, LoadError> {
         let mut plain = BufReader::with_capacity(READ_BYTES, file);
-        let beginning = plain.fill_buf().map_err(|source| LoadError::Open { path: path.to_owned(), source })?;
+        let beginning = plain.fill_buf().map_err(|source| unpacked_error(path.to_owned(), source))?;
         let is_packed = beginning.starts_with(&GZIP_MAGIC);
         let reader: Box<dyn BufRead> = if is_packed {
             Box::new(BufReader::with_capacity(READ_BYTES, MultiGzDecoder::new(plain)))
@@ -54,7 +55,7 @@ impl TextLines {
         let path = || self.path.clone();
         let read = read.map_err(|source| {
             let path = path();
-            if self.is_packed { LoadError::Gzip { path, source } } else { LoadError::Open { path, source } }
+            if self.is_packed { LoadError::Gzip { path, source } } else { unpacked_error(path, source) }
         })?;
         if read == 0 {
             return Ok(None);
@@ -76,10 +77,37 @@ impl TextLines {
     }
 }
 
+/// What a bag does not hold is no matter of where it lies.
+fn unpacked_error(path: String, source: io::Error) -> LoadError {
+    if source.kind() == ErrorKind::InvalidData {
+        LoadError::Bag { path, source: BagError::Read(source) }
+    } else {
+        LoadError::Open { path, source }
+    }
+}
+
+/// Where the text of a table comes from.
+#[derive(Clone, Debug)]
+pub(super) struct TableSource {
+    pub(super) file: String,
+    /// Of a bag.
+    pub(super) topic: Option<BagTopic>,
+}
+
+impl TableSource {
+    pub(super) fn name(&self) -> String {
+        match &self.topic {
+            Some(topic) => format!("{}:{}", self.file, topic.name),
+            None => self.file.clone(),
+        }
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct DatasetTable {
-    /// As written in the descriptor.
+    /// As written in the descriptor, with the topic of a bag.
     pub(super) path: String,
+    pub(super) source: TableSource,
     format: TableFormat,
     /// As found, where it is not what the descriptor says or leaves out.
     pub(super) detected: Option<CsvDialect>,
@@ -117,6 +145,8 @@ pub(super) struct TableRow<'a> {
     decimal: DecimalMark,
     /// Of the header; empty without one, or if the descriptor numbers the columns.
     names: &'a [String],
+    /// Of a bag.
+    is_message: bool,
 }
 
 impl TableRow<'_> {
@@ -151,8 +181,15 @@ impl TableRow<'_> {
         RowError::new(BadRowReason::NotNumeric, format!("{}: `{shown}`{hint}", self.column_name(index)))
     }
 
-    /// Rejects a row with more fields than the header has.
+    /// Rejects a row with more fields than the header has, and one that stands for a damaged message.
     pub(super) fn check_width(&self) -> Result<(), RowError> {
+        if self.is_message
+            && let Some(first) = self.fields.first().and_then(|field| field.strip_prefix(DAMAGED))
+        {
+            let rest = self.fields.get(1..).unwrap_or_default();
+            let detail = [&[first], rest].concat().join(", ");
+            return Err(RowError::new(BadRowReason::Damaged, detail));
+        }
         let (names, fields) = (self.names.len(), self.fields.len());
         let is_wider = names > 0 && self.fields.iter().skip(names).any(|field| !field.is_empty());
         if !is_wider {
@@ -210,7 +247,7 @@ impl BoundHeadingColumns {
 
 impl DatasetTable {
     /// Reads the header and as many rows as tell the dialect, and binds the columns that the file entry itself names.
-    pub(super) fn new(mut lines: TextLines, entry: &FileEntry) -> Result<Self, LoadError> {
+    pub(super) fn new(source: TableSource, mut lines: TextLines, entry: &FileEntry) -> Result<Self, LoadError> {
         let path = lines.path.clone();
         let mut header = String::new();
         let mut is_empty = true;
@@ -248,6 +285,7 @@ impl DatasetTable {
         let mut table = Self {
             names,
             path,
+            source,
             detected: (dialect != expected).then_some(dialect),
             format: TableFormat {
                 dialect,
@@ -359,7 +397,7 @@ impl DatasetTable {
             return None;
         }
         let names = if self.format.has_names { self.names.as_slice() } else { &[] };
-        Some(TableRow { line, fields, decimal, names })
+        Some(TableRow { line, fields, decimal, names, is_message: self.source.topic.is_some() })
     }
 
     /// Time base of the data.
@@ -502,7 +540,7 @@ mod tests {
     use super::*;
 
     fn lines_of(bytes: &[u8]) -> Result<Vec<(usize, String)>, LoadError> {
-        let mut lines = TextLines::open("a.csv", Box::new(std::io::Cursor::new(bytes.to_vec())))?;
+        let mut lines = TextLines::open("a.csv", Box::new(io::Cursor::new(bytes.to_vec())))?;
         let mut found = Vec::new();
         while let Some((line, text)) = lines.next()? {
             found.push((line, text.into_owned()));
@@ -527,7 +565,7 @@ mod tests {
 
     #[test]
     fn a_line_without_end_is_refused_before_it_fills_the_memory() {
-        let endless = std::io::repeat(b'1');
+        let endless = io::repeat(b'1');
         let mut lines = TextLines::open("a.csv", Box::new(endless)).unwrap();
         assert!(matches!(lines.next(), Err(LoadError::LongLine { line: 1, .. })));
         assert!(lines.line.len() <= MAX_LINE_BYTES + 1);

@@ -17,7 +17,9 @@
 //! # Sources
 //! REP 103 and REP 105 for axes and frames; the MCAP profile `ros2`; rosbag2's storage plugin for the metadata of channels.
 
+pub mod bag;
 mod cdr;
+mod cdr_reader;
 mod definitions;
 mod encoder;
 mod frames;

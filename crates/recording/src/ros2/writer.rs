@@ -95,6 +95,19 @@ impl<W: Write> RosBagWriter<W> {
         Ok(())
     }
 
+    /// Ends the chunk, writes everything to `W` and flushes it: all messages until here survive a crash of the program.
+    ///
+    /// # Errors
+    /// Writing failed, now or before.
+    pub fn flush(&mut self) -> Result<(), RosBagError> {
+        Ok(self.mcap.flush()?)
+    }
+
+    /// Messages written so far.
+    pub const fn messages(&self) -> u64 {
+        self.messages
+    }
+
     /// Ends the file with its summary; returns `W` and the number of messages.
     ///
     /// # Errors

@@ -13,6 +13,7 @@ mod golden_outputs;
 mod protobuf;
 mod published_figures;
 mod ros2;
+mod ros2_bags;
 
 use std::cell::RefCell;
 use std::io::{Result as IoResult, Write};

@@ -7,7 +7,7 @@ use posebridge_telemetry::{
     Arena, Body, Fix, Heading, Meters, ObservationKind, Odom, Point2, Pose, PositionCovariance, Transform2,
 };
 
-use super::super::column::{Angle, Area, Column, FiniteNumber, Length};
+use super::super::column::{Angle, AngleVariance, Area, Column, FiniteNumber, Length};
 use super::super::run::{BadRowReason, LoadError, RowError};
 use super::super::schema::{Fixes, Odometer, TagPosition, Truth};
 use super::super::table::{BoundColumn, DatasetTable, TableRow};
@@ -70,6 +70,7 @@ struct UncertaintyColumns {
     position_sigma_m: Option<f64>,
     variances: Option<(BoundColumn<Area>, BoundColumn<Area>)>,
     heading_sigma_rad: Option<f64>,
+    heading_variance: Option<BoundColumn<AngleVariance>>,
 }
 
 impl UncertaintyColumns {
@@ -80,6 +81,7 @@ impl UncertaintyColumns {
             position_sigma_m: stream.position_sigma_m.map(|sigma| sigma.0),
             variances: x.zip(y),
             heading_sigma_rad: stream.heading_sigma_rad.map(|sigma| sigma.0),
+            heading_variance: table.bind_optional(stream.variance_heading.as_ref())?,
         })
     }
 
@@ -89,16 +91,20 @@ impl UncertaintyColumns {
             (None, Some(sigma_m)) => (sigma_m * sigma_m, sigma_m * sigma_m),
             (None, None) => return Ok(None),
         };
+        let heading_rad2 = match (&self.heading_variance, self.heading_sigma_rad) {
+            (Some(column), _) => column.read(row)?,
+            (None, Some(sigma_rad)) => sigma_rad * sigma_rad,
+            (None, None) => f64::INFINITY,
+        };
+        if heading_rad2 <= 0.0 {
+            let detail = format!("a variance of the heading of {heading_rad2} rad2");
+            return Err(RowError::new(BadRowReason::OutOfRange, detail));
+        }
         if xx_m2 <= 0.0 || yy_m2 <= 0.0 {
             let detail = format!("variances of {xx_m2} and {yy_m2} m2");
             return Err(RowError::new(BadRowReason::OutOfRange, detail));
         }
-        Ok(Some(PositionCovariance {
-            xx_m2,
-            xy_m2: 0.0,
-            yy_m2,
-            heading_rad2: self.heading_sigma_rad.map_or(f64::INFINITY, |sigma| sigma * sigma),
-        }))
+        Ok(Some(PositionCovariance { xx_m2, xy_m2: 0.0, yy_m2, heading_rad2 }))
     }
 }
 

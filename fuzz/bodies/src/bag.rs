@@ -1,0 +1,45 @@
+//! Bags of ROS 2: any bytes end in topics or a refusal, and what is chosen of them can be loaded.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use posebridge_recording::dataset::{Descriptor, LoadOptions, load};
+use posebridge_recording::ros2::bag::{BagPlan, BagSummary, WheelGeometry};
+use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians, Wiring};
+
+const GEOMETRY: DriveGeometry = DriveGeometry {
+    left_wheel_radius: Meters(1.0),
+    right_wheel_radius: Meters(1.0),
+    track_width: Meters(1.0),
+    tick: Radians(1.0),
+};
+
+/// Input: one byte that says whether the wheels are known, then the file.
+pub(crate) fn check(data: &[u8]) {
+    let [options, file @ ..] = data else {
+        return;
+    };
+    let Ok(summary) = BagSummary::read(file) else {
+        return;
+    };
+    let geometry = if options & 1 == 0 { WheelGeometry::Unknown } else { WheelGeometry::Known };
+    let messages: u64 = summary.topics.iter().map(|topic| topic.messages).sum();
+    let Ok(plan) = BagPlan::new(&summary, "bag", "bag.mcap", geometry) else {
+        return;
+    };
+    let descriptor = match Descriptor::from_toml(&plan.descriptor) {
+        Ok(descriptor) => descriptor,
+        Err(error) => panic!("{error} in {}", plan.descriptor),
+    };
+    let options = LoadOptions { run: "bag", geometry: GEOMETRY, wiring: Wiring::default(), use_every: None };
+    let run = match load(&descriptor, options, &mut |_: &Path| Ok(Box::new(Cursor::new(file.to_vec())))) {
+        Ok(run) => run,
+        Err(error) => panic!("{error} of {}", plan.descriptor),
+    };
+    assert!(run.observations.iter().count() as u64 <= messages);
+    for timed in run.observations.iter() {
+        if let ObservationKind::WallRange(range) = timed.observation.measurement {
+            assert!(range.0.is_finite() && range.0 >= 0.0, "{timed:?}");
+        }
+    }
+}
