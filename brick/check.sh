@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The brick SDK as compilers and interpreters of robots see it: sizes on an ATmega328P, the Arduino example, the NXC program, MicroPython, and
-# the filters on an ATmega328P, a Cortex-M4F, an NXT and under MicroPython.
+# the filters on an ATmega328P, a Cortex-M4F, an NXT and under MicroPython. Beside it the stock MAVLink library on a simulated Uno, as a robot of the
+# real program: POSEBRIDGE names one, else cargo builds it.
 # What `cargo test -p posebridge-brick` checks needs gcc and Python only; this needs tools that it installs itself, without
 # root, into target/brick. A tool that cannot be had ends it with 1 and the reason. Run it from anywhere.
 set -euo pipefail
@@ -190,6 +191,31 @@ check_arduino() {
     ((flash <= 32256 && ram <= 1536)) || fail "the Arduino example does not fit an Uno"
 }
 
+# The stock C library, which mavgen makes from common.xml, in a sketch on a simulated Uno, in real time on a pseudo-terminal.
+check_stock_mavlink() {
+    local library="$made/stock_mavlink" here="$brick/check/stock_mavlink" posebridge="${POSEBRIDGE:-}" native="$tools/root/usr/lib/x86_64-linux-gnu" common
+    common="$(echo "$python"/lib/python3*/site-packages/pymavlink/dialects/v20/common.xml)"
+    rm -rf "$library"
+    mkdir -p "$library"
+    "$python/bin/python" -m pymavlink.tools.mavgen --no-validate --lang=C --wire-protocol=2.0 --output="$library/c" "$common" >"$library/mavgen.log" 2>&1 ||
+        fail "mavgen makes no C library: $(tail -1 "$library/mavgen.log")"
+    avr-g++ -std=gnu++11 -fno-exceptions -fno-threadsafe-statics -Wall -Wextra -Werror "${flags[@]}" \
+        -isystem "$library/c" -include Arduino.h -x c++ -c "$here/stock_mavlink.ino" -o "$library/sketch.o"
+    rm -f "$objects/sketch.o"
+    avr-gcc -mmcu=atmega328p -Os -Wl,--gc-sections "$objects"/*.o "$library/sketch.o" -lm -o "$library/sketch.elf"
+    read -r flash ram <<<"$(sizes "$library/sketch.elf")"
+    printf 'stock MAVLink: with Arduino'\''s core: %d of 32256 B flash, %d of 2048 B RAM\n' "$flash" "$ram"
+    ((flash <= 32256 && ram <= 1700)) || fail "the stock MAVLink library does not fit an Uno"
+    avr-objcopy -O binary "$library/sketch.elf" "$library/sketch.bin"
+    gcc -O2 -Wall -Wextra -Werror -I "$tools/root/usr/include/simavr" "$here/run_uno.c" "$native/libsimavr.a" "$native/libelf.so.1" \
+        "-Wl,-rpath,$native" -o "$library/run_uno"
+    if [[ -z "$posebridge" ]]; then
+        (cd "$root" && cargo build --quiet --locked --package posebridge)
+        posebridge="${CARGO_TARGET_DIR:-$root/target}/debug/posebridge"
+    fi
+    python3 -B "$here/check.py" "$posebridge" "$library/run_uno" "$library/sketch.bin" "$library/run"
+}
+
 # nbc looks for included files where it writes, unless it is told where they are.
 check_nxc() {
     LD_LIBRARY_PATH="$libraries" nbc -v=128 -Z2 "-I=$brick/nxc/" "-O=$made/posebridge.rxe" "-L=$made/posebridge.lst" \
@@ -253,6 +279,7 @@ trap 'kill "$filters" 2>/dev/null || true' EXIT
 vectors_are_those_of_make_py
 check_sizes
 check_arduino
+check_stock_mavlink
 check_nxc
 check_square_log
 check_micropython

@@ -60,6 +60,24 @@ PYTHON
     touch "$dialect/complete"
 }
 
+# The stock C library as mavgen makes it, with the standard messages alone. Sets `c_library`.
+install_c_library() {
+    local standard
+    standard="$(standard_definitions)" || fail "cargo does not tell where the definitions of the standard messages are"
+    c_library="$made/c-library-$(fingerprint "$standard"/{common,standard,minimal}.xml "$here/install.sh" "$here/requirements.txt")"
+    [[ -f "$c_library/complete" ]] && return
+    rm -rf "$made"/c-library-*
+    mkdir -p "$c_library"
+    "$python" - "$standard/common.xml" "$c_library" >"$c_library/log" 2>&1 <<'PYTHON' || fail "mavgen makes no C library: $(tail -1 "$c_library/log")"
+import sys
+from pymavlink.generator import mavgen
+
+options = mavgen.Opts(sys.argv[2], wire_protocol="2.0", language="C", validate=False)
+mavgen.mavgen(options, [sys.argv[1]]) or sys.exit("common in C")
+PYTHON
+    touch "$c_library/complete"
+}
+
 # Programs of pymavlink and MAVProxy look for a dialect among their own.
 show_dialect_to_pymavlink() {
     local theirs

@@ -51,7 +51,7 @@ struct EstimateMetric {
 
 #[rustfmt::skip]
 const ESTIMATE_METRICS: &[EstimateMetric] = &[
-    EstimateMetric { name: "reset_counter", help: "Jumps of the estimate that were no motion, modulo 256.", read: |of, _| Some(f64::from(of.reset_counter)) },
+    EstimateMetric { name: "estimate_resets", help: "Jumps of the estimate that were no motion, modulo 256.", read: |of, _| Some(f64::from(of.reset_counter)) },
     EstimateMetric { name: "position_ellipse_metres", help: "Half the longer axis of the 95 % ellipse.", read: |of, _| of.major_m.get() },
     EstimateMetric { name: "heading_sigma_radians", help: "One standard deviation of the heading.", read: |of, _| of.heading_sigma_rad.get() },
     EstimateMetric { name: "estimate_age_seconds", help: "Time since the last estimate.", read: |of, now_s| Some(age_s(of, now_s)) },
