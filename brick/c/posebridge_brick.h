@@ -2,7 +2,7 @@
  * What a weak robot says to posebridge and hears from it: one header, C99 (and C++), no heap, no table, integers only.
  *
  * Transmit:   pb_send_heartbeat, pb_send_ticks, pb_send_inertial (pb_gyro_sample and pb_gyro_take fill it),
- *             pb_send_description
+ *             pb_send_description, pb_send_battery
  * Receive:    pb_receive, if PB_RECEIVE is defined before this file is included: takes estimates, answers questions for the time
  *
  *     static void out(void *context, uint8_t byte) { uart_write(byte); }
@@ -122,6 +122,8 @@ typedef struct {
 #define PB_EXTRA_HEARTBEAT 50u
 #define PB_ID_TIMESYNC 111u
 #define PB_EXTRA_TIMESYNC 34u
+#define PB_ID_BATTERY 147u
+#define PB_EXTRA_BATTERY 154u
 #define PB_ID_WHEEL_TICKS 42100u
 #define PB_EXTRA_WHEEL_TICKS 170u
 #define PB_ID_INERTIAL 42101u
@@ -209,6 +211,23 @@ PB_API void pb_send_inertial(pb_link *link, const pb_inertial *inertial)
 PB_API void pb_send_description(pb_link *link, const pb_description *robot)
 {
     pb_send(link, PB_ID_DESCRIPTION, PB_EXTRA_DESCRIPTION, robot, 40);
+}
+
+/*
+ * Says how full the battery is, once a second or more rarely: millivolts of all cells together, less than 65535; percent 0 to 100, -1 if
+ * unknown. BATTERY_STATUS: consumption, temperature, current and all cells but the first are unknown.
+ */
+PB_API void pb_send_battery(pb_link *link, uint16_t millivolts, int8_t percent)
+{
+    uint8_t payload[36];
+    memset(payload, 0xFF, sizeof payload);
+    payload[9] = 0x7F;
+    memcpy(payload + 10, &millivolts, 2);
+    payload[32] = 0;
+    payload[33] = 1; /* of everything */
+    payload[34] = 0;
+    payload[35] = (uint8_t)percent;
+    pb_send(link, PB_ID_BATTERY, PB_EXTRA_BATTERY, payload, sizeof payload);
 }
 
 /* ---- gyro ----------------------------------------------------------------------------------------------------------- */

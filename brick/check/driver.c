@@ -75,6 +75,12 @@ static void inertial(pb_link *link)
     pb_send_inertial(link, &inertial);
 }
 
+static void battery(pb_link *link)
+{
+    uint16_t millivolts = (uint16_t)number();
+    pb_send_battery(link, millivolts, (int8_t)number());
+}
+
 static void description(pb_link *link)
 {
     pb_description robot;
@@ -184,6 +190,8 @@ int main(void)
                 wheel_ticks(&link);
             else if (strcmp(command, "inertial") == 0)
                 inertial(&link);
+            else if (strcmp(command, "battery") == 0)
+                battery(&link);
             else if (strcmp(command, "description") == 0)
                 description(&link);
             else if (strcmp(command, "gyro") == 0)

@@ -79,6 +79,8 @@ def answer(line):
         link.wheel_ticks(*numbers)
     elif words[0] == "inertial":
         link.inertial(numbers[0], numbers[1], numbers[2], numbers[5], numbers[3:5])
+    elif words[0] == "battery":
+        link.battery(*numbers)
     elif words[0] == "gyro":
         gyro(link, numbers)
     return "".join(sent)

@@ -2,6 +2,7 @@
 #
 #     link = Link(write)                          write takes the bytes of one frame
 #     link.heartbeat()                            once per second
+#     link.battery(millivolts, percent)           once per second or more rarely, if you measure it
 #     link.wheel_ticks(time_us, left, right)      10 to 50 times per second: totals, never increments
 #     receiver = Receiver(link)
 #     for pose in receiver.feed(data, now_us): ...
@@ -32,6 +33,7 @@ _U32 = 0xFFFFFFFF
 # Ids with the hash of each definition that ends its checksum (computed by mavgen).
 _HEARTBEAT = (0, 50)
 _TIMESYNC = (111, 34)
+_BATTERY = (147, 154)
 _WHEEL_TICKS = (42100, 170)
 _INERTIAL = (42101, 94)
 _NAMED_VALUE_FLOAT = (251, 170)
@@ -94,6 +96,12 @@ class Link:
         """How the robot is built: left and right radius; noise and resolution of the gyro in rad/s; up to 16 bytes of name."""
         numbers = (radii_m[0], radii_m[1], track_m, ticks_per_turn, gyro[0], gyro[1])
         self._send(_ROBOT_DESCRIPTION, struct.pack("<ffffff16s", *numbers, name[:16]))
+
+    def battery(self, millivolts, percent=-1):
+        """How full the battery is, once a second or more rarely: all cells together, below 65535; 0 to 100, -1 if unknown."""
+        unknown = b"\xff" * 8 + b"\xff\x7f"
+        told = struct.pack("<H", millivolts) + b"\xff" * 20 + struct.pack("<BBBb", 0, 1, 0, percent)
+        self._send(_BATTERY, unknown + told)
 
     def answer_time(self, payload, asker, now_us):
         """Answers a question for the time, if it is one and for us."""

@@ -2,8 +2,8 @@
 """Makes vectors.txt: the bytes that every brick SDK must make and understand.
 
 They come from a foreign implementation: the Python that pymavlink's generator (mavgen) makes of
-protocol/definitions/posebridge.xml, and for HEARTBEAT the common dialect that pymavlink ships. The TIMESYNC there has no
-address of the one who is asked yet, so its definition with that address stands below and goes through mavgen, too.
+protocol/definitions/posebridge.xml, and for HEARTBEAT and BATTERY_STATUS the common dialect that pymavlink ships. The
+TIMESYNC there has no address of the one who is asked yet, so its definition with that address stands below and goes through mavgen, too.
 Nothing of this project encodes a byte here. Sums over gyro samples are exact fractions.
 
     python3 -m venv venv && venv/bin/pip install -r brick/vectors/requirements.txt
@@ -123,6 +123,16 @@ def heartbeats():
     for sender in [(0, 1, 1), (1, 1, 1), (255, 254, 200), (253, 42, 7)]:
         message = common.MAVLink_heartbeat_message(10, 0, 0, 0, 4, 3)
         sent(sender, "heartbeat", [], packed(common, sender, message))
+
+
+def batteries():
+    print("\n# battery <..> <millivolts> <percent, -1: unknown>")
+    unknown = 65535
+    for index, (millivolts, percent) in enumerate([(7910, 80), (6200, 0), (65534, 100), (0, -1)]):
+        sender = (index, 1, 1)
+        message = common.MAVLink_battery_status_message(
+            0, 1, 0, 32767, [millivolts] + [unknown] * 9, -1, -1, -1, percent)
+        sent(sender, "battery", [millivolts, percent], packed(common, sender, message))
 
 
 def wheel_ticks():
@@ -353,8 +363,9 @@ def gyros():
 def main():
     print("# Bytes that every brick SDK must make and understand. Made by brick/vectors/make.py, never by hand:")
     print(f"# pymavlink {version('pymavlink')} (mavgen, wire protocol 2.0) from protocol/definitions/posebridge.xml; HEARTBEAT")
-    print("# from pymavlink's own common dialect; TIMESYNC as make.py says. README.md says how a line is read.")
+    print("# and BATTERY_STATUS from pymavlink's own common dialect; TIMESYNC as make.py says. README.md says how a line is read.")
     heartbeats()
+    batteries()
     wheel_ticks()
     inertials()
     descriptions()

@@ -22,6 +22,7 @@ pub(crate) struct Kind {
 
 pub(crate) const HEARTBEAT: Kind = kind(0, 50, 9);
 pub(crate) const TIMESYNC: Kind = kind(111, 34, 18);
+pub(crate) const BATTERY: Kind = kind(147, 154, 36);
 pub(crate) const WHEEL_TICKS: Kind = kind(42_100, 170, 13);
 pub(crate) const INERTIAL: Kind = kind(42_101, 94, 15);
 pub(crate) const PLANAR_POSE: Kind = kind(42_102, 53, 52);

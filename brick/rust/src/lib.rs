@@ -49,7 +49,7 @@ mod receiver;
 
 pub use gyro::Gyro;
 pub use link::{Link, Sink};
-pub use messages::{Inertial, InertialParts, PlanarPose, RobotDescription, Sides, TimeRequest, WheelTicks};
+pub use messages::{Battery, Inertial, InertialParts, PlanarPose, RobotDescription, Sides, TimeRequest, WheelTicks};
 pub use receiver::{Received, Receiver};
 
 /// The program on the page for newcomers compiles.

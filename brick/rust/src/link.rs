@@ -1,7 +1,7 @@
 //! The sending half: one participant on one link.
 
-use crate::frame::{Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS};
-use crate::messages::{Inertial, RobotDescription, TimeRequest, WheelTicks};
+use crate::frame::{BATTERY, Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS};
+use crate::messages::{Battery, Inertial, RobotDescription, TimeRequest, WheelTicks};
 
 /// MAV_TYPE_GROUND_ROVER (minimal.xml).
 const GROUND_ROVER: u8 = 10;
@@ -11,6 +11,11 @@ const GENERIC_AUTOPILOT: u8 = 0;
 const ACTIVE: u8 = 4;
 /// The version of MAVLink that HEARTBEAT names.
 const MAVLINK_VERSION: u8 = 3;
+/// MAV_BATTERY_FUNCTION_ALL (common.xml).
+const BATTERY_OF_ALL: u8 = 1;
+/// What BATTERY_STATUS says of temperature, and of consumption, current and cells, where they are not known.
+const TEMPERATURE_UNKNOWN: i16 = i16::MAX;
+const UNKNOWN: u8 = 0xFF;
 /// Bytes of a name in PB_ROBOT_DESCRIPTION.
 const NAME_BYTES: usize = 16;
 
@@ -73,6 +78,19 @@ impl Link {
             .put(inertial.accel_right.to_le_bytes())
             .put([inertial.valid.0]);
         self.send(INERTIAL, &payload, sink);
+    }
+
+    /// Says how full the battery is: once a second or more rarely.
+    pub fn battery(&mut self, battery: &Battery, sink: &mut impl Sink) {
+        let percent = battery.percent.map_or([UNKNOWN], |percent| [percent]);
+        let payload = Payload::new()
+            .put([UNKNOWN; 8])
+            .put(TEMPERATURE_UNKNOWN.to_le_bytes())
+            .put(battery.millivolts.to_le_bytes())
+            .put([UNKNOWN; 20])
+            .put([0, BATTERY_OF_ALL, 0])
+            .put(percent);
+        self.send(BATTERY, &payload, sink);
     }
 
     /// Says how the robot is built: at the start, and every few seconds for stations that come later.

@@ -68,6 +68,15 @@ pub struct Inertial {
     pub valid: InertialParts,
 }
 
+/// The robot's battery: BATTERY_STATUS.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Battery {
+    /// All cells together; 65535 stands for unknown.
+    pub millivolts: u16,
+    /// Of a full one, 0 to 100.
+    pub percent: Option<u8>,
+}
+
 /// The robot's own build, so that any station knows it: PB_ROBOT_DESCRIPTION.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RobotDescription<'a> {

@@ -4,6 +4,7 @@
 //! Some bricks only answer requests. Their codec makes the requests: [`BrickCodec::poll`] returns them, and
 //! [`BrickCodec::deadline`] is the time of the next request or timeout.
 
+mod battery;
 pub mod camera_json;
 mod codec;
 mod counters;

@@ -66,6 +66,7 @@ fn short(event: CodecEvent<'_>) -> Option<String> {
                 Message::Thermometer { stamp: at, channel, temperature } => {
                     format!("{}: {channel} {:.2}", stamp(at), temperature.0)
                 }
+                Message::BatteryStatus(battery) => format!("battery {:?} V", battery.voltage_v),
                 other => panic!("{other:?}"),
             }
         }
@@ -140,6 +141,22 @@ fn a_distance_is_in_metres_and_absent_without_a_target() {
     assert_eq!(decode(wheels_and_distance, "5,7,8,0\n"), ["5 us: wheels 7 8"]);
     for (name, value, range) in [("distance_mm", "1250", "1.2500"), ("distance_m", "1.25", "1.2500")] {
         assert_eq!(decode(columns(&["time_ms", name]), &format!("9,{value}\n")), [format!("9 ms: range {range}")]);
+    }
+}
+
+#[test]
+fn the_battery_is_a_column_or_a_key_and_told_once_a_second() {
+    let keys = [("l", "left_ticks"), ("r", "right_ticks"), ("bat", "battery_v")];
+    let mut board = codec(pairs(&keys, Separator::Blank, Separator::Equals));
+    let told = push(&mut *board, at(1_000), b"l=1 r=2 bat=7.9\n");
+    assert_eq!(told, ["time", "960000..1000000 us: wheels 1 2", "battery Some(7.9) V"]);
+    let mut board = codec(columns(&["time_ms", "battery_v"]));
+    assert_eq!(push(&mut *board, at(1_000), b"1000,7.4\n"), ["battery Some(7.4) V"]);
+    assert_eq!(push(&mut *board, at(1_999), b"1999,7.3\n"), [""; 0]);
+    assert_eq!(push(&mut *board, at(2_000), b"2000,7.2\n"), ["battery Some(7.2) V"]);
+    for wrong in ["7900", "-1", "nan", "full"] {
+        let told = push(&mut *board, at(4_000), format!("4000,{wrong}\n").as_bytes());
+        assert!(told[0].starts_with("UnframedBytes"), "{wrong}: {told:?}");
     }
 }
 

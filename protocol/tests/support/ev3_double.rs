@@ -25,6 +25,8 @@ pub(crate) struct Ev3Double {
     pub(crate) sensors: [Option<PluggedSensor>; 4],
     /// Sensors that are not there make a command fail; otherwise they show no number.
     pub(crate) failure: FailureMode,
+    /// Volts and amperes, and per cent; `None` if the firmware does not know the command.
+    pub(crate) battery: Option<([f32; 2], u8)>,
     pub(crate) telegrams: usize,
     pub(crate) is_waiting: bool,
 }
@@ -54,6 +56,7 @@ impl Default for Ev3Double {
             counts: curve,
             sensors: [None, Some(gyro), None, None],
             failure: FailureMode::NanValue,
+            battery: Some(([7.5, 0.25], 80)),
             telegrams: 0,
             is_waiting: false,
         }
@@ -105,6 +108,15 @@ impl Ev3Double {
                     let port = constant(&mut code) as usize;
                     let count = (self.counts)(now.as_secs_f64())[port];
                     store(memory, variable(&mut code), count.to_le_bytes());
+                }
+                0x81 => {
+                    let ([volts, amperes], percent) = self.battery?;
+                    match constant(&mut code) {
+                        0x01 => store(memory, variable(&mut code), volts.to_le_bytes()),
+                        0x02 => store(memory, variable(&mut code), amperes.to_le_bytes()),
+                        0x12 => memory[variable(&mut code)] = percent,
+                        other => panic!("subcommand {other:02x} of UI_READ"),
+                    }
                 }
                 0x99 => {
                     assert_eq!(next_byte(&mut code), 0x1D, "READY_SI");

@@ -1,4 +1,4 @@
-//! The MAVLink 2 messages of a brick, as component 1 of its system: wheels, inertial readings, description.
+//! The MAVLink 2 messages of a brick, as component 1 of its system: wheels, inertial readings, battery, description.
 //!
 //! Compact readings are encoded by the SDK of real robots, so that each run tests it. The station decodes with `protocol`, which is an
 //! independent implementation.
@@ -6,7 +6,7 @@
 use posebridge_brick::{Inertial, InertialParts, Sides, WheelTicks};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{
-    Heartbeat, ImuMessage, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp,
+    Battery, Heartbeat, ImuMessage, Message, OdometryPose, PlanarImu, RobotDescription, WireStamp,
 };
 use posebridge_telemetry::{
     Address, Arena, BrickClock, Celsius, ChannelName, DriveGeometry, Meters, MetersPerSecondSquared, Pose,
@@ -15,13 +15,17 @@ use posebridge_telemetry::{
 
 use crate::clock::{STEP, register_micros};
 use crate::mavlink_node::{IntervalRequest, MavlinkNode};
-use crate::scenario::{BrickSettings, Scenario, ThermometerSettings, Wire};
+use crate::scenario::{BrickSettings, Personality, Scenario, ThermometerSettings, Wire};
 use crate::sensors::{InertialReading, SensorBoard};
 use crate::wheels::PerWheel;
 
 /// The brick's address on the link, unless its scenario gives it another system.
 pub const BRICK: Address = Address::new(1, 1);
 const NAME: &str = "simulated brick";
+const BATTERY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
+/// Two lithium cells, empty and full: 3.2 and 4.2 V each.
+const EMPTY_V: f64 = 6.4;
+const FULL_V: f64 = 8.4;
 
 #[derive(Debug)]
 pub(crate) struct BrickMessenger {
@@ -54,7 +58,7 @@ impl BrickMessenger {
         self.settings.address_of(BRICK)
     }
 
-    pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard) {
+    pub(crate) fn step(&mut self, now: Timestamp<BrickClock>, board: &mut SensorBoard, battery_v: f64) {
         let requests = self.node.tick(register_time(self.settings.wire, now));
         self.apply_requests(now, &requests);
         let next = |message: &mut ScheduledMessage| message.take_due(now).then_some(message.topic);
@@ -62,6 +66,7 @@ impl BrickMessenger {
             match topic {
                 Topic::Wheels => self.send_wheels(now, board.counts()),
                 Topic::Inertial => self.send_inertial(now, board),
+                Topic::Battery => self.node.send(&battery_status(battery_v)),
                 Topic::Description => self.node.send(&self.description()),
                 Topic::Thermometer => {
                     if let Some(message) = self.temperature(now, board) {
@@ -159,6 +164,15 @@ impl BrickMessenger {
     }
 }
 
+fn battery_status(voltage_v: f64) -> Message {
+    let share = (voltage_v - EMPTY_V) / (FULL_V - EMPTY_V);
+    Message::BatteryStatus(Battery {
+        voltage_v: Some(voltage_v),
+        current_a: None,
+        remaining: Some(share.clamp(0.0, 1.0)),
+    })
+}
+
 /// The brick's clock as other systems read it: a register that wraps, or 64 bits that do not.
 fn register_time(wire: Wire, now: Timestamp<BrickClock>) -> Timestamp<BrickClock> {
     match wire {
@@ -193,6 +207,7 @@ const DESCRIPTION_PERIOD: TimeDelta = TimeDelta::from_millis(5_000);
 enum Topic {
     Wheels,
     Inertial,
+    Battery,
     Description,
     Thermometer,
 }
@@ -238,6 +253,10 @@ fn schedule(
         message(Topic::Wheels, wheels, telemetry),
         message(Topic::Inertial, inertial, telemetry),
     ];
+    // The program of an NXT leaves that to the firmware, which is asked.
+    if settings.personality == Personality::Mavlink {
+        schedule.push(message(Topic::Battery, ids::BATTERY_STATUS, BATTERY_PERIOD));
+    }
     schedule.extend(thermometer.map(|settings| {
         let message_id = if settings.is_scaled_pressure() { ids::SCALED_PRESSURE } else { ids::NAMED_VALUE_FLOAT };
         message(Topic::Thermometer, message_id, TimeDelta::from_secs_f64(1.0 / settings.rate_hz))

@@ -79,7 +79,7 @@ impl Brick {
         match &mut self.emulation {
             BrickEmulation::Mavlink(messenger) => {
                 self.duty = self.program.step(when.now, board.counts());
-                messenger.step(when.now, board);
+                messenger.step(when.now, board, body.battery_v);
             }
             BrickEmulation::Text(printer) => {
                 self.duty = self.program.step(when.now, board.counts());

@@ -4,7 +4,7 @@ use crate::support::{bundled, count, last, messages, run};
 use posebridge_protocol::dialect::{Encoder, ids};
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
-    Message, PlanarPose, PoseFlags, SetMessageInterval, TimeSync, WheelTicks, WireStamp,
+    Battery, Message, PlanarPose, PoseFlags, SetMessageInterval, TimeSync, WheelTicks, WireStamp,
 };
 use posebridge_sim::scenario::{BrickProgram, Personality, Wire};
 use posebridge_sim::{BRICK, CAMERA, Scenario, Simulation, Steering};
@@ -73,6 +73,30 @@ fn the_standard_wire_uses_standard_messages_only() {
     assert_eq!(count(&received, |message| matches!(message, Message::WheelDistance { .. })), 40);
     assert_eq!(count(&received, |message| matches!(message, Message::Imu(_))), 40);
     assert_eq!(count(&received, |message| matches!(message, Message::WheelTicks(_) | Message::Inertial(_))), 0);
+}
+
+#[test]
+fn the_battery_is_told_each_second_until_another_interval_is_asked_for() {
+    let mut scenario = Scenario::default();
+    (scenario.robot.battery_v, scenario.robot.battery_drop_v_per_min) = (7.4, 60.0);
+    let mut simulation = Simulation::new(scenario);
+    let told = |received: &[(Address, Message)]| -> Vec<Battery> {
+        let batteries = received.iter().filter_map(|(from, message)| match message {
+            Message::BatteryStatus(battery) => Some((*from, *battery)),
+            _ => None,
+        });
+        batteries.map(|(from, battery)| if from == BRICK { battery } else { panic!("{from:?}") }).collect()
+    };
+    // A volt in each second, from 7.4 V; two lithium cells are empty at 6.4 and full at 8.4 V.
+    let batteries = told(&listen(&mut simulation, 1_990));
+    let expected = [(7.4, 0.5), (6.4, 0.0)];
+    assert_eq!(batteries.len(), expected.len());
+    for (battery, (volts, share)) in batteries.iter().zip(expected) {
+        assert!((battery.voltage_v.unwrap() - volts).abs() < 2e-3, "{battery:?}");
+        assert!((battery.remaining.unwrap() - share).abs() < 1e-9 && battery.current_a.is_none(), "{battery:?}");
+    }
+    simulation.receive(&request_interval(BRICK, ids::BATTERY_STATUS, None));
+    assert_eq!(told(&listen(&mut simulation, 2_000)), []);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use posebridge_brick::{
-    Gyro, Inertial, InertialParts, Link, PlanarPose, Received, Receiver, RobotDescription, Sides, WheelTicks,
+    Battery, Gyro, Inertial, InertialParts, Link, PlanarPose, Received, Receiver, RobotDescription, Sides, WheelTicks,
 };
 
 /// A line of the vector file.
@@ -76,6 +76,10 @@ pub(crate) fn rust_answer(command: &str) -> String {
                 accel_right: number(7) as i16,
                 valid: InertialParts(number(8) as u8),
             },
+            &mut sink,
+        ),
+        "battery" => link.battery(
+            &Battery { millivolts: number(3) as u16, percent: u8::try_from(number(4)).ok() },
             &mut sink,
         ),
         "description" => describe(&mut link, &rest[3..], &mut sink),

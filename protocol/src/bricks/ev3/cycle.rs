@@ -1,4 +1,4 @@
-//! One cycle: the request that reads clock, motors and sensors, and the values of its reply.
+//! One cycle: the request that reads clock, motors and sensors, and the values of its reply; and those of the battery.
 //!
 //! The clock is read first, microseconds before the rest: the firmware runs the bytecodes of a telegram without a break.
 
@@ -7,7 +7,8 @@ use posebridge_telemetry::{EncoderTicks, Radians, RadiansPerSecond, TimeDelta};
 use super::sensors::{CycleSensors, MAX_SENSORS, SensorBank, SensorRole, TurnAccumulator};
 use super::settings::{Ev3Settings, GyroMounting, GyroReading, GyroSettings, MotorDirection};
 use super::telegrams::DirectCommand;
-use crate::message::{Inertial, Message, WheelTicks, WireStamp};
+use crate::bricks::battery::plausible_battery;
+use crate::message::{Battery, Inertial, Message, WheelTicks, WireStamp};
 
 const VALUE_BYTES: usize = 4;
 /// Largest rate of LEGO's gyros (EV3: 440 degrees per second) with a factor of two; more is damage.
@@ -50,6 +51,24 @@ pub(super) fn decode_reply(answer: &[u8], included: CycleSensors) -> Option<Cycl
         }
     }
     Some(CycleValues { micros, counts, sensors })
+}
+
+/// Largest current, A: four stalled large motors draw 1.8 each at 9 V (Philohome).
+const MAX_CURRENT_A: f32 = 10.0;
+
+/// Volts and amperes as f32, per cent in a byte. `None` if the voltage is none of a battery.
+pub(super) fn decode_battery(answer: &[u8]) -> Option<Battery> {
+    let (numbers, rest) = answer.as_chunks::<VALUE_BYTES>();
+    let [voltage_v, current_a] = *numbers else {
+        return None;
+    };
+    let current_a = f32::from_le_bytes(current_a);
+    let percent = rest.first().filter(|percent| **percent <= 100);
+    Some(Battery {
+        current_a: (current_a.abs() <= MAX_CURRENT_A).then_some(f64::from(current_a)),
+        remaining: percent.map(|percent| f64::from(*percent) / 100.0),
+        ..plausible_battery(f64::from(f32::from_le_bytes(voltage_v)))?
+    })
 }
 
 pub(super) const fn wheel_ticks(settings: &Ev3Settings, stamp: WireStamp, total: [i64; 2]) -> Message {

@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 use posebridge_telemetry::severity::{ERROR, INFO, WARNING};
 use posebridge_telemetry::{Address, HostClock, ReceiveError, SourceHealth, TimeDelta, Timestamp};
 
-use self::cycle::{CycleValues, decode_reply, encode_request, sensor_message, wheel_ticks};
+use self::cycle::{CycleValues, decode_battery, decode_reply, encode_request, sensor_message, wheel_ticks};
 use self::replies::{
     Ev3Request, Ev3Telegram, OutstandingRequest, OutstandingRequests, ReplyBody, ReplyFramer, ReplyTiming,
 };
@@ -27,6 +27,7 @@ pub use self::settings::{
 };
 use self::stamps::{BrickStamp, StampAdvance, StampChecker};
 use self::telegrams::{DirectCommand, encode_estimate, encode_mailbox_write};
+use super::battery::BatterySchedule;
 use super::codec::{
     BrickCodec, CodecEvent, CodecEventSink, CodecSettings, DEFAULT_BRICK_ADDRESS, HeartbeatSource, emit_message,
     emit_status_text,
@@ -69,6 +70,7 @@ struct Ev3Codec {
     is_damaged: bool,
     requests: OutstandingRequests,
     sensors: SensorBank,
+    battery: BatterySchedule,
     stamps: StampChecker,
     counters: MotorCounters,
     standstill: Standstill,
@@ -98,6 +100,7 @@ pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
     let settings = settings.ev3.clone();
     Box::new(Ev3Codec {
         sensors: SensorBank::new(&settings, Timestamp::ZERO),
+        battery: BatterySchedule::new(Timestamp::ZERO),
         settings,
         is_up: false,
         framer: ReplyFramer::default(),
@@ -127,6 +130,7 @@ impl BrickCodec for Ev3Codec {
         self.outbox.clear();
         // Clock and counters are those of the brick, which may well have run on while the link was down.
         self.sensors = SensorBank::new(&self.settings, now);
+        self.battery = BatterySchedule::new(now);
         self.is_damaged = false;
         self.is_rejection_reported = false;
         self.timeouts = 0;
@@ -154,7 +158,7 @@ impl BrickCodec for Ev3Codec {
             self.abandon_damaged(now, sink);
         }
         while let Some(request) = self.requests.expired(now) {
-            self.record_timeout(sink);
+            self.record_timeout(request, sink);
             if let Ev3Request::SetUp(index) = request
                 && let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::TimedOut)
             {
@@ -211,7 +215,11 @@ impl Ev3Codec {
                 self.wake = Some(self.next_cycle);
                 break;
             }
-            self.request_cycle(now);
+            if self.battery.take_due(now) {
+                self.request_battery(now);
+            } else {
+                self.request_cycle(now);
+            }
         }
         let again = self.sensors.deadline().filter(|again| *again > now);
         self.wake = [self.wake, again].into_iter().flatten().min();
@@ -225,9 +233,19 @@ impl Ev3Codec {
 
     fn request_cycle(&mut self, now: Timestamp<HostClock>) {
         let (command, included) = encode_request(&self.settings, &self.sensors);
-        let patience_ms = REPLY_TIMEOUT_MS << self.timeouts.min(MAX_TIMEOUT_DOUBLINGS);
         self.next_cycle = now + self.cycle_period();
-        self.send(now, Ev3Request::Cycle(included), &command, TimeDelta::from_millis(patience_ms));
+        self.send(now, Ev3Request::Cycle(included), &command, self.patience());
+    }
+
+    /// Alone, so that a brick that refuses it refuses nothing else.
+    fn request_battery(&mut self, now: Timestamp<HostClock>) {
+        let mut command = DirectCommand::default();
+        command.read_battery();
+        self.send(now, Ev3Request::Battery, &command, self.patience());
+    }
+
+    fn patience(&self) -> TimeDelta {
+        TimeDelta::from_millis(REPLY_TIMEOUT_MS << self.timeouts.min(MAX_TIMEOUT_DOUBLINGS))
     }
 
     fn send(&mut self, now: Timestamp<HostClock>, request: Ev3Request, command: &DirectCommand, patience: TimeDelta) {
@@ -267,8 +285,8 @@ impl Ev3Codec {
                 }
                 Some(Ev3Telegram::Reply { counter, answer }) => {
                     if let Some((request, timing)) = self.requests.match_reply(counter) {
-                        while self.requests.pop_overtaken(&request).is_some() {
-                            self.record_timeout(sink);
+                        while let Some(overtaken) = self.requests.pop_overtaken(&request) {
+                            self.record_timeout(overtaken, sink);
                         }
                         self.record_reply(now, timing, sink);
                         self.handle_reply(now, &request, timing, &answer, sink);
@@ -307,6 +325,14 @@ impl Ev3Codec {
             (Ev3Request::SetUp(index), ReplyBody::Values(_) | ReplyBody::Rejected) => {
                 if let Some(text) = self.sensors.is_absent(index, now, SetUpFailure::Rejected) {
                     emit_status_text(sink, WARNING, text);
+                }
+            }
+            (Ev3Request::Battery, ReplyBody::Rejected) => self.record_battery_failure(sink),
+            (Ev3Request::Battery, ReplyBody::Values(values)) => {
+                self.battery.record_answer();
+                match decode_battery(values) {
+                    Some(battery) => emit_message(sink, Message::BatteryStatus(battery)),
+                    None => sink(CodecEvent::Error(ReceiveError::Payload { message_id: ANSWER_ID })),
                 }
             }
             (Ev3Request::Cycle(included), ReplyBody::Rejected) => self.handle_rejection(now, included, sink),
@@ -420,12 +446,21 @@ impl Ev3Codec {
             self.process_replies(now, sink);
         }
         self.is_damaged = false;
-        while self.requests.abandon_all().is_some() {
-            self.record_timeout(sink);
+        while let Some(request) = self.requests.abandon_all() {
+            self.record_timeout(request, sink);
         }
     }
 
-    fn record_timeout(&mut self, sink: CodecEventSink<'_>) {
+    fn record_battery_failure(&mut self, sink: CodecEventSink<'_>) {
+        if self.battery.record_failure() {
+            emit_status_text(sink, INFO, "this EV3 does not tell the voltage of its battery");
+        }
+    }
+
+    fn record_timeout(&mut self, request: Ev3Request, sink: CodecEventSink<'_>) {
+        if request == Ev3Request::Battery {
+            self.record_battery_failure(sink);
+        }
         self.timeouts = self.timeouts.saturating_add(1);
         self.lost += 1;
         sink(CodecEvent::Error(ReceiveError::SequenceGap { source: DEFAULT_BRICK_ADDRESS, frames: 1 }));

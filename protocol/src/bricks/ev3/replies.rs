@@ -156,6 +156,7 @@ const MAX_ABANDONED: usize = 8;
 pub(super) enum Ev3Request {
     /// Sets up the sensor with this index and reads it once.
     SetUp(usize),
+    Battery,
     /// Clock, counts and these sensors.
     Cycle(CycleSensors),
 }

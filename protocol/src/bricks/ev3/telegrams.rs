@@ -13,6 +13,12 @@ use crate::message::PlanarPose;
 const TIMER_READ_US: u8 = 0x8F;
 /// opOUTPUT_GET_COUNT: layer, port, count.
 const OUTPUT_GET_COUNT: u8 = 0xB3;
+/// opUI_READ: subcommand, value.
+const UI_READ: u8 = 0x81;
+/// Its subcommands: volts and amperes as float, and a byte of per cent.
+const GET_VBATT: u8 = 0x01;
+const GET_IBATT: u8 = 0x02;
+const GET_LBATT: u8 = 0x12;
 const INPUT_DEVICE: u8 = 0x99;
 /// Its subcommand READY_SI: layer, port, type, mode, number of values, values as float.
 const READY_SI: u8 = 0x1D;
@@ -29,7 +35,7 @@ const LONG_CONSTANT: u8 = 0x81;
 const SHORT_CONSTANT: u8 = 31;
 /// A global variable in one byte.
 const GLOBAL: u8 = 0x60;
-/// Bytes of every value that is read here.
+/// Bytes of every value that is read here, but for the percentage of the battery.
 const VALUE_BYTES: u8 = 4;
 const WITH_REPLY: u8 = 0x00;
 /// Counter, type and header.
@@ -41,7 +47,7 @@ pub(super) struct SensorMode {
     pub(super) mode: u8,
 }
 
-/// A direct command under construction. Each read value takes the next four bytes of the reply.
+/// A direct command under construction. Each read value takes the next bytes of the reply.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DirectCommand {
     bytecodes: Vec<u8>,
@@ -58,6 +64,16 @@ impl DirectCommand {
     pub(super) fn read_count(&mut self, port: MotorPort) {
         let global = self.global();
         self.bytecodes.extend([OUTPUT_GET_COUNT, LAYER, port.number(), global]);
+    }
+
+    /// Reads volts and amperes of the battery, f32 each, and its percentage in one byte.
+    pub(super) fn read_battery(&mut self) {
+        for subcommand in [GET_VBATT, GET_IBATT] {
+            let global = self.global();
+            self.bytecodes.extend([UI_READ, subcommand, global]);
+        }
+        self.bytecodes.extend([UI_READ, GET_LBATT, GLOBAL | self.globals]);
+        self.globals += 1;
     }
 
     /// Reads values of a sensor, f32 each, once it is ready. `mode` is set before; `None` keeps the present one.
@@ -165,6 +181,16 @@ mod tests {
         command.wait_for(SensorPort::P2, Some(gyro_rate), 1);
         assert_eq!(command.telegram(1), CLOCK_COUNTS_GYRO);
         assert_eq!(command.reply_bytes(), 16);
+    }
+
+    #[test]
+    fn the_bytecodes_of_the_battery_are_those_of_another_implementation() {
+        let mut command = DirectCommand::default();
+        command.read_battery();
+        // ev3-dc 0.9.10.2, `EV3.battery`, which asks for 9 global bytes.
+        let expected = [0x0E, 0, 7, 0, 0, 9, 0, 0x81, 0x01, 0x60, 0x81, 0x02, 0x64, 0x81, 0x12, 0x68];
+        assert_eq!(command.telegram(7), expected);
+        assert_eq!(command.reply_bytes(), 9);
     }
 
     #[test]

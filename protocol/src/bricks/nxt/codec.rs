@@ -271,6 +271,9 @@ impl NxtCodec {
                 let text = "this NXT does not tell its clock: readings bear the station's time";
                 self.report(StatusTopic::Clock, WARNING, text, sink);
             }
+            Some(ScheduleChange::Battery) => {
+                self.report(StatusTopic::Battery, INFO, "this NXT does not tell the voltage of its battery", sink);
+            }
         }
     }
 
@@ -504,6 +507,7 @@ pub(super) enum StatusTopic {
     Program,
     LateReplies,
     ForeignMessages,
+    Battery,
     Gyro,
     /// A sensor port, 0 to 3.
     Port(u8),

@@ -260,7 +260,6 @@ fn could_be_frame(begun: &[u8], length: usize) -> bool {
 mod tests {
     use super::*;
 
-    /// Status ok, 7900 mV replies to no request of ours; a firmware version does.
     const VERSION: [u8; 9] = [0x07, 0x00, 0x02, 0x88, 0x00, 0x7C, 0x01, 0x1F, 0x01];
     const DONE: [u8; 5] = [0x03, 0x00, 0x02, 0x05, 0x00];
 

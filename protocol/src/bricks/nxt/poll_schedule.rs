@@ -1,7 +1,8 @@
 //! The next request for the brick, barriers excluded: the first of these that is due.
 //!
 //! Tick (three at connect, one after every disturbance, one after every nineteenth other request); set-up of ports; the
-//! size of reads; the trial with two outstanding; a round of bus sensors, motors and analog ports.
+//! size of reads; the trial with two outstanding; between two rounds the battery; a round of bus sensors, motors and analog
+//! ports.
 
 use std::collections::VecDeque;
 
@@ -11,6 +12,7 @@ use super::digital::is_digital;
 use super::io_maps::{self, ALL_BUFFERS, ALL_INPUTS, ALL_MOTORS, TICK};
 use super::requests::NxtRequest;
 use super::settings::{MaxOutstanding, MotorPort, NxtSensor, NxtSettings, WheelSource};
+use crate::bricks::battery::BatterySchedule;
 
 /// Ticks at connect: the first sets the clock, the others narrow it.
 const FIRST_TICKS: u8 = 3;
@@ -60,6 +62,7 @@ pub(super) enum ScheduleChange {
     ReadSize,
     Outstanding,
     Tick,
+    Battery,
 }
 
 #[derive(Debug)]
@@ -80,6 +83,7 @@ pub(super) struct PollSchedule {
     ticks_remaining: u8,
     since_tick: u8,
     next_tick: Timestamp<HostClock>,
+    battery: BatterySchedule,
     round: VecDeque<NxtRequest>,
     next_round: Timestamp<HostClock>,
 }
@@ -105,6 +109,7 @@ impl PollSchedule {
             ticks_remaining: FIRST_TICKS,
             since_tick: 0,
             next_tick: now,
+            battery: BatterySchedule::new(now),
             round: VecDeque::with_capacity(8),
             next_round: now,
         };
@@ -152,7 +157,7 @@ impl PollSchedule {
             return Some(tick);
         }
         if self.source == WheelSource::Pushed {
-            return None;
+            return self.battery.take_due(now).then_some(NxtRequest::Battery);
         }
         if let Some(request) = self.next_set_up() {
             return Some(request);
@@ -168,6 +173,10 @@ impl PollSchedule {
         if self.round.is_empty() {
             if now < self.next_round {
                 return None;
+            }
+            if self.battery.take_due(now) {
+                self.since_tick = self.since_tick.saturating_add(1);
+                return Some(NxtRequest::Battery);
             }
             self.next_round = now + MIN_ROUND;
             self.fill_round(pending_ports);
@@ -204,7 +213,10 @@ impl PollSchedule {
     /// When `next_request` may have a request again if nothing is received before.
     pub(super) fn next_wake(&self) -> Option<Timestamp<HostClock>> {
         match self.source {
-            WheelSource::Pushed => self.has_tick.then_some(self.next_tick),
+            WheelSource::Pushed => {
+                let tick = self.has_tick.then_some(self.next_tick);
+                [tick, self.battery.deadline()].into_iter().flatten().min()
+            }
             WheelSource::Polled => Some(self.next_round),
         }
     }
@@ -254,6 +266,9 @@ impl PollSchedule {
                 self.round.clear();
             }
         }
+        if *request == NxtRequest::Battery {
+            self.battery.record_answer();
+        }
         let is_tick = *request == NxtRequest::IoMap(TICK);
         self.is_tick_known |= is_tick;
         if (is_tick || request.is_for_data())
@@ -285,6 +300,9 @@ impl PollSchedule {
         }
         if is_tick {
             return self.record_tick_failure();
+        }
+        if *request == NxtRequest::Battery {
+            return self.battery.record_failure().then_some(ScheduleChange::Battery);
         }
         if why == RequestFailure::Rejected && matches!(request, NxtRequest::Analog(_) | NxtRequest::Digital(_)) {
             // One sensor is not there. The rest of the round has nothing to do with it.

@@ -14,6 +14,7 @@ use super::poll_schedule::{PortState, RequestFailure};
 use super::requests::{NxtRequest, PendingRequest};
 use super::settings::{AccelerometerMounting, MotorMounting, MotorPort, NxtSensor};
 use super::telegram::{NxtReply, NxtStatus, bytes_at};
+use crate::bricks::battery::plausible_battery;
 use crate::bricks::codec::{CodecEvent, CodecEventSink};
 use crate::bricks::counters::CounterUpdate;
 use crate::message::{ImuMessage, Inertial, Message, PlanarImu, WheelTicks};
@@ -65,6 +66,7 @@ impl NxtCodec {
             }
             NxtRequest::Digital(port) => self.handle_digital(*port, reply, now, sink),
             NxtRequest::SetUp { port, .. } => self.complete_set_up(*port, now),
+            NxtRequest::Battery => self.handle_battery(reply, sink),
             NxtRequest::Mailbox(_) => {}
         }
     }
@@ -103,6 +105,11 @@ impl NxtCodec {
             }
         }
         let (topic, what) = match request {
+            NxtRequest::Battery => {
+                // Told once it is not asked any more.
+                self.handle_failure(request, RequestFailure::Rejected, sink);
+                return;
+            }
             NxtRequest::SetUp { port, .. } | NxtRequest::Analog(port) | NxtRequest::Digital(port) => {
                 (StatusTopic::Port(*port), format!("sensor port {}", port + 1))
             }
@@ -119,6 +126,16 @@ impl NxtCodec {
         if let Some([_, _, minor, major]) = bytes_at(reply.values, 0) {
             let text = format!("LEGO NXT with firmware {major}.{minor:02}");
             self.report(StatusTopic::Firmware, INFO, text, sink);
+        }
+    }
+
+    fn handle_battery(&self, reply: &NxtReply<'_>, sink: CodecEventSink<'_>) {
+        let Some(millivolts) = bytes_at(reply.values, 0).map(u16::from_le_bytes) else {
+            return;
+        };
+        match plausible_battery(f64::from(millivolts) / 1e3) {
+            Some(battery) => self.emit_message(Message::BatteryStatus(battery), sink),
+            None => sink(CodecEvent::Error(ReceiveError::Payload { message_id: u32::from(reply.opcode) })),
         }
     }
 

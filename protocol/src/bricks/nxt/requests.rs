@@ -25,6 +25,7 @@ pub(super) enum NxtRequest {
         port: u8,
         kind: u8,
     },
+    Battery,
     /// Writes this telegram to a mailbox, to detect whether a program reads it.
     Mailbox(Vec<u8>),
 }
@@ -38,6 +39,7 @@ impl NxtRequest {
             Self::Analog(port) => telegram::get_input_values(*port),
             Self::Digital(port) => telegram::ls_read(*port),
             Self::SetUp { port, kind } => telegram::set_input_mode(*port, *kind),
+            Self::Battery => telegram::get_battery_level(),
             Self::Mailbox(telegram) => telegram.clone(),
         }
     }
@@ -50,6 +52,7 @@ impl NxtRequest {
             Self::Analog(_) => opcode::GET_INPUT_VALUES,
             Self::Digital(_) => opcode::LS_READ,
             Self::SetUp { .. } => opcode::SET_INPUT_MODE,
+            Self::Battery => opcode::GET_BATTERY_LEVEL,
             Self::Mailbox(_) => opcode::MESSAGE_WRITE,
         }
     }
@@ -67,7 +70,7 @@ impl NxtRequest {
                 .is_some_and(|(module, length, _)| module == window.module.id() && length == window.length),
             Self::Motor(port) => repeated == Some([port.number()]),
             Self::Analog(port) => repeated == Some([*port]),
-            Self::SyncBarrier | Self::Digital(_) | Self::SetUp { .. } | Self::Mailbox(_) => true,
+            Self::SyncBarrier | Self::Digital(_) | Self::SetUp { .. } | Self::Battery | Self::Mailbox(_) => true,
         }
     }
 
@@ -76,7 +79,7 @@ impl NxtRequest {
         match self {
             Self::IoMap(window) => !matches!(window.module, FirmwareModule::Command),
             Self::Motor(_) | Self::Analog(_) | Self::Digital(_) => true,
-            Self::SyncBarrier | Self::SetUp { .. } | Self::Mailbox(_) => false,
+            Self::SyncBarrier | Self::SetUp { .. } | Self::Battery | Self::Mailbox(_) => false,
         }
     }
 }

@@ -29,6 +29,7 @@ pub(super) mod opcode {
     pub(in super::super) const GET_OUTPUT_STATE: u8 = 0x06;
     pub(in super::super) const GET_INPUT_VALUES: u8 = 0x07;
     pub(in super::super) const MESSAGE_WRITE: u8 = 0x09;
+    pub(in super::super) const GET_BATTERY_LEVEL: u8 = 0x0B;
     pub(in super::super) const KEEP_ALIVE: u8 = 0x0D;
     pub(in super::super) const LS_WRITE: u8 = 0x0F;
     pub(in super::super) const LS_READ: u8 = 0x10;
@@ -153,6 +154,11 @@ pub(super) fn keep_alive() -> Vec<u8> {
     vec![DIRECT_NO_REPLY, opcode::KEEP_ALIVE]
 }
 
+/// The reply has millivolts, 16 bits.
+pub(super) fn get_battery_level() -> Vec<u8> {
+    vec![DIRECT, opcode::GET_BATTERY_LEVEL]
+}
+
 pub(super) fn firmware_version() -> Vec<u8> {
     vec![SYSTEM, opcode::FIRMWARE_VERSION]
 }
@@ -198,6 +204,7 @@ pub(super) const fn reply_bytes(opcode: u8) -> Option<usize> {
         | opcode::SET_INPUT_MODE
         | opcode::MESSAGE_WRITE
         | opcode::LS_WRITE => Some(3),
+        opcode::GET_BATTERY_LEVEL => Some(5),
         opcode::GET_OUTPUT_STATE => Some(25),
         opcode::GET_INPUT_VALUES => Some(16),
         opcode::KEEP_ALIVE | opcode::FIRMWARE_VERSION => Some(7),

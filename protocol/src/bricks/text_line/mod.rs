@@ -30,13 +30,15 @@ use super::codec::{
 };
 use super::line_splitter::{LineSplitter, SplitItem, printable};
 use crate::framing::FramerCounters;
-use crate::message::{Heartbeat, Inertial, Message, PlanarPose, WheelTicks, WireStamp};
+use crate::message::{Battery, Heartbeat, Inertial, Message, PlanarPose, WheelTicks, WireStamp};
 
 /// A line that is interrupted for longer was cut off: a board at 9600 baud prints the longest one in 270 ms.
 const QUIET_TIME: TimeDelta = TimeDelta::from_millis(500);
 const MAX_UNKNOWN: usize = 8;
 /// Longest line, bytes without its end: three times NMEA's 82, and more than Fast Robots' 151 byte strings.
 const MAX_LINE_BYTES: usize = 256;
+/// A battery changes within minutes, and boards print it with each line.
+const BATTERY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
 const THERMOMETER: &[u8] = b"temperature";
 /// The message id of a line in [`ReceiveError`]s, which has no number.
 const LINE_ID: u32 = 0;
@@ -60,6 +62,7 @@ struct TextLineCodec {
     is_error_reported: bool,
     unknown: BTreeSet<String>,
     last_estimate: Option<Timestamp<HostClock>>,
+    last_battery: Option<Timestamp<HostClock>>,
 }
 
 pub(super) fn open(settings: &CodecSettings) -> Box<dyn BrickCodec> {
@@ -90,6 +93,7 @@ fn open_with(settings: TextLineSettings) -> Box<dyn BrickCodec> {
         is_error_reported: false,
         unknown: BTreeSet::new(),
         last_estimate: None,
+        last_battery: None,
     })
 }
 
@@ -197,6 +201,12 @@ impl TextLineCodec {
             emit_message(sink, message);
         }
         self.emit_row(stamp, row, sink);
+        if let Some(volts) = row.battery_v
+            && self.last_battery.is_none_or(|last| now - last >= BATTERY_PERIOD)
+        {
+            self.last_battery = Some(now);
+            emit_message(sink, Message::BatteryStatus(Battery { voltage_v: Some(volts), ..Battery::default() }));
+        }
     }
 
     /// The host's time as the stamp of a line without one.

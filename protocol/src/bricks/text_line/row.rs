@@ -13,6 +13,8 @@ const MAX_RANGE_M: f64 = 1_000.0;
 /// Range of a thermometer, degrees Celsius: from absolute zero to the melting point of tungsten, as in the other
 /// protocols.
 const TEMPERATURES_C: std::ops::RangeInclusive<f64> = -273.15..=3_500.0;
+/// Voltages of the batteries of small robots; a board without one says 0.
+const BATTERIES_V: std::ops::RangeInclusive<f64> = 0.0..=60.0;
 /// Larger counts are not exact in f64.
 const MAX_COUNT: i64 = 1 << 53;
 
@@ -25,6 +27,7 @@ pub(super) struct BoardReading {
     pub(super) turn_rate_rad_per_s: Option<f64>,
     pub(super) range_m: Option<f64>,
     pub(super) temperature_c: Option<f64>,
+    pub(super) battery_v: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -203,6 +206,9 @@ impl BoardReading {
             Quantity::TemperatureC => {
                 let shown = Some(parse_float(value)?);
                 self.temperature_c = Some(shown.filter(|shown| TEMPERATURES_C.contains(shown))?);
+            }
+            Quantity::BatteryV => {
+                self.battery_v = Some(parse_float(value).filter(|volts| BATTERIES_V.contains(volts))?);
             }
             Quantity::Ignore => {}
         }

@@ -64,7 +64,7 @@ impl TextLineSettings {
 #[non_exhaustive]
 pub enum LayoutError {
     #[error(
-        "the layout has nothing that is measured; there are: left_ticks and right_ticks, gyro_.., distance_.., temperature_c"
+        "the layout has nothing that is measured; there are: left_ticks and right_ticks, gyro_.., distance_.., temperature_c, battery_v"
     )]
     Empty,
     #[error("the layout has one of left_ticks and right_ticks; both are needed")]
@@ -185,6 +185,8 @@ pub enum Quantity {
     /// Range straight ahead in metres; zero and less mean none.
     DistanceM,
     TemperatureC,
+    /// Volts of the battery.
+    BatteryV,
     Ignore,
 }
 
@@ -202,6 +204,7 @@ pub const QUANTITIES: &[(&str, Quantity)] = &[
     ("distance_cm", Quantity::DistanceCm),
     ("distance_m", Quantity::DistanceM),
     ("temperature_c", Quantity::TemperatureC),
+    ("battery_v", Quantity::BatteryV),
     ("ignore", Quantity::Ignore),
 ];
 
@@ -214,6 +217,7 @@ pub(crate) enum QuantityKind {
     TurnRate,
     Range,
     Temperature,
+    Battery,
     Ignored,
 }
 
@@ -226,6 +230,7 @@ impl Quantity {
             Self::GyroDegPerS | Self::GyroRadPerS | Self::GyroCounts => QuantityKind::TurnRate,
             Self::DistanceMm | Self::DistanceCm | Self::DistanceM => QuantityKind::Range,
             Self::TemperatureC => QuantityKind::Temperature,
+            Self::BatteryV => QuantityKind::Battery,
             Self::Ignore => QuantityKind::Ignored,
         }
     }

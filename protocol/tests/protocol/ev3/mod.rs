@@ -2,6 +2,7 @@
 //!
 //! The figures: `cargo test -p posebridge-protocol ev3 -- --nocapture`.
 
+mod battery;
 mod session;
 
 use posebridge_protocol::bricks::DEFAULT_BRICK_ADDRESS;
@@ -64,8 +65,8 @@ fn one_telegram_a_cycle_as_fast_as_the_link_turns_around() {
         let settings = Ev3Settings { outstanding, rate_hz, ..Ev3Settings::default() };
         let session = Ev3Session::run(settings, Ev3Double::default(), 30.0);
         let states = session.ticks().count();
-        // One telegram set the gyro up, and the last ones are on their way.
-        let telegrams = session.brick.telegrams - 1;
+        // One telegram set the gyro up, three asked for the battery, and the last ones are on their way.
+        let telegrams = session.brick.telegrams - 4;
         assert!(telegrams - states <= usize::from(outstanding), "{telegrams}");
         let rate = states as f64 / 30.0;
         println!(

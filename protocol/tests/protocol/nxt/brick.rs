@@ -18,6 +18,15 @@ pub(crate) enum IoMapLimit {
     Unknown,
 }
 
+/// What becomes of GETBATTERYLEVEL.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BatteryAnswer {
+    Millivolts(u16),
+    /// The firmware does not know the command: status BE.
+    Unknown,
+    Silence,
+}
+
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Port {
     pub(crate) kind: u8,
@@ -49,6 +58,7 @@ pub(crate) struct SimulatedNxt {
     pub(crate) io_map_limit: IoMapLimit,
     /// Replies that its transmitter holds at the same time; more are dropped.
     pub(crate) most_replies: usize,
+    pub(crate) battery: BatteryAnswer,
     pub(crate) has_program: bool,
     /// Messages that were put into mailbox 0.. with their final zero.
     pub(crate) mailbox: Vec<(u8, Vec<u8>)>,
@@ -69,6 +79,7 @@ impl SimulatedNxt {
             ports: Default::default(),
             io_map_limit: IoMapLimit::UpTo(119),
             most_replies: 2,
+            battery: BatteryAnswer::Millivolts(7_900),
             has_program: false,
             mailbox: Vec::new(),
             keep_alives: 0,
@@ -98,7 +109,7 @@ impl SimulatedNxt {
         // It handles a request in the middle of the turn-around.
         let start = now_micros.max(self.free_at);
         let values = self.execute(start + TURN_AROUND_MICROS / 2, telegram);
-        if telegram[0] & 0x80 != 0 {
+        if telegram[0] & 0x80 != 0 || (telegram == [0x00, 0x0B] && self.battery == BatteryAnswer::Silence) {
             return;
         }
         if self.pending(now_micros) >= self.most_replies {
@@ -166,6 +177,10 @@ impl SimulatedNxt {
             (0x00, 0x06) if index < 3 => self.output_state(at_micros, port),
             (0x00, 0x07) if index < 4 => self.input_values(port),
             (0x00, 0x09) => self.message_write(telegram),
+            (0x00, 0x0B) => match self.battery {
+                BatteryAnswer::Millivolts(millivolts) => [&[0x00][..], &millivolts.to_le_bytes()].concat(),
+                BatteryAnswer::Unknown | BatteryAnswer::Silence => vec![0xBE],
+            },
             (0x00, 0x0D) => {
                 self.keep_alives += 1;
                 vec![0x00, 0xC0, 0x27, 0x09, 0x00]

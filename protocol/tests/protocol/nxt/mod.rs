@@ -1,5 +1,6 @@
 //! The NXT's protocol against a double of the brick, in virtual time.
 
+mod battery;
 mod bench;
 mod brick;
 mod damage;

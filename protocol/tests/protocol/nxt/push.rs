@@ -144,7 +144,7 @@ fn sensors_are_the_programs_business() {
     bench.begin();
     bench.run_to(10 * SECOND);
     let codes: Vec<u8> = bench.brick.requests.iter().map(|request| request[1]).collect();
-    assert!(codes.iter().all(|code| [0x88, 0x94, 0x0D].contains(code)), "{codes:02x?}");
+    assert!(codes.iter().all(|code| [0x88, 0x94, 0x0B, 0x0D].contains(code)), "{codes:02x?}");
     assert!((12..=16).contains(&codes.len()), "{}", codes.len());
 }
 

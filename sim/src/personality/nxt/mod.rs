@@ -121,7 +121,7 @@ impl Nxt {
         let Some(messenger) = self.messenger.as_mut().filter(|_| self.program.is_some()) else {
             return;
         };
-        messenger.step(pass.now, pass.board);
+        messenger.step(pass.now, pass.board, pass.battery_v);
         self.push_queue.extend(messenger.node.take_frames());
         while self.push_queue.len() > PUSH_QUEUE_CAPACITY {
             self.push_queue.pop_front();
