@@ -8,6 +8,7 @@ use std::sync::LazyLock;
 use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 
+use super::definitions::{MessageLayout, definitions};
 use super::generated::posebridge;
 use super::payload::MAX_PAYLOAD;
 
@@ -18,55 +19,10 @@ const PAGES: usize = 1 << 16;
 
 pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
     LazyLock::new(|| MessageCatalogue::build(supported_messages()));
-/// Also with the messages of foreign dialects.
-pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> = LazyLock::new(|| {
-    let foreign = FOREIGN_MESSAGES.iter().map(|message| (message.id, message.layout));
-    MessageCatalogue::build(supported_messages().chain(foreign))
-});
-
-/// Messages that the station does not decode but can verify, by rising id. The live framer forwards them unverified; an
+/// Also with the messages of foreign dialects, which the station does not decode but can verify. The live framer forwards those unverified; an
 /// inspection of a recording verifies and names them. The generated types of these dialects would double the build time.
-///
-/// # Sources
-/// `all.xml` and `ardupilotmega.xml` of the MAVLink project with everything that they include (upstream commit
-/// 19795337), less the messages of `common.xml`; seeds and lengths by pymavlink 2.4.50's `mavparse`. Where pymavlink's
-/// own `ardupilotmega` dialect has a message too, its seed is the same.
-const FOREIGN_TABLE: &str = include_str!("foreign_messages.csv");
-static FOREIGN_MESSAGES: LazyLock<Vec<ForeignMessage>> =
-    LazyLock::new(|| FOREIGN_TABLE.lines().filter_map(ForeignMessage::parse).collect());
-
-#[derive(Clone, Copy, Debug)]
-struct ForeignMessage {
-    id: u32,
-    layout: MessageLayout,
-    name: &'static str,
-}
-
-impl ForeignMessage {
-    /// `None` for the heading of the table.
-    fn parse(row: &'static str) -> Option<Self> {
-        let [id, crc_extra, max_len_v1, max_len_v2, name] = row.split(',').collect::<Vec<_>>()[..] else {
-            return None;
-        };
-        let layout = MessageLayout {
-            crc_extra: crc_extra.parse().ok()?,
-            max_len_v1: max_len_v1.parse().ok()?,
-            max_len_v2: max_len_v2.parse().ok()?,
-        };
-        Some(Self { id: id.parse().ok()?, layout, name })
-    }
-}
-
-/// The name of a message in its definition, also in foreign dialects; `None` for an unknown id.
-pub fn message_name(id: u32) -> Option<&'static str> {
-    let standard = || common::MavMessage::default_message_from_id(id).map(|message| message.message_name());
-    let own = || posebridge::MavMessage::default_message_from_id(id).map(|message| message.message_name());
-    let foreign = || {
-        let index = FOREIGN_MESSAGES.binary_search_by_key(&id, |message| message.id);
-        index.ok().and_then(|index| FOREIGN_MESSAGES.get(index))
-    };
-    standard().or_else(own).or_else(|| foreign().map(|message| message.name))
-}
+pub(crate) static FULL_CATALOGUE: LazyLock<MessageCatalogue> =
+    LazyLock::new(|| MessageCatalogue::build(definitions().iter().map(|message| (message.id, message.layout))));
 
 fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
     let standard =
@@ -75,17 +31,6 @@ fn supported_messages() -> impl Iterator<Item = (u32, MessageLayout)> {
         .iter()
         .filter_map(|&id| Some((id, measure_layout::<posebridge::MavMessage>(id)?)));
     standard.chain(own)
-}
-
-/// The checksum seed and the lengths of one message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct MessageLayout {
-    /// Seed of the checksum, from the message's definition.
-    pub(crate) crc_extra: u8,
-    /// Payload length without extension fields.
-    pub(crate) max_len_v1: u8,
-    /// Payload length with extension fields.
-    pub(crate) max_len_v2: u8,
 }
 
 /// Every message that this station can verify.
@@ -142,19 +87,36 @@ fn written_length<M: Message>(message: &M, version: MavlinkVersion) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::definitions::message_name;
     use super::*;
     use std::collections::BTreeSet;
 
     #[test]
     fn every_message_is_found_and_none_between_them() {
-        let foreign = FOREIGN_MESSAGES.iter().map(|message| message.id);
-        let known: BTreeSet<u32> = supported_messages().map(|(id, _)| id).chain(foreign).collect();
+        let known: BTreeSet<u32> = definitions().iter().map(|message| message.id).collect();
         assert!(known.len() > 300);
         for id in (0..70_000).chain([0x00FF_FFFF, u32::MAX]) {
             assert_eq!(FULL_CATALOGUE.layout(id).is_some(), known.contains(&id), "{id}");
         }
         for (id, shape) in supported_messages() {
             assert_eq!(CATALOGUE.layout(id), Some(shape), "{id}");
+        }
+    }
+
+    /// The generated code has another origin than the table.
+    #[test]
+    fn the_table_says_of_each_message_what_the_generated_types_say() {
+        for (id, shape) in supported_messages() {
+            assert_eq!(FULL_CATALOGUE.layout(id), Some(shape), "{id}");
+        }
+        let standard = common::MavMessage::all_ids()
+            .iter()
+            .map(|&id| (id, common::MavMessage::default_message_from_id(id).unwrap().message_name()));
+        let own = posebridge::MavMessage::all_ids()
+            .iter()
+            .map(|&id| (id, posebridge::MavMessage::default_message_from_id(id).unwrap().message_name()));
+        for (id, name) in standard.chain(own) {
+            assert_eq!(message_name(id), Some(name));
         }
     }
 
@@ -184,27 +146,11 @@ mod tests {
     }
 
     #[test]
-    fn foreign_messages_shadow_none_of_ours_and_are_sorted_by_id() {
-        assert_eq!(FOREIGN_MESSAGES.len(), FOREIGN_TABLE.lines().count() - 1);
-        assert!(FOREIGN_MESSAGES.is_sorted_by(|one, next| one.id < next.id));
-        for message in FOREIGN_MESSAGES.iter() {
-            assert_eq!(CATALOGUE.layout(message.id), None, "{}", message.name);
-        }
+    fn foreign_messages_are_in_the_full_catalogue_only() {
         // RADIO of ArduPilot, as ardupilotmega.xml defines it.
         let radio = FULL_CATALOGUE.layout(166).unwrap();
         assert_eq!((radio.crc_extra, radio.max_len_v1), (21, 9));
-        assert_eq!(FULL_CATALOGUE.layout(0), CATALOGUE.layout(0));
-    }
-
-    #[test]
-    fn every_message_that_can_be_verified_has_a_name() {
-        assert_eq!(message_name(0), Some("HEARTBEAT"));
-        assert_eq!(message_name(166), Some("RADIO"));
-        assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
-        assert_eq!(message_name(9_999_999), None);
-        for id in 0..100_000 {
-            assert_eq!(FULL_CATALOGUE.layout(id).is_some(), message_name(id).is_some(), "{id}");
-        }
+        assert_eq!(CATALOGUE.layout(166), None);
     }
 
     #[test]

@@ -6,7 +6,9 @@
 
 pub(crate) mod catalogue;
 pub mod commands;
+pub mod definitions;
 pub(crate) mod encoder;
+pub mod fields;
 pub(crate) mod frames;
 #[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
 pub(crate) mod generated;
@@ -17,7 +19,7 @@ mod poses;
 mod sensors;
 mod services;
 
-pub use catalogue::message_name;
+pub use definitions::message_name;
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;
