@@ -13,6 +13,7 @@ pub(crate) mod frames;
 #[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
 pub(crate) mod generated;
 pub mod ids;
+pub mod message_json;
 mod payload;
 mod posebridge;
 mod poses;
