@@ -193,11 +193,15 @@ class TelemetryLog(Common):
         self.assertGreater(theirs[1, 197, "PB_PLANAR_POSE"], 100)
 
     def test_stock_readers_see_no_losses_in_ours(self):
-        """mavutil with the dialect that it has by itself; a process of its own, because mavutil keeps one dialect for all."""
+        """mavutil with the dialect that it has by itself; a process of its own, because mavutil keeps one dialect for all.
+
+        In the order of the file: what `mavlink_connection` gives reads the first message of each kind before all others, and so counts up to
+        255 losses for each sender in any log."""
         script = (
             "import sys\n"
             "from pymavlink import mavutil\n"
-            "log = mavutil.mavlink_connection(sys.argv[1], dialect='ardupilotmega')\n"
+            "mavutil.set_dialect('ardupilotmega')\n"
+            "log = mavutil.mavlogfile(sys.argv[1])\n"
             "kinds = []\n"
             "while (message := log.recv_msg()) is not None:\n"
             "    kinds.append(message.get_type())\n"
