@@ -25,7 +25,7 @@ const EXAMPLES: &[Examples] = &[
     (&["replay"], ["posebridge replay run/recording.mcap", "posebridge replay run/recording.mcap --estimator odometry --estimator pose"]),
     (&["export"], [
         "posebridge export run/recording.mcap --format csv,tum --out tables",
-        "posebridge export run/recording.mcap --format tlog,ros2",
+        "posebridge export flight.tlog --messages --format csv,mcap",
     ]),
     (&["import"], ["posebridge import flight.tlog --out flight.mcap", "posebridge import my-robot.toml --run square --out square.mcap"]),
     (&["report"], ["posebridge report run/recording.mcap", "posebridge report run/recording.mcap --out report --smooth"]),

@@ -10,11 +10,14 @@ use std::sync::atomic::AtomicU64;
 
 use anyhow::{Context, Result, anyhow};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
-use posebridge_protocol::framing::{Framer, FramerConfig, FramerOutput, VerifiedFrame, verify};
+use posebridge_protocol::dialect::{Encoder, is_signed};
+use posebridge_protocol::framing::{
+    FrameRef, Framer, FramerConfig, FramerOutput, SequenceTracker, VerifiedFrame, WireVersion, verify,
+};
 use posebridge_protocol::routing::MAX_PEERS;
 use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
 use posebridge_station::{AcceptedVersions, LinkConfig};
-use posebridge_telemetry::{HostClock, Input, LinkId, PeerId, Priority, Timestamp};
+use posebridge_telemetry::{Address, HostClock, Input, LinkId, PeerId, Priority, Timestamp};
 
 use super::live_log::{LiveLog, write_while_sent};
 use super::recording_parts::WatchedFile;
@@ -131,6 +134,59 @@ impl LiveLog for TrafficLog<BufWriter<File>> {
 struct TrafficStream {
     last_seen: Timestamp<HostClock>,
     framer: Framer,
+    losses: SequenceTracker,
+}
+
+/// Messages of standard dialects that the station sends and pymavlink's stock dialect, which is ArduPilot's, does not have:
+/// PROTOCOL_VERSION, COMPONENT_INFORMATION_BASIC.
+const UNKNOWN_TO_PYMAVLINK: [u32; 2] = [300, 396];
+/// Those of our own dialect.
+const OWN_MESSAGES: std::ops::RangeInclusive<u32> = 42_100..=42_104;
+
+/// Gives the frames of each sender the numbers that a reader of the whole log expects. On the wire a sender has numbers for each link; in the
+/// log its frames of all links and both directions stand one behind the other, and every gap would be a loss.
+///
+/// Readers count only messages that they know. So a message that programs without our dialect do not know gets the number before it once
+/// more. What was lost on the way to the station stays a gap.
+struct LogNumbering {
+    encoder: Encoder,
+    senders: BTreeMap<Address, SenderNumbering>,
+    buffer: Vec<u8>,
+}
+
+#[derive(Clone, Copy)]
+struct SenderNumbering {
+    last: u8,
+    /// Missing since then.
+    lost: u8,
+}
+
+impl LogNumbering {
+    const fn new(encoder: Encoder) -> Self {
+        Self { encoder, senders: BTreeMap::new(), buffer: Vec::new() }
+    }
+
+    /// The frame with its number in the log. A signed one stays as it is, because only its sender can sign it anew; the sender's next ones
+    /// follow its number.
+    fn renumber<'f>(&'f mut self, frame: &FrameRef<'f>, lost: u8) -> &'f [u8] {
+        let first = SenderNumbering { last: frame.sequence.wrapping_sub(1), lost: 0 };
+        let sender = self.senders.entry(frame.source).or_insert(first);
+        let is_uncounted = OWN_MESSAGES.contains(&frame.message_id) || UNKNOWN_TO_PYMAVLINK.contains(&frame.message_id);
+        sender.lost = sender.lost.wrapping_add(lost);
+        if is_signed(frame.raw) {
+            *sender = SenderNumbering { last: frame.sequence, lost: 0 };
+            return frame.raw;
+        }
+        if !is_uncounted {
+            sender.last = sender.last.wrapping_add(1).wrapping_add(sender.lost);
+            sender.lost = 0;
+        }
+        self.encoder.note_forwarded(frame.source, sender.last.wrapping_sub(1));
+        self.buffer.clear();
+        self.buffer.extend_from_slice(frame.raw);
+        // What cannot be changed is written as it came.
+        if self.encoder.readdress(&mut self.buffer, frame.source).is_ok() { &self.buffer } else { frame.raw }
+    }
 }
 
 pub struct TrafficLog<W: Write> {
@@ -138,6 +194,7 @@ pub struct TrafficLog<W: Write> {
     utc_start_micros: u64,
     links: BTreeMap<LinkId, FramerConfig>,
     peers: BTreeMap<(LinkId, PeerId), TrafficStream>,
+    numbering: LogNumbering,
     frames: u64,
 }
 
@@ -149,6 +206,7 @@ impl<W: Write> TrafficLog<W> {
             utc_start_micros,
             links: links.iter().filter_map(scanner_config).collect(),
             peers: BTreeMap::new(),
+            numbering: LogNumbering::new(Encoder::new(WireVersion::V2)),
             frames: 0,
         }
     }
@@ -169,17 +227,22 @@ impl<W: Write> TrafficLog<W> {
         if self.peers.len() >= MAX_PEERS && !self.peers.contains_key(&key) {
             evict_oldest_peer(&mut self.peers);
         }
-        let stream =
-            self.peers.entry(key).or_insert_with(|| TrafficStream { last_seen: now, framer: Framer::new(*config) });
+        let stream = self.peers.entry(key).or_insert_with(|| TrafficStream {
+            last_seen: now,
+            framer: Framer::new(*config),
+            losses: SequenceTracker::new(),
+        });
         stream.last_seen = now;
-        let (writer, frames) = (&mut self.writer, &mut self.frames);
+        let (writer, numbering, frames) = (&mut self.writer, &mut self.numbering, &mut self.frames);
+        let losses = &mut stream.losses;
         let mut written = Ok(());
         stream.framer.push(now, bytes, &mut |found| {
             let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
                 return;
             };
             if written.is_ok() {
-                written = writer.record(micros, frame.raw);
+                let lost = losses.record_number(frame.source, frame.sequence);
+                written = writer.record(micros, numbering.renumber(&frame, lost));
                 *frames += 1;
             }
         });
@@ -195,8 +258,12 @@ impl<W: Write> TrafficLog<W> {
         frame: &[u8],
     ) -> std::io::Result<()> {
         let is_ours = priority != Priority::Forwarded && self.links.contains_key(&link);
-        if is_ours && verify(frame) != VerifiedFrame::Invalid {
-            self.writer.record(self.utc_micros(now, link), frame)?;
+        if !is_ours {
+            return Ok(());
+        }
+        if let VerifiedFrame::Frame(frame) | VerifiedFrame::UnknownFrame(frame) = verify(frame) {
+            let micros = self.utc_micros(now, link);
+            self.writer.record(micros, self.numbering.renumber(&frame, 0))?;
             self.frames += 1;
         }
         Ok(())
@@ -242,12 +309,62 @@ fn scanner_config(link: &LinkConfig) -> Option<(LinkId, FramerConfig)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use posebridge_protocol::dialect::Encoder;
-    use posebridge_protocol::framing::WireVersion;
-    use posebridge_protocol::message::Message;
-    use posebridge_telemetry::Address;
+    use posebridge_protocol::message::{Message, WheelTicks, WireStamp};
+    use posebridge_recording::tlog::{FrameCheck, TlogRecord};
+    use posebridge_telemetry::EncoderTicks;
 
     use crate::config::Config;
+
+    /// Numbers of the frames of a log, by sender and message.
+    fn numbers_in(file: &[u8]) -> Vec<(u32, u8)> {
+        let mut reader = posebridge_recording::tlog::TlogReader::new();
+        let mut numbers = Vec::new();
+        let check = &mut |raw: &[u8]| match verify(raw) {
+            VerifiedFrame::Frame(frame) => FrameCheck::Valid((frame.message_id, frame.sequence)),
+            VerifiedFrame::UnknownFrame(_) | VerifiedFrame::Invalid => FrameCheck::Invalid,
+        };
+        let take = &mut |record: TlogRecord<'_, (u32, u8)>| match record.check {
+            FrameCheck::Valid(number) | FrameCheck::Unknown(number) => numbers.push(number),
+            FrameCheck::Invalid => {}
+        };
+        reader.push(file, check, take);
+        reader.finish(check, take);
+        numbers
+    }
+
+    #[test]
+    fn a_sender_counts_by_one_over_links_and_own_messages_and_losses_stay() {
+        let links = Config::default().station_config().unwrap().links;
+        let link = links[0].id;
+        let source = Address::new(1, 1);
+        let mut log = TrafficLog::new(Vec::new(), 0, &links);
+        let (mut wire, mut other) = (Encoder::new(WireVersion::V2), Encoder::new(WireVersion::V2));
+        let request = Message::ParamRequestList { target: Address::new(1, 197) };
+        let own = Message::WheelTicks(WheelTicks {
+            stamp: WireStamp::Micros32(0),
+            left: EncoderTicks(1),
+            right: EncoderTicks(1),
+        });
+        let mut at = 0;
+        let mut record = |encoder: &mut Encoder, message: &Message, log: &mut TrafficLog<Vec<u8>>| {
+            let mut frame = Vec::new();
+            encoder.encode(source, message, &mut frame);
+            at += 1;
+            log.received(Timestamp::from_millis(at), link, PeerId(0), &frame)
+        };
+        record(&mut wire, &request, &mut log).unwrap();
+        record(&mut wire, &own, &mut log).unwrap();
+        record(&mut wire, &request, &mut log).unwrap();
+        // Two are lost.
+        wire.encode(source, &request, &mut Vec::new());
+        wire.encode(source, &request, &mut Vec::new());
+        record(&mut wire, &request, &mut log).unwrap();
+        let mut sent = Vec::new();
+        other.encode(source, &request, &mut sent);
+        log.sent(Timestamp::from_millis(99), link, Priority::Command, &sent).unwrap();
+        let (file, _) = log.finish().unwrap();
+        assert_eq!(numbers_in(&file), [(21, 0), (42_100, 0), (21, 1), (21, 4), (21, 5)]);
+    }
 
     /// Who calls again and again from another port is another peer each time.
     #[test]

@@ -4,6 +4,7 @@
 
 mod atomic_file;
 mod files;
+mod messages;
 mod path_csv;
 
 use std::io::BufWriter;
@@ -20,6 +21,7 @@ use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
 use self::files::{OutputFolder, RunFiles, print_written};
+use self::messages::{MessageFormats, export_messages};
 use self::path_csv::write_path_csv;
 use super::dataset::RobotRun;
 use super::ground_truth::GroundTruth;
@@ -39,11 +41,16 @@ use crate::station::tlog_writer::TrafficLog;
 /// Flags of `export`.
 #[derive(Args, Clone, Debug)]
 pub struct ExportArgs {
-    /// A recording (*.mcap), a telemetry log (*.tlog, *.tlog.gz) or a recording's descriptor (*.toml).
+    /// A recording (*.mcap), a telemetry log (*.tlog, *.tlog.gz) or a recording's descriptor (*.toml); with --messages also bytes of a
+    /// link (*.raw, *.bin).
     pub recording: PathBuf,
     /// Formats to write, separated by commas.
     #[arg(long = "format", value_enum, value_delimiter = ',', required = true)]
     pub formats: Vec<Format>,
+    /// Decode every MAVLink message by its definition in place of estimating: with `csv` a table for each kind of message in the folder
+    /// `NAME-messages`, with `mcap` a channel for each kind and sender in `NAME-messages.mcap`.
+    #[arg(long)]
+    pub messages: bool,
     /// Folder for the files; created if it does not exist.
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub out: PathBuf,
@@ -90,10 +97,14 @@ fn station(args: &ExportArgs) -> StationOptions<'_> {
 }
 
 pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
+    if args.messages {
+        let formats = message_formats(args).before_start()?;
+        drop(InputFile::open(&args.recording).before_start()?);
+        make_folder(args).before_start()?;
+        return export_messages(&args.recording, output_folder(args), formats).while_running();
+    }
     let kind = check(args).before_start()?;
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("making the folder `{}`", args.out.display()))
-        .before_start()?;
+    make_folder(args).before_start()?;
     if args.formats.contains(&Format::Mcap) {
         write_mcap(args).while_running()?;
     }
@@ -117,6 +128,24 @@ pub fn execute(args: &ExportArgs) -> Result<(), Failure> {
     }
     write_hindsight(args, &run.robots).while_running()?;
     Ok(())
+}
+
+fn make_folder(args: &ExportArgs) -> Result<()> {
+    std::fs::create_dir_all(&args.out).with_context(|| format!("making the folder `{}`", args.out.display()))
+}
+
+/// What of `--messages` is to be written.
+fn message_formats(args: &ExportArgs) -> Result<MessageFormats> {
+    let is_requested = |format| args.formats.contains(&format);
+    ensure!(
+        args.formats.iter().all(|format| matches!(format, Format::Csv | Format::Mcap)),
+        "--messages writes --format csv and mcap"
+    );
+    ensure!(
+        hindsights(args).next().is_none() && args.filter.is_none() && args.truth.is_none() && args.robot.is_none(),
+        "--messages estimates nothing: leave out --smooth, --fixed-lag, --filter, --truth and --robot"
+    );
+    Ok(MessageFormats { csv: is_requested(Format::Csv), mcap: is_requested(Format::Mcap) })
 }
 
 /// Rejects invalid combinations; returns the kind of the file.

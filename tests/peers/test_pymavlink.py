@@ -10,7 +10,7 @@ import unittest
 
 from drives import SQUARE, counted, finished_drive, for_ground_stations, inspected, logged, nxt_station, simulated
 from ground import ACCEPTED, ESTIMATOR, VEHICLE, Ground, every_message, sender
-from harness import RunningStation, Station, posebridge, refusals
+from harness import RunningStation, Station, output_of, posebridge, refusals
 
 SET_MESSAGE_INTERVAL, GET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 511, 510, 512
 PREFLIGHT_STORAGE = 245
@@ -192,6 +192,24 @@ class TelemetryLog(Common):
         # Both directions: the robot's own, and what it was told.
         self.assertGreater(theirs[1, 1, "PB_WHEEL_TICKS"], 100)
         self.assertGreater(theirs[1, 197, "PB_PLANAR_POSE"], 100)
+
+    def test_stock_readers_see_no_losses_in_ours(self):
+        """mavutil with the dialect that it has by itself; a process of its own, because mavutil keeps one dialect for all.
+
+        In the order of the file: what `mavlink_connection` gives reads the first message of each kind before all others, and so counts up to
+        255 losses for each sender in any log."""
+        script = (
+            "import sys\n"
+            "from pymavlink import mavutil\n"
+            "mavutil.set_dialect('ardupilotmega')\n"
+            "log = mavutil.mavlogfile(sys.argv[1])\n"
+            "kinds = []\n"
+            "while (message := log.recv_msg()) is not None:\n"
+            "    kinds.append(message.get_type())\n"
+            "print(log.mav_count, log.mav_loss, log.packet_loss(), kinds.count('BAD_DATA'))\n")
+        count, *losses = output_of(sys.executable, "-c", script, "run/recording.tlog", folder=finished_drive()).split()
+        self.assertGreater(int(count), 1000)
+        self.assertEqual([float(number) for number in losses], [0, 0, 0])
 
 
 if __name__ == "__main__":

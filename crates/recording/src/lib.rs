@@ -3,6 +3,7 @@
 //! - [`container`] writes and reads the station's inputs, bit for bit, in an MCAP file that survives a crash.
 //! - [`foxglove`] converts the station's outputs to messages for viewers and notebooks, stored beside the inputs.
 //! - [`ros2`] writes the station's outputs as a ROS 2 bag.
+//! - [`json_log`] writes and reads JSON messages in MCAP.
 //! - [`tlog`] reads and writes the telemetry logs of ground stations.
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
@@ -21,6 +22,7 @@ pub mod csv_dialect;
 pub mod dataset;
 pub mod event_json;
 pub mod foxglove;
+pub mod json_log;
 mod planar;
 pub mod robot_names;
 pub mod ros2;

@@ -2,8 +2,13 @@
 //! can be encoded, framed and decoded again, and a detected protocol explains no more bytes than there are.
 
 use posebridge_protocol::detect::{Protocol, recognise};
+use posebridge_protocol::dialect::definitions::definitions;
+use posebridge_protocol::dialect::fields::{FullPayload, columns, frame, row};
+use posebridge_protocol::dialect::message_json::{read_json, write_json};
 use posebridge_protocol::dialect::{Encoder, MESSAGES, decode};
-use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, TransportKind, WireVersion};
+use posebridge_protocol::framing::{
+    FrameRef, Framer, FramerConfig, FramerOutput, TransportKind, VerifiedFrame, WireVersion, verify,
+};
 use posebridge_telemetry::{Address, Timestamp};
 
 /// Input: one byte of options, the size of chunks, then the bytes of a link.
@@ -105,4 +110,28 @@ pub(crate) fn check_recognise(data: &[u8]) {
     assert!(found.frames <= found.frame_bytes, "{found:?}");
     assert_eq!(found.protocol.is_known(), found.frames > 0, "{found:?}");
     assert_eq!(found.protocol == Protocol::NoData, data.is_empty());
+}
+
+/// Input: two bytes that choose a message, a version, then its payload; or the JSON text of one.
+pub(crate) fn check_fields(data: &[u8]) {
+    let [low, high, version, rest @ ..] = data else {
+        return;
+    };
+    let all = definitions();
+    let definition = &all[usize::from(u16::from_le_bytes([*low, *high])) % all.len()];
+    let source = Address::new(3, 4);
+    if let Ok(made) = read_json(definition, source, rest) {
+        assert!(matches!(verify(&made), VerifiedFrame::Frame(_)));
+    }
+    let is_v1 = version & 1 != 0 && definition.id <= 0xFF;
+    let version = if is_v1 { WireVersion::V1 } else { WireVersion::V2 };
+    let payload = FullPayload::new(&rest[..rest.len().min(255)]);
+    assert_eq!(columns(definition).len(), row(definition, &payload).count());
+    let sent = frame(definition, version, source, 5, &payload);
+    let VerifiedFrame::Frame(read) = verify(&sent) else {
+        panic!("{} is not verified", definition.name);
+    };
+    let text = write_json(definition, &read);
+    let again = read_json(definition, source, text.as_bytes());
+    assert!(again.is_ok_and(|again| again == sent), "{text}");
 }

@@ -24,6 +24,7 @@ mod tlog;
 pub const TARGETS: &[Target] = &[
     Target::new("scanner", framing::check_scanner, 250_000),
     Target::new("decode", framing::check_decode, 1_500_000),
+    Target::new("fields", framing::check_fields, 60_000),
     Target::new("session", session::check_session, 120_000),
     Target::new("parameters", session::check_parameters, 120_000),
     Target::new("url", text::check_url, 1_500_000),

@@ -6,11 +6,14 @@
 
 pub(crate) mod catalogue;
 pub mod commands;
+pub mod definitions;
 pub(crate) mod encoder;
+pub mod fields;
 pub(crate) mod frames;
 #[expect(warnings, reason = "generated code, out of our hands; it is checked by golden bytes")]
 pub(crate) mod generated;
 pub mod ids;
+pub mod message_json;
 mod payload;
 mod posebridge;
 mod poses;
@@ -19,7 +22,7 @@ pub(crate) mod services;
 pub(crate) mod vehicle;
 mod vehicle_state;
 
-pub use catalogue::{message_id_named, message_name};
+pub use definitions::{message_id_named, message_name};
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;

@@ -8,7 +8,8 @@ use posebridge_telemetry::Address;
 
 use super::checksum::checksum;
 use super::{FLAG_SIGNED, FrameRef, START_BYTE_V1, START_BYTE_V2, WireVersion};
-use crate::dialect::catalogue::{CATALOGUE, MessageLayout};
+use crate::dialect::catalogue::CATALOGUE;
+use crate::dialect::definitions::MessageLayout;
 
 /// Start, length, two flag bytes, sequence, system, component, three bytes of id.
 const HEADER_V2: usize = 10;

@@ -12,7 +12,7 @@ use posebridge_telemetry::{HostClock, ReceiveError, Timestamp};
 use super::candidate::{FrameCandidate, FrameHeader, UnknownSpan, UnknownSpans, classify};
 use super::checksum::checksum;
 use super::{FramerConfig, FramerCounters, FramerOutput, START_BYTE_V1, START_BYTE_V2, TransportKind};
-use crate::dialect::catalogue::MessageLayout;
+use crate::dialect::definitions::MessageLayout;
 
 type FramerSink<'s> = dyn FnMut(FramerOutput<'_>) + 's;
 

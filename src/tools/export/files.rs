@@ -23,8 +23,12 @@ pub(super) struct OutputFolder<'a> {
 impl OutputFolder<'_> {
     /// Creates `NAME` and the suffix in the folder; never overwrites a file.
     pub(super) fn create_new(self, suffix: &str) -> Result<(File, AtomicFile)> {
-        let name = format!("{}{suffix}", stem(self.recording));
-        AtomicFile::create(self.folder.join(name))
+        AtomicFile::create(self.folder.join(format!("{}{suffix}", self.stem())))
+    }
+
+    /// The recording's name without its extensions.
+    pub(super) fn stem(self) -> String {
+        stem(self.recording)
     }
 }
 

@@ -2,6 +2,7 @@
 //! A telemetry log or a descriptor's run becomes the inputs of a station, with a configuration in the header. docs/recordings.md states
 //! what is kept and what is lost.
 
+mod messages;
 mod timeline;
 mod tlog;
 
@@ -29,10 +30,11 @@ pub use tlog::{InputSink, TlogSource};
 /// Flags of `import`.
 #[derive(Args, Clone, Debug)]
 pub struct ImportArgs {
-    /// A telemetry log (*.tlog, *.tlog.gz), a ROS 2 bag (*.mcap, or its folder) or a recording's descriptor (*.toml).
+    /// A telemetry log (*.tlog, *.tlog.gz), a ROS 2 bag (*.mcap, or its folder), a recording's descriptor (*.toml) or messages of
+    /// `export --messages` (*.mcap).
     pub file: PathBuf,
-    /// Recording to write. An existing file is not overwritten.
-    #[arg(long, value_name = "FILE.mcap")]
+    /// Recording to write; of messages a telemetry log (*.tlog). An existing file is not overwritten.
+    #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// What to read of a descriptor's data. For a telemetry log --set takes keys of the station's configuration.
     #[command(flatten)]
@@ -46,7 +48,17 @@ pub struct ImportArgs {
 }
 
 pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
+    let mut file = InputFile::open(&args.file).before_start()?;
+    let is_messages = messages::holds_messages(&mut file).before_start()?;
     let out = create(args).before_start()?;
+    if is_messages {
+        let written = messages::write_frames(&args.file, out);
+        if written.is_err() {
+            drop(std::fs::remove_file(&args.out));
+        }
+        print_line(&format!("wrote `{}`: {} frames", args.out.display(), written.while_running()?));
+        return Ok(());
+    }
     let station =
         StationOptions { config: args.config.as_deref(), robot: args.robot.as_deref(), settings: &args.data.settings };
     let imported = import(&args.file, &args.data, station, out);

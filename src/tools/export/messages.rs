@@ -1,0 +1,276 @@
+//! `posebridge export --messages`: every MAVLink message that a file holds, decoded by its definition. Nothing is estimated.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use posebridge_protocol::dialect::definitions::{MessageDefinition, definition};
+use posebridge_protocol::dialect::fields::{FullPayload, columns, row};
+use posebridge_protocol::dialect::message_json::{schema, write_json};
+use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, parse_verified};
+use posebridge_recording::container::RecordingReader;
+use posebridge_recording::json_log::{JsonChannel, JsonChannelId, JsonLogWriter};
+use posebridge_recording::tlog::FrameCheck;
+use posebridge_telemetry::{Address, Input, LinkId, PeerId, Timestamp};
+
+use super::atomic_file::AtomicFile;
+use super::files::{OutputFolder, print_written};
+use crate::config;
+use crate::console::{print_line, print_lines};
+use crate::station::input_file::{InputFile, InputKind, tlog_records};
+use crate::station::recorded_session::{MemoryLimit, nothing_read, own_bytes};
+
+/// What is written of the messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct MessageFormats {
+    pub(super) csv: bool,
+    pub(super) mcap: bool,
+}
+
+pub(super) fn export_messages(path: &Path, output: OutputFolder<'_>, formats: MessageFormats) -> Result<()> {
+    let mut file = InputFile::open(path)?;
+    let name = file.name.clone();
+    if formats.mcap && file.kind == InputKind::Bytes {
+        bail!("--format mcap: `{name}` has no times, which MCAP needs; --format csv leaves them empty");
+    }
+    let mut tables = formats.csv.then(|| MessageTables::create(output)).transpose()?;
+    let mut log = formats.mcap.then(|| MessageLog::create(output)).transpose()?;
+    let (mut frames, mut failure) = (0, Ok(()));
+    let mut take = |one: &LoggedFrame<'_>| {
+        let Some(definition) = definition(one.frame.message_id) else { return };
+        if failure.is_err() {
+            return;
+        }
+        frames += 1;
+        failure = tables
+            .as_mut()
+            .map_or(Ok(()), |tables| tables.record(definition, one))
+            .and_then(|()| log.as_mut().map_or(Ok(()), |log| log.record(definition, one)));
+    };
+    let unknown = match file.kind {
+        InputKind::Tlog => tlog_frames(file, &mut take)?,
+        InputKind::Bytes => bytes_frames(&mut file, &mut take)?,
+        InputKind::Own => recording_frames(path, file, &mut take)?,
+        InputKind::Descriptor => bail!("--messages: `{name}` is a descriptor, there are no frames in its data"),
+    };
+    failure?;
+    if unknown > 0 {
+        print_line(&format!("left out: {unknown} frames of messages that no dialect has"));
+    }
+    if frames == 0 {
+        return Err(nothing_read(&name));
+    }
+    tables.map_or(Ok(()), MessageTables::finish)?;
+    log.map_or(Ok(()), MessageLog::finish)
+}
+
+struct LoggedFrame<'f> {
+    /// Since 1970; `None` in bytes without times.
+    micros: Option<u64>,
+    link: LinkId,
+    frame: FrameRef<'f>,
+}
+
+type FrameSink<'s> = dyn FnMut(&LoggedFrame<'_>) + 's;
+
+/// Passes the verified frames at the times of the file; returns how many were of unknown messages.
+fn tlog_frames(file: InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
+    let reader = tlog_records(file, |record| {
+        let frame = (record.check == FrameCheck::Valid(())).then(|| parse_verified(record.frame)).flatten();
+        if let Some(frame) = frame {
+            take(&LoggedFrame { micros: Some(record.micros), link: LinkId(0), frame });
+        }
+    })?;
+    Ok(reader.counts().unknown)
+}
+
+fn framer() -> Framer {
+    Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() })
+}
+
+/// Passes what a framer has found; counts frames of unknown messages.
+fn pass(found: FramerOutput<'_>, micros: Option<u64>, link: LinkId, unknown: &mut u64, take: &mut FrameSink<'_>) {
+    match found {
+        FramerOutput::Frame(frame) => take(&LoggedFrame { micros, link, frame }),
+        FramerOutput::UnknownFrame(_) => *unknown += 1,
+        FramerOutput::Error(_) => {}
+    }
+}
+
+fn bytes_frames(file: &mut InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
+    let (mut framer, mut unknown, link) = (framer(), 0, LinkId(0));
+    file.chunks(|chunk| {
+        framer.push(Timestamp::ZERO, chunk, &mut |found| pass(found, None, link, &mut unknown, take));
+    })?;
+    framer.finish(&mut |found| pass(found, None, link, &mut unknown, take));
+    file.warn_if_truncated();
+    Ok(unknown)
+}
+
+/// The received frames of all links that speak MAVLink, at their arrival.
+fn recording_frames(path: &Path, file: InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
+    let name = file.name.clone();
+    let (bytes, notes) = own_bytes(path, file, MemoryLimit::default())?;
+    print_lines(&notes);
+    let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
+    let zero_micros = reader.header().utc_start_micros;
+    let config = config::load_text("the recording's own configuration", &reader.header().config_toml, &[]);
+    let links = config.map(|loaded| loaded.config.links).unwrap_or_default();
+    let mut framers: BTreeMap<(LinkId, PeerId), Framer> = BTreeMap::new();
+    let (mut unknown, mut damages) = (0, 0_u64);
+    for item in reader.by_ref() {
+        let Ok((now, input)) = item else {
+            damages += 1;
+            continue;
+        };
+        let Input::Bytes { link, peer, bytes } = input else { continue };
+        let brick = links.get(usize::from(link.0)).and_then(|section| section.brick.as_deref());
+        if brick.is_some_and(|brick| brick != "mavlink") {
+            continue;
+        }
+        let micros = zero_micros.saturating_add(u64::try_from(now.as_micros()).unwrap_or(0));
+        let framer = framers.entry((link, peer)).or_insert_with(framer);
+        framer.push(now, &bytes, &mut |found| pass(found, Some(micros), link, &mut unknown, take));
+    }
+    if damages > 0 {
+        print_line(&format!("{name}: {damages} damaged places were skipped; `posebridge inspect` names them"));
+    }
+    Ok(unknown)
+}
+
+/// One CSV file for each kind of message, in a folder of their own.
+struct MessageTables {
+    folder: PathBuf,
+    tables: BTreeMap<u32, MessageTable>,
+    text: String,
+}
+
+struct MessageTable {
+    out: csv::Writer<File>,
+    path: PathBuf,
+    rows: u64,
+}
+
+/// Before the fields; no field begins with an underscore.
+const FRAME_COLUMNS: [&str; 5] = ["_time [us]", "_link", "_system", "_component", "_sequence"];
+
+impl MessageTables {
+    fn create(output: OutputFolder<'_>) -> Result<Self> {
+        let folder = output.folder.join(format!("{}-messages", output.stem()));
+        std::fs::create_dir_all(&folder).with_context(|| format!("making the folder `{}`", folder.display()))?;
+        Ok(Self { folder, tables: BTreeMap::new(), text: String::new() })
+    }
+
+    fn record(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>) -> Result<()> {
+        let table = match self.tables.entry(definition.id) {
+            std::collections::btree_map::Entry::Occupied(table) => table.into_mut(),
+            std::collections::btree_map::Entry::Vacant(entry) => {
+                let path = self.folder.join(format!("{}.csv", definition.name));
+                let mut out =
+                    csv::Writer::from_path(&path).with_context(|| format!("creating `{}`", path.display()))?;
+                let names = FRAME_COLUMNS.into_iter().map(str::to_owned).chain(columns(definition));
+                out.write_record(names).with_context(|| format!("writing `{}`", path.display()))?;
+                entry.insert(MessageTable { out, path, rows: 0 })
+            }
+        };
+        table.write(definition, one, &mut self.text).with_context(|| format!("writing `{}`", table.path.display()))
+    }
+
+    fn finish(self) -> Result<()> {
+        for (_, mut table) in self.tables {
+            table.out.flush().with_context(|| format!("writing `{}`", table.path.display()))?;
+            print_written(&table.path, table.rows, "lines");
+        }
+        Ok(())
+    }
+}
+
+impl MessageTable {
+    fn write(
+        &mut self,
+        definition: &MessageDefinition,
+        one: &LoggedFrame<'_>,
+        text: &mut String,
+    ) -> Result<(), csv::Error> {
+        let payload = FullPayload::new(one.frame.payload);
+        let source = one.frame.source;
+        let numbers =
+            [u64::from(one.link.0), source.system.0.into(), source.component.0.into(), one.frame.sequence.into()];
+        text.clear();
+        if let Some(micros) = one.micros {
+            // Writing to a String cannot fail.
+            let _ = write!(text, "{micros}");
+        }
+        self.out.write_field(text.as_bytes())?;
+        for number in numbers {
+            text.clear();
+            let _ = write!(text, "{number}");
+            self.out.write_field(text.as_bytes())?;
+        }
+        for value in row(definition, &payload) {
+            text.clear();
+            let _ = write!(text, "{value}");
+            self.out.write_field(text.as_bytes())?;
+        }
+        self.out.write_record(None::<&[u8]>)?;
+        self.rows += 1;
+        Ok(())
+    }
+}
+
+/// An MCAP file with a channel for each message and sender.
+struct MessageLog {
+    out: JsonLogWriter<File>,
+    file: AtomicFile,
+    channels: BTreeMap<(LinkId, Address, u32), JsonChannelId>,
+    messages: u64,
+}
+
+impl MessageLog {
+    fn create(output: OutputFolder<'_>) -> Result<Self> {
+        let (out, file) = output.create_new("-messages.mcap")?;
+        Ok(Self { out: JsonLogWriter::create(out)?, file, channels: BTreeMap::new(), messages: 0 })
+    }
+
+    fn record(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>) -> Result<()> {
+        let key = (one.link, one.frame.source, definition.id);
+        let channel = match self.channels.get(&key) {
+            Some(channel) => *channel,
+            None => {
+                let channel = self.out.add_channel(&channel_of(definition, one))?;
+                self.channels.insert(key, channel);
+                channel
+            }
+        };
+        let nanos = one.micros.unwrap_or_default().saturating_mul(1_000);
+        self.out.write(channel, nanos, one.frame.sequence.into(), &write_json(definition, &one.frame))?;
+        self.messages += 1;
+        Ok(())
+    }
+
+    fn finish(self) -> Result<()> {
+        self.out.finish().with_context(|| format!("writing `{}`", self.file.path().display()))?;
+        print_written(self.file.path(), self.messages, "messages");
+        self.file.finish()
+    }
+}
+
+fn channel_of(definition: &MessageDefinition, one: &LoggedFrame<'_>) -> JsonChannel {
+    let (link, source) = (one.link.0, one.frame.source);
+    let (system, component) = (source.system.0, source.component.0);
+    let prefix = if link == 0 { String::new() } else { format!("/link{link}") };
+    let metadata = [
+        ("link", u32::from(link)),
+        ("system", system.into()),
+        ("component", component.into()),
+        ("message_id", definition.id),
+    ];
+    JsonChannel {
+        topic: format!("{prefix}/{system}/{component}/{}", definition.name),
+        kind: definition.name.to_owned(),
+        schema: schema(definition),
+        metadata: metadata.map(|(key, value)| (key.to_owned(), value.to_string())).into(),
+    }
+}

@@ -1,0 +1,50 @@
+//! Messages that `posebridge export --messages` wrote to MCAP become a telemetry log again, frame by frame.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow};
+use posebridge_protocol::dialect::definitions::definition;
+use posebridge_protocol::dialect::message_json::read_json;
+use posebridge_recording::json_log::{JsonMessage, is_json_log, read_json_log};
+use posebridge_recording::tlog::TlogWriter;
+use posebridge_telemetry::Address;
+
+use crate::station::input_file::InputFile;
+use crate::station::recorded_session::MemoryLimit;
+
+/// Whether a file holds such messages.
+pub(super) fn holds_messages(file: &mut InputFile) -> Result<bool> {
+    Ok(is_json_log(file.peek()?))
+}
+
+/// Writes the frames in the order of the file, at their times; returns their number.
+pub(super) fn write_frames(path: &Path, out: File) -> Result<u64> {
+    let bytes = InputFile::open(path)?.read_all(MemoryLimit::default().max_bytes)?;
+    let mut writer = TlogWriter::new(BufWriter::new(out));
+    let mut frames = 0;
+    let read = read_json_log(&bytes, |message| {
+        let frame = frame_of(&message).with_context(|| format!("message {} on `{}`", frames + 1, message.topic))?;
+        writer.record(message.log_nanos / 1_000, &frame)?;
+        frames += 1;
+        anyhow::Ok(())
+    });
+    read.with_context(|| format!("`{}`", path.display()))?;
+    writer.finish()?;
+    Ok(frames)
+}
+
+fn frame_of(message: &JsonMessage<'_>) -> Result<Vec<u8>> {
+    let id = number(message.metadata, "message_id")?;
+    let definition = definition(id).ok_or_else(|| anyhow!("no dialect has a message {id}"))?;
+    let part = |key| Ok::<_, anyhow::Error>(u8::try_from(number(message.metadata, key)?)?);
+    let source = Address::new(part("system")?, part("component")?);
+    Ok(read_json(definition, source, message.json)?)
+}
+
+fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<u32> {
+    let text = metadata.get(key).ok_or_else(|| anyhow!("its channel has no `{key}`"))?;
+    text.parse().with_context(|| format!("its channel has the {key} `{text}`"))
+}
