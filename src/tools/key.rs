@@ -39,7 +39,7 @@ fn read_passphrase() -> Result<String> {
     let input = io::stdin();
     let shown = input.is_terminal().then(|| tcgetattr(&input)).transpose().context("asking the terminal")?;
     if let Some(shown) = &shown {
-        eprint!("passphrase: ");
+        print_line("passphrase (it is not shown):");
         let mut hidden = shown.clone();
         hidden.local_flags.remove(LocalFlags::ECHO);
         tcsetattr(&input, SetArg::TCSAFLUSH, &hidden).context("hiding what is typed")?;
@@ -48,7 +48,6 @@ fn read_passphrase() -> Result<String> {
     let read = input.lock().read_line(&mut line);
     if let Some(shown) = &shown {
         tcsetattr(&input, SetArg::TCSAFLUSH, shown).context("showing again what is typed")?;
-        eprintln!();
     }
     read.context("reading the passphrase")?;
     let passphrase = line.trim_end_matches(['\r', '\n']);

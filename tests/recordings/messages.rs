@@ -87,7 +87,7 @@ fn assert_agrees(what: &str, ours: &str, theirs: &Value) {
             let theirs = number.as_f64().unwrap();
             ours.parse::<f64>() == Ok(theirs) || ours.parse::<f32>().map(f64::from) == Ok(theirs)
         }
-        number => ours == number.to_string(),
+        number => *ours == *number.to_string(),
     };
     assert!(agrees, "{what}: {ours}, and by pymavlink {theirs}");
 }

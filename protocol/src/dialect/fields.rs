@@ -62,17 +62,17 @@ impl FullPayload {
         if index >= usize::from(field.array.unwrap_or(1)) {
             return false;
         }
-        let bytes = bytes_of(field.scalar, value);
-        let length = match value {
-            Value::Text(text) if field.is_text() && text.len() <= field.size() => {
-                let Some(target) = self.0.get_mut(start..start + text.len()) else { return false };
-                target.copy_from_slice(text);
-                return true;
+        let wide;
+        let bytes = match value {
+            Value::Text(text) if field.is_text() && text.len() <= field.size() => text,
+            Value::Unsigned(_) | Value::Signed(_) | Value::Single(_) | Value::Double(_) | Value::Text(_) => {
+                let Some(bytes) = bytes_of(field.scalar, value) else { return false };
+                wide = bytes;
+                &wide[..size]
             }
-            _ => size,
         };
-        let (Some(target), Some(bytes)) = (self.0.get_mut(start..start + length), bytes) else { return false };
-        target.copy_from_slice(&bytes[..length]);
+        let Some(target) = self.0.get_mut(start..start + bytes.len()) else { return false };
+        target.copy_from_slice(bytes);
         true
     }
 

@@ -5,8 +5,8 @@
 //! object = { "_version": 1 | 2, "_sequence": n, FIELD: value, .. , "_frame": hex }
 //! value  = number, null for NaN | array of them | text up to the first NUL
 //! ```
-//! `_frame` is there only when the values do not give the frame again: it is signed, has infinite numbers, NaN of other bits, text behind a NUL
-//! or zeros that need not be sent. Then it holds the whole frame.
+//! `_frame` is there only when the values do not give the frame again: it is signed, has infinite numbers, NaN of other bits, text behind a NUL,
+//! zeros that need not be sent, or one of the few numbers with all digits that serde_json reads as their neighbours. Then it holds the whole frame.
 
 use std::fmt::Write as _;
 
@@ -64,28 +64,37 @@ pub fn write_json(definition: &MessageDefinition, frame: &FrameRef<'_>) -> Strin
     out
 }
 
-/// Whether the text gives the value again.
+/// Whether [`read_json`] gives the value again.
 fn write_value(out: &mut String, value: Value<'_>) -> bool {
-    let is_number = match value {
-        Value::Unsigned(_) | Value::Signed(_) => true,
-        Value::Single(number) => number.is_finite(),
-        Value::Double(number) => number.is_finite(),
+    let start = out.len();
+    match value {
+        Value::Unsigned(_) | Value::Signed(_) => {
+            let _ = write!(out, "{value}");
+            true
+        }
+        Value::Single(number) if number.is_finite() => {
+            let _ = write!(out, "{value}");
+            // serde_json reads some numbers as their neighbours.
+            serde_json::from_str(&out[start..]).is_ok_and(|read: f64| (read as f32).to_bits() == number.to_bits())
+        }
+        Value::Double(number) if number.is_finite() => {
+            let _ = write!(out, "{value}");
+            serde_json::from_str(&out[start..]).is_ok_and(|read: f64| read.to_bits() == number.to_bits())
+        }
+        Value::Single(number) => {
+            out.push_str("null");
+            number.to_bits() == f32::NAN.to_bits()
+        }
+        Value::Double(number) => {
+            out.push_str("null");
+            number.to_bits() == f64::NAN.to_bits()
+        }
         Value::Text(bytes) => {
             let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
             let text = String::from_utf8_lossy(&bytes[..end]);
             out.push_str(&Json::from(text.as_ref()).to_string());
-            return text.as_bytes() == &bytes[..end] && bytes[end..].iter().all(|byte| *byte == 0);
+            text.as_bytes() == &bytes[..end] && bytes[end..].iter().all(|byte| *byte == 0)
         }
-    };
-    if is_number {
-        let _ = write!(out, "{value}");
-        return true;
-    }
-    out.push_str("null");
-    match value {
-        Value::Single(number) => number.to_bits() == f32::NAN.to_bits(),
-        Value::Double(number) => number.to_bits() == f64::NAN.to_bits(),
-        Value::Unsigned(_) | Value::Signed(_) | Value::Text(_) => false,
     }
 }
 
@@ -152,12 +161,13 @@ pub fn read_json(definition: &MessageDefinition, source: Address, text: &[u8]) -
     let mut payload = FullPayload::new(&[]);
     for field in &definition.fields {
         let Some(value) = object.get(field.name) else { continue };
-        let is_set = match value {
-            Json::Array(elements) if field.array.is_some() && !field.is_text() => {
-                let mut elements = elements.iter().enumerate();
-                elements.all(|(index, element)| set(&mut payload, field, index, element))
+        let is_array = field.array.is_some() && !field.is_text();
+        let is_set = match value.as_array() {
+            Some(elements) if is_array => {
+                elements.iter().enumerate().all(|(index, element)| set(&mut payload, field, index, element))
             }
-            single => (field.array.is_none() || field.is_text()) && set(&mut payload, field, 0, single),
+            Some(_) => false,
+            None => !is_array && set(&mut payload, field, 0, value),
         };
         if !is_set {
             let array = field.array.map_or_else(String::new, |length| format!(", at most {length} of it"));

@@ -236,13 +236,12 @@ impl MessageLog {
 
     fn record(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>) -> Result<()> {
         let key = (one.link, one.frame.source, definition.id);
-        let channel = match self.channels.get(&key) {
-            Some(channel) => *channel,
-            None => {
-                let channel = self.out.add_channel(&channel_of(definition, one))?;
-                self.channels.insert(key, channel);
-                channel
-            }
+        let channel = if let Some(channel) = self.channels.get(&key) {
+            *channel
+        } else {
+            let channel = self.out.add_channel(&channel_of(definition, one))?;
+            self.channels.insert(key, channel);
+            channel
         };
         let nanos = one.micros.unwrap_or_default().saturating_mul(1_000);
         self.out.write(channel, nanos, one.frame.sequence.into(), &write_json(definition, &one.frame))?;
