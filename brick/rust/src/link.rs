@@ -1,6 +1,8 @@
 //! The sending half: one participant on one link.
 
-use crate::frame::{BATTERY, Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS};
+use crate::frame::{
+    BATTERY, Frame, HEARTBEAT, INERTIAL, Kind, Origin, Payload, ROBOT_DESCRIPTION, TIMESYNC, WHEEL_TICKS,
+};
 use crate::messages::{Battery, Inertial, RobotDescription, TimeRequest, WheelTicks};
 
 /// MAV_TYPE_GROUND_ROVER (minimal.xml).

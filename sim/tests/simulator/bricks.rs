@@ -81,9 +81,8 @@ fn the_battery_is_told_each_second_until_another_interval_is_asked_for() {
     (scenario.robot.battery_v, scenario.robot.battery_drop_v_per_min) = (7.4, 60.0);
     let mut simulation = Simulation::new(scenario);
     let told = |received: &[(Address, Message)]| -> Vec<Battery> {
-        let batteries = received.iter().filter_map(|(from, message)| match message {
-            Message::BatteryStatus(battery) => Some((*from, *battery)),
-            _ => None,
+        let batteries = received.iter().filter_map(|(from, message)| {
+            if let Message::BatteryStatus(battery) = message { Some((*from, *battery)) } else { None }
         });
         batteries.map(|(from, battery)| if from == BRICK { battery } else { panic!("{from:?}") }).collect()
     };

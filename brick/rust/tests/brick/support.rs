@@ -78,10 +78,9 @@ pub(crate) fn rust_answer(command: &str) -> String {
             },
             &mut sink,
         ),
-        "battery" => link.battery(
-            &Battery { millivolts: number(3) as u16, percent: u8::try_from(number(4)).ok() },
-            &mut sink,
-        ),
+        "battery" => {
+            link.battery(&Battery { millivolts: number(3) as u16, percent: u8::try_from(number(4)).ok() }, &mut sink)
+        }
         "description" => describe(&mut link, &rest[3..], &mut sink),
         "gyro" => {
             let inertial = integrate(&rest[3..]);
