@@ -85,7 +85,8 @@ fn assert_agrees(what: &str, ours: &str, theirs: &Value) {
         Value::String(text) => ours == text,
         Value::Number(number) if number.is_f64() => {
             let theirs = number.as_f64().unwrap();
-            ours.parse::<f64>() == Ok(theirs) || ours.parse::<f32>().map(f64::from) == Ok(theirs)
+            // Single fields are compared as such: their oracle has the decimals of a double.
+            ours.parse::<f64>() == Ok(theirs) || ours.parse::<f32>() == Ok(theirs as f32)
         }
         number => *ours == *number.to_string(),
     };

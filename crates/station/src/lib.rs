@@ -41,6 +41,7 @@ mod robot;
 mod robot_table;
 mod sender_identity;
 mod sender_pins;
+mod sensor_health;
 mod sessions;
 mod set_origin;
 mod station;

@@ -20,7 +20,7 @@ use crate::motion_source::MotionSource;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
-use crate::vehicle_status::SensorHealth;
+use crate::sensor_health::SensorHealth;
 
 /// The filters of a robot, found in the table of filters.
 pub(crate) struct RobotFilters {

@@ -2,7 +2,7 @@
 
 use posebridge_telemetry::{Address, GeodeticPoint, Heading, Meters, MetersPerSecond, RadiansPerSecond, SystemId};
 
-use super::WireStamp;
+use super::wire_stamp::WireStamp;
 
 /// GLOBAL_POSITION_INT (33).
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -79,7 +79,7 @@ pub(crate) fn rust_answer(command: &str) -> String {
             &mut sink,
         ),
         "battery" => {
-            link.battery(&Battery { millivolts: number(3) as u16, percent: u8::try_from(number(4)).ok() }, &mut sink)
+            link.battery(&Battery { millivolts: number(3) as u16, percent: u8::try_from(number(4)).ok() }, &mut sink);
         }
         "description" => describe(&mut link, &rest[3..], &mut sink),
         "gyro" => {
