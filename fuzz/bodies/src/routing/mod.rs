@@ -74,7 +74,7 @@ fn link_rules(byte: u8) -> LinkRules {
         forward,
         inward: filter(byte >> 4 & 3),
         outward: filter(byte >> 6),
-        dialects: if byte % 4 == 3 { ForwardedDialects::Stock } else { ForwardedDialects::All },
+        dialects: ForwardedDialects::All,
         limits: RateLimits::default(),
     }
 }
