@@ -33,7 +33,7 @@ class Odometry(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(folder.cleanup)
         cls.folder = folder.name
-        station = RunningStation(cls.folder, "run", simulated(cls.folder) + for_ground_stations("udp"))
+        station = RunningStation(cls.folder, "run", simulated(cls.folder) + for_ground_stations("udp", 'dialects = "all"'))
         cls.addClassCleanup(station.kill)
         ground = Ground(station.addresses[0])
         cls.addClassCleanup(ground.close)

@@ -22,7 +22,7 @@ OF_ESTIMATOR = {
     "HEARTBEAT", "ODOMETRY", "LOCAL_POSITION_NED", "ESTIMATOR_STATUS", "STATUSTEXT", "TIMESYNC", "COMMAND_ACK", "MESSAGE_INTERVAL",
     "PARAM_VALUE", *ON_REQUEST.values(), *ONCE.values(),
 }
-OF_VEHICLE = {"HEARTBEAT", "ATTITUDE", "DISTANCE_SENSOR"}
+OF_VEHICLE = {"HEARTBEAT", "ATTITUDE", "DISTANCE_SENSOR", "SYS_STATUS", "EXTENDED_SYS_STATE", "BATTERY_STATUS", "VFR_HUD"}
 OF_ROBOT = {"HEARTBEAT", "ATTITUDE", "PB_WHEEL_TICKS", "PB_INERTIAL", "PB_ROBOT_DESCRIPTION"}
 CAMERA = (1, 100)
 EVERYBODY = (VEHICLE, ESTIMATOR, CAMERA)
@@ -88,7 +88,7 @@ class GroundStation(Common):
 
     def test_no_loss_with_three_component_ids_on_each_link(self):
         # The camera answers the station's requests for its time; these answers are not for others, and must not look like losses.
-        station = self.station(for_ground_stations("udp"), for_ground_stations("tcp"))
+        station = self.station(*(for_ground_stations(scheme, 'dialects = "all"') for scheme in ("udp", "tcp")))
         grounds = [self.ground(address, scheme) for address, scheme in zip(station.addresses, ("udp", "tcp"))]
         # The sockets hold what comes meanwhile on the other link.
         for _ in range(5):

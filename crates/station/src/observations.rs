@@ -30,6 +30,11 @@ fn is_telemetry(observations: &[Option<UnalignedObservation>]) -> bool {
     observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot)
 }
 
+/// Whether a robot that was programmed for this station sends it.
+const fn is_of_own_dialect(message: &Message) -> bool {
+    matches!(message, Message::WheelTicks(_) | Message::Inertial(_) | Message::RobotDescription(_))
+}
+
 #[derive(Clone, Copy)]
 pub(crate) struct MessageSender {
     pub(crate) received: ReceiveInfo,
@@ -210,6 +215,13 @@ impl Station {
         let origin = sender.origin;
         if let Message::RobotDescription(description) = content {
             self.handle_description(sender, description);
+        }
+        if let (Some(index), true) = (sender.robot, is_of_own_dialect(content)) {
+            let robot = self.robots.get_mut(index);
+            if !std::mem::replace(&mut robot.is_of_own_dialect, true) {
+                let system = robot.vehicle_address.system;
+                self.sessions.record_own_dialect(system);
+            }
         }
         if let (Some(index), Some(battery)) = (sender.robot, battery_of(content)) {
             self.robots.get_mut(index).battery = Some(battery);

@@ -67,6 +67,8 @@ pub struct Robot {
     pub(crate) extractor: ObservationExtractor,
     pub(crate) motion_source: MotionSource,
     pub(crate) sensor_health: SensorHealth,
+    /// It has sent messages of our own dialect.
+    pub(crate) is_of_own_dialect: bool,
     /// As it described it last.
     pub(crate) battery: Option<Battery>,
     pub(crate) clocks: ClockAlignment,
@@ -101,6 +103,7 @@ impl Robot {
             extractor: ObservationExtractor::new(config, origin),
             motion_source: MotionSource::default(),
             sensor_health: SensorHealth::default(),
+            is_of_own_dialect: false,
             battery: None,
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(filters.own, &config.filter_config),

@@ -164,6 +164,13 @@ impl Sessions {
         }
     }
 
+    /// The vehicle of a system sends our own dialect.
+    pub(crate) fn record_own_dialect(&mut self, system: SystemId) {
+        for link in self.links.values_mut() {
+            link.vehicles.record_own_dialect(system);
+        }
+    }
+
     /// Whether a message asks the station, or a robot in whose name it replies, for something that costs an answer.
     pub(crate) fn are_asked(&self, now: Timestamp<HostClock>, id: LinkId, message: &Message) -> bool {
         let Some(link) = self.links.get(&id) else {

@@ -238,11 +238,13 @@ impl VehicleProxies {
         self.due.first().map(|(due, _)| *due)
     }
 
+    /// The vehicle of a system sends our own dialect, which need not be forwarded here.
+    pub(crate) fn record_own_dialect(&mut self, system: SystemId) {
+        self.of_own_dialect.insert(system);
+    }
+
     /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
-        if matches!(message_id, ids::PB_WHEEL_TICKS..=ids::PB_ROBOT_DESCRIPTION) {
-            self.of_own_dialect.insert(from);
-        }
         self.own_services.extend(VehicleService::of_answer(message_id).map(|service| (from, service)));
         // The others are never requested; so the map stays small whatever comes.
         let is_status = message_id == ids::HEARTBEAT || STATUS_MESSAGES.contains(&message_id);

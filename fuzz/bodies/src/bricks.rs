@@ -168,6 +168,9 @@ fn check_message(message: &Message) {
             );
         }
         Message::TimeSync(sync) => assert!(sync.answer_nanos > 0, "{sync:?}"),
+        Message::BatteryStatus(battery) => {
+            assert!(battery.voltage_v.is_none_or(|volts| (0.0..=65.0).contains(&volts)), "{battery:?}");
+        }
         other => assert!(matches!(other, Message::WheelTicks(_) | Message::Heartbeat(_)), "{other:?}"),
     }
 }

@@ -9,6 +9,7 @@ use posebridge_protocol::dialect::ids::{self, COMMAND_REQUEST_MESSAGE};
 use posebridge_protocol::message::{
     CommandLong, FileTransfer, Heartbeat, LogMessage, Message, PlanContent, PlanMessage, TimeSync, WireStamp,
 };
+use posebridge_protocol::routing::ForwardedDialects;
 use posebridge_station::{AnnouncedAs, OutputKind, StationConfig};
 use posebridge_telemetry::{Address, HostClock, Meters, Priority, Timestamp};
 
@@ -22,6 +23,7 @@ fn two_links() -> StationConfig {
     config.robot_system = Some(BRICK.system);
     let mut gcs = link(GCS_LINK, vec![stream(OutputKind::Attitude, 100), stream(OutputKind::Odometry, 100)]);
     gcs.announced_as = AnnouncedAs::StationAndVehicle;
+    gcs.rules.dialects = ForwardedDialects::Stock;
     config.links.push(gcs);
     config
 }
