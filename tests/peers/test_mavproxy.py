@@ -45,7 +45,7 @@ class Headless(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         folder = folder.name
-        station = RunningStation(folder, "run", simulated(folder) + for_ground_stations("udp")).belongs_to(self)
+        station = RunningStation(folder, "run", simulated(folder) + for_ground_stations("udp", 'dialects = "all"')).belongs_to(self)
         proxy = MavProxy(folder, station.addresses[0]).belongs_to(self)
         proxy.wait_for("Detected vehicle 1:1 on link 0")
         proxy.wait_for("Detected vehicle 1:197 on link 0")
