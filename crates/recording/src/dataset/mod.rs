@@ -5,6 +5,7 @@
 //! resamples nothing; the descriptor's `[robot]` table is passed on unread.
 
 mod column;
+mod decimal_time;
 mod descriptor;
 mod load;
 mod observation_list;

@@ -172,7 +172,7 @@ pub(super) struct SensorRow {
 
 /// What a message holds.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Decoded {
+pub(super) enum MessageContent {
     Row(SensorRow),
     /// A scan that sees nothing in this direction, joints of an arm: no damage and no row.
     Nothing,
@@ -181,7 +181,7 @@ pub(super) enum Decoded {
 /// The end of a joint's or a frame's name that is kept.
 const MAX_SHOWN: usize = 80;
 
-pub(super) fn decode(sensor: SensorType, options: &RowOptions, data: &[u8]) -> Result<Decoded, CdrError> {
+pub(super) fn decode(sensor: SensorType, options: &RowOptions, data: &[u8]) -> Result<MessageContent, CdrError> {
     let mut reader = CdrReader::open(data)?;
     let (sec, nanosec) = (reader.i32()?, reader.u32()?);
     let frame = shorten(reader.text()?);
@@ -213,20 +213,20 @@ pub(super) fn decode(sensor: SensorType, options: &RowOptions, data: &[u8]) -> R
         }
         SensorType::JointState => {
             let Some((names, angles)) = wheel_angles(&mut reader, options)? else {
-                return Ok(Decoded::Nothing);
+                return Ok(MessageContent::Nothing);
             };
             joints = Some(names);
             angles.to_vec()
         }
         SensorType::LaserScan => {
             let Some(range_m) = range_at(&mut reader, options.bearing_rad)? else {
-                return Ok(Decoded::Nothing);
+                return Ok(MessageContent::Nothing);
             };
             vec![range_m]
         }
     };
     let stamp_nanos = i64::from(sec) * 1_000_000_000 + i64::from(nanosec);
-    Ok(Decoded::Row(SensorRow { stamp_nanos, frame, values, joints }))
+    Ok(MessageContent::Row(SensorRow { stamp_nanos, frame, values, joints }))
 }
 
 fn shorten(text: &str) -> String {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 
-use super::incoming::{Decoded, RowOptions, SensorRow, SensorType, decode};
+use super::incoming::{MessageContent, RowOptions, SensorRow, SensorType, decode};
 use super::records::{BagChannel, BagError, BagReader, Faults};
 
 /// A channel may change its topic with every message: this bounds the memory.
@@ -127,11 +127,11 @@ impl TopicSummary {
             return;
         };
         match decode(sensor, &RowOptions::default(), data) {
-            Ok(Decoded::Row(row)) => {
+            Ok(MessageContent::Row(row)) => {
                 self.facts.observe(row, i64::try_from(log_nanos).unwrap_or(i64::MAX));
                 self.rows += 1;
             }
-            Ok(Decoded::Nothing) => {}
+            Ok(MessageContent::Nothing) => {}
             Err(error) => self.damaged.push(format!("byte {offset} of the bag: {error}")),
         }
     }

@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read};
 
-use super::incoming::{Decoded, RowOptions, SensorType, TIME_COLUMNS, decode};
+use super::incoming::{MessageContent, RowOptions, SensorType, TIME_COLUMNS, decode};
 use super::records::{BagChannel, BagError, BagReader};
 use super::summary::sensor_of;
 
@@ -63,7 +63,7 @@ impl<R: Read> TopicTable<R> {
                 *self.sensor.insert(sensor)
             };
             match decode(sensor, &self.options, message.data) {
-                Ok(Decoded::Row(row)) => {
+                Ok(MessageContent::Row(row)) => {
                     let log = message.log_nanos;
                     // A sender without a clock of its own leaves the stamp at zero.
                     match row.stamp_nanos {
@@ -76,7 +76,7 @@ impl<R: Read> TopicTable<R> {
                     }
                     self.text.push('\n');
                 }
-                Ok(Decoded::Nothing) => {}
+                Ok(MessageContent::Nothing) => {}
                 Err(error) => _ = writeln!(self.text, "{DAMAGED}byte {} of the bag: {error}", message.offset),
             }
             if !self.text.is_empty() {
