@@ -2,8 +2,9 @@
 //! can be encoded, framed and decoded again, and a detected protocol explains no more bytes than there are.
 
 use posebridge_protocol::detect::{Protocol, recognise};
+use posebridge_protocol::dialect::csv_line::CsvLine;
 use posebridge_protocol::dialect::definitions::definitions;
-use posebridge_protocol::dialect::fields::{FullPayload, columns, frame, row};
+use posebridge_protocol::dialect::fields::{FullPayload, columns, frame};
 use posebridge_protocol::dialect::message_json::{read_json, write_json};
 use posebridge_protocol::dialect::{Encoder, MESSAGES, decode, ids};
 use posebridge_protocol::framing::{
@@ -131,7 +132,11 @@ pub(crate) fn check_fields(data: &[u8]) {
     let is_v1 = version & 1 != 0 && definition.id <= 0xFF;
     let version = if is_v1 { WireVersion::V1 } else { WireVersion::V2 };
     let payload = FullPayload::new(&rest[..rest.len().min(255)]);
-    assert_eq!(columns(definition).len(), row(definition, &payload).count());
+    let mut line = CsvLine::default();
+    line.push_payload(definition, &payload);
+    let values = line
+        .finish(|line| line.split(|byte| *byte == b'"').step_by(2).flatten().filter(|byte| **byte == b',').count() + 1);
+    assert_eq!(values, columns(definition).len());
     let sent = frame(definition, version, source, 5, &payload);
     let VerifiedFrame::Frame(read) = verify(&sent) else {
         panic!("{} is not verified", definition.name);

@@ -18,7 +18,7 @@ pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
     LazyLock::new(|| MessageCatalogue::build(definitions().iter().map(|message| (message.id, message.layout))));
 
 /// Whether a message belongs to a dialect of the MAVLink project, and not to ours or to none.
-pub(crate) fn is_stock_message(id: u32) -> bool {
+pub fn is_stock_message(id: u32) -> bool {
     CATALOGUE.layout(id).is_some() && !posebridge::MavMessage::all_ids().contains(&id)
 }
 

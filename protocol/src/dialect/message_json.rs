@@ -69,16 +69,16 @@ fn write_value(out: &mut String, value: Value<'_>) -> bool {
     let start = out.len();
     match value {
         Value::Unsigned(_) | Value::Signed(_) => {
-            let _ = write!(out, "{value}");
+            value.append_to(out);
             true
         }
         Value::Single(number) if number.is_finite() => {
-            let _ = write!(out, "{value}");
+            value.append_to(out);
             // serde_json reads some numbers as their neighbours.
             serde_json::from_str(&out[start..]).is_ok_and(|read: f64| (read as f32).to_bits() == number.to_bits())
         }
         Value::Double(number) if number.is_finite() => {
-            let _ = write!(out, "{value}");
+            value.append_to(out);
             serde_json::from_str(&out[start..]).is_ok_and(|read: f64| read.to_bits() == number.to_bits())
         }
         Value::Single(number) => {
@@ -104,9 +104,12 @@ pub fn schema(definition: &MessageDefinition) -> String {
     properties.insert("_version".to_owned(), json!({"type": "integer", "description": "MAVLink version of the frame"}));
     properties
         .insert("_sequence".to_owned(), json!({"type": "integer", "description": "sequence number of the frame"}));
+    let frame = json!({"type": "string", "description": "the whole frame in hexadecimal, where the fields do not give it again"});
+    properties.insert("_frame".to_owned(), frame);
     for field in &definition.fields {
         let kind = match field.scalar {
             Scalar::Char => "string",
+            // NaN and the infinities are null.
             Scalar::F32 | Scalar::F64 => "number",
             Scalar::U8
             | Scalar::U16
@@ -158,6 +161,11 @@ pub fn read_json(definition: &MessageDefinition, source: Address, text: &[u8]) -
             .and_then(|number| u8::try_from(number).ok())
             .ok_or_else(|| refusal("_sequence", number, "a number from 0 to 255"))?,
     };
+    let is_key =
+        |key: &str| ["_version", "_sequence"].contains(&key) || definition.fields.iter().any(|field| field.name == key);
+    if let Some((key, value)) = object.iter().find(|(key, _)| !is_key(key)) {
+        return Err(refusal(key, value, &format!("{} has no such field", definition.name)));
+    }
     let mut payload = FullPayload::new(&[]);
     for field in &definition.fields {
         let Some(value) = object.get(field.name) else { continue };
@@ -238,6 +246,7 @@ mod tests {
         for (text, key) in [
             (r#"{"load": 65536}"#, "`load` is 65536"),
             (r#"{"load": [1]}"#, "`load` is [1]"),
+            (r#"{"laod": 1}"#, "SYS_STATUS has no such field"),
             (r#"{"_version": 3}"#, "_version"),
             (r#"{"_sequence": 256}"#, "_sequence"),
             (r#"{"_frame": "fe00"}"#, "_frame"),

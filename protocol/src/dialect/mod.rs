@@ -6,6 +6,7 @@
 
 pub(crate) mod catalogue;
 pub mod commands;
+pub mod csv_line;
 pub mod definitions;
 pub(crate) mod encoder;
 pub mod fields;
@@ -22,6 +23,7 @@ pub(crate) mod services;
 pub(crate) mod vehicle;
 mod vehicle_state;
 
+pub use catalogue::is_stock_message;
 pub use definitions::{message_id_named, message_name};
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};

@@ -57,7 +57,7 @@ pub(crate) fn check(data: &[u8]) {
 /// Four links; groups, filters and what is forwarded as the bytes say.
 fn rules(operands: &mut Operands<'_>) -> RouterConfig {
     let window = TimeDelta::from_millis([0, 1_000, 1_000, 60_000][usize::from(operands.byte() % 4)]);
-    let links = (0..LINKS).map(|id| (LinkId(id), link_rules(operands.byte())));
+    let links = (0..LINKS).map(|id| (LinkId(id), LinkRules { dialects: dialects(id), ..link_rules(operands.byte()) }));
     RouterConfig { own: STATION, duplicate_window: window, links: links.collect() }
 }
 
@@ -74,9 +74,14 @@ fn link_rules(byte: u8) -> LinkRules {
         forward,
         inward: filter(byte >> 4 & 3),
         outward: filter(byte >> 6),
-        dialects: ForwardedDialects::All,
+        dialects: ForwardedDialects::default(),
         limits: RateLimits::default(),
     }
+}
+
+/// The last link is one of a ground station.
+const fn dialects(link: u16) -> ForwardedDialects {
+    if link + 1 == LINKS { ForwardedDialects::Stock } else { ForwardedDialects::All }
 }
 
 fn filter(choice: u8) -> FrameFilter {

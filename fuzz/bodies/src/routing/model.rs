@@ -4,10 +4,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use posebridge_protocol::dialect::message_name;
 use posebridge_protocol::framing::{FrameRef, WireVersion};
 use posebridge_protocol::routing::{
-    DuplicateStatus, Endpoint, ForwardPolicy, LinkRules, MessageTarget, RouterConfig, RoutingDecision, SenderCheck,
-    has_timestamp, target_of,
+    DuplicateStatus, Endpoint, ForwardPolicy, ForwardedDialects, LinkRules, MessageTarget, RouterConfig,
+    RoutingDecision, SenderCheck, has_timestamp, target_of,
 };
 use posebridge_telemetry::{Address, HostClock, LinkId, Recipients, TimeDelta, Timestamp};
 
@@ -203,7 +204,14 @@ impl RouterModel {
                 ForwardPolicy::Targeted => target != MessageTarget::Broadcast,
                 ForwardPolicy::Disabled => false,
             };
-            is_wanted && rules.outward.admits(frame.source, frame.message_id)
+            let is_known_there = match rules.dialects {
+                ForwardedDialects::All => true,
+                ForwardedDialects::Stock => {
+                    message_name(frame.message_id).is_some_and(|name| !name.starts_with("PB_"))
+                        || rules.outward.messages.allow.contains(&frame.message_id)
+                }
+            };
+            is_wanted && is_known_there && rules.outward.admits(frame.source, frame.message_id)
         })
     }
 
