@@ -11,6 +11,7 @@ pub mod event_collector;
 pub mod event_file;
 pub mod input_file;
 pub mod learned_calibration;
+pub mod link_frames;
 pub mod link_log;
 pub mod link_report;
 mod links;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use posebridge_link::HostTimer;
 use posebridge_recording::container::{FORMAT, RecordingHeader};
+use posebridge_recording::ros2::BAG_SUFFIX;
 
 use super::args::{McapProfile, RunArgs};
 use super::bag_recorder::{BagRecorder, BagWritten};
@@ -127,7 +128,7 @@ pub(super) fn start_bag(
         return Ok(None);
     };
     let stem = recording.file_stem().unwrap_or_default().to_string_lossy();
-    let path = recording.with_file_name(format!("{stem}-ros2.mcap"));
+    let path = recording.with_file_name(format!("{stem}{BAG_SUFFIX}"));
     let started = BagRecorder::start(&path, timer.utc_start(), config.record.limits().min_free_bytes);
     or_continue_without("ROS 2 bag", started, &path, failures)
 }

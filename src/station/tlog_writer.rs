@@ -10,15 +10,13 @@ use std::sync::atomic::AtomicU64;
 
 use anyhow::{Context, Result, anyhow};
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
-use posebridge_protocol::dialect::{Encoder, is_signed};
-use posebridge_protocol::framing::{
-    FrameRef, Framer, FramerConfig, FramerOutput, SequenceTracker, VerifiedFrame, WireVersion, verify,
-};
-use posebridge_protocol::routing::MAX_PEERS;
+use posebridge_protocol::dialect::{Encoder, is_signed, is_stock_message};
+use posebridge_protocol::framing::{VerifiedFrame, WireVersion, verify};
 use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
-use posebridge_station::{AcceptedVersions, LinkConfig};
+use posebridge_station::LinkConfig;
 use posebridge_telemetry::{Address, HostClock, Input, LinkId, PeerId, Priority, Timestamp};
 
+use super::link_frames::{LinkFrame, LinkFrames};
 use super::live_log::{LiveLog, write_while_sent};
 use super::recording_parts::WatchedFile;
 use super::writer_thread::WriterThread;
@@ -130,24 +128,37 @@ impl LiveLog for TrafficLog<BufWriter<File>> {
     }
 }
 
-/// The stream of one peer of a link, which may end within a frame.
-struct TrafficStream {
-    last_seen: Timestamp<HostClock>,
-    framer: Framer,
-    losses: SequenceTracker,
+/// Stock messages that pymavlink 2.4.50's dialect `ardupilotmega`, by which its tools read logs, does not have.
+#[rustfmt::skip]
+const UNKNOWN_TO_PYMAVLINK: [u32; 91] = [
+    8, 80, 220, 221, 222, 223, 224, 290, 291, 292, 300, 334, 336, 354, 355, 361, 369, 371, 372, 380, 395, 396, 397,
+    400, 401, 410, 411, 412, 413, 414, 415, 420, 421, 435, 436, 437, 440, 441, 510, 511, 512, 513, 514, 515, 8002,
+    8003, 8004, 8005, 8006, 8007, 8008, 8009, 8010, 8011, 8012, 8013, 8014, 8015, 8016, 17_000, 17_150, 17_151,
+    17_153, 17_154, 17_155, 17_156, 17_157, 17_158, 52_501, 52_502, 52_503, 52_504, 52_505, 52_600, 52_601, 60_000,
+    60_010, 60_011, 60_012, 60_013, 60_014, 60_020, 60_040, 60_041, 60_045, 60_046, 60_047, 60_050, 60_051, 60_052,
+    60_053,
+];
+
+/// Whether a reader with pymavlink's stock dialect counts a frame in its sender's sequence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Counting {
+    Counted,
+    Unknown,
 }
 
-/// Messages of standard dialects that the station sends and pymavlink's stock dialect, which is ArduPilot's, does not have:
-/// PROTOCOL_VERSION, COMPONENT_INFORMATION_BASIC.
-const UNKNOWN_TO_PYMAVLINK: [u32; 2] = [300, 396];
-/// Those of our own dialect.
-const OWN_MESSAGES: std::ops::RangeInclusive<u32> = 42_100..=42_104;
+impl Counting {
+    fn of(frame: &LinkFrame<'_>) -> Self {
+        let id = frame.frame.message_id;
+        let is_counted = frame.is_known && is_stock_message(id) && UNKNOWN_TO_PYMAVLINK.binary_search(&id).is_err();
+        if is_counted { Self::Counted } else { Self::Unknown }
+    }
+}
 
 /// Gives the frames of each sender the numbers that a reader of the whole log expects. On the wire a sender has numbers for each link; in the
 /// log its frames of all links and both directions stand one behind the other, and every gap would be a loss.
 ///
-/// Readers count only messages that they know. So a message that programs without our dialect do not know gets the number before it once
-/// more. What was lost on the way to the station stays a gap.
+/// Readers count only messages that they know. So any other message gets the number before it once more. What was lost on the way to the
+/// station stays a gap.
 struct LogNumbering {
     encoder: Encoder,
     senders: BTreeMap<Address, SenderNumbering>,
@@ -168,16 +179,16 @@ impl LogNumbering {
 
     /// The frame with its number in the log. A signed one stays as it is, because only its sender can sign it anew; the sender's next ones
     /// follow its number.
-    fn renumber<'f>(&'f mut self, frame: &FrameRef<'f>, lost: u8) -> &'f [u8] {
+    fn renumber<'f>(&'f mut self, found: &LinkFrame<'f>) -> &'f [u8] {
+        let frame = &found.frame;
         let first = SenderNumbering { last: frame.sequence.wrapping_sub(1), lost: 0 };
         let sender = self.senders.entry(frame.source).or_insert(first);
-        let is_uncounted = OWN_MESSAGES.contains(&frame.message_id) || UNKNOWN_TO_PYMAVLINK.contains(&frame.message_id);
-        sender.lost = sender.lost.wrapping_add(lost);
+        sender.lost = sender.lost.wrapping_add(found.lost);
         if is_signed(frame.raw) {
             *sender = SenderNumbering { last: frame.sequence, lost: 0 };
             return frame.raw;
         }
-        if !is_uncounted {
+        if Counting::of(found) == Counting::Counted {
             sender.last = sender.last.wrapping_add(1).wrapping_add(sender.lost);
             sender.lost = 0;
         }
@@ -190,25 +201,36 @@ impl LogNumbering {
 }
 
 pub struct TrafficLog<W: Write> {
+    received: LinkFrames,
+    out: FrameLog<W>,
+}
+
+/// The log without the streams of the links.
+struct FrameLog<W: Write> {
     writer: TlogWriter<W>,
     utc_start_micros: u64,
-    links: BTreeMap<LinkId, FramerConfig>,
-    peers: BTreeMap<(LinkId, PeerId), TrafficStream>,
     numbering: LogNumbering,
     frames: u64,
+}
+
+impl<W: Write> FrameLog<W> {
+    fn write(&mut self, found: &LinkFrame<'_>) -> std::io::Result<()> {
+        let since_start = u64::try_from(found.now.as_micros()).unwrap_or(0);
+        let micros = self.utc_start_micros.saturating_add(since_start);
+        // The number of the link is in the two lowest bits of the date.
+        let micros = (micros & !LINK_BITS) | (u64::from(found.link.0) & LINK_BITS);
+        self.writer.record(micros, self.numbering.renumber(found))?;
+        self.frames += 1;
+        Ok(())
+    }
 }
 
 impl<W: Write> TrafficLog<W> {
     /// `utc_start_micros` is the date at the host clock's zero; links whose bricks do not use MAVLink are not logged.
     pub fn new(out: W, utc_start_micros: u64, links: &[LinkConfig]) -> Self {
-        Self {
-            writer: TlogWriter::new(out),
-            utc_start_micros,
-            links: links.iter().filter_map(scanner_config).collect(),
-            peers: BTreeMap::new(),
-            numbering: LogNumbering::new(Encoder::new(WireVersion::V2)),
-            frames: 0,
-        }
+        let numbering = LogNumbering::new(Encoder::new(WireVersion::V2));
+        let out = FrameLog { writer: TlogWriter::new(out), utc_start_micros, numbering, frames: 0 };
+        Self { received: LinkFrames::new(links), out }
     }
 
     /// Writes the frames that a chunk of one peer completes.
@@ -219,31 +241,10 @@ impl<W: Write> TrafficLog<W> {
         peer: PeerId,
         bytes: &[u8],
     ) -> std::io::Result<()> {
-        let Some(config) = self.links.get(&link) else {
-            return Ok(());
-        };
-        let micros = self.utc_micros(now, link);
-        let key = (link, peer);
-        if self.peers.len() >= MAX_PEERS && !self.peers.contains_key(&key) {
-            evict_oldest_peer(&mut self.peers);
-        }
-        let stream = self.peers.entry(key).or_insert_with(|| TrafficStream {
-            last_seen: now,
-            framer: Framer::new(*config),
-            losses: SequenceTracker::new(),
-        });
-        stream.last_seen = now;
-        let (writer, numbering, frames) = (&mut self.writer, &mut self.numbering, &mut self.frames);
-        let losses = &mut stream.losses;
         let mut written = Ok(());
-        stream.framer.push(now, bytes, &mut |found| {
-            let (FramerOutput::Frame(frame) | FramerOutput::UnknownFrame(frame)) = found else {
-                return;
-            };
+        self.received.push(now, link, peer, bytes, &mut |found| {
             if written.is_ok() {
-                let lost = losses.record_number(frame.source, frame.sequence);
-                written = writer.record(micros, numbering.renumber(&frame, lost));
-                *frames += 1;
+                written = self.out.write(found);
             }
         });
         written
@@ -257,53 +258,25 @@ impl<W: Write> TrafficLog<W> {
         priority: Priority,
         frame: &[u8],
     ) -> std::io::Result<()> {
-        let is_ours = priority != Priority::Forwarded && self.links.contains_key(&link);
-        if !is_ours {
+        if priority == Priority::Forwarded || !self.received.contains(link) {
             return Ok(());
         }
-        if let VerifiedFrame::Frame(frame) | VerifiedFrame::UnknownFrame(frame) = verify(frame) {
-            let micros = self.utc_micros(now, link);
-            self.writer.record(micros, self.numbering.renumber(&frame, 0))?;
-            self.frames += 1;
-        }
-        Ok(())
+        let (frame, is_known) = match verify(frame) {
+            VerifiedFrame::Frame(frame) => (frame, true),
+            VerifiedFrame::UnknownFrame(frame) => (frame, false),
+            VerifiedFrame::Invalid => return Ok(()),
+        };
+        self.out.write(&LinkFrame { now, link, frame, is_known, lost: 0 })
     }
 
     pub fn flush(&mut self) -> std::io::Result<()> {
-        self.writer.flush()
+        self.out.writer.flush()
     }
 
     pub fn finish(self) -> std::io::Result<(W, u64)> {
-        Ok((self.writer.finish()?, self.frames))
+        let FrameLog { writer, frames, .. } = self.out;
+        Ok((writer.finish()?, frames))
     }
-
-    /// The timestamp of a record: the date, with the link number in its two lowest bits.
-    fn utc_micros(&self, now: Timestamp<HostClock>, link: LinkId) -> u64 {
-        let since_start = u64::try_from(now.as_micros()).unwrap_or(0);
-        let micros = self.utc_start_micros.saturating_add(since_start);
-        (micros & !LINK_BITS) | (u64::from(link.0) & LINK_BITS)
-    }
-}
-
-/// Evicts the peer that was silent longest; the frame it may have begun is lost.
-fn evict_oldest_peer(streams: &mut BTreeMap<(LinkId, PeerId), TrafficStream>) {
-    let silent = streams.iter().min_by_key(|(_, stream)| stream.last_seen);
-    let silent = silent.map(|(key, _)| *key);
-    if let Some(silent) = silent {
-        streams.remove(&silent);
-    }
-}
-
-/// `None` if the link is not MAVLink.
-fn scanner_config(link: &LinkConfig) -> Option<(LinkId, FramerConfig)> {
-    link.brick.is_none().then(|| {
-        let config = FramerConfig {
-            accept_v1: link.accepted_versions == AcceptedVersions::V1AndV2,
-            transport: link.framing,
-            ..FramerConfig::default()
-        };
-        (link.id, config)
-    })
 }
 
 #[cfg(test)]
@@ -366,29 +339,9 @@ mod tests {
         assert_eq!(numbers_in(&file), [(21, 0), (42_100, 0), (21, 1), (21, 4), (21, 5)]);
     }
 
-    /// Who calls again and again from another port is another peer each time.
     #[test]
-    fn of_many_peers_the_most_silent_are_forgotten_and_no_whole_frame_is_lost() {
-        let target = Address::new(1, 197);
-        let mut frame = Vec::new();
-        let request = Message::ParamRequestList { target };
-        Encoder::new(WireVersion::V2).encode(Address::new(7, 1), &request, &mut frame);
-        let (begun, rest) = frame.split_at(5);
-        let links = Config::default().station_config().unwrap().links;
-        let mut log = TrafficLog::new(Vec::new(), 0, &links);
-        let link = links[0].id;
-        let peers = 3 * MAX_PEERS as u32;
-        for number in 0..peers {
-            let now = Timestamp::from_millis(i64::from(number));
-            log.received(now, link, PeerId(number), &frame).unwrap();
-            log.received(now, link, PeerId(number), begun).unwrap();
-            // One who goes on is not forgotten, however long ago he came.
-            log.received(now, link, PeerId(0), &frame).unwrap();
-            assert!(log.peers.len() <= MAX_PEERS);
-        }
-        let now = Timestamp::from_millis(i64::from(peers));
-        log.received(now, link, PeerId(peers - 1), rest).unwrap();
-        let (_, frames) = log.finish().unwrap();
-        assert_eq!(frames, u64::from(2 * peers + 1));
+    fn messages_that_pymavlink_lacks_are_listed_once_and_in_order() {
+        assert!(UNKNOWN_TO_PYMAVLINK.is_sorted_by(|a, b| a < b));
+        assert!(UNKNOWN_TO_PYMAVLINK.iter().all(|id| is_stock_message(*id)));
     }
 }

@@ -123,9 +123,18 @@ impl BagFile {
     }
 }
 
+/// The flags of a foreign recording with the keys of a robot's profile before the settings, which override them.
+pub fn with_robot(flags: &DataFlags, robot: Option<&Path>) -> Result<DataFlags> {
+    let mut flags = flags.clone();
+    if let Some(robot) = robot {
+        flags.settings.splice(0..0, profile_settings(robot, &[])?);
+    }
+    Ok(flags)
+}
+
 /// The keys of a robot's profile as settings: of its robot below `robot_path`, and of its filter.
 pub fn profile_settings(path: &Path, robot_path: &[&str]) -> Result<Vec<Setting>> {
-    // Its own reading names what makes no sense better than a laid over table could.
+    // Its own reading has better errors than that of the settings.
     RobotProfile::read(path)?;
     let name = path.display();
     let text = read_text(path).with_context(|| format!("reading the robot from `{name}`"))?;

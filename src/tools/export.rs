@@ -23,7 +23,7 @@ use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Outpu
 use self::files::{OutputFolder, RunFiles, print_written};
 use self::messages::{MessageFormats, export_messages};
 use self::path_csv::write_path_csv;
-use super::dataset::RobotRun;
+use super::dataset::{self, RobotRun};
 use super::ground_truth::GroundTruth;
 use super::import::{self, StationOptions};
 use super::replay::{SmoothError, SmoothedResult, SmoothingSpan};
@@ -145,6 +145,10 @@ fn message_formats(args: &ExportArgs) -> Result<MessageFormats> {
         hindsights(args).next().is_none() && args.filter.is_none() && args.truth.is_none() && args.robot.is_none(),
         "--messages estimates nothing: leave out --smooth, --fixed-lag, --filter, --truth and --robot"
     );
+    ensure!(
+        args.keys.is_empty() && args.data.run.is_none() && args.data.settings.is_empty(),
+        "--messages decodes what the file holds: leave out --key, --run and --set"
+    );
     Ok(MessageFormats { csv: is_requested(Format::Csv), mcap: is_requested(Format::Mcap) })
 }
 
@@ -167,10 +171,9 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
         InputKind::Descriptor if is_requested(Format::Tlog) => {
             bail!("--format tlog: `{name}` is a descriptor, there are no frames in its data")
         }
-        InputKind::Descriptor => ensure!(
-            args.truth.is_none() && args.robot.is_none(),
-            "--truth and --robot are for recordings: a descriptor names its own"
-        ),
+        InputKind::Descriptor => {
+            ensure!(args.truth.is_none(), "--truth is for recordings: a descriptor names its own");
+        }
         InputKind::Own | InputKind::Tlog => {}
     }
     Ok(kind)
@@ -279,7 +282,8 @@ impl ExportSession {
     fn open(args: &ExportArgs, kind: InputKind) -> Result<Self> {
         let name = args.recording.display().to_string();
         let (bytes, data) = if kind == InputKind::Descriptor {
-            let (bytes, notes, robot_run) = import::converted_run(&args.recording, &args.data)?;
+            let data = dataset::with_robot(&args.data, args.robot.as_deref())?;
+            let (bytes, notes, robot_run) = import::converted_run(&args.recording, &data)?;
             print_lines(&notes);
             if robot_run.run.truth.is_empty() {
                 print_line(

@@ -5,6 +5,7 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use flate2::read::MultiGzDecoder;
 use posebridge_recording::ros2::bag::{BagPlan, BagSummary, WheelGeometry};
 
 use crate::console::print_lines;
@@ -14,7 +15,7 @@ use crate::text_file::read_text;
 /// The description that rosbag2 writes into the folder of a bag.
 const METADATA: &str = "metadata.yaml";
 
-/// Whether a path is a bag: a folder, or a file that says so itself.
+/// Whether a path is a bag: a folder, whose files [`open`] checks, or a file that says so itself.
 pub fn is_bag(path: &Path) -> bool {
     if path.is_dir() {
         return true;
@@ -36,17 +37,36 @@ pub fn plan(path: &Path, geometry: WheelGeometry) -> Result<BagPlan> {
     Ok(plan)
 }
 
-/// The bytes of a bag: of a file, or of the files of a folder, one after the other.
+/// The bytes of a bag: of a file, or of the files of a folder, one after the other. A read of no bytes is the end of a file.
 pub fn open(path: &Path) -> io::Result<Box<dyn Read>> {
     if !path.is_dir() {
-        return Ok(Box::new(File::open(path)?));
+        let file = File::open(path)?;
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let is_packed = has_ending(&stem, "mcap") && path.extension().is_some_and(|extension| extension == "gz");
+        return Ok(if is_packed { Box::new(MultiGzDecoder::new(file)) } else { Box::new(file) });
     }
     let files = files(path).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, format!("{error:#}")))?;
-    let mut all: Box<dyn Read> = Box::new(io::empty());
-    for file in files {
-        all = Box::new(all.chain(File::open(file)?));
+    Ok(Box::new(FileSequence { files: files.into_iter(), open: None }))
+}
+
+/// Files of which one is open at a time.
+struct FileSequence {
+    files: std::vec::IntoIter<PathBuf>,
+    open: Option<File>,
+}
+
+impl Read for FileSequence {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.open.is_none() {
+            self.open = self.files.next().map(File::open).transpose()?;
+        }
+        let Some(file) = &mut self.open else { return Ok(0) };
+        let read = file.read(buffer)?;
+        if read == 0 && !buffer.is_empty() {
+            self.open = None;
+        }
+        Ok(read)
     }
-    Ok(all)
 }
 
 /// The files of a bag in their order: those of its metadata, else all of the folder by name.
@@ -73,6 +93,16 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>> {
         }
         names.retain(|name| has_ending(name, "mcap") || has_ending(name, "db3"));
         names.sort();
+        let is_other = |name: &&String| {
+            has_ending(name, "mcap")
+                && InputFile::open(&folder.join(name)).is_ok_and(|file| file.kind != InputKind::Descriptor)
+        };
+        if let Some(name) = names.iter().find(is_other) {
+            bail!(
+                "the folder `{}` has no {METADATA}, and its file `{name}` is no ROS 2 bag: name the file that is meant",
+                folder.display()
+            );
+        }
     }
     if let Some(name) = names.iter().find(|name| !has_ending(name, "mcap")) {
         bail!(

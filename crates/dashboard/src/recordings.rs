@@ -6,6 +6,8 @@ use std::fs::DirEntry;
 use std::path::PathBuf;
 use std::time::UNIX_EPOCH;
 
+use posebridge_recording::ros2::BAG_SUFFIX;
+
 use crate::model::{RecordingNow, RecordingRow};
 
 /// With a new file every five minutes this is a week.
@@ -67,7 +69,8 @@ fn row_of(entry: &DirEntry, current: Option<&str>) -> Option<RecordingRow> {
     let name = entry.file_name().into_string().ok()?;
     // A symbolic link could lead anywhere.
     let is_file = entry.file_type().is_ok_and(|kind| kind.is_file());
-    if !is_file || !name.ends_with(FILE_SUFFIX) {
+    // A ROS 2 bag beside a recording is not one of ours.
+    if !is_file || !name.ends_with(FILE_SUFFIX) || name.ends_with(BAG_SUFFIX) {
         return None;
     }
     let found = entry.metadata().ok()?;
@@ -125,6 +128,7 @@ mod tests {
         std::fs::create_dir(&inner).unwrap();
         std::fs::write(folder.path().join("outside.mcap"), "secret").unwrap();
         std::fs::write(inner.join("recording.mcap"), "12345").unwrap();
+        std::fs::write(inner.join("recording-ros2.mcap"), "").unwrap();
         std::fs::write(inner.join("parameters.toml"), "").unwrap();
         std::os::unix::fs::symlink("../outside.mcap", inner.join("link.mcap")).unwrap();
         std::fs::create_dir(inner.join("folder.mcap")).unwrap();

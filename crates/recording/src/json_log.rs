@@ -6,24 +6,24 @@
 use std::collections::BTreeMap;
 use std::io::{BufWriter, IntoInnerError, Write};
 
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, op};
 use mcap::write::NoSeek;
 
-/// Of the MCAP header.
+use crate::container::fields;
+use crate::container::walk::{RecordScanner, RecordWalker, RecordsEnd, WalkEnd};
+
 const PROFILE: &str = "posebridge.messages";
-/// Magic of the file, then the header record: its opcode, its length (u64), the length of the profile (u32).
-const PROFILE_AT: usize = 8 + 1 + 8 + 4;
 
 /// Whether the bytes begin as a log of [`JsonLogWriter`] does.
 pub fn is_json_log(beginning: &[u8]) -> bool {
-    beginning.get(PROFILE_AT..).is_some_and(|rest| rest.starts_with(PROFILE.as_bytes()))
+    fields::profile(beginning) == Some(PROFILE)
 }
 
-/// Why a log could not be written or read.
+/// Why a log could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum JsonLogError {
-    #[error("the log of messages is damaged or could not be written")]
+    #[error("the log of messages could not be written")]
     Mcap(#[from] mcap::McapError),
     #[error("the log of messages could not be written out")]
     Flush(#[from] std::io::Error),
@@ -105,22 +105,77 @@ pub struct JsonMessage<'a> {
     pub json: &'a [u8],
 }
 
-/// Passes the messages in the order of the file until `take` fails.
+/// What of a log could not be read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct JsonLogDamage {
+    /// The first damaged places, with their offsets.
+    pub listed: Vec<String>,
+    pub count: u64,
+}
+
+const MAX_LISTED: usize = 10;
+
+impl JsonLogDamage {
+    fn push(&mut self, what: String) {
+        self.count += 1;
+        if self.listed.len() < MAX_LISTED {
+            self.listed.push(what);
+        }
+    }
+}
+
+/// Passes the intact messages in the order of the file until `take` fails. The chunks must have been unpacked
+/// ([`unpack_recording`](crate::container::unpack_recording)).
 ///
 /// # Errors
-/// The file is damaged, or that of `take`.
-pub fn read_json_log<E: From<JsonLogError>>(
+/// That of `take`.
+pub fn read_json_log<E>(
     bytes: &[u8],
     mut take: impl FnMut(JsonMessage<'_>) -> Result<(), E>,
-) -> Result<(), E> {
-    for message in mcap::MessageStream::new(bytes).map_err(JsonLogError::Mcap)? {
-        let message = message.map_err(JsonLogError::Mcap)?;
-        take(JsonMessage {
-            topic: &message.channel.topic,
-            metadata: &message.channel.metadata,
-            log_nanos: message.log_time,
-            json: &message.data,
-        })?;
+) -> Result<JsonLogDamage, E> {
+    let mut damage = JsonLogDamage::default();
+    let mut channels: BTreeMap<u16, (String, BTreeMap<String, String>)> = BTreeMap::new();
+    let Some(records) = RecordScanner::new(bytes) else {
+        damage.push("byte 0: this is not an MCAP file".to_owned());
+        return Ok(damage);
+    };
+    let mut walker = RecordWalker::new(records);
+    loop {
+        let record = match walker.next() {
+            Ok(record) => record,
+            Err(WalkEnd::Error(error)) => {
+                damage.push(error.to_string());
+                continue;
+            }
+            Err(WalkEnd::End(RecordsEnd::Complete)) => return Ok(damage),
+            Err(WalkEnd::End(RecordsEnd::Truncated { offset, what })) => {
+                damage.push(format!("byte {offset}: the file is cut off here: {what}"));
+                return Ok(damage);
+            }
+            Err(WalkEnd::End(RecordsEnd::Damaged { offset, what })) => {
+                damage.push(format!("byte {offset}: {what}; nothing behind it can be read"));
+                return Ok(damage);
+            }
+        };
+        let what = match record.opcode {
+            op::CHANNEL => {
+                let Some(channel) = fields::channel(record.body) else {
+                    damage.push(format!("byte {}: a damaged channel", record.offset));
+                    continue;
+                };
+                let metadata = channel.metadata.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+                channels.insert(channel.id, (channel.topic.to_owned(), metadata.collect()));
+                continue;
+            }
+            op::MESSAGE => fields::message(record.body).and_then(|message| {
+                let (topic, metadata) = channels.get(&message.channel_id)?;
+                Some(JsonMessage { topic, metadata, log_nanos: message.log_time, json: message.data })
+            }),
+            _ => continue,
+        };
+        match what {
+            Some(message) => take(message)?,
+            None => damage.push(format!("byte {}: a message without its channel", record.offset)),
+        }
     }
-    Ok(())
 }

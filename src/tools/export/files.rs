@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use posebridge_recording::csv::CsvWriter;
-use posebridge_recording::ros2::RosBagWriter;
+use posebridge_recording::ros2::{BAG_SUFFIX, RosBagWriter};
 use posebridge_telemetry::{Event, HostClock, Input, LinkId, Priority, Timestamp};
 
 use super::atomic_file::AtomicFile;
@@ -65,7 +65,7 @@ impl RunFiles {
 
     /// `utc_start_micros` is the Unix time of the host clock's zero.
     pub(super) fn add_bag(&mut self, output: OutputFolder<'_>, utc_start_micros: u64) -> Result<()> {
-        let (out, file) = output.create_new("-ros2.mcap")?;
+        let (out, file) = output.create_new(BAG_SUFFIX)?;
         self.bag = Some((RosBagWriter::create(out, utc_start_micros)?, file));
         Ok(())
     }

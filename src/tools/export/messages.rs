@@ -1,26 +1,30 @@
 //! `posebridge export --messages`: every MAVLink message that a file holds, decoded by its definition. Nothing is estimated.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+use std::ffi::OsStr;
 use std::fs::File;
+use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use posebridge_protocol::dialect::csv_line::CsvLine;
 use posebridge_protocol::dialect::definitions::{MessageDefinition, definition};
-use posebridge_protocol::dialect::fields::{FullPayload, columns, row};
+use posebridge_protocol::dialect::fields::{FullPayload, columns};
+use posebridge_protocol::dialect::message_id_named;
 use posebridge_protocol::dialect::message_json::{schema, write_json};
 use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, parse_verified};
 use posebridge_recording::container::RecordingReader;
 use posebridge_recording::json_log::{JsonChannel, JsonChannelId, JsonLogWriter};
 use posebridge_recording::tlog::FrameCheck;
-use posebridge_telemetry::{Address, Input, LinkId, PeerId, Timestamp};
+use posebridge_telemetry::{Address, Input, LinkId, Timestamp};
 
 use super::atomic_file::AtomicFile;
 use super::files::{OutputFolder, print_written};
 use crate::config;
 use crate::console::{print_line, print_lines};
 use crate::station::input_file::{InputFile, InputKind, tlog_records};
-use crate::station::recorded_session::{MemoryLimit, nothing_read, own_bytes};
+use crate::station::link_frames::{LinkFrame, LinkFrames};
+use crate::station::recorded_session::{MemoryLimit, for_each_input, nothing_read, own_bytes};
 
 /// What is written of the messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,57 +90,45 @@ fn tlog_frames(file: InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
     Ok(reader.counts().unknown)
 }
 
-fn framer() -> Framer {
-    Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() })
-}
-
-/// Passes what a framer has found; counts frames of unknown messages.
-fn pass(found: FramerOutput<'_>, micros: Option<u64>, link: LinkId, unknown: &mut u64, take: &mut FrameSink<'_>) {
-    match found {
-        FramerOutput::Frame(frame) => take(&LoggedFrame { micros, link, frame }),
-        FramerOutput::UnknownFrame(_) => *unknown += 1,
-        FramerOutput::Error(_) => {}
-    }
-}
-
 fn bytes_frames(file: &mut InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
-    let (mut framer, mut unknown, link) = (framer(), 0, LinkId(0));
-    file.chunks(|chunk| {
-        framer.push(Timestamp::ZERO, chunk, &mut |found| pass(found, None, link, &mut unknown, take));
-    })?;
-    framer.finish(&mut |found| pass(found, None, link, &mut unknown, take));
+    let (mut unknown, link) = (0, LinkId(0));
+    let mut framer = Framer::new(FramerConfig { accept_v1: true, ..FramerConfig::default() });
+    let mut pass = |found: FramerOutput<'_>| match found {
+        FramerOutput::Frame(frame) => take(&LoggedFrame { micros: None, link, frame }),
+        FramerOutput::UnknownFrame(_) => unknown += 1,
+        FramerOutput::Error(_) => {}
+    };
+    file.chunks(|chunk| framer.push(Timestamp::ZERO, chunk, &mut pass))?;
+    framer.finish(&mut pass);
     file.warn_if_truncated();
     Ok(unknown)
 }
 
-/// The received frames of all links that speak MAVLink, at their arrival.
+/// The received frames of all links that use MAVLink, at their arrival.
 fn recording_frames(path: &Path, file: InputFile, take: &mut FrameSink<'_>) -> Result<u64> {
     let name = file.name.clone();
     let (bytes, notes) = own_bytes(path, file, MemoryLimit::default())?;
     print_lines(&notes);
     let mut reader = RecordingReader::open(&bytes).with_context(|| format!("recording `{name}`"))?;
     let zero_micros = reader.header().utc_start_micros;
-    let config = config::load_text("the recording's own configuration", &reader.header().config_toml, &[]);
-    let links = config.map(|loaded| loaded.config.links).unwrap_or_default();
-    let mut framers: BTreeMap<(LinkId, PeerId), Framer> = BTreeMap::new();
-    let (mut unknown, mut damages) = (0, 0_u64);
-    for item in reader.by_ref() {
-        let Ok((now, input)) = item else {
-            damages += 1;
-            continue;
-        };
-        let Input::Bytes { link, peer, bytes } = input else { continue };
-        let brick = links.get(usize::from(link.0)).and_then(|section| section.brick.as_deref());
-        if brick.is_some_and(|brick| brick != "mavlink") {
-            continue;
+    let config = config::load_text("the recording's own configuration", &reader.header().config_toml, &[])?;
+    let mut received = LinkFrames::new(&config.config.station_config()?.links);
+    let mut unknown = 0;
+    let mut pass = |found: &LinkFrame<'_>| {
+        if found.is_known {
+            let micros = zero_micros.saturating_add(u64::try_from(found.now.as_micros()).unwrap_or(0));
+            take(&LoggedFrame { micros: Some(micros), link: found.link, frame: found.frame });
+        } else {
+            unknown += 1;
         }
-        let micros = zero_micros.saturating_add(u64::try_from(now.as_micros()).unwrap_or(0));
-        let framer = framers.entry((link, peer)).or_insert_with(framer);
-        framer.push(now, &bytes, &mut |found| pass(found, Some(micros), link, &mut unknown, take));
-    }
-    if damages > 0 {
-        print_line(&format!("{name}: {damages} damaged places were skipped; `posebridge inspect` names them"));
-    }
+    };
+    for_each_input(&name, &mut reader, |now, input| {
+        if let Input::Bytes { link, peer, bytes } = input {
+            received.push(now, *link, *peer, bytes, &mut pass);
+        }
+        Ok(())
+    })?;
+    received.finish(&mut pass);
     Ok(unknown)
 }
 
@@ -144,11 +136,11 @@ fn recording_frames(path: &Path, file: InputFile, take: &mut FrameSink<'_>) -> R
 struct MessageTables {
     folder: PathBuf,
     tables: BTreeMap<u32, MessageTable>,
-    text: String,
+    line: CsvLine,
 }
 
 struct MessageTable {
-    out: csv::Writer<File>,
+    out: BufWriter<File>,
     path: PathBuf,
     rows: u64,
 }
@@ -157,10 +149,18 @@ struct MessageTable {
 const FRAME_COLUMNS: [&str; 5] = ["_time [us]", "_link", "_system", "_component", "_sequence"];
 
 impl MessageTables {
+    /// Removes the tables that an earlier export left there.
     fn create(output: OutputFolder<'_>) -> Result<Self> {
         let folder = output.folder.join(format!("{}-messages", output.stem()));
         std::fs::create_dir_all(&folder).with_context(|| format!("making the folder `{}`", folder.display()))?;
-        Ok(Self { folder, tables: BTreeMap::new(), text: String::new() })
+        for entry in std::fs::read_dir(&folder).with_context(|| format!("reading the folder `{}`", folder.display()))? {
+            let path = entry?.path();
+            let kind = path.file_stem().and_then(OsStr::to_str).and_then(message_id_named);
+            if kind.is_some() && path.extension() == Some(OsStr::new("csv")) {
+                std::fs::remove_file(&path).with_context(|| format!("removing `{}`", path.display()))?;
+            }
+        }
+        Ok(Self { folder, tables: BTreeMap::new(), line: CsvLine::default() })
     }
 
     fn record(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>) -> Result<()> {
@@ -168,14 +168,15 @@ impl MessageTables {
             std::collections::btree_map::Entry::Occupied(table) => table.into_mut(),
             std::collections::btree_map::Entry::Vacant(entry) => {
                 let path = self.folder.join(format!("{}.csv", definition.name));
-                let mut out =
-                    csv::Writer::from_path(&path).with_context(|| format!("creating `{}`", path.display()))?;
+                let file = File::create(&path).with_context(|| format!("creating `{}`", path.display()))?;
+                let mut out = BufWriter::new(file);
                 let names = FRAME_COLUMNS.into_iter().map(str::to_owned).chain(columns(definition));
-                out.write_record(names).with_context(|| format!("writing `{}`", path.display()))?;
+                writeln!(out, "{}", names.collect::<Vec<_>>().join(","))
+                    .with_context(|| format!("writing `{}`", path.display()))?;
                 entry.insert(MessageTable { out, path, rows: 0 })
             }
         };
-        table.write(definition, one, &mut self.text).with_context(|| format!("writing `{}`", table.path.display()))
+        table.write(definition, one, &mut self.line).with_context(|| format!("writing `{}`", table.path.display()))
     }
 
     fn finish(self) -> Result<()> {
@@ -188,33 +189,16 @@ impl MessageTables {
 }
 
 impl MessageTable {
-    fn write(
-        &mut self,
-        definition: &MessageDefinition,
-        one: &LoggedFrame<'_>,
-        text: &mut String,
-    ) -> Result<(), csv::Error> {
-        let payload = FullPayload::new(one.frame.payload);
+    fn write(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>, line: &mut CsvLine) -> io::Result<()> {
         let source = one.frame.source;
-        let numbers =
-            [u64::from(one.link.0), source.system.0.into(), source.component.0.into(), one.frame.sequence.into()];
-        text.clear();
-        if let Some(micros) = one.micros {
-            // Writing to a String cannot fail.
-            let _ = write!(text, "{micros}");
+        line.push(one.micros);
+        for number in
+            [u64::from(one.link.0), source.system.0.into(), source.component.0.into(), one.frame.sequence.into()]
+        {
+            line.push(Some(number));
         }
-        self.out.write_field(text.as_bytes())?;
-        for number in numbers {
-            text.clear();
-            let _ = write!(text, "{number}");
-            self.out.write_field(text.as_bytes())?;
-        }
-        for value in row(definition, &payload) {
-            text.clear();
-            let _ = write!(text, "{value}");
-            self.out.write_field(text.as_bytes())?;
-        }
-        self.out.write_record(None::<&[u8]>)?;
+        line.push_payload(definition, &FullPayload::new(one.frame.payload));
+        line.finish(|line| self.out.write_all(line))?;
         self.rows += 1;
         Ok(())
     }

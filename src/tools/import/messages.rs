@@ -12,6 +12,7 @@ use posebridge_recording::json_log::{JsonMessage, is_json_log, read_json_log};
 use posebridge_recording::tlog::TlogWriter;
 use posebridge_telemetry::Address;
 
+use crate::console::print_line;
 use crate::station::input_file::InputFile;
 use crate::station::recorded_session::MemoryLimit;
 
@@ -31,7 +32,15 @@ pub(super) fn write_frames(path: &Path, out: File) -> Result<u64> {
         frames += 1;
         anyhow::Ok(())
     });
-    read.with_context(|| format!("`{}`", path.display()))?;
+    let name = path.display();
+    let damage = read.with_context(|| format!("`{name}`"))?;
+    for what in &damage.listed {
+        print_line(&format!("`{name}`: {what}; what is whole is used"));
+    }
+    let further = damage.count - damage.listed.len() as u64;
+    if further > 0 {
+        print_line(&format!("`{name}`: {further} further damaged places"));
+    }
     writer.finish()?;
     Ok(frames)
 }

@@ -130,12 +130,7 @@ pub fn import<W: Write + Seek>(
             write(out, &source.header, |sink| source.inputs(sink))
         }
         InputKind::Descriptor => {
-            let mut data = data.clone();
-            if let Some(robot) = station.robot {
-                let profile = dataset::profile_settings(robot, &[])?;
-                data.settings.splice(0..0, profile);
-            }
-            let source = DescriptorSource::open(path, &data)?;
+            let source = DescriptorSource::open(path, &dataset::with_robot(data, station.robot)?)?;
             let header = header(&source.config, source.utc_start_micros)?;
             write(out, &header, |sink| source.inputs(sink))
         }

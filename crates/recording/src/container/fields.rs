@@ -17,13 +17,14 @@ pub(crate) struct Metadata<'a> {
     pub(crate) entries: BTreeMap<&'a str, &'a str>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Channel<'a> {
     pub(crate) id: u16,
     /// 0 for none.
     pub(crate) schema_id: u16,
     pub(crate) topic: &'a str,
     pub(crate) message_encoding: &'a str,
+    pub(crate) metadata: BTreeMap<&'a str, &'a str>,
 }
 
 /// `None` if the record is damaged. Extra bytes after its fields belong to newer versions and are ignored.
@@ -37,9 +38,7 @@ pub(crate) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     let mut fields = ByteReader { remaining: body };
     let id = fields.u16().ok()?;
     let schema_id = fields.u16().ok()?;
-    let channel = Channel { id, schema_id, topic: fields.text()?, message_encoding: fields.text()? };
-    fields.map()?;
-    Some(channel)
+    Some(Channel { id, schema_id, topic: fields.text()?, message_encoding: fields.text()?, metadata: fields.map()? })
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,9 +60,13 @@ pub(crate) fn schema(body: &[u8]) -> Option<Schema<'_>> {
     })
 }
 
-/// The profile of a file, from its header record; `None` if the record is damaged.
-pub(crate) fn profile(body: &[u8]) -> Option<&str> {
-    ByteReader { remaining: body }.text()
+/// Opcode and length before the content of a record.
+const RECORD_HEADER_BYTES: usize = 9;
+
+/// The profile of a file that begins with these bytes, from its first record; `None` if it is no MCAP file.
+pub(crate) fn profile(beginning: &[u8]) -> Option<&str> {
+    let header = beginning.strip_prefix(mcap::MAGIC)?.get(RECORD_HEADER_BYTES..)?;
+    ByteReader { remaining: header }.text()
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -194,7 +197,8 @@ mod tests {
         assert_eq!(found.entries, BTreeMap::from([("k", "v")]));
 
         let record = b"\x07\0\x01\0\x01\0\0\0t\x02\0\0\0me\0\0\0\0";
-        let expected = Channel { id: 7, schema_id: 1, topic: "t", message_encoding: "me" };
+        let metadata = BTreeMap::new();
+        let expected = Channel { id: 7, schema_id: 1, topic: "t", message_encoding: "me", metadata };
         assert_eq!(channel(record), Some(expected));
     }
 

@@ -12,7 +12,7 @@ mod encoding;
 pub(crate) mod fields;
 mod reader;
 mod unpack;
-mod walk;
+pub(crate) mod walk;
 mod writer;
 
 pub use encoding::DecodeError;

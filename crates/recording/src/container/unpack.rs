@@ -13,7 +13,7 @@ use crate::chunk_compression::unpack;
 pub struct UnpackedTooLarge(u64);
 
 /// The recording with its compressed chunks unpacked; unchanged if there are none. Damage stays damage: of a chunk that cannot be
-/// unpacked whole, the beginning is kept and the checksum is wrong, and the end is cut off where it was. Indexes are left out.
+/// unpacked whole, the beginning is kept with a checksum that does not fit it, and the end is cut off where it was. Indexes are left out.
 ///
 /// # Errors
 /// The result would exceed `max_bytes`.

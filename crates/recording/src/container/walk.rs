@@ -11,25 +11,27 @@ use mcap::MAGIC;
 use mcap::records::op;
 
 use super::{ReadError, fields};
+use crate::chunk_compression::MAX_CHUNK_BYTES;
 
 const RECORD_HEADER_BYTES: usize = 9;
 
-/// A longer record is damage: the writer limits an input to [`MAX_INPUT_BYTES`](super::writer::MAX_INPUT_BYTES), and a whole
-/// configuration is smaller.
-const MAX_RECORD_BYTES: u64 = 64 << 20;
+/// A longer record is damage: the writer limits an input to [`MAX_INPUT_BYTES`](super::writer::MAX_INPUT_BYTES), a whole configuration is
+/// smaller, and of a chunk that another program has compressed no more is unpacked.
+const MAX_RECORD_BYTES: u64 = MAX_CHUNK_BYTES + MAX_CHUNK_HEAD_BYTES;
+const MAX_CHUNK_HEAD_BYTES: u64 = 1 << 10;
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RawRecord<'a> {
+pub(crate) struct RawRecord<'a> {
     /// Offset of its opcode from the start of the file.
-    pub(super) offset: usize,
-    pub(super) opcode: u8,
-    pub(super) body: &'a [u8],
+    pub(crate) offset: usize,
+    pub(crate) opcode: u8,
+    pub(crate) body: &'a [u8],
     /// Whether all of its content is present; only a chunk is returned truncated.
     pub(super) is_complete: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum RecordsEnd {
+pub(crate) enum RecordsEnd {
     /// In a file: only the end magic follows the footer. In a chunk: the last record ends at its end.
     Complete,
     /// The file was truncated: what is missing, and where.
@@ -49,7 +51,7 @@ impl RecordsEnd {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct RecordScanner<'a> {
+pub(crate) struct RecordScanner<'a> {
     bytes: &'a [u8],
     /// Offset of `bytes` in the file.
     base: usize,
@@ -69,7 +71,7 @@ enum ScanState {
 
 impl<'a> RecordScanner<'a> {
     /// Starts after the start magic; `None` without it.
-    pub(super) fn new(bytes: &'a [u8]) -> Option<Self> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Option<Self> {
         bytes.starts_with(MAGIC).then_some(Self { bytes, base: 0, offset: MAGIC.len(), state: ScanState::File })
     }
 
@@ -109,7 +111,7 @@ impl<'a> RecordScanner<'a> {
             return Err(RecordsEnd::damaged(offset, "a record with opcode 0, which no writer makes"));
         }
         if length > MAX_RECORD_BYTES {
-            return Err(RecordsEnd::damaged(offset, "a record that claims more than 64 MiB"));
+            return Err(RecordsEnd::damaged(offset, "a record that claims more than 128 MiB"));
         }
         let is_complete = content.len() >= length as usize;
         if !is_complete && (opcode != op::CHUNK || self.state == ScanState::Chunk) {
@@ -150,7 +152,7 @@ fn end_after_footer(offset: usize, rest: &[u8]) -> RecordsEnd {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum WalkEnd {
+pub(crate) enum WalkEnd {
     /// Damage; the walk can continue after it.
     Error(ReadError),
     /// No further record can be found.
@@ -159,7 +161,7 @@ pub(super) enum WalkEnd {
 
 /// Walks all records of a file, those within chunks included.
 #[derive(Clone, Debug)]
-pub(super) struct RecordWalker<'a> {
+pub(crate) struct RecordWalker<'a> {
     file: RecordScanner<'a>,
     chunk: Option<OpenChunk<'a>>,
 }
@@ -172,7 +174,7 @@ struct OpenChunk<'a> {
 
 impl<'a> RecordWalker<'a> {
     /// Continues a walk over the file's own records.
-    pub(super) const fn new(file: RecordScanner<'a>) -> Self {
+    pub(crate) const fn new(file: RecordScanner<'a>) -> Self {
         Self { file, chunk: None }
     }
 
@@ -191,7 +193,7 @@ impl<'a> RecordWalker<'a> {
     }
 
     /// The next record that is not a chunk; the end repeats.
-    pub(super) fn next(&mut self) -> Result<RawRecord<'a>, WalkEnd> {
+    pub(crate) fn next(&mut self) -> Result<RawRecord<'a>, WalkEnd> {
         loop {
             if let Some(chunk) = &mut self.chunk {
                 match chunk.records.next() {

@@ -17,7 +17,7 @@ use super::observation_list::TimedObservation;
 use super::run::{DatasetRun, LoadError, MAX_HELD_BYTES, TruthPose, WithheldFix};
 use super::schema::{BodyVelocity, Fixes, IdMap, PointMap, SpeedInterval, StartSource, Stream, StreamOptions, Truth};
 use super::streams::{RowClock, RowReader, positions, sensors};
-use super::table::{DatasetTable, TableSource, TextLines, seconds_to_nanos};
+use super::table::{DatasetTable, TableSource, TextLines, open_error, seconds_to_nanos};
 use crate::ros2::bag::TopicTable;
 
 /// The run to load, the robot's geometry, and the fixes to use.
@@ -110,8 +110,7 @@ impl TableCache<'_> {
 
     fn lines(&mut self, source: &TableSource) -> Result<TextLines, LoadError> {
         let path = source.name();
-        let file = (self.open)(Path::new(&source.file));
-        let file = file.map_err(|error| LoadError::Open { path: path.clone(), source: error })?;
+        let file = (self.open)(Path::new(&source.file)).map_err(|error| open_error(path.clone(), error))?;
         let Some(topic) = &source.topic else {
             return TextLines::open(&path, file);
         };

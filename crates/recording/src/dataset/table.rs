@@ -39,7 +39,7 @@ pub(super) struct TextLines {
 impl TextLines {
     pub(super) fn open(path: &str, file: Box<dyn Read>) -> Result<Self, LoadError> {
         let mut plain = BufReader::with_capacity(READ_BYTES, file);
-        let beginning = plain.fill_buf().map_err(|source| unpacked_error(path.to_owned(), source))?;
+        let beginning = plain.fill_buf().map_err(|source| open_error(path.to_owned(), source))?;
         let is_packed = beginning.starts_with(&GZIP_MAGIC);
         let reader: Box<dyn BufRead> = if is_packed {
             Box::new(BufReader::with_capacity(READ_BYTES, MultiGzDecoder::new(plain)))
@@ -56,7 +56,7 @@ impl TextLines {
         let path = || self.path.clone();
         let read = read.map_err(|source| {
             let path = path();
-            if self.is_packed { LoadError::Gzip { path, source } } else { unpacked_error(path, source) }
+            if self.is_packed { LoadError::Gzip { path, source } } else { open_error(path, source) }
         })?;
         if read == 0 {
             return Ok(None);
@@ -78,8 +78,8 @@ impl TextLines {
     }
 }
 
-/// What a bag does not hold is no matter of where it lies.
-fn unpacked_error(path: String, source: io::Error) -> LoadError {
+/// A missing topic, or a folder without a bag, is an error of the bag and not of its path.
+pub(super) fn open_error(path: String, source: io::Error) -> LoadError {
     if source.kind() == ErrorKind::InvalidData {
         LoadError::Bag { path, source: BagError::Read(source) }
     } else {
@@ -392,13 +392,16 @@ impl DatasetTable {
         }
         let CsvDialect { delimiter, decimal } = self.format.dialect;
         let fields = delimiter.split(text);
+        let is_message = self.source.topic.is_some();
+        let is_damaged = is_message && text.starts_with(DAMAGED);
         if let Some((index, expected)) = &self.format.filter
             && fields.get(*index) != Some(&expected.as_str())
+            && !is_damaged
         {
             return None;
         }
         let names = if self.format.has_names { self.names.as_slice() } else { &[] };
-        Some(TableRow { line, fields, decimal, names, is_message: self.source.topic.is_some() })
+        Some(TableRow { line, fields, decimal, names, is_message })
     }
 
     /// Time base of the data.

@@ -28,3 +28,6 @@ mod names;
 mod writer;
 
 pub use writer::{RosBagError, RosBagWriter};
+
+/// Ends the name of a bag beside the recording that it was made of or with.
+pub const BAG_SUFFIX: &str = "-ros2.mcap";

@@ -104,7 +104,7 @@ fn health_event() -> Event {
         forwarded: 15,
         filtered: 16,
         rate_limited: 17,
-        excess_requests: 26,
+        excess_requests: 27,
         port: LinkCounts {
             bytes_out: 18,
             drops_out: 19,

@@ -50,7 +50,7 @@ fn topics_become_sensors_by_their_types_names_and_messages() {
                  sensor_msgs/LaserScan): range straight ahead",
                 "left /chatter (1 std_msgs/String); /joint_states (4 sensor_msgs/JointState): the radii and the track of the wheels \
                  are not known: --robot FILE.toml, or --set left_wheel_radius_m=.. and so on; /goal_pose (4 \
-                 geometry_msgs/PoseStamped): by its name a place to go to, or to start from",
+                 geometry_msgs/PoseStamped): a goal or an initial pose, by its name",
             ]
         );
         let run = read(&plan.descriptor, bag);
@@ -72,10 +72,11 @@ fn topics_become_sensors_by_their_types_names_and_messages() {
 }
 
 #[test]
-fn the_byte_order_and_the_compression_change_nothing() {
-    let runs = [ZSTD, BIG_ENDIAN].map(|bag| read(&plan(bag, WheelGeometry::Known).descriptor, bag));
-    assert_eq!(texts(&runs[0]), texts(&runs[1]));
-    let wheels: Vec<ObservationKind> = runs[0].observations.iter().map(|timed| timed.observation.measurement).collect();
+fn wheels_of_known_radii_take_the_place_of_the_odometry() {
+    let plan = plan(ZSTD, WheelGeometry::Known);
+    assert!(plan.descriptor.contains("joints = [\"wheel_left_joint\", \"wheel_right_joint\"]"), "{}", plan.descriptor);
+    let run = read(&plan.descriptor, ZSTD);
+    let wheels: Vec<ObservationKind> = run.observations.iter().map(|timed| timed.observation.measurement).collect();
     let second = ObservationKind::WheelAngles { left: Radians(1.0), right: Radians(1.25) };
     assert!(wheels.contains(&second), "{wheels:?}");
     assert!(!wheels.iter().any(|kind| matches!(kind, ObservationKind::OdometerPose(_))), "the wheels are counted once");
@@ -144,11 +145,51 @@ fn a_bag_that_is_cut_anywhere_is_read_up_to_there() {
         let whole = BagSummary::read(bag).unwrap();
         assert!(whole.notes().is_empty(), "{:?}", whole.notes());
         let count = |summary: &BagSummary| summary.topics.iter().map(|topic| topic.messages).sum::<u64>();
-        for length in 8..bag.len() {
-            let cut = BagSummary::read(&bag[..length]).unwrap();
-            assert!(count(&cut) <= count(&whole) && !cut.notes().is_empty(), "{length}");
-        }
+        let cuts: Vec<_> = (8..bag.len()).map(|length| BagSummary::read(&bag[..length]).unwrap()).collect();
+        assert!(cuts.iter().all(|cut| !cut.notes().is_empty()));
+        assert!(cuts.iter().map(count).is_sorted());
+        // What follows the last message is the summary.
+        assert_eq!(cuts.last().map(count), Some(count(&whole)));
         assert!(BagSummary::read(&bag[..7]).is_err());
+    }
+}
+
+#[test]
+fn what_a_cut_bag_lacks_is_a_bad_row_of_each_topic() {
+    let bag = unchunked(ZSTD);
+    let end = bag.len() - 200;
+    let run = read(&plan(&bag, WheelGeometry::Unknown).descriptor, &bag[..end]);
+    assert_eq!(run.bad_rows.count(BadRowReason::Damaged), 5);
+    let line = run.bad_rows.listed[0].to_string();
+    assert!(line.contains("part of the bag could not be read: byte "), "{line}");
+    assert!(line.contains("the bag is cut off here"), "{line}");
+}
+
+/// Files of a bag: a read of no bytes at the end of each.
+struct Files<'a>(Vec<&'a [u8]>);
+
+impl std::io::Read for Files<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let Some(first) = self.0.first_mut() else { return Ok(0) };
+        let read = first.read(buffer)?;
+        if read == 0 {
+            self.0.remove(0);
+        }
+        Ok(read)
+    }
+}
+
+#[test]
+fn a_file_of_a_bag_that_is_cut_loses_nothing_of_the_next() {
+    let count = |summary: &BagSummary| summary.topics.iter().map(|topic| topic.messages).sum::<u64>();
+    let whole = count(&BagSummary::read(ZSTD).unwrap());
+    let (uncompressed, half) = (unchunked(ZSTD), ZSTD.len() / 2);
+    for first in [ZSTD, &ZSTD[..half], &uncompressed[..uncompressed.len() - 20], b"no bag"] {
+        let expected = BagSummary::read(first).map_or(0, |summary| count(&summary)) + 2 * whole;
+        let both = BagSummary::read(Files(vec![ZSTD, first, ZSTD])).unwrap();
+        assert_eq!(count(&both), expected, "{:?}", both.notes());
+        assert_eq!(both.notes().is_empty(), first == ZSTD, "{:?}", both.notes());
+        assert!(both.notes().iter().all(|note| note.starts_with("file 2, byte ")), "{:?}", both.notes());
     }
 }
 
@@ -164,7 +205,8 @@ fn a_damaged_message_is_a_bad_row_with_its_byte_and_the_rest_is_read() {
     assert!(note.starts_with("/odom: 1 damaged messages are left out; the first: byte "), "{note}");
     assert!(note.contains("byte 12 of the message: a text of 2130706437 elements, but"), "{note}");
     let run = read(&plan(&bag, WheelGeometry::Unknown).descriptor, &bag);
-    assert_eq!(run.bad_rows.count(BadRowReason::Damaged), 1);
+    // The message, and the checksum for each of five topics.
+    assert_eq!(run.bad_rows.count(BadRowReason::Damaged), 6);
     let line = run.bad_rows.listed[0].to_string();
     assert!(line.starts_with("drive.mcap:/odom:2: damaged message: byte "), "{line}");
 }
@@ -187,11 +229,13 @@ fn a_recording_that_another_program_has_compressed_reads_as_the_original() {
         assert_eq!(inputs(&unpacked), expected);
         assert_eq!(unpack_recording(original.to_vec(), 1).unwrap(), original);
         assert!(unpack_recording(packed.to_vec(), 1 << 10).is_err());
-        for length in (0..packed.len()).step_by(37) {
+        let counts = (0..packed.len()).step_by(37).filter_map(|length| {
             let cut = unpack_recording(packed[..length].to_vec(), 1 << 30).unwrap();
-            let Ok(reader) = RecordingReader::open(&cut) else { continue };
-            let found: Vec<_> = reader.filter_map(Result::ok).collect();
+            let found: Vec<_> = RecordingReader::open(&cut).ok()?.filter_map(Result::ok).collect();
             assert!(expected.starts_with(&found), "{length}");
-        }
+            Some(found.len())
+        });
+        let counts: Vec<usize> = counts.collect();
+        assert!(counts.is_sorted() && counts.last() == Some(&expected.len()), "{counts:?}");
     }
 }

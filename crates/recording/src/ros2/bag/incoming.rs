@@ -102,30 +102,20 @@ const TYPES: &[TypeEntry] = &[
 /// Columns of every row, before those of its type.
 pub(super) const TIME_COLUMNS: &str = "stamp_ns,log_ns";
 
+/// Why the messages of a topic are not taken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum TopicRefusal {
+    /// No sensor has messages of this type.
+    OtherType,
+    /// The type is one of a sensor, but its messages cannot be decoded.
+    Unreadable(String),
+}
+
 impl SensorType {
-    /// # Errors
-    /// The type is not taken (an empty text), or its definition is another one than ours.
-    pub(super) fn of_schema(schema: &BagSchema) -> Result<Self, String> {
+    pub(super) fn of_schema(schema: &BagSchema) -> Result<Self, TopicRefusal> {
         let name = schema.name.replace("/msg/", "/");
-        let entry = TYPES.iter().find(|entry| entry.name == name).ok_or_else(String::new)?;
-        match schema.encoding.as_str() {
-            // Some writers leave the definition out.
-            "ros2msg" if !schema.definition.trim().is_empty() => {
-                let found = defined_fields(&schema.definition);
-                let expected = entry.fields.iter().map(|(kind, name)| format!("{kind} {name}")).collect::<Vec<_>>();
-                if found == expected {
-                    return Ok(entry.sensor);
-                }
-                let other = found.iter().find(|field| !expected.contains(field));
-                let missing = expected.iter().find(|field| !found.contains(field));
-                let field = other.or(missing).map_or("", String::as_str);
-                let shown: String = field.chars().take(60).collect();
-                Err(format!("its definition is not that of ROS 2: `{shown}`"))
-            }
-            // By its name: the text of the interface language says the same at length.
-            "ros2msg" | "ros2idl" | "" => Ok(entry.sensor),
-            other => Err(format!("its definition is `{}`, not ros2msg or ros2idl", other.escape_default())),
-        }
+        let entry = TYPES.iter().find(|entry| entry.name == name).ok_or(TopicRefusal::OtherType)?;
+        entry.check_definition(schema).map(|()| entry.sensor).map_err(TopicRefusal::Unreadable)
     }
 
     fn entry(self) -> &'static TypeEntry {
@@ -134,6 +124,29 @@ impl SensorType {
 
     pub(super) fn columns(self) -> &'static str {
         self.entry().columns
+    }
+}
+
+impl TypeEntry {
+    fn check_definition(&self, schema: &BagSchema) -> Result<(), String> {
+        match schema.encoding.as_str() {
+            // Some writers leave the definition out.
+            "ros2msg" if !schema.definition.trim().is_empty() => {
+                let found = defined_fields(&schema.definition);
+                let expected = self.fields.iter().map(|(kind, name)| format!("{kind} {name}")).collect::<Vec<_>>();
+                if found == expected {
+                    return Ok(());
+                }
+                let other = found.iter().find(|field| !expected.contains(field));
+                let missing = expected.iter().find(|field| !found.contains(field));
+                let field = other.or(missing).map_or("", String::as_str);
+                let shown: String = field.chars().take(60).collect();
+                Err(format!("its definition is not that of ROS 2: `{shown}`"))
+            }
+            // By its name: the text of the interface language says the same at length.
+            "ros2msg" | "ros2idl" | "" => Ok(()),
+            other => Err(format!("its definition is `{}`, not ros2msg or ros2idl", other.escape_default())),
+        }
     }
 }
 
@@ -336,10 +349,10 @@ mod tests {
             of("geometry_msgs/msg/PoseStamped", "ros2idl", "module geometry_msgs {"),
             Ok(SensorType::PoseStamped)
         );
-        assert_eq!(of("sensor_msgs/msg/Image", "ros2msg", ""), Err(String::new()));
-        let error =
-            of("geometry_msgs/msg/PoseStamped", "ros2msg", "std_msgs/Header header\nPose2D pose\n").unwrap_err();
-        assert!(error.contains("`Pose2D pose`"), "{error}");
+        assert_eq!(of("sensor_msgs/msg/Image", "ros2msg", ""), Err(TopicRefusal::OtherType));
+        let error = of("geometry_msgs/msg/PoseStamped", "ros2msg", "std_msgs/Header header\nPose2D pose\n");
+        let TopicRefusal::Unreadable(why) = error.unwrap_err() else { panic!("the type is known") };
+        assert!(why.contains("`Pose2D pose`"), "{why}");
         assert!(of("geometry_msgs/msg/PoseStamped", "protobuf", pose).is_err());
     }
 

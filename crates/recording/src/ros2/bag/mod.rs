@@ -16,16 +16,10 @@ pub use table::{BagTopic, TopicTable};
 
 pub use records::BagError;
 
-use mcap::MAGIC;
-
 use super::cdr_reader;
 use crate::container::fields;
 
-/// Opcode and length before the content of a record.
-const RECORD_HEADER_BYTES: usize = 9;
-
-/// Whether a file that begins with these bytes says that it is a bag of ROS 2: the profile in its header, behind the magic.
+/// Whether a file that begins with these bytes says that it is a bag of ROS 2: the profile in its header, the first record.
 pub fn is_bag(beginning: &[u8]) -> bool {
-    let header = beginning.strip_prefix(MAGIC).and_then(|records| records.get(RECORD_HEADER_BYTES..));
-    header.and_then(fields::profile) == Some("ros2")
+    fields::profile(beginning) == Some("ros2")
 }

@@ -1,12 +1,13 @@
 //! Chooses which topics of a bag become which sensors of the robot, by their types, names and first messages, and writes the choice down as
-//! a descriptor of a foreign recording. A descriptor of a person's own is the way to another choice.
+//! a descriptor of a foreign recording. To choose otherwise, write a descriptor.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use super::incoming::SensorType;
 use super::summary::{BagSummary, TopicSummary, ValueFacts};
 
-/// Whether the radii of the robot's wheels are known: without them angles of wheels are no ways.
+/// Whether the radii of the robot's wheels are known: without them wheel angles cannot be converted to distances.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WheelGeometry {
     Known,
@@ -46,12 +47,20 @@ impl BagPlan {
     /// # Errors
     /// No topic can be taken.
     pub fn new(summary: &BagSummary, name: &str, path: &str, geometry: WheelGeometry) -> Result<Self, BagPlanError> {
-        let mut planner = Planner { geometry, taken: Vec::new(), left: Vec::new(), robot: None };
+        let mut planner = Planner {
+            geometry,
+            taken: Vec::new(),
+            left: Vec::new(),
+            robot: None,
+            first_parts: Vec::new(),
+            has_several_robots: false,
+        };
         planner.choose(summary);
         if planner.taken.is_empty() {
             return Err(BagPlanError(listed(&planner.left)));
         }
-        let (times, zero_s) = planner.times();
+        let (is_utc, zero_s) = planner.times();
+        let arrival = if is_utc { "" } else { "arrival = { column = \"stamp_ns\", unit = \"ns\" }\n" };
         let mut text = format!(
             "name = {name}\nsource = {path}\nlicence = \"that of the bag\"\ndefault_run = {name}\n\n[[runs]]\nname = {name}\n\
              values = {{ bag = {path} }}\n",
@@ -62,9 +71,16 @@ impl BagPlan {
         text.push_str(planner.start());
         for (number, stream) in planner.taken.iter().enumerate() {
             let topic = quoted(&stream.topic.name);
+            // A sender without a clock of its own leaves all stamps at zero.
+            let time =
+                if stream.topic.facts.has_stamps { "" } else { "time = { column = \"log_ns\", unit = \"ns\" }\n" };
+            let joints = match &stream.topic.facts.joints {
+                Some(names) => format!("joints = {}\n", toml::Value::from(names.to_vec())),
+                None => String::new(),
+            };
             _ = write!(
                 text,
-                "\n[files.topic_{number}]\npath = \"{{bag}}\"\ntopic = {topic}\n{times}offset_s = {offset}\n\n[[{key}]]\n\
+                "\n[files.topic_{number}]\npath = \"{{bag}}\"\ntopic = {topic}\n{joints}{time}{arrival}offset_s = {offset}\n\n[[{key}]]\n\
                  file = \"topic_{number}\"\n{columns}",
                 offset = zero_s.checked_neg().unwrap_or(0),
                 key = stream.key,
@@ -77,7 +93,7 @@ impl BagPlan {
         if !planner.left.is_empty() {
             report.push(format!("left {}", listed(&planner.left)));
         }
-        let utc_start_micros = u64::try_from(zero_s).unwrap_or(0).saturating_mul(1_000_000);
+        let utc_start_micros = if is_utc { u64::try_from(zero_s).unwrap_or(0).saturating_mul(1_000_000) } else { 0 };
         Ok(Self { descriptor: text, report, utc_start_micros })
     }
 }
@@ -85,27 +101,42 @@ impl BagPlan {
 /// A topic that is taken, as a stream of the descriptor.
 struct TakenTopic<'a> {
     topic: &'a TopicSummary,
-    /// Of the stream.
+    /// The section of the stream in the descriptor, such as `gyro`.
     key: &'static str,
-    /// Its keys and values.
+    /// The keys and values of that section.
     columns: String,
-    /// In words.
+    /// The description for the report.
     what: String,
 }
 
 struct Planner<'a> {
     geometry: WheelGeometry,
     taken: Vec<TakenTopic<'a>>,
-    /// With the reason, if there is one.
+    /// Topics that are not taken, with the reason; empty for a type that no sensor has.
     left: Vec<(&'a TopicSummary, String)>,
+    /// The first part of the name of each topic that could be taken.
+    first_parts: Vec<&'a str>,
+    /// The topics with a motion differ in the first part of their names.
+    has_several_robots: bool,
     /// The part before the last slash of the topic with the motion, with that slash.
     robot: Option<&'a str>,
 }
 
 impl<'a> Planner<'a> {
+    const fn new(geometry: WheelGeometry) -> Self {
+        Self {
+            geometry,
+            taken: Vec::new(),
+            left: Vec::new(),
+            first_parts: Vec::new(),
+            has_several_robots: false,
+            robot: None,
+        }
+    }
+
     fn choose(&mut self, summary: &'a BagSummary) {
-        let mut of: Vec<Vec<&TopicSummary>> = vec![Vec::new(); 7];
-        let mut truths = Vec::new();
+        let [mut odometry, mut joints, mut imus, mut poses, mut uncertain_poses, mut scans, mut truths] =
+            [const { Vec::new() }; 7];
         for topic in &summary.topics {
             let sensor = match (topic.sensor, &topic.refusal) {
                 (Some(sensor), _) if topic.rows > 0 => sensor,
@@ -118,17 +149,23 @@ impl<'a> Planner<'a> {
                     continue;
                 }
             };
-            let is_pose = matches!(
-                sensor,
-                SensorType::Odometry | SensorType::PoseStamped | SensorType::PoseWithCovarianceStamped
-            );
-            if is_pose && (last_part(&topic.name).contains("truth") || topic.name.contains("ground_truth")) {
-                truths.push(topic);
-            } else {
-                of[order(sensor)].push(topic);
-            }
+            self.first_parts.extend(first_part(&topic.name));
+            let is_truth = last_part(&topic.name).contains("truth") || topic.name.contains("ground_truth");
+            let topics = match sensor {
+                SensorType::Odometry | SensorType::PoseStamped | SensorType::PoseWithCovarianceStamped if is_truth => {
+                    &mut truths
+                }
+                SensorType::Odometry => &mut odometry,
+                SensorType::JointState => &mut joints,
+                SensorType::Imu => &mut imus,
+                SensorType::PoseStamped => &mut poses,
+                SensorType::PoseWithCovarianceStamped => &mut uncertain_poses,
+                SensorType::LaserScan => &mut scans,
+            };
+            topics.push(topic);
         }
-        let [odometry, joints, imus, poses, uncertain_poses, scans, _] = of.try_into().unwrap_or_default();
+        let motions = odometry.iter().chain(&joints).filter_map(|topic| first_part(&topic.name));
+        self.has_several_robots = motions.collect::<BTreeSet<_>>().len() > 1;
         self.choose_motion(odometry, joints);
         self.choose_one(imus, gyro_stream);
         for topic in poses.into_iter().chain(uncertain_poses) {
@@ -164,7 +201,7 @@ impl<'a> Planner<'a> {
             };
             self.left.push((topic, why.to_owned()));
         }
-        // The one of the driver comes before those of filters.
+        // Prefer the driver's odometry, named `odom`, to that of filters.
         odometry.sort_by_key(|topic| (last_part(&topic.name) != "odom", std::cmp::Reverse(topic.rows)));
         for topic in odometry {
             if has_wheels {
@@ -180,7 +217,7 @@ impl<'a> Planner<'a> {
     fn choose_fixes(&mut self, topic: &'a TopicSummary) {
         let name = last_part(&topic.name).to_ascii_lowercase();
         if GOALS.iter().any(|goal| name.contains(goal)) {
-            self.left.push((topic, "by its name a place to go to, or to start from".to_owned()));
+            self.left.push((topic, "a goal or an initial pose, by its name".to_owned()));
         } else if self.is_of_another_robot(topic) {
             self.left.push((topic, "of another robot, by its name".to_owned()));
         } else {
@@ -222,25 +259,23 @@ impl<'a> Planner<'a> {
         self.taken.push(stream);
     }
 
-    /// Whether the motion is of a robot with a name, and the topic of one with another name.
+    /// Whether the topic with the motion is in the namespace of one robot, and this topic in another. The first part of a name is that of a robot
+    /// where several topics have it, or where several motions differ in it; else it is that of a driver, as in `/imu/data`.
     fn is_of_another_robot(&self, topic: &TopicSummary) -> bool {
-        let own = self.robot.unwrap_or_default();
-        let of_topic = topic.name.trim_start_matches('/').split('/').next();
-        let of_robot = own.trim_start_matches('/').split('/').next().filter(|name| !name.is_empty());
-        let is_named = topic.name.trim_start_matches('/').contains('/');
-        of_robot.is_some_and(|robot| is_named && of_topic != Some(robot))
+        let Some(robot) = self.robot.and_then(first_part) else {
+            return false;
+        };
+        let topics = self.first_parts.iter().filter(|part| **part == robot).count();
+        (topics > 1 || self.has_several_robots) && first_part(&topic.name).is_some_and(|part| part != robot)
     }
 
-    /// The keys of time for every file, and the zero of the times in seconds since 1970.
-    fn times(&self) -> (&'static str, i64) {
+    /// Whether all times are UTC, and the zero of the times in seconds since 1970.
+    fn times(&self) -> (bool, i64) {
         let facts = || self.taken.iter().map(|stream| &stream.topic.facts);
-        let is_one_clock =
-            facts().all(|facts| facts.stamp_nanos.abs_diff(facts.log_nanos) <= MAX_CLOCK_DIFFERENCE_NANOS);
+        let is_utc = facts().all(|facts| facts.time_nanos().abs_diff(facts.log_nanos) <= MAX_CLOCK_DIFFERENCE_NANOS);
         let first_nanos =
-            facts().map(|facts| if is_one_clock { facts.stamp_nanos.min(facts.log_nanos) } else { facts.stamp_nanos });
-        let zero_s = first_nanos.min().unwrap_or(0).div_euclid(1_000_000_000);
-        let arrival = if is_one_clock { "" } else { "arrival = { column = \"stamp_ns\", unit = \"ns\" }\n" };
-        (arrival, zero_s)
+            facts().map(|facts| if is_utc { facts.time_nanos().min(facts.log_nanos) } else { facts.time_nanos() });
+        (is_utc, first_nanos.min().unwrap_or(0).div_euclid(1_000_000_000))
     }
 
     /// Fixes place the robot; without them a truth does.
@@ -251,17 +286,6 @@ impl<'a> Planner<'a> {
         } else {
             ""
         }
-    }
-}
-
-fn order(sensor: SensorType) -> usize {
-    match sensor {
-        SensorType::Odometry => 0,
-        SensorType::JointState => 1,
-        SensorType::Imu => 2,
-        SensorType::PoseStamped => 3,
-        SensorType::PoseWithCovarianceStamped => 4,
-        SensorType::LaserScan => 5,
     }
 }
 
@@ -320,6 +344,11 @@ fn gyro_stream(topic: &TopicSummary) -> Result<TakenTopic<'_>, String> {
     Ok(stream(topic, "gyro", &columns, &format!("turn rate about {minus}{name}{why}")))
 }
 
+/// The first part of a name of several.
+fn first_part(name: &str) -> Option<&str> {
+    name.trim_start_matches('/').split_once('/').map(|(first, _)| first)
+}
+
 fn last_part(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
@@ -350,4 +379,41 @@ fn listed(left: &[(&TopicSummary, String)]) -> String {
         _ = write!(text, "; and {} more", left.len() - MAX_LISTED);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::summary::TopicFacts;
+    use super::*;
+
+    /// The names of the topics that are taken of topics with ten messages each.
+    fn taken(topics: &[(&str, SensorType)]) -> Vec<String> {
+        let topics = topics.iter().map(|(name, sensor)| TopicSummary {
+            name: (*name).to_owned(),
+            messages: 10,
+            rows: 10,
+            sensor: Some(*sensor),
+            facts: TopicFacts {
+                values: vec![ValueFacts { varies: true, is_always_positive: true, first: 1.0, sum: 98.1 }; 8],
+                ..TopicFacts::default()
+            },
+            type_name: String::new(),
+            refusal: None,
+            damaged: Default::default(),
+        });
+        let topics: Vec<TopicSummary> = topics.collect();
+        let mut planner = Planner::new(WheelGeometry::Unknown);
+        let summary = BagSummary::of_topics(topics);
+        planner.choose(&summary);
+        planner.taken.iter().map(|stream| stream.topic.name.clone()).collect()
+    }
+
+    #[test]
+    fn the_first_part_of_a_name_is_a_robot_where_topics_share_it() {
+        use SensorType::{Imu, Odometry};
+        assert_eq!(taken(&[("/diff_drive_controller/odom", Odometry), ("/imu/data", Imu)]).len(), 2);
+        assert_eq!(taken(&[("/a/odom", Odometry), ("/b/odom", Odometry), ("/b/imu", Imu)]), ["/a/odom"]);
+        let of_one = [("/a/odom", Odometry), ("/a/imu", Imu), ("/b/imu", Imu)];
+        assert_eq!(taken(&of_one), ["/a/odom", "/a/imu"]);
+    }
 }

@@ -1,6 +1,8 @@
 //! The messages of a bag in their order, from a stream of bytes: chunks are unpacked one by one, and nothing grows by what a length claims.
 //!
-//! Source: MCAP specification 0. A bag of several files is read as one stream of them.
+//! A bag of several files is one input that ends (a read of no bytes) at the end of each, and goes on with the next.
+//!
+//! Source: MCAP specification 0.
 
 use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Read};
@@ -9,10 +11,11 @@ use std::sync::Arc;
 use mcap::MAGIC;
 use mcap::records::op;
 
-use super::RECORD_HEADER_BYTES;
 use crate::chunk_compression::{MAX_CHUNK_BYTES, unpack};
 use crate::container::fields;
 
+/// Opcode and length before the content of a record.
+const RECORD_HEADER_BYTES: usize = 9;
 /// Longer schemas and messages are not read: no message of a sensor that we take is larger.
 const MAX_RECORD_BYTES: u64 = MAX_CHUNK_BYTES;
 /// More than any robot has, and what keeps the memory for them below 100 MB.
@@ -72,24 +75,28 @@ pub(super) struct BagMessage<'a> {
 /// Reads a bag from its beginning to its end, or to where it was cut off.
 pub(super) struct BagReader<R> {
     input: R,
-    /// Of the next byte of the file.
+    /// The number of the file in the bag, from 1.
+    file: u32,
+    /// The offset of the next byte in the file.
     offset: u64,
     record: Vec<u8>,
     chunk: Option<OpenChunk>,
     schemas: BTreeMap<u16, Arc<BagSchema>>,
     channels: BTreeMap<u16, BagChannel>,
-    /// What could not be read, in words.
+    /// What could not be read.
     faults: Faults,
+    /// The end of the present file was met.
+    is_file_read: bool,
     is_finished: bool,
 }
 
 struct OpenChunk {
     records: Vec<u8>,
-    /// Of the next record, within the chunk.
+    /// The offset of the next record in the chunk.
     next: usize,
-    /// Of the first record in the file if the chunk is not compressed.
+    /// The offset of the first record in the file if the chunk is not compressed.
     base: Option<u64>,
-    /// Of the chunk in the file.
+    /// The offset of the chunk in the file.
     offset: u64,
 }
 
@@ -129,12 +136,14 @@ impl<R: Read> BagReader<R> {
         }
         Ok(Self {
             input,
+            file: 1,
             offset: MAGIC.len() as u64,
             record: Vec::new(),
             chunk: None,
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             faults: Faults::default(),
+            is_file_read: false,
             is_finished: false,
         })
     }
@@ -165,12 +174,17 @@ impl<R: Read> BagReader<R> {
                     }));
                 }
                 Some(id) => {
-                    let fault = format!("byte {}: a message of channel {id}, which has no record", place.offset);
-                    self.faults.push(fault);
+                    self.report(place.offset, &format!("a message of channel {id}, which has no record"));
                 }
-                None => self.faults.push(format!("byte {}: a message that is shorter than its head", place.offset)),
+                None => self.report(place.offset, "a message that is shorter than its head"),
             }
         }
+    }
+
+    /// Records what could not be read at an offset of the present file.
+    fn report(&mut self, offset: u64, what: &str) {
+        let file = if self.file > 1 { format!("file {}, ", self.file) } else { String::new() };
+        self.faults.push(format!("{file}byte {offset}: {what}"));
     }
 
     pub(super) const fn faults(&self) -> &Faults {
@@ -224,7 +238,7 @@ impl<R: Read> BagReader<R> {
             _ => None,
         };
         if let Some(fault) = fault {
-            self.faults.push(format!("byte {}: {fault}", place.offset));
+            self.report(place.offset, fault);
         }
     }
 
@@ -237,15 +251,16 @@ impl<R: Read> BagReader<R> {
             if self.is_finished {
                 return Ok(None);
             }
+            if self.is_file_read {
+                self.open_next_file()?;
+                continue;
+            }
             let offset = self.offset;
-            let Some(opcode) = self.read_record()? else {
-                self.is_finished = true;
-                return Ok(None);
-            };
-            match opcode {
-                op::CHUNK => self.enter(offset),
-                op::FOOTER => self.end_file()?,
-                _ => return Ok(Some(RecordPlace { opcode, offset, within_chunk: None })),
+            match self.read_record()? {
+                None => {}
+                Some(op::CHUNK) => self.enter(offset),
+                Some(op::FOOTER) => self.finish_file()?,
+                Some(opcode) => return Ok(Some(RecordPlace { opcode, offset, within_chunk: None })),
             }
         }
     }
@@ -264,22 +279,24 @@ impl<R: Read> BagReader<R> {
         if let Some(RecordPlace { within_chunk: Some((_, end)), .. }) = &place {
             chunk.next = *end;
         } else {
-            if !rest.is_empty() {
-                self.faults.push(format!("byte {offset}: the rest of a chunk, {} bytes, is damaged", rest.len()));
-            }
+            let damaged = rest.len();
             self.chunk = None;
+            if damaged > 0 {
+                self.report(offset, &format!("the rest of a chunk, {damaged} bytes, is damaged"));
+            }
         }
         place
     }
 
-    /// Reads a record of the file into `record`; the content of one that nobody asks for is left out. `None` where the file ends.
+    /// Reads a record of the file into `record`, without the content of one of no use. `None` for one that is too long or cut off.
     fn read_record(&mut self) -> io::Result<Option<u8>> {
         let begin = self.offset;
         let mut header = [0; RECORD_HEADER_BYTES];
         let read = read_up_to(&mut self.input, &mut header)?;
         self.offset += read as u64;
         if read < header.len() {
-            self.faults.push(format!("byte {begin}: the bag is cut off here"));
+            self.report(begin, "the bag is cut off here");
+            self.is_file_read = true;
             return Ok(None);
         }
         let [opcode, length @ ..] = header;
@@ -294,59 +311,86 @@ impl<R: Read> BagReader<R> {
         };
         self.offset += read;
         if read < length {
-            self.faults.push(format!("byte {begin}: the bag is cut off here: {read} of {length} bytes of a record"));
+            self.report(begin, &format!("the bag is cut off here: {read} of {length} bytes of a record"));
+            self.is_file_read = true;
             // What is there of a chunk is of use, of another record not.
             return Ok((opcode == op::CHUNK && length <= MAX_RECORD_BYTES).then_some(opcode));
         }
         if is_wanted && length > MAX_RECORD_BYTES {
             let most = MAX_RECORD_BYTES >> 20;
-            self.faults.push(format!("byte {begin}: a record of {length} bytes is left out: the limit is {most} MiB"));
-            self.record.clear();
-            return Ok(Some(0));
+            self.report(begin, &format!("a record of {length} bytes is left out: the limit is {most} MiB"));
+            return Ok(None);
         }
         Ok(Some(opcode))
     }
 
     fn enter(&mut self, offset: u64) {
         let Some(chunk) = fields::chunk(&self.record) else {
-            self.faults.push(format!("byte {offset}: the head of a chunk is damaged"));
+            self.report(offset, "the head of a chunk is damaged");
             return;
         };
         let Some(unpacked) = unpack(&chunk) else {
             let name = chunk.compression.escape_default();
-            self.faults
-                .push(format!("byte {offset}: a chunk with the compression `{name}`, which is neither zstd nor lz4"));
+            let fault = format!("a chunk with the compression `{name}`, which is neither zstd nor lz4");
+            self.report(offset, &fault);
             return;
         };
         let base = offset + (RECORD_HEADER_BYTES + chunk.head_bytes) as u64;
         let base = chunk.compression.is_empty().then_some(base);
         if let Some(fault) = unpacked.fault {
-            self.faults.push(format!("byte {offset}: a chunk cannot be unpacked whole: {fault}"));
+            self.report(offset, &format!("a chunk cannot be unpacked whole: {fault}"));
         } else {
             let mut crc = flate2::Crc::new();
             crc.update(&unpacked.records);
             if chunk.crc != 0 && chunk.crc != crc.sum() {
-                self.faults.push(format!("byte {offset}: the checksum of a chunk is wrong"));
+                self.report(offset, "the checksum of a chunk is wrong");
             }
         }
         self.chunk = Some(OpenChunk { records: unpacked.records, next: 0, base, offset });
     }
 
-    /// Behind the footer: the end magic, and then perhaps the next file of the bag.
-    fn end_file(&mut self) -> io::Result<()> {
-        let mut magics = [0; 2 * MAGIC.len()];
-        let read = read_up_to(&mut self.input, &mut magics)?;
-        let (end, next) = magics.split_at(MAGIC.len());
-        if read == magics.len() && end == MAGIC && next == MAGIC {
-            self.schemas.clear();
-            self.channels.clear();
-            self.offset = MAGIC.len() as u64;
+    /// Behind the footer: the end magic.
+    fn finish_file(&mut self) -> io::Result<()> {
+        if self.read_magic()? != MAGIC {
+            self.report(self.offset, "something else than the end of a bag behind its footer");
+        }
+        self.skip_file()
+    }
+
+    /// Begins the next file of the bag, if there is one.
+    fn open_next_file(&mut self) -> io::Result<()> {
+        self.is_file_read = false;
+        let magic = self.read_magic()?;
+        if magic.is_empty() {
+            self.is_finished = true;
             return Ok(());
         }
-        if read != MAGIC.len() || end != MAGIC {
-            self.faults.push(format!("byte {}: something else than the end of a bag behind its footer", self.offset));
+        self.file += 1;
+        self.offset = MAGIC.len() as u64;
+        self.schemas.clear();
+        self.channels.clear();
+        if magic != MAGIC {
+            self.report(0, "this is not an MCAP file");
+            self.skip_file()?;
         }
-        self.is_finished = true;
+        Ok(())
+    }
+
+    /// As many of its bytes as the file has.
+    fn read_magic(&mut self) -> io::Result<Vec<u8>> {
+        let mut magic = vec![0; MAGIC.len()];
+        let read = read_up_to(&mut self.input, &mut magic)?;
+        self.is_file_read = read < magic.len();
+        magic.truncate(read);
+        Ok(magic)
+    }
+
+    /// Reads the file to its end, unless that was met before.
+    fn skip_file(&mut self) -> io::Result<()> {
+        if !self.is_file_read {
+            io::copy(&mut self.input, &mut io::sink())?;
+            self.is_file_read = true;
+        }
         Ok(())
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 
-use super::incoming::{MessageContent, RowOptions, SensorRow, SensorType, decode};
+use super::incoming::{MessageContent, RowOptions, SensorRow, SensorType, TopicRefusal, decode};
 use super::records::{BagChannel, BagError, BagReader, Faults};
 
 /// A channel may change its topic with every message: this bounds the memory.
@@ -17,7 +17,7 @@ pub struct TopicSummary {
     pub type_name: String,
     /// All messages.
     pub messages: u64,
-    /// Why none of its messages can be taken; `None` if they can.
+    /// Why none of its messages can be taken; `None` if they can, or if no sensor has messages of this type.
     pub(super) refusal: Option<String>,
     pub(super) sensor: Option<SensorType>,
     /// Messages with numbers.
@@ -30,15 +30,17 @@ pub struct TopicSummary {
 /// What the messages of a topic have in common.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct TopicFacts {
-    /// Of the first message.
+    /// The frame of the first message.
     pub(super) frame: String,
     pub(super) frame_changes: bool,
-    /// Of the first message.
+    /// The joints of the first message.
     pub(super) joints: Option<[String; 2]>,
-    /// The earliest.
+    /// The earliest log time.
     pub(super) log_nanos: i64,
-    /// The earliest; the log time where the sender set none.
+    /// The earliest stamp.
     pub(super) stamp_nanos: i64,
+    /// Whether any stamp is not zero.
+    pub(super) has_stamps: bool,
     pub(super) values: Vec<ValueFacts>,
 }
 
@@ -54,7 +56,7 @@ pub(super) struct ValueFacts {
 #[derive(Clone, Debug, PartialEq)]
 pub struct BagSummary {
     pub topics: Vec<TopicSummary>,
-    /// What could not be read, in words.
+    /// What could not be read.
     faults: Faults,
 }
 
@@ -64,8 +66,10 @@ impl BagSummary {
     pub fn read(input: impl Read) -> Result<Self, BagError> {
         let mut reader = BagReader::open(input)?;
         let mut topics: BTreeMap<String, TopicSummary> = BTreeMap::new();
+        let mut left_out = 0_u64;
         while let Some(message) = reader.next()? {
             if topics.len() >= MAX_TOPICS && !topics.contains_key(&message.channel.topic) {
+                left_out += 1;
                 continue;
             }
             let known = match topics.get_mut(&message.channel.topic) {
@@ -80,7 +84,16 @@ impl BagSummary {
         for channel in reader.channels().take(room) {
             topics.entry(channel.topic.clone()).or_insert_with(|| TopicSummary::new(channel));
         }
-        Ok(Self { topics: topics.into_values().collect(), faults: reader.faults().clone() })
+        let mut faults = reader.faults().clone();
+        if left_out > 0 {
+            faults.push(format!("{left_out} messages of topics beyond the first {MAX_TOPICS}"));
+        }
+        Ok(Self { topics: topics.into_values().collect(), faults })
+    }
+
+    #[cfg(test)]
+    pub(super) fn of_topics(topics: Vec<TopicSummary>) -> Self {
+        Self { topics, faults: Faults::default() }
     }
 
     /// What could not be read, a line each.
@@ -107,7 +120,8 @@ impl TopicSummary {
         let type_name = channel.schema.as_ref().map_or_else(String::new, |schema| schema.name.clone());
         let (sensor, refusal) = match sensor_of(channel) {
             Ok(sensor) => (Some(sensor), None),
-            Err(why) => (None, Some(why)),
+            Err(TopicRefusal::OtherType) => (None, None),
+            Err(TopicRefusal::Unreadable(why)) => (None, Some(why)),
         };
         Self {
             name: channel.topic.clone(),
@@ -138,8 +152,13 @@ impl TopicSummary {
 }
 
 impl TopicFacts {
+    /// The earliest time of the sender; the log time where it set none.
+    pub(super) const fn time_nanos(&self) -> i64 {
+        if self.has_stamps { self.stamp_nanos } else { self.log_nanos }
+    }
+
     fn observe(&mut self, row: SensorRow, log_nanos: i64) {
-        let stamp_nanos = if row.stamp_nanos == 0 { log_nanos } else { row.stamp_nanos };
+        let stamp_nanos = row.stamp_nanos;
         if self.values.is_empty() {
             self.values = row.values.iter().map(|value| ValueFacts::new(*value)).collect();
             (self.log_nanos, self.stamp_nanos) = (log_nanos, stamp_nanos);
@@ -148,9 +167,10 @@ impl TopicFacts {
         }
         self.log_nanos = self.log_nanos.min(log_nanos);
         self.stamp_nanos = self.stamp_nanos.min(stamp_nanos);
+        self.has_stamps |= stamp_nanos != 0;
         self.frame_changes |= row.frame != self.frame;
         for (facts, value) in self.values.iter_mut().zip(row.values) {
-            facts.varies |= value != facts.first;
+            facts.varies |= value.is_finite() && facts.first.is_finite() && value != facts.first;
             facts.is_always_positive &= value > 0.0;
             facts.sum += if value.is_finite() { value } else { 0.0 };
         }
@@ -163,16 +183,43 @@ impl ValueFacts {
     }
 }
 
-/// # Errors
-/// Why its messages cannot be taken, in words; empty for a type that is not taken.
-pub(super) fn sensor_of(channel: &BagChannel) -> Result<SensorType, String> {
+pub(super) fn sensor_of(channel: &BagChannel) -> Result<SensorType, TopicRefusal> {
     let Some(schema) = &channel.schema else {
-        return Err("the bag has no schema for it".to_owned());
+        return Err(TopicRefusal::Unreadable("the bag has no schema for it".to_owned()));
     };
     let sensor = SensorType::of_schema(schema)?;
     if channel.message_encoding != "cdr" {
         let encoding = channel.message_encoding.chars().take(40).collect::<String>();
-        return Err(format!("its messages are `{}` and not cdr", encoding.escape_default()));
+        let why = format!("its messages are `{}` and not cdr", encoding.escape_default());
+        return Err(TopicRefusal::Unreadable(why));
     }
     Ok(sensor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn facts_of(rows: &[(i64, f64)]) -> TopicFacts {
+        let mut facts = TopicFacts::default();
+        for (stamp_nanos, value) in rows {
+            let row = SensorRow { stamp_nanos: *stamp_nanos, frame: String::new(), values: vec![*value], joints: None };
+            facts.observe(row, 1_000);
+        }
+        facts
+    }
+
+    #[test]
+    fn a_stamp_of_zero_is_a_time_where_others_are_not_zero() {
+        assert_eq!(facts_of(&[(0, 1.0), (20, 1.0)]).time_nanos(), 0);
+        assert_eq!(facts_of(&[(0, 1.0), (0, 1.0)]).time_nanos(), 1_000);
+    }
+
+    #[test]
+    fn a_value_that_is_no_number_does_not_vary() {
+        let nan = f64::NAN;
+        for (values, varies) in [([nan, nan], false), ([nan, 1.0], false), ([1.0, 1.0], false), ([1.0, 2.0], true)] {
+            assert_eq!(facts_of(&values.map(|value| (1, value))).values[0].varies, varies, "{values:?}");
+        }
+    }
 }

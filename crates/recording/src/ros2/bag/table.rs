@@ -4,11 +4,11 @@
 use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read};
 
-use super::incoming::{MessageContent, RowOptions, SensorType, TIME_COLUMNS, decode};
+use super::incoming::{MessageContent, RowOptions, SensorType, TIME_COLUMNS, TopicRefusal, decode};
 use super::records::{BagChannel, BagError, BagReader};
 use super::summary::sensor_of;
 
-/// Begins a line that stands for a damaged message; what was wrong follows.
+/// Begins a line that stands for a damaged message, or for what is missing of the bag; what was wrong follows.
 pub(crate) const DAMAGED: char = '!';
 
 /// A topic, and what is taken of its messages.
@@ -28,6 +28,7 @@ pub struct TopicTable<R> {
     options: RowOptions,
     /// From the first message of the topic on.
     sensor: Option<SensorType>,
+    is_finished: bool,
     text: String,
     /// Of `text`, read so far.
     read: usize,
@@ -42,6 +43,7 @@ impl<R: Read> TopicTable<R> {
             topic: topic.name.clone(),
             options: RowOptions { joints: topic.joints.clone(), bearing_rad: topic.bearing_rad },
             sensor: None,
+            is_finished: false,
             text: String::new(),
             read: 0,
         })
@@ -58,18 +60,13 @@ impl<R: Read> TopicTable<R> {
             let sensor = if let Some(sensor) = self.sensor {
                 sensor
             } else {
-                let sensor = sensor_of(message.channel).map_err(|why| refused(&self.topic, message.channel, &why))?;
+                let sensor = sensor_of(message.channel).map_err(|why| refused(&self.topic, message.channel, why))?;
                 _ = writeln!(self.text, "{TIME_COLUMNS},{}", sensor.columns());
                 *self.sensor.insert(sensor)
             };
             match decode(sensor, &self.options, message.data) {
                 Ok(MessageContent::Row(row)) => {
-                    let log = message.log_nanos;
-                    // A sender without a clock of its own leaves the stamp at zero.
-                    match row.stamp_nanos {
-                        0 => _ = write!(self.text, "{log},{log}"),
-                        stamp => _ = write!(self.text, "{stamp},{log}"),
-                    }
+                    _ = write!(self.text, "{},{}", row.stamp_nanos, message.log_nanos);
                     for value in row.values {
                         // An empty field is no number, which the reader of the table reports.
                         _ = if value.is_finite() { write!(self.text, ",{value}") } else { write!(self.text, ",") };
@@ -83,10 +80,23 @@ impl<R: Read> TopicTable<R> {
                 return Ok(true);
             }
         }
-        Ok(false)
+        if self.sensor.is_none() {
+            return Err(self.missing());
+        }
+        let faults = self.bag.faults();
+        let is_damaged = !self.is_finished && faults.count > 0;
+        self.is_finished = true;
+        if let Some(first) = faults.listed.first().filter(|_| is_damaged) {
+            let further = match faults.count - 1 {
+                0 => String::new(),
+                count => format!("; and {count} further places"),
+            };
+            _ = writeln!(self.text, "{DAMAGED}part of the bag could not be read: {first}{further}");
+        }
+        Ok(is_damaged)
     }
 
-    /// The topics that a person can choose from.
+    /// The error for a topic without messages; it lists those that there are.
     fn missing(&self) -> io::Error {
         let known: Vec<&str> = self.bag.channels().map(|channel| channel.topic.as_str()).take(50).collect();
         let what = format!("the bag has no message of the topic {}; there are: {}", self.topic, known.join(", "));
@@ -94,16 +104,19 @@ impl<R: Read> TopicTable<R> {
     }
 }
 
-fn refused(topic: &str, channel: &BagChannel, why: &str) -> io::Error {
+fn refused(topic: &str, channel: &BagChannel, refusal: TopicRefusal) -> io::Error {
     let kind = channel.schema.as_deref().map_or("unknown", |schema| schema.name.as_str());
-    let why = if why.is_empty() { "is not read".to_owned() } else { format!("cannot be read: {why}") };
+    let why = match refusal {
+        TopicRefusal::OtherType => "is not read".to_owned(),
+        TopicRefusal::Unreadable(why) => format!("cannot be read: {why}"),
+    };
     io::Error::new(ErrorKind::InvalidData, format!("the topic {topic} ({kind}) {why}"))
 }
 
 impl<R: Read> Read for TopicTable<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.read == self.text.len() && !self.advance()? {
-            return if self.sensor.is_none() { Err(self.missing()) } else { Ok(0) };
+            return Ok(0);
         }
         let rest = self.text.as_bytes().get(self.read..).unwrap_or_default();
         let count = rest.len().min(buffer.len());
