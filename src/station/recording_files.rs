@@ -8,9 +8,10 @@ use posebridge_recording::container::{FORMAT, RecordingHeader};
 use posebridge_recording::ros2::BAG_SUFFIX;
 
 use super::args::{McapProfile, RunArgs};
-use super::bag_recorder::{BagRecorder, BagWritten};
+use super::bag_recorder::BagRecorder;
 use super::recorder::{Recorder, RecordingTotals};
-use super::tlog_writer::{TlogRecorder, TlogWritten};
+use super::side_file::WrittenSideFile;
+use super::tlog_writer::TlogRecorder;
 use crate::config::Config;
 use crate::exit::DeferredErrors;
 
@@ -53,8 +54,8 @@ pub(super) fn done_message(what: &str, path: &Path) -> String {
 #[derive(Default)]
 pub(super) struct RecordedFiles {
     pub(super) inputs: Vec<(PathBuf, RecordingTotals)>,
-    pub(super) tlog: Option<TlogWritten>,
-    pub(super) bag: Option<BagWritten>,
+    pub(super) tlog: Option<WrittenSideFile>,
+    pub(super) bag: Option<WrittenSideFile>,
 }
 
 pub(super) fn output_folder(args: &RunArgs, config: &Config, timer: &HostTimer) -> Result<PathBuf> {
@@ -113,7 +114,7 @@ pub(super) fn start_tlog(
     let path = recording.with_extension("tlog");
     let links = config.station_config()?.links;
     let floor_bytes = config.record.limits().min_free_bytes;
-    let started = TlogRecorder::start(&path, timer.utc_start(), &links, floor_bytes);
+    let started = TlogRecorder::create(&path, timer.utc_start(), &links, floor_bytes);
     or_continue_without("telemetry log", started, &path, failures)
 }
 
@@ -129,6 +130,6 @@ pub(super) fn start_bag(
     };
     let stem = recording.file_stem().unwrap_or_default().to_string_lossy();
     let path = recording.with_file_name(format!("{stem}{BAG_SUFFIX}"));
-    let started = BagRecorder::start(&path, timer.utc_start(), config.record.limits().min_free_bytes);
+    let started = BagRecorder::create(&path, timer.utc_start(), config.record.limits().min_free_bytes);
     or_continue_without("ROS 2 bag", started, &path, failures)
 }

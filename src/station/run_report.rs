@@ -117,11 +117,11 @@ pub(super) fn finish(args: &RunArgs, config: &Config, session: &Session) -> Resu
         let _ = writeln!(text, "recording  {file} ({inputs} inputs{parts})");
     }
     if let Some(tlog) = &recorded.tlog {
-        let (path, frames) = (tlog.path.display(), tlog.frames);
+        let (path, frames) = (tlog.path.display(), tlog.records);
         let _ = writeln!(text, "tlog       {path} ({frames} frames)");
     }
     if let Some(bag) = &recorded.bag {
-        let (path, messages) = (bag.path.display(), bag.messages);
+        let (path, messages) = (bag.path.display(), bag.records);
         let _ = writeln!(text, "ros2       {path} ({messages} messages)");
     }
     if let Some((recording, _)) = recorded.inputs.first() {

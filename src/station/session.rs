@@ -9,7 +9,6 @@ use posebridge_telemetry::{TimeDelta, Timestamp};
 use tokio_util::sync::CancellationToken;
 
 use super::args::RunArgs;
-use super::bag_recorder::{BagRecorder, BagWritten};
 use super::cameras::Cameras;
 use super::event_collector::EventCollector;
 use super::learned_calibration::LearnedCalibration;
@@ -22,10 +21,10 @@ use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_bag, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
 use super::setup::{RobotSetup, SetupChecklists};
+use super::side_file::{SideFile, SideFileFormat, WrittenSideFile};
 use super::signing::{SigningSession, warn_of_open_listeners};
 use super::simulator::EmbeddedBricks;
 use super::station_loop::{StationLoop, StopConditions};
-use super::tlog_writer::{TlogRecorder, TlogWritten};
 use super::viewers::{ShownSession, Viewers, reserve_dashboard};
 use super::watchdog::{OnStall, Watchdog};
 use super::wiring_fix::WiringReport;
@@ -233,21 +232,26 @@ fn close(station_loop: StationLoop) -> Result<StoppedStation> {
     let kept = recorder.map(Recorder::finish).transpose();
     let kept = failures.record(kept.context("the recording is not whole"));
     recorded.extend(last.zip(kept.flatten()));
-    let tlog = tlog.map(TlogRecorder::finish).transpose();
-    let tlog = failures.record(tlog.context("the telemetry log is not whole"));
-    let tlog = tlog.flatten();
-    if let Some(TlogWritten { dropped: 1.., .. }) = tlog {
-        print_line("the telemetry log has holes: the disk was too slow for it");
-    }
-    let bag = bag.map(BagRecorder::finish).transpose();
-    let bag = failures.record(bag.context("the ROS 2 bag is not whole")).flatten();
-    if let Some(BagWritten { dropped: 1.., .. }) = bag {
-        print_line("the ROS 2 bag has holes: the disk was too slow for it");
-    }
+    let tlog = close_side_file(tlog, &mut failures);
+    let bag = close_side_file(bag, &mut failures);
     let ObserverResults { collectors, dropped, event_file } = observer.finish()?;
     failures.record(event_file);
     if dropped > 0 {
         tracing::warn!(dropped, "events are missing in the tables: this computer was too slow for them");
     }
     Ok(StoppedStation { collectors, recorded: RecordedFiles { inputs: recorded, tlog, bag }, failures })
+}
+
+/// `None` without the file, or if it is not whole.
+fn close_side_file<F: SideFileFormat>(
+    file: Option<SideFile<F>>,
+    failures: &mut DeferredErrors,
+) -> Option<WrittenSideFile> {
+    let kind = F::KIND;
+    let written = file.map(SideFile::finish).transpose();
+    let written = failures.record(written.with_context(|| format!("the {kind} is not whole"))).flatten();
+    if let Some(WrittenSideFile { dropped: 1.., .. }) = written {
+        print_line(&format!("the {kind} has holes: the disk was too slow for it"));
+    }
+    written
 }

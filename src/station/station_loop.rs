@@ -21,6 +21,7 @@ use super::page_history::station_status;
 use super::recorder::Recorder;
 use super::requests::RequestHandler;
 use super::setup::SetupChecklists;
+use super::side_file::{SideFile, SideFileFormat};
 use super::signing::SigningStateWriter;
 use super::simulator::TruthTap;
 use super::tlog_writer::TlogRecorder;
@@ -349,31 +350,26 @@ impl StationLoop {
         for (link, priority, frame) in sent {
             taken = taken.and_then(|()| tlog.sent(now, *link, *priority, frame));
         }
-        if taken.is_ok() {
-            return None;
-        }
-        let Some(Err(error)) = self.tlog.take().map(TlogRecorder::finish) else {
-            return None;
-        };
-        tracing::error!(error = format!("{error:#}"), "the telemetry log ends here");
-        let report = warning(format!("no more telemetry log: {error:#}"));
-        self.failures.record::<()>(Err(error.context("the telemetry log is not whole")));
-        Some(report)
+        if taken.is_ok() { None } else { end_side_file(&mut self.tlog, &mut self.failures) }
     }
 
     /// Passes outputs to the ROS 2 bag. Removes a failed one and returns a report.
     fn record_bag(&mut self, now: Timestamp<HostClock>, events: &Arc<[Event]>) -> Option<Input> {
-        if self.bag.as_mut()?.record(now, events).is_ok() {
-            return None;
-        }
-        let Some(Err(error)) = self.bag.take().map(BagRecorder::finish) else {
-            return None;
-        };
-        tracing::error!(error = format!("{error:#}"), "the ROS 2 bag ends here");
-        let report = warning(format!("no more ROS 2 bag: {error:#}"));
-        self.failures.record::<()>(Err(error.context("the ROS 2 bag is not whole")));
-        Some(report)
+        let recorded = self.bag.as_mut()?.record(now, events);
+        if recorded.is_ok() { None } else { end_side_file(&mut self.bag, &mut self.failures) }
     }
+}
+
+/// Removes a file that has failed, and returns a report.
+fn end_side_file<F: SideFileFormat>(file: &mut Option<SideFile<F>>, failures: &mut DeferredErrors) -> Option<Input> {
+    let Err(error) = file.take()?.finish() else {
+        return None;
+    };
+    let kind = F::KIND;
+    tracing::error!(error = format!("{error:#}"), "the {kind} ends here");
+    let report = warning(format!("no more {kind}: {error:#}"));
+    failures.record::<()>(Err(error.context(format!("the {kind} is not whole"))));
+    Some(report)
 }
 
 fn warning(text: String) -> Input {

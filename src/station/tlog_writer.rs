@@ -1,15 +1,12 @@
-//! Writes the received and sent frames of a session as a telemetry log: offline by [`TrafficLog`], live by a thread beside the
-//! recording ([`TlogRecorder`]), for which the station loop never waits: the recording is complete without the log. It is one file,
-//! because its readers support no parts; a deleted file, or a disk without space, ends it with an error.
+//! The received and sent frames of a session as a telemetry log: offline by [`TrafficLog`], live beside the recording by [`TlogRecorder`]. It
+//! is one file, because its readers support no parts.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicU64;
+use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use anyhow::Result;
 use posebridge_protocol::dialect::{Encoder, is_signed, is_stock_message};
 use posebridge_protocol::framing::{VerifiedFrame, WireVersion, verify};
 use posebridge_recording::tlog::{LINK_BITS, TlogWriter};
@@ -17,14 +14,10 @@ use posebridge_station::LinkConfig;
 use posebridge_telemetry::{Address, HostClock, Input, LinkId, PeerId, Priority, Timestamp};
 
 use super::link_frames::{LinkFrame, LinkFrames};
-use super::live_log::{LiveLog, write_while_sent};
-use super::recording_parts::WatchedFile;
-use super::writer_thread::WriterThread;
+use super::side_file::{SideFile, SideFileFormat};
 
-/// Queued chunks and frames; further ones are dropped.
-const QUEUE_CAPACITY: usize = 16_384;
-
-pub(super) struct Traffic {
+/// Bytes that were received or sent.
+pub struct Traffic {
     now: Timestamp<HostClock>,
     link: LinkId,
     direction: Direction,
@@ -37,31 +30,12 @@ enum Direction {
     Out(Priority),
 }
 
-pub struct TlogRecorder {
-    pub path: PathBuf,
-    sender: Sender<Traffic>,
-    thread: WriterThread<u64>,
-    queued: u64,
-    dropped: u64,
-}
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TlogWritten {
-    pub path: PathBuf,
-    pub frames: u64,
-    /// Chunks and frames lost because the disk was too slow.
-    pub dropped: u64,
-}
+pub type TlogRecorder = SideFile<TrafficLog<BufWriter<File>>>;
 
 impl TlogRecorder {
-    /// Creates the file and starts the thread. `utc_start_micros` is the date at the host clock's zero; links whose bricks do not use
-    /// MAVLink are not logged. The log ends when the disk has less free space than `floor_bytes`. Never overwrites a file.
-    pub fn start(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
-        let (out, file) = WatchedFile::create("telemetry log", path)?;
-        let (sender, traffic) = bounded(QUEUE_CAPACITY);
-        let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, links);
-        let thread = WriterThread::spawn("tlog", move |written| write(log, &traffic, &file, floor_bytes, written))?;
-        Ok(Self { path: path.to_owned(), sender, thread, queued: 0, dropped: 0 })
+    /// `utc_start_micros` is the date at the host clock's zero; links whose bricks do not use MAVLink are not logged.
+    pub fn create(path: &Path, utc_start_micros: u64, links: &[LinkConfig], floor_bytes: u64) -> Result<Self> {
+        Self::start(path, floor_bytes, |out| Ok(TrafficLog::new(BufWriter::new(out), utc_start_micros, links)))
     }
 
     pub fn received(&mut self, now: Timestamp<HostClock>, input: &Input) -> Result<()> {
@@ -74,46 +48,15 @@ impl TlogRecorder {
     pub fn sent(&mut self, now: Timestamp<HostClock>, link: LinkId, priority: Priority, frame: &[u8]) -> Result<()> {
         self.offer(Traffic { now, link, direction: Direction::Out(priority), bytes: frame.to_vec() })
     }
-
-    pub fn finish(self) -> Result<TlogWritten> {
-        drop(self.sender);
-        let frames = self.thread.wait(self.queued).with_context(|| format!("`{}`", self.path.display()))?;
-        Ok(TlogWritten { path: self.path, frames, dropped: self.dropped })
-    }
-
-    fn offer(&mut self, traffic: Traffic) -> Result<()> {
-        match self.sender.try_send(traffic) {
-            Ok(()) => {
-                self.queued += 1;
-                Ok(())
-            }
-            Err(TrySendError::Full(_)) => {
-                self.dropped += 1;
-                Ok(())
-            }
-            Err(TrySendError::Disconnected(_)) => Err(anyhow!("the telemetry log has stopped")),
-        }
-    }
 }
 
-/// Writes until all senders are dropped; returns the number of frames.
-fn write(
-    log: TrafficLog<BufWriter<File>>,
-    traffic: &Receiver<Traffic>,
-    file: &WatchedFile,
-    floor_bytes: u64,
-    count: &AtomicU64,
-) -> Result<u64> {
-    let log = write_while_sent(log, traffic, file, floor_bytes, count)?;
-    let (_, frames) = log.finish().with_context(|| file.name())?;
-    file.sync()?;
-    // A deleted file counts as not written.
-    file.file_size()?;
-    Ok(frames)
-}
-
-impl LiveLog for TrafficLog<BufWriter<File>> {
+impl SideFileFormat for TrafficLog<BufWriter<File>> {
     type Item = Traffic;
+
+    const KIND: &'static str = "telemetry log";
+    const THREAD: &'static str = "tlog";
+    /// Chunks and frames.
+    const QUEUE_CAPACITY: usize = 16_384;
 
     fn write(&mut self, one: &Traffic) -> Result<Timestamp<HostClock>> {
         match one.direction {
@@ -125,6 +68,11 @@ impl LiveLog for TrafficLog<BufWriter<File>> {
 
     fn flush(&mut self) -> Result<()> {
         Ok(Self::flush(self)?)
+    }
+
+    fn finish(self) -> Result<u64> {
+        let (_, frames) = Self::finish(self)?;
+        Ok(frames)
     }
 }
 

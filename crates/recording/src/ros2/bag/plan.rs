@@ -47,14 +47,7 @@ impl BagPlan {
     /// # Errors
     /// No topic can be taken.
     pub fn new(summary: &BagSummary, name: &str, path: &str, geometry: WheelGeometry) -> Result<Self, BagPlanError> {
-        let mut planner = Planner {
-            geometry,
-            taken: Vec::new(),
-            left: Vec::new(),
-            robot: None,
-            first_parts: Vec::new(),
-            has_several_robots: false,
-        };
+        let mut planner = Planner::new(geometry);
         planner.choose(summary);
         if planner.taken.is_empty() {
             return Err(BagPlanError(listed(&planner.left)));
