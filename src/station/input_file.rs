@@ -14,7 +14,7 @@ use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
 
 use crate::console::{print_line, progress_bar};
 
-const CHUNK: usize = 256 * 1024;
+const CHUNK: usize = 64 * 1024;
 /// RFC 1952, section 2.3.1.
 const GZIP: [u8; 2] = [0x1F, 0x8B];
 /// MCAP specification 0, "Magic".
