@@ -3,8 +3,8 @@
 //! files.
 
 mod atomic_file;
+mod decoded_messages;
 mod files;
-mod messages;
 mod path_csv;
 
 use std::io::BufWriter;
@@ -20,8 +20,8 @@ use posebridge_report::{PoseTrack, TimedPose};
 use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
+use self::decoded_messages::{MessageFormats, export_messages};
 use self::files::{OutputFolder, RunFiles, print_written};
-use self::messages::{MessageFormats, export_messages};
 use self::path_csv::write_path_csv;
 use super::dataset::{self, RobotRun};
 use super::ground_truth::GroundTruth;

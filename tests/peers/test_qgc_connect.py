@@ -1,4 +1,6 @@
-"""The first conversation of QGroundControl with a vehicle, written from its documentation and its behaviour as a client of our station.
+"""The first conversation of QGroundControl with a vehicle: a client of our station with its requests, their order and its time-outs.
+
+From its documentation and its published source.
 
 Each state asks as QGroundControl asks, of the component that it asks, waits as long as that waits, and repeats as often. A state that
 gets no answer in its own time, or one that QGroundControl would report to its user as a failure, fails the test. QGroundControl itself needs a display

@@ -2,7 +2,7 @@
 //! A telemetry log or a descriptor's run becomes the inputs of a station, with a configuration in the header. docs/recordings.md states
 //! what is kept and what is lost.
 
-mod messages;
+mod message_log;
 mod timeline;
 mod tlog;
 
@@ -49,10 +49,10 @@ pub struct ImportArgs {
 
 pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
     let mut file = InputFile::open(&args.file).before_start()?;
-    let is_messages = messages::holds_messages(&mut file).before_start()?;
+    let is_messages = message_log::holds_messages(&mut file).before_start()?;
     let out = create(args).before_start()?;
     if is_messages {
-        let written = messages::write_frames(&args.file, out);
+        let written = message_log::write_frames(&args.file, out);
         if written.is_err() {
             drop(std::fs::remove_file(&args.out));
         }

@@ -3,20 +3,18 @@
 //! [`BagSummary`] lists the topics of a bag, [`BagPlan`] chooses what becomes of each and writes a descriptor for
 //! [`crate::dataset`], which reads the rows through [`TopicTable`]. The bag is read in pieces: a chunk of it is in memory.
 
-mod incoming;
-mod plan;
-mod records;
+mod bag_reader;
+mod sensor_messages;
 mod summary;
-mod table;
+mod topic_choice;
+mod topic_table;
 
-pub use plan::{BagPlan, BagPlanError, WheelGeometry};
+pub use bag_reader::BagError;
 pub use summary::{BagSummary, TopicSummary};
-pub(crate) use table::DAMAGED;
-pub use table::{BagTopic, TopicTable};
+pub use topic_choice::{BagPlan, BagPlanError, WheelGeometry};
+pub(crate) use topic_table::DAMAGED;
+pub use topic_table::{BagTopic, TopicTable};
 
-pub use records::BagError;
-
-use super::cdr_reader;
 use crate::container::fields;
 
 /// Whether a file that begins with these bytes says that it is a bag of ROS 2: the profile in its header, the first record.

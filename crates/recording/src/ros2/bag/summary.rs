@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::io::Read;
 
-use super::incoming::{MessageContent, RowOptions, SensorRow, SensorType, TopicRefusal, decode};
-use super::records::{BagChannel, BagError, BagReader, Faults};
+use super::bag_reader::{BagChannel, BagError, BagReader, Faults};
+use super::sensor_messages::{MessageContent, RowOptions, SensorRow, SensorType, TopicRefusal, decode};
 
 /// A channel may change its topic with every message: this bounds the memory.
 const MAX_TOPICS: usize = 4_096;

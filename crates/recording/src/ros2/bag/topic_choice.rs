@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-use super::incoming::SensorType;
+use super::sensor_messages::SensorType;
 use super::summary::{BagSummary, TopicSummary, ValueFacts};
 
 /// Whether the radii of the robot's wheels are known: without them wheel angles cannot be converted to distances.
@@ -376,6 +376,7 @@ fn listed(left: &[(&TopicSummary, String)]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::bag_reader::Faults;
     use super::super::summary::TopicFacts;
     use super::*;
 
@@ -392,7 +393,7 @@ mod tests {
             },
             type_name: String::new(),
             refusal: None,
-            damaged: Default::default(),
+            damaged: Faults::default(),
         });
         let topics: Vec<TopicSummary> = topics.collect();
         let mut planner = Planner::new(WheelGeometry::Unknown);

@@ -4,8 +4,8 @@
 //! common_interfaces of ROS 2 Jazzy for the fields, which are the same in all releases since Foxy. REP 103 for axes and units: x forward, y
 //! left, z up, metres, radians.
 
-use super::cdr_reader::{CdrError, CdrReader};
-use super::records::BagSchema;
+use super::bag_reader::BagSchema;
+use crate::ros2::cdr_reader::{CdrError, CdrReader};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SensorType {
@@ -305,7 +305,7 @@ fn range_at(reader: &mut CdrReader<'_>, bearing_rad: f64) -> Result<Option<f64>,
 
 #[cfg(test)]
 mod tests {
-    use super::super::records::BagReader;
+    use super::super::bag_reader::BagReader;
     use super::super::summary::sensor_of;
     use super::*;
 

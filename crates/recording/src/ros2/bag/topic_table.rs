@@ -4,8 +4,8 @@
 use std::fmt::Write as _;
 use std::io::{self, ErrorKind, Read};
 
-use super::incoming::{MessageContent, RowOptions, SensorType, TIME_COLUMNS, TopicRefusal, decode};
-use super::records::{BagChannel, BagError, BagReader};
+use super::bag_reader::{BagChannel, BagError, BagReader};
+use super::sensor_messages::{MessageContent, RowOptions, SensorType, TIME_COLUMNS, TopicRefusal, decode};
 use super::summary::sensor_of;
 
 /// Begins a line that stands for a damaged message, or for what is missing of the bag; what was wrong follows.
