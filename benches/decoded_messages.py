@@ -107,6 +107,8 @@ def main():
         for what, count in differing.most_common(10):
             print("  ", count, what)
         print(f"posebridge {ours_s:.3f} s of CPU, pymavlink {theirs_s:.3f} s: {theirs_s / ours_s:.0f} times")
+        if differing or extra:
+            sys.exit("the values are not the same")
 
 
 main()

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::support::{exit_code_and_stderr, root, run, shared_data};
 use flate2::read::MultiGzDecoder;
+use posebridge_protocol::dialect::definitions::{Scalar, definition};
 use posebridge_protocol::dialect::message_name;
 use posebridge_protocol::framing::{VerifiedFrame, verify};
 use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
@@ -70,6 +71,27 @@ fn messages_in_mcap_become_the_same_frames_again() {
     }
 }
 
+#[test]
+fn a_log_of_messages_that_is_cut_is_read_up_to_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let log = root().join("tests/data/tlog/mixed.tlog");
+    run(folder, &["export", log.to_str().unwrap(), "--messages", "--format", "mcap"]);
+    let whole = std::fs::read(folder.join("mixed-messages.mcap")).unwrap();
+    let frames = records(&log).len();
+    // In the last chunk, and in the first.
+    let mut counts = Vec::new();
+    for length in [whole.len() - 20, whole.len() / 2] {
+        std::fs::write(folder.join("cut.mcap"), &whole[..length]).unwrap();
+        let out = format!("{length}.tlog");
+        let (code, stderr) = exit_code_and_stderr(folder, &["import", "cut.mcap", "--out", &out]);
+        assert!(code == Some(0) && stderr.contains("the file is cut off here"), "{stderr}");
+        counts.push(records(&folder.join(&out)).len());
+    }
+    assert_eq!(counts[0], frames, "what is missing is the summary");
+    assert!(0 < counts[1] && counts[1] < frames, "{counts:?}");
+}
+
 /// Rows of a table by column without its unit, in the order of the file.
 fn table(path: &Path) -> Vec<BTreeMap<String, String>> {
     let mut reader = csv::Reader::from_path(path).unwrap();
@@ -79,15 +101,16 @@ fn table(path: &Path) -> Vec<BTreeMap<String, String>> {
     reader.records().map(|record| row(record.unwrap())).collect()
 }
 
-fn assert_agrees(what: &str, ours: &str, theirs: &Value) {
+fn assert_agrees(what: &str, scalar: Option<Scalar>, ours: &str, theirs: &Value) {
     let agrees = match theirs {
+        // JSON has neither.
         Value::Null => ["NaN", "inf", "-inf"].contains(&ours),
         Value::String(text) => ours == text,
-        Value::Number(number) if number.is_f64() => {
-            let theirs = number.as_f64().unwrap();
-            // Single fields are compared as such: their oracle has the decimals of a double.
-            ours.parse::<f64>() == Ok(theirs) || ours.parse::<f32>() == Ok(theirs as f32)
+        // Their oracle has the decimals of a double.
+        Value::Number(number) if scalar == Some(Scalar::F32) => {
+            ours.parse::<f32>() == Ok(number.as_f64().unwrap() as f32)
         }
+        Value::Number(number) if scalar == Some(Scalar::F64) => ours.parse::<f64>() == Ok(number.as_f64().unwrap()),
         number => *ours == *number.to_string(),
     };
     assert!(agrees, "{what}: {ours}, and by pymavlink {theirs}");
@@ -120,14 +143,16 @@ fn every_field_is_what_pymavlink_decoded() {
                     "_ver" | "_msgid" | "mavpackettype" => continue,
                     key => key,
                 };
+                let fields = &definition(id as u32).unwrap().fields;
+                let scalar = fields.iter().find(|field| field.name == key).map(|field| field.scalar);
                 if let Value::Array(elements) = theirs {
                     for (index, element) in elements.iter().enumerate() {
                         let key = format!("{key}[{index}]");
-                        assert_agrees(&format!("{kind}.{key}"), &ours[&key], element);
+                        assert_agrees(&format!("{kind}.{key}"), scalar, &ours[&key], element);
                         compared += 1;
                     }
                 } else {
-                    assert_agrees(&format!("{kind}.{key}"), &ours[key], theirs);
+                    assert_agrees(&format!("{kind}.{key}"), scalar, &ours[key], theirs);
                     compared += 1;
                 }
             }
