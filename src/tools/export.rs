@@ -88,7 +88,7 @@ pub enum Format {
     Tlog,
     /// A posebridge recording.
     Mcap,
-    /// A ROS 2 bag in MCAP: odometry, pose, IMU, transforms, diagnostics.
+    /// A ROS 2 bag, a folder with MCAP and its metadata.yaml: odometry, pose, IMU, transforms, diagnostics.
     Ros2,
 }
 
