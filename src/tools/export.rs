@@ -161,6 +161,7 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
         InputKind::Bytes => {
             bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
         }
+        InputKind::Messages => bail!(import::messages_hint(&args.recording)),
         InputKind::Own if is_requested(Format::Mcap) => {
             bail!("--format mcap: `{name}` is a recording of posebridge already")
         }
@@ -299,7 +300,7 @@ impl ExportSession {
         // A descriptor's settings are in what was made of it already: their keys are those of its robot.
         let overlay = match kind {
             InputKind::Descriptor => Overlay::default(),
-            InputKind::Own | InputKind::Tlog | InputKind::Bytes => {
+            InputKind::Own | InputKind::Tlog | InputKind::Bytes | InputKind::Messages => {
                 Overlay { robot: args.robot.as_deref(), settings: &args.data.settings }
             }
         };

@@ -21,6 +21,7 @@ use crate::config;
 use crate::console::{print_line, print_lines};
 use crate::station::input_file::{InputFile, InputKind, tlog_records};
 use crate::station::recorded_session::{MemoryLimit, nothing_read, own_bytes};
+use crate::tools::import::messages_hint;
 
 /// What is written of the messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,6 +54,7 @@ pub(super) fn export_messages(path: &Path, output: OutputFolder<'_>, formats: Me
         InputKind::Tlog => tlog_frames(file, &mut take)?,
         InputKind::Bytes => bytes_frames(&mut file, &mut take)?,
         InputKind::Own => recording_frames(path, file, &mut take)?,
+        InputKind::Messages => bail!(messages_hint(path)),
         InputKind::Descriptor => bail!("--messages: `{name}` is a descriptor, there are no frames in its data"),
     };
     failure?;
