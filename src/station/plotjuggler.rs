@@ -161,7 +161,7 @@ const LINK: &[PlotField<LinkRow>] = &[
     field("garbage_bytes", "bytes outside every frame", |of| Value::Count(of.garbage_bytes)),
     field("stalls", "candidates given up because their bytes stopped coming", |of| Value::Count(of.stalls)),
     field("queued_frames", "frames that wait to be sent", |of| Value::Count(of.queued_frames.into())),
-    field("drops_out", "outgoing messages dropped because the link was slow or down", |of| Value::Count(of.drops_out)),
+    field("drops_out", "outgoing messages dropped because the link was slow or down, or nobody was connected to it", |of| Value::Count(of.drops_out)),
     field("round_trip_s", "of the last answered question for the time; absent where none is answered", |of| seconds(of.round_trip_ms)),
     field("clock_uncertainty_s", "how far a converted stamp may be off", |of| seconds(of.clock_uncertainty_ms)),
 ];

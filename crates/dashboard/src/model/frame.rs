@@ -434,7 +434,7 @@ pub struct LinkRow {
     pub stalls: u64,
     /// Frames that wait to be sent.
     pub queued_frames: u32,
-    /// Outgoing messages dropped because the link was slow or down.
+    /// Outgoing messages dropped because the link was slow or down, or nobody was connected to it.
     pub drops_out: u64,
     /// Round-trip time of the last answered question for the time.
     pub round_trip_ms: Number,
