@@ -157,6 +157,7 @@ const LINK: &[PlotField<LinkRow>] = &[
     field("lost", "frames missing in the sequence numbers, since the beginning", |of| Value::Count(of.lost)),
     field("kernel_drops", "received datagrams that the system dropped, because they were not read in time", |of| Value::Count(of.kernel_drops)),
     field("flood_drops", "received datagrams above the budget of their peer", |of| Value::Count(of.flood_drops)),
+    field("excess_requests", "requests that were not answered, because their peer asks too often", |of| Value::Count(of.excess_requests)),
     field("checksum_errors", "candidates whose checksum did not match", |of| Value::Count(of.checksum_errors)),
     field("garbage_bytes", "bytes outside every frame", |of| Value::Count(of.garbage_bytes)),
     field("stalls", "candidates given up because their bytes stopped coming", |of| Value::Count(of.stalls)),

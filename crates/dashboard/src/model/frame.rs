@@ -426,6 +426,8 @@ pub struct LinkRow {
     pub kernel_drops: u64,
     /// Received datagrams above the budget of their peer.
     pub flood_drops: u64,
+    /// Requests that were not answered, because their peer asks too often.
+    pub excess_requests: u64,
     /// Candidates whose checksum did not match.
     pub checksum_errors: u64,
     /// Bytes outside every frame.
