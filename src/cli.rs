@@ -13,6 +13,7 @@ use crate::station::args::RunArgs;
 #[cfg(feature = "camera")]
 use crate::tools::camera::CameraArgs;
 use crate::tools::config::ConfigArgs;
+use crate::tools::dialect::DialectArgs;
 use crate::tools::doctor::DoctorArgs;
 use crate::tools::export::ExportArgs;
 use crate::tools::import::ImportArgs;
@@ -106,6 +107,8 @@ pub enum Command {
     /// Print tags, and find them in pictures (docs/camera.md).
     #[cfg(feature = "camera")]
     Camera(CameraArgs),
+    /// Print the station's own MAVLink messages for other programs: pymavlink, Wireshark, C (docs/protocols/mavlink.md).
+    Dialect(DialectArgs),
     /// Create a key for signed links.
     Key(KeyArgs),
     /// Find out why no data arrive from a robot: ports, permissions, programs that hold a port, bytes on a link.
@@ -144,6 +147,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Tune(args) => lab::tune::execute(&args),
         #[cfg(feature = "camera")]
         Command::Camera(args) => tools::camera::execute(&args),
+        Command::Dialect(args) => tools::dialect::execute(&args),
         Command::Key(args) => tools::key::execute(&args),
         Command::Doctor(args) => tools::doctor::execute(&args),
         Command::Init(args) => tools::init::execute(&args),

@@ -61,6 +61,7 @@ const EXAMPLES: &[Examples] = &[
         "posebridge camera calibrate a.jpg b.jpg --sheet-at 0,0,0 --sheet-at 1.2,0.4,90",
     ]),
     (&["camera", "detect"], ["posebridge camera detect photo.jpg", "posebridge camera detect photo.jpg --camera overhead.toml --height-mm 85"]),
+    (&["dialect"], ["posebridge dialect --for wireshark > posebridge_mavlink.lua", "posebridge dialect --for python --out ."]),
     (&["key"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["key", "new"], ["posebridge key new signing.key", "posebridge key new keys/arena.key"]),
     (&["doctor"], ["posebridge doctor", "posebridge doctor serial:///dev/ttyUSB0 --listen-for 10"]),

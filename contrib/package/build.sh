@@ -38,15 +38,19 @@ install_cargo_deb() {
     rm -rf "$made/tools"
 }
 
-# What the program prints for a system that it is installed on: manual pages, completions, and the unit with the path of the package.
+# What the program prints for a system that it is installed on: manual pages, completions, its messages for other programs, and the unit
+# with the path of the package.
 write_assets() {
-    local assets="$CARGO_TARGET_DIR/dist/package" shell
+    local assets="$CARGO_TARGET_DIR/dist/package" shell tool
     rm -rf "$assets"
     mkdir -p "$assets/completions"
     "$program" man --out "$assets/man"
     gzip -9 --no-name "$assets/man"/*
     for shell in bash zsh fish; do
         "$program" completions "$shell" >"$assets/completions/$shell"
+    done
+    for tool in python wireshark c xml; do
+        "$program" dialect --for "$tool" --out "$assets/dialect"
     done
     sed 's|^ExecStart=/usr/local/bin/|ExecStart=/usr/bin/|' "$root/contrib/systemd/posebridge.service" >"$assets/posebridge.service"
 }

@@ -38,6 +38,10 @@ cmp "$root/contrib/udev/70-posebridge.rules" "$folder/root/usr/lib/udev/rules.d/
 for file in bash-completion/completions/posebridge zsh/vendor-completions/_posebridge fish/vendor_completions.d/posebridge.fish; do
     [[ -s "$share/$file" ]] || fail "there is no /usr/share/$file"
 done
+cmp "$root/protocol/definitions/posebridge.xml" "$share/posebridge/dialect/posebridge.xml"
+for file in posebridge_mavlink.py posebridge_mavlink.lua posebridge_mavlink.h; do
+    [[ -s "$share/posebridge/dialect/$file" ]] || fail "there is no /usr/share/posebridge/dialect/$file"
+done
 gunzip --test "$share/man/man1/posebridge.1.gz" "$share/man/man1/posebridge-run.1.gz"
 if command -v man >/dev/null; then
     man --local-file "$share/man/man1/posebridge-run.1.gz" >"$folder/page"

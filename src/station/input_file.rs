@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use flate2::read::MultiGzDecoder;
 use posebridge_protocol::framing::{VerifiedFrame, verify};
 use posebridge_recording::container::unpack_recording;
+use posebridge_recording::json_log::is_json_log;
 use posebridge_recording::ros2::bag::is_bag;
 use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};
 
@@ -26,6 +27,8 @@ const TLOG_FRAME: usize = posebridge_recording::tlog::TIME_BYTES;
 pub enum InputKind {
     Own,
     Tlog,
+    /// What `export --messages` writes to MCAP.
+    Messages,
     /// Bytes from a link, without times.
     Bytes,
     /// Also a ROS 2 bag, for which one is made.
@@ -128,7 +131,7 @@ impl InputFile {
             }
         }
         self.check_length(bytes.len() as u64, most)?;
-        if self.kind == InputKind::Own {
+        if matches!(self.kind, InputKind::Own | InputKind::Messages) {
             bytes = unpack_recording(bytes, most).with_context(|| format!("`{}`", self.name))?;
         }
         Ok(bytes)
@@ -153,6 +156,9 @@ fn beginning<'a>(reader: &'a mut impl BufRead, name: &str) -> Result<&'a [u8]> {
 fn kind_of(path: &Path, beginning: &[u8]) -> InputKind {
     if is_bag(beginning) {
         return InputKind::Descriptor;
+    }
+    if is_json_log(beginning) {
+        return InputKind::Messages;
     }
     if beginning.starts_with(MCAP) {
         return InputKind::Own;

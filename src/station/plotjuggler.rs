@@ -157,11 +157,12 @@ const LINK: &[PlotField<LinkRow>] = &[
     field("lost", "frames missing in the sequence numbers, since the beginning", |of| Value::Count(of.lost)),
     field("kernel_drops", "received datagrams that the system dropped, because they were not read in time", |of| Value::Count(of.kernel_drops)),
     field("flood_drops", "received datagrams above the budget of their peer", |of| Value::Count(of.flood_drops)),
+    field("excess_requests", "requests that were not answered, because their peer asks too often", |of| Value::Count(of.excess_requests)),
     field("checksum_errors", "candidates whose checksum did not match", |of| Value::Count(of.checksum_errors)),
     field("garbage_bytes", "bytes outside every frame", |of| Value::Count(of.garbage_bytes)),
     field("stalls", "candidates given up because their bytes stopped coming", |of| Value::Count(of.stalls)),
     field("queued_frames", "frames that wait to be sent", |of| Value::Count(of.queued_frames.into())),
-    field("drops_out", "outgoing messages dropped because the link was slow or down", |of| Value::Count(of.drops_out)),
+    field("drops_out", "outgoing messages dropped because the link was slow or down, or nobody was connected to it", |of| Value::Count(of.drops_out)),
     field("round_trip_s", "of the last answered question for the time; absent where none is answered", |of| seconds(of.round_trip_ms)),
     field("clock_uncertainty_s", "how far a converted stamp may be off", |of| seconds(of.clock_uncertainty_ms)),
 ];

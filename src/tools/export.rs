@@ -88,7 +88,7 @@ pub enum Format {
     Tlog,
     /// A posebridge recording.
     Mcap,
-    /// A ROS 2 bag in MCAP: odometry, pose, IMU, transforms, diagnostics.
+    /// A ROS 2 bag, a folder with MCAP and its metadata.yaml: odometry, pose, IMU, transforms, diagnostics.
     Ros2,
 }
 
@@ -165,6 +165,7 @@ fn check(args: &ExportArgs) -> Result<InputKind> {
         InputKind::Bytes => {
             bail!("`{name}`: bytes without times cannot be exported; `posebridge inspect` says what they hold")
         }
+        InputKind::Messages => bail!(import::messages_hint(&args.recording)),
         InputKind::Own if is_requested(Format::Mcap) => {
             bail!("--format mcap: `{name}` is a recording of posebridge already")
         }
@@ -303,7 +304,7 @@ impl ExportSession {
         // A descriptor's settings are in what was made of it already: their keys are those of its robot.
         let overlay = match kind {
             InputKind::Descriptor => Overlay::default(),
-            InputKind::Own | InputKind::Tlog | InputKind::Bytes => {
+            InputKind::Own | InputKind::Tlog | InputKind::Bytes | InputKind::Messages => {
                 Overlay { robot: args.robot.as_deref(), settings: &args.data.settings }
             }
         };
@@ -419,8 +420,6 @@ fn record_outputs(
     Ok(())
 }
 
-const TIME_RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
-
 /// Writes `estimate.tum`, and `truth.tum` if there is truth; with several robots `estimate-NAME.tum` and `truth-NAME.tum` each.
 fn write_trajectories(args: &ExportArgs, run: &ExportedRun) -> Result<()> {
     if let Some(pairs) = &run.pairs {
@@ -471,16 +470,11 @@ fn trajectories(robot: &RobotPoses) -> (Vec<TimedPose>, Option<Vec<TimedPose>>) 
     (with_unique_times(estimates.into_iter()), Some(with_unique_times(truth.into_iter())))
 }
 
-/// Sorts poses by timestamp, at least a microsecond apart, because tools pair poses by timestamp. A late fix makes a second estimate
-/// for an instant; it counts for the score as it does in a replay.
+/// Of several estimates for an instant each counts for the score, as in a replay.
 fn with_unique_times(poses: impl Iterator<Item = TimedPose>) -> Vec<TimedPose> {
     let mut poses: Vec<TimedPose> = poses.collect();
     poses.sort_by_key(|one| one.time);
-    let mut free = None;
-    for one in &mut poses {
-        one.time = free.map_or(one.time, |free| one.time.max(free));
-        free = Some(one.time + TIME_RESOLUTION);
-    }
+    tum::separate_times(poses.iter_mut().map(|one| &mut one.time));
     poses
 }
 

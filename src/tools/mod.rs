@@ -5,6 +5,7 @@ pub mod camera;
 pub mod config;
 pub mod csv_table;
 pub mod dataset;
+pub mod dialect;
 pub mod doctor;
 pub mod experiment_output;
 pub mod export;

@@ -13,7 +13,7 @@ use crate::station::input_file::{InputFile, InputKind};
 use crate::text_file::read_text;
 
 /// The description that rosbag2 writes into the folder of a bag.
-const METADATA: &str = "metadata.yaml";
+pub(super) const METADATA: &str = "metadata.yaml";
 
 /// Whether a path is a bag: a folder, whose files [`open`] checks, or a file that says so itself.
 pub fn is_bag(path: &Path) -> bool {

@@ -61,6 +61,34 @@ class Examples(unittest.TestCase):
         with open(os.path.join(self.folder, "path.png"), "rb") as file:
             self.assertEqual(file.read(8), b"\x89PNG\r\n\x1a\n")
 
+    def test_messages_to_parquet_keeps_every_value(self):
+        posebridge(finished_drive(), "export", "run/recording.tlog", "--messages", "--format", "csv", "--out", self.folder)
+        folder = os.path.join(self.folder, "recording-messages")
+        # What no drive has: numbers at the limits of 64 bits, texts that look like something else, a column that is whole at first.
+        with open(os.path.join(folder, "LIMITS.csv"), "w") as file:
+            rows = [f"{count},0,NaN,NA" for count in range(20_000)] + ["18446744073709551615,0.1,-inf,", "2,1e-45,1,NULL"]
+            file.write("\n".join(["a [us],b,c [m],d", *rows, ""]))
+        printed = run(self.folder, "messages_to_parquet.py", "recording-messages")
+        self.assertIn("PB_WHEEL_TICKS.parquet", printed)
+        lines = [
+            "import csv, math, pathlib", "import pyarrow.parquet",
+            "def same(text, value):",
+            "    if isinstance(value, str): return text == value",
+            "    if value is None: return text == 'NaN'",
+            "    return type(value)(text) == value or text == 'NaN' and math.isnan(value)",
+            "for path in pathlib.Path('recording-messages').glob('*.csv'):",
+            "    with open(path, newline='') as file: rows = list(csv.DictReader(file))",
+            "    stored = pyarrow.parquet.read_table(path.with_suffix('.parquet')).to_pylist()",
+            "    assert len(rows) == len(stored) and list(rows[0]) == list(stored[0]), path",
+            "    wrong = [(row, one) for row, one in zip(rows, stored) if not all(same(row[name], one[name]) for name in row)]",
+            "    assert not wrong, (path, wrong[0])",
+            "    print(path.name, len(rows))",
+        ]
+        output = output_of(
+            os.path.join(os.environ["PEERS_EXAMPLES"], "python"), "-c", "\n".join(lines), folder=self.folder, environment={"PYTHONPATH": ""})
+        self.assertGreater(len(output.splitlines()), 6)
+        self.assertIn("LIMITS.csv 20002", output)
+
     def test_score_says_what_replay_says(self):
         drive = scored_drive()
         tables = os.path.join(self.folder, "tables")

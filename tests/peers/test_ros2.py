@@ -58,7 +58,9 @@ class Bag(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         cls.addClassCleanup(folder.cleanup)
         posebridge(finished_drive(), "export", "run/recording.mcap", "--format", "ros2,csv", "--out", folder.name)
-        cls.path = pathlib.Path(folder.name) / "recording-ros2.mcap"
+        # As a folder, which is what players of bags are given.
+        cls.bag = pathlib.Path(folder.name) / "recording-ros2"
+        cls.path = cls.bag / "recording-ros2_0.mcap"
         with open(os.path.join(folder.name, "estimates.csv"), newline="") as file:
             rows = list(csv.DictReader(file))
         # A position without a heading is no pose.
@@ -66,7 +68,8 @@ class Bag(unittest.TestCase):
         cls.store = get_typestore(Stores.ROS2_JAZZY)
         cls.messages = collections.defaultdict(list)
         # Not AnyReader, which would take the definitions in the bag.
-        with Reader(cls.path) as reader:
+        with Reader(cls.bag) as reader:
+            cls.described = (reader.message_count, reader.start_time, reader.duration, reader.compression_mode)
             cls.connections = {one.topic: one for one in reader.connections}
             for connection, time, data in reader.messages():
                 cls.messages[connection.topic].append((time, cls.store.deserialize_cdr(data, connection.msgtype)))
@@ -77,7 +80,7 @@ class Bag(unittest.TestCase):
 
     def test_every_topic_has_its_type_with_the_hash_of_rosbags_and_a_definition_that_gives_it(self):
         self.assertEqual({topic: one.msgtype for topic, one in self.connections.items()}, TOPICS)
-        # rosbags does not look at those of a bag without its metadata.yaml.
+        # The metadata.yaml has none of these: its version is that of ROS 2 Humble.
         with open(self.path, "rb") as file:
             channels = SeekingReader(file, validate_crcs=True).get_summary().channels.values()
         hashes = {channel.topic: channel.metadata["topic_type_hash"] for channel in channels}
@@ -91,8 +94,20 @@ class Bag(unittest.TestCase):
             self.assertEqual((offered.reliability.name, offered.durability.name, offered.depth), ("RELIABLE", "VOLATILE", 10))
             self.assertTrue(self.messages[topic], topic)
 
+    def test_the_metadata_describes_the_messages(self):
+        times = [time for messages in self.messages.values() for time, _ in messages]
+        message_count, start, duration, compression = self.described
+        self.assertEqual((message_count, start, compression), (len(times), min(times), ""))
+        # rosbags counts the nanosecond of the last message.
+        self.assertIn(duration - (max(times) - min(times)), (0, 1))
+        for topic, connection in self.connections.items():
+            self.assertEqual(connection.msgcount, len(self.messages[topic]))
+        # Our own reader takes the folder: it says what it leaves, as of any bag.
+        again = json_of(self.bag.parent, "replay", "recording-ros2", "--filter", "pose", "--json")
+        self.assertGreater(again["observations"], 100)
+
     def test_the_bag_explains_itself(self):
-        with AnyReader([self.path]) as reader:
+        with AnyReader([self.bag]) as reader:
             read = [reader.deserialize(data, connection.msgtype) for connection, _, data in reader.messages()]
         self.assertEqual(len(read), sum(map(len, self.messages.values())))
 

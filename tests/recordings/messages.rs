@@ -51,6 +51,23 @@ fn logs() -> Vec<PathBuf> {
     logs
 }
 
+fn inspected(folder: &Path, file: &str) -> Value {
+    serde_json::from_str(&run(folder, &["inspect", file, "--json"])).unwrap()
+}
+
+/// How many frames of which message came from whom.
+fn counts(inspected: &Value) -> BTreeMap<String, u64> {
+    let sources = inspected["sources"].as_array().unwrap().iter();
+    let messages = sources.flat_map(|source| {
+        let messages = source["messages"].as_array().unwrap().iter();
+        messages.map(|one| {
+            let key = format!("{}/{} {}", source["system"], source["component"], one["name"]);
+            (key, one["frames"].as_u64().unwrap())
+        })
+    });
+    messages.collect()
+}
+
 #[test]
 fn messages_in_mcap_become_the_same_frames_again() {
     for log in logs() {
@@ -58,7 +75,16 @@ fn messages_in_mcap_become_the_same_frames_again() {
         let folder = folder.path();
         run(folder, &["export", log.to_str().unwrap(), "--messages", "--format", "mcap", "--out", "out"]);
         let name = log.file_name().unwrap().to_str().unwrap().split('.').next().unwrap();
-        run(folder, &["import", &format!("out/{name}-messages.mcap"), "--out", "again.tlog"]);
+        let messages = format!("out/{name}-messages.mcap");
+        run(folder, &["import", &messages, "--out", "again.tlog"]);
+        let [of_log, of_messages] = [log.to_str().unwrap(), &messages].map(|file| inspected(folder, file));
+        assert_eq!(of_messages["kind"], "messages");
+        for key in ["frames", "versions", "signed_frames", "first_utc_micros"] {
+            assert_eq!(of_messages[key], of_log[key], "{key} of {name}");
+        }
+        assert_eq!(counts(&of_messages), counts(&of_log), "{name}");
+        let (_, stderr) = exit_code_and_stderr(folder, &["replay", &messages]);
+        assert!(stderr.contains("posebridge import FILE --out LOG.tlog"), "{stderr}");
         let (before, after) = (records(&log), records(&folder.join("again.tlog")));
         assert_eq!(before.len(), after.len(), "{name}");
         let mut latest = 0;

@@ -81,10 +81,11 @@ function factList(name, facts) {
   return { card, title, showState, show };
 }
 
-// Lost frames, and datagrams that were dropped before they were read, if there are any.
+// Lost frames, datagrams that were dropped before they were read, and requests that were not answered, if there are any.
 function losses(link) {
   const parts = [count(link.lost)];
   if (link.kernel_drops > 0) parts.push(`${count(link.kernel_drops)} datagrams in the system`);
   if (link.flood_drops > 0) parts.push(`${count(link.flood_drops)} cut of floods`);
+  if (link.excess_requests > 0) parts.push(`${count(link.excess_requests)} requests too many`);
   return parts.join(', ');
 }

@@ -168,27 +168,6 @@ const COVARIANCE_COLUMNS: [&str; 15] = [
 const INNOVATION_COLUMNS: [&str; 9] =
     ["innovation_0", "innovation_1", "innovation_2", "s_00", "s_01", "s_02", "s_11", "s_12", "s_22"];
 
-const LINK_COLUMNS: [LinkCounter; 18] = [
-    LinkCounter::BYTES_IN,
-    LinkCounter::BYTES_OUT,
-    LinkCounter::FRAMES_IN,
-    LinkCounter::FRAMES_OUT,
-    LinkCounter::FRAMES_LOST,
-    LinkCounter::CHECKSUM_ERRORS,
-    LinkCounter::GARBAGE_BYTES,
-    LinkCounter::UNKNOWN_IDS,
-    LinkCounter::TIMEOUTS,
-    LinkCounter::RECONNECTS,
-    LinkCounter::UNSENT,
-    LinkCounter::REJECTED_FRAMES,
-    LinkCounter::DUPLICATES,
-    LinkCounter::FORWARDED,
-    LinkCounter::FILTERED,
-    LinkCounter::RATE_LIMITED,
-    LinkCounter::KERNEL_DROPS,
-    LinkCounter::FLOOD_DROPS,
-];
-
 fn rows_of(now: Timestamp<HostClock>, event: &Event) -> Vec<CsvRow> {
     let row = match event {
         Event::ObservationAligned { robot, arrival, observation, .. } => observation_row(*robot, *arrival, observation),
@@ -379,7 +358,11 @@ fn upper_triangle<const N: usize>(matrix: &[[f64; N]; N]) -> impl Iterator<Item 
 
 fn link_row(now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> CsvRow {
     let mut columns: Vec<(&str, CsvField)> = vec![("host_s", now.into()), ("link", u64::from(link.0).into())];
-    columns.extend(LINK_COLUMNS.map(|counter| (counter.key, (counter.read)(health).into())));
+    for counter in LinkCounter::ALL {
+        // Of what was not sent a table has the sum.
+        let counter = if counter.key == LinkCounter::UNSENT.key { &LinkCounter::UNSENT } else { counter };
+        columns.push((counter.key, (counter.read)(health).into()));
+    }
     columns.extend([
         ("round_trip_s", health.round_trip.into()),
         ("clock_uncertainty_s", health.clock_uncertainty.into()),

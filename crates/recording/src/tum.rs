@@ -11,7 +11,20 @@
 
 use std::fmt::Write as _;
 
-use posebridge_telemetry::{Arena, BrickClock, Pose, Timestamp};
+use posebridge_telemetry::{Arena, BrickClock, Pose, TimeDelta, Timestamp};
+
+/// Of a line's timestamp.
+const RESOLUTION: TimeDelta = TimeDelta::from_micros(1);
+
+/// Moves sorted times apart until each line has a timestamp of its own, because tools pair poses by timestamp. A late fix makes a second
+/// estimate for an instant.
+pub fn separate_times<'t>(times: impl Iterator<Item = &'t mut Timestamp<BrickClock>>) {
+    let mut free = None;
+    for time in times {
+        *time = free.map_or(*time, |free| (*time).max(free));
+        free = Some(*time + RESOLUTION);
+    }
+}
 
 /// With line feed.
 pub fn format_line(time: Timestamp<BrickClock>, pose: Pose<Arena>) -> String {
@@ -36,6 +49,25 @@ pub fn format_line(time: Timestamp<BrickClock>, pose: Pose<Arena>) -> String {
 mod tests {
     use super::*;
     use posebridge_telemetry::{Heading, Meters};
+
+    /// As text, because the last digits of a time are lost on its way there.
+    #[test]
+    fn no_two_lines_have_the_same_timestamp() {
+        let nanos = [3_000, -400, 600, 3_000, 1_000, 3_900, 3_000, 999, 1_000_000_000, -1_500, 4_100];
+        let mut poses = nanos.map(|nanos| (Timestamp::from_nanos(nanos), nanos));
+        poses.sort_by_key(|(time, _)| *time);
+        separate_times(poses.iter_mut().map(|(time, _)| time));
+        let lines =
+            poses.map(|(time, _)| format_line(time, Pose::new(Meters(0.0), Meters(0.0), Heading::from_rad(0.0))));
+        let stamps = lines.map(|line| line.split_whitespace().next().unwrap().parse::<f64>().unwrap());
+        assert!(stamps.is_sorted_by(|one, next| one < next), "{stamps:?}");
+        // Nothing that is apart already is moved, and equal times keep their order.
+        for (time, nanos) in poses {
+            assert!((0..7_000).contains(&(time.as_nanos() - nanos)), "{nanos} at {time:?}");
+        }
+        assert_eq!(poses[10].0.as_nanos(), 1_000_000_000);
+        assert_eq!(poses[0].0.as_nanos(), -1_500);
+    }
 
     #[test]
     fn a_line_has_whole_microseconds_and_a_turn_about_the_vertical() {

@@ -7,7 +7,7 @@ use posebridge_protocol::bricks::BrickCodec;
 use posebridge_protocol::frame_verifier::FrameVerifier;
 use posebridge_protocol::framing::FramerConfig;
 use posebridge_protocol::routing::{LinkSharing, MAX_PEERS};
-use posebridge_telemetry::{HostClock, LinkHealth, LinkState, PeerId, SourceHealth, TimeDelta, Timestamp};
+use posebridge_telemetry::{HostClock, LinkCounts, LinkHealth, LinkState, PeerId, SourceHealth, TimeDelta, Timestamp};
 
 use crate::config::{AcceptedVersions, LinkConfig};
 use crate::decoder::Decoder;
@@ -19,6 +19,8 @@ use crate::token_bucket::{TokenBucket, TokenRate};
 pub(crate) struct LinkContext {
     pub(crate) state: LinkState,
     has_been_up: bool,
+    /// Whether somebody takes what is sent. Where peers come and go the transport says so with its counters, once a second.
+    has_peer: bool,
     pub(crate) health: LinkHealth,
     pub(crate) framers: PeerFramers,
     /// Until it is known whether the link's garbage is MAVLink 1.
@@ -111,6 +113,7 @@ impl LinkContext {
         Self {
             state: LinkState::Down,
             has_been_up: false,
+            has_peer: true,
             health: LinkHealth::default(),
             framers: PeerFramers::new(FramerConfig {
                 accept_v1: config.accepted_versions == AcceptedVersions::V1AndV2,
@@ -142,6 +145,7 @@ impl LinkContext {
             (LinkState::Down, LinkState::Up) => {
                 self.health.reconnects += u64::from(self.has_been_up);
                 self.has_been_up = true;
+                self.has_peer = true;
             }
             (_, LinkState::Down) => {
                 self.framers.handle_link_loss();
@@ -239,9 +243,29 @@ impl LinkContext {
         self.codec.is_some() || self.verifier.has_accepted(peer)
     }
 
+    pub(crate) fn set_port_counts(&mut self, counts: LinkCounts) {
+        self.health.port = counts;
+        self.has_peer = counts.peers > 0;
+    }
+
+    /// Notes that bytes came: whoever has connected since the transport's last counters is a peer.
+    pub(crate) const fn note_peer(&mut self) {
+        self.has_peer = true;
+    }
+
+    /// Counts a frame that the link is given: as sent, or as dropped where nobody takes it.
     pub(crate) fn count_sent(&mut self, frame: &[u8]) {
-        self.health.bytes_out += frame.len() as u64;
-        self.health.frames_out += 1;
+        if self.has_peer {
+            self.health.bytes_out += frame.len() as u64;
+            self.health.frames_out += 1;
+        } else {
+            self.health.drops_out += 1;
+        }
+    }
+
+    pub(crate) fn count_forwarded(&mut self, frame: &[u8]) {
+        self.count_sent(frame);
+        self.health.forwarded += u64::from(self.has_peer);
     }
 
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {

@@ -119,6 +119,9 @@ impl Station {
         self.time.now = now;
         match input {
             Input::Bytes { link, peer, bytes } => {
+                if let Some(link) = self.links.get_mut(link) {
+                    link.note_peer();
+                }
                 let endpoint = Endpoint { link: *link, peer: *peer };
                 self.receive(ReceiveInfo { endpoint, host_time: arrival }, FramerInput::Bytes(bytes));
             }
@@ -130,7 +133,7 @@ impl Station {
             }
             Input::Port { link, counts } => {
                 if let Some(link) = self.links.get_mut(link) {
-                    link.health.port = *counts;
+                    link.set_port_counts(*counts);
                 }
             }
             Input::Observation(observation) => {

@@ -288,8 +288,7 @@ impl Transmitter<'_> {
             return;
         };
         let mut push = |to: Recipients| {
-            link.count_sent(&frame.bytes);
-            link.health.forwarded += 1;
+            link.count_forwarded(&frame.bytes);
             let output = Output::Transmit { link: id, to, priority: frame.priority, bytes: frame.bytes.clone() };
             self.outputs.forwarded.push_back(output);
         };
@@ -397,8 +396,7 @@ impl Transmitter<'_> {
     fn send_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame, bytes: Vec<u8>) {
         let Some(link) = self.links.get_mut(&id) else { return };
         self.router.record_sent_for(self.now, frame.from, &bytes);
-        link.count_sent(&bytes);
-        link.health.forwarded += 1;
+        link.count_forwarded(&bytes);
         self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
         if frame.message_id == ids::HEARTBEAT && frame.source.component == VEHICLE_COMPONENT {
             self.release_heartbeats(id);

@@ -36,7 +36,7 @@ pub struct SourceHealth {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkHealth {
     pub bytes_in: u64,
-    /// Bytes handed to the link for sending.
+    /// Bytes handed to the link for sending while a peer was there.
     pub bytes_out: u64,
     pub frames_in: u64,
     pub frames_out: u64,
@@ -54,7 +54,7 @@ pub struct LinkHealth {
     pub frames_lost: u64,
     /// Times the link came up again after a loss.
     pub reconnects: u64,
-    /// Outgoing messages dropped because the link was slow or down, or because its protocol cannot carry them.
+    /// Outgoing messages dropped because the link was slow or down, because no peer was there, or because its protocol cannot carry them.
     pub drops_out: u64,
     /// Frames refused because their signature is missing, wrong or old.
     pub rejected_frames: u64,

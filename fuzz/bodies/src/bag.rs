@@ -1,18 +1,9 @@
 //! Bags of ROS 2: any bytes end in topics or a refusal, and what is chosen of them can be loaded.
 
-use std::io::Cursor;
-use std::path::Path;
-
-use posebridge_recording::dataset::{Descriptor, LoadOptions, load};
 use posebridge_recording::ros2::bag::{BagPlan, BagSummary, WheelGeometry};
-use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians, Wiring};
+use posebridge_telemetry::ObservationKind;
 
-const GEOMETRY: DriveGeometry = DriveGeometry {
-    left_wheel_radius: Meters(1.0),
-    right_wheel_radius: Meters(1.0),
-    track_width: Meters(1.0),
-    tick: Radians(1.0),
-};
+use crate::dataset::load_file;
 
 /// Input: one byte that says whether the wheels are known, then the file.
 pub(crate) fn check(data: &[u8]) {
@@ -27,12 +18,7 @@ pub(crate) fn check(data: &[u8]) {
     let Ok(plan) = BagPlan::new(&summary, "bag", "bag.mcap", geometry) else {
         return;
     };
-    let descriptor = match Descriptor::from_toml(&plan.descriptor) {
-        Ok(descriptor) => descriptor,
-        Err(error) => panic!("{error} in {}", plan.descriptor),
-    };
-    let options = LoadOptions { run: "bag", geometry: GEOMETRY, wiring: Wiring::default(), use_every: None };
-    let run = match load(&descriptor, options, &mut |_: &Path| Ok(Box::new(Cursor::new(file.to_vec())))) {
+    let run = match load_file(&plan.descriptor, "bag", file) {
         Ok(run) => run,
         Err(error) => panic!("{error} of {}", plan.descriptor),
     };

@@ -7,6 +7,7 @@
 
 mod bag;
 mod bricks;
+mod dataset;
 mod framing;
 mod impairment;
 mod operands;

@@ -1,10 +1,8 @@
 //! Foreign tables: any bytes end in rows, bad rows or a refusal, and no number is read as another one than was written.
 
-use std::io::Cursor;
-use std::path::Path;
+use posebridge_telemetry::{ObservationKind, Radians};
 
-use posebridge_recording::dataset::{DatasetRun, Descriptor, LoadError, LoadOptions, load};
-use posebridge_telemetry::{DriveGeometry, Meters, ObservationKind, Radians, Wiring};
+use crate::dataset::load_file;
 
 const DESCRIPTOR: &str = r#"
 name = "table"
@@ -27,13 +25,6 @@ left = { column = "left", unit = "rad" }
 right = { column = "right", unit = "rad" }
 "#;
 
-const GEOMETRY: DriveGeometry = DriveGeometry {
-    left_wheel_radius: Meters(1.0),
-    right_wheel_radius: Meters(1.0),
-    track_width: Meters(1.0),
-    tick: Radians(1.0),
-};
-
 /// Input: one byte that says whether the rest is a file, or numbers that are written with some delimiter and decimal mark.
 pub(crate) fn check(data: &[u8]) {
     let [kind, rest @ ..] = data else {
@@ -42,19 +33,12 @@ pub(crate) fn check(data: &[u8]) {
     if kind & 1 == 0 {
         // What it reads is up to the file; that it ends, and names a line of the file, is not.
         let lines = rest.split(|byte| *byte == b'\n').count();
-        if let Ok(run) = read(rest) {
+        if let Ok(run) = load_file(DESCRIPTOR, "only", rest) {
             assert!(run.bad_rows.listed.iter().all(|row| (1..=lines).contains(&row.line)));
         }
     } else {
         check_made(*kind, rest);
     }
-}
-
-fn read(file: &[u8]) -> Result<DatasetRun, LoadError> {
-    #[expect(clippy::expect_used, reason = "it is our own")]
-    let descriptor = Descriptor::from_toml(DESCRIPTOR).expect("it is a descriptor");
-    let options = LoadOptions { run: "only", geometry: GEOMETRY, wiring: Wiring::default(), use_every: None };
-    load(&descriptor, options, &mut |_: &Path| Ok(Box::new(Cursor::new(file.to_vec()))))
 }
 
 /// Each row has a number twice; each of three bytes has its digits and its decimals.
@@ -78,7 +62,7 @@ fn check_made(kind: u8, bytes: &[u8]) {
         file += &[index.to_string().as_str(), &written, &written].join(delimiter);
         file.push('\n');
     }
-    let Ok(run) = read(file.as_bytes()) else {
+    let Ok(run) = load_file(DESCRIPTOR, "only", file.as_bytes()) else {
         return;
     };
     for timed in run.observations.iter() {

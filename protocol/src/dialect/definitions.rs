@@ -157,6 +157,23 @@ impl Scalar {
         ("f64", Self::F64),
     ];
 
+    /// The type in the XML and in C; text is an array of `char`.
+    pub(crate) const fn c_type(self) -> &'static str {
+        match self {
+            Self::Char => "char",
+            Self::U8 => "uint8_t",
+            Self::U16 => "uint16_t",
+            Self::U32 => "uint32_t",
+            Self::U64 => "uint64_t",
+            Self::I8 => "int8_t",
+            Self::I16 => "int16_t",
+            Self::I32 => "int32_t",
+            Self::I64 => "int64_t",
+            Self::F32 => "float",
+            Self::F64 => "double",
+        }
+    }
+
     /// Number of bytes.
     pub const fn size(self) -> usize {
         match self {
@@ -177,19 +194,7 @@ mod tests {
     fn computed_seed(message: &MessageDefinition) -> u8 {
         let mut text = format!("{} ", message.name).into_bytes();
         for field in message.fields.iter().filter(|field| !field.is_extension) {
-            let kind = match field.scalar {
-                Scalar::Char => "char",
-                Scalar::U8 => "uint8_t",
-                Scalar::U16 => "uint16_t",
-                Scalar::U32 => "uint32_t",
-                Scalar::U64 => "uint64_t",
-                Scalar::I8 => "int8_t",
-                Scalar::I16 => "int16_t",
-                Scalar::I32 => "int32_t",
-                Scalar::I64 => "int64_t",
-                Scalar::F32 => "float",
-                Scalar::F64 => "double",
-            };
+            let kind = field.scalar.c_type();
             text.extend(format!("{kind} {} ", field.name).into_bytes());
             text.extend(field.array);
         }

@@ -11,6 +11,24 @@ use std::f64::consts::FRAC_PI_2;
 
 use posebridge_telemetry::quantities::wrap_rad;
 
+/// Values of MAV_FRAME.
+pub(super) mod frame {
+    pub(in crate::dialect) const LOCAL_NED: u8 = 1;
+    pub(in crate::dialect) const LOCAL_ENU: u8 = 4;
+    /// Superseded by `BODY_FRD`, same axes.
+    pub(in crate::dialect) const BODY_NED: u8 = 8;
+    pub(in crate::dialect) const BODY_FRD: u8 = 12;
+    /// Reserved since 2019, formerly BODY_FLU, still sent.
+    pub(in crate::dialect) const BODY_FLU: u8 = 13;
+    /// This and the following three are reserved since 2019, formerly the frames of trackers, still sent.
+    pub(in crate::dialect) const MOCAP_NED: u8 = 14;
+    pub(in crate::dialect) const MOCAP_ENU: u8 = 15;
+    pub(in crate::dialect) const VISION_NED: u8 = 16;
+    pub(in crate::dialect) const VISION_ENU: u8 = 17;
+    pub(in crate::dialect) const LOCAL_FRD: u8 = 20;
+    pub(in crate::dialect) const LOCAL_FLU: u8 = 21;
+}
+
 /// Variance written for what a planar filter does not estimate (height, roll, pitch), in m² or rad²: MAVLink has no
 /// "unknown" for a single element, so the number must be too large to be used.
 pub(super) const UNOBSERVED_VARIANCE: f32 = 1e4;

@@ -4,6 +4,7 @@
 //! resolution is converted, text is cut at a character boundary, floats keep the width of the wire; values are not validated
 //! beyond "is a number".
 
+pub mod bindings;
 pub(crate) mod catalogue;
 pub mod commands;
 pub mod csv_line;

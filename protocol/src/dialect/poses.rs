@@ -15,7 +15,7 @@ use posebridge_telemetry::{
 };
 
 use super::frames::{
-    PlanarPoint, TRIANGLE_LEN, negate, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
+    PlanarPoint, TRIANGLE_LEN, frame, negate, planar, quaternion, triangle, turn_frd, turn_frd_covariance, turn_ned,
     turn_ned_covariance, yaw,
 };
 use super::ids;
@@ -25,24 +25,6 @@ use super::payload::{
 use crate::message::{
     EstimatorStatus, GnssFix, LandmarkSighting, Message, Odometry, OdometryPose, PoseFlags, VisionFix, WireStamp,
 };
-
-/// MAV_FRAME values of ODOMETRY.
-mod frame {
-    pub(super) const LOCAL_NED: u8 = 1;
-    pub(super) const LOCAL_ENU: u8 = 4;
-    /// Superseded by `BODY_FRD`, same axes.
-    pub(super) const BODY_NED: u8 = 8;
-    pub(super) const BODY_FRD: u8 = 12;
-    /// Reserved since 2019, formerly BODY_FLU, still sent.
-    pub(super) const BODY_FLU: u8 = 13;
-    /// This and the following three are reserved since 2019, formerly the frames of trackers, still sent.
-    pub(super) const MOCAP_NED: u8 = 14;
-    pub(super) const MOCAP_ENU: u8 = 15;
-    pub(super) const VISION_NED: u8 = 16;
-    pub(super) const VISION_ENU: u8 = 17;
-    pub(super) const LOCAL_FRD: u8 = 20;
-    pub(super) const LOCAL_FLU: u8 = 21;
-}
 
 /// MAV_ESTIMATOR_TYPE_UNKNOWN: there is no type for wheels and gyro.
 const ESTIMATOR_UNKNOWN: u8 = 0;
@@ -54,7 +36,7 @@ const ESTIMATOR_MOCAP: u8 = 6;
 const DEGREES_E7: f64 = 1e-7;
 /// Unit of GPS_RAW_INT.eph and of the accuracies.
 const HUNDREDTH: f64 = 1e-2;
-const MILLIMETER_M: f64 = 1e-3;
+pub(super) const MILLIMETER_M: f64 = 1e-3;
 /// GPS_RAW_INT.eph and vel when the sender does not know them.
 const DILUTION_UNKNOWN: u16 = u16::MAX;
 const SPEED_UNKNOWN: u16 = u16::MAX;

@@ -2,16 +2,15 @@
 
 use posebridge_telemetry::{GeodeticPoint, Heading, Meters, MetersPerSecond, RadiansPerSecond, SystemId};
 
-use super::frames::{negate, quaternion, yaw};
+use super::frames::{frame, negate, quaternion, yaw};
 use super::ids;
 use super::payload::{Decoded, Payload, PayloadReader, micros64, millis32, require_finite};
-use super::poses::{geodetic_point, heading_from_yaw, latitude_e7, longitude_e7, yaw_from_heading};
+use super::poses::{MILLIMETER_M, geodetic_point, heading_from_yaw, latitude_e7, longitude_e7, yaw_from_heading};
 use crate::message::{
     AttitudeQuaternion, Battery, GlobalPosition, GlobalReference, HeadUpDisplay, ManualControl, Message,
     PositionTarget, SetGlobalOrigin, Setpoint, SystemStatus, WireStamp,
 };
 
-const MILLIMETER_M: f64 = 1e-3;
 const CENTIMETER_PER_S: f64 = 1e-2;
 /// GLOBAL_POSITION_INT.hdg when the sender does not know it.
 const HEADING_UNKNOWN: u16 = u16::MAX;
@@ -34,9 +33,6 @@ const ON_GROUND: u8 = 1;
 /// MANUAL_CONTROL: an axis runs from -1000 to 1000, and this is one that the sender does not have.
 const FULL_STICK: f64 = 1_000.0;
 const NO_AXIS: i16 = i16::MAX;
-/// MAV_FRAME_LOCAL_NED, and the frames of the vehicle's own axes: BODY_NED and its successor BODY_FRD.
-const FRAME_LOCAL_NED: u8 = 1;
-const FRAMES_OF_BODY: [u8; 2] = [8, 12];
 /// POSITION_TARGET_TYPEMASK: a bit that is set is a field that is not used.
 const IGNORED_POSITION: u16 = 0b11;
 const IGNORED_FORWARD_SPEED: u16 = 1 << 3;
@@ -271,8 +267,8 @@ pub(super) fn position_target(payload: &[u8]) -> Decoded {
     let target = reader.address();
     let frame = reader.number::<u8>();
     let checked = |field, value| require_finite(ids::SET_POSITION_TARGET_LOCAL_NED, field, f64::from(value));
-    let is_of_body = FRAMES_OF_BODY.contains(&frame);
-    let setpoint = if frame == FRAME_LOCAL_NED && ignored & IGNORED_POSITION == 0 {
+    let is_of_body = matches!(frame, frame::BODY_NED | frame::BODY_FRD);
+    let setpoint = if frame == frame::LOCAL_NED && ignored & IGNORED_POSITION == 0 {
         Setpoint::Position { x: Meters(checked("y", east)?), y: Meters(checked("x", north)?) }
     } else if is_of_body && ignored & IGNORED_FORWARD_SPEED == 0 {
         let turn = if ignored & IGNORED_YAW_RATE == 0 { negate(checked("yaw_rate", yaw_rate)?) } else { 0.0 };
@@ -287,13 +283,13 @@ pub(super) fn write_position_target(request: &PositionTarget) -> Payload {
     const ALL_IGNORED: u16 = 0x0FFF;
     let (position, forward, yaw_rate, ignored, frame) = match request.setpoint {
         Setpoint::Position { x, y } => {
-            ([y.0 as f32, x.0 as f32], 0.0, 0.0, ALL_IGNORED & !IGNORED_POSITION, FRAME_LOCAL_NED)
+            ([y.0 as f32, x.0 as f32], 0.0, 0.0, ALL_IGNORED & !IGNORED_POSITION, frame::LOCAL_NED)
         }
         Setpoint::BodyVelocity { forward, turn } => {
             let used = IGNORED_FORWARD_SPEED | IGNORED_YAW_RATE;
-            ([0.0; 2], forward.0 as f32, negate(turn.0) as f32, ALL_IGNORED & !used, FRAMES_OF_BODY[1])
+            ([0.0; 2], forward.0 as f32, negate(turn.0) as f32, ALL_IGNORED & !used, frame::BODY_FRD)
         }
-        Setpoint::Unsupported => ([0.0; 2], 0.0, 0.0, ALL_IGNORED, FRAME_LOCAL_NED),
+        Setpoint::Unsupported => ([0.0; 2], 0.0, 0.0, ALL_IGNORED, frame::LOCAL_NED),
     };
     let time_ms = 0;
     Payload::new(ids::SET_POSITION_TARGET_LOCAL_NED)

@@ -1,4 +1,4 @@
-//! A file that is there when it is complete, and not before.
+//! A file that is there when it is complete, and not before. So is the folder that is made for it.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -20,9 +20,21 @@ impl AtomicFile {
             "creating `{}`: the file is there already; move it or choose another folder with --out",
             path.display()
         );
-        let mut name = path.clone().into_os_string();
-        name.push(".part");
-        let beside = PathBuf::from(name);
+        let beside = with_suffix(&path, ".part");
+        Self::create_beside(path, beside)
+    }
+
+    /// The file `name` in a folder of its own, which must not exist.
+    pub(super) fn create_in_folder(folder: &Path, name: &str) -> Result<(File, Self)> {
+        ensure!(
+            !folder.exists(),
+            "creating `{}`: the folder is there already; move it or choose another one with --out",
+            folder.display()
+        );
+        Self::create_beside(folder.join(name), with_suffix(folder, ".part"))
+    }
+
+    fn create_beside(path: PathBuf, beside: PathBuf) -> Result<(File, Self)> {
         let file = File::create(&beside).with_context(|| format!("creating `{}`", beside.display()))?;
         let fresh = Self { path, temporary: beside, is_complete: false };
         Ok((file, fresh))
@@ -33,10 +45,19 @@ impl AtomicFile {
     }
 
     pub(super) fn finish(mut self) -> Result<()> {
+        if let Some(folder) = self.path.parent() {
+            std::fs::create_dir_all(folder).with_context(|| format!("making the folder `{}`", folder.display()))?;
+        }
         std::fs::rename(&self.temporary, &self.path).with_context(|| format!("naming `{}`", self.path.display()))?;
         self.is_complete = true;
         Ok(())
     }
+}
+
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.to_owned().into_os_string();
+    name.push(suffix);
+    PathBuf::from(name)
 }
 
 impl Drop for AtomicFile {

@@ -25,6 +25,7 @@ use crate::console::{print_line, print_lines};
 use crate::station::input_file::{InputFile, InputKind, tlog_records};
 use crate::station::link_frames::{LinkFrame, LinkFrames};
 use crate::station::recorded_session::{MemoryLimit, for_each_input, nothing_read, own_bytes};
+use crate::tools::import::messages_hint;
 
 /// What is written of the messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +58,7 @@ pub(super) fn export_messages(path: &Path, output: OutputFolder<'_>, formats: Me
         InputKind::Tlog => tlog_frames(file, &mut take)?,
         InputKind::Bytes => bytes_frames(&mut file, &mut take)?,
         InputKind::Own => recording_frames(path, file, &mut take)?,
+        InputKind::Messages => bail!(messages_hint(path)),
         InputKind::Descriptor => bail!("--messages: `{name}` is a descriptor, there are no frames in its data"),
     };
     failure?;

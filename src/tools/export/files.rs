@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use posebridge_recording::csv::CsvWriter;
-use posebridge_recording::ros2::{BAG_SUFFIX, RosBagWriter};
+use posebridge_recording::ros2::RosBagWriter;
 use posebridge_telemetry::{Event, HostClock, Input, LinkId, Priority, Timestamp};
 
 use super::atomic_file::AtomicFile;
 use crate::console::print_line;
 use crate::station::tlog_writer::TrafficLog;
+use crate::tools::ros2_bag::METADATA;
 
 /// The folder for the files, and the recording after which they are named.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +49,14 @@ pub(super) fn print_written(path: &Path, count: u64, what: &str) {
 pub(super) struct RunFiles {
     csv: Option<(CsvWriter<'static, File>, PathBuf)>,
     tlog: Option<(TrafficLog<BufWriter<File>>, AtomicFile)>,
-    bag: Option<(RosBagWriter<File>, AtomicFile)>,
+    bag: Option<(RosBagWriter<File>, BagFolder, AtomicFile)>,
+}
+
+/// A bag as rosbag2 makes it: a folder with its storage and `metadata.yaml`.
+struct BagFolder {
+    path: PathBuf,
+    /// Of the storage.
+    file: String,
 }
 
 impl RunFiles {
@@ -65,8 +73,10 @@ impl RunFiles {
 
     /// `utc_start_micros` is the Unix time of the host clock's zero.
     pub(super) fn add_bag(&mut self, output: OutputFolder<'_>, utc_start_micros: u64) -> Result<()> {
-        let (out, file) = output.create_new(BAG_SUFFIX)?;
-        self.bag = Some((RosBagWriter::create(out, utc_start_micros)?, file));
+        let name = format!("{}-ros2", output.stem());
+        let folder = BagFolder { path: output.folder.join(&name), file: format!("{name}_0.mcap") };
+        let (out, file) = AtomicFile::create_in_folder(&folder.path, &folder.file)?;
+        self.bag = Some((RosBagWriter::create(out, utc_start_micros)?, folder, file));
         Ok(())
     }
 
@@ -81,7 +91,7 @@ impl RunFiles {
         if let Some((csv, _)) = &mut self.csv {
             csv.record(now, event).context("writing CSV")?;
         }
-        if let Some((bag, _)) = &mut self.bag {
+        if let Some((bag, _, _)) = &mut self.bag {
             bag.record(now, event).context("writing the ROS 2 bag")?;
         }
         Ok(())
@@ -111,10 +121,13 @@ impl RunFiles {
             print_written(file.path(), frames, "frames");
             file.finish()?;
         }
-        if let Some((bag, file)) = self.bag {
+        if let Some((bag, folder, file)) = self.bag {
+            let metadata = bag.metadata(&folder.file);
             let (_, messages) = bag.finish().context("writing the ROS 2 bag")?;
-            print_written(file.path(), messages, "messages");
             file.finish()?;
+            let path = folder.path.join(METADATA);
+            std::fs::write(&path, metadata).with_context(|| format!("writing `{}`", path.display()))?;
+            print_written(&folder.path, messages, "messages");
         }
         Ok(())
     }

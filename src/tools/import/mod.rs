@@ -2,7 +2,7 @@
 //! A telemetry log or a descriptor's run becomes the inputs of a station, with a configuration in the header. docs/recordings.md states
 //! what is kept and what is lost.
 
-mod message_log;
+pub(in crate::tools) mod message_log;
 mod timeline;
 mod tlog;
 
@@ -48,10 +48,9 @@ pub struct ImportArgs {
 }
 
 pub fn execute(args: &ImportArgs) -> Result<(), Failure> {
-    let mut file = InputFile::open(&args.file).before_start()?;
-    let is_messages = message_log::holds_messages(&mut file).before_start()?;
+    let kind = InputFile::open(&args.file).before_start()?.kind;
     let out = create(args).before_start()?;
-    if is_messages {
+    if kind == InputKind::Messages {
         let written = message_log::write_frames(&args.file, out);
         if written.is_err() {
             drop(std::fs::remove_file(&args.out));
@@ -135,10 +134,19 @@ pub fn import<W: Write + Seek>(
             write(out, &header, |sink| source.inputs(sink))
         }
         InputKind::Own => bail!("`{}` is a recording of posebridge already", path.display()),
+        InputKind::Messages => bail!(messages_hint(path)),
         InputKind::Bytes => {
             bail!("`{}`: bytes without times cannot be replayed; a telemetry log (*.tlog) has times", path.display())
         }
     }
+}
+
+/// What to do with messages that are no recording.
+pub(super) fn messages_hint(path: &Path) -> String {
+    format!(
+        "`{}` holds messages of `posebridge export --messages`: make a telemetry log of it first, with `posebridge import FILE --out LOG.tlog`",
+        path.display()
+    )
 }
 
 /// The bytes of a posebridge recording: those of the file with all parts that continue it, or converted from a telemetry log in memory;

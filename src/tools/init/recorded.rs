@@ -20,7 +20,7 @@ use crate::console::{print_line, print_lines};
 use crate::station::input_file::{InputFile, InputKind};
 use crate::station::recorded_session::for_each_input;
 use crate::station::signing::recorded_station_config;
-use crate::tools::import::{self, StationOptions};
+use crate::tools::import::{self, StationOptions, messages_hint};
 
 const MAX_TABLE_BYTES: u64 = 256 << 20;
 /// A longer pause of a logger is another recording.
@@ -38,6 +38,7 @@ pub(super) fn run(
     let mut player = match file.kind {
         InputKind::Own | InputKind::Tlog => Player::of_recording(path, link, base, flags)?,
         InputKind::Bytes => Player::of_table(file, link, base, flags)?,
+        InputKind::Messages => bail!(messages_hint(path)),
         InputKind::Descriptor => bail!(
             "`{}` describes data of others, whose robot stands in it; --from reads a recording or a table",
             path.display()

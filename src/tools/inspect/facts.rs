@@ -19,6 +19,7 @@ use crate::flags::DataFlags;
 use crate::station::input_file::{InputFile, tlog_records};
 use crate::station::recorded_session::{ReadProgress, continuation_names, missing_start};
 use crate::tools::dataset::DataSet;
+use crate::tools::import::message_log::for_each_frame;
 
 #[derive(Debug, Default)]
 pub(super) struct FramedFacts {
@@ -153,6 +154,19 @@ fn record_tlog_frame(framed: &mut FramedFacts, facts: &mut TlogFacts, record: &T
         let at = Timestamp::from_micros(i64::try_from(record.micros).unwrap_or(i64::MAX));
         framed.census.record_logged(bits, &frame, at);
     }
+}
+
+pub(super) fn inspect_messages(file: InputFile) -> Result<FramedFacts> {
+    let mut framed = FramedFacts { epoch_micros: Some(0), ..FramedFacts::default() };
+    for_each_frame(file, |logged| {
+        framed.bytes += logged.frame.len() as u64;
+        if let Some(frame) = parse_verified(&logged.frame) {
+            let at = Timestamp::from_micros(i64::try_from(logged.micros).unwrap_or(i64::MAX));
+            framed.census.record(logged.link, &frame, Some(at));
+        }
+        Ok(())
+    })?;
+    Ok(framed)
 }
 
 pub(super) fn inspect_bytes(mut file: InputFile) -> Result<FramedFacts> {

@@ -7,7 +7,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use self::facts::{InspectResult, inspect_bytes, inspect_descriptor, inspect_recording, inspect_tlog};
+use self::facts::{
+    InspectResult, inspect_bytes, inspect_descriptor, inspect_messages, inspect_recording, inspect_tlog,
+};
 use crate::console::print_result;
 use crate::exit::{ExitStage, Failure};
 use crate::flags::DataFlags;
@@ -17,7 +19,7 @@ use crate::station::recorded_session::nothing_read;
 /// Flags of `inspect`.
 #[derive(Args, Clone, Debug)]
 pub struct InspectArgs {
-    /// A recording (*.mcap), a telemetry log (*.tlog, *.tlog.gz), bytes of a link (*.raw, *.bin) or a descriptor (*.toml).
+    /// A recording or messages of `export --messages` (*.mcap), a telemetry log (*.tlog, *.tlog.gz), bytes of a link (*.raw, *.bin) or a descriptor (*.toml).
     pub file: PathBuf,
     /// What to read of a descriptor's data.
     #[command(flatten)]
@@ -34,6 +36,7 @@ pub fn execute(args: &InspectArgs) -> Result<(), Failure> {
     let found = match kind {
         InputKind::Tlog => inspect_tlog(file).map(framed).while_running()?,
         InputKind::Bytes => inspect_bytes(file).map(framed).while_running()?,
+        InputKind::Messages => inspect_messages(file).map(framed).while_running()?,
         InputKind::Own => inspect_recording(file, &args.file).map(framed).before_start()?,
         InputKind::Descriptor => InspectResult::Runs(inspect_descriptor(&args.file, &args.data).before_start()?),
     };

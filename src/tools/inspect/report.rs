@@ -33,6 +33,7 @@ pub(super) const fn kind_name(kind: InputKind) -> &'static str {
     match kind {
         InputKind::Own => "posebridge",
         InputKind::Tlog => "tlog",
+        InputKind::Messages => "messages",
         InputKind::Bytes => "bytes",
         InputKind::Descriptor => "descriptor",
     }
@@ -206,6 +207,7 @@ fn kind_in_words(kind: InputKind) -> String {
     match kind {
         InputKind::Own => "recording of posebridge".to_owned(),
         InputKind::Tlog => "telemetry log".to_owned(),
+        InputKind::Messages => "messages of `posebridge export --messages`".to_owned(),
         InputKind::Bytes => "bytes of a link, without times".to_owned(),
         InputKind::Descriptor => kind_name(kind).to_owned(),
     }

@@ -221,7 +221,7 @@ const PARAMETERS = [
   { name: 'accel_m_s2', value: 1, default: 1, least: 0.01, most: 50, unit: 'm/s2', help: 'how fast the forward speed may change', mavlink_name: 'accel_m_s2' },
 ];
 const LINK = {
-  id: 0, name: 'pty:/dev/pts/4', state: 'up', bytes_in_per_s: 2310, frames_in_per_s: 51, lost: 3, kernel_drops: 0, flood_drops: 0, checksum_errors: 1, garbage_bytes: 12, stalls: 0,
+  id: 0, name: 'pty:/dev/pts/4', state: 'up', bytes_in_per_s: 2310, frames_in_per_s: 51, lost: 3, kernel_drops: 0, flood_drops: 0, excess_requests: 0, checksum_errors: 1, garbage_bytes: 12, stalls: 0,
   queued_frames: 0, drops_out: 0, round_trip_ms: 1.4, clock_uncertainty_ms: 0.6,
 };
 const CLOCK = { offset_s: -1.2345, skew_ppm: 41.3, uncertainty_ms: 0.6, method: 'two-way' };

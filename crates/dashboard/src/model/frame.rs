@@ -426,6 +426,8 @@ pub struct LinkRow {
     pub kernel_drops: u64,
     /// Received datagrams above the budget of their peer.
     pub flood_drops: u64,
+    /// Requests that were not answered, because their peer asks too often.
+    pub excess_requests: u64,
     /// Candidates whose checksum did not match.
     pub checksum_errors: u64,
     /// Bytes outside every frame.
@@ -434,7 +436,7 @@ pub struct LinkRow {
     pub stalls: u64,
     /// Frames that wait to be sent.
     pub queued_frames: u32,
-    /// Outgoing messages dropped because the link was slow or down.
+    /// Outgoing messages dropped because the link was slow or down, or nobody was connected to it.
     pub drops_out: u64,
     /// Round-trip time of the last answered question for the time.
     pub round_trip_ms: Number,

@@ -55,6 +55,7 @@ impl LinkActivity {
             lost: health.frames_lost,
             kernel_drops: health.port.kernel_drops,
             flood_drops: health.port.flood_drops,
+            excess_requests: health.excess_requests,
             checksum_errors: health.checksum_errors,
             garbage_bytes: health.garbage_bytes,
             stalls: health.timeouts,

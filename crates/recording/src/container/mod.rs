@@ -93,6 +93,11 @@ pub enum ReadError {
     #[error("byte {offset}: the file ends or goes on without a posebridge header: {what}")]
     NoHeader { offset: u64, what: String },
     #[error(
+        "it holds messages that `posebridge export --messages` wrote, and no inputs: make a telemetry log of it, with \
+         `posebridge import FILE --out LOG.tlog`"
+    )]
+    Messages,
+    #[error(
         "the recording has format {found}, this program reads up to {FORMAT}: read it with the program that wrote it"
     )]
     Format { found: u32 },

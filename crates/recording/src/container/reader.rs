@@ -14,6 +14,7 @@ use super::{
     INPUT_CHANNEL, INPUT_ENCODING, INPUT_TOPIC, LAST_UNCHUNKED_FORMAT, PartHeader, ReadError, RecordingHeader,
     TRUTH_TOPIC, parse_header, zero_nanos,
 };
+use crate::json_log::is_json_log;
 
 /// How a recording ends: complete or truncated.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,6 +50,9 @@ impl<'a> RecordingReader<'a> {
     /// The bytes are not a posebridge recording, or are truncated or damaged before the end of the header.
     pub fn open(bytes: &'a [u8]) -> Result<Self, ReadError> {
         let mut records = RecordScanner::new(bytes).ok_or(ReadError::NotMcap)?;
+        if is_json_log(bytes) {
+            return Err(ReadError::Messages);
+        }
         let (header, beginning) = loop {
             let record = records.next().map_err(missing_header_error)?;
             match record.opcode {

@@ -24,6 +24,7 @@ mod definitions;
 mod encoder;
 mod frames;
 mod messages;
+mod metadata;
 mod names;
 mod writer;
 

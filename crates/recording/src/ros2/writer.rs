@@ -8,10 +8,11 @@ use mcap::write::NoSeek;
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
 use super::encoder::{BagEncoder, BagMessage};
+use super::metadata::BagContents;
 
 /// What a publisher of each topic would have offered: reliable, volatile, the last ten. Numbers and not names of the policies: ROS 2 Humble
 /// reads only these, and later ones read both.
-const QOS_PROFILES: &str = "\
+pub(super) const QOS_PROFILES: &str = "\
 - history: 1
   depth: 10
   reliability: 1
@@ -56,7 +57,7 @@ pub struct RosBagWriter<W: Write> {
     encoder: BagEncoder,
     /// By topic; each is created with its first message.
     channels: BTreeMap<String, u16>,
-    messages: u64,
+    contents: BagContents,
 }
 
 impl<W: Write> RosBagWriter<W> {
@@ -75,7 +76,13 @@ impl<W: Write> RosBagWriter<W> {
             .library(concat!("posebridge ", env!("CARGO_PKG_VERSION")))
             .create(NoSeek::new(BufWriter::new(w)))?;
         let zero_nanos = utc_start_micros * 1_000;
-        Ok(Self { mcap, zero_nanos, encoder: BagEncoder::new(zero_nanos), channels: BTreeMap::new(), messages: 0 })
+        Ok(Self {
+            mcap,
+            zero_nanos,
+            encoder: BagEncoder::new(zero_nanos),
+            channels: BTreeMap::new(),
+            contents: BagContents::default(),
+        })
     }
 
     /// Writes what the event means to ROS, if anything; `now` is its arrival.
@@ -90,7 +97,7 @@ impl<W: Write> RosBagWriter<W> {
             // rosbag2 counts nothing here.
             let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
             self.mcap.write_to_known_channel(&header, &message.data)?;
-            self.messages += 1;
+            self.contents.count(time, &message.topic, message.message_type.name);
         }
         Ok(())
     }
@@ -104,8 +111,13 @@ impl<W: Write> RosBagWriter<W> {
     }
 
     /// Messages written so far.
-    pub const fn messages(&self) -> u64 {
-        self.messages
+    pub fn messages(&self) -> u64 {
+        self.contents.messages()
+    }
+
+    /// The text of `metadata.yaml`, which the players of rosbag2 want beside the file: of the messages so far, in one file of this name.
+    pub fn metadata(&self, file: &str) -> String {
+        self.contents.to_yaml(file)
     }
 
     /// Ends the file with its summary; returns `W` and the number of messages.
@@ -114,8 +126,9 @@ impl<W: Write> RosBagWriter<W> {
     /// Writing failed, now or before.
     pub fn finish(mut self) -> Result<(W, u64), RosBagError> {
         self.mcap.finish()?;
+        let messages = self.messages();
         let buffered = self.mcap.into_inner().into_inner();
-        Ok((buffered.into_inner().map_err(IntoInnerError::into_error)?, self.messages))
+        Ok((buffered.into_inner().map_err(IntoInnerError::into_error)?, messages))
     }
 
     fn channel(&mut self, message: &BagMessage) -> Result<u16, RosBagError> {

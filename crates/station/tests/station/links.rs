@@ -113,3 +113,27 @@ fn datagrams_that_the_system_drops_are_told_once_with_the_cure() {
     let told = |text: &&&str| text.contains(" datagrams in the system") && text.contains("net.core.rmem_max");
     assert_eq!(station.texts().iter().filter(told).count(), 2, "again after half a minute");
 }
+
+#[test]
+fn what_is_sent_while_nobody_is_there_counts_as_dropped() {
+    let mut station = TestStation::new(&config());
+    let port = |peers| Input::Port { link: LINK, counts: LinkCounts { peers, ..LinkCounts::default() } };
+    // A link that listens is up, whoever is there.
+    station.handle(at(500), port(0));
+    station.pass_until(at(5_000));
+    let alone = station.later_health(LINK);
+    station.pass_until(at(9_000));
+    let later = station.later_health(LINK);
+    assert_eq!((later.frames_out, later.bytes_out), (alone.frames_out, alone.bytes_out));
+    assert!(later.drops_out >= alone.drops_out + 3, "{later:?}");
+    // A peer is there as soon as it is heard, or as its transport says so.
+    RemotePeer::new(GCS, LINK, 0).send(&mut station, at(10_500), &HEARTBEAT);
+    station.handle(at(10_600), port(1));
+    station.pass_until(at(15_000));
+    let heard = station.later_health(LINK);
+    assert!(heard.frames_out >= later.frames_out + 4 && heard.bytes_out > later.bytes_out + 80, "{heard:?}");
+    assert!(heard.drops_out <= later.drops_out + 1, "{heard:?}");
+    station.handle(at(16_500), port(0));
+    station.pass_until(at(20_000));
+    assert!(station.later_health(LINK).drops_out >= heard.drops_out + 3);
+}
