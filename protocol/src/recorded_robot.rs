@@ -217,7 +217,7 @@ impl RecordedRobot {
         while let Some(output) = self.session.poll() {
             match output {
                 SessionOutput::Send(message) => self.encode(&message),
-                SessionOutput::CommandReceived { by, command } => {
+                SessionOutput::CommandReceived { by, command, .. } => {
                     let result = CommandResult::Unsupported;
                     self.session.acknowledge_command(by, command.command, result);
                 }
@@ -225,6 +225,7 @@ impl RecordedRobot {
                 | SessionOutput::PeerLost { .. }
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. }
+                | SessionOutput::PlanReceived { .. }
                 // Of parameters it offers none.
                 | SessionOutput::ParameterSetRequested { .. }
                 | SessionOutput::ParameterUnsupported { .. }

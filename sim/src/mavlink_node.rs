@@ -111,7 +111,7 @@ impl<C: Clock> MavlinkNode<C> {
                 SessionOutput::IntervalRequested { message_id, interval, .. } => {
                     requests.push(IntervalRequest { message_id, interval });
                 }
-                SessionOutput::CommandReceived { by, command } => {
+                SessionOutput::CommandReceived { by, command, .. } => {
                     let is_for_fix = self.is_fix_request(&command);
                     self.is_fix_requested |= is_for_fix;
                     let result = if is_for_fix { CommandResult::Accepted } else { CommandResult::Unsupported };
@@ -121,6 +121,7 @@ impl<C: Clock> MavlinkNode<C> {
                 SessionOutput::PeerSeen { .. }
                 | SessionOutput::PeerLost { .. }
                 | SessionOutput::TimeExchanged { .. }
+                | SessionOutput::PlanReceived { .. }
                 | SessionOutput::ParameterSetRequested { .. }
                 | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {}

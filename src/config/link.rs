@@ -229,6 +229,7 @@ impl LinkSection {
             announced_as: if self.ground_station { AnnouncedAs::StationAndVehicle } else { AnnouncedAs::Station },
             signing: None,
             rules,
+            robots_take_goals: matches!(LinkTarget::parse(&self.url), Ok(LinkTarget::Sim(_))),
         })
     }
 }

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, ensure};
 use posebridge_estimator::filters::thermometer::{ThermometerResponse, ThermometerSettings};
 use posebridge_estimator::models::dynamic_measurement::DynamicModel;
 use posebridge_estimator::models::slow_sensor::SlowSensor;
-use posebridge_station::ThermometerConfig;
+use posebridge_station::{GoalPolicy, ThermometerConfig};
 use posebridge_telemetry::{
     Calibration, ChannelName, DriveGeometry, Heading, Meters, Pose, Radians, SensorId, SensorNoise, StartPose, Wiring,
 };
@@ -34,6 +34,10 @@ pub struct RobotFile {
     pub ticks_per_turn: f64,
     /// Let the robot's own description, when it sends one, override this file.
     pub adopt_description: bool,
+    /// Whether it drives to goals (SET_POSITION_TARGET_LOCAL_NED), and so along plans. Without the key the bricks of the built-in
+    /// simulator do, and no others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accepts_goals: Option<bool>,
     /// Noise of motion and sensors.
     pub noise: RobotNoise,
     /// Systematic errors, and how well they are known.
@@ -94,6 +98,7 @@ impl Default for RobotFile {
             track_width_m: 0.112,
             ticks_per_turn: 360.0,
             adopt_description: true,
+            accepts_goals: None,
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             mounting: RobotMounting::default(),
@@ -176,6 +181,14 @@ impl RobotFile {
             position_sigma_m: start.position_sigma_m,
             heading_sigma_rad: start.heading_sigma_deg.to_radians(),
         }))
+    }
+
+    pub fn goals(&self) -> GoalPolicy {
+        match self.accepts_goals {
+            None => GoalPolicy::ByLink,
+            Some(true) => GoalPolicy::Accept,
+            Some(false) => GoalPolicy::Refuse,
+        }
     }
 
     pub fn slow_sensor(&self) -> Result<SlowSensor> {
@@ -289,5 +302,20 @@ mod tests {
                     [[robot.thermometer]]\nchannel = \"scaled_pressure\"\nresolution_k = 0.5\n";
         assert_eq!(thermometers(text).unwrap(), 2);
         assert_eq!(thermometers("").unwrap(), 0);
+    }
+
+    #[test]
+    fn bricks_of_the_simulator_take_goals_and_a_link_without_mavlink_cannot() {
+        let load = |text: &str| load_text("test", text, &[]).unwrap().config.station_config();
+        let links = load("[[link]]\nurl = \"sim://square\"\n[[link]]\nurl = \"udp://:14550\"\n").unwrap().links;
+        assert_eq!(links.iter().map(|link| link.robots_take_goals).collect::<Vec<_>>(), [true, false]);
+        let nxt = "[[link]]\nurl = \"tcp://127.0.0.1:5000\"\nbrick = \"nxt\"\n";
+        for (value, is_refused) in [("true", true), ("false", false)] {
+            let config = load(&format!("{nxt}[robot]\naccepts_goals = {value}\n[robot.nxt]\nsensor = []\n"));
+            assert_eq!(
+                config.err().map(|error| error.to_string().contains("`robot.accepts_goals`")),
+                is_refused.then_some(true)
+            );
+        }
     }
 }

@@ -193,6 +193,7 @@ impl Config {
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,
             thermometers: robot.thermometers()?,
+            goals: robot.goals(),
         })
     }
 
@@ -213,6 +214,12 @@ impl Config {
         let links = self.links.iter().zip(rules).enumerate().map(|(index, (link, rules))| {
             let brick = brick_link(link, self.robot_of_link(index), &self.camera);
             let brick = brick.with_context(|| format!("link {index} `{}`", link.url))?;
+            ensure!(
+                brick.is_none() || self.robot_of_link(index).accepts_goals != Some(true),
+                "`robot.accepts_goals` is true, but link {index} `{}` is for a brick without MAVLink, which no goal can be sent to: leave \
+                 the key out, or set it in a `[[robot]]` whose `match` names another link",
+                link.url
+            );
             let config = link.to_link_config(index, rules)?;
             Ok(LinkConfig { brick, ..config })
         });

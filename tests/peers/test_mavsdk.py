@@ -9,6 +9,7 @@ import tempfile
 import unittest
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 from mavsdk.asyncio.plugins.mission import MissionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
@@ -17,6 +18,7 @@ from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.logging import log_subscribe
 from mavsdk.plugins.mavlink_direct import MavlinkMessage
+from mavsdk.plugins.mission import MissionError, MissionItem, MissionPlan, MissionResult
 from mavsdk.plugins.mocap import AngleBody, Covariance, PositionBody, VisionPositionEstimate
 
 from drives import for_ground_stations, nxt_station, simulated
@@ -46,6 +48,14 @@ ORIGIN = f"""
 latitude = {LATITUDE}
 longitude = {LONGITUDE}
 """
+# North and east of the origin in metres: a square around the path that the robot drives without a plan.
+WAY_POINTS = ((-0.2, -0.2), (-0.2, 0.5), (0.5, 0.5), (0.5, -0.2))
+RADIUS_M = 0.08
+# Where MAVSDK sends the robot after it.
+GOAL = (0.15, -0.35)
+DRIVE_S = 90.0
+# A degree of latitude, and one of longitude there.
+NORTH_M, EAST_M = 111_267.6, 68_660.4
 # Within which everything that MAVSDK asks by default is there.
 CONNECT_S = 5.0
 
@@ -149,6 +159,63 @@ class Mavsdk41(unittest.IsolatedAsyncioTestCase):
         self.assertTrue(5.0 < battery.voltage_v < 9.0, battery)
         self.assertTrue(health.is_gyrometer_calibration_ok, health)
 
+    async def test_a_mission_is_uploaded_driven_to_its_end_and_downloaded_and_a_goal_is_driven_to(self):
+        station = RunningStation(self.folder, "run", simulated(self.folder) + ORIGIN + for_ground_stations("udp")).belongs_to(self)
+        system = await self.connected(station)
+        mission, telemetry = MissionAsync(system), TelemetryAsync(system)
+        # Once it has a place in the arena.
+        await self.first(telemetry.subscribe_position())
+        items = [
+            MissionItem(latitude_deg=latitude, longitude_deg=longitude, relative_altitude_m=0.0, acceptance_radius_m=RADIUS_M)
+            for latitude, longitude in map(place_on_earth, WAY_POINTS)
+        ]
+        async with asyncio.timeout(CONNECT_S):
+            await mission.upload_mission(MissionPlan(items))
+            back = (await mission.download_mission()).mission_items
+        self.assertEqual(len(back), len(items))
+        for sent, got in zip(items, back):
+            # To the last digit of the integers that are sent.
+            self.assertEqual(round(sent.latitude_deg * 1e7), round(got.latitude_deg * 1e7))
+            self.assertEqual(round(sent.longitude_deg * 1e7), round(got.longitude_deg * 1e7))
+            self.assertAlmostEqual(got.acceptance_radius_m, RADIUS_M, 6)
+        progress, nearest = [], [math.inf] * len(WAY_POINTS)
+        async with contextlib.aclosing(mission.subscribe_mission_progress()) as reports, asyncio.timeout(DRIVE_S):
+            watch = asyncio.create_task(self.watch(telemetry, nearest))
+            await mission.start_mission()
+            async for report in reports:
+                progress.append((report.current, report.total))
+                if report.current == len(items):
+                    break
+            watch.cancel()
+        self.assertTrue(await mission.is_mission_finished())
+        self.assertEqual([current for current, _ in progress], sorted({current for current, _ in progress}), progress)
+        for distance_m in nearest:
+            self.assertLess(distance_m, RADIUS_M + 0.02, nearest)
+        latitude, longitude = place_on_earth(GOAL)
+        async with asyncio.timeout(DRIVE_S):
+            await ActionAsync(system).goto_location(latitude, longitude, 0.0, 0.0)
+            await self.first(telemetry.subscribe_position_velocity_ned(), lambda seen: distance_m_to(seen.position, GOAL) < RADIUS_M)
+
+    async def test_a_plan_that_no_robot_can_drive_is_refused_with_a_text(self):
+        station = RunningStation(self.folder, "run", simulated(self.folder) + for_ground_stations("udp")).belongs_to(self)
+        system = await self.connected(station)
+        telemetry = TelemetryAsync(system)
+        text = asyncio.create_task(self.first(telemetry.subscribe_status_text(), lambda text: "plan refused" in text.text))
+        latitude, longitude = place_on_earth(GOAL)
+        nowhere = MissionItem(latitude_deg=latitude, longitude_deg=longitude, relative_altitude_m=0.0)
+        while not text.done():
+            with self.assertRaises(MissionError) as refused:
+                await MissionAsync(system).upload_mission(MissionPlan([nowhere]))
+            self.assertNotEqual(refused.exception.result, MissionResult.TIMEOUT)
+            await asyncio.wait({text}, timeout=1.0)
+        self.assertIn("item 0: set the arena's origin", text.result().text)
+
+    async def watch(self, telemetry, nearest):
+        """Keeps how near the robot has come to each way-point."""
+        async for seen in telemetry.subscribe_position_velocity_ned():
+            for index, goal in enumerate(WAY_POINTS):
+                nearest[index] = min(nearest[index], distance_m_to(seen.position, goal))
+
     async def test_custom_xml_decodes(self):
         station = self.at_rest('dialects = "all"')
         direct = MavlinkDirectAsync(await self.connected(station))
@@ -192,6 +259,16 @@ def message(name, **fields):
     """A message for the estimator, as MAVSDK takes any."""
     whom = {"target_system": 1, "target_component": 197}
     return MavlinkMessage(name, 0, 0, 1, 197, json.dumps({**whom, **fields}))
+
+
+def place_on_earth(north_east):
+    """Latitude and longitude of a point of the arena."""
+    north_m, east_m = north_east
+    return LATITUDE + north_m / NORTH_M, LONGITUDE + east_m / EAST_M
+
+
+def distance_m_to(position, north_east):
+    return math.hypot(position.north_m - north_east[0], position.east_m - north_east[1])
 
 
 def fields_of(heard):

@@ -13,12 +13,15 @@
 
 use posebridge_estimator::{FilterCommand, PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
-use posebridge_protocol::message::{CommandLong, CommandResult, Message};
+use posebridge_protocol::dialect::ids;
+use posebridge_protocol::message::{CommandResult, Message};
 use posebridge_telemetry::{
     Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output,
-    ParameterName, ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, StartPose, severity,
+    ParameterName, ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, SimulatorCommand, StartPose,
+    severity,
 };
 
+use crate::link_command::LinkCommand;
 use crate::message_requests::{RequestContext, RequestReply};
 use crate::operator::{CommandTarget, TargetedCommand};
 use crate::receive::ReceiveInfo;
@@ -106,9 +109,10 @@ impl Station {
         received: ReceiveInfo,
         role: SenderRole,
         by: Address,
-        command: &CommandLong,
+        request: &LinkCommand,
     ) {
         let id = received.endpoint.link;
+        let command = &request.command;
         let requester = self.requesting_robot(received, by);
         let context = RequestContext {
             config: &self.config,
@@ -121,7 +125,7 @@ impl Station {
         let heartbeat = self.sessions.with_session(id, role, |session| session.active_heartbeat()).flatten();
         let answer = match context.answer(command, heartbeat) {
             Some(answer) => answer,
-            None => RequestReply::of(self.execute_link_command(id, role, requester, command)),
+            None => RequestReply::of(self.execute_link_command(id, role, requester, request)),
         };
         if answer.is_left_to_others(command) {
             return;
@@ -160,8 +164,15 @@ impl Station {
         link: LinkId,
         role: SenderRole,
         requester: Option<RobotIndex>,
-        command: &CommandLong,
+        request: &LinkCommand,
     ) -> CommandResult {
+        let command = &request.command;
+        if let SenderRole::Vehicle(robot) = role
+            && ids::is_drive_command(command.command)
+            && let Some(index) = self.robots.find(robot).filter(|index| self.robots.get(*index).accepts_goals)
+        {
+            return self.execute_drive_command(index, request);
+        }
         let target = match role {
             // A robot among others means itself.
             SenderRole::Station => Some(match requester.filter(|_| self.robots.len() > 1) {
@@ -245,6 +256,9 @@ impl Station {
                     CommandTarget::Station => None,
                     CommandTarget::Robot(index) => Some(self.robots.get(index).id),
                 };
+                if matches!(command, SimulatorCommand::Drive { .. } | SimulatorCommand::Path) {
+                    self.interrupt_missions(target);
+                }
                 self.emit_request(Request::Simulator { robot, command });
                 Ok(command.to_string())
             }

@@ -63,6 +63,8 @@ pub struct RobotConfig {
     /// The dynamics of its thermometers, by channel; others are learned. Bricks that are no robots have thermometers,
     /// too, with the configuration of the block that matches them.
     pub thermometers: Vec<ThermometerConfig>,
+    /// Whether it drives to the goals of plans.
+    pub goals: GoalPolicy,
 }
 
 /// The configuration of the robots that match.
@@ -180,6 +182,16 @@ pub enum DescriptionPolicy {
     Adopt,
 }
 
+/// Whether a robot drives to goals, which are sent as SET_POSITION_TARGET_LOCAL_NED. One without MAVLink never does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GoalPolicy {
+    /// As [`LinkConfig::robots_take_goals`] says of its link.
+    #[default]
+    ByLink,
+    Accept,
+    Refuse,
+}
+
 /// One link and its outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkConfig {
@@ -201,6 +213,20 @@ pub struct LinkConfig {
     pub pin: Option<PinPolicy>,
     /// Routing between it and the other links.
     pub rules: LinkRules,
+    /// Robots that are heard on it drive to goals, unless their configuration says otherwise.
+    pub robots_take_goals: bool,
+}
+
+impl LinkConfig {
+    /// Whether a robot that is heard on it takes goals.
+    pub(crate) fn takes_goals(&self, policy: GoalPolicy) -> bool {
+        let is_chosen = match policy {
+            GoalPolicy::ByLink => self.robots_take_goals,
+            GoalPolicy::Accept => true,
+            GoalPolicy::Refuse => false,
+        };
+        is_chosen && self.brick.is_none()
+    }
 }
 
 /// A brick with a protocol other than MAVLink.

@@ -23,10 +23,13 @@ mod fix_requests;
 mod forwarded_frame;
 mod fusion_alarms;
 mod heard_sensors;
+mod link_command;
 mod link_context;
 mod mavlink1_probe;
 mod message_requests;
 mod metadata_files;
+mod mission;
+mod mission_service;
 mod motion_source;
 mod observation_extractor;
 mod observations;
@@ -60,8 +63,8 @@ extern crate self as posebridge_station;
 mod test_config;
 
 pub use config::{
-    AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, LinkConfig, OUTPUTS,
-    OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig,
+    AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig,
+    OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig,
     ThermometerConfig,
 };
 pub use robot::Robot;

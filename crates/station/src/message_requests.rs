@@ -32,6 +32,8 @@ const CAPABILITY_MISSION_INT: u64 = 4;
 const CAPABILITY_FTP: u64 = 32;
 /// Parameters are sent as the bytes of their type.
 const CAPABILITY_PARAM_BYTEWISE: u64 = 16;
+/// Positions in the arena are followed.
+const CAPABILITY_SET_POSITION_TARGET: u64 = 128;
 /// MAVLink 2 is supported.
 const CAPABILITY_MAVLINK2: u64 = 8_192;
 /// FIRMWARE_VERSION_TYPE_DEV and FIRMWARE_VERSION_TYPE_OFFICIAL.
@@ -186,8 +188,10 @@ impl RequestContext<'_> {
     fn capabilities(&self) -> u64 {
         let sends_v2 = self.link_config().is_some_and(|link| link.send_version == WireVersion::V2);
         let of_vehicle = if self.is_vehicle() { CAPABILITY_MISSION_INT | CAPABILITY_FTP } else { 0 };
+        let takes_goals = self.is_vehicle() && self.robot().is_some_and(|robot| robot.accepts_goals);
+        let of_goals = if takes_goals { CAPABILITY_SET_POSITION_TARGET } else { 0 };
         let of_link = if sends_v2 { CAPABILITY_MAVLINK2 } else { 0 };
-        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | of_vehicle | of_link
+        CAPABILITY_COMMAND_INT | CAPABILITY_PARAM_BYTEWISE | of_vehicle | of_goals | of_link
     }
 
     fn autopilot_version(&self) -> Message {

@@ -77,6 +77,9 @@ impl Station {
         if let (Message::StatusText { severity, text, .. }, DuplicateStatus::New) = (content, duplicate_status) {
             self.emit(Event::Text { source, severity: *severity, text: text.clone() });
         }
+        if duplicate_status == DuplicateStatus::New {
+            self.observe_steering(received.endpoint.link, known, content);
+        }
         if let (Message::SetGlobalOrigin(request), DuplicateStatus::New) = (content, duplicate_status) {
             self.handle_set_origin(received.endpoint.link, request);
         }

@@ -69,6 +69,8 @@ pub struct Robot {
     pub(crate) sensor_health: SensorHealth,
     /// It has sent messages of our own dialect.
     pub(crate) is_of_own_dialect: bool,
+    /// It drives to goals.
+    pub(crate) accepts_goals: bool,
     /// As it described it last.
     pub(crate) battery: Option<Battery>,
     pub(crate) clocks: ClockAlignment,
@@ -104,6 +106,7 @@ impl Robot {
             motion_source: MotionSource::default(),
             sensor_health: SensorHealth::default(),
             is_of_own_dialect: false,
+            accepts_goals: false,
             battery: None,
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(filters.own, &config.filter_config),

@@ -253,7 +253,9 @@ impl RobotTable {
         self.by_id.insert(id, index);
         self.by_link.entry(id.link).or_default().push(index);
         self.used_systems.extend([id.address.system, vehicle_address.system]);
+        let link = config.links.iter().find(|link| link.id == origin.endpoint.link);
         let robot = &mut self.robots[index];
+        robot.accepts_goals = link.is_some_and(|link| link.takes_goals(robot_config.goals));
         robot.id = id;
         robot.block = block;
         robot.wire_address = address;

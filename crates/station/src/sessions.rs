@@ -11,7 +11,8 @@ use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{Heartbeat, Message};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint, FrameRouter};
 use posebridge_protocol::session::{
-    HeartbeatMode, RequestedMessages, ServedCommands, ServedFile, Session, SessionConfig, SessionOutput, SessionSender,
+    HeartbeatMode, PlanService, RequestedMessages, ServedCommands, ServedFile, Session, SessionConfig, SessionOutput,
+    SessionSender,
 };
 use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, SystemId, TimeDelta, Timestamp};
 
@@ -144,7 +145,8 @@ impl Sessions {
                     } else {
                         &[]
                     }));
-                    session.serve_as_vehicle(Arc::clone(&self.files));
+                    let plans = if robot.accepts_goals { PlanService::Owner } else { PlanService::Empty };
+                    session.serve_as_vehicle(Arc::clone(&self.files), plans);
                     vehicles.add(robot.id, session, responder);
                     has_new_vehicle = true;
                 }
@@ -325,6 +327,7 @@ const fn is_request(message: &Message) -> bool {
             | Message::ParamSet { .. }
             | Message::ParamSetUnsupported { .. }
             | Message::Plan(_)
+            | Message::MissionItem(_)
             | Message::FileTransfer(_)
             | Message::Log(_)
     )

@@ -19,7 +19,9 @@ use posebridge_telemetry::{
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
 use crate::heard_sensors::HeardSensors;
+use crate::link_command::LinkCommand;
 use crate::link_context::LinkContext;
+use crate::mission::Missions;
 use crate::observers::Observers;
 use crate::operator::OperatorState;
 use crate::output_queue::OutputQueue;
@@ -59,6 +61,7 @@ pub struct Station {
     pub(crate) robots: RobotTable,
     pub(crate) thermometers: ThermometerBank,
     pub(crate) operator: OperatorState,
+    pub(crate) missions: Missions,
     pub(crate) heard_sensors: HeardSensors,
     pub(crate) status_texts: StatusTextQueue,
     pub(crate) egress: Egress,
@@ -97,6 +100,7 @@ impl Station {
             robots: RobotTable::new(&config)?,
             thermometers: ThermometerBank::default(),
             operator: OperatorState::new(config.robot.filter_config.params),
+            missions: Missions::default(),
             heard_sensors: HeardSensors::default(),
             status_texts: StatusTextQueue::default(),
             egress: Egress::new(&config.links, now),
@@ -166,6 +170,7 @@ impl Station {
         self.publish_to_robots();
         self.publish_to_others();
         self.transmitter().forward_frames();
+        self.run_missions();
         self.process_temperatures();
         self.process_comparisons();
         self.send_status_texts();
@@ -182,7 +187,8 @@ impl Station {
     /// When to call [`handle`](Self::handle) with [`Input::Tick`], at the latest.
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
         let links = self.links.values().filter_map(LinkContext::deadline);
-        links.chain(self.sessions.deadline()).chain(self.time.next_health).min()
+        let others = [self.sessions.deadline(), self.time.next_health, self.missions.deadline()];
+        links.chain(others.into_iter().flatten()).min()
     }
 
     /// Whether something that a peer sent was understood, so that it deserves more than a stranger.
@@ -383,8 +389,13 @@ impl Station {
                     // The session's own idea of when it came is when it was handled.
                     self.handle_time_exchange(peer, &TimeExchange { sent, answer: received, peer_nanos });
                 }
-                SessionOutput::CommandReceived { by, command } => {
-                    self.handle_link_command(received, role, by, &command);
+                SessionOutput::CommandReceived { by, command, exact } => {
+                    self.handle_link_command(received, role, by, &LinkCommand { command, exact });
+                }
+                SessionOutput::PlanReceived { by, request } => {
+                    if let SenderRole::Vehicle(robot) = role {
+                        self.handle_plan_request(received, robot, by, &request);
+                    }
                 }
                 SessionOutput::IntervalRequested { by, message_id, interval } => {
                     let robot = match role {
@@ -449,6 +460,7 @@ impl Station {
             };
             let robot = self.robots.get(index).id;
             self.emit(Event::EstimateUpdated { robot, estimate: *estimate });
+            self.record_mission_estimate(index, estimate);
             if let Some(text) = self.robots.get_mut(index).alarms.observe_estimate(estimate) {
                 self.report_own_text(severity::NOTICE, self.robots.labelled(index, &text));
             }

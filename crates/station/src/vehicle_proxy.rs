@@ -21,7 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use posebridge_protocol::dialect::ids;
 use posebridge_protocol::message::{CommandLong, Message};
 use posebridge_protocol::routing::Endpoint;
-use posebridge_protocol::session::{HeartbeatMode, Session, SessionOutput, SessionSender};
+use posebridge_protocol::session::{HeartbeatMode, PlanService, Session, SessionOutput, SessionSender};
 use posebridge_telemetry::{Address, ComponentId, HostClock, RobotId, SystemId, TimeDelta, Timestamp};
 
 use crate::config::OutputKind;
@@ -79,6 +79,8 @@ enum VehicleRequest {
     Command {
         about: Option<u32>,
     },
+    /// A command about the drive to goals.
+    Drive,
     Service(VehicleService),
 }
 
@@ -287,7 +289,8 @@ impl VehicleProxies {
     /// - any request where the robot cannot, because it speaks no MAVLink or uses another component;
     /// - commands about messages that the station sends in its name;
     /// - of a robot that sends our own dialect, and so is a brick that was programmed for this station: what it is, parameters, plans, files
-    ///   and logs, unless it has been heard to answer such requests itself. Its other commands are its own.
+    ///   and logs, unless it has been heard to answer such requests itself; with plans, if it takes goals, also the commands that start and
+    ///   stop its drive. Its other commands are its own.
     ///
     /// Every other robot that speaks MAVLink is left alone.
     pub(crate) fn responding_vehicle(&self, now: Timestamp<HostClock>, message: &Message) -> Option<RobotId> {
@@ -307,6 +310,9 @@ impl VehicleProxies {
                 !self.is_sent_by_robot(now, *robot, id)
             }
             VehicleRequest::Command { .. } => false,
+            VehicleRequest::Drive => {
+                vehicle.session.plan_service() == Some(PlanService::Owner) && lacks(VehicleService::Plans)
+            }
             VehicleRequest::Service(service) => lacks(service),
         };
         (vehicle.responder == CommandResponder::Station || is_ours).then_some(*robot)
@@ -338,6 +344,7 @@ fn vehicle_request(message: &Message) -> Option<(Address, VehicleRequest)> {
         | Message::ParamSet { target, .. }
         | Message::ParamSetUnsupported { target, .. } => service(target, VehicleService::Parameters),
         Message::Plan(request) => service(&request.target, VehicleService::Plans),
+        Message::MissionItem(item) => service(&item.target, VehicleService::Plans),
         Message::FileTransfer(request) => service(&request.target, VehicleService::Files),
         Message::Log(_) => service(&message.service_target()?, VehicleService::Logs),
         _ => None,
@@ -348,6 +355,8 @@ fn requested_by(command: &CommandLong) -> VehicleRequest {
     let about = command.named_message();
     if ids::is_description(command.command, about) {
         VehicleRequest::Service(VehicleService::Description)
+    } else if ids::is_drive_command(command.command) {
+        VehicleRequest::Drive
     } else {
         VehicleRequest::Command { about }
     }

@@ -38,12 +38,13 @@ pub(crate) fn check_session(data: &[u8]) {
             match output {
                 SessionOutput::PeerSeen { peer, .. } => assert!(present.insert(peer)),
                 SessionOutput::PeerLost { peer, .. } => assert!(present.remove(&peer)),
-                SessionOutput::CommandReceived { by, command } => {
+                SessionOutput::CommandReceived { by, command, .. } => {
                     session.acknowledge_command(by, command.command, CommandResult::Unsupported);
                 }
                 SessionOutput::Send(_)
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. } => {}
+                SessionOutput::PlanReceived { .. } => panic!("it keeps no plans"),
                 SessionOutput::ParameterSetRequested { .. }
                 | SessionOutput::ParameterUnsupported { .. }
                 | SessionOutput::ParameterUnknown { .. } => {
@@ -224,6 +225,7 @@ impl ParameterOwner {
                 | SessionOutput::PeerLost { .. }
                 | SessionOutput::TimeExchanged { .. }
                 | SessionOutput::IntervalRequested { .. }
+                | SessionOutput::PlanReceived { .. }
                 | SessionOutput::CommandReceived { .. } => panic!("nothing of the kind was said"),
             }
         }

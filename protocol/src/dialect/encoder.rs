@@ -155,6 +155,8 @@ fn payload_of(message: &Message) -> Option<Payload> {
         Message::FloatArray(message) => services::write_float_array(message),
         Message::ParamHash { hash, count } => services::write_param_hash(*hash, *count),
         Message::Plan(message) => vehicle::write_plan(message),
+        Message::MissionItem(item) => vehicle::write_item(item),
+        Message::MissionItemReached { sequence } => vehicle::write_item_reached(*sequence),
         Message::MissionCurrent(current) => vehicle::write_mission_current(*current),
         Message::FileTransfer(message) => vehicle::write_file_transfer(message),
         Message::Log(message) => vehicle::write_log(message),

@@ -39,17 +39,20 @@ messages! {
     GLOBAL_POSITION_INT = 33,
     MISSION_REQUEST_PARTIAL_LIST = 37,
     MISSION_WRITE_PARTIAL_LIST = 38,
+    MISSION_ITEM = 39,
     MISSION_REQUEST = 40,
     MISSION_SET_CURRENT = 41,
     MISSION_CURRENT = 42,
     MISSION_REQUEST_LIST = 43,
     MISSION_COUNT = 44,
     MISSION_CLEAR_ALL = 45,
+    MISSION_ITEM_REACHED = 46,
     MISSION_ACK = 47,
     SET_GPS_GLOBAL_ORIGIN = 48,
     GPS_GLOBAL_ORIGIN = 49,
     MISSION_REQUEST_INT = 51,
     MANUAL_CONTROL = 69,
+    MISSION_ITEM_INT = 73,
     VFR_HUD = 74,
     COMMAND_INT = 75,
     COMMAND_LONG = 76,
@@ -118,6 +121,31 @@ pub const COMMAND_CALIBRATION: u16 = 31_012;
 /// MAV_CMD_USER_4: switch a sensor off or on.
 pub const COMMAND_SOURCE: u16 = 31_013;
 
+/// MAV_CMD_NAV_WAYPOINT, in plans; [`super::plan_items`] defines the meaning of this and the following.
+pub const COMMAND_WAYPOINT: u16 = 16;
+/// MAV_CMD_NAV_RETURN_TO_LAUNCH, in plans and by itself.
+pub const COMMAND_RETURN_TO_LAUNCH: u16 = 20;
+/// MAV_CMD_NAV_DELAY, in plans.
+pub const COMMAND_DELAY: u16 = 93;
+pub const COMMAND_SET_MODE: u16 = 176;
+pub const COMMAND_REPOSITION: u16 = 192;
+pub const COMMAND_PAUSE_CONTINUE: u16 = 193;
+pub const COMMAND_SET_MISSION_CURRENT: u16 = 224;
+pub const COMMAND_MISSION_START: u16 = 300;
+
+/// Whether a command starts, stops or directs the drive of a vehicle to goals.
+pub const fn is_drive_command(command: u16) -> bool {
+    matches!(
+        command,
+        COMMAND_RETURN_TO_LAUNCH
+            | COMMAND_SET_MODE
+            | COMMAND_REPOSITION
+            | COMMAND_PAUSE_CONTINUE
+            | COMMAND_SET_MISSION_CURRENT
+            | COMMAND_MISSION_START
+    )
+}
+
 /// Whether a command asks a component what it is: its version, its modes, its files about itself. `about` is the message that the command
 /// names.
 pub const fn is_description(command: u16, about: Option<u32>) -> bool {
@@ -148,6 +176,8 @@ pub const fn is_request(message: u32) -> bool {
             | MISSION_REQUEST_LIST
             | MISSION_REQUEST_PARTIAL_LIST
             | MISSION_WRITE_PARTIAL_LIST
+            | MISSION_ITEM
+            | MISSION_ITEM_INT
             | MISSION_REQUEST
             | MISSION_REQUEST_INT
             | MISSION_SET_CURRENT

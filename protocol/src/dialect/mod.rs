@@ -17,6 +17,7 @@ pub(crate) mod generated;
 pub mod ids;
 pub mod message_json;
 mod payload;
+pub mod plan_items;
 mod posebridge;
 mod poses;
 mod sensors;
@@ -58,14 +59,17 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::DEBUG_FLOAT_ARRAY => Ok(Some(services::float_array(payload))),
         ids::MISSION_REQUEST_PARTIAL_LIST
         | ids::MISSION_WRITE_PARTIAL_LIST
+        | ids::MISSION_ITEM
         | ids::MISSION_REQUEST
         | ids::MISSION_SET_CURRENT
         | ids::MISSION_CURRENT
         | ids::MISSION_REQUEST_LIST
         | ids::MISSION_COUNT
         | ids::MISSION_CLEAR_ALL
+        | ids::MISSION_ITEM_REACHED
         | ids::MISSION_ACK
         | ids::MISSION_REQUEST_INT
+        | ids::MISSION_ITEM_INT
         | ids::FILE_TRANSFER_PROTOCOL
         | ids::LOG_REQUEST_LIST
         | ids::LOG_ENTRY
@@ -129,6 +133,9 @@ fn decode_vehicle_service(message_id: u32, payload: &[u8]) -> Option<Message> {
         ids::MISSION_SET_CURRENT => vehicle::mission_set_current(payload),
         ids::MISSION_CURRENT => vehicle::mission_current(payload),
         ids::MISSION_ACK => vehicle::mission_ack(payload),
+        ids::MISSION_ITEM => vehicle::mission_item(payload),
+        ids::MISSION_ITEM_INT => vehicle::mission_item_int(payload),
+        ids::MISSION_ITEM_REACHED => vehicle::mission_item_reached(payload),
         ids::FILE_TRANSFER_PROTOCOL => vehicle::file_transfer(payload),
         ids::LOG_REQUEST_LIST => vehicle::log_request_list(payload),
         ids::LOG_ENTRY => vehicle::log_entry(payload),

@@ -5,8 +5,8 @@
 use super::ids;
 use super::payload::{Payload, PayloadReader};
 use crate::message::{
-    AvailableMode, ComponentMetadata, FileTransfer, LogMessage, Message, MetadataForm, MissionCurrent, PlanContent,
-    PlanMessage, plan,
+    AvailableMode, ComponentMetadata, FileTransfer, ItemPosition, LogMessage, Message, MetadataForm, MissionCurrent,
+    MissionItem, PlanContent, PlanMessage, plan,
 };
 
 /// Bytes of a file in one FILE_TRANSFER_PROTOCOL.
@@ -78,6 +78,62 @@ pub(super) fn write_plan(message: &PlanMessage) -> Payload {
             Payload::new(ids::MISSION_ACK).address(target).number::<u8>(result).number::<u8>(plan)
         }
     }
+}
+
+pub(super) fn mission_item(payload: &[u8]) -> Message {
+    read_item(payload, |reader| {
+        let [x, y] = reader.f32s();
+        ItemPosition::Float { x, y }
+    })
+}
+
+pub(super) fn mission_item_int(payload: &[u8]) -> Message {
+    read_item(payload, |reader| ItemPosition::Integer { x: reader.number::<i32>(), y: reader.number::<i32>() })
+}
+
+/// The layout of both messages, which differ in the position alone.
+fn read_item(payload: &[u8], position: impl FnOnce(&mut PayloadReader<'_>) -> ItemPosition) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let params: [f32; 4] = reader.f32s();
+    let position = position(&mut reader);
+    let z = reader.number::<f32>();
+    let (sequence, command) = (reader.number::<u16>(), reader.number::<u16>());
+    let target = reader.address();
+    let [frame, current, autocontinue, plan] = reader.bytes();
+    Message::MissionItem(MissionItem {
+        target,
+        plan,
+        sequence,
+        frame,
+        command,
+        current,
+        autocontinue,
+        params,
+        position,
+        z,
+    })
+}
+
+pub(super) fn write_item(item: &MissionItem) -> Payload {
+    let head = |id: u32| Payload::new(id).f32s(&item.params);
+    let payload = match item.position {
+        ItemPosition::Float { x, y } => head(ids::MISSION_ITEM).f32s(&[x, y]),
+        ItemPosition::Integer { x, y } => head(ids::MISSION_ITEM_INT).number::<i32>(x).number::<i32>(y),
+    };
+    payload.number::<f32>(item.z).number::<u16>(item.sequence).number::<u16>(item.command).address(item.target).raw(&[
+        item.frame,
+        item.current,
+        item.autocontinue,
+        item.plan,
+    ])
+}
+
+pub(super) fn mission_item_reached(payload: &[u8]) -> Message {
+    Message::MissionItemReached { sequence: PayloadReader::new(payload).number::<u16>() }
+}
+
+pub(super) fn write_item_reached(sequence: u16) -> Payload {
+    Payload::new(ids::MISSION_ITEM_REACHED).number::<u16>(sequence)
 }
 
 pub(super) fn mission_current(payload: &[u8]) -> Message {

@@ -75,16 +75,8 @@ pub struct CommandInt {
 
 impl CommandInt {
     /// The same command with seven parameters: coordinates in metres or degrees, to the 24 bits of a float.
-    ///
-    /// Source: common.xml, COMMAND_INT (fields x and y) and MAV_FRAME (which frames are local).
     pub fn to_long(self) -> CommandLong {
-        let unit = match self.frame {
-            // LOCAL_NED, LOCAL_ENU, LOCAL_OFFSET_NED to BODY_OFFSET_NED, BODY_FRD to LOCAL_FLU.
-            1 | 4 | 7..=9 | 12..=21 => 1e-4,
-            // GLOBAL and its relatives, those with INT and those relative to the terrain among them.
-            0 | 3 | 5 | 6 | 10 | 11 => 1e-7,
-            _ => 1.0,
-        };
+        let unit = integer_unit(self.frame);
         let [p1, p2, p3, p4] = self.params;
         let scaled = |value: i32| (f64::from(value) * unit) as f32;
         CommandLong {
@@ -92,6 +84,19 @@ impl CommandInt {
             command: self.command,
             params: [p1, p2, p3, p4, scaled(self.x), scaled(self.y), self.z],
         }
+    }
+}
+
+/// The metres or degrees of one step of a coordinate that is an integer; 1 in frames without a scale.
+///
+/// Source: common.xml, COMMAND_INT and MISSION_ITEM_INT (fields x and y) and MAV_FRAME (which frames are local).
+pub(super) const fn integer_unit(frame: u8) -> f64 {
+    match frame {
+        // LOCAL_NED, LOCAL_ENU, LOCAL_OFFSET_NED to BODY_OFFSET_NED, BODY_FRD to LOCAL_FLU.
+        1 | 4 | 7..=9 | 12..=21 => 1e-4,
+        // GLOBAL and its relatives, those with INT and those relative to the terrain among them.
+        0 | 3 | 5 | 6 | 10 | 11 => 1e-7,
+        _ => 1.0,
     }
 }
 
@@ -110,6 +115,10 @@ pub enum CommandResult {
     Failed = 4,
     /// Started; another reply follows.
     InProgress = 5,
+    /// Valid as COMMAND_INT alone, whose coordinates are exact.
+    IntOnly = 8,
+    /// Its coordinates are in a frame that is not supported.
+    UnsupportedFrame = 9,
 }
 
 /// The answer to a command.

@@ -10,15 +10,18 @@ use posebridge_telemetry::{
 };
 
 mod commands;
+mod heartbeat;
 mod vehicle;
 mod vehicle_state;
 mod wire_stamp;
 
 pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
+pub use heartbeat::Heartbeat;
+pub(crate) use vehicle::integer_coordinate;
 pub use vehicle::{
-    AvailableMode, ComponentMetadata, FileTransfer, LogMessage, MetadataForm, MissionCurrent, PlanContent, PlanMessage,
-    plan,
+    AvailableMode, ComponentMetadata, FileTransfer, ItemPosition, LogMessage, MetadataForm, MissionCurrent,
+    MissionItem, MissionResult, PlanContent, PlanMessage, plan,
 };
 pub use vehicle_state::{
     AttitudeQuaternion, Battery, GlobalPosition, GlobalReference, HeadUpDisplay, ManualControl, PositionTarget,
@@ -200,7 +203,12 @@ pub enum Message {
         count: u16,
     },
     Plan(PlanMessage),
+    MissionItem(MissionItem),
     MissionCurrent(MissionCurrent),
+    /// MISSION_ITEM_REACHED (46).
+    MissionItemReached {
+        sequence: u16,
+    },
     FileTransfer(FileTransfer),
     Log(LogMessage),
     AvailableMode(AvailableMode),
@@ -218,6 +226,7 @@ impl Message {
     pub const fn service_target(&self) -> Option<Address> {
         match self {
             Self::Plan(PlanMessage { target, .. })
+            | Self::MissionItem(MissionItem { target, .. })
             | Self::FileTransfer(FileTransfer { target, .. })
             | Self::Log(LogMessage::RequestList { target, .. } | LogMessage::RequestData { target, .. }) => {
                 Some(*target)
@@ -283,33 +292,15 @@ impl Message {
             | Self::ParamValue { .. }
             | Self::ParamHash { .. }
             | Self::Plan(_)
+            | Self::MissionItem(_)
             | Self::MissionCurrent(_)
+            | Self::MissionItemReached { .. }
             | Self::FileTransfer(_)
             | Self::Log(_)
             | Self::AvailableMode(_)
             | Self::ComponentMetadata(_) => None,
         }
     }
-}
-
-/// A participant's description of itself, sent once per second.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heartbeat {
-    /// MAV_TYPE, e.g. 10 ground rover, 18 onboard controller, 30 camera, 6 ground station.
-    pub vehicle_type: u8,
-    /// MAV_AUTOPILOT, e.g. 0 generic, 8 invalid (not an autopilot).
-    pub autopilot: u8,
-    /// MAV_MODE_FLAG bits; 0 unless something is armed.
-    pub base_mode: u8,
-    /// MAV_STATE, e.g. 4 active.
-    pub system_status: u8,
-}
-
-impl Heartbeat {
-    /// An active robot: MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
-    pub const ROVER: Self = Self { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
-    /// An active camera: MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
-    pub const CAMERA: Self = Self { vehicle_type: 30, autopilot: 8, ..Self::ROVER };
 }
 
 /// A time request or its reply.

@@ -2,6 +2,8 @@
 
 use posebridge_telemetry::Address;
 
+use super::commands::integer_unit;
+
 /// The plans that a vehicle may hold: MAV_MISSION_TYPE of common.xml.
 pub mod plan {
     pub const MISSION: u8 = 0;
@@ -40,6 +42,98 @@ pub enum PlanContent {
     ClearAll,
     /// MISSION_ACK (47), with a MAV_MISSION_RESULT.
     Ack { result: u8 },
+}
+
+/// An item of a plan, as it was sent: MISSION_ITEM (39) or MISSION_ITEM_INT (73).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MissionItem {
+    pub target: Address,
+    /// One of [`plan`], or any other number.
+    pub plan: u8,
+    /// Its place in the plan, from 0.
+    pub sequence: u16,
+    /// MAV_FRAME of the position.
+    pub frame: u8,
+    /// MAV_CMD.
+    pub command: u16,
+    /// 1 for the item that is driven to.
+    pub current: u8,
+    /// 0 to pause after the item.
+    pub autocontinue: u8,
+    pub params: [f32; 4],
+    pub position: ItemPosition,
+    pub z: f32,
+}
+
+/// The fifth and sixth parameter of an item: metres or degrees, north or latitude first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ItemPosition {
+    /// MISSION_ITEM: the unit itself.
+    Float { x: f32, y: f32 },
+    /// MISSION_ITEM_INT: metres times 10^4 or degrees times 10^7, as in COMMAND_INT.
+    Integer { x: i32, y: i32 },
+}
+
+impl ItemPosition {
+    /// In metres or degrees; NaN where there is none.
+    pub fn coordinates(self, frame: u8) -> [f64; 2] {
+        match self {
+            Self::Float { x, y } => [x, y].map(f64::from),
+            Self::Integer { x, y } => [x, y].map(|value| integer_coordinate(value, frame)),
+        }
+    }
+
+    /// For MISSION_ITEM.
+    #[must_use]
+    pub fn to_float(self, frame: u8) -> Self {
+        match self {
+            Self::Float { .. } => self,
+            Self::Integer { .. } => {
+                let [x, y] = self.coordinates(frame).map(|value| value as f32);
+                Self::Float { x, y }
+            }
+        }
+    }
+
+    /// For MISSION_ITEM_INT.
+    #[must_use]
+    pub fn to_integer(self, frame: u8) -> Self {
+        match self {
+            Self::Integer { .. } => self,
+            Self::Float { .. } => {
+                let scaled =
+                    |value: f64| if value.is_nan() { i32::MAX } else { (value / integer_unit(frame)).round() as i32 };
+                let [x, y] = self.coordinates(frame).map(scaled);
+                Self::Integer { x, y }
+            }
+        }
+    }
+}
+
+/// A coordinate of a message with integers, in metres or degrees. The largest number stands for NaN (MAVLink guide, "Mission Protocol").
+pub(crate) fn integer_coordinate(value: i32, frame: u8) -> f64 {
+    if value == i32::MAX { f64::NAN } else { f64::from(value) * integer_unit(frame) }
+}
+
+/// MAV_MISSION_RESULT of common.xml: the results that are sent here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum MissionResult {
+    Accepted = 0,
+    Error = 1,
+    UnsupportedFrame = 2,
+    Unsupported = 3,
+    NoSpace = 4,
+    InvalidParam1 = 6,
+    InvalidParam2 = 7,
+    InvalidParam3 = 8,
+    InvalidParam4 = 9,
+    InvalidParam5X = 10,
+    InvalidParam6Y = 11,
+    InvalidParam7 = 12,
+    InvalidSequence = 13,
+    Denied = 14,
+    OperationCancelled = 15,
 }
 
 /// MISSION_CURRENT (42).

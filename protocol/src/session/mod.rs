@@ -21,15 +21,17 @@ use posebridge_telemetry::{Address, ComponentId, TimeDelta, Timestamp};
 
 pub use self::file_server::{ServedFile, crc32};
 use self::output::{MIN_PERIOD, next_period};
-pub use self::output::{SessionOutput, SessionSender};
+pub use self::output::{PlanRequest, SessionOutput, SessionSender};
 use self::parameters::ParameterServer;
 use self::peers::PeerTable;
 pub use self::peers::RequestedMessages;
 use self::time_requests::TimeRequests;
 use self::vehicle_services::VehicleServices;
-pub use self::vehicle_services::most_answers;
+pub use self::vehicle_services::{PlanService, most_answers};
 use crate::dialect::ids::COMMAND_SET_MESSAGE_INTERVAL;
-use crate::message::{CommandAck, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync};
+use crate::message::{
+    CommandAck, CommandInt, CommandLong, CommandResult, Heartbeat, Message, SetMessageInterval, TimeSync,
+};
 
 /// The configuration of a [`Session`].
 #[derive(Clone, Debug, PartialEq)]
@@ -137,9 +139,14 @@ impl<C: Clock> Session<C> {
         self.served_commands = served;
     }
 
-    /// Answers what is asked of a vehicle beside telemetry, parameters and commands: plans and logs, of which it has none, and these files.
-    pub fn serve_as_vehicle(&mut self, files: Arc<[ServedFile]>) {
-        self.vehicle_services = Some(VehicleServices::new(files));
+    /// Answers what is asked of a vehicle beside telemetry, parameters and commands: plans, logs, of which it has none, and these files.
+    pub fn serve_as_vehicle(&mut self, files: Arc<[ServedFile]>, plans: PlanService) {
+        self.vehicle_services = Some(VehicleServices::new(files, plans));
+    }
+
+    /// `None` if it is no vehicle.
+    pub fn plan_service(&self) -> Option<PlanService> {
+        self.vehicle_services.as_ref().map(VehicleServices::plan_service)
     }
 
     /// Sends the next heartbeat now, and the following ones from then on.
@@ -208,12 +215,12 @@ impl<C: Clock> Session<C> {
             Message::Heartbeat(heartbeat) => self.on_heartbeat(now, from, *heartbeat),
             Message::TimeSync(sync) => self.on_time_sync(now, sender, *sync),
             Message::SetMessageInterval(request) => self.on_interval(from, *request),
-            Message::Command(command) => self.on_command(from, *command),
-            Message::CommandInt(command) => {
-                let command = command.to_long();
+            Message::Command(command) => self.on_command(from, *command, None),
+            Message::CommandInt(exact) => {
+                let command = exact.to_long();
                 match SetMessageInterval::from_command(&command) {
                     Some(request) => self.on_interval(from, request),
-                    None => self.on_command(from, command),
+                    None => self.on_command(from, command, Some(*exact)),
                 }
             }
             Message::CommandAck(ack) => {
@@ -229,7 +236,9 @@ impl<C: Clock> Session<C> {
                 let output = self.parameters.handle(now, own, from, message);
                 self.outputs.extend(output);
             }
-            Message::Plan(_) | Message::FileTransfer(_) | Message::Log(_) => self.on_service_request(sender, message),
+            Message::Plan(_) | Message::MissionItem(_) | Message::FileTransfer(_) | Message::Log(_) => {
+                self.on_service_request(sender, message);
+            }
             // A sign of life.
             _ => {}
         }
@@ -377,13 +386,13 @@ impl<C: Clock> Session<C> {
         });
     }
 
-    fn on_command(&mut self, by: Address, command: CommandLong) {
+    fn on_command(&mut self, by: Address, command: CommandLong, exact: Option<CommandInt>) {
         let is_for_our_system = command.target.system == self.config.own.system
             && self.is_for_us(command.target)
             && self.served_commands.include(command.command);
         // Only when meant for us alone: for a command to all components, another one may have the better answer.
         if command.target == self.config.own || is_for_our_system {
-            self.outputs.push_back(SessionOutput::CommandReceived { by, command });
+            self.outputs.push_back(SessionOutput::CommandReceived { by, command, exact });
         }
     }
 
@@ -395,6 +404,10 @@ impl<C: Clock> Session<C> {
             return;
         }
         if let Some(services) = &mut self.vehicle_services {
+            if let Some(request) = services.owners_request(message) {
+                self.outputs.push_back(SessionOutput::PlanReceived { by: sender, request });
+                return;
+            }
             let answers = services.answer(sender, message);
             self.outputs.extend(answers.into_iter().map(SessionOutput::Send));
         }

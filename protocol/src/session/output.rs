@@ -3,7 +3,7 @@
 use posebridge_telemetry::clock::Clock;
 use posebridge_telemetry::{Address, PeerId, TimeDelta, Timestamp};
 
-use crate::message::{CommandLong, Heartbeat, Message};
+use crate::message::{CommandInt, CommandLong, Heartbeat, Message, MissionItem, PlanMessage};
 
 /// A message or an event of a [`Session`](super::Session).
 #[derive(Clone, Debug, PartialEq)]
@@ -36,7 +36,11 @@ pub enum SessionOutput<C: Clock> {
         by: Address,
         /// Supported or not; COMMAND_INT is converted to this form.
         command: CommandLong,
+        /// The command as it came, with exact coordinates, if it was a COMMAND_INT.
+        exact: Option<CommandInt>,
     },
+    /// A request about the mission of a vehicle whose plans its owner keeps ([`PlanService::Owner`](super::PlanService::Owner)), who answers it.
+    PlanReceived { by: SessionSender, request: PlanRequest },
     /// A request to set one of our parameters; the resulting value must be reported with
     /// [`Session::report_parameter`](super::Session::report_parameter).
     ParameterSetRequested {
@@ -60,6 +64,13 @@ pub enum SessionOutput<C: Clock> {
         /// The requested name or index, as received.
         requested: String,
     },
+}
+
+/// A message of a ground station about a plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PlanRequest {
+    Message(PlanMessage),
+    Item(MissionItem),
 }
 
 /// Shortest period, so that a zero in a configuration does not busy-loop.

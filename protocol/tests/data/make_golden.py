@@ -354,6 +354,23 @@ def service_cases(std):
     yield "mission_count_none", frame(std, "mission_count", 1, 1, 68, count=0, mission_type=0, opaque_id=0, **ground)
     yield "mission_clear_all", frame(std, "mission_clear_all", 255, 190, 69, mission_type=255, **vehicle)
     yield "mission_ack", frame(std, "mission_ack", 1, 1, 70, type=13, mission_type=1, opaque_id=0, **ground)
+    item = dict(seq=258, current=1, autocontinue=1, param1=2.5, param2=0.25, param3=0.0, param4=-90.0, z=1.5, **vehicle)
+    yield "mission_item", frame(
+        std, "mission_item", 255, 190, 81, frame=1, command=16, x=1.25, y=-2.5, mission_type=0, **item)
+    yield "mission_item_int", frame(
+        std, "mission_item_int", 255, 190, 82, frame=6, command=16, x=520115001, y=-1234567, mission_type=0, **item)
+    yield "mission_item_int_of_unlisted_command", frame(
+        std, "mission_item_int", 255, 190, 83, frame=99, command=65000, x=-2147483648, y=2147483647, mission_type=2, **item)
+    yield "mission_item_reached", frame(std, "mission_item_reached", 1, 1, 84, seq=258)
+    yield "mission_current_active", frame(
+        std, "mission_current", 1, 1, 85, seq=2, total=4, mission_state=3, mission_mode=0, mission_id=0, fence_id=0,
+        rally_points_id=0)
+    yield "command_int_reposition", frame(
+        std, "command_int", 255, 190, 86, target_system=1, target_component=1, frame=5, command=192, current=0,
+        autocontinue=0, param1=-1.0, param2=1.0, param3=0.0, param4=0.5, x=520115001, y=43571002, z=7.5)
+    yield "command_ack_of_command_int_only", frame(
+        std, "command_ack", 1, 1, 87, command=192, result=8, progress=0, result_param2=0,
+        target_system=255, target_component=190)
     header = [0x02, 0x01, 7, 4, 12, 0, 0, 0, 1, 2, 3, 4]
     path = list(b"/folder/file")
     yield "file_transfer_open", frame(

@@ -298,6 +298,7 @@ fn other_commands_reach_us_only_when_meant_for_us_alone() {
     let commanded = Output::CommandReceived {
         by: GCS,
         command: CommandLong { target: STATION, command: 65_000, params: [0.0; 7] },
+        exact: None,
     };
     assert_eq!(station.receive(GCS, &command(STATION)), [commanded]);
     station.session.acknowledge_command(GCS, 65_000, CommandResult::Unsupported);
@@ -313,15 +314,16 @@ fn a_command_with_integer_coordinates_is_the_same_command() {
     let command = |command, frame, params| {
         Message::CommandInt(CommandInt { target: STATION, frame, command, params, x: 15_000, y: -20_000, z: 0.5 })
     };
-    let commanded = |p5, p6| Output::CommandReceived {
+    let params = [1.0, 2.0, 3.0, 4.0];
+    let commanded = |frame, p5, p6| Output::CommandReceived {
         by: GCS,
         command: CommandLong { target: STATION, command: 65_000, params: [1.0, 2.0, 3.0, 4.0, p5, p6, 0.5] },
+        exact: Some(CommandInt { target: STATION, frame, command: 65_000, params, x: 15_000, y: -20_000, z: 0.5 }),
     };
-    let params = [1.0, 2.0, 3.0, 4.0];
     // Local coordinates are 1e-4 m, global ones 1e-7 degrees; a mission's are what they are.
     for (frame, p5, p6) in [(1, 1.5, -2.0), (20, 1.5, -2.0), (6, 0.0015, -0.002), (2, 15_000.0, -20_000.0)] {
         let outputs = station.receive(GCS, &command(65_000, frame, params));
-        assert_eq!(outputs, [commanded(p5, p6)], "frame {frame}");
+        assert_eq!(outputs, [commanded(frame, p5, p6)], "frame {frame}");
     }
     let outputs = station.receive(GCS, &command(SET_MESSAGE_INTERVAL, 2, [331.0, 2e5, 0.0, 0.0]));
     let requested = Output::IntervalRequested { by: GCS, message_id: 331, interval: Some(TimeDelta::from_millis(200)) };

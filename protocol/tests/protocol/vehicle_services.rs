@@ -2,9 +2,12 @@
 
 use posebridge_protocol::dialect::{Encoder, decode};
 use posebridge_protocol::framing::{FrameRef, WireVersion};
-use posebridge_protocol::message::{FileTransfer, LogMessage, Message, MissionCurrent, PlanContent, PlanMessage};
+use posebridge_protocol::message::{
+    FileTransfer, ItemPosition, LogMessage, Message, MissionCurrent, MissionItem, PlanContent, PlanMessage,
+};
 use posebridge_protocol::session::{
-    RequestedMessages, ServedFile, Session, SessionConfig, SessionOutput, SessionSender, crc32, most_answers,
+    PlanRequest, PlanService, RequestedMessages, ServedFile, Session, SessionConfig, SessionOutput, SessionSender,
+    crc32, most_answers,
 };
 use posebridge_telemetry::{Address, HostClock, PeerId, TimeDelta};
 
@@ -20,6 +23,10 @@ const NAK: u8 = 129;
 
 /// A vehicle with an empty file, one that two bursts bring, and three parameters.
 fn vehicle() -> Session<HostClock> {
+    vehicle_with(PlanService::Empty)
+}
+
+fn vehicle_with(plans: PlanService) -> Session<HostClock> {
     let config = SessionConfig {
         own: ROBOT,
         heartbeat: ROVER,
@@ -31,7 +38,7 @@ fn vehicle() -> Session<HostClock> {
     };
     let mut session = Session::new(config, at(0));
     let files = [ServedFile { name: "empty", content: vec![] }, ServedFile { name: "long", content: long_file() }];
-    session.serve_as_vehicle(files.to_vec().into());
+    session.serve_as_vehicle(files.to_vec().into(), plans);
     session.offer_parameters([("SLIP_NIS", 10.83), ("GATE_PROB", 0.999), ("_ODD", -0.0)].map(named).into_iter());
     session
 }
@@ -94,6 +101,44 @@ fn every_request_about_a_plan_is_answered_and_only_an_empty_one_is_taken() {
     let set_current = plan(ROBOT, 0, PlanContent::SetCurrent { sequence: 4 });
     assert_eq!(answers(&mut session, &set_current), [Message::MissionCurrent(none)]);
     assert_eq!(answers(&mut session, &plan(ROBOT, 0, ack(0))), [], "the end of a transfer has no answer");
+}
+
+#[test]
+fn an_owner_gets_what_concerns_the_mission_and_nothing_of_fences_and_rally_points() {
+    let mut session = vehicle_with(PlanService::Owner);
+    let item = |plan| MissionItem {
+        target: ROBOT,
+        plan,
+        sequence: 0,
+        frame: 1,
+        command: 16,
+        current: 1,
+        autocontinue: 1,
+        params: [0.0; 4],
+        position: ItemPosition::Integer { x: 0, y: 0 },
+        z: 0.0,
+    };
+    let message = |plan, content| PlanMessage { target: ROBOT, plan, content };
+    for request in [
+        PlanRequest::Message(message(0, PlanContent::RequestList)),
+        PlanRequest::Message(message(255, PlanContent::ClearAll)),
+        PlanRequest::Item(item(0)),
+    ] {
+        let by = SessionSender { address: GCS, peer: Some(PeerId(3)) };
+        session.handle_from_peer(
+            at(0),
+            by,
+            &match request {
+                PlanRequest::Message(message) => Message::Plan(message),
+                PlanRequest::Item(item) => Message::MissionItem(item),
+            },
+        );
+        assert_eq!(session.poll(), Some(SessionOutput::PlanReceived { by, request }));
+        assert_eq!(session.poll(), None);
+    }
+    let refused = |kind| [plan(GCS, kind, PlanContent::Ack { result: 3 })];
+    assert_eq!(answers(&mut session, &plan(ROBOT, 1, PlanContent::Count { items: 2 })), refused(1));
+    assert_eq!(answers(&mut session, &Message::MissionItem(item(2))), refused(2));
 }
 
 #[test]

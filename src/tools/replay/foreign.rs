@@ -3,7 +3,7 @@
 use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_report::metrics::summarise;
 use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_over_runs};
-use posebridge_station::{DescriptionPolicy, FixRequestConfig, RobotConfig, Station, StationConfig};
+use posebridge_station::{DescriptionPolicy, FixRequestConfig, GoalPolicy, RobotConfig, Station, StationConfig};
 use posebridge_telemetry::{Address, Estimate, Input, Observation, Point2, TimeDelta};
 
 use super::own::{changed_settings, profile_settings};
@@ -198,6 +198,7 @@ pub fn replay_run(
             tag: None,
             compared_filters: vec![],
             thermometers: vec![],
+            goals: GoalPolicy::Refuse,
         },
         robots: vec![],
         max_robots: 1,

@@ -20,6 +20,7 @@ mod identity;
 mod links;
 mod loops;
 mod many_peers;
+mod missions;
 mod redundant_links;
 mod routing;
 mod several_robots;

@@ -4,8 +4,8 @@ use posebridge_estimator::models::slow_sensor::SlowSensor;
 use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_station::{
-    AcceptedVersions, DescriptionPolicy, FixRequestConfig, LinkConfig, OutputInstant, OutputKind, OutputStream,
-    RobotConfig, StationConfig,
+    AcceptedVersions, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig, OutputInstant, OutputKind,
+    OutputStream, RobotConfig, StationConfig,
 };
 use posebridge_telemetry::{
     Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
@@ -46,6 +46,7 @@ pub(crate) fn config() -> StationConfig {
             tag: None,
             compared_filters: vec![],
             thermometers: vec![],
+            goals: GoalPolicy::ByLink,
         },
         robots: vec![],
         max_robots: 64,
@@ -86,6 +87,7 @@ pub(crate) fn link(id: LinkId, outputs: Vec<OutputStream>) -> LinkConfig {
         signing: None,
         pin: None,
         rules: posebridge_protocol::routing::LinkRules::default(),
+        robots_take_goals: false,
     }
 }
 

@@ -65,7 +65,8 @@ impl StationSimulation {
     }
 
     fn send_back(&mut self) {
-        let fresh: Vec<_> = self.station.sent_since(self.handled_outputs).map(|sent| sent.bytes.to_vec()).collect();
+        let fresh = self.station.sent_since(self.handled_outputs).filter(|sent| sent.link == LINK);
+        let fresh: Vec<_> = fresh.map(|sent| sent.bytes.to_vec()).collect();
         self.handled_outputs = self.station.outputs.len();
         for bytes in fresh {
             let arrival = self.arrival(self.to_robot.last_arrival());
