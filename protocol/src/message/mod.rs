@@ -14,7 +14,6 @@ mod vehicle;
 mod vehicle_state;
 mod wire_stamp;
 
-pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
 pub use vehicle::{
     AvailableMode, ComponentMetadata, FileTransfer, LogMessage, MetadataForm, MissionCurrent, PlanContent, PlanMessage,
