@@ -34,6 +34,9 @@ pub struct RobotFile {
     pub ticks_per_turn: f64,
     /// Let the robot's own description, when it sends one, override this file.
     pub adopt_description: bool,
+    /// The speeds of an autopilot's RPM message are those of the left and the right wheel, forward positive.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub rpm_is_wheels: bool,
     /// Noise of motion and sensors.
     pub noise: RobotNoise,
     /// Systematic errors, and how well they are known.
@@ -94,6 +97,7 @@ impl Default for RobotFile {
             track_width_m: 0.112,
             ticks_per_turn: 360.0,
             adopt_description: true,
+            rpm_is_wheels: false,
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             mounting: RobotMounting::default(),
