@@ -38,6 +38,9 @@ pub struct RobotFile {
     /// simulator do, and no others.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accepts_goals: Option<bool>,
+    /// The speeds of an autopilot's RPM message are those of the left and the right wheel, forward positive.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub rpm_is_wheels: bool,
     /// Noise of motion and sensors.
     pub noise: RobotNoise,
     /// Systematic errors, and how well they are known.
@@ -99,6 +102,7 @@ impl Default for RobotFile {
             ticks_per_turn: 360.0,
             adopt_description: true,
             accepts_goals: None,
+            rpm_is_wheels: false,
             noise: RobotNoise::default(),
             calibration: RobotCalibration::default(),
             mounting: RobotMounting::default(),

@@ -7,7 +7,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_link::ConnectRole;
 use posebridge_protocol::dialect::ids;
 use posebridge_sim::Scenario;
-use posebridge_station::{DescriptionPolicy, LinkConfig, Robot, RobotBlock, RobotConfig, StationConfig};
+use posebridge_station::{DescriptionPolicy, LinkConfig, Robot, RobotBlock, RobotConfig, RpmMeaning, StationConfig};
 use posebridge_telemetry::{Address, GeodeticOrigin, GeodeticPoint, Meters, Point2, Radians, SystemId, TimeDelta};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -189,6 +189,7 @@ impl Config {
             compared_filters: self.filter.compared()?,
             filter_config: self.filter_config_of(robot)?,
             wiring: robot.wiring(),
+            rpm: if robot.rpm_is_wheels { RpmMeaning::Wheels } else { RpmMeaning::Unknown },
             description: if robot.adopt_description { DescriptionPolicy::Adopt } else { DescriptionPolicy::Ignore },
             tag_in_body: Point2::new(Meters(self.camera.tag_x_m), Meters(self.camera.tag_y_m)),
             tag: None,
@@ -253,15 +254,18 @@ impl Config {
         };
         let interval = TimeDelta::from_millis(i64::from(asked));
         let slow = TimeDelta::from_millis(i64::from(asked.max(AUTOPILOT_FIX_INTERVAL_MS)));
-        vec![
+        let has_wheel_speeds =
+            self.robots.iter().map(|block| &block.robot).chain([&self.robot]).any(|robot| robot.rpm_is_wheels);
+        let wheel_speeds = has_wheel_speeds.then_some((ids::RPM, interval));
+        let others = [
             (ids::WHEEL_DISTANCE, interval),
-            (ids::RPM, interval),
             (ids::ODOMETRY, interval),
             (ids::RAW_IMU, interval),
             (ids::HIGHRES_IMU, interval),
             (ids::DISTANCE_SENSOR, interval),
             (ids::GPS_RAW_INT, slow),
-        ]
+        ];
+        others.into_iter().chain(wheel_speeds).collect()
     }
 
     /// Reads the files of the cameras, so that a recording of this configuration holds what stands in them. The delay of a camera

@@ -67,18 +67,15 @@ impl Station {
         }
     }
 
-    pub(crate) fn handle_parameter_set(&mut self, link: LinkId, index: usize, value: f32) {
+    pub(crate) fn handle_parameter_set(&mut self, link: LinkId, role: SenderRole, index: usize, value: f32) {
         let Some(row) = PARAMS.get(index) else {
             return;
         };
-        let before = (row.read)(&self.config.robot.filter_config.params);
         let name = ParameterName::from_bytes(row.key.as_bytes());
         let command = Command::SetParameter { name, value: shortest_decimal(value) };
         let outcome = self.execute(TargetedCommand { target: CommandTarget::Station, command });
-        if (row.read)(&self.config.robot.filter_config.params).to_bits() == before.to_bits() {
-            // A change was reported; that nothing has changed is an answer, too.
-            self.announce_parameter(index);
-        }
+        // That nothing has changed is an answer, too.
+        self.answer_parameter_set(link, role, index);
         self.report_outcome(&outcome);
         if let Err(why) = &outcome {
             self.send_text_answer(link, severity::WARNING, why);
@@ -86,13 +83,13 @@ impl Station {
     }
 
     /// A peer sets a tunable with an unreadable type: without a reply it would repeat the request until it gives up.
-    pub(crate) fn handle_unsupported_type(&mut self, link: LinkId, index: usize, kind: u8) {
+    pub(crate) fn handle_unsupported_type(&mut self, link: LinkId, role: SenderRole, index: usize, kind: u8) {
         let Some(row) = PARAMS.get(index) else {
             return;
         };
         // 9 is REAL32. Short, because it has to fit into a STATUSTEXT.
         let why = format!("{}: send MAV_PARAM_TYPE 9, not {kind}", row.key);
-        self.announce_parameter(index);
+        self.answer_parameter_set(link, role, index);
         self.send_text_answer(link, severity::WARNING, &why);
         self.report_own_text(severity::WARNING, why);
     }
@@ -127,7 +124,11 @@ impl Station {
             Some(answer) => answer,
             None => RequestReply::of(self.execute_link_command(id, role, requester, request)),
         };
-        if answer.is_left_to_others(command) {
+        let (now, system) = (self.time.now, command.target.system);
+        // The vehicle is never silent where nobody else can answer; beside it the station is.
+        let are_others_present =
+            role == SenderRole::Station || self.router.hears_system_elsewhere(now, received.endpoint, system);
+        if are_others_present && answer.may_be_left_to_others(command) {
             return;
         }
         self.sessions.with_session(id, role, |session| {
@@ -329,22 +330,16 @@ impl Station {
         let before = std::mem::replace(&mut self.config.robot.filter_config.params, params);
         for (index, row) in PARAMS.iter().enumerate() {
             if (row.read)(&before).to_bits() != (row.read)(&params).to_bits() {
-                self.announce_parameter(index);
+                self.sessions.store_parameter(index, (row.read)(&params) as f32);
             }
         }
         Ok(())
     }
 
-    /// Reports the value of a tunable on every link where a peer has requested tunables.
-    fn announce_parameter(&mut self, index: usize) {
-        let Some(row) = PARAMS.get(index) else {
-            return;
-        };
-        let value = (row.read)(&self.config.robot.filter_config.params) as f32;
-        for (link, role, message) in self.sessions.report_parameter(index, value) {
-            if self.links.get(&link).is_some_and(|link| link.state == LinkState::Up) {
-                self.transmitter().send_as(link, role, &message, Priority::Command);
-            }
+    /// Reports the value of a tunable to the one that has set it.
+    fn answer_parameter_set(&mut self, link: LinkId, role: SenderRole, index: usize) {
+        if let Some(report) = self.sessions.answer_parameter_set(link, role, index) {
+            self.transmitter().send_session_message(link, role, &report);
         }
     }
 

@@ -54,6 +54,7 @@ pub struct RobotConfig {
     pub filter_config: FilterConfig,
     /// How its sensors are connected; what a message says is corrected by it.
     pub wiring: Wiring,
+    pub rpm: RpmMeaning,
     /// Whether the robot's own description replaces the configured geometry.
     pub description: DescriptionPolicy,
     /// Position of the camera's tag on the robot, if fixes are of a tag and not of mid-axle.
@@ -65,6 +66,16 @@ pub struct RobotConfig {
     pub thermometers: Vec<ThermometerConfig>,
     /// Whether it drives to the goals of plans.
     pub goals: GoalPolicy,
+}
+
+/// What turns with the speeds of a robot's RPM message: engines and rotors as often as wheels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RpmMeaning {
+    /// Not known: the message is not used.
+    #[default]
+    Unknown,
+    /// The left and the right wheel, forward positive.
+    Wheels,
 }
 
 /// The configuration of the robots that match.

@@ -7,6 +7,7 @@
 //! bytes > framing > messages > readings > clock > estimator > publisher > events, bytes
 //! ```
 
+mod battery_monitor;
 mod camera_fixes;
 mod camera_table;
 pub mod clock;
@@ -37,6 +38,7 @@ mod observers;
 mod operator;
 mod output_queue;
 mod output_schedule;
+mod parameter_reports;
 mod peer_framers;
 mod receive;
 mod receive_pass;
@@ -64,8 +66,8 @@ mod test_config;
 
 pub use config::{
     AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig,
-    OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, StationConfig,
-    ThermometerConfig,
+    OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, RpmMeaning,
+    StationConfig, ThermometerConfig,
 };
 pub use robot::Robot;
 pub use sender_pins::PinPolicy;

@@ -23,7 +23,7 @@ pub(crate) struct LinkContext {
     has_peer: bool,
     pub(crate) health: LinkHealth,
     pub(crate) framers: PeerFramers,
-    /// Until it is known whether the link's garbage is MAVLink 1.
+    /// Where garbage may be MAVLink 1.
     pub(crate) mavlink1_probe: Option<Mavlink1Probe>,
     pub(crate) verifier: FrameVerifier,
     pub(crate) decoder: Decoder,
@@ -96,11 +96,11 @@ const MAX_GROUND_STATIONS: usize = 32;
 
 /// Copies of its frames that one peer may cause in a second, and at once: ten ground stations see all of a robot that sends a thousand
 /// frames a second.
-const FORWARDED_COPIES: TokenRate = TokenRate { per_second: 10_000, at_once: 10_000 };
+const FORWARDED_COPIES: TokenRate = TokenRate { per_second: 10_000, burst: 10_000 };
 
 /// Answers that one peer may cause. A ground station that connects asks for about a hundred; one that repeats its requests without end
 /// gets less than 60 kB a second.
-const REQUESTED_ANSWERS: TokenRate = TokenRate { per_second: 200, at_once: 400 };
+const REQUESTED_ANSWERS: TokenRate = TokenRate { per_second: 200, burst: 400 };
 
 /// Fewer lost frames than this, or a smaller share, harm no estimate.
 const MIN_LOST_FRAMES: u64 = 5;
@@ -155,6 +155,9 @@ impl LinkContext {
                 self.forwarding.clear();
                 self.requests.clear();
                 self.hosts.clear();
+                if let Some(probe) = &mut self.mavlink1_probe {
+                    probe.handle_link_loss();
+                }
                 if let Some(pins) = &mut self.pins {
                     pins.handle_link_loss();
                 }
@@ -235,6 +238,9 @@ impl LinkContext {
             self.forwarding.remove(peer);
             self.requests.remove(peer);
             self.hosts.remove(peer);
+            if let Some(probe) = &mut self.mavlink1_probe {
+                probe.forget(*peer);
+            }
         }
     }
 

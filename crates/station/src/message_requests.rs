@@ -11,7 +11,7 @@ use posebridge_protocol::dialect::ids::{
 use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::{
     AutopilotVersion, AvailableMode, CommandLong, CommandResult, ComponentInformation, ComponentMetadata, Heartbeat,
-    Message, MessageInterval, MetadataForm, ProtocolVersion,
+    Message, MessageInterval, MetadataForm, ProtocolVersion, SetMessageInterval,
 };
 use posebridge_telemetry::{ComponentId, HostClock, LinkId, Timestamp};
 
@@ -39,10 +39,12 @@ const CAPABILITY_MAVLINK2: u64 = 8_192;
 /// FIRMWARE_VERSION_TYPE_DEV and FIRMWARE_VERSION_TYPE_OFFICIAL.
 const FIRMWARE_DEVELOPMENT: u8 = 0;
 const FIRMWARE_RELEASE: u8 = 255;
-/// The only mode of a robot, whoever steers it: its custom mode is that of its heartbeat.
+/// The only mode of a robot. Its custom mode is that of the heartbeat.
 const MODE_NAME: &str = "Driving";
 /// MAV_MODE_PROPERTY_NOT_USER_SELECTABLE.
 const NOT_SELECTABLE: u32 = 2;
+/// Time between two heartbeats.
+const HEARTBEAT_MICROS: i32 = 1_000_000;
 /// MESSAGE_INTERVAL for a message that does not exist.
 const NO_SUCH_MESSAGE: i32 = 0;
 
@@ -59,20 +61,28 @@ impl RequestReply {
     }
 
     /// Without any, there was none yet; it may be requested again.
-    fn of_messages(messages: Vec<Message>) -> Self {
+    fn from_messages(messages: Vec<Message>) -> Self {
         let result = if messages.is_empty() { CommandResult::TemporarilyRejected } else { CommandResult::Accepted };
         Self { result, messages }
     }
 
-    fn with(message: Message) -> Self {
+    fn accepted(message: Message) -> Self {
         Self { result: CommandResult::Accepted, messages: vec![message] }
     }
 
-    /// A request to all components may be for any that supports it: when the station does not, another one may.
-    pub(crate) fn is_left_to_others(&self, command: &CommandLong) -> bool {
-        let is_request = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
-        let is_for_all = command.target.component == ComponentId(0);
-        is_request && is_for_all && self.result != CommandResult::Accepted
+    /// A command to all components may be for any that supports it: when the station does not, another one may.
+    pub(crate) fn may_be_left_to_others(&self, command: &CommandLong) -> bool {
+        let is_about_messages = matches!(command.command, COMMAND_REQUEST_MESSAGE | COMMAND_GET_MESSAGE_INTERVAL);
+        let is_refused = match self.result {
+            CommandResult::Accepted | CommandResult::InProgress => false,
+            CommandResult::Unsupported | CommandResult::TemporarilyRejected => true,
+            // The station's own command with a wrong value.
+            CommandResult::Denied
+            | CommandResult::Failed
+            | CommandResult::IntOnly
+            | CommandResult::UnsupportedFrame => is_about_messages,
+        };
+        command.target.component == ComponentId(0) && is_refused
     }
 }
 
@@ -96,11 +106,14 @@ impl RequestContext<'_> {
                 Some(message_id) => self.interval(message_id),
                 None => RequestReply::of(CommandResult::Denied),
             }),
-            COMMAND_REQUEST_PROTOCOL_VERSION => Some(RequestReply::with(self.protocol_version())),
-            COMMAND_GET_HOME_POSITION => Some(RequestReply::of_messages(self.vehicle_status(ids::HOME_POSITION))),
-            COMMAND_REQUEST_CAPABILITIES => Some(RequestReply::with(self.autopilot_version())),
-            // It names no message, or an interval that is none.
-            COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(CommandResult::Denied)),
+            COMMAND_REQUEST_PROTOCOL_VERSION => Some(RequestReply::accepted(self.protocol_version())),
+            COMMAND_GET_HOME_POSITION => Some(RequestReply::from_messages(self.vehicle_status(ids::HOME_POSITION))),
+            COMMAND_REQUEST_CAPABILITIES => Some(RequestReply::accepted(self.autopilot_version())),
+            COMMAND_SET_MESSAGE_INTERVAL => Some(RequestReply::of(match SetMessageInterval::from_command(command) {
+                Some(_) => CommandResult::Unsupported,
+                // It names no message, or an interval that is none.
+                None => CommandResult::Denied,
+            })),
             _ => None,
         }
     }
@@ -148,7 +161,7 @@ impl RequestContext<'_> {
                 None => return RequestReply::of(CommandResult::Unsupported),
             },
         };
-        RequestReply::of_messages(messages)
+        RequestReply::from_messages(messages)
     }
 
     /// The status message of the robot with this id; none while it is unknown.
@@ -176,7 +189,9 @@ impl RequestContext<'_> {
         // For a requester that is no robot the first one represents all: it has the intervals that were requested for all of them.
         let robot = self.robot().unwrap_or_else(|| self.robots.first());
         let interval = kind.and_then(|kind| robot.publisher.interval_micros(self.link, kind));
-        let interval_micros = interval.unwrap_or(NO_SUCH_MESSAGE);
+        // They are sent with the heartbeats.
+        let of_status = (self.is_vehicle() && STATUS_MESSAGES.contains(&message_id)).then_some(HEARTBEAT_MICROS);
+        let interval_micros = interval.or(of_status).unwrap_or(NO_SUCH_MESSAGE);
         let reply = Message::MessageInterval(MessageInterval { message_id: on_wire, interval_micros });
         RequestReply { result: CommandResult::Accepted, messages: vec![reply] }
     }

@@ -1,24 +1,57 @@
 //! What drives a robot's filter: one of the sources that measure the same motion.
 //!
 //! An autopilot sends one inertial unit in several messages, and several units: two of them together would count one turn twice. The
-//! speed of a satellite receiver stands in for wheels, where there are none.
+//! speed of a satellite receiver stands in for wheels, where there are none. Filters follow counts of wheels and a foreign odometer for
+//! good once they had them, so no speed takes the place of these; it takes that of a wheel's speeds when they fall silent.
 
 use posebridge_protocol::message::ImuMessage;
-use posebridge_telemetry::{HostClock, ObservationKind, RadiansPerSecond, SensorId, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    HostClock, MetersPerSecond, ObservationKind, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
+};
 
 use crate::observation_extractor::UnalignedObservation;
 
 /// After this silence of a source another one takes its place.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
+/// A receiver that reports less may be at rest: three standard deviations of the 0.1 m/s that they typically have. A robot that drives
+/// more slowly is at rest by this, and only its positions show that it moves.
+const MIN_GROUND_SPEED_M_PER_S: f64 = 0.3;
 
 #[derive(Debug, Default)]
 pub(crate) struct MotionSource {
     /// The inertial message that is used, and when it was last heard.
     imu: Option<(ImuMessage, Timestamp<HostClock>)>,
-    /// When wheels or an odometer were last heard.
-    wheels: Option<Timestamp<HostClock>>,
+    wheels: WheelSource,
     /// The last turn rate that was used.
     turn_rate: Option<(RadiansPerSecond, Timestamp<HostClock>)>,
+}
+
+/// What was heard of wheels or an odometer.
+#[derive(Clone, Copy, Debug, Default)]
+enum WheelSource {
+    #[default]
+    Unheard,
+    /// Speeds, for the last time at this instant.
+    Speeds(Timestamp<HostClock>),
+    /// Counts of wheels, or an odometer.
+    Travel,
+}
+
+impl WheelSource {
+    fn observe(&mut self, now: Timestamp<HostClock>, observed: &ObservationKind) {
+        *self = match (*self, observed) {
+            (Self::Unheard | Self::Speeds(_), ObservationKind::BodyVelocity { .. }) => Self::Speeds(now),
+            _ => Self::Travel,
+        };
+    }
+
+    fn is_present(self, now: Timestamp<HostClock>) -> bool {
+        match self {
+            Self::Unheard => false,
+            Self::Speeds(last) => now - last < MAX_SILENCE,
+            Self::Travel => true,
+        }
+    }
 }
 
 impl MotionSource {
@@ -40,16 +73,22 @@ impl MotionSource {
         let (SensorId::GNSS, ObservationKind::BodyVelocity { forward, .. }) =
             (observation.sensor, observation.observed)
         else {
-            self.wheels = Some(now);
+            self.wheels.observe(now, &observation.observed);
             return Some(*observation);
         };
-        if self.wheels.is_some_and(|last| now - last < MAX_SILENCE) {
+        if self.wheels.is_present(now) {
             return None;
         }
-        // A receiver does not know the turn; without a gyro the robot drives straight on for all it says.
-        let turn = self.turn_rate.filter(|(_, at)| now - *at < MAX_SILENCE);
-        let turn = turn.map_or(RadiansPerSecond(0.0), |(rate, _)| rate);
+        // A receiver does not know the turn: without a gyro there is nothing to say of the motion.
+        let (turn, _) = self.turn_rate.filter(|(_, at)| now - *at < MAX_SILENCE)?;
+        // Its speed is never negative, so that the noise of a robot at rest would be a motion forward.
+        let forward = if forward.0 < MIN_GROUND_SPEED_M_PER_S { MetersPerSecond(0.0) } else { forward };
         Some(UnalignedObservation { observed: ObservationKind::BodyVelocity { forward, turn }, ..*observation })
+    }
+
+    /// The gyro is switched off.
+    pub(crate) const fn forget_turn_rate(&mut self) {
+        self.turn_rate = None;
     }
 
     /// The message that was chosen, or a better one, or any after its silence.
@@ -65,6 +104,9 @@ impl MotionSource {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::observation_extractor::ClockSource;
+    use posebridge_protocol::message::WireStamp;
+    use posebridge_telemetry::Radians;
 
     #[test]
     fn one_message_is_used_until_a_better_one_comes_or_it_falls_silent() {
@@ -81,5 +123,39 @@ mod tests {
         for (millis, message, is_used) in heard {
             assert_eq!(source.is_imu_used(Timestamp::from_millis(millis), message), is_used, "{millis} {message:?}");
         }
+    }
+
+    fn reading(sensor: SensorId, observed: ObservationKind) -> UnalignedObservation {
+        let (stamp, clock_source) = (WireStamp::Micros64(1), ClockSource::Robot);
+        UnalignedObservation { sensor, stamp, clock_source, observed, gyro_turn: None, tag: None, imu: None }
+    }
+
+    fn speed(sensor: SensorId, forward_m_per_s: f64) -> UnalignedObservation {
+        let (forward, turn) = (MetersPerSecond(forward_m_per_s), RadiansPerSecond(0.0));
+        reading(sensor, ObservationKind::BodyVelocity { forward, turn })
+    }
+
+    #[test]
+    fn the_speed_of_satellites_stands_in_for_the_speeds_of_wheels_and_not_for_their_counts() {
+        let at = Timestamp::from_millis;
+        let mut source = MotionSource::default();
+        let mut passes = |millis, observation: UnalignedObservation| {
+            let chosen = source.choose(at(millis), &observation)?;
+            let ObservationKind::BodyVelocity { forward, turn } = chosen.observed else { return None };
+            Some((forward.0, turn.0))
+        };
+        assert_eq!(passes(0, speed(SensorId::GNSS, 1.0)), None, "its turn is unknown");
+        let turning = reading(SensorId::GYRO, ObservationKind::TurnRate(RadiansPerSecond(0.5)));
+        passes(900, turning);
+        assert_eq!(passes(1_000, speed(SensorId::GNSS, 1.0)), Some((1.0, 0.5)));
+        assert_eq!(passes(1_100, speed(SensorId::GNSS, 0.29)), Some((0.0, 0.5)), "noise of a robot at rest");
+        assert_eq!(passes(1_200, speed(SensorId::WHEELS, 0.2)), Some((0.2, 0.0)));
+        passes(2_000, turning);
+        assert_eq!(passes(2_199, speed(SensorId::GNSS, 1.0)), None);
+        assert_eq!(passes(2_200, speed(SensorId::GNSS, 1.0)), Some((1.0, 0.5)), "the wheels fell silent");
+        let counts = ObservationKind::WheelAngles { left: Radians(0.0), right: Radians(0.0) };
+        passes(2_300, reading(SensorId::WHEELS, counts));
+        passes(60_000, turning);
+        assert_eq!(passes(60_000, speed(SensorId::GNSS, 1.0)), None, "the filter waits for counts");
     }
 }

@@ -9,7 +9,7 @@ use posebridge_telemetry::{
     PositionCovariance, Radians, RadiansPerSecond, SensorId, Timestamp, Wiring,
 };
 
-use crate::config::RobotConfig;
+use crate::config::{RobotConfig, RpmMeaning};
 
 /// 2001 in microseconds since 1970: larger stamps are no time since boot (common.xml, GPS_RAW_INT.time_usec).
 const UNIX_MICROS: u64 = 1_000_000_000_000_000;
@@ -54,13 +54,15 @@ pub(crate) struct ObservationExtractor {
     pub(crate) geometry: DriveGeometry,
     pub(crate) tag_in_body: Point2<Body>,
     pub(crate) wiring: Wiring,
+    pub(crate) rpm: RpmMeaning,
     /// Where the arena lies on the Earth; without it no position of a satellite receiver is used.
     pub(crate) origin: Option<GeodeticOrigin>,
 }
 
 impl ObservationExtractor {
     pub(crate) const fn new(config: &RobotConfig, origin: Option<GeodeticOrigin>) -> Self {
-        Self { geometry: config.filter_config.geometry, tag_in_body: config.tag_in_body, wiring: config.wiring, origin }
+        let RobotConfig { ref filter_config, tag_in_body, wiring, rpm, .. } = *config;
+        Self { geometry: filter_config.geometry, tag_in_body, wiring, rpm, origin }
     }
 
     /// The observations in a message that arrived at `arrival`: none, one or two.
@@ -105,7 +107,10 @@ impl ObservationExtractor {
                 [Some(robot_observation(SensorId::WHEELS, *stamp, observed)), None]
             }
             Message::Inertial(inertial) => inertial_readings(inertial),
-            Message::WheelSpeeds { left, right } => [Some(self.wheel_speeds(arrival, *left, *right)), None],
+            Message::WheelSpeeds { left, right } => match self.rpm {
+                RpmMeaning::Wheels => [Some(self.wheel_speeds(arrival, *left, *right)), None],
+                RpmMeaning::Unknown => [None, None],
+            },
             Message::Imu(imu) => [imu_reading(imu), None],
             Message::GnssFix(fix) => {
                 [self.origin.map(|origin| gnss_fix(arrival, fix, &origin)), ground_speed(arrival, fix)]
@@ -288,6 +293,7 @@ mod tests {
             camera_y: Polarity::Normal,
             camera_unit: CameraUnit::Meters,
         },
+        rpm: RpmMeaning::Unknown,
         origin: None,
     };
 

@@ -7,8 +7,8 @@ use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_protocol::session::most_answers;
 use posebridge_telemetry::{
-    Address, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, ReceiveError, TimeDelta, Timestamp,
-    severity,
+    Address, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, ReceiveError, SensorId, TimeDelta,
+    Timestamp, severity,
 };
 
 use crate::clock::align::Alignment;
@@ -20,6 +20,7 @@ use crate::receive::{ReceiveInfo, ReceivedMessage, TimeExchange, owned};
 use crate::robot::described_geometry;
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex, SenderIdentity};
 use crate::sender_pins::{IdentityClaim, PinVerdict};
+use crate::sessions::is_request;
 use crate::station::Station;
 use crate::vehicle_status::battery_of;
 
@@ -61,7 +62,7 @@ impl Station {
         if !self.admit_claim(received.endpoint, claim) {
             return;
         }
-        if self.affords_request(received.endpoint, content) {
+        if self.charge_request_budget(received.endpoint, message) {
             self.sessions.handle(now, received.endpoint, message, known);
             self.drain_sessions(received);
         }
@@ -81,9 +82,10 @@ impl Station {
             self.observe_steering(received.endpoint.link, known, content);
         }
         if let (Message::SetGlobalOrigin(request), DuplicateStatus::New) = (content, duplicate_status) {
-            self.handle_set_origin(received.endpoint.link, request);
+            self.handle_set_origin(received.endpoint, request);
         }
-        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, self.config.origin) {
+        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, &observations, self.config.origin)
+        {
             self.report_own_text(severity::NOTICE, line);
         }
         self.observers.fix_requests.observe_message((home, source), content);
@@ -142,10 +144,13 @@ impl Station {
         }
     }
 
-    /// Whether a message asks for nothing, or for no more than its peer may ask for.
-    fn affords_request(&mut self, endpoint: Endpoint, message: &Message) -> bool {
+    /// Whether a message asks for nothing, or for no more than its peer may ask for; then the peer is charged.
+    fn charge_request_budget(&mut self, endpoint: Endpoint, received: &ReceivedMessage) -> bool {
         let now = self.time.now;
-        if !self.sessions.are_asked(now, endpoint.link, message) {
+        let message = &received.message;
+        // The copy of a request is not carried out again.
+        let is_copy = received.duplicate_status != DuplicateStatus::New && is_request(message);
+        if is_copy || !self.sessions.are_asked(now, endpoint.link, message) {
             return true;
         }
         let link = self.links.get_mut(&endpoint.link);
@@ -227,7 +232,7 @@ impl Station {
             }
         }
         if let (Some(index), Some(battery)) = (sender.robot, battery_of(content)) {
-            self.robots.get_mut(index).battery = Some(battery);
+            self.robots.get_mut(index).battery.observe(self.time.now, &battery);
         }
         if let Message::Thermometer { stamp, channel, temperature } = *content {
             self.handle_temperature(sender, stamp, channel, temperature);
@@ -385,6 +390,10 @@ impl Station {
             return;
         };
         let robot = self.robots.get_mut(index);
+        let is_gyro_off = robot.estimator.switched_off.contains(&SensorId::GYRO);
+        if is_gyro_off {
+            robot.motion_source.forget_turn_rate();
+        }
         let Some(observation) = &robot.motion_source.choose(received.host_time, observation) else {
             return;
         };
@@ -439,7 +448,7 @@ impl Station {
             }
         }
         let robot_entry = self.robots.get_mut(index);
-        robot_entry.sensor_health.observe(now, report.record.sensor, report.record.outcome);
+        robot_entry.sensor_health.observe(now, &observation, report.record.outcome);
         for message in robot_entry.publisher.publish_record(now, &report.record, &robot_entry.clocks) {
             self.transmitter().send_published(index, &message);
         }
@@ -493,6 +502,8 @@ impl Station {
         let robot = self.robots.get_mut(index);
         let (id, wire_address) = (robot.id, robot.wire_address);
         robot.restart_clock();
+        let system = robot.vehicle_address.system;
+        self.sessions.record_restart(system);
         self.restart_thermometers(id);
         self.robots.get_mut(index).clocks.forget_gyro_turn();
         for link in self.links.keys() {

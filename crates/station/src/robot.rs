@@ -2,13 +2,14 @@
 
 use posebridge_estimator::wiring::{WiringFinding, WiringMonitor};
 use posebridge_estimator::{EstimatedQuantity, FILTERS, FilterCommand, FilterEntry, find_filter};
-use posebridge_protocol::message::{Battery, RobotDescription};
+use posebridge_protocol::message::RobotDescription;
 use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
     Address, BrickClock, Calibration, DriveGeometry, Estimate, FilterComparison, Fix, FusionOutcome, GeodeticOrigin,
     HostClock, Observation, Radians, RobotId, SensorId, SensorSwitch, StartPose, Timestamp, Wiring,
 };
 
+use crate::battery_monitor::BatteryMonitor;
 use crate::camera_table::{CameraTable, FixAdmission, Newcomers};
 use crate::clock_alignment::ClockAlignment;
 use crate::compared_estimators::{ComparedEstimators, EstimatorInput};
@@ -71,8 +72,7 @@ pub struct Robot {
     pub(crate) is_of_own_dialect: bool,
     /// It drives to goals.
     pub(crate) accepts_goals: bool,
-    /// As it described it last.
-    pub(crate) battery: Option<Battery>,
+    pub(crate) battery: BatteryMonitor,
     pub(crate) clocks: ClockAlignment,
     pub(crate) estimator: Estimator,
     pub(crate) compared: ComparedEstimators,
@@ -107,7 +107,7 @@ impl Robot {
             sensor_health: SensorHealth::default(),
             is_of_own_dialect: false,
             accepts_goals: false,
-            battery: None,
+            battery: BatteryMonitor::default(),
             clocks: ClockAlignment::default(),
             estimator: Estimator::new(filters.own, &config.filter_config),
             compared: ComparedEstimators::new(&filters.compared, &config.filter_config),
@@ -291,6 +291,7 @@ impl Robot {
     pub(crate) fn restart_clock(&mut self) {
         self.compared.push(EstimatorInput::RestartClock);
         self.estimator.restart_clock();
+        self.motion_source = MotionSource::default();
         self.wiring_monitor.restart_clock();
     }
 }

@@ -18,6 +18,7 @@ use posebridge_telemetry::{Address, HostClock, LinkId, Priority, RobotId, System
 
 use crate::config::{AnnouncedAs, LinkConfig, OUTPUTS, StationConfig};
 use crate::metadata_files::metadata_files;
+use crate::parameter_reports::ParameterReports;
 use crate::receive::ReceivedMessage;
 use crate::robot::Robot;
 use crate::robot_table::RobotTable;
@@ -48,6 +49,15 @@ pub(crate) enum SenderRole {
     Vehicle(RobotId),
 }
 
+impl SenderRole {
+    const fn robot(self) -> Option<RobotId> {
+        match self {
+            Self::Station => None,
+            Self::Vehicle(robot) => Some(robot),
+        }
+    }
+}
+
 #[derive(Debug)]
 pub(crate) struct Sessions {
     links: BTreeMap<LinkId, LinkSessions>,
@@ -65,6 +75,7 @@ struct LinkSessions {
     is_for_ground_stations: bool,
     /// The robots as vehicles; none unless the link is for ground stations.
     vehicles: VehicleProxies,
+    reports: ParameterReports,
 }
 
 impl Sessions {
@@ -74,6 +85,7 @@ impl Sessions {
                 station: open_session(link, config, now),
                 is_for_ground_stations: link.announced_as == AnnouncedAs::StationAndVehicle && link.brick.is_none(),
                 vehicles: VehicleProxies::default(),
+                reports: ParameterReports::default(),
             };
             (link.id, sessions)
         });
@@ -158,8 +170,7 @@ impl Sessions {
         }
     }
 
-    /// A robot's own heartbeat is forwarded on a link for ground stations: the station's goes right behind it. Programs take whoever sends
-    /// the first heartbeat that they hear for the vehicle, whenever they begin to listen.
+    /// A robot's own heartbeat is forwarded on a link for ground stations: the station's goes right behind it.
     pub(crate) fn follow_heartbeat(&mut self, now: Timestamp<HostClock>, id: LinkId) {
         if let Some(link) = self.links.get_mut(&id).filter(|link| link.is_for_ground_stations) {
             link.station.follow_heartbeat(now);
@@ -170,6 +181,13 @@ impl Sessions {
     pub(crate) fn record_own_dialect(&mut self, system: SystemId) {
         for link in self.links.values_mut() {
             link.vehicles.record_own_dialect(system);
+        }
+    }
+
+    /// The robot of a system was restarted.
+    pub(crate) fn record_restart(&mut self, system: SystemId) {
+        for link in self.links.values_mut() {
+            link.vehicles.record_restart(system);
         }
     }
 
@@ -214,8 +232,7 @@ impl Sessions {
         link.vehicles.handle(now, sender, message);
     }
 
-    /// The next output of a link's sessions, with its role. The vehicles are first: programs take whoever sends the first heartbeat that they
-    /// hear for the vehicle.
+    /// The next output of a link's sessions, with its role. The vehicles are first, and with them their heartbeats.
     pub(crate) fn poll(&mut self, id: LinkId) -> Option<(SenderRole, SessionOutput<HostClock>)> {
         let link = self.links.get_mut(&id)?;
         if let Some((robot, output)) = link.vehicles.poll() {
@@ -229,17 +246,31 @@ impl Sessions {
     }
 
     pub(crate) fn is_due(&mut self, now: Timestamp<HostClock>) -> bool {
-        self.links.values_mut().any(|link| link.station.is_due(now) || link.vehicles.is_due(now))
+        self.links
+            .values_mut()
+            .any(|link| link.station.is_due(now) || link.vehicles.is_due(now) || link.reports.is_due(now))
     }
 
     pub(crate) fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        self.links.values().flat_map(|link| [link.station.deadline(), link.vehicles.deadline()]).flatten().min()
+        let deadlines = self
+            .links
+            .values()
+            .flat_map(|link| [link.station.deadline(), link.vehicles.deadline(), link.reports.deadline()]);
+        deadlines.flatten().min()
     }
 
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>, id: LinkId) {
         if let Some(link) = self.links.get_mut(&id) {
             link.station.tick(now);
             link.vehicles.tick(now);
+            if let Some((robot, index)) = link.reports.take_due(now) {
+                let role = robot.map_or(SenderRole::Station, SenderRole::Vehicle);
+                self.with_session(id, role, |session| {
+                    if let Some(report) = session.parameter(index) {
+                        session.queue_message(report);
+                    }
+                });
+            }
         }
     }
 
@@ -263,16 +294,22 @@ impl Sessions {
         }
     }
 
-    /// The messages that report a parameter's value, on every link where a peer has requested parameters, from those of which it has.
-    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(LinkId, SenderRole, Message)> {
-        let mut reports = Vec::new();
-        for (id, link) in &mut self.links {
-            let of_vehicles = link.vehicles.report_parameter(index, value).into_iter();
-            reports.extend(of_vehicles.map(|(robot, message)| (*id, SenderRole::Vehicle(robot), message)));
-            let of_station = link.station.report_parameter(index, value);
-            reports.extend(of_station.map(|message| (*id, SenderRole::Station, message)));
+    /// Stores the value of a parameter. Each participant that was asked for parameters reports it, one after the other.
+    pub(crate) fn store_parameter(&mut self, index: usize, value: f32) {
+        for link in self.links.values_mut() {
+            for robot in link.vehicles.store_parameter(index, value) {
+                link.reports.add(Some(robot), index);
+            }
+            if link.station.report_parameter(index, value).is_some() {
+                link.reports.add(None, index);
+            }
         }
-        reports
+    }
+
+    /// The report of a parameter to the one that has set it, which need not wait for those to all others.
+    pub(crate) fn answer_parameter_set(&mut self, id: LinkId, role: SenderRole, index: usize) -> Option<Message> {
+        self.links.get_mut(&id)?.reports.remove(role.robot(), index);
+        self.with_session(id, role, |session| session.parameter(index))?
     }
 }
 
@@ -316,7 +353,7 @@ pub(crate) const fn session_priority(message: &Message) -> Priority {
 }
 
 /// Whether a message is a request that must not be handled twice.
-const fn is_request(message: &Message) -> bool {
+pub(crate) const fn is_request(message: &Message) -> bool {
     matches!(
         message,
         Message::SetMessageInterval(_)

@@ -245,13 +245,10 @@ impl Station {
             return;
         }
         if let FramerInput::Bytes(bytes) = input
-            && let Some(is_mavlink1) = link.mavlink1_probe.as_mut().and_then(|probe| probe.push(now, bytes))
+            && link.mavlink1_probe.as_mut().is_some_and(|probe| probe.push(now, peer, bytes))
         {
-            link.mavlink1_probe = None;
-            if is_mavlink1 {
-                let text = format!("link {id}: this is MAVLink 1: add ?version=1 to its URL");
-                self.report_own_text(severity::WARNING, text);
-            }
+            let text = format!("link {id}: this is MAVLink 1: add ?version=1 to its URL");
+            self.report_own_text(severity::WARNING, text);
         }
         let Some(link) = self.links.get_mut(&id) else {
             return;
@@ -405,19 +402,21 @@ impl Station {
                     self.robots.set_interval(robot, id, message_id, interval);
                 }
                 SessionOutput::ParameterSetRequested { index, value, .. } => {
-                    self.handle_parameter_set(id, index, value);
+                    self.handle_parameter_set(id, role, index, value);
                 }
                 SessionOutput::ParameterUnsupported { index, kind, .. } => {
-                    self.handle_unsupported_type(id, index, kind);
+                    self.handle_unsupported_type(id, role, index, kind);
                 }
                 SessionOutput::ParameterUnknown { requested, .. } => self.handle_unknown_parameter(id, &requested),
             }
         }
     }
 
-    /// Sends the status of a robot as a vehicle on a link, right after its heartbeat.
+    /// Sends the status of a robot as a vehicle on a link, right after its heartbeat, where the robot cannot tell its own.
     fn send_vehicle_status(&mut self, link: LinkId, robot: RobotId) {
-        let Some(index) = self.robots.find(robot) else {
+        let is_described =
+            self.sessions.vehicles(link).is_some_and(|vehicles| vehicles.is_described_here(self.time.now, robot));
+        let Some(index) = self.robots.find(robot).filter(|_| is_described) else {
             return;
         };
         for message in vehicle_status(self.time.now, self.robots.get(index)) {

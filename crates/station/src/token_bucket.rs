@@ -8,7 +8,7 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TokenRate {
     pub(crate) per_second: i64,
-    pub(crate) at_once: i64,
+    pub(crate) burst: i64,
 }
 
 /// What is left of one peer's tokens.
@@ -23,13 +23,13 @@ pub(crate) struct TokenBucket {
 impl TokenBucket {
     /// A full bucket.
     pub(crate) const fn new(rate: TokenRate) -> Self {
-        Self { rate, left: rate.at_once * NANOS_PER_SEC, refilled: Timestamp::ZERO }
+        Self { rate, left: rate.burst * NANOS_PER_SEC, refilled: Timestamp::ZERO }
     }
 
     /// Takes tokens if there are as many; false, and takes none, if there are not.
     pub(crate) fn charge(&mut self, now: Timestamp<HostClock>, tokens: usize) -> bool {
-        let full = self.rate.at_once * NANOS_PER_SEC;
-        // Longer than this no bucket takes to fill that holds up to an hour's tokens, and the product stays within 64 bits.
+        let full = self.rate.burst * NANOS_PER_SEC;
+        // A full bucket takes no more: limited, so that the product stays within 64 bits.
         let elapsed = (now - self.refilled).as_nanos().clamp(0, full / self.rate.per_second.max(1) + 1);
         self.refilled = self.refilled.max(now);
         self.left = (self.left + elapsed * self.rate.per_second).min(full);
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_burst_and_then_the_rate_pass_whatever_is_asked() {
-        let mut bucket = TokenBucket::new(TokenRate { per_second: 200, at_once: 400 });
+        let mut bucket = TokenBucket::new(TokenRate { per_second: 200, burst: 400 });
         let passed = |bucket: &mut TokenBucket, times: std::ops::Range<i64>| {
             times.filter(|millis| bucket.charge(at(*millis), 1)).count()
         };

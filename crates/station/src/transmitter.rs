@@ -234,8 +234,8 @@ impl Transmitter<'_> {
         }
     }
 
-    /// Holds the heartbeat of a camera or another component back on links for ground stations until the vehicle's has been sent, and
-    /// returns those links: programs take whoever sends the first heartbeat that they hear for the vehicle. One of each sender is held; a later one
+    /// Holds the heartbeat of a camera or another component back on links for ground stations until that of a vehicle has been sent, and
+    /// returns those links: ground stations treat the sender of the first heartbeat as the vehicle. One of each sender is held; a later one
     /// replaces it.
     fn hold_heartbeat(&mut self, frame: &ForwardedFrame) -> Vec<LinkId> {
         // A signed frame keeps its number: later ones of its sender must not overtake it.
@@ -245,7 +245,12 @@ impl Transmitter<'_> {
         let links = frame.to.chunk_by(|one, next| one.0 == next.0);
         let held_on = links.filter_map(|to_link| {
             let (id, _) = to_link.first()?;
-            let vehicles = self.sessions.vehicles_mut(*id)?;
+            // A frame that keeps its number must not be overtaken by a later one of its sender.
+            let is_renumbered = !self.router.are_redundant(frame.from.link, *id);
+            let vehicles = self.sessions.vehicles_mut(*id).filter(|_| is_renumbered)?;
+            if vehicles.is_unmodified(self.now, frame.source) {
+                return None;
+            }
             let held = ForwardedFrame { to: to_link.to_vec(), bytes: frame.bytes.clone(), ..*frame };
             vehicles.hold_heartbeat(self.now, held).then_some(*id)
         });
@@ -255,8 +260,14 @@ impl Transmitter<'_> {
     /// Forwards the heartbeats that waited on a link for the vehicle's.
     fn release_heartbeats(&mut self, id: LinkId) {
         let now = self.now;
-        let held = self.sessions.vehicles_mut(id).map(|vehicles| vehicles.release_heartbeats(now));
-        for frame in held.into_iter().flatten() {
+        let Some(vehicles) = self.sessions.vehicles_mut(id) else {
+            return;
+        };
+        let (held, dropped) = (vehicles.release_heartbeats(now), vehicles.take_dropped_heartbeats());
+        if let Some(link) = self.links.get_mut(&id) {
+            link.health.rate_limited += dropped;
+        }
+        for frame in held {
             self.forward_frame(&frame.to, &frame);
         }
     }

@@ -35,9 +35,9 @@ pub(crate) const VEHICLE_COMPONENT: ComponentId = ComponentId(1);
 /// A message that was not forwarded for this long is no longer sent by the robot: five heartbeats.
 const RECENT_WINDOW: TimeDelta = TimeDelta::from_millis(5_000);
 
-/// Other heartbeats wait for a vehicle's that comes once a second.
-const HEARTBEAT_PATIENCE: TimeDelta = TimeDelta::from_millis(1_500);
-/// Components of others whose heartbeats wait: more than a robot has.
+/// Other heartbeats wait for that of a vehicle, which comes once a second.
+const MAX_HEARTBEAT_HOLD: TimeDelta = TimeDelta::from_millis(1_500);
+/// Heartbeats that wait on a link: more than the components of several robots.
 const MAX_HELD: usize = 64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,9 +106,12 @@ pub(crate) struct VehicleProxies {
     of_own_dialect: BTreeSet<SystemId>,
     /// Services that a vehicle has been heard to answer for itself.
     own_services: BTreeSet<(SystemId, VehicleService)>,
-    /// Heartbeats of other components that wait for the next one of a vehicle, the last of each sender.
-    held_heartbeats: BTreeMap<(Endpoint, Address), ForwardedFrame>,
+    /// Heartbeats of other components that wait for the next one of any vehicle, the last of each sender, and when they came.
+    held_heartbeats: BTreeMap<(Endpoint, Address), (Timestamp<HostClock>, ForwardedFrame)>,
+    /// Of any vehicle.
     last_heartbeat: Option<Timestamp<HostClock>>,
+    /// Heartbeats that were held and never sent.
+    dropped_heartbeats: u64,
     /// The robot with the lowest id if several have one address.
     by_address: BTreeMap<Address, RobotId>,
     /// Vehicles whose session may have output.
@@ -170,21 +173,48 @@ impl VehicleProxies {
 
     /// Holds a forwarded heartbeat back until a vehicle has sent one; false, and holds nothing, if none has for a while.
     pub(crate) fn hold_heartbeat(&mut self, now: Timestamp<HostClock>, frame: ForwardedFrame) -> bool {
-        let has_beaten = self.last_heartbeat.is_some_and(|last| now - last < HEARTBEAT_PATIENCE);
+        let is_vehicle_present = self.last_heartbeat.is_some_and(|last| now - last < MAX_HEARTBEAT_HOLD);
         let sender = (frame.from, frame.source);
         // What waited before is out of date, whether this one waits or not.
-        self.held_heartbeats.remove(&sender);
-        let is_held = has_beaten && self.held_heartbeats.len() < MAX_HELD;
+        self.dropped_heartbeats += u64::from(self.held_heartbeats.remove(&sender).is_some());
+        let is_held = is_vehicle_present && self.held_heartbeats.len() < MAX_HELD;
         if is_held {
-            self.held_heartbeats.insert(sender, frame);
+            self.held_heartbeats.insert(sender, (now, frame));
         }
         is_held
     }
 
-    /// The heartbeats that waited for that of a vehicle, which is sent now.
+    /// The heartbeats that waited for that of a vehicle, which is sent now. Of a vehicle that was silent meanwhile they are out of date: their
+    /// senders may be gone.
     pub(crate) fn release_heartbeats(&mut self, now: Timestamp<HostClock>) -> Vec<ForwardedFrame> {
         self.last_heartbeat = Some(now);
-        std::mem::take(&mut self.held_heartbeats).into_values().collect()
+        let held = std::mem::take(&mut self.held_heartbeats).into_values();
+        let (fresh, stale): (Vec<_>, Vec<_>) = held.partition(|(since, _)| now - *since < MAX_HEARTBEAT_HOLD);
+        self.dropped_heartbeats += stale.len() as u64;
+        fresh.into_iter().map(|(_, frame)| frame).collect()
+    }
+
+    /// How many held heartbeats were not sent since the last call.
+    pub(crate) const fn take_dropped_heartbeats(&mut self) -> u64 {
+        std::mem::replace(&mut self.dropped_heartbeats, 0)
+    }
+
+    /// Whether the station knows the state of a vehicle: its robot cannot tell it, or is a brick of our dialect. An autopilot knows its own.
+    pub(crate) fn is_described_here(&self, now: Timestamp<HostClock>, robot: RobotId) -> bool {
+        self.vehicles.get(&robot).is_some_and(|vehicle| {
+            self.is_served_here(now, robot, vehicle) || self.of_own_dialect.contains(&vehicle.address.system)
+        })
+    }
+
+    /// Whether the station alone is the vehicle: the robot is not, and nobody else beside it, as the autopilot of a companion computer.
+    fn is_served_here(&self, now: Timestamp<HostClock>, robot: RobotId, vehicle: &VehicleProxy) -> bool {
+        vehicle.responder == CommandResponder::Station && !self.is_sent_by_robot(now, robot, ids::HEARTBEAT)
+    }
+
+    /// Whether the station sends a message in the name of a vehicle, as long as that does not send it itself.
+    fn is_sent_here(&self, now: Timestamp<HostClock>, robot: RobotId, message_id: u32) -> bool {
+        OutputKind::of_message(message_id).is_some()
+            || (STATUS_MESSAGES.contains(&message_id) && self.is_described_here(now, robot))
     }
 
     pub(crate) fn set_heartbeat_mode(&mut self, now: Timestamp<HostClock>, robot: RobotId, mode: HeartbeatMode) {
@@ -198,13 +228,10 @@ impl VehicleProxies {
         }
     }
 
-    /// Stores the value of a parameter and returns the messages that report it, of the vehicles whose parameters were requested.
-    pub(crate) fn report_parameter(&mut self, index: usize, value: f32) -> Vec<(RobotId, Message)> {
-        let reports = self
-            .vehicles
-            .iter_mut()
-            .filter_map(|(robot, vehicle)| Some((*robot, vehicle.session.report_parameter(index, value)?)));
-        reports.collect()
+    /// Stores the value of a parameter and returns the vehicles whose parameters were requested.
+    pub(crate) fn store_parameter(&mut self, index: usize, value: f32) -> Vec<RobotId> {
+        let vehicles = self.vehicles.iter_mut();
+        vehicles.filter_map(|(robot, vehicle)| vehicle.session.report_parameter(index, value).map(|_| *robot)).collect()
     }
 
     pub(crate) fn tick(&mut self, now: Timestamp<HostClock>) {
@@ -245,9 +272,21 @@ impl VehicleProxies {
         self.of_own_dialect.insert(system);
     }
 
+    /// A vehicle was restarted: another program may run on it.
+    pub(crate) fn record_restart(&mut self, system: SystemId) {
+        self.own_services.retain(|(own, _)| *own != system);
+    }
+
     /// A vehicle's own frame is forwarded on the link.
     pub(crate) fn record_forwarded(&mut self, now: Timestamp<HostClock>, from: SystemId, message_id: u32) {
-        self.own_services.extend(VehicleService::of_answer(message_id).map(|service| (from, service)));
+        let service =
+            VehicleService::of_answer(message_id).filter(|service| self.own_services.insert((from, *service)));
+        // Its own list takes the place of ours, which has the same address.
+        if let (Some(VehicleService::Parameters), Some(robot)) =
+            (service, self.by_address.get(&Address { system: from, component: VEHICLE_COMPONENT }).copied())
+        {
+            self.with_session(robot, Session::stop_listing);
+        }
         // The others are never requested; so the map stays small whatever comes.
         let is_status = message_id == ids::HEARTBEAT || STATUS_MESSAGES.contains(&message_id);
         if is_status || OutputKind::of_message(message_id).is_some() {
@@ -286,7 +325,7 @@ impl VehicleProxies {
 
     /// The vehicle of a request to which the station is to reply:
     ///
-    /// - any request where the robot cannot, because it speaks no MAVLink or uses another component;
+    /// - any request where the robot cannot, because it speaks no MAVLink or uses another component, and no other sender is the vehicle;
     /// - commands about messages that the station sends in its name;
     /// - of a robot that sends our own dialect, and so is a brick that was programmed for this station: what it is, parameters, plans, files
     ///   and logs, unless it has been heard to answer such requests itself; with plans, if it takes goals, also the commands that start and
@@ -306,16 +345,15 @@ impl VehicleProxies {
             self.of_own_dialect.contains(&target.system) && !self.own_services.contains(&(target.system, service))
         };
         let is_ours = match request {
-            VehicleRequest::Command { about: Some(id) } if OutputKind::of_message(id).is_some() => {
-                !self.is_sent_by_robot(now, *robot, id)
+            VehicleRequest::Command { about } => {
+                about.is_some_and(|id| self.is_sent_here(now, *robot, id) && !self.is_sent_by_robot(now, *robot, id))
             }
-            VehicleRequest::Command { .. } => false,
             VehicleRequest::Drive => {
                 vehicle.session.plan_service() == Some(PlanService::Owner) && lacks(VehicleService::Plans)
             }
             VehicleRequest::Service(service) => lacks(service),
         };
-        (vehicle.responder == CommandResponder::Station || is_ours).then_some(*robot)
+        (self.is_served_here(now, *robot, vehicle) || is_ours).then_some(*robot)
     }
 
     /// Whether a request is for one vehicle alone and the station replies in its place: then nobody else needs it.
@@ -352,7 +390,10 @@ fn vehicle_request(message: &Message) -> Option<(Address, VehicleRequest)> {
 }
 
 fn requested_by(command: &CommandLong) -> VehicleRequest {
-    let about = command.named_message();
+    let about = match command.command {
+        ids::COMMAND_GET_HOME_POSITION => Some(ids::HOME_POSITION),
+        _ => command.named_message(),
+    };
     if ids::is_description(command.command, about) {
         VehicleRequest::Service(VehicleService::Description)
     } else if ids::is_drive_command(command.command) {

@@ -23,14 +23,13 @@ pub(crate) fn vehicle_status(now: Timestamp<HostClock>, robot: &Robot) -> Vec<Me
     sensors_present |= AHRS;
     let has_heading = robot.estimator.latest_estimate().is_some_and(|estimate| estimate.validity.heading);
     sensors_healthy |= if has_heading { AHRS } else { 0 };
-    if robot.battery.is_some() {
-        sensors_present |= BATTERY;
-        sensors_healthy |= BATTERY;
-    }
-    let battery = robot.battery.unwrap_or_default();
+    let known_battery = robot.battery.current(now);
+    sensors_present |= if robot.battery.is_known() { BATTERY } else { 0 };
+    sensors_healthy |= if known_battery.is_some() { BATTERY } else { 0 };
+    let battery = known_battery.unwrap_or_default();
     let mut messages =
         vec![Message::SystemStatus(SystemStatus { sensors_present, sensors_healthy, battery }), Message::OnGround];
-    messages.extend(robot.battery.map(Message::BatteryStatus));
+    messages.extend(known_battery.map(Message::BatteryStatus));
     messages.extend(robot.extractor.origin.into_iter().flat_map(|origin| {
         let reference = global_reference(now, &origin);
         [Message::HomePosition(reference), Message::GlobalOrigin(reference)]

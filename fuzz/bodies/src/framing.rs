@@ -137,7 +137,9 @@ pub(crate) fn check_fields(data: &[u8]) {
     let values = line
         .finish(|line| line.split(|byte| *byte == b'"').step_by(2).flatten().filter(|byte| **byte == b',').count() + 1);
     assert_eq!(values, columns(definition).len());
-    let sent = frame(definition, version, source, 5, &payload);
+    let Some(sent) = frame(definition, version, source, 5, &payload) else {
+        panic!("{} has no frame", definition.name);
+    };
     let VerifiedFrame::Frame(read) = verify(&sent) else {
         panic!("{} is not verified", definition.name);
     };

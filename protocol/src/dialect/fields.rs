@@ -71,13 +71,16 @@ impl FullPayload {
                 &wide[..size]
             }
         };
-        let Some(target) = self.0.get_mut(start..start + bytes.len()) else { return false };
-        target.copy_from_slice(bytes);
+        let whole = if field.is_text() { field.size() } else { size };
+        let Some(target) = self.0.get_mut(start..start + whole) else { return false };
+        // A text that was longer before leaves nothing behind.
+        target.fill(0);
+        target[..bytes.len()].copy_from_slice(bytes);
         true
     }
 
     /// The payload as `version` sends it: without extension fields, or without the zeros at its end.
-    pub fn sent(&self, definition: &MessageDefinition, version: WireVersion) -> &[u8] {
+    pub fn wire_bytes(&self, definition: &MessageDefinition, version: WireVersion) -> &[u8] {
         match version {
             WireVersion::V1 => &self.0[..usize::from(definition.layout.max_len_v1)],
             WireVersion::V2 => {
@@ -128,15 +131,18 @@ fn bytes_of(scalar: Scalar, value: Value<'_>) -> Option<[u8; 8]> {
     }
 }
 
-/// An unsigned frame with this payload, as a sender without further flags writes it.
+/// An unsigned frame with this payload, as a sender without further flags writes it; `None` for a message that this version cannot name.
 pub fn frame(
     definition: &MessageDefinition,
     version: WireVersion,
     source: Address,
     sequence: u8,
     payload: &FullPayload,
-) -> Vec<u8> {
-    let payload = payload.sent(definition, version);
+) -> Option<Vec<u8>> {
+    if version == WireVersion::V1 && definition.id > 0xFF {
+        return None;
+    }
+    let payload = payload.wire_bytes(definition, version);
     let [id0, id1, id2, _] = definition.id.to_le_bytes();
     let (system, component) = (source.system.0, source.component.0);
     let mut frame = match version {
@@ -148,7 +154,7 @@ pub fn frame(
     frame.extend_from_slice(payload);
     let sum = checksum(&frame[1..], definition.layout.crc_extra);
     frame.extend(sum.to_le_bytes());
-    frame
+    Some(frame)
 }
 
 /// Names of the columns of a message's table: the field, `[i]` for the elements of an array, and its unit in square brackets behind a space.
@@ -166,7 +172,7 @@ pub fn columns(definition: &MessageDefinition) -> Vec<String> {
 
 /// Whether [`frame`] makes exactly this frame of its values.
 pub fn is_reproduced(definition: &MessageDefinition, frame: &FrameRef<'_>, payload: &FullPayload) -> bool {
-    self::frame(definition, frame.version, frame.source, frame.sequence, payload) == frame.raw
+    self::frame(definition, frame.version, frame.source, frame.sequence, payload).is_some_and(|made| made == frame.raw)
 }
 
 #[cfg(test)]
@@ -203,6 +209,19 @@ mod tests {
         assert!(!payload.set(field("current_battery"), 0, Value::Single(1.0)));
         assert!(payload.set(field("current_battery"), 0, Value::Signed(-32_768)));
         assert_eq!(payload.values(field("current_battery")).next(), Some(Value::Signed(-32_768)));
+        assert_eq!(frame(definition(42_102).unwrap(), WireVersion::V1, Address::new(1, 1), 0, &payload), None);
+    }
+
+    #[test]
+    fn a_shorter_text_leaves_nothing_of_the_one_before() {
+        let value = definition(22).unwrap();
+        let name = value.fields.iter().find(|field| field.is_text()).unwrap();
+        let mut payload = FullPayload::new(&[]);
+        for text in [b"RATE_P".as_slice(), b"GAIN"] {
+            assert!(payload.set(name, 0, Value::Text(text)));
+        }
+        let Some(Value::Text(text)) = payload.values(name).next() else { panic!("it is text") };
+        assert_eq!(text[..6], *b"GAIN\0\0");
     }
 
     #[test]

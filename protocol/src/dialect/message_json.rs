@@ -147,12 +147,16 @@ pub fn schema(definition: &MessageDefinition) -> String {
 pub fn read_json(definition: &MessageDefinition, source: Address, text: &[u8]) -> Result<Vec<u8>, MessageJsonError> {
     let object: Map<String, Json> = serde_json::from_slice(text).map_err(MessageJsonError::Syntax)?;
     if let Some(whole) = object.get("_frame") {
-        return whole.as_str().and_then(frame_of_hex).ok_or_else(|| refusal("_frame", whole, "a frame in hexadecimal"));
+        let expected = "a frame of this message and sender in hexadecimal";
+        return whole
+            .as_str()
+            .and_then(|text| frame_of_hex(text, definition.id, source))
+            .ok_or_else(|| refusal("_frame", whole, expected));
     }
     let version = match object.get("_version").map(|version| (version, version.as_u64())) {
         None | Some((_, Some(2))) => WireVersion::V2,
-        Some((_, Some(1))) if definition.id <= 0xFF => WireVersion::V1,
-        Some((version, _)) => return Err(refusal("_version", version, "2, or 1 for an id below 256")),
+        Some((_, Some(1))) => WireVersion::V1,
+        Some((version, _)) => return Err(refusal("_version", version, "1 or 2")),
     };
     let sequence = match object.get("_sequence") {
         None => 0,
@@ -182,7 +186,8 @@ pub fn read_json(definition: &MessageDefinition, source: Address, text: &[u8]) -
             return Err(refusal(field.name, value, &format!("{:?} is expected{array}", field.scalar)));
         }
     }
-    Ok(frame(definition, version, source, sequence, &payload))
+    frame(definition, version, source, sequence, &payload)
+        .ok_or_else(|| refusal("_version", &Json::from(1), "2 for an id above 255"))
 }
 
 fn set(payload: &mut FullPayload, field: &FieldDefinition, index: usize, value: &Json) -> bool {
@@ -198,10 +203,12 @@ fn set(payload: &mut FullPayload, field: &FieldDefinition, index: usize, value: 
     value.is_some_and(|value| payload.set(field, index, value))
 }
 
-fn frame_of_hex(text: &str) -> Option<Vec<u8>> {
+fn frame_of_hex(text: &str, message_id: u32, source: Address) -> Option<Vec<u8>> {
     let digits: Option<Vec<u8>> = text.chars().map(|digit| digit.to_digit(16).map(|digit| digit as u8)).collect();
     let frame: Vec<u8> = digits?.chunks(2).map(|pair| pair.iter().fold(0, |byte, digit| byte << 4 | digit)).collect();
-    (text.len() == 2 * frame.len() && matches!(verify(&frame), VerifiedFrame::Frame(_))).then_some(frame)
+    let is_whole = text.len() == 2 * frame.len();
+    let is_expected = matches!(verify(&frame), VerifiedFrame::Frame(found) if found.message_id == message_id && found.source == source);
+    (is_whole && is_expected).then_some(frame)
 }
 
 fn refusal(key: &str, found: &Json, expected: &str) -> MessageJsonError {
@@ -231,7 +238,7 @@ mod tests {
                     if version == WireVersion::V1 && definition.id > 0xFF {
                         continue;
                     }
-                    let sent = frame(definition, version, SOURCE, 200, &payload);
+                    let sent = frame(definition, version, SOURCE, 200, &payload).unwrap();
                     let text = write_json(definition, &parse_verified(&sent).unwrap());
                     let back = read_json(definition, SOURCE, text.as_bytes()).unwrap();
                     assert_eq!(back, sent, "{} of {length} bytes: {text}", definition.name);
@@ -243,6 +250,14 @@ mod tests {
     #[test]
     fn values_that_do_not_fit_are_refused_with_their_key() {
         let status = definition(1).unwrap();
+        let as_whole = |message, source| {
+            let frame =
+                frame(definition(message).unwrap(), WireVersion::V2, source, 0, &FullPayload::new(&[])).unwrap();
+            let digits: String = frame.iter().map(|byte| format!("{byte:02x}")).collect();
+            format!("{{\"_frame\": \"{digits}\"}}")
+        };
+        assert!(read_json(status, SOURCE, as_whole(1, SOURCE).as_bytes()).is_ok());
+        let (heartbeat, status_of_another) = (as_whole(0, SOURCE), as_whole(1, Address::new(7, 10)));
         for (text, key) in [
             (r#"{"load": 65536}"#, "`load` is 65536"),
             (r#"{"load": [1]}"#, "`load` is [1]"),
@@ -250,6 +265,8 @@ mod tests {
             (r#"{"_version": 3}"#, "_version"),
             (r#"{"_sequence": 256}"#, "_sequence"),
             (r#"{"_frame": "fe00"}"#, "_frame"),
+            (&heartbeat, "a frame of this message and sender"),
+            (&status_of_another, "a frame of this message and sender"),
             ("[1]", "no JSON object"),
         ] {
             let error = read_json(status, SOURCE, text.as_bytes()).unwrap_err().to_string();

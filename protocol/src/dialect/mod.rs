@@ -81,7 +81,7 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::SCALED_IMU => sensors::scaled_imu(ImuMessage::Scaled, payload),
         ids::SCALED_IMU2 => sensors::scaled_imu(ImuMessage::Scaled2, payload),
         ids::SCALED_IMU3 => sensors::scaled_imu(ImuMessage::Scaled3, payload),
-        ids::RAW_IMU => Ok(Some(sensors::raw_imu(payload))),
+        ids::RAW_IMU => Ok(sensors::raw_imu(payload)),
         ids::RPM => sensors::wheel_speeds(payload),
         ids::GPS_RAW_INT => Ok(poses::gnss_fix(payload)),
         ids::LANDING_TARGET => poses::landing_target(payload),
@@ -93,12 +93,14 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::ATTITUDE => poses::attitude(payload),
         ids::LOCAL_POSITION_NED => poses::local_position(payload),
         // The same fields; the second one's frame is called global, and is that of the sender's local positions.
-        ids::VISION_POSITION_ESTIMATE | ids::GLOBAL_VISION_POSITION_ESTIMATE => poses::vision_position(payload),
+        ids::VISION_POSITION_ESTIMATE | ids::GLOBAL_VISION_POSITION_ESTIMATE => {
+            poses::vision_position(frame.message_id, payload)
+        }
         ids::ATT_POS_MOCAP => poses::mocap_position(payload),
         ids::ESTIMATOR_STATUS => poses::estimator_status(payload),
         ids::ODOMETRY => poses::odometry(payload),
         ids::SYS_STATUS => Ok(Some(vehicle_state::system_status(payload))),
-        ids::BATTERY_STATUS => Ok(Some(vehicle_state::battery_status(payload))),
+        ids::BATTERY_STATUS => Ok(vehicle_state::battery_status(payload)),
         ids::EXTENDED_SYS_STATE => Ok(vehicle_state::on_ground(payload)),
         ids::GLOBAL_POSITION_INT => Ok(Some(vehicle_state::global_position(payload))),
         ids::HOME_POSITION => Ok(Some(vehicle_state::home_position(payload))),

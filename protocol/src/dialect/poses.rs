@@ -101,9 +101,9 @@ pub(super) fn write_local_position(
     Payload::encode(&data)
 }
 
-pub(super) fn vision_position(payload: &[u8]) -> Decoded {
+pub(super) fn vision_position(message_id: u32, payload: &[u8]) -> Decoded {
     let data: VISION_POSITION_ESTIMATE_DATA = decode_generated(payload)?;
-    let checked = |field, value: f32| require_finite(ids::VISION_POSITION_ESTIMATE, field, f64::from(value));
+    let checked = |field, value: f32| require_finite(message_id, field, f64::from(value));
     Ok(Some(Message::VisionPosition(VisionFix {
         stamp: WireStamp::Micros64(data.usec),
         x: Meters(checked("y", data.y)?),

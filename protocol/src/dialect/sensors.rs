@@ -19,6 +19,10 @@ const MILLI_GRAVITY_M_PER_S2: f64 = 9.806_65e-3;
 const MILLI_RAD_PER_S: f64 = 1e-3;
 /// Unit of RPM: turns per minute.
 const RPM_RAD_PER_S: f64 = std::f64::consts::TAU / 60.0;
+/// RPM.rpm1 and rpm2 of a sensor that is missing or not healthy (ArduPilot, `GCS_MAVLINK::send_rpm`).
+const RPM_UNKNOWN: f32 = -1.0;
+/// RAW_IMU.id and HIGHRES_IMU.id of the first unit, also where the extension is missing.
+const FIRST_UNIT: u8 = 0;
 /// Unit of DISTANCE_SENSOR's distances.
 const CENTIMETER_M: f64 = 1e-2;
 /// MAV_SENSOR_ROTATION_NONE: looks forward.
@@ -66,11 +70,15 @@ pub(super) fn scaled_imu(message: ImuMessage, payload: &[u8]) -> Decoded {
     Ok(Some(Message::Imu(imu_in_thousandths(message, stamp, data.xacc, data.zgyro))))
 }
 
-pub(super) fn raw_imu(payload: &[u8]) -> Message {
+/// Of the first unit: the same turn, measured by several, must not count several times.
+pub(super) fn raw_imu(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
     let stamp = WireStamp::Micros64(reader.number::<u64>());
     let [x_acceleration, _, _, _, _, z_rate]: [i16; 6] = std::array::from_fn(|_| reader.number());
-    Message::Imu(imu_in_thousandths(ImuMessage::Raw, stamp, x_acceleration, z_rate))
+    // The magnetometer.
+    reader.skip::<6>();
+    let unit = reader.number::<u8>();
+    (unit == FIRST_UNIT).then(|| Message::Imu(imu_in_thousandths(ImuMessage::Raw, stamp, x_acceleration, z_rate)))
 }
 
 fn imu_in_thousandths(message: ImuMessage, stamp: WireStamp, x_acceleration: i16, z_rate: i16) -> PlanarImu {
@@ -101,9 +109,12 @@ fn write_in_thousandths(stamped: Payload, imu: &PlanarImu) -> Payload {
     [x_acceleration, 0, 0, 0, 0, z_rate].into_iter().fold(stamped, Payload::number::<i16>)
 }
 
-/// Only the first two speeds, of which the first is the left one, as in WHEEL_DISTANCE.
+/// `None` while one of the two sensors is missing. The left speed is the first one, as in WHEEL_DISTANCE.
 pub(super) fn wheel_speeds(payload: &[u8]) -> Decoded {
     let [left, right] = PayloadReader::new(payload).f32s();
+    if [left, right].contains(&RPM_UNKNOWN) {
+        return Ok(None);
+    }
     let checked = |value| require_finite(ids::RPM, "rpm", f64::from(value));
     Ok(Some(Message::WheelSpeeds {
         left: RadiansPerSecond(checked(left)? * RPM_RAD_PER_S),
@@ -115,8 +126,12 @@ pub(super) fn write_wheel_speeds(left: RadiansPerSecond, right: RadiansPerSecond
     Payload::new(ids::RPM).f32s(&[left, right].map(|speed| (speed.0 / RPM_RAD_PER_S) as f32))
 }
 
+/// Of the first unit, as [`raw_imu`].
 pub(super) fn highres_imu(payload: &[u8]) -> Decoded {
     let data: HIGHRES_IMU_DATA = decode_generated(payload)?;
+    if data.id != FIRST_UNIT {
+        return Ok(None);
+    }
     let has = |field| data.fields_updated.contains(field);
     let has_turn_rate = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO);
     let has_acceleration = has(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC);

@@ -10,7 +10,7 @@ use super::ids;
 use super::payload::{Decoded, Payload, PayloadReader, decode_generated, micros64, millis32, specific_address};
 use crate::message::{
     AutopilotVersion, CommandAck, CommandInt, CommandLong, ComponentInformation, FloatArray, Heartbeat, Message,
-    MessageInterval, NamedValue, ProtocolVersion, STOP_INTERVAL, SetMessageInterval, TextPart, TimeSync, WireStamp,
+    MessageInterval, NamedValue, ProtocolVersion, SetMessageInterval, TextPart, TimeSync, WireStamp,
 };
 
 /// MAVLink's own minor version, in every heartbeat.
@@ -116,12 +116,7 @@ pub(super) fn write_command(command: &CommandLong) -> Payload {
 }
 
 pub(super) fn write_interval(request: &SetMessageInterval) -> Payload {
-    let micros = request.interval.map_or(STOP_INTERVAL, |interval| (interval.as_nanos().max(0) as f64 * 1e-3) as f32);
-    let mut params = [0.0; 7];
-    params[0] = request.message_id as f32;
-    params[1] = micros;
-    let command = CommandLong { target: request.target, command: ids::COMMAND_SET_MESSAGE_INTERVAL, params };
-    write_command(&command)
+    write_command(&request.to_command())
 }
 
 pub(super) fn command_ack(payload: &[u8]) -> Message {

@@ -22,8 +22,11 @@ const VOLTAGE_UNKNOWN: u16 = u16::MAX;
 const UNKNOWN: i8 = -1;
 /// BATTERY_STATUS.temperature when the sender does not know it.
 const TEMPERATURE_UNKNOWN: i16 = i16::MAX;
-/// Cells of BATTERY_STATUS.voltages.
+/// Cells of BATTERY_STATUS.voltages and of its extension, voltages_ext.
 const CELLS: usize = 10;
+const EXTENSION_CELLS: usize = 4;
+/// BATTERY_STATUS.id.
+const FIRST_BATTERY: u8 = 0;
 /// MAV_BATTERY_FUNCTION_ALL and MAV_BATTERY_TYPE_UNKNOWN.
 const BATTERY_FOR_ALL: u8 = 1;
 const BATTERY_TYPE_UNKNOWN: u8 = 0;
@@ -183,27 +186,33 @@ pub(super) fn write_system_status(status: &SystemStatus) -> Payload {
     payload.number::<i8>(percent(&status.battery))
 }
 
-/// The cells in series are one voltage.
-pub(super) fn battery_status(payload: &[u8]) -> Message {
+/// The first battery; its cells in series are one voltage. `None` for a further one: it would take turns with the first.
+pub(super) fn battery_status(payload: &[u8]) -> Option<Message> {
     let mut reader = PayloadReader::new(payload);
     // Charge and energy drawn, temperature.
     reader.skip::<10>();
     let cells: [u16; CELLS] = std::array::from_fn(|_| reader.number());
     let current_ca = reader.number::<i16>();
-    reader.skip::<3>();
+    let [id, _function, _type] = reader.bytes();
     let remaining_percent = reader.number::<i8>();
+    // Time remaining, state of charge.
+    reader.skip::<5>();
+    let extension: [u16; EXTENSION_CELLS] = std::array::from_fn(|_| reader.number());
     let known = cells.iter().take_while(|cell| **cell != VOLTAGE_UNKNOWN);
-    let voltage_mv: u32 = known.clone().map(|cell| u32::from(*cell)).sum();
-    Message::BatteryStatus(Battery {
-        voltage_v: known.clone().next().map(|_| f64::from(voltage_mv) * MILLIVOLT_V),
-        current_a: current_of(current_ca),
-        remaining: remaining_of(remaining_percent),
+    // Unknown cells of the extension are 0.
+    let voltage_mv: u32 = known.clone().chain(&extension).map(|cell| u32::from(*cell)).sum();
+    (id == FIRST_BATTERY).then(|| {
+        Message::BatteryStatus(Battery {
+            voltage_v: known.clone().next().map(|_| f64::from(voltage_mv) * MILLIVOLT_V),
+            current_a: current_of(current_ca),
+            remaining: remaining_of(remaining_percent),
+        })
     })
 }
 
 /// A voltage that does not fit into one cell goes on in the next, as the definition asks.
 pub(super) fn write_battery_status(battery: &Battery) -> Payload {
-    let (drawn, id) = (i32::from(UNKNOWN), 0);
+    let drawn = i32::from(UNKNOWN);
     let payload =
         Payload::new(ids::BATTERY_STATUS).number::<i32>(drawn).number::<i32>(drawn).number::<i16>(TEMPERATURE_UNKNOWN);
     let mut rest_mv = battery.voltage_v.map(|volts| (volts / MILLIVOLT_V).round() as u32);
@@ -214,7 +223,7 @@ pub(super) fn write_battery_status(battery: &Battery) -> Payload {
     });
     payload
         .number::<i16>(centiamperes(battery))
-        .number::<u8>(id)
+        .number::<u8>(FIRST_BATTERY)
         .number::<u8>(BATTERY_FOR_ALL)
         .number::<u8>(BATTERY_TYPE_UNKNOWN)
         .number::<i8>(percent(battery))
@@ -349,8 +358,10 @@ fn millivolts(battery: &Battery) -> u16 {
     battery.voltage_v.map_or(VOLTAGE_UNKNOWN, |volts| ((volts / MILLIVOLT_V).round() as u16).min(VOLTAGE_UNKNOWN - 1))
 }
 
+/// -1 means that the current is unknown; the known one next to it is none.
 fn centiamperes(battery: &Battery) -> i16 {
-    battery.current_a.map_or(i16::from(UNKNOWN), |amperes| (amperes / CENTIAMPERE_A).round() as i16)
+    let known = battery.current_a.map(|amperes| (amperes / CENTIAMPERE_A).round() as i16);
+    known.map_or(i16::from(UNKNOWN), |known| if known == i16::from(UNKNOWN) { 0 } else { known })
 }
 
 fn percent(battery: &Battery) -> i8 {

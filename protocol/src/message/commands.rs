@@ -8,7 +8,7 @@ use crate::dialect::ids::{COMMAND_GET_MESSAGE_INTERVAL, COMMAND_REQUEST_MESSAGE,
 const LARGEST_ID: f32 = 16_777_215.0;
 
 /// The interval of MAV_CMD_SET_MESSAGE_INTERVAL that stops a message (common.xml).
-pub(crate) const STOP_INTERVAL: f32 = -1.0;
+const STOP_INTERVAL: f32 = -1.0;
 
 /// A request to send a message at an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +33,13 @@ impl SetMessageInterval {
             message_id,
             interval: is_interval.then(|| TimeDelta::from_micros(interval_micros.round() as i64)),
         })
+    }
+
+    /// The command that it is.
+    pub fn to_command(self) -> CommandLong {
+        let micros = self.interval.map_or(STOP_INTERVAL, |interval| (interval.as_nanos().max(0) as f64 * 1e-3) as f32);
+        let params = [self.message_id as f32, micros, 0.0, 0.0, 0.0, 0.0, 0.0];
+        CommandLong { target: self.target, command: COMMAND_SET_MESSAGE_INTERVAL, params }
     }
 }
 

@@ -15,7 +15,6 @@ mod vehicle;
 mod vehicle_state;
 mod wire_stamp;
 
-pub(crate) use commands::STOP_INTERVAL;
 pub use commands::{CommandAck, CommandInt, CommandLong, CommandResult, MessageInterval, SetMessageInterval};
 pub use heartbeat::Heartbeat;
 pub(crate) use vehicle::integer_coordinate;

@@ -1,4 +1,4 @@
-//! A read-only server of the MAVLink File Transfer Protocol: a few files in memory, for ground stations that describe themselves with them.
+//! A read-only server of the MAVLink File Transfer Protocol: a few files in memory that describe the vehicle to ground stations.
 //!
 //! # Model
 //! ```text
@@ -7,8 +7,9 @@
 //!   a burst is at most eight answers; the last says that it is complete, and the client asks for the next from there
 //! ```
 //! A session is opened under the number that the client proposes: clients that let the server choose propose 0, and others insist on
-//! theirs. So sessions are kept for each client; there are as many as [`MAX_SESSIONS`], and the oldest makes room. Nothing but an open file
-//! is remembered: a request that is repeated gets the same answer.
+//! theirs. So sessions are kept for each client, [`MAX_OPEN_FILES`] at most, of which the oldest makes room. Of all clients there are as many as
+//! [`MAX_SESSIONS`]; then the oldest of the peer with the most makes room, so that nobody ends the transfers of the others. Nothing but an
+//! open file is remembered: a request that is repeated gets the same answer.
 //!
 //! # Source
 //! MAVLink guide, "File Transfer Protocol (FTP)": opcodes, errors, payload. The checksum is that of ISO-HDLC (polynomial 04C11DB7, reflected) without
@@ -23,6 +24,8 @@ use crate::message::FileTransfer;
 
 /// Frames that answer one burst request, at most.
 const MAX_BURST_FRAMES: usize = 8;
+/// Sessions of one client at a time: a ground station transfers one file after another.
+const MAX_OPEN_FILES: usize = 2;
 /// Sessions at a time, over all clients.
 const MAX_SESSIONS: usize = 16;
 
@@ -72,7 +75,7 @@ pub(super) struct FileServer {
 }
 
 /// Frames that answer a request, at most.
-pub(super) const fn most_frames(request: &FileTransfer) -> usize {
+pub(super) const fn max_frames(request: &FileTransfer) -> usize {
     if request.opcode == opcode::BURST_READ_FILE { MAX_BURST_FRAMES } else { 1 }
 }
 
@@ -148,10 +151,8 @@ impl FileServer {
                 let file = self.find(request)?;
                 let length = self.files.get(file).map_or(0, |file| file.content.len());
                 self.open.retain(|open| open.client != client || open.session != request.session);
-                if self.open.len() >= MAX_SESSIONS {
-                    self.open.pop_front();
-                }
                 self.open.push_back(OpenFile { client, session: request.session, file });
+                self.close_excess(client);
                 one((length as u32).to_le_bytes().to_vec())
             }
             opcode::CALC_FILE_CRC32 => {
@@ -165,6 +166,23 @@ impl FileServer {
             }
             opcode::BURST_READ_FILE => self.burst(client, request),
             _ => Err(Refusal::UnknownCommand),
+        }
+    }
+
+    /// Closes the oldest file of `client` if it has too many open, else that of the peer with the most if all together have.
+    fn close_excess(&mut self, client: SessionSender) {
+        let excess = if self.open.iter().filter(|open| open.client == client).count() > MAX_OPEN_FILES {
+            self.open.iter().position(|open| open.client == client)
+        } else if self.open.len() > MAX_SESSIONS {
+            // By peers, because one peer may send under many addresses.
+            let count = |peer| self.open.iter().filter(|open| open.client.peer == peer).count();
+            let most = self.open.iter().map(|open| count(open.client.peer)).max();
+            self.open.iter().position(|open| Some(count(open.client.peer)) == most)
+        } else {
+            None
+        };
+        if let Some(excess) = excess {
+            self.open.remove(excess);
         }
     }
 
@@ -224,7 +242,6 @@ fn path_of(request: &FileTransfer) -> Result<&[u8], Refusal> {
     let held = request.data.get(..usize::from(request.size)).unwrap_or(&request.data);
     let path = held.split(|byte| *byte == 0).next().unwrap_or_default();
     let path = path.strip_prefix(b".").filter(|rest| rest.is_empty() || rest.starts_with(b"/")).unwrap_or(path);
-    // One file of that many in a folder is what is served.
     let path = path.strip_prefix(b"/").unwrap_or(path);
     if path.starts_with(b"/") { Err(Refusal::FileNotFound) } else { Ok(path) }
 }

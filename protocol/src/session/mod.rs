@@ -128,6 +128,17 @@ impl<C: Clock> Session<C> {
         self.parameters.set_value(index, value)
     }
 
+    /// The message that reports an offered parameter.
+    pub fn parameter(&self, index: usize) -> Option<Message> {
+        self.parameters.value(index)
+    }
+
+    /// Ends a list of parameters that is being sent.
+    pub fn stop_listing(&mut self) {
+        self.parameters.stop_listing();
+        self.idle_until = None;
+    }
+
     /// The offered parameters with their values.
     pub fn offered_parameters(&self) -> impl Iterator<Item = (String, f32)> {
         self.parameters.offered()
@@ -375,7 +386,12 @@ impl<C: Clock> Session<C> {
             return;
         }
         if !self.config.offered_messages.contains(&request.message_id) {
-            self.acknowledge_command(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Unsupported);
+            if request.target == own {
+                self.acknowledge_command(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Unsupported);
+            } else {
+                // Of all components another one may send it: the owner knows whether there is one.
+                self.on_command(by, request.to_command(), None);
+            }
             return;
         }
         self.acknowledge_command(by, COMMAND_SET_MESSAGE_INTERVAL, CommandResult::Accepted);
@@ -390,7 +406,7 @@ impl<C: Clock> Session<C> {
         let is_for_our_system = command.target.system == self.config.own.system
             && self.is_for_us(command.target)
             && self.served_commands.include(command.command);
-        // Only when meant for us alone: for a command to all components, another one may have the better answer.
+        // Of a command to all components, only those that the owner serves: another one may have the better answer.
         if command.target == self.config.own || is_for_our_system {
             self.outputs.push_back(SessionOutput::CommandReceived { by, command, exact });
         }

@@ -18,7 +18,7 @@ use super::output::SessionOutput;
 use crate::dialect::services::PARAM_HASH_NAME;
 use crate::message::Message;
 
-/// Time between two values of a list: 37 bytes each, a sixth of a line of 115 200 baud.
+/// Time between two values of a list: 37 bytes each, a sixth of a line of 115 200 baud for each participant that is listed.
 const LIST_INTERVAL: TimeDelta = TimeDelta::from_millis(20);
 
 #[derive(Clone, Debug, PartialEq)]
@@ -113,6 +113,10 @@ impl<C: Clock> ParameterServer<C> {
         self.was_requested.then(|| self.value(index))?
     }
 
+    pub(super) fn stop_listing(&mut self) {
+        self.listing = None;
+    }
+
     pub(super) fn due(&mut self, now: Timestamp<C>) -> Option<Message> {
         let listing = self.listing.filter(|listing| listing.due <= now)?;
         let count = self.offered.len();
@@ -163,7 +167,7 @@ impl<C: Clock> ParameterServer<C> {
         Message::ParamHash { hash, count: self.offered.len() as u16 }
     }
 
-    fn value(&self, index: usize) -> Option<Message> {
+    pub(super) fn value(&self, index: usize) -> Option<Message> {
         let OfferedParameter { name, value } = self.offered.get(index)?;
         Some(Message::ParamValue {
             name: name.clone(),

@@ -10,12 +10,16 @@ use std::sync::Arc;
 
 use posebridge_telemetry::Address;
 
-use super::file_server::{FileServer, ServedFile, most_frames};
+use super::file_server::{FileServer, ServedFile, max_frames};
 use super::output::{PlanRequest, SessionSender};
-use crate::message::{LogMessage, Message, MissionCurrent, MissionResult, PlanContent, PlanMessage, plan};
+use crate::dialect::ids;
+use crate::message::{CommandLong, LogMessage, Message, MissionCurrent, MissionResult, PlanContent, PlanMessage, plan};
 
 /// MISSION_CURRENT without a mission: no number of items, and MISSION_STATE_NO_MISSION.
 const NO_MISSION: MissionCurrent = MissionCurrent { sequence: 0, items: u16::MAX, state: 1 };
+
+/// Sensors of a robot: the numbered ones and eight cameras.
+const MAX_SENSORS: usize = 18;
 
 /// Who keeps the mission of a vehicle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,13 +101,22 @@ fn answer_about_plan(to: Address, request: &PlanMessage) -> Option<Message> {
     Some(Message::Plan(PlanMessage { target: to, plan: request.plan, content }))
 }
 
+/// The acknowledgement, and the message that was requested; of these there is one for each sensor.
+fn command_answers(command: &CommandLong) -> usize {
+    let is_request = command.command == ids::COMMAND_REQUEST_MESSAGE;
+    match command.named_message().filter(|_| is_request) {
+        Some(ids::NAMED_VALUE_FLOAT | ids::DEBUG_FLOAT_ARRAY) => 1 + MAX_SENSORS,
+        Some(_) | None => 2,
+    }
+}
+
 /// Frames that answer a request, at most, but for those of a list of parameters, which come at a rate of their own.
 #[expect(clippy::wildcard_enum_match_arm, reason = "every other request has one answer")]
-pub const fn most_answers(message: &Message) -> usize {
+pub fn most_answers(message: &Message) -> usize {
     match message {
-        Message::FileTransfer(request) => most_frames(request),
-        // The acknowledgement, and the message that was requested.
-        Message::Command(_) | Message::CommandInt(_) => 2,
+        Message::FileTransfer(request) => max_frames(request),
+        Message::Command(command) => command_answers(command),
+        Message::CommandInt(command) => command_answers(&command.to_long()),
         _ => 1,
     }
 }

@@ -159,6 +159,8 @@ def sensor_cases(std):
         xacc=1.25, yacc=0.0, zacc=0.0, xgyro=0.0, ygyro=0.0, zgyro=-0.75, xmag=0.0, ymag=0.0, zmag=0.0,
         abs_pressure=0.0, diff_pressure=0.0, pressure_alt=0.0, temperature=0.0, id=0)
     yield "highres_imu", frame(std, "highres_imu", 1, 1, 17, time_usec=6000000, fields_updated=33, **imu)
+    yield "highres_imu_of_the_second_unit", frame(
+        std, "highres_imu", 1, 1, 88, time_usec=6000000, fields_updated=33, **dict(imu, id=1))
     imu["xacc"] = 0.0
     yield "highres_imu_gyro_only", frame(std, "highres_imu", 1, 1, 18, time_usec=6000000, fields_updated=32, **imu)
     ranger = dict(
@@ -176,9 +178,11 @@ def vehicle_cases(std, ardupilot):
     """What autopilots send of their sensors."""
     raw = dict(xacc=-999, yacc=0, zacc=0, xgyro=0, ygyro=0, zgyro=-750, xmag=0, ymag=0, zmag=0, temperature=0)
     yield "raw_imu", frame(std, "raw_imu", 1, 1, 52, time_usec=404409989, id=0, **raw)
+    yield "raw_imu_of_the_second_unit", frame(std, "raw_imu", 1, 1, 86, time_usec=404409989, id=1, **raw)
     yield "scaled_imu2", frame(std, "scaled_imu2", 1, 1, 53, time_boot_ms=404428, **raw)
     yield "scaled_imu3", frame(std, "scaled_imu3", 1, 1, 54, time_boot_ms=404429, **raw)
     yield "rpm", frame(ardupilot, "rpm", 1, 1, 55, rpm1=120.0, rpm2=-60.0)
+    yield "rpm_without_the_second_sensor", frame(ardupilot, "rpm", 1, 1, 87, rpm1=120.0, rpm2=-1.0)
     yield "rpm_not_a_number", frame(ardupilot, "rpm", 1, 1, 56, rpm1=NAN, rpm2=0.0)
     place = dict(
         time_usec=300324000, lat=411847694, lon=-960099007, alt=0, epv=65535, vel=357, cog=65535, satellites_visible=255,
@@ -199,6 +203,9 @@ def vehicle_cases(std, ardupilot):
         std, "landing_target", 1, 1, 64, frame=12, x=0.0, y=0.0, position_valid=0, **target)
     yield "landing_target_north_east_down", frame(
         std, "landing_target", 1, 1, 65, frame=1, x=3.0, y=-4.0, position_valid=1, **target)
+    yield "global_vision_not_a_number", frame(
+        std, "global_vision_position_estimate", 1, 100, 91, usec=8000000, x=NAN, y=1.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0,
+        covariance=UNKNOWN, reset_counter=0)
     yield "global_vision", frame(
         std, "global_vision_position_estimate", 1, 100, 66, usec=8000000, x=2.0, y=1.0, z=0.0, roll=0.0, pitch=0.0,
         yaw=math.radians(30.0), covariance=upper(0.04, 0.005, 0.0, 0.01, 0.0, 0.002), reset_counter=3)
@@ -235,6 +242,11 @@ def display_cases(std):
         std, "battery_status", 1, 1, 76, voltages=[7910] + [65535] * 9, current_battery=-1, battery_remaining=80, **pack)
     yield "battery_status_of_cells", frame(
         std, "battery_status", 1, 1, 77, voltages=[4100, 4050] + [65535] * 8, current_battery=125, battery_remaining=-1, **pack)
+    yield "battery_status_of_the_second_battery", frame(
+        std, "battery_status", 1, 1, 89, voltages=[7910] + [65535] * 9, current_battery=-1, battery_remaining=80, **dict(pack, id=1))
+    yield "battery_status_of_twelve_cells", frame(
+        std, "battery_status", 1, 1, 90, voltages=[4000] * 10, current_battery=-1, battery_remaining=80, voltages_ext=[4000, 3000, 0, 0],
+        **pack)
     yield "extended_sys_state", frame(std, "extended_sys_state", 1, 1, 78, vtol_state=0, landed_state=1)
     yield "extended_sys_state_in_air", frame(std, "extended_sys_state", 1, 1, 79, vtol_state=0, landed_state=2)
     yield "manual_control", frame(std, "manual_control", 255, 190, 80, target=1, x=500, y=32767, z=32767, r=-250, buttons=0)

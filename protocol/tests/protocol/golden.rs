@@ -17,6 +17,7 @@ const MEANINGS: &str = include_str!("../data/golden_meanings.txt");
 /// or pressures, or are of another message with the same fields.
 const WRITTEN_OTHERWISE: &[&str] = &[
     "battery_status_of_cells",
+    "battery_status_of_twelve_cells",
     "global_vision",
     "gps_raw_int_dilution",
     "gps_raw_int_of_unknown_accuracy",

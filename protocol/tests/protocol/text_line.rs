@@ -154,6 +154,7 @@ fn the_battery_is_a_column_or_a_key_and_told_once_a_second() {
     assert_eq!(push(&mut *board, at(1_000), b"1000,7.4\n"), ["battery Some(7.4) V"]);
     assert_eq!(push(&mut *board, at(1_999), b"1999,7.3\n"), [""; 0]);
     assert_eq!(push(&mut *board, at(2_000), b"2000,7.2\n"), ["battery Some(7.2) V"]);
+    assert!(push(&mut *board, at(3_000), b"3000,0\n").is_empty(), "a board that has none says 0");
     for wrong in ["7900", "-1", "nan", "full"] {
         let told = push(&mut *board, at(4_000), format!("4000,{wrong}\n").as_bytes());
         assert!(told[0].starts_with("UnframedBytes"), "{wrong}: {told:?}");

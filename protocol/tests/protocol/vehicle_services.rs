@@ -272,6 +272,29 @@ fn sessions_are_kept_for_each_client_and_there_are_only_so_many() {
     assert_eq!((read(&mut session, 10), read(&mut session, 11), read(&mut session, 26)), (NAK, ACK, ACK));
 }
 
+#[test]
+fn a_client_that_opens_many_files_ends_its_own_transfers_alone() {
+    let mut session = vehicle();
+    let open = |session: &mut Session<HostClock>, address, peer, number| {
+        let sender = SessionSender { address, peer: Some(PeerId(peer)) };
+        session.handle_from_peer(at(0), sender, &Message::FileTransfer(on_path(OPEN, number, "long")));
+        while session.poll().is_some() {}
+    };
+    let read =
+        |session: &mut Session<HostClock>, number| transfer(session, 2, &request(READ, number, 0, 4, &[]))[0].opcode;
+    open(&mut session, GCS, 2, 1);
+    for number in 0..40 {
+        open(&mut session, GCS, 1, number);
+        // The same peer under other addresses.
+        open(&mut session, Address::new(number, 190), 1, 1);
+    }
+    assert_eq!(read(&mut session, 1), ACK);
+    for number in 2..4 {
+        open(&mut session, GCS, 2, number);
+    }
+    assert_eq!([1, 2, 3].map(|number| read(&mut session, number)), [NAK, ACK, ACK], "two of each client");
+}
+
 /// By Python over the names by rising order: `crc = zlib.crc32(name + struct.pack("<f", value), crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF`.
 #[test]
 fn the_checksum_of_parameters_is_told_on_request_and_setting_it_ends_the_list() {

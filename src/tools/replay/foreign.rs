@@ -3,7 +3,9 @@
 use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_report::metrics::summarise;
 use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_over_runs};
-use posebridge_station::{DescriptionPolicy, FixRequestConfig, GoalPolicy, RobotConfig, Station, StationConfig};
+use posebridge_station::{
+    DescriptionPolicy, FixRequestConfig, GoalPolicy, RobotConfig, RpmMeaning, Station, StationConfig,
+};
 use posebridge_telemetry::{Address, Estimate, Input, Observation, Point2, TimeDelta};
 
 use super::own::{changed_settings, profile_settings};
@@ -193,6 +195,7 @@ pub fn replay_run(
             filter_config: robot_run.filter_config.clone(),
             // The observations are corrected already.
             wiring: robot_run.robot.wiring(),
+            rpm: RpmMeaning::default(),
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,

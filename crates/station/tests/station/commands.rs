@@ -97,6 +97,22 @@ fn a_tunable_that_is_set_counts_from_the_next_observation_and_is_announced() {
 }
 
 #[test]
+fn a_tunable_that_changes_without_end_is_reported_to_others_at_a_bounded_rate() {
+    let mut ground = Ground::new(|_| {});
+    let read = Message::ParamRequestRead { target: STATION, name: String::new(), index: 0 };
+    ground.send_on(OTHER_GCS_LINK, 100, &read);
+    let first_output = ground.station.outputs.len();
+    for step in 0..200 {
+        let value_set = if step % 2 == 0 { 0.5 } else { 0.6 };
+        assert_eq!(ground.set(200 + 5 * step, "GATE_PROB", value_set), [value(0, value_set)], "its own set at once");
+    }
+    ground.station.pass_until(at(1_300));
+    let reports = ground.received_since(first_output, OTHER_GCS_LINK);
+    assert_eq!(reports.len(), 51, "one each 20 ms");
+    assert_eq!(reports.last(), Some(&value(0, 0.6)));
+}
+
+#[test]
 fn an_invalid_value_is_answered_with_the_current_one_and_the_reason() {
     let index = PARAMS.iter().position(|row| row.key == "slip_nis").expect("a row");
     for (requested, why) in [

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use crate::support::ground::{GCS, GCS_LINK};
 use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, at, config, frame, link, ticks};
-use posebridge_protocol::dialect::ids;
+use posebridge_protocol::dialect::{Encoder, ids};
+use posebridge_protocol::framing::WireVersion;
 use posebridge_protocol::message::Message;
-use posebridge_telemetry::{HostClock, Input, LinkCounts, PeerId, Priority, Recipients, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, HostClock, Input, LinkCounts, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
 /// Estimates that were sent to the robot's link.
 fn estimates(station: &TestStation) -> usize {
@@ -41,6 +42,25 @@ fn a_replaced_connection_gets_nothing_and_costs_nothing() {
         let mut station = by_a_new_connection(before, peers);
         assert_eq!(station.later_health(LINK).forwarded, 0);
         assert_eq!(estimates(&station), 200);
+    }
+}
+
+#[test]
+fn a_peer_with_mavlink_1_is_named_once_whatever_others_send() {
+    let mut station = TestStation::new(&config());
+    let mut old = Encoder::new(WireVersion::V1);
+    let mut current = RemotePeer::new(BRICK, LINK, 1);
+    let texts = |station: &TestStation| station.texts().iter().filter(|text| text.contains("MAVLink 1")).count();
+    for step in 0..20 {
+        current.send(&mut station, at(10 * step), &HEARTBEAT);
+        let mut frame = Vec::new();
+        old.encode(Address::new(2, 1), &HEARTBEAT, &mut frame);
+        // In two pieces, with frames of the other between them.
+        let (first, second) = frame.split_at(7);
+        station.bytes_from(at(10 * step + 1), LINK, PeerId(2), first);
+        current.send(&mut station, at(10 * step + 2), &HEARTBEAT);
+        station.bytes_from(at(10 * step + 3), LINK, PeerId(2), second);
+        assert_eq!(texts(&station), usize::from(step >= 2), "{step}");
     }
 }
 

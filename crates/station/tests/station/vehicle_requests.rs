@@ -7,11 +7,12 @@ use crate::support::network::RemotePeer;
 use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, link, messages, stream, ticks};
 use posebridge_protocol::dialect::ids::{self, COMMAND_REQUEST_MESSAGE};
 use posebridge_protocol::message::{
-    CommandLong, FileTransfer, Heartbeat, LogMessage, Message, PlanContent, PlanMessage, TimeSync, WireStamp,
+    CommandLong, FileTransfer, Heartbeat, LogMessage, Message, PlanContent, PlanMessage, SetMessageInterval, TimeSync,
+    WireStamp,
 };
 use posebridge_protocol::routing::ForwardedDialects;
 use posebridge_station::{AnnouncedAs, OutputKind, StationConfig};
-use posebridge_telemetry::{Address, HostClock, Meters, Priority, Timestamp};
+use posebridge_telemetry::{Address, GeodeticOrigin, GeodeticPoint, HostClock, Meters, Priority, Radians, Timestamp};
 
 /// A robot that is no vehicle by its own address, as one without MAVLink.
 const WITHOUT_VEHICLE: Address = Address::new(1, 25);
@@ -25,6 +26,8 @@ fn two_links() -> StationConfig {
     gcs.announced_as = AnnouncedAs::StationAndVehicle;
     gcs.rules.dialects = ForwardedDialects::Stock;
     config.links.push(gcs);
+    // So that there is a home position to ask for.
+    config.origin = GeodeticOrigin::new(GeodeticPoint { latitude: Radians(0.9), longitude: Radians(0.1) }, Meters(0.0));
     config
 }
 
@@ -52,7 +55,9 @@ fn requests(target: Address) -> Vec<Message> {
         command(COMMAND_REQUEST_MESSAGE, ids::PROTOCOL_VERSION),
         command(COMMAND_REQUEST_MESSAGE, ids::COMPONENT_METADATA),
         command(COMMAND_REQUEST_MESSAGE, ids::AVAILABLE_MODES),
-        Message::ParamRequestList { target },
+        command(COMMAND_REQUEST_MESSAGE, ids::SYS_STATUS),
+        command(ids::COMMAND_GET_MESSAGE_INTERVAL, ids::SYS_STATUS),
+        command(ids::COMMAND_GET_HOME_POSITION, 0),
         Message::ParamRequestRead { target, name: "SLIP_NIS".to_owned(), index: -1 },
         Message::ParamRequestRead { target, name: "_HASH_CHECK".to_owned(), index: -1 },
         Message::ParamSet { target, name: "SLIP_NIS".to_owned(), value: 20.0 },
@@ -66,7 +71,31 @@ fn requests(target: Address) -> Vec<Message> {
         transfer(3, b"/"),
         Message::Log(LogMessage::RequestList { target, first: 0, last: u16::MAX }),
         Message::Log(LogMessage::RequestData { target, id: 0, offset: 0, bytes: 90 }),
+        // The last, because the list goes on for a while.
+        Message::ParamRequestList { target },
     ]
+}
+
+#[expect(clippy::wildcard_enum_match_arm, reason = "only these answer, however many kinds of messages there are")]
+fn is_answer_to(request: &Message, answer: &Message) -> bool {
+    match (request, answer) {
+        (Message::Command(command), Message::CommandAck(ack)) => ack.command == command.command,
+        (Message::SetMessageInterval(_), Message::CommandAck(ack)) => ack.command == ids::COMMAND_SET_MESSAGE_INTERVAL,
+        (Message::ParamRequestList { .. }, Message::ParamValue { index, .. }) => *index == 0,
+        (Message::ParamRequestRead { name, .. }, Message::ParamHash { .. }) => name == "_HASH_CHECK",
+        (
+            Message::ParamRequestRead { name, .. } | Message::ParamSet { name, .. },
+            Message::ParamValue { name: reported, .. },
+        ) => name == reported,
+        (Message::Plan(request), Message::MissionCurrent(_)) => {
+            matches!(request.content, PlanContent::SetCurrent { .. })
+        }
+        (Message::Plan(request), Message::Plan(_)) => !matches!(request.content, PlanContent::SetCurrent { .. }),
+        (Message::FileTransfer(request), Message::FileTransfer(answer)) => answer.requested_opcode == request.opcode,
+        (Message::Log(LogMessage::RequestList { .. }), Message::Log(LogMessage::Entry { .. }))
+        | (Message::Log(LogMessage::RequestData { .. }), Message::Log(LogMessage::Data { .. })) => true,
+        _ => false,
+    }
 }
 
 /// Messages by their senders on the link of the ground stations, after the first `first_output` outputs.
@@ -79,26 +108,15 @@ fn heard(station: &TestStation, first_output: usize) -> Vec<(Address, Message)> 
     heard.collect()
 }
 
-/// How many answers the vehicle has given, and whether the request was forwarded to the robot.
-fn ask(station: &mut TestStation, gcs: &mut RemotePeer, millis: i64, message: &Message) -> (usize, bool) {
+/// How many answers to this request the vehicle has given, and whether the request was forwarded to the robot.
+fn ask(station: &mut TestStation, gcs: &mut RemotePeer, millis: i64, request: &Message) -> (usize, bool) {
     let first_output = station.outputs.len();
-    let passed = gcs.send(station, at(millis), message);
+    let passed = gcs.send(station, at(millis), request);
     station.pass_until(at(millis + 19));
     let answers = heard(station, first_output);
-    let of_vehicle = answers.iter().filter(|(source, message)| *source == BRICK && is_answer(message)).count();
+    let of_vehicle =
+        answers.iter().filter(|(source, answer)| *source == BRICK && is_answer_to(request, answer)).count();
     (of_vehicle, passed.iter().any(|(link, _, _)| *link == LINK))
-}
-
-const fn is_answer(message: &Message) -> bool {
-    !matches!(
-        message,
-        Message::Heartbeat(_)
-            | Message::SystemStatus(_)
-            | Message::OnGround
-            | Message::Attitude { .. }
-            | Message::WheelTicks(_)
-            | Message::WheelDistance { .. }
-    )
 }
 
 /// Two seconds of a robot, with its heartbeats.
@@ -129,16 +147,34 @@ fn every_request_to_a_robot_without_mavlink_is_answered_for_it() {
     drive(&mut station, &mut robot, 0, wheels);
     let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
     for (from_ms, target) in [(2_000, BRICK), (3_000, ALL_OF_ROBOT)] {
-        // What is left of a list of parameters would count as an answer.
+        // A list of parameters goes on for a while.
         station.pass_until(at(from_ms - 1));
         for (index, request) in (0..).zip(requests(target)) {
             let (answers, _) = ask(&mut station, &mut gcs, from_ms + 20 * index, &request);
             assert!(answers > 0, "{request:?} to {target}");
         }
     }
-    let unknown = Message::Command(CommandLong { target: ALL_OF_ROBOT, command: 400, params: [0.0; 7] });
-    station.pass_until(at(3_999));
-    assert_eq!(ask(&mut station, &mut gcs, 4_000, &unknown).0, 1);
+}
+
+#[test]
+fn what_the_station_cannot_do_is_left_to_the_other_components_of_a_system_while_there_are_any() {
+    let mut station = TestStation::new(&two_links());
+    let mut robot = RemotePeer::new(WITHOUT_VEHICLE, LINK, 0);
+    drive(&mut station, &mut robot, 0, wheels);
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
+    let unknown = |target| {
+        let interval = SetMessageInterval { target, message_id: 60_000, interval: None };
+        let command = CommandLong { target, command: 400, params: [0.0; 7] };
+        [Message::Command(command), Message::SetMessageInterval(interval)]
+    };
+    let mut answers = |station: &mut TestStation, from_ms: i64, target| {
+        let asked = (0..).zip(unknown(target));
+        asked.map(|(index, request)| ask(station, &mut gcs, from_ms + 20 * index, &request)).collect::<Vec<_>>()
+    };
+    assert_eq!(answers(&mut station, 2_000, BRICK), [(1, false); 2]);
+    assert_eq!(answers(&mut station, 2_100, ALL_OF_ROBOT), [(0, true); 2], "the robot answers as 1/25, or not");
+    station.pass_until(at(40_000));
+    assert_eq!(answers(&mut station, 40_000, ALL_OF_ROBOT), [(1, false); 2], "nobody else is there");
 }
 
 #[test]
@@ -150,6 +186,37 @@ fn a_robot_that_speaks_mavlink_itself_is_left_alone() {
     for (index, request) in (0..).zip(requests(BRICK)) {
         assert_eq!(ask(&mut station, &mut gcs, 2_000 + 20 * index, &request), (0, true), "{request:?}");
     }
+    // Neither by itself: its state is its own.
+    let shown = heard(&station, 0).into_iter().filter(|(source, _)| *source == BRICK);
+    let others: Vec<Message> = shown.map(|(_, message)| message).filter(|message| !is_expected(message)).collect();
+    assert_eq!(others, []);
+}
+
+/// The robot is a computer beside an autopilot, which is the vehicle.
+#[test]
+fn an_autopilot_beside_the_robot_is_left_alone() {
+    let mut station = TestStation::new(&two_links());
+    let mut companion = RemotePeer::new(WITHOUT_VEHICLE, LINK, 0);
+    let mut autopilot = RemotePeer::new(BRICK, LINK, 0);
+    for millis in (0..2_000).step_by(50) {
+        station.pass_until(at(millis));
+        if millis % 500 == 0 {
+            autopilot.send(&mut station, at(millis), &HEARTBEAT);
+        }
+        companion.send(&mut station, at(millis), &distance(millis as u32));
+    }
+    let before = station.outputs.len();
+    let mut gcs = RemotePeer::new(GCS, GCS_LINK, 0);
+    for (index, request) in (0..).zip(requests(BRICK)) {
+        assert_eq!(ask(&mut station, &mut gcs, 2_000 + 20 * index, &request), (0, true), "{request:?}");
+    }
+    let status = heard(&station, before).into_iter().filter(|(_, message)| matches!(message, Message::SystemStatus(_)));
+    assert_eq!(status.count(), 0);
+}
+
+/// What the robot sends, and the attitude that the station knows alone.
+const fn is_expected(message: &Message) -> bool {
+    matches!(message, Message::Heartbeat(_) | Message::WheelDistance { .. } | Message::Attitude { .. })
 }
 
 #[test]
@@ -169,6 +236,24 @@ fn a_brick_of_our_dialect_is_answered_for_until_it_answers_itself() {
     assert_eq!(ask(&mut station, &mut gcs, 3_020, &list), (0, true), "it has parameters of its own");
     let plan = Message::Plan(PlanMessage { target: BRICK, plan: 0, content: PlanContent::RequestList });
     assert_eq!(ask(&mut station, &mut gcs, 3_040, &plan), (1, false), "but no plans");
+    // After a restart another program may run on it.
+    for millis in (0..1_000).step_by(50) {
+        robot.send(&mut station, at(4_000 + i64::from(millis)), &wheels(millis));
+    }
+    assert_eq!(ask(&mut station, &mut gcs, 5_020, &list), (1, false));
+}
+
+#[test]
+fn the_heartbeat_of_a_camera_that_fell_silent_with_the_vehicle_is_not_sent_when_that_comes_back() {
+    let mut station = TestStation::new(&two_links());
+    let mut robot = RemotePeer::new(BRICK, LINK, 0);
+    let mut camera = RemotePeer::new(CAMERA, LINK, 1);
+    drive(&mut station, &mut robot, 0, wheels);
+    camera.send(&mut station, at(1_960), &Message::Heartbeat(Heartbeat::CAMERA));
+    drive(&mut station, &mut robot, 60_000, wheels);
+    let of_camera = heard(&station, 0).into_iter().filter(|(source, _)| *source == CAMERA);
+    assert_eq!(of_camera.count(), 0);
+    assert_eq!(station.later_health(GCS_LINK).rate_limited, 1);
 }
 
 /// Whoever begins to listen at any instant hears the vehicle's heartbeat before any other.

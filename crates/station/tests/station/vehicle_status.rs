@@ -90,13 +90,22 @@ fn no_map_without_an_origin_until_a_ground_station_sets_one() {
     // Another vehicle's, and no place on the Earth.
     gcs.send(&mut station, at(2_010), &request(9, 52.0));
     gcs.send(&mut station, at(2_020), &request(1, 90.0));
+    // Whoever is on the link of a robot is not heard.
+    let mut brick = RemotePeer::new(BRICK, LINK, 0);
+    brick.send(&mut station, at(2_025), &request(1, 52.0));
     assert_eq!(origins(&station), []);
     gcs.send(&mut station, at(2_030), &request(1, 52.0));
     let answered = origins(&station);
     assert!((answered[0].latitude.0 - delft().latitude.0).abs() < 1e-8, "{answered:?}");
-    let mut brick = RemotePeer::new(BRICK, LINK, 0);
     brick.send(&mut station, at(2_050), &ticks(2_050, 0, 0));
     assert_eq!(positions(&station).len(), 1);
+    // One that asks without end gets as many answers as for any other request, and the text is about a change.
+    let before = origins(&station).len();
+    for millis in 2_100..3_100 {
+        gcs.send(&mut station, at(millis), &request(0, 52.0));
+    }
+    assert!((590..620).contains(&(origins(&station).len() - before)), "{}", origins(&station).len() - before);
+    assert_eq!(station.texts().iter().filter(|text| text.starts_with("origin set")).count(), 1);
 }
 
 #[test]

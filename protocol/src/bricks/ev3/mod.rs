@@ -453,7 +453,7 @@ impl Ev3Codec {
 
     fn record_battery_failure(&mut self, sink: CodecEventSink<'_>) {
         if self.battery.record_failure() {
-            emit_status_text(sink, INFO, "this EV3 does not tell the voltage of its battery");
+            emit_status_text(sink, INFO, "this EV3 does not report the voltage of its battery");
         }
     }
 

@@ -272,7 +272,7 @@ impl NxtCodec {
                 self.report(StatusTopic::Clock, WARNING, text, sink);
             }
             Some(ScheduleChange::Battery) => {
-                self.report(StatusTopic::Battery, INFO, "this NXT does not tell the voltage of its battery", sink);
+                self.report(StatusTopic::Battery, INFO, "this NXT does not report the voltage of its battery", sink);
             }
         }
     }

@@ -208,7 +208,8 @@ impl BoardReading {
                 self.temperature_c = Some(shown.filter(|shown| TEMPERATURES_C.contains(shown))?);
             }
             Quantity::BatteryV => {
-                self.battery_v = Some(parse_float(value).filter(|volts| BATTERIES_V.contains(volts))?);
+                let volts = parse_float(value).filter(|volts| BATTERIES_V.contains(volts))?;
+                self.battery_v = (volts > 0.0).then_some(volts);
             }
             Quantity::Ignore => {}
         }

@@ -81,7 +81,7 @@ fn a_brick_that_does_not_tell_is_asked_twice_and_loses_nothing_else() {
     let brick = Ev3Double { battery: None, ..Ev3Double::default() };
     let session = Ev3Session::run(Ev3Settings::default(), brick, 60.0);
     assert_eq!(told(&session), []);
-    assert_eq!(session.notes(), ["this EV3 does not tell the voltage of its battery"]);
+    assert_eq!(session.notes(), ["this EV3 does not report the voltage of its battery"]);
     assert_eq!(session.source().lost, 0);
     let states = session.ticks().count();
     // One telegram set the gyro up, two asked for the battery.

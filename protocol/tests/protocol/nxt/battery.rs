@@ -72,7 +72,7 @@ fn a_brick_that_does_not_tell_is_asked_twice_and_loses_nothing_else() {
         bench.run_to(60 * SECOND);
         assert_eq!((asked(&bench), bench.lost(), told(&bench)), (2, lost, vec![]), "{protocol} {answer:?}");
         let notes = bench.notes();
-        assert_eq!(notes, ["LEGO NXT with firmware 1.31", "this NXT does not tell the voltage of its battery"]);
+        assert_eq!(notes, ["LEGO NXT with firmware 1.31", "this NXT does not report the voltage of its battery"]);
         assert_true(&bench);
         if protocol == "nxt" {
             // Each silence costs its time-out of half a second and the barrier behind it: 18 of 32 states.

@@ -5,7 +5,7 @@ use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_station::{
     AcceptedVersions, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig, OutputInstant, OutputKind,
-    OutputStream, RobotConfig, StationConfig,
+    OutputStream, RobotConfig, RpmMeaning, StationConfig,
 };
 use posebridge_telemetry::{
     Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
@@ -41,6 +41,7 @@ pub(crate) fn config() -> StationConfig {
                 slow_sensor: SlowSensor::UNKNOWN,
             },
             wiring: Wiring::default(),
+            rpm: RpmMeaning::default(),
             description: DescriptionPolicy::Ignore,
             tag_in_body: Point2::ORIGIN,
             tag: None,
