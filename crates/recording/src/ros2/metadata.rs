@@ -1,11 +1,28 @@
 //! The file `metadata.yaml` that rosbag2 wants beside a bag's storage.
 //!
-//! In version 5, of ROS 2 Humble, which later ones read as well; a bag that says more is refused there.
+//! In version 5, that of ROS 2 Humble, because later ones read it as well.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::writer::QOS_PROFILES;
+/// What a publisher of each topic would have offered: reliable, volatile, the last ten. Numbers and not names of the policies: ROS 2 Humble
+/// reads only these, and later ones read both.
+pub(super) const QOS_PROFILES: &str = "\
+- history: 1
+  depth: 10
+  reliability: 1
+  durability: 2
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false";
 
 /// What a bag holds. Times are log times, since 1970.
 #[derive(Clone, Debug, Default)]

@@ -8,26 +8,7 @@ use mcap::write::NoSeek;
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
 use super::encoder::{BagEncoder, BagMessage};
-use super::metadata::BagContents;
-
-/// What a publisher of each topic would have offered: reliable, volatile, the last ten. Numbers and not names of the policies: ROS 2 Humble
-/// reads only these, and later ones read both.
-pub(super) const QOS_PROFILES: &str = "\
-- history: 1
-  depth: 10
-  reliability: 1
-  durability: 2
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: 1
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false";
+use super::metadata::{BagContents, QOS_PROFILES};
 
 /// The last start of a session whose stamps fit into the 32 bits of `builtin_interfaces/Time`: 2038-01-19.
 const LATEST_START_MICROS: u64 = i32::MAX as u64 * 1_000_000;
