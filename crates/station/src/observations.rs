@@ -24,8 +24,6 @@ use crate::sessions::is_request;
 use crate::station::Station;
 use crate::vehicle_status::battery_of;
 
-const MAV_TYPE_GCS: u8 = 6;
-
 /// Whether any of a message's observations is a robot's own.
 fn is_telemetry(observations: &[Option<UnalignedObservation>]) -> bool {
     observations.iter().flatten().any(|one| one.clock_source == ClockSource::Robot)
@@ -84,13 +82,14 @@ impl Station {
         if let (Message::SetGlobalOrigin(request), DuplicateStatus::New) = (content, duplicate_status) {
             self.handle_set_origin(received.endpoint, request);
         }
-        if let Some(line) = self.heard_sensors.observe(now, (home, source), content, &observations, self.config.origin)
+        if let Some(line) =
+            self.sensor_inventory.observe(now, (home, source), content, &observations, self.config.origin)
         {
             self.report_own_text(severity::NOTICE, line);
         }
         self.observers.fix_requests.observe_message((home, source), content);
         if let (Message::Heartbeat(heartbeat), DuplicateStatus::New) = (content, duplicate_status)
-            && heartbeat.vehicle_type == MAV_TYPE_GCS
+            && heartbeat.is_ground_station()
             && let Some(link) = self.links.get_mut(&received.endpoint.link)
         {
             let is_served = link.add_ground_station(received.endpoint.peer);
@@ -392,9 +391,9 @@ impl Station {
         let robot = self.robots.get_mut(index);
         let is_gyro_off = robot.estimator.switched_off.contains(&SensorId::GYRO);
         if is_gyro_off {
-            robot.motion_source.forget_turn_rate();
+            robot.motion_sources.forget_turn_rate();
         }
-        let Some(observation) = &robot.motion_source.choose(received.host_time, observation) else {
+        let Some(observation) = &robot.motion_sources.select(received.host_time, observation) else {
             return;
         };
         let measurement = robot.clocks.mean_turn_rate(time, observation);

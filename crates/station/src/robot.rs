@@ -17,7 +17,7 @@ use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
 use crate::estimate_publisher::{EstimatePublisher, EstimateSource};
 use crate::estimator::{Estimator, FusionReport};
 use crate::fusion_alarms::FusionAlarms;
-use crate::motion_source::MotionSource;
+use crate::motion_source_selection::MotionSourceSelector;
 use crate::observation_extractor::ObservationExtractor;
 use crate::observers::ObserverId;
 use crate::sender_identity::PEER_TIMEOUT;
@@ -66,7 +66,7 @@ pub struct Robot {
     /// The address that ground stations see as the vehicle.
     pub(crate) vehicle_address: Address,
     pub(crate) extractor: ObservationExtractor,
-    pub(crate) motion_source: MotionSource,
+    pub(crate) motion_sources: MotionSourceSelector,
     pub(crate) sensor_health: SensorHealth,
     /// It has sent messages of our own dialect.
     pub(crate) is_of_own_dialect: bool,
@@ -103,7 +103,7 @@ impl Robot {
             wire_address: Address::default(),
             vehicle_address: Address::default(),
             extractor: ObservationExtractor::new(config, origin),
-            motion_source: MotionSource::default(),
+            motion_sources: MotionSourceSelector::default(),
             sensor_health: SensorHealth::default(),
             is_of_own_dialect: false,
             accepts_goals: false,
@@ -291,7 +291,7 @@ impl Robot {
     pub(crate) fn restart_clock(&mut self) {
         self.compared.push(EstimatorInput::RestartClock);
         self.estimator.restart_clock();
-        self.motion_source = MotionSource::default();
+        self.motion_sources = MotionSourceSelector::default();
         self.wiring_monitor.restart_clock();
     }
 }

@@ -27,8 +27,6 @@ use crate::vehicle_proxy::{CommandResponder, VehicleProxies};
 
 /// MAV_TYPE_ONBOARD_CONTROLLER.
 const ONBOARD_CONTROLLER: u8 = 18;
-/// MAV_AUTOPILOT_INVALID: not an autopilot.
-const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_STATE_ACTIVE.
 const ACTIVE: u8 = 4;
 const HEARTBEAT_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -332,7 +330,7 @@ fn station_session_config(config: &StationConfig) -> SessionConfig {
         own: config.own_address,
         heartbeat: Heartbeat {
             vehicle_type: ONBOARD_CONTROLLER,
-            autopilot: NOT_AN_AUTOPILOT,
+            autopilot: Heartbeat::NOT_AN_AUTOPILOT,
             base_mode: 0,
             system_status: ACTIVE,
         },

@@ -18,9 +18,9 @@ use posebridge_telemetry::{
 
 use crate::config::{BuildError, StationConfig};
 use crate::egress::Egress;
-use crate::heard_sensors::HeardSensors;
 use crate::link_command::LinkCommand;
 use crate::link_context::LinkContext;
+use crate::missing_sensor_report::SensorInventory;
 use crate::mission::Missions;
 use crate::observers::Observers;
 use crate::operator::OperatorState;
@@ -62,7 +62,7 @@ pub struct Station {
     pub(crate) thermometers: ThermometerBank,
     pub(crate) operator: OperatorState,
     pub(crate) missions: Missions,
-    pub(crate) heard_sensors: HeardSensors,
+    pub(crate) sensor_inventory: SensorInventory,
     pub(crate) status_texts: StatusTextQueue,
     pub(crate) egress: Egress,
     pub(crate) outputs: OutputQueue,
@@ -101,7 +101,7 @@ impl Station {
             thermometers: ThermometerBank::default(),
             operator: OperatorState::new(config.robot.filter_config.params),
             missions: Missions::default(),
-            heard_sensors: HeardSensors::default(),
+            sensor_inventory: SensorInventory::default(),
             status_texts: StatusTextQueue::default(),
             egress: Egress::new(&config.links, now),
             outputs: OutputQueue::default(),
@@ -203,7 +203,7 @@ impl Station {
 
     /// A line for each vehicle that lacks a sensor: what it sends and what is missing.
     pub fn missing_sensors(&self) -> Vec<String> {
-        self.heard_sensors.missing(self.config.origin)
+        self.sensor_inventory.missing(self.config.origin)
     }
 
     /// Before any robot is detected, the configured one.

@@ -5,7 +5,7 @@
 //!
 //! # Sources
 //! `all.xml` and `ardupilotmega.xml` of the MAVLink project with everything that they include (upstream commit 19795337), and
-//! `posebridge.xml`; seeds, lengths and order by pymavlink 2.4.50's `mavparse` (`protocol/definitions/messages.py`).
+//! `posebridge.xml`; seeds, lengths and order by pymavlink 2.4.50's `mavparse` (`protocol/definitions/make_message_table.py`).
 
 use std::sync::LazyLock;
 
@@ -15,7 +15,7 @@ use super::generated::posebridge;
 
 /// A line for each message, by rising id: `id,crc_extra,max_len_v1,max_len_v2,NAME` and its fields, each behind a semicolon:
 /// `name type unit`, the unit where there is one. A `+` before the type marks an extension field.
-const TABLE: &str = include_str!("messages.txt");
+const TABLE: &str = include_str!("message_table.txt");
 static DEFINITIONS: LazyLock<Vec<MessageDefinition>> =
     LazyLock::new(|| TABLE.lines().filter_map(MessageDefinition::parse).collect());
 

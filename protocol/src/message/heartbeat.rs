@@ -1,4 +1,4 @@
-//! Who takes part in a conversation.
+//! HEARTBEAT (0).
 
 /// A participant's description of itself, sent once per second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,5 +17,20 @@ impl Heartbeat {
     /// An active robot: MAV_TYPE_GROUND_ROVER, MAV_AUTOPILOT_GENERIC, MAV_STATE_ACTIVE (minimal.xml).
     pub const ROVER: Self = Self { vehicle_type: 10, autopilot: 0, base_mode: 0, system_status: 4 };
     /// An active camera: MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE (minimal.xml).
-    pub const CAMERA: Self = Self { vehicle_type: 30, autopilot: 8, ..Self::ROVER };
+    pub const CAMERA: Self = Self { vehicle_type: 30, autopilot: Self::NOT_AN_AUTOPILOT, ..Self::ROVER };
+
+    /// MAV_AUTOPILOT_INVALID.
+    pub const NOT_AN_AUTOPILOT: u8 = 8;
+    /// MAV_TYPE_GCS.
+    const GROUND_STATION: u8 = 6;
+
+    /// Some ground stations claim an autopilot.
+    pub const fn is_ground_station(self) -> bool {
+        self.vehicle_type == Self::GROUND_STATION
+    }
+
+    /// Whether its sender is no camera, ground station or companion computer.
+    pub const fn is_vehicle(self) -> bool {
+        self.autopilot != Self::NOT_AN_AUTOPILOT && !self.is_ground_station()
+    }
 }

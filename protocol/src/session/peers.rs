@@ -10,12 +10,8 @@ use posebridge_telemetry::{Address, TimeDelta, Timestamp};
 
 use crate::message::Heartbeat;
 
-/// MAV_AUTOPILOT_INVALID: a participant that is not a vehicle.
-const NOT_AN_AUTOPILOT: u8 = 8;
 /// MAV_AUTOPILOT_GENERIC.
 const GENERIC_AUTOPILOT: u8 = 0;
-/// MAV_TYPE_GCS: some ground stations claim an autopilot.
-const GROUND_STATION: u8 = 6;
 /// Number of requests of one interval before the next one is requested.
 const MAX_ATTEMPTS: u8 = 5;
 const RETRY_PERIOD: TimeDelta = TimeDelta::from_millis(1_000);
@@ -40,8 +36,7 @@ enum PeerKind {
 impl PeerKind {
     const fn of(heartbeat: Heartbeat) -> Self {
         match heartbeat.autopilot {
-            _ if heartbeat.vehicle_type == GROUND_STATION => Self::NoVehicle,
-            NOT_AN_AUTOPILOT => Self::NoVehicle,
+            _ if !heartbeat.is_vehicle() => Self::NoVehicle,
             GENERIC_AUTOPILOT => Self::Robot,
             _ => Self::Autopilot,
         }

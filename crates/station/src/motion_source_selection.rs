@@ -18,7 +18,7 @@ const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 const MIN_GROUND_SPEED_M_PER_S: f64 = 0.3;
 
 #[derive(Debug, Default)]
-pub(crate) struct MotionSource {
+pub(crate) struct MotionSourceSelector {
     /// The inertial message that is used, and when it was last heard.
     imu: Option<(ImuMessage, Timestamp<HostClock>)>,
     wheels: WheelSource,
@@ -54,9 +54,9 @@ impl WheelSource {
     }
 }
 
-impl MotionSource {
+impl MotionSourceSelector {
     /// The observation as it is used at `now`; `None` if another source measures the same.
-    pub(crate) fn choose(
+    pub(crate) fn select(
         &mut self,
         now: Timestamp<HostClock>,
         observation: &UnalignedObservation,
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn one_message_is_used_until_a_better_one_comes_or_it_falls_silent() {
-        let mut source = MotionSource::default();
+        let mut source = MotionSourceSelector::default();
         let heard = [
             (0, ImuMessage::Scaled2, true),
             (10, ImuMessage::Scaled3, false),
@@ -138,10 +138,10 @@ mod tests {
     #[test]
     fn the_speed_of_satellites_stands_in_for_the_speeds_of_wheels_and_not_for_their_counts() {
         let at = Timestamp::from_millis;
-        let mut source = MotionSource::default();
+        let mut source = MotionSourceSelector::default();
         let mut passes = |millis, observation: UnalignedObservation| {
-            let chosen = source.choose(at(millis), &observation)?;
-            let ObservationKind::BodyVelocity { forward, turn } = chosen.observed else { return None };
+            let selected = source.select(at(millis), &observation)?;
+            let ObservationKind::BodyVelocity { forward, turn } = selected.observed else { return None };
             Some((forward.0, turn.0))
         };
         assert_eq!(passes(0, speed(SensorId::GNSS, 1.0)), None, "its turn is unknown");

@@ -1,7 +1,7 @@
-"""Writes protocol/src/dialect/messages.txt: every message of MAVLink's all.xml and ardupilotmega.xml with what they include, and of ours.
+"""Writes protocol/src/dialect/message_table.txt: every message of MAVLink's all.xml and ardupilotmega.xml with what they include, and of ours.
 
     python3 -m venv /tmp/mavlink && /tmp/mavlink/bin/pip install pymavlink==2.4.50
-    /tmp/mavlink/bin/python protocol/definitions/messages.py FOLDER [--check]
+    /tmp/mavlink/bin/python protocol/definitions/make_message_table.py FOLDER [--check]
 
 FOLDER holds the XML of the MAVLink project: `mavlink/message_definitions/v1.0` in the package of the crate `mavlink` (0.21.0: upstream commit
 19795337), below ~/.cargo/registry/src. With `--check` nothing is written; the script fails if the file differs. Checksum seeds, lengths and
@@ -14,7 +14,7 @@ import sys
 from pymavlink.generator import mavparse
 
 HERE = pathlib.Path(__file__).resolve().parent
-TABLE = HERE.parent / "src" / "dialect" / "messages.txt"
+TABLE = HERE.parent / "src" / "dialect" / "message_table.txt"
 TYPES = {
     "char": "char", "float": "f32", "double": "f64",
     **{f"{sign}int{bits}_t": f"{short}{bits}" for sign, short in (("", "i"), ("u", "u")) for bits in (8, 16, 32, 64)},

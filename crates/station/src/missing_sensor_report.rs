@@ -17,17 +17,14 @@ const LISTENING_TIME: TimeDelta = TimeDelta::from_millis(5_000);
 const MAX_VEHICLES: usize = 64;
 /// A vehicle that is silent for this long makes room for another one.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(60_000);
-/// MAV_AUTOPILOT_INVALID and MAV_TYPE_GCS: senders that are no vehicles.
-const NOT_AN_AUTOPILOT: u8 = 8;
-const GROUND_STATION: u8 = 6;
 
 #[derive(Debug, Default)]
-pub(crate) struct HeardSensors {
-    vehicles: BTreeMap<(LinkId, Address), HeardVehicle>,
+pub(crate) struct SensorInventory {
+    vehicles: BTreeMap<(LinkId, Address), VehicleSensors>,
 }
 
 #[derive(Debug)]
-struct HeardVehicle {
+struct VehicleSensors {
     since: Timestamp<HostClock>,
     last: Timestamp<HostClock>,
     has_reported: bool,
@@ -43,7 +40,7 @@ struct HeardVehicle {
     satellite_position: Option<GeodeticPoint>,
 }
 
-impl HeardSensors {
+impl SensorInventory {
     /// Takes a message of a sender and what it observes; returns the line about the sender when it is due.
     pub(crate) fn observe(
         &mut self,
@@ -54,14 +51,13 @@ impl HeardSensors {
         origin: Option<GeodeticOrigin>,
     ) -> Option<String> {
         if let Message::Heartbeat(heartbeat) = message
-            && heartbeat.autopilot != NOT_AN_AUTOPILOT
-            && heartbeat.vehicle_type != GROUND_STATION
+            && heartbeat.is_vehicle()
         {
             if self.vehicles.len() >= MAX_VEHICLES {
                 self.vehicles.retain(|_, vehicle| now - vehicle.last < MAX_SILENCE);
             }
             if self.vehicles.len() < MAX_VEHICLES {
-                self.vehicles.entry((link, sender)).or_insert_with(|| HeardVehicle::new(now));
+                self.vehicles.entry((link, sender)).or_insert_with(|| VehicleSensors::new(now));
             }
         }
         let vehicle = self.vehicles.get_mut(&(link, sender))?;
@@ -80,7 +76,7 @@ impl HeardSensors {
     }
 }
 
-impl HeardVehicle {
+impl VehicleSensors {
     const fn new(since: Timestamp<HostClock>) -> Self {
         Self {
             since,
@@ -142,7 +138,7 @@ impl HeardVehicle {
             format!("{sender}: heard {}", heard.join(", "))
         };
         if self.imus.len() > 1 {
-            // The first of the set, as in `MotionSource`.
+            // The first of the set, as in `MotionSourceSelector`.
             let used = self.imus.first().map_or("", |imu| imu_name(*imu));
             text = format!("{text} ({used} is used)");
         }
@@ -192,7 +188,7 @@ mod tests {
     }
 
     fn heard_with(robot: &RobotConfig, messages: &[Message]) -> Option<String> {
-        let mut sensors = HeardSensors::default();
+        let mut sensors = SensorInventory::default();
         let heartbeat = Message::Heartbeat(Heartbeat::ROVER);
         let extractor = ObservationExtractor::new(robot, None);
         let mut observe = |millis, message: &Message| {
