@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use posebridge_protocol::dialect::Encoder;
-    use posebridge_protocol::framing::WireVersion;
+    use posebridge_protocol::framing::{TransportKind, WireVersion};
     use posebridge_protocol::message::Message;
     use posebridge_telemetry::Address;
 
@@ -138,7 +138,8 @@ mod tests {
 
     #[test]
     fn a_frame_behind_a_stray_start_byte_is_passed_at_the_end() {
-        let links = Config::default().station_config().unwrap().links;
+        let mut links = Config::default().station_config().unwrap().links;
+        links[0].framing = TransportKind::Stream;
         let mut bytes = vec![0xFD];
         let request = Message::ParamRequestList { target: Address::new(1, 197) };
         Encoder::new(WireVersion::V2).encode(Address::new(7, 1), &request, &mut bytes);

@@ -1,6 +1,6 @@
 //! `posebridge dialect`: our MAVLink messages for other programs (docs/protocols/mavlink.md).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
@@ -49,14 +49,14 @@ pub fn execute(args: &DialectArgs) -> Result<(), Failure> {
     let Some(folder) = &args.out else {
         return print_result(&binding.text()).while_running();
     };
-    write(folder.join(binding.file_name()), binding).before_start()
+    write(&folder.join(binding.file_name()), binding).before_start()
 }
 
-fn write(path: PathBuf, binding: Binding) -> Result<()> {
+fn write(path: &Path, binding: Binding) -> Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).with_context(|| format!("making the folder `{}`", folder.display()))?;
     }
-    std::fs::write(&path, binding.text()).with_context(|| format!("writing `{}`", path.display()))?;
+    std::fs::write(path, binding.text()).with_context(|| format!("writing `{}`", path.display()))?;
     print_line(&format!("wrote `{}`", path.display()));
     Ok(())
 }

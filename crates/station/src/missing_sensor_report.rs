@@ -23,6 +23,7 @@ pub(crate) struct SensorInventory {
     vehicles: BTreeMap<(LinkId, Address), VehicleSensors>,
 }
 
+#[expect(clippy::struct_excessive_bools, reason = "what was heard, each for itself")]
 #[derive(Debug)]
 struct VehicleSensors {
     since: Timestamp<HostClock>,

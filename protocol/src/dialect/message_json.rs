@@ -253,7 +253,7 @@ mod tests {
         let as_whole = |message, source| {
             let frame =
                 frame(definition(message).unwrap(), WireVersion::V2, source, 0, &FullPayload::new(&[])).unwrap();
-            let digits: String = frame.iter().map(|byte| format!("{byte:02x}")).collect();
+            let digits = frame.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().concat();
             format!("{{\"_frame\": \"{digits}\"}}")
         };
         assert!(read_json(status, SOURCE, as_whole(1, SOURCE).as_bytes()).is_ok());

@@ -134,12 +134,12 @@ impl Mission {
                     return Err(denied(format!("mission start: ends with the plan, param2 {p2:?} must be 0")));
                 }
                 // 0 is what programs send that mean the whole plan, or its rest.
-                self.start((first != 0).then_some(first as usize))
+                self.start((first != 0).then_some(first as usize))?;
             }
             ids::COMMAND_PAUSE_CONTINUE => match whole(p1) {
                 Some(0) => self.pause(now),
-                Some(1) => self.start(None),
-                _ => Err(denied(format!("pause or continue: param1 {p1:?}, not 0 or 1"))),
+                Some(1) => self.start(None)?,
+                _ => return Err(denied(format!("pause or continue: param1 {p1:?}, not 0 or 1"))),
             },
             ids::COMMAND_SET_MISSION_CURRENT => {
                 // -1 is the present one.
@@ -147,15 +147,18 @@ impl Mission {
                     return Ok(());
                 }
                 match whole(p1) {
-                    Some(index) => self.set_current(index as usize),
-                    None => Err(denied(format!("set current item: param1 {p1:?} is no number of an item"))),
+                    Some(index) => self.set_current(index as usize)?,
+                    None => return Err(denied(format!("set current item: param1 {p1:?} is no number of an item"))),
                 }
             }
             ids::COMMAND_SET_MODE => match (whole(p1).map(|flags| flags & mode::CUSTOM), whole(p2), whole(p3)) {
-                (Some(mode::CUSTOM), Some(mode::AUTO), Some(mode::MISSION)) => self.start(None),
+                (Some(mode::CUSTOM), Some(mode::AUTO), Some(mode::MISSION)) => self.start(None)?,
                 (Some(mode::CUSTOM), Some(mode::AUTO), Some(mode::HOLD)) => self.pause(now),
                 (Some(mode::CUSTOM), Some(mode::AUTO), Some(mode::RETURN)) => self.return_to_origin(),
-                _ => Err(denied(format!("no mode {p1:?}, {p2:?}, {p3:?}: use 1, 4 and 4 mission, 3 hold, 5 return"))),
+                _ => {
+                    let text = format!("no mode {p1:?}, {p2:?}, {p3:?}: use 1, 4 and 4 mission, 3 hold, 5 return");
+                    return Err(denied(text));
+                }
             },
             ids::COMMAND_RETURN_TO_LAUNCH => self.return_to_origin(),
             ids::COMMAND_REPOSITION => {
@@ -168,10 +171,12 @@ impl Mission {
                 check_reachable(position, origin)
                     .map_err(|why| DriveRefusal { result: why.result, text: format!("reposition: {}", why.text) })?;
                 self.run.reposition(position, &mut self.actions);
-                Ok(())
             }
-            _ => Err(DriveRefusal { result: CommandResult::Unsupported, text: "unknown command".to_owned() }),
+            _ => {
+                return Err(DriveRefusal { result: CommandResult::Unsupported, text: "unknown command".to_owned() });
+            }
         }
+        Ok(())
     }
 
     /// Somebody else drives the robot.
@@ -299,14 +304,12 @@ impl Mission {
         Ok(())
     }
 
-    fn pause(&mut self, now: Timestamp<HostClock>) -> Result<(), DriveRefusal> {
+    fn pause(&mut self, now: Timestamp<HostClock>) {
         self.run.pause(now, "as requested", &mut self.actions);
-        Ok(())
     }
 
-    fn return_to_origin(&mut self) -> Result<(), DriveRefusal> {
+    fn return_to_origin(&mut self) {
         self.run.reposition(GoalPosition::Arena(Point2::ORIGIN), &mut self.actions);
-        Ok(())
     }
 
     fn set_current(&mut self, index: usize) -> Result<(), DriveRefusal> {
@@ -394,7 +397,7 @@ fn check_reachable(position: GoalPosition, origin: Option<GeodeticOrigin>) -> Re
 /// The missions of all robots that have one, and when each is due.
 #[derive(Debug, Default)]
 pub(crate) struct Missions {
-    missions: BTreeMap<RobotIndex, Mission>,
+    by_robot: BTreeMap<RobotIndex, Mission>,
     /// Those with something new.
     pending: BTreeSet<RobotIndex>,
     due: BTreeSet<(Timestamp<HostClock>, RobotIndex)>,
@@ -404,22 +407,22 @@ impl Missions {
     /// The mission of a robot, which gets its turn with [`Self::take_ready`].
     pub(crate) fn open(&mut self, robot: RobotIndex) -> &mut Mission {
         self.pending.insert(robot);
-        self.missions.entry(robot).or_default()
+        self.by_robot.entry(robot).or_default()
     }
 
     /// The same, if it has one.
     pub(crate) fn find(&mut self, robot: RobotIndex) -> Option<&mut Mission> {
-        let mission = self.missions.get_mut(&robot)?;
+        let mission = self.by_robot.get_mut(&robot)?;
         self.pending.insert(robot);
         Some(mission)
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        self.missions.is_empty()
+        self.by_robot.is_empty()
     }
 
     pub(crate) fn robots(&self) -> Vec<RobotIndex> {
-        self.missions.keys().copied().collect()
+        self.by_robot.keys().copied().collect()
     }
 
     /// The robots whose mission has something to do.
@@ -436,7 +439,7 @@ impl Missions {
         robot: RobotIndex,
         origin: Option<GeodeticOrigin>,
     ) -> Vec<MissionAction> {
-        let Some(mission) = self.missions.get_mut(&robot) else {
+        let Some(mission) = self.by_robot.get_mut(&robot) else {
             return Vec::new();
         };
         mission.advance(now, origin);

@@ -297,7 +297,7 @@ fn one_ground_station_uploads_at_a_time_and_both_see_the_plan() {
     for content in [PlanContent::Count { items: 2 }, PlanContent::ClearAll] {
         let first_output = transfer.station.outputs.len();
         transfer.other.send(&mut transfer.station, at(transfer.now_ms), &plan_message(content));
-        assert_eq!(heard_since(&transfer.station, first_output), [denied.clone()]);
+        assert_eq!(heard_since(&transfer.station, first_output), std::slice::from_ref(&denied));
     }
     // It begins anew.
     assert_eq!(transfer.upload(&square()), ACCEPTED);

@@ -76,7 +76,6 @@ fn requests(target: Address) -> Vec<Message> {
     ]
 }
 
-#[expect(clippy::wildcard_enum_match_arm, reason = "only these answer, however many kinds of messages there are")]
 fn is_answer_to(request: &Message, answer: &Message) -> bool {
     match (request, answer) {
         (Message::Command(command), Message::CommandAck(ack)) => ack.command == command.command,
