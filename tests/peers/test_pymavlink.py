@@ -152,6 +152,7 @@ class GroundStation(Common):
         ground = self.ground(station.addresses[0], key=key)
         ground.hear_beats(3, of=EVERYBODY)
         self.sets_every_parameter(ground)
+        ground.hear_beats(6, of=EVERYBODY)
         # Robot and camera do not sign; their frames are numbered all the same, because some of them were for the station alone.
         frames = self.lost_nothing(ground, of=EVERYBODY)
         self.assertTrue(all(count > 10 for count in frames.values()), frames)

@@ -124,11 +124,8 @@ impl Station {
             Some(answer) => answer,
             None => RequestReply::of(self.execute_link_command(id, role, requester, request)),
         };
-        let (now, system) = (self.time.now, command.target.system);
-        // The vehicle is never silent where nobody else can answer; beside it the station is.
-        let are_others_present =
-            role == SenderRole::Station || self.router.hears_system_elsewhere(now, received.endpoint, system);
-        if are_others_present && answer.may_be_left_to_others(command) {
+        // A vehicle is never silent, as an autopilot is not: a ground station would repeat the command until it gives up.
+        if role == SenderRole::Station && answer.may_be_left_to_others(command) {
             return;
         }
         self.sessions.with_session(id, role, |session| {

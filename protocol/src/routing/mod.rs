@@ -10,7 +10,7 @@ mod rules;
 
 use std::collections::BTreeMap;
 
-use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, SystemId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, HostClock, LinkId, PeerId, Priority, Recipients, TimeDelta, Timestamp};
 
 pub use duplicates::has_timestamp;
 pub use endpoints::{Endpoint, MAX_PEERS, MessageTarget, ROUTE_LIFETIME, retarget, target_of};
@@ -207,11 +207,6 @@ impl FrameRouter {
     pub fn peers_of(&self, now: Timestamp<HostClock>, link: LinkId, address: Address) -> Vec<PeerId> {
         let endpoints = self.routes.to_component(now, address).into_iter();
         endpoints.filter(|endpoint| endpoint.link == link).map(|endpoint| endpoint.peer).collect()
-    }
-
-    /// Whether a component of a system is heard from another endpoint than `from`.
-    pub fn hears_system_elsewhere(&self, now: Timestamp<HostClock>, from: Endpoint, system: SystemId) -> bool {
-        self.routes.to_system(now, system).iter().any(|endpoint| *endpoint != from)
     }
 
     /// Does work that is not urgent; call it after the replies to an input were sent.
