@@ -106,7 +106,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use posebridge_protocol::dialect::Encoder;
-    use posebridge_protocol::framing::{TransportKind, WireVersion};
+    use posebridge_protocol::framing::WireVersion;
     use posebridge_protocol::message::Message;
     use posebridge_telemetry::Address;
 
@@ -134,22 +134,5 @@ mod tests {
         }
         push(&mut frames, peers, peers - 1, rest);
         assert_eq!(passed, 2 * peers + 1);
-    }
-
-    #[test]
-    fn a_frame_behind_the_head_of_a_longer_one_is_passed_at_the_end() {
-        let mut links = Config::default().station_config().unwrap().links;
-        links[0].framing = TransportKind::Stream;
-        // The head of a frame of version 2 with 40 bytes.
-        let mut bytes = vec![0xFD, 40, 0, 0, 5, 1, 1];
-        let request = Message::ParamRequestList { target: Address::new(1, 197) };
-        Encoder::new(WireVersion::V2).encode(Address::new(7, 1), &request, &mut bytes);
-        let mut frames = LinkFrames::new(&links);
-        let mut times = Vec::new();
-        let now = Timestamp::from_millis(5);
-        frames.push(now, links[0].id, PeerId(0), &bytes, &mut |frame| times.push(frame.now));
-        assert!(times.is_empty(), "the longer one may still be completed");
-        frames.finish(&mut |frame| times.push(frame.now));
-        assert_eq!(times, [now]);
     }
 }
