@@ -162,6 +162,10 @@ impl ParameterOwner {
                 let bits = [operands.byte(), operands.byte(), operands.byte()];
                 let value = f32::from_bits(u32::from_le_bytes([bits[0], bits[1], bits[2], bits[0]]));
                 self.is_requested |= counts;
+                // Who sets the checksum has all values.
+                if counts && name == "_HASH_CHECK" {
+                    self.left = 0;
+                }
                 self.on_message(&Message::ParamSet { target, name, value });
             }
         }
