@@ -49,7 +49,7 @@ pub fn open(path: &Path) -> io::Result<Box<dyn Read>> {
     Ok(Box::new(FileSequence { files: files.into_iter(), open: None }))
 }
 
-/// Files of which one is open at a time.
+/// Files that are read one after another.
 struct FileSequence {
     files: std::vec::IntoIter<PathBuf>,
     open: Option<File>,

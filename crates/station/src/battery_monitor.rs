@@ -1,6 +1,6 @@
 //! What is known of a robot's battery: each quantity as it was last reported, while it is recent.
 //!
-//! A robot may report them in several messages, of which each knows only some.
+//! A robot may report them in several messages, each with some of them.
 
 use posebridge_protocol::message::Battery;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};

@@ -19,7 +19,7 @@ use crate::token_bucket::{TokenBucket, TokenRate};
 pub(crate) struct LinkContext {
     pub(crate) state: LinkState,
     has_been_up: bool,
-    /// Whether somebody takes what is sent. Where peers come and go the transport says so with its counters, once a second.
+    /// Whether the link has a peer. A transport whose peers come and go reports their number once a second.
     has_peer: bool,
     pub(crate) health: LinkHealth,
     pub(crate) framers: PeerFramers,
@@ -254,12 +254,12 @@ impl LinkContext {
         self.has_peer = counts.peers > 0;
     }
 
-    /// Notes that bytes came: whoever has connected since the transport's last counters is a peer.
+    /// Bytes came: a peer has connected since the transport's last counters.
     pub(crate) const fn note_peer(&mut self) {
         self.has_peer = true;
     }
 
-    /// Counts a frame that the link is given: as sent, or as dropped where nobody takes it.
+    /// Counts a frame that the link is given: as sent, or as dropped where the link has no peer.
     pub(crate) fn count_sent(&mut self, frame: &[u8]) {
         if self.has_peer {
             self.health.bytes_out += frame.len() as u64;

@@ -33,7 +33,7 @@ struct VehicleSensors {
     has_ground_speed: bool,
     /// It places itself by something other than satellites.
     has_fixes: bool,
-    /// It sends speeds that nobody has called those of wheels.
+    /// It sends speeds that are not configured as those of wheels.
     has_unused_rpm: bool,
     imus: BTreeSet<ImuMessage>,
     /// Beside inertial units and satellites.

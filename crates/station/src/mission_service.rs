@@ -45,7 +45,7 @@ impl Station {
         }
     }
 
-    /// Somebody steers a vehicle: a person has priority over the plan.
+    /// Pauses the mission of a vehicle that a message steers: steering by hand has priority over the plan.
     pub(crate) fn observe_steering(&mut self, link: LinkId, sender: Option<RobotIndex>, message: &Message) {
         if self.missions.is_empty() {
             return;
@@ -63,7 +63,7 @@ impl Station {
         }
     }
 
-    /// A person drives these robots in the simulator.
+    /// Pauses the missions of robots that are driven by hand in the simulator.
     pub(crate) fn interrupt_missions(&mut self, target: CommandTarget) {
         let robots = match target {
             CommandTarget::Station => self.missions.robots(),

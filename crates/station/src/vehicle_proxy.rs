@@ -206,7 +206,7 @@ impl VehicleProxies {
         })
     }
 
-    /// Whether the station alone is the vehicle: the robot is not, and nobody else beside it, as the autopilot of a companion computer.
+    /// Whether the station alone sends as the vehicle: neither the robot does, nor an autopilot beside a companion computer.
     fn is_served_here(&self, now: Timestamp<HostClock>, robot: RobotId, vehicle: &VehicleProxy) -> bool {
         vehicle.responder == CommandResponder::Station && !self.is_sent_by_robot(now, robot, ids::HEARTBEAT)
     }

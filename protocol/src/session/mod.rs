@@ -150,7 +150,7 @@ impl<C: Clock> Session<C> {
         self.served_commands = served;
     }
 
-    /// Answers what is asked of a vehicle beside telemetry, parameters and commands: plans, logs, of which it has none, and these files.
+    /// Answers what is asked of a vehicle beside telemetry, parameters and commands: plans, an empty list of logs, and these files.
     pub fn serve_as_vehicle(&mut self, files: Arc<[ServedFile]>, plans: PlanService) {
         self.vehicle_services = Some(VehicleServices::new(files, plans));
     }

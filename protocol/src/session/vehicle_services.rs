@@ -1,4 +1,4 @@
-//! What a vehicle answers beside telemetry, parameters and commands: plans, logs, of which there are none, and the files that describe it.
+//! What a vehicle answers beside telemetry, parameters and commands: plans, an empty list of logs, and the files that describe it.
 //!
 //! Each request has an answer, because a ground station waits for one before it goes on. Without an owner of its mission
 //! a vehicle refuses every plan at once; one without items is accepted, because then there is nothing that is not done. Fences and rally

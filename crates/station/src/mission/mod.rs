@@ -24,9 +24,9 @@ use self::run::{DrivenRobot, MissionRun, MissionState, NO_ORIGIN};
 use crate::link_command::LinkCommand;
 use crate::sender_identity::RobotIndex;
 
-/// More than anybody plans in an arena; 64 kB.
+/// A plan in an arena has fewer items; so many take 64 kB.
 const MAX_ITEMS: u16 = 1_000;
-/// Without an estimate for this long nobody knows where the robot is.
+/// The robot may be elsewhere than an older estimate says.
 const ESTIMATE_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
 /// The tangential plane is right within 8 m there.
 const MAX_DISTANCE_M: f64 = 10_000.0;
@@ -41,7 +41,7 @@ mod mode {
     pub(super) const RETURN: u32 = 5;
 }
 
-/// Why a command was refused: the result, and the reason for people.
+/// Why a command was refused: the result, and the reason as text.
 #[derive(Debug, PartialEq)]
 pub(crate) struct DriveRefusal {
     pub(crate) result: CommandResult,
@@ -179,7 +179,7 @@ impl Mission {
         Ok(())
     }
 
-    /// Somebody else drives the robot.
+    /// The robot is steered by hand or by another program.
     pub(crate) fn interrupt(&mut self, why: &str) {
         self.run.interrupt(why, &mut self.actions);
     }

@@ -125,7 +125,7 @@ impl MissionRun {
         self.leave_active(why, actions);
     }
 
-    /// Somebody else drives the robot. It is not stopped.
+    /// The robot is steered by hand or by another program. It is not stopped.
     pub(crate) fn interrupt(&mut self, why: &str, actions: &mut Vec<MissionAction>) {
         self.activity = Activity::Rest;
         self.leave_active(why, actions);

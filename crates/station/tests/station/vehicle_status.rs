@@ -90,7 +90,7 @@ fn no_map_without_an_origin_until_a_ground_station_sets_one() {
     // Another vehicle's, and no place on the Earth.
     gcs.send(&mut station, at(2_010), &request(9, 52.0));
     gcs.send(&mut station, at(2_020), &request(1, 90.0));
-    // Whoever is on the link of a robot is not heard.
+    // A peer on the link of a robot may not set it.
     let mut brick = RemotePeer::new(BRICK, LINK, 0);
     brick.send(&mut station, at(2_025), &request(1, 52.0));
     assert_eq!(origins(&station), []);
