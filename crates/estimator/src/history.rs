@@ -12,7 +12,7 @@ use posebridge_telemetry::{BrickClock, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::motion::count_before;
-use crate::saved::{MAX_ENTRIES, RestoreError, require};
+use crate::saved::{MAX_ENTRIES, RestoreError};
 
 /// The number of last states that are stored: 0.16 s of a brick whose wheels and gyro are read 50 times a second.
 const RECENT_STATES: usize = 16;
@@ -82,13 +82,15 @@ impl<E: HistoryEntry + Clone, S: Copy + PartialEq> FixedLagHistory<E, S> {
     pub fn restored(saved: SavedHistory<E, S>, apply: impl FnMut(&S, &mut S, &E)) -> Result<Self, RestoreError> {
         let is_in_order =
             saved.entries.iter().zip(saved.entries.iter().skip(1)).all(|(one, next)| one.order(next).is_le());
-        require(is_in_order && saved.entries.len() <= MAX_ENTRIES, "its observations are too many, or out of order")?;
+        (is_in_order && saved.entries.len() <= MAX_ENTRIES)
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its observations are too many, or out of order"))?;
         let mut history = Self::replayed(&saved, apply);
         if let Some(states) = saved.states {
             let before = history.stored_states();
             let is_complete =
                 (states.checkpoints.len(), states.recent.len()) == (before.checkpoints.len(), before.recent.len());
-            require(is_complete, "it lacks states between its observations")?;
+            is_complete.then_some(()).ok_or(RestoreError::Implausible("it lacks states between its observations"))?;
             history.checkpoints = states.checkpoints;
             let first = history.entries.len() - states.recent.len() + 1;
             for (number, state) in (first..).zip(states.recent) {

@@ -51,11 +51,6 @@ pub fn split_first<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u
     postcard::take_from_bytes(bytes).or(Err(RestoreError::Damaged))
 }
 
-/// An error with this text unless the condition holds.
-pub const fn require(holds: bool, otherwise: &'static str) -> Result<(), RestoreError> {
-    if holds { Ok(()) } else { Err(RestoreError::Implausible(otherwise)) }
-}
-
 /// Numbers of a state.
 pub trait Numbers {
     /// Whether all are finite, and not so large that their products are not.

@@ -61,8 +61,8 @@ impl DynamicFilter {
         SavedDynamic { state: *state, last_samples: *last_samples }
     }
 
-    pub(super) const fn set_saved(&mut self, saved: SavedDynamic) {
-        SavedDynamic { state: self.state, last_samples: self.last_samples } = saved;
+    pub(super) const fn set_saved(&mut self, saved: &SavedDynamic) {
+        SavedDynamic { state: self.state, last_samples: self.last_samples } = *saved;
     }
 
     /// One thermometer, [`SensorId::THERMOMETER`], of first order; ignores all temperatures if `dynamic_tau_s` is not
@@ -206,7 +206,7 @@ impl Filter for DynamicFilter {
     }
 
     fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
-        self.set_saved(saved::from_bytes(saved)?);
+        self.set_saved(&saved::from_bytes(saved)?);
         Ok(())
     }
 

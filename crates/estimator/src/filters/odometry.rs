@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::models::differential_drive::{body_step, propagate_pose, step_noise};
 use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SavedTrack};
-use crate::saved::{self, RestoreError, covariance, finite, require};
+use crate::saved::{self, RestoreError, covariance, finite};
 use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
 
@@ -191,7 +191,7 @@ impl Filter for OdometryFilter {
     fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
         let SavedOdometry { track, states, has_pose, status } = saved::from_bytes(saved)?;
         let is_sound = !states.is_empty() && saved::is_ordered(&states, |state| state.stamp, |one, next| one <= next);
-        require(is_sound, "its states are none, too many, or out of order")?;
+        is_sound.then_some(()).ok_or(RestoreError::Implausible("its states are none, too many, or out of order"))?;
         let fresh = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
         *self = Self { config: self.config.clone(), track: fresh.with_saved(track), states, has_pose, status };
         Ok(())

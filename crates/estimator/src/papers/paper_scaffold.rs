@@ -26,7 +26,7 @@ use crate::motion::{SPEED_HOLD, TimeSeries};
 use crate::numerics::chi_square::chi_square_gates;
 use crate::observations::fix::{fix_noise, mid_axle};
 use crate::observations::sensor_frame::Exposure;
-use crate::saved::{self, Numbers, RestoreError, require};
+use crate::saved::{self, Numbers, RestoreError};
 use crate::tracking::{PublishedState, TrackingStatus};
 use crate::validation::{self, reject_repeated};
 
@@ -370,7 +370,9 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
 
     fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
         let saved: SavedOnArrival<M::Saved> = saved::from_bytes(saved)?;
-        require(saved.last_wheels.is_none_or(|(_, angles)| angles.are_finite()), "its wheels' angles are not finite")?;
+        (saved.last_wheels.is_none_or(|(_, angles)| angles.are_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its wheels' angles are not finite"))?;
         let constants = self.current.filter;
         let restore = |snapshot: FilterSnapshot<M::Saved>| snapshot.map(|filter| constants.with_saved(filter));
         self.current = restore(saved.current);

@@ -27,7 +27,7 @@ use crate::filter::{Filter, FilterConfig};
 use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
 use crate::motion::TimeSeries;
 use crate::numerics::covariance::symmetrise;
-use crate::saved::{self, Numbers, RestoreError, covariance, finite, require};
+use crate::saved::{self, Numbers, RestoreError, covariance, finite};
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation::{self, add_innovation};
 
@@ -322,7 +322,9 @@ impl Filter for RangeFilter {
     fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
         let saved: SavedRangeFilter = saved::from_bytes(saved)?;
         let mut readings = saved.refused.iter().flatten().chain(&saved.command);
-        require(readings.all(|(_, value)| value.are_finite()), "a reading in it is not finite")?;
+        (readings.all(|(_, value)| value.are_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a reading in it is not finite"))?;
         let SavedRangeFilter { state, history, command, last_range, refused, refusals } = saved;
         self.state = state;
         self.history = history;

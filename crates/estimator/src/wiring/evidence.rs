@@ -190,8 +190,8 @@ impl Evidence {
         SavedEvidence { scores: *scores, segments: *segments, gyro_windows: *gyro_windows, reported: *reported }
     }
 
-    pub(super) fn restored(saved: SavedEvidence) -> Self {
-        let SavedEvidence { scores, segments, gyro_windows, reported } = saved;
+    pub(super) fn restored(saved: &SavedEvidence) -> Self {
+        let SavedEvidence { scores, segments, gyro_windows, reported } = *saved;
         Self { scores, segments, gyro_windows, reported, ..Self::new() }
     }
 

@@ -124,7 +124,7 @@ impl WiringMonitor {
             anchor: saved.anchor,
             pending: saved.pending,
             previous: saved.previous,
-            evidence: Evidence::restored(saved.evidence.clone()),
+            evidence: Evidence::restored(&saved.evidence),
         })
     }
 

@@ -7,7 +7,7 @@ use nalgebra::SVector;
 use posebridge_telemetry::{BrickClock, Timestamp};
 use serde::{Deserialize, Serialize};
 
-use crate::saved::{Numbers, RestoreError, is_ordered, require};
+use crate::saved::{Numbers, RestoreError, is_ordered};
 
 /// Samples in a log. With one for each 0.15 rad of a wheel this is 2 m of a small robot.
 const CAPACITY: usize = 512;
@@ -47,7 +47,9 @@ impl<const N: usize> MotionLog<N> {
         let is_sound = saved.0.len() <= CAPACITY
             && is_ordered(&self.samples, |sample| sample.time, |one, next| one < next)
             && self.samples.iter().all(|sample| sample.totals.are_finite());
-        require(is_sound, "its record of the wheels or the gyro is too long, or out of order")?;
+        is_sound
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its record of the wheels or the gyro is too long, or out of order"))?;
         Ok(self)
     }
 

@@ -34,10 +34,11 @@ impl PoseEntry {
     pub(super) fn is_valid(&self) -> bool {
         match &self.update {
             UpdateKind::TurnRate(rate) => rate.are_finite(),
-            UpdateKind::Accelerations(_) | UpdateKind::Motion(_) => true,
             UpdateKind::Absolute(observation, sigma) => validation::is_finite(observation) && *sigma >= TimeDelta::ZERO,
             UpdateKind::Command(StateCommand::SetPose(start)) => validation::is_valid_start(start),
-            UpdateKind::Command(
+            UpdateKind::Accelerations(_)
+            | UpdateKind::Motion(_)
+            | UpdateKind::Command(
                 StateCommand::ResetPose | StateCommand::SetOnlineCalibration(_) | StateCommand::ResetCalibration,
             ) => true,
         }

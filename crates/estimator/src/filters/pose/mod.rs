@@ -40,7 +40,7 @@ use crate::models::lie::Se2;
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::{GyroTrack, InsertOutcome, MotionReading, SavedTrack};
 use crate::observations::StateTerm;
-use crate::saved::{self, Numbers, RestoreError, require};
+use crate::saved::{self, Numbers, RestoreError};
 use crate::tracking::PublishedState;
 use crate::update::preview_scalar;
 use crate::validation;
@@ -81,12 +81,17 @@ struct SavedPoseFilter<const N: usize> {
 impl<const N: usize> SavedPoseFilter<N> {
     fn check(&self) -> Result<(), RestoreError> {
         let Self { track: _, gyro, ranges, history, slip_reported_at: _ } = self;
-        require(gyro.are_finite(), "a rate of its gyro is not finite")?;
-        require(ranges.are_in_order(), "its ranges are too many, or out of order")?;
-        require(history.entries.iter().all(PoseEntry::is_valid), "an observation in it has numbers that cannot be")?;
+        gyro.are_finite().then_some(()).ok_or(RestoreError::Implausible("a rate of its gyro is not finite"))?;
+        ranges
+            .are_in_order()
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its ranges are too many, or out of order"))?;
+        (history.entries.iter().all(PoseEntry::is_valid))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("an observation in it has numbers that cannot be"))?;
         let first = history.entries.front().map(|entry| entry.stamp);
         let begins_before = history.base.stamp.is_none_or(|base| first.is_none_or(|first| base <= first));
-        require(begins_before, "its observations are from before its beginning")
+        begins_before.then_some(()).ok_or(RestoreError::Implausible("its observations are from before its beginning"))
     }
 }
 
@@ -249,7 +254,9 @@ impl<const N: usize> Filter for PoseFilter<N> {
         })?;
         let restored = Self { context, history, slip_reported_at };
         let latest = restored.latest_time().and_then(|latest| restored.estimate_at(latest));
-        require(latest.is_none_or(|latest| latest.is_finite()), "its estimate is not finite")?;
+        (latest.is_none_or(|latest| latest.is_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its estimate is not finite"))?;
         *self = restored;
         Ok(())
     }

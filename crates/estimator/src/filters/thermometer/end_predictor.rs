@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use super::change_detector::{ChangeDetector, ReadingClass};
 use super::filter_bank::{FilterBank, MeanVariance, StepStart};
 use crate::models::slow_sensor::{SensorDynamics, SlowLag};
-use crate::saved::{RestoreError, finite, require};
+use crate::saved::{RestoreError, finite};
 
 /// A new step is found with this number of readings; a model that does not fit, with more. After that the needed part of a
 /// lag doubles, until the sensor has settled.
@@ -108,9 +108,13 @@ impl EndPredictor {
     /// This predictor with what another one of the same sensor has seen.
     pub(super) fn with_saved(&self, saved: SavedPredictor) -> Result<Self, RestoreError> {
         let SavedPredictor { change_detector, recent, approach, misfits } = saved;
-        require(recent.len() <= REST_READINGS, "a thermometer in it has too many readings")?;
+        (recent.len() <= REST_READINGS)
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a thermometer in it has too many readings"))?;
         let is_sound = approach.as_ref().is_none_or(|approach| approach.bank.is_sound() && !recent.is_empty());
-        require(is_sound && (0..=MAX_MISFITS).contains(&misfits), "a thermometer in it has numbers that cannot be")?;
+        (is_sound && (0..=MAX_MISFITS).contains(&misfits))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a thermometer in it has numbers that cannot be"))?;
         Ok(Self { dynamics: self.dynamics, sigma: self.sigma, change_detector, recent, approach, misfits })
     }
 

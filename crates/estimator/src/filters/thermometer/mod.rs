@@ -87,7 +87,7 @@ struct SavedThermometer {
 
 #[derive(Serialize, Deserialize)]
 enum SavedModel {
-    Exact { filter: SavedDynamic, change_detector: ChangeDetector },
+    Exact { filter: Box<SavedDynamic>, change_detector: ChangeDetector },
     Learning { predictor: SavedPredictor, origin: Option<Timestamp<BrickClock>> },
 }
 
@@ -197,7 +197,7 @@ impl Filter for Thermometer {
         let Self { model, history_s: _, newest, last, far_ahead } = self;
         let model = match model {
             ThermometerModel::Exact(exact) => {
-                SavedModel::Exact { filter: exact.filter.saved(), change_detector: exact.change_detector }
+                SavedModel::Exact { filter: Box::new(exact.filter.saved()), change_detector: exact.change_detector }
             }
             ThermometerModel::Learning { predictor, origin } => {
                 SavedModel::Learning { predictor: predictor.saved(), origin: *origin }
@@ -210,7 +210,7 @@ impl Filter for Thermometer {
         let SavedThermometer { model, newest, last, far_ahead } = saved::from_bytes(saved)?;
         match (&mut self.model, model) {
             (ThermometerModel::Exact(exact), SavedModel::Exact { filter, change_detector }) => {
-                exact.filter.set_saved(filter);
+                exact.filter.set_saved(&filter);
                 exact.change_detector = change_detector;
             }
             (
