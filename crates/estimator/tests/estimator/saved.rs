@@ -9,11 +9,15 @@ use rand_pcg::Pcg64;
 
 use crate::support::any::{learning_everything, without_learning};
 use crate::support::filters::{start, state_text};
-use crate::support::simulation::{CAMERA_10_HZ, Camera, SimulatedSensors, add, add_accelerometers, drive_lap};
+use crate::support::simulation::{
+    CAMERA_10_HZ, Camera, Carry, SimulatedSensors, add, add_accelerometers, drive_carried_lap,
+};
 
-/// A lap of the square with every sensor there is, in the order of arrival: late fixes, and a thermometer that was warmed.
+/// A lap of the square with every sensor there is, in the order of arrival: late fixes, and a thermometer that was warmed. The robot is
+/// carried on the way, so that its wheels slip.
 fn everything() -> Vec<Observation> {
-    let mut drive = drive_lap(Some(Camera { outliers: 0.02, ..CAMERA_10_HZ }), 4);
+    let carry = Carry { from: 160, steps: 20, by: (0.4, 0.3, 1.2) };
+    let mut drive = drive_carried_lap(Some(Camera { outliers: 0.02, ..CAMERA_10_HZ }), &carry, 4);
     let mut sensors = SimulatedSensors::new(&without_learning(), 9);
     add(&mut drive, SensorId::LANDMARKS, 8, |_, truth| sensors.landmarks(truth));
     add(&mut drive, SensorId::BEACONS, 6, |_, truth| sensors.beacons(truth, &[(0.0, 0.0); 4]));
@@ -70,7 +74,7 @@ fn a_filter_that_is_restored_goes_on_as_if_it_had_never_been_left() {
                 for filter in [&mut stays, &mut goes] {
                     interrupt(&mut **filter, &mut config, index);
                 }
-                if [1, 40, 700, 2_010, 2_410, 2_900, 3_005, 3_600].contains(&index) {
+                if index % 97 == 1 || [2_010, 2_410, 3_005].contains(&index) {
                     let saved = goes.save();
                     sizes.push(saved.len());
                     goes = restored(entry, &config, &saved);
@@ -82,7 +86,7 @@ fn a_filter_that_is_restored_goes_on_as_if_it_had_never_been_left() {
                 }
             }
             assert!(stays.save() == goes.save(), "{}", entry.name);
-            println!("{:24} {sizes:?}", entry.name);
+            println!("{:24} {} to {}", entry.name, sizes.iter().min().unwrap(), sizes.iter().max().unwrap());
         }
     }
 }

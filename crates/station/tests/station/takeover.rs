@@ -2,7 +2,7 @@
 
 use posebridge_estimator::{EstimatedQuantity, FILTERS, find_filter};
 use posebridge_protocol::message::{
-    Battery, CommandLong, Heartbeat, Inertial, Message, VisionFix, WheelTicks, WireStamp,
+    Battery, CommandLong, Heartbeat, ImuMessage, Inertial, Message, PlanarImu, VisionFix, WheelTicks, WireStamp,
 };
 use posebridge_station::{AnnouncedAs, DescriptionPolicy, OwnershipStatus, StationConfig};
 use posebridge_telemetry::{
@@ -18,6 +18,7 @@ use crate::support::{BRICK, HEARTBEAT, LINK, STATION, TestStation, at, config, f
 const ROBOT: RobotId = RobotId { link: LINK, address: BRICK };
 const CAMERA_LINK: LinkId = LinkId(7);
 const CAMERA: Address = Address::new(40, 100);
+const WRONG_CAMERA: Address = Address::new(41, 100);
 /// What the clocks of robot and camera show at host zero.
 const ROBOT_AHEAD_MS: i64 = 4_290_000;
 const CAMERA_AHEAD_MS: i64 = 77_000;
@@ -33,11 +34,15 @@ fn two_links(filter: &str) -> StationConfig {
     config
 }
 
-/// Where a robot is that drives in an eight, at 0.2 m/s.
+/// Where a robot is that winds along at 0.2 m/s.
 fn pose_at(millis: i64) -> (f64, f64, f64) {
-    let s = millis as f64 * 1e-3;
-    let turns = (0.35 * s).sin();
-    (0.2 * s.min(40.0) * turns.cos(), 0.15 * turns, 0.8 * turns)
+    let heading_rad = |millis: i64| 0.8 * (0.35e-3 * millis as f64).sin();
+    let (mut x_m, mut y_m) = (0.0, 0.0);
+    for step in 0..millis / 10 {
+        let (sin, cos) = heading_rad(10 * step + 5).sin_cos();
+        (x_m, y_m) = (x_m + 0.002 * cos, y_m + 0.002 * sin);
+    }
+    (x_m, y_m, heading_rad(millis))
 }
 
 /// Rotation of the wheels, in counts of a degree.
@@ -124,6 +129,13 @@ fn drive(seconds: i64) -> Vec<(Timestamp<HostClock>, Input)> {
             let seen_ms = millis - 90;
             let stamp = WireStamp::Micros64(((CAMERA_AHEAD_MS + seen_ms) * 1_000) as u64);
             give(arrival_ms, CAMERA_LINK, CAMERA, &fix(stamp, seen_ms));
+        }
+        if step % 15 == 9 {
+            // Three metres off, and never used while the other one sees the robot.
+            let stamp = WireStamp::Micros64(((CAMERA_AHEAD_MS + millis) * 1_000) as u64);
+            let Message::VisionPosition(seen) = fix(stamp, millis) else { continue };
+            let wrong = VisionFix { x: Meters(seen.x.0 + 3.0), ..seen };
+            give(arrival_ms, CAMERA_LINK, WRONG_CAMERA, &Message::VisionPosition(wrong));
         }
         if step % 25 == 3 {
             let channel = ChannelName::from_bytes(b"temp1");
@@ -245,12 +257,13 @@ fn the_clock_of_the_second_station_may_show_another_time() {
     let inputs = drive(30);
     let config = two_links("pose");
     let ahead = TimeDelta::from_millis(1_234_500);
-    Migration { config: &config, inputs: &inputs, at: at(15_003), ahead }.check("ahead");
+    Migration { config: &config, inputs: &inputs, at: at(15_161), ahead }.check("ahead");
 }
 
-/// A robot that has described its geometry takes that along: its counts mean other distances.
+/// A robot that has described its geometry takes that along: its counts mean other distances. So does one with two inertial units the one
+/// that is used.
 #[test]
-fn a_described_geometry_goes_with_the_robot() {
+fn a_described_geometry_and_the_chosen_inertial_unit_go_with_the_robot() {
     let mut config = two_links("pose");
     config.robot.description = DescriptionPolicy::Adopt;
     let description = Message::RobotDescription(posebridge_protocol::message::RobotDescription {
@@ -265,7 +278,15 @@ fn a_described_geometry_goes_with_the_robot() {
     let mut inputs = drive(20);
     let first = Input::Bytes { link: LINK, peer: PeerId::default(), bytes: frame(BRICK, &description) };
     inputs.insert(6, (inputs[6].0, first));
-    Migration { config: &config, inputs: &inputs, at: at(10_001), ahead: TimeDelta::ZERO }.check("described");
+    for (millis, message) in (500..20_000).step_by(100).zip([ImuMessage::Raw, ImuMessage::Scaled2].into_iter().cycle())
+    {
+        let stamp = WireStamp::Millis32((ROBOT_AHEAD_MS + millis) as u32);
+        let imu = PlanarImu { message, stamp, turn_rate: Some(RadiansPerSecond(0.1)), forward_acceleration: None };
+        let bytes = frame(BRICK, &Message::Imu(imu));
+        inputs.push((at(millis + 4), Input::Bytes { link: LINK, peer: PeerId::default(), bytes }));
+    }
+    inputs.sort_by_key(|(now, _)| *now);
+    Migration { config: &config, inputs: &inputs, at: at(10_150), ahead: TimeDelta::ZERO }.check("described");
 }
 
 /// A station that was given so much of a drive.
