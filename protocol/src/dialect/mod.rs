@@ -47,6 +47,7 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PARAM_REQUEST_LIST => Ok(Some(services::param_request_list(payload))),
         ids::PARAM_VALUE => Ok(services::param_value(payload)),
         ids::PARAM_SET => Ok(Some(services::param_set(payload))),
+        ids::SET_MODE => Ok(Some(services::set_mode(payload))),
         ids::COMMAND_INT => Ok(Some(services::command_int(payload))),
         ids::COMMAND_LONG => Ok(Some(services::command_long(payload))),
         ids::COMMAND_ACK => Ok(Some(services::command_ack(payload))),
