@@ -7,7 +7,7 @@
 pub mod bindings;
 pub(crate) mod catalogue;
 pub mod commands;
-pub mod csv_line;
+pub mod csv_lines;
 pub mod definitions;
 pub(crate) mod encoder;
 pub mod fields;
@@ -25,8 +25,8 @@ pub(crate) mod services;
 pub(crate) mod vehicle;
 mod vehicle_state;
 
-pub use catalogue::is_stock_message;
-pub use definitions::{message_id_named, message_name};
+pub use catalogue::{definition, definition_index, is_stock_message, message_name};
+pub use definitions::message_id_named;
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;
