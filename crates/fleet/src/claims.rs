@@ -19,12 +19,14 @@ impl Ownership {
         }
         match &entry.role {
             Role::Bystander | Role::Suspended { .. } => {}
-            Role::StandBy(stand_by) => match (entry.reception.at(self.now, &self.config), &stand_by.query) {
-                (Reception::Silent, None) => entry.role = Role::Bystander,
+            Role::StandBy(stand_by) => {
                 // The answer may be a hand-over already.
-                (Reception::Silent, Some(query)) if query.expires <= self.now => entry.role = Role::Bystander,
-                (Reception::Silent | Reception::Heard, _) => self.advance_stand_by(robot),
-            },
+                let is_waiting = stand_by.query.as_ref().is_some_and(|query| query.expires > self.now);
+                match entry.reception.at(self.now, &self.config) {
+                    Reception::Silent if !is_waiting => entry.role = Role::Bystander,
+                    Reception::Silent | Reception::Heard => self.advance_stand_by(robot),
+                }
+            }
             Role::Owner(_) => self.advance_owner(robot),
             Role::Promised { until, .. } => {
                 if *until <= self.now {

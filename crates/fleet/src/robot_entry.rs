@@ -179,13 +179,11 @@ impl RobotEntry {
         let role = match &self.role {
             Role::Bystander | Role::Suspended { .. } => None,
             Role::StandBy(stand_by) => {
-                let next_query = match serving {
-                    Serving::Allowed => Some(stand_by.next_query),
-                    Serving::Forbidden => None,
-                };
-                match &stand_by.query {
-                    Some(query) => Some(query.expires),
-                    None => earliest(next_query, self.reception.silent_at(config)),
+                let silent_at = self.reception.silent_at(config);
+                match (serving, &stand_by.query) {
+                    (Serving::Allowed, Some(query)) => Some(query.expires),
+                    (Serving::Allowed, None) => earliest(Some(stand_by.next_query), silent_at),
+                    (Serving::Forbidden, _) => silent_at,
                 }
             }
             Role::Owner(owner) => {

@@ -166,6 +166,23 @@ fn an_owner_that_hears_the_robot_says_so_and_one_that_does_not_hands_over_before
 }
 
 #[test]
+fn a_stand_by_takes_what_is_handed_over_also_when_it_has_lost_the_robot_meanwhile() {
+    let mut ownership = connected();
+    give(&mut ownership, 1, Input::TokenAppeared { robot: robot(), token: token(3, "a") });
+    give(&mut ownership, 2, Input::RobotHeard { robot: robot() });
+    give(&mut ownership, 3, Input::RobotLinkClosed { robot: robot() });
+    let answer = StateAnswer::HandOver(snapshot(3));
+    let input = Input::StateAnswer { from: station("a"), robot: robot(), id: QueryId(1), answer };
+    let reason = ClaimReason::HandedOver(station("a"));
+    let expected = [
+        Output::DeclareToken { robot: robot(), epoch: epoch(4) },
+        Output::Start { robot: robot(), epoch: epoch(4), state: StartState::Received(snapshot(3)) },
+        Output::Event(OwnershipEvent::Started { robot: robot(), epoch: epoch(4), reason }),
+    ];
+    assert_eq!(give(&mut ownership, 20, input), expected);
+}
+
+#[test]
 fn a_hand_over_that_nobody_takes_ends_and_the_robot_can_be_claimed_again() {
     let mut ownership = owner();
     wait(&mut ownership, 650);
