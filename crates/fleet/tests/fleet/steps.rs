@@ -242,6 +242,16 @@ fn after_a_freeze_nothing_is_sent_until_the_fleet_is_confirmed() {
 }
 
 #[test]
+fn a_stand_by_that_was_frozen_asks_again_because_the_answer_may_wait_to_be_read() {
+    let mut ownership = connected();
+    give(&mut ownership, 1, Input::TokenAppeared { robot: robot(), token: token(3, "a") });
+    give(&mut ownership, 2, Input::RobotHeard { robot: robot() });
+    give(&mut ownership, 1_000, Input::RobotHeard { robot: robot() });
+    let outputs = give(&mut ownership, 1_010, Input::FleetConfirmed);
+    assert!(matches!(outputs[..], [Output::QueryState { id: QueryId(2), .. }]), "{outputs:?}");
+}
+
+#[test]
 fn a_frozen_owner_that_was_replaced_stops_for_good() {
     let mut ownership = owner();
     give(&mut ownership, 3_000, Input::Tick);
