@@ -99,10 +99,12 @@ def main():
         source, log = pathlib.Path(given.log), folder / "log.tlog"
         with (gzip.open if source.suffix == ".gz" else open)(source, "rb") as packed, open(log, "wb") as out:
             shutil.copyfileobj(packed, out)
-        export = [given.program, "export", str(log), "--messages", "--format", "csv", "--out", str(folder)]
-        ours_s = cpu_s(given.rounds, lambda: export)
+        exports = iter(range(given.rounds))
+        # Each into a folder of its own, as a first export: pymavlink writes nothing, and removes nothing that it wrote before.
+        to = lambda: folder / f"round-{next(exports)}"
+        ours_s = cpu_s(given.rounds, lambda: [given.program, "export", str(log), "--messages", "--format", "csv", "--out", str(to())])
         theirs_s = cpu_s(given.rounds, lambda: [sys.executable, "-c", DECODE, str(log)])
-        compared, differing, extra = compare(log, folder / "log-messages")
+        compared, differing, extra = compare(log, folder / "round-0" / "log-messages")
         print(f"{source.name}: {compared} values compared, {sum(differing.values())} differ, {extra or 'no'} rows beyond pymavlink's")
         for what, count in differing.most_common(10):
             print("  ", count, what)

@@ -28,7 +28,7 @@ struct Layer {
 
 /// What "all" in the code map means: neither what is for microcontrollers nor the tests of the others.
 const ALL: &str =
-    "telemetry, protocol, estimator, recording, station, report, lab, sim, link, dashboard, vision, camera";
+    "telemetry, protocol, estimator, recording, station, report, lab, sim, link, dashboard, vision, camera, fleet";
 
 /// The code map. A row stands there before its crate does; a crate without a row is a failure.
 fn layers() -> BTreeMap<String, Layer> {

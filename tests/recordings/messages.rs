@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use crate::support::{exit_code_and_stderr, root, run, shared_data};
 use flate2::read::MultiGzDecoder;
-use posebridge_protocol::dialect::definitions::{Scalar, definition};
+use posebridge_protocol::dialect::definition;
+use posebridge_protocol::dialect::definitions::Scalar;
 use posebridge_protocol::dialect::message_name;
 use posebridge_protocol::framing::{VerifiedFrame, verify};
 use posebridge_recording::tlog::{FrameCheck, TlogReader, TlogRecord};

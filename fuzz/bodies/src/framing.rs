@@ -2,7 +2,7 @@
 //! can be encoded, framed and decoded again, and a detected protocol explains no more bytes than there are.
 
 use posebridge_protocol::detect::{Protocol, recognise};
-use posebridge_protocol::dialect::csv_line::CsvLine;
+use posebridge_protocol::dialect::csv_lines::CsvLines;
 use posebridge_protocol::dialect::definitions::definitions;
 use posebridge_protocol::dialect::fields::{FullPayload, columns, frame};
 use posebridge_protocol::dialect::message_json::{read_json, write_json};
@@ -79,6 +79,7 @@ pub(crate) fn check_decode(data: &[u8]) {
     // Two messages have the same meaning, and one of them is written.
     let written_id = match info.id {
         ids::GLOBAL_VISION_POSITION_ESTIMATE => ids::VISION_POSITION_ESTIMATE,
+        ids::SET_MODE => ids::COMMAND_LONG,
         other => other,
     };
     let mut seen = 0;
@@ -132,11 +133,11 @@ pub(crate) fn check_fields(data: &[u8]) {
     let is_v1 = version & 1 != 0 && definition.id <= 0xFF;
     let version = if is_v1 { WireVersion::V1 } else { WireVersion::V2 };
     let payload = FullPayload::new(&rest[..rest.len().min(255)]);
-    let mut line = CsvLine::default();
-    line.push_payload(definition, &payload);
-    let values = line
-        .finish(|line| line.split(|byte| *byte == b'"').step_by(2).flatten().filter(|byte| **byte == b',').count() + 1);
-    assert_eq!(values, columns(definition).len());
+    let mut lines = CsvLines::new(&[], definition);
+    lines.clear();
+    lines.push_payload(payload);
+    let unquoted = lines.as_bytes().split(|byte| *byte == b'"').step_by(2).flatten();
+    assert_eq!(unquoted.filter(|byte| **byte == b',').count() + 1, columns(definition).len());
     let Some(sent) = frame(definition, version, source, 5, &payload) else {
         panic!("{} has no frame", definition.name);
     };

@@ -10,10 +10,12 @@ mod bricks;
 mod dataset;
 mod framing;
 mod impairment;
+mod message_log;
 mod operands;
 mod pictures;
 mod recorded_pictures;
 mod recording;
+mod requests;
 mod routing;
 mod session;
 mod signing;
@@ -27,6 +29,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("decode", framing::check_decode, 1_500_000),
     Target::new("fields", framing::check_fields, 60_000),
     Target::new("session", session::check_session, 120_000),
+    Target::new("requests", requests::check, 400),
     Target::new("parameters", session::check_parameters, 120_000),
     Target::new("url", text::check_url, 1_500_000),
     Target::new("config", text::check_config, 90_000),
@@ -40,6 +43,7 @@ pub const TARGETS: &[Target] = &[
     Target::new("brick", bricks::check_brick, 400_000),
     Target::new("tlog", tlog::check, 60_000),
     Target::new("bag", bag::check, 6_000),
+    Target::new("message_log", message_log::check, 20_000),
     Target::new("table", table::check, 30_000),
     Target::new("pictures", pictures::check, 3_000),
     Target::new("avi", recorded_pictures::check_avi, 70_000),

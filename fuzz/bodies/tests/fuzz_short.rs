@@ -10,8 +10,11 @@ mod mutations;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs;
+use std::num::NonZeroUsize;
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
 use mutations::mutated;
 use posebridge_fuzz_bodies::{TARGETS, Target, target};
@@ -37,14 +40,26 @@ fn every_target_keeps_its_promises_on_its_corpus() {
 
 #[test]
 fn every_target_keeps_its_promises_on_mutations_of_its_corpus() {
-    for target in TARGETS {
-        let corpus: Vec<_> = corpus(target.name).into_iter().map(|(_, bytes)| bytes).collect();
-        let mut random = Pcg64::seed_from_u64(SEED);
-        for run in 0..target.short_runs {
-            let bytes = mutated(&corpus, &mut random);
-            assert_kept(target, &bytes, &format!("mutation {run}"));
+    // `cargo test` has nothing else to run beside this.
+    let next = AtomicUsize::new(0);
+    let take_targets = || {
+        while let Some(target) = TARGETS.get(next.fetch_add(1, Ordering::Relaxed)) {
+            mutate_corpus(target);
         }
-        println!("{}: {} mutations", target.name, target.short_runs);
+    };
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, NonZeroUsize::get) {
+            scope.spawn(take_targets);
+        }
+    });
+}
+
+fn mutate_corpus(target: &Target) {
+    let corpus: Vec<_> = corpus(target.name).into_iter().map(|(_, bytes)| bytes).collect();
+    let mut random = Pcg64::seed_from_u64(SEED);
+    for run in 0..target.short_runs {
+        let bytes = mutated(&corpus, &mut random);
+        assert_kept(target, &bytes, &format!("mutation {run}"));
     }
 }
 

@@ -1,11 +1,11 @@
-//! CRC_EXTRA and the greatest length of every message of every dialect, for the framer.
+//! Every message of every dialect by its id: CRC_EXTRA and the greatest length for the framer, and its definition.
 //!
 //! Built once from the definitions; a test compares them with the generated types. An unknown id is `None`, never CRC_EXTRA 0:
 //! COMPONENT_INFORMATION (395) has CRC_EXTRA 0.
 
 use std::sync::LazyLock;
 
-use super::definitions::{MessageLayout, definitions};
+use super::definitions::{MessageDefinition, MessageLayout, definitions};
 use super::generated::posebridge;
 
 /// Number of ids in a lookup page: those of the standard dialects lie on four, ours on one.
@@ -17,6 +17,21 @@ const PAGES: usize = 1 << 16;
 pub(crate) static CATALOGUE: LazyLock<MessageCatalogue> =
     LazyLock::new(|| MessageCatalogue::build(definitions().iter().map(|message| (message.id, message.layout))));
 
+/// Where the definition of the message `id` stands in [`definitions`]; `None` when it is in no dialect.
+pub fn definition_index(id: u32) -> Option<usize> {
+    CATALOGUE.index(id)
+}
+
+/// The definition of the message `id`; `None` when it is in no dialect.
+pub fn definition(id: u32) -> Option<&'static MessageDefinition> {
+    definitions().get(definition_index(id)?)
+}
+
+/// The name of a message in its definition; `None` for an unknown id.
+pub fn message_name(id: u32) -> Option<&'static str> {
+    definition(id).map(|message| message.name)
+}
+
 /// Whether a message belongs to a dialect of the MAVLink project, and not to ours or to none.
 pub fn is_stock_message(id: u32) -> bool {
     CATALOGUE.layout(id).is_some() && !posebridge::MavMessage::all_ids().contains(&id)
@@ -25,22 +40,30 @@ pub fn is_stock_message(id: u32) -> bool {
 /// Every message that this station can verify.
 #[derive(Debug)]
 pub(crate) struct MessageCatalogue {
-    /// The page of layouts for the ids from `PAGE` times the index; page 0 is empty.
+    /// The page of entries for the ids from `PAGE` times the index; page 0 is empty.
     pages: Vec<u8>,
-    layouts: Vec<[Option<MessageLayout>; PAGE]>,
+    entries: Vec<[Option<CatalogueEntry>; PAGE]>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct CatalogueEntry {
+    layout: MessageLayout,
+    /// In [`definitions`].
+    index: u16,
 }
 
 impl MessageCatalogue {
+    /// `shapes` in the order of [`definitions`].
     fn build(shapes: impl Iterator<Item = (u32, MessageLayout)>) -> Self {
-        let mut catalogue = Self { pages: vec![0; PAGES], layouts: vec![[None; PAGE]] };
-        for (id, shape) in shapes {
+        let mut catalogue = Self { pages: vec![0; PAGES], entries: vec![[None; PAGE]] };
+        for (index, (id, layout)) in (0..).zip(shapes) {
             let id = id as usize;
             if catalogue.pages[id / PAGE] == 0 {
-                catalogue.pages[id / PAGE] = catalogue.layouts.len() as u8;
-                catalogue.layouts.push([None; PAGE]);
+                catalogue.pages[id / PAGE] = catalogue.entries.len() as u8;
+                catalogue.entries.push([None; PAGE]);
             }
             let page = usize::from(catalogue.pages[id / PAGE]);
-            catalogue.layouts[page][id % PAGE] = Some(shape);
+            catalogue.entries[page][id % PAGE] = Some(CatalogueEntry { layout, index });
         }
         catalogue
     }
@@ -48,15 +71,24 @@ impl MessageCatalogue {
     /// The layout of the message `id`; `None` when it is in no dialect.
     #[inline]
     pub(crate) fn layout(&self, id: u32) -> Option<MessageLayout> {
+        Some(self.entry(id)?.layout)
+    }
+
+    /// Of its definition in [`definitions`].
+    pub(crate) fn index(&self, id: u32) -> Option<usize> {
+        Some(usize::from(self.entry(id)?.index))
+    }
+
+    #[inline]
+    fn entry(&self, id: u32) -> Option<&CatalogueEntry> {
         let id = id as usize;
         let page = *self.pages.get(id / PAGE)?;
-        self.layouts.get(usize::from(page))?[id % PAGE]
+        self.entries.get(usize::from(page))?[id % PAGE].as_ref()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::definitions::message_name;
     use super::*;
     use crate::dialect::payload::MAX_PAYLOAD;
     use mavlink::dialects::common;
@@ -101,6 +133,7 @@ mod tests {
         assert!(known.len() > 300);
         for id in (0..70_000).chain([0x00FF_FFFF, u32::MAX]) {
             assert_eq!(CATALOGUE.layout(id).is_some(), known.contains(&id), "{id}");
+            assert_eq!(definition(id).map(|found| found.id), known.get(&id).copied());
         }
     }
 
@@ -150,7 +183,7 @@ mod tests {
     fn messages_of_foreign_dialects_are_marked() {
         // RADIO of ArduPilot, as ardupilotmega.xml defines it.
         let radio = CATALOGUE.layout(166).unwrap();
-        assert_eq!((radio.crc_extra, radio.max_len_v1), (21, 9));
+        assert_eq!((message_name(166), radio.crc_extra, radio.max_len_v1), (Some("RADIO"), 21, 9));
         assert!(radio.is_foreign && !CATALOGUE.layout(0).unwrap().is_foreign);
     }
 

@@ -24,20 +24,9 @@ pub fn definitions() -> &'static [MessageDefinition] {
     &DEFINITIONS
 }
 
-/// The definition of the message `id`; `None` when it is in no dialect.
-pub fn definition(id: u32) -> Option<&'static MessageDefinition> {
-    let index = DEFINITIONS.binary_search_by_key(&id, |message| message.id).ok()?;
-    DEFINITIONS.get(index)
-}
-
 /// The id of the message with this name; case-sensitive.
 pub fn message_id_named(name: &str) -> Option<u32> {
     definitions().iter().find(|message| message.name == name).map(|message| message.id)
-}
-
-/// The name of a message in its definition; `None` for an unknown id.
-pub fn message_name(id: u32) -> Option<&'static str> {
-    definition(id).map(|message| message.name)
 }
 
 /// A message as its definition in XML gives it.
@@ -220,13 +209,10 @@ mod tests {
     }
 
     #[test]
-    fn a_definition_is_found_by_its_id() {
-        let status = definition(1).unwrap();
+    fn a_definition_has_the_fields_of_its_message() {
+        let status = definitions().iter().find(|message| message.id == 1).unwrap();
         assert_eq!(status.name, "SYS_STATUS");
         let battery = status.fields.iter().find(|field| field.name == "voltage_battery").unwrap();
         assert_eq!((battery.unit, battery.scalar, battery.offset), (Some("mV"), Scalar::U16, 14));
-        assert_eq!(message_name(166), Some("RADIO"));
-        assert_eq!(message_name(42_102), Some("PB_PLANAR_POSE"));
-        assert_eq!(message_name(9_999_999), None);
     }
 }

@@ -3,6 +3,8 @@
 //! Values are those of the wire: no unit is converted, no value judged. Bytes that a payload lacks are zeros, as MAVLink 2 says of zeros that
 //! were cut off; so are extension fields in version 1.
 
+use std::ops::Range;
+
 use posebridge_telemetry::Address;
 
 use super::definitions::{FieldDefinition, MessageDefinition, Scalar};
@@ -26,6 +28,7 @@ pub enum Value<'p> {
 
 impl Value<'_> {
     /// Appends a number with the fewest digits that read as the same number, or text up to the first NUL with what is not printable replaced.
+    #[inline]
     pub(super) fn append_to(&self, text: &mut String) {
         let mut integer = itoa::Buffer::new();
         let mut float = zmij::Buffer::new();
@@ -48,10 +51,15 @@ impl FullPayload {
         Self(full)
     }
 
+    /// Empty beyond the longest payload.
+    pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
+        self.0.get(range).unwrap_or_default()
+    }
+
     /// The values of a field: one, or as many as its array has elements; text is one value.
     pub fn values(&self, field: &FieldDefinition) -> impl Iterator<Item = Value<'_>> {
         let (size, scalar) = (field.scalar.size(), field.scalar);
-        let bytes = self.0.get(field.offset..field.offset + field.size()).unwrap_or_default();
+        let bytes = self.bytes(field.offset..field.offset + field.size());
         bytes.chunks_exact(if field.is_text() { field.size() } else { size }).map(move |bytes| value_of(scalar, bytes))
     }
 
@@ -92,7 +100,9 @@ impl FullPayload {
     }
 }
 
-fn value_of(scalar: Scalar, bytes: &[u8]) -> Value<'_> {
+/// `bytes` are those of one value.
+#[inline]
+pub(super) fn value_of(scalar: Scalar, bytes: &[u8]) -> Value<'_> {
     let mut wide = [0; 8];
     let length = bytes.len().min(8);
     wide[..length].copy_from_slice(&bytes[..length]);
@@ -177,7 +187,8 @@ pub fn is_reproduced(definition: &MessageDefinition, frame: &FrameRef<'_>, paylo
 
 #[cfg(test)]
 mod tests {
-    use super::super::definitions::{definition, definitions};
+    use super::super::definition;
+    use super::super::definitions::definitions;
     use super::*;
 
     #[test]

@@ -25,6 +25,7 @@ messages! {
     HEARTBEAT = 0,
     SYS_STATUS = 1,
     SYSTEM_TIME = 2,
+    SET_MODE = 11,
     PARAM_REQUEST_READ = 20,
     PARAM_REQUEST_LIST = 21,
     PARAM_VALUE = 22,

@@ -221,7 +221,8 @@ fn refusal(key: &str, found: &Json, expected: &str) -> MessageJsonError {
 
 #[cfg(test)]
 mod tests {
-    use super::super::definitions::{definition, definitions};
+    use super::super::definition;
+    use super::super::definitions::definitions;
     use super::*;
     use crate::framing::parse_verified;
 

@@ -7,7 +7,7 @@
 pub mod bindings;
 pub(crate) mod catalogue;
 pub mod commands;
-pub mod csv_line;
+pub mod csv_lines;
 pub mod definitions;
 pub(crate) mod encoder;
 pub mod fields;
@@ -25,8 +25,8 @@ pub(crate) mod services;
 pub(crate) mod vehicle;
 mod vehicle_state;
 
-pub use catalogue::is_stock_message;
-pub use definitions::{message_id_named, message_name};
+pub use catalogue::{definition, definition_index, is_stock_message, message_name};
+pub use definitions::message_id_named;
 pub use encoder::{Encoder, RenumberError, is_signed};
 pub use ids::{MESSAGES, MessageInfo};
 pub use payload::PayloadError;
@@ -47,6 +47,7 @@ pub fn decode(frame: &FrameRef<'_>) -> Result<Option<Message>, PayloadError> {
         ids::PARAM_REQUEST_LIST => Ok(Some(services::param_request_list(payload))),
         ids::PARAM_VALUE => Ok(services::param_value(payload)),
         ids::PARAM_SET => Ok(Some(services::param_set(payload))),
+        ids::SET_MODE => Ok(Some(services::set_mode(payload))),
         ids::COMMAND_INT => Ok(Some(services::command_int(payload))),
         ids::COMMAND_LONG => Ok(Some(services::command_long(payload))),
         ids::COMMAND_ACK => Ok(Some(services::command_ack(payload))),

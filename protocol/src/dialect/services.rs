@@ -91,6 +91,15 @@ pub(super) fn command_long(payload: &[u8]) -> Message {
     SetMessageInterval::from_command(&command).map_or(Message::Command(command), Message::SetMessageInterval)
 }
 
+/// The command that took its place, to any component of the system. The mode is laid out as PX4's: reserved (2 bytes), main and sub mode.
+pub(super) fn set_mode(payload: &[u8]) -> Message {
+    let mut reader = PayloadReader::new(payload);
+    let [_, _, main, sub] = reader.number::<u32>().to_le_bytes();
+    let [system, flags] = reader.bytes();
+    let params = [f32::from(flags), f32::from(main), f32::from(sub), 0.0, 0.0, 0.0, 0.0];
+    Message::Command(CommandLong { target: Address::new(system, 0), command: ids::COMMAND_SET_MODE, params })
+}
+
 pub(super) fn command_int(payload: &[u8]) -> Message {
     let mut reader = PayloadReader::new(payload);
     let params: [f32; 4] = reader.f32s();

@@ -47,7 +47,7 @@ pub enum Message {
     TimeSync(TimeSync),
     /// COMMAND_LONG (76) with MAV_CMD_SET_MESSAGE_INTERVAL (511).
     SetMessageInterval(SetMessageInterval),
-    /// COMMAND_LONG (76) with any other command.
+    /// COMMAND_LONG (76) with any other command, or SET_MODE (11) as MAV_CMD_DO_SET_MODE (176).
     Command(CommandLong),
     /// COMMAND_INT (75) with any command.
     CommandInt(CommandInt),

@@ -344,6 +344,7 @@ def component_cases(std):
         std, "debug_float_array", 1, 197, 48, time_usec=5000001, name=b"tencharact", array_id=3, data=data)
     yield "debug_float_array_empty", frame(
         std, "debug_float_array", 1, 197, 49, time_usec=5000001, name=b"camera", array_id=65535, data=[0.0] * 58)
+    yield "set_mode", frame(std, "set_mode", 255, 190, 92, target_system=1, base_mode=209, custom_mode=4 << 16 | 5 << 24)
     yield "command_int", frame(
         std, "command_int", 255, 190, 50, target_system=1, target_component=197, frame=20, command=65000, current=0,
         autocontinue=0, param1=1.0, param2=2.0, param3=3.0, param4=-4.0, x=-2147483648, y=70000, z=7.5)

@@ -14,7 +14,7 @@ use crate::support::{ROBOT, golden_frames, with_frame};
 const MEANINGS: &str = include_str!("../data/golden_meanings.txt");
 
 /// Frames that our encoder writes otherwise: they have a custom mode, a signature, other axes, another type of number, a dilution of precision,
-/// or pressures, or are of another message with the same fields.
+/// or pressures, or are of another message that says the same.
 const WRITTEN_OTHERWISE: &[&str] = &[
     "battery_status_of_cells",
     "battery_status_of_twelve_cells",
@@ -33,6 +33,7 @@ const WRITTEN_OTHERWISE: &[&str] = &[
     "param_set_of_type_5",
     "param_set_of_type_6",
     "scaled_pressure",
+    "set_mode",
     "velocity_target_north_east_down",
 ];
 

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::fs::File;
-use std::io::{self, BufWriter, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use posebridge_protocol::dialect::csv_line::CsvLine;
-use posebridge_protocol::dialect::definitions::{MessageDefinition, definition};
-use posebridge_protocol::dialect::fields::{FullPayload, columns};
-use posebridge_protocol::dialect::message_id_named;
+use posebridge_protocol::dialect::csv_lines::CsvLines;
+use posebridge_protocol::dialect::definitions::{MessageDefinition, definitions};
+use posebridge_protocol::dialect::fields::FullPayload;
 use posebridge_protocol::dialect::message_json::{schema, write_json};
+use posebridge_protocol::dialect::{definition_index, message_id_named};
 use posebridge_protocol::framing::{FrameRef, Framer, FramerConfig, FramerOutput, parse_verified};
 use posebridge_recording::container::RecordingReader;
 use posebridge_recording::json_log::{JsonChannel, JsonChannelId, JsonLogWriter};
@@ -44,15 +44,15 @@ pub(super) fn export_messages(path: &Path, output: OutputFolder<'_>, formats: Me
     let mut log = formats.mcap.then(|| MessageLog::create(output)).transpose()?;
     let (mut frames, mut failure) = (0, Ok(()));
     let mut take = |one: &LoggedFrame<'_>| {
-        let Some(definition) = definition(one.frame.message_id) else { return };
+        let Some(index) = definition_index(one.frame.message_id) else { return };
         if failure.is_err() {
             return;
         }
         frames += 1;
         failure = tables
             .as_mut()
-            .map_or(Ok(()), |tables| tables.record(definition, one))
-            .and_then(|()| log.as_mut().map_or(Ok(()), |log| log.record(definition, one)));
+            .map_or(Ok(()), |tables| tables.record(index, one))
+            .and_then(|()| log.as_mut().map_or(Ok(()), |log| log.record(&definitions()[index], one)));
     };
     let unknown = match file.kind {
         InputKind::Tlog => tlog_frames(file, &mut take)?,
@@ -137,18 +137,21 @@ fn recording_frames(path: &Path, file: InputFile, take: &mut FrameSink<'_>) -> R
 /// One CSV file for each kind of message, in a folder of their own.
 struct MessageTables {
     folder: PathBuf,
-    tables: BTreeMap<u32, MessageTable>,
-    line: CsvLine,
+    /// As [`definitions`].
+    tables: Vec<Option<MessageTable>>,
 }
 
 struct MessageTable {
-    out: BufWriter<File>,
+    out: File,
     path: PathBuf,
+    lines: CsvLines,
     rows: u64,
 }
 
 /// Before the fields; no field begins with an underscore.
 const FRAME_COLUMNS: [&str; 5] = ["_time [us]", "_link", "_system", "_component", "_sequence"];
+/// Of lines that wait until they are written together.
+const WAITING_BYTES: usize = 64 * 1024;
 
 impl MessageTables {
     /// Removes the tables that an earlier export left there.
@@ -162,28 +165,24 @@ impl MessageTables {
                 std::fs::remove_file(&path).with_context(|| format!("removing `{}`", path.display()))?;
             }
         }
-        Ok(Self { folder, tables: BTreeMap::new(), line: CsvLine::default() })
+        let tables = definitions().iter().map(|_| None).collect();
+        Ok(Self { folder, tables })
     }
 
-    fn record(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>) -> Result<()> {
-        let table = match self.tables.entry(definition.id) {
-            std::collections::btree_map::Entry::Occupied(table) => table.into_mut(),
-            std::collections::btree_map::Entry::Vacant(entry) => {
-                let path = self.folder.join(format!("{}.csv", definition.name));
-                let file = File::create(&path).with_context(|| format!("creating `{}`", path.display()))?;
-                let mut out = BufWriter::new(file);
-                let names = FRAME_COLUMNS.into_iter().map(str::to_owned).chain(columns(definition));
-                writeln!(out, "{}", names.collect::<Vec<_>>().join(","))
-                    .with_context(|| format!("writing `{}`", path.display()))?;
-                entry.insert(MessageTable { out, path, rows: 0 })
-            }
+    /// `index` is that of the message in [`definitions`].
+    fn record(&mut self, index: usize, one: &LoggedFrame<'_>) -> Result<()> {
+        let slot = &mut self.tables[index];
+        let table = match slot {
+            Some(table) => table,
+            None => slot.insert(MessageTable::create(&self.folder, &definitions()[index])?),
         };
-        table.write(definition, one, &mut self.line).with_context(|| format!("writing `{}`", table.path.display()))
+        table.push(one);
+        if table.lines.as_bytes().len() < WAITING_BYTES { Ok(()) } else { table.flush() }
     }
 
     fn finish(self) -> Result<()> {
-        for (_, mut table) in self.tables {
-            table.out.flush().with_context(|| format!("writing `{}`", table.path.display()))?;
+        for mut table in self.tables.into_iter().flatten() {
+            table.flush()?;
             print_written(&table.path, table.rows, "lines");
         }
         Ok(())
@@ -191,18 +190,28 @@ impl MessageTables {
 }
 
 impl MessageTable {
-    fn write(&mut self, definition: &MessageDefinition, one: &LoggedFrame<'_>, line: &mut CsvLine) -> io::Result<()> {
+    fn create(folder: &Path, definition: &MessageDefinition) -> Result<Self> {
+        let path = folder.join(format!("{}.csv", definition.name));
+        let out = File::create(&path).with_context(|| format!("creating `{}`", path.display()))?;
+        Ok(Self { out, path, lines: CsvLines::new(&FRAME_COLUMNS, definition), rows: 0 })
+    }
+
+    fn push(&mut self, one: &LoggedFrame<'_>) {
         let source = one.frame.source;
-        line.push(one.micros);
+        self.lines.push(one.micros);
         for number in
             [u64::from(one.link.0), source.system.0.into(), source.component.0.into(), one.frame.sequence.into()]
         {
-            line.push(Some(number));
+            self.lines.push(Some(number));
         }
-        line.push_payload(definition, &FullPayload::new(one.frame.payload));
-        line.finish(|line| self.out.write_all(line))?;
+        self.lines.push_payload(FullPayload::new(one.frame.payload));
         self.rows += 1;
-        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        let written = self.out.write_all(self.lines.as_bytes());
+        self.lines.clear();
+        written.with_context(|| format!("writing `{}`", self.path.display()))
     }
 }
 

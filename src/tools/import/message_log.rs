@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
-use posebridge_protocol::dialect::definitions::definition;
+use posebridge_protocol::dialect::definition;
 use posebridge_protocol::dialect::message_json::read_json;
 use posebridge_recording::json_log::{JsonMessage, read_json_log};
 use posebridge_recording::tlog::TlogWriter;
