@@ -313,7 +313,7 @@ PB_API uint8_t pb_gyro_take(pb_gyro *gyro, pb_inertial *inertial)
 #define PB_DEAD_RECKONING 8u
 #define PB_PREDICTED 16u
 
-#define PB_LENGTH_PLANAR_POSE 52u
+#define PB_LENGTH_PLANAR_POSE 56u
 #define PB_LENGTH_TIMESYNC 18u
 #define PB_WINDOW (PB_HEADER + PB_LENGTH_PLANAR_POSE + 2u)
 
@@ -327,8 +327,9 @@ typedef struct {
     uint16_t fix_age_ms; /* 65534 for that long or longer, 65535 before the first fix */
     uint8_t reset_counter; /* counts jumps that are not motion */
     uint8_t flags;
+    uint32_t epoch; /* rises with every owner of the robot in a fleet of stations; drop a lower one than you have seen */
 } pb_pose;
-PB_LIES_AT(pb_pose, flags, PB_LENGTH_PLANAR_POSE - 1u);
+PB_LIES_AT(pb_pose, epoch, PB_LENGTH_PLANAR_POSE - 4u);
 
 /* A window on the bytes of a link. All zero is one that has heard nothing. */
 typedef struct {
@@ -370,7 +371,7 @@ PB_PART void pb_answer_time(pb_link *link, const uint8_t *header, uint8_t *paylo
 
 /*
  * What the window begins with: the length of a whole frame whose checksum fits, 0 if it is none and the first byte may go,
- * PB_OPEN if more bytes are needed. Header: length 1 to 52, no flag but that of a signature, a known id.
+ * PB_OPEN if more bytes are needed. Header: length 1 to 56, no flag but that of a signature, a known id.
  */
 #define PB_OPEN 255u
 PB_PART uint8_t pb_judge(const pb_receiver *receiver)

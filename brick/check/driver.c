@@ -135,7 +135,7 @@ static void print_pose(const pb_pose *pose)
     print_float(pose->turn_rate_rad_per_s);
     for (index = 0; index < 6; index++)
         print_float(pose->covariance[index]);
-    printf(" %u %u %u", pose->fix_age_ms, pose->reset_counter, pose->flags);
+    printf(" %u %u %u %lu", pose->fix_age_ms, pose->reset_counter, pose->flags, (unsigned long)pose->epoch);
 }
 
 /* The first byte of an answer brings the word before it. */

@@ -32,7 +32,8 @@ def bits(number):
 def pose_text(pose):
     numbers = [pose.x_m, pose.y_m, pose.heading_rad, pose.forward_speed_m_per_s, pose.turn_rate_rad_per_s]
     numbers = " ".join([bits(number) for number in numbers + list(pose.covariance)])
-    return "pose %d %s %d %d %d" % (pose.time_us, numbers, pose.fix_age_ms, pose.reset_counter, pose.flags)
+    return "pose %d %s %d %d %d %d" % (
+        pose.time_us, numbers, pose.fix_age_ms, pose.reset_counter, pose.flags, pose.epoch)
 
 
 def receive(words, chunk):

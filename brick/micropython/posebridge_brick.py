@@ -43,9 +43,9 @@ _ROBOT_DESCRIPTION = (42104, 5)
 _HEARD = {
     _TIMESYNC[0]: (_TIMESYNC[1], 18),
     _NAMED_VALUE_FLOAT[0]: (_NAMED_VALUE_FLOAT[1], 18),
-    _PLANAR_POSE[0]: (_PLANAR_POSE[1], 52),
+    _PLANAR_POSE[0]: (_PLANAR_POSE[1], 56),
 }
-_LONGEST = 52
+_LONGEST = 56
 # A sender that invents names cannot fill the memory.
 _MOST_VALUES = 16
 
@@ -167,7 +167,7 @@ class Pose:
         numbers = struct.unpack("<fffffffffff", payload[4:48])
         self.x_m, self.y_m, self.heading_rad, self.forward_speed_m_per_s, self.turn_rate_rad_per_s = numbers[:5]
         self.covariance = numbers[5:]  # of x, y, heading: upper triangle row by row
-        self.fix_age_ms, self.reset_counter, self.flags = struct.unpack("<HBB", payload[48:52])
+        self.fix_age_ms, self.reset_counter, self.flags, self.epoch = struct.unpack("<HBBI", payload[48:56])
         # Without their own difference being 0, numbers are infinite or none at all.
         self.is_finite = all(number - number == 0 for number in numbers)
 

@@ -190,17 +190,17 @@ def descriptions():
 
 def pose_frame(numbers, rest, sequence=0, peer=(1, 197)):
     """An estimate from the station: numbers are x, y, heading, both speeds; rest is what comes around them."""
-    time_us, covariance, fix_age_ms, reset_counter, flags = rest
+    time_us, covariance, fix_age_ms, reset_counter, flags, *epoch = rest
     message = own.MAVLink_pb_planar_pose_message(
-        time_us, *numbers, covariance, fix_age_ms, reset_counter, flags
+        time_us, *numbers, covariance, fix_age_ms, reset_counter, flags, *epoch
     )
     return Sender(own, *peer).frame(message, sequence)
 
 
 def pose_result(numbers, rest):
-    time_us, covariance, fix_age_ms, reset_counter, flags = rest
+    time_us, covariance, fix_age_ms, reset_counter, flags, *epoch = rest
     floats = [bits(number) for number in [*numbers, *covariance]]
-    return ["pose", time_us, *floats, fix_age_ms, reset_counter, flags]
+    return ["pose", time_us, *floats, fix_age_ms, reset_counter, flags, *(epoch or [0])]
 
 
 USUAL = ((1.25, -0.5, 1.5707963, 0.2, -0.1), (5_000_000, [1e-4, 1e-6, -2e-5, 1e-4, 3e-5, 4e-4], 40, 0, 7))
@@ -218,9 +218,11 @@ def poses():
         ((-3.5, 1e-3, -math.pi, 3.4e38, -3.4e38), (U32, [3.4e38] * 6, 65_535, 255, 255)),
         ((0.001, 0.0, 0.0, 0.0, 0.0), (1, [0.0] * 6, 0, 0, 0)),
         ((1.0, 2.0, 3.0, -0.0, 1e-40), (253, [1.0, 0.0, 0.0, 1.0, 0.0, 1.0], 65_534, 1, 31)),
+        ((1.0, 2.0, 3.0, 4.0, 5.0), (9, [1.0] * 6, 7, 2, 7, 1)),
+        ((1.0, 2.0, 3.0, 4.0, 5.0), (9, [1.0] * 6, 7, 2, 7, U32)),
     ]
     for index, (numbers, rest) in enumerate(cases):
-        received(0, (1, 1), pose_frame(numbers, rest, index * 63), pose_result(numbers, rest))
+        received(0, (1, 1), pose_frame(numbers, rest, index * 63 % 256), pose_result(numbers, rest))
 
 
 def time_request(peer, tc1, ts1, target, sequence=0):

@@ -332,6 +332,11 @@ impl Simulation {
         &self.received
     }
 
+    /// Number of estimates that the brick has dropped because a station with a higher epoch has sent one before.
+    pub const fn outdated_estimates(&self) -> u64 {
+        self.brick.outdated_estimates()
+    }
+
     /// Points of the ideal path of one lap.
     pub fn path(&self) -> &[Point2<Arena>] {
         &self.polyline

@@ -25,7 +25,7 @@ pub(crate) const TIMESYNC: Kind = kind(111, 34, 18);
 pub(crate) const BATTERY: Kind = kind(147, 154, 36);
 pub(crate) const WHEEL_TICKS: Kind = kind(42_100, 170, 13);
 pub(crate) const INERTIAL: Kind = kind(42_101, 94, 15);
-pub(crate) const PLANAR_POSE: Kind = kind(42_102, 53, 52);
+pub(crate) const PLANAR_POSE: Kind = kind(42_102, 53, 56);
 pub(crate) const ROBOT_DESCRIPTION: Kind = kind(42_104, 5, 40);
 
 const fn kind(id: u32, crc_extra: u8, length: u8) -> Kind {

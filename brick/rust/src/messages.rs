@@ -119,6 +119,9 @@ pub struct PlanarPose {
     pub reset_counter: u8,
     /// Bit 0 position, 1 heading, 2 speeds are valid; 3 dead reckoning; 4 predicted to the time of arrival.
     pub flags: u8,
+    /// Rises with every change of the station that owns the robot; 0 without a fleet of stations. Drop an estimate with a lower one than
+    /// you have seen since power-up.
+    pub epoch: u32,
 }
 
 impl PlanarPose {

@@ -3,7 +3,7 @@
 //! # Model
 //! ```text
 //! window   the oldest byte is a start byte, or the window is empty
-//! refute   header: length 1 to 52, no flag but the signature's, a known id     whole: checksum, finite numbers
+//! refute   header: length 1 to 56, no flag but the signature's, a known id     whole: checksum, finite numbers
 //! refuted  the oldest byte is dropped, not the whole candidate: a real frame may begin inside it
 //! ```
 //! A lost byte therefore costs the frame that it was in and no other. Messages that are not for a brick are refuted by
@@ -26,7 +26,7 @@ pub enum Received {
     TimeRequest(TimeRequest),
 }
 
-/// A window on the bytes of a link, 64 bytes long.
+/// A window on the bytes of a link, 68 bytes long.
 #[derive(Clone, Copy, Debug)]
 pub struct Receiver {
     bytes: [u8; WINDOW],
@@ -153,6 +153,7 @@ fn pose(payload: &[u8]) -> Option<Received> {
     let [x_m, y_m, heading_rad, forward_speed_m_per_s, turn_rate_rad_per_s, covariance @ ..] = floats;
     let fix_age_ms = u16::from_le_bytes(fields.next_bytes());
     let [reset_counter, flags] = fields.next_bytes();
+    let epoch = u32::from_le_bytes(fields.next_bytes());
     Some(Received::Pose(PlanarPose {
         time_us,
         x_m,
@@ -164,6 +165,7 @@ fn pose(payload: &[u8]) -> Option<Received> {
         fix_age_ms,
         reset_counter,
         flags,
+        epoch,
     }))
 }
 

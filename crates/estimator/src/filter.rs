@@ -9,6 +9,7 @@ use posebridge_telemetry::{
 
 use crate::models::slow_sensor::SlowSensor;
 use crate::params::Params;
+use crate::saved::RestoreError;
 use crate::validation::is_valid_start;
 
 /// A filter of a pose or of one quantity: observations in, estimates out.
@@ -46,6 +47,13 @@ pub trait Filter: Send {
     fn calibration(&self) -> Option<Calibration> {
         None
     }
+
+    /// All that later estimates depend on beside the configuration, as bytes for [`Self::restore`].
+    fn save(&self) -> Vec<u8>;
+
+    /// Continues from a state that a filter of the same kind and configuration has saved, bit for bit: with the same observations, the same
+    /// records and estimates. On an error nothing has changed. The bytes may be anything.
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError>;
 
     /// The estimate of a filter that follows one quantity instead of a pose, for an instant; `None` for the others.
     fn scalar_at(&self, stamp: Timestamp<BrickClock>) -> Option<ScalarEstimate> {

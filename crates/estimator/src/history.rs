@@ -9,8 +9,10 @@ use std::cmp::Ordering;
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::motion::count_before;
+use crate::saved::{MAX_ENTRIES, RestoreError};
 
 /// The number of last states that are stored: 0.16 s of a brick whose wheels and gyro are read 50 times a second.
 const RECENT_STATES: usize = 16;
@@ -39,6 +41,80 @@ pub struct FixedLagHistory<E, S> {
     /// A ring of the last states; empty before the first entry. State p is at index (`ring_offset` + p) mod [`RECENT_STATES`].
     recent: Vec<S>,
     ring_offset: usize,
+}
+
+/// A history as it is kept elsewhere: what it begins with, and what was applied to that.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedHistory<E, S> {
+    pub base: S,
+    pub entries: VecDeque<E>,
+    /// The states between, where the entries do not lead to them any more: they were applied with other parameters.
+    states: Option<StoredStates<S>>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct StoredStates<S> {
+    checkpoints: VecDeque<S>,
+    /// The last [`RECENT_STATES`], oldest first.
+    recent: Vec<S>,
+}
+
+impl<E, S> SavedHistory<E, S> {
+    /// All states that were stored.
+    pub fn states(&self) -> impl Iterator<Item = &S> {
+        let stored = self.states.iter().flat_map(|states| states.checkpoints.iter().chain(&states.recent));
+        std::iter::once(&self.base).chain(stored)
+    }
+}
+
+impl<E: HistoryEntry + Clone, S: Copy + PartialEq> FixedLagHistory<E, S> {
+    /// This history to be continued elsewhere; `apply` as for [`Self::insert`].
+    ///
+    /// All states would be ten times as long as what they follow from, so they are left out where that leads to them.
+    pub fn save(&self, apply: impl FnMut(&S, &mut S, &E)) -> SavedHistory<E, S> {
+        let saved = SavedHistory { base: self.base, entries: self.entries.clone(), states: None };
+        let stored = self.stored_states();
+        let is_implied = Self::replayed(&saved, apply).stored_states() == stored;
+        SavedHistory { states: (!is_implied).then_some(stored), ..saved }
+    }
+
+    /// The history that was saved. Fails if it is none.
+    pub fn restored(saved: SavedHistory<E, S>, apply: impl FnMut(&S, &mut S, &E)) -> Result<Self, RestoreError> {
+        let is_in_order =
+            saved.entries.iter().zip(saved.entries.iter().skip(1)).all(|(one, next)| one.order(next).is_le());
+        (is_in_order && saved.entries.len() <= MAX_ENTRIES)
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its observations are too many, or out of order"))?;
+        let mut history = Self::replayed(&saved, apply);
+        if let Some(states) = saved.states {
+            let before = history.stored_states();
+            let is_complete =
+                (states.checkpoints.len(), states.recent.len()) == (before.checkpoints.len(), before.recent.len());
+            is_complete.then_some(()).ok_or(RestoreError::Implausible("it lacks states between its observations"))?;
+            history.checkpoints = states.checkpoints;
+            let first = history.entries.len() - states.recent.len() + 1;
+            for (number, state) in (first..).zip(states.recent) {
+                let slot = history.slot(number);
+                history.recent[slot] = state;
+            }
+        }
+        Ok(history)
+    }
+
+    fn replayed(saved: &SavedHistory<E, S>, mut apply: impl FnMut(&S, &mut S, &E)) -> Self {
+        let mut history = Self::new(saved.base);
+        for entry in &saved.entries {
+            history.insert(entry.clone(), None, |before, after, entry, _| apply(before, after, entry));
+        }
+        history
+    }
+
+    fn stored_states(&self) -> StoredStates<S> {
+        let length = self.entries.len();
+        let first = (length + 1).saturating_sub(RECENT_STATES).max(1);
+        let recent = (first..=length).map(|number| self.recent[self.slot(number)]);
+        StoredStates { checkpoints: self.checkpoints.clone(), recent: recent.collect() }
+    }
 }
 
 impl<E: HistoryEntry, S: Copy> FixedLagHistory<E, S> {

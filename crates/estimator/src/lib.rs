@@ -12,6 +12,7 @@
 
 mod filter;
 pub mod filters;
+pub mod fingerprint;
 pub mod hand_motions;
 pub mod history;
 pub mod models;
@@ -21,6 +22,7 @@ pub mod observations;
 pub mod papers;
 pub mod params;
 mod registry;
+pub mod saved;
 pub mod smoother;
 pub mod tracking;
 pub mod update;
@@ -28,5 +30,7 @@ mod validation;
 pub mod wiring;
 
 pub use filter::{Filter, FilterCommand, FilterConfig};
+pub use fingerprint::ConfigFingerprint;
 pub use params::{PARAMS, Param, Params};
 pub use registry::{EstimatedQuantity, FILTERS, FilterEntry, Initialization, LateDataPolicy, find_filter};
+pub use saved::RestoreError;

@@ -5,11 +5,12 @@ use posebridge_telemetry::{
     Arena, BrickClock, Estimate, MetersPerSecond, Pose, PoseCorrection, Radians, RadiansPerSecond, ResetCause,
     TimeDelta, Timestamp, Validity, quantities::wrap_rad,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::motion::SPEED_HOLD;
 
 /// The last observations that were used, and the jumps that are not motion.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackingStatus {
     pub last_fix: Option<Timestamp<BrickClock>>,
     pub last_motion: Option<Timestamp<BrickClock>>,

@@ -83,7 +83,8 @@ fn are_within_limits(values: &[f64]) -> bool {
     values.iter().all(|value| value.abs() <= MAX_MAGNITUDE)
 }
 
-fn is_finite(observed: &ObservationKind) -> bool {
+/// Whether the numbers of an observation are such that a filter may use it.
+pub(crate) fn is_finite(observed: &ObservationKind) -> bool {
     match *observed {
         ObservationKind::WheelAngles { left, right } => are_within_limits(&[left.0, right.0]),
         ObservationKind::OdometerPose(pose) => are_within_limits(&[pose.x.0, pose.y.0, pose.heading.rad()]),

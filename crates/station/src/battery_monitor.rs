@@ -4,17 +4,29 @@
 
 use posebridge_protocol::message::Battery;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::host_times::ShiftHostTimes;
 
 /// Age after which a quantity is unknown again: three requests to a brick that is asked for it.
 const MAX_AGE: TimeDelta = TimeDelta::from_millis(30_000);
 
 type Reading = Option<(f64, Timestamp<HostClock>)>;
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct BatteryMonitor {
     voltage_v: Reading,
     current_a: Reading,
     remaining: Reading,
+}
+
+impl ShiftHostTimes for BatteryMonitor {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        let Self { voltage_v, current_a, remaining } = self;
+        for reading in [voltage_v, current_a, remaining] {
+            reading.shift_host_times(by);
+        }
+    }
 }
 
 impl BatteryMonitor {

@@ -5,12 +5,12 @@ use posebridge_telemetry::{
     TimeDelta, Timestamp, severity,
 };
 
-use crate::camera_table::{FixAdmission, Newcomers};
+use crate::camera_table::{CameraIdentity, FixAdmission, Newcomers};
 use crate::clock::align::Alignment;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::UnalignedObservation;
 use crate::observations::MessageSender;
-use crate::observers::{ObserverAddress, ObserverId};
+use crate::observers::ObserverAddress;
 use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex};
 use crate::sender_pins::SenderPins;
@@ -59,7 +59,8 @@ impl Station {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));
         }
-        let watched = self.robots.only_seen_by(self.time.now, host.observer);
+        let camera = CameraIdentity { observer: host.observer, address: source };
+        let watched = self.robots.only_seen_by(self.time.now, camera);
         let robot = self.robots.of_fix(&self.config, sender.received.endpoint, source, observation.tag, watched);
         let aligned = host.time.zip(robot).and_then(|((time, uncertainty), index)| {
             Some((index, self.robots.get(index).clocks.at_host_time(time, uncertainty)?))
@@ -74,7 +75,7 @@ impl Station {
             stamp_sigma: sigma,
             measurement: observation.observed,
         };
-        self.observe_fix(index, sender, host.observer, fix);
+        self.observe_fix(index, sender, camera, fix);
     }
 
     /// Gives a robot's filter the fix of a camera, unless that has to agree with the others first.
@@ -82,7 +83,7 @@ impl Station {
         &mut self,
         index: RobotIndex,
         sender: &MessageSender,
-        camera: ObserverId,
+        camera: CameraIdentity,
         mut observation: Observation,
     ) {
         let (now, arrival, source) = (self.time.now, sender.received.host_time, sender.origin.address);

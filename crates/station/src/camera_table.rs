@@ -5,9 +5,12 @@
 //! one of several is wrong then), and one whose fixes were far from the estimate. Without another camera the first fix counts, as it must. A stranger who follows the estimate for a
 //! while can still mislead a robot; `pin` and signing are against that (docs/routing.md).
 
-use posebridge_telemetry::{Estimate, Fix, HostClock, SensorId, TimeDelta, Timestamp};
+use posebridge_estimator::RestoreError;
+use posebridge_telemetry::{Address, Estimate, Fix, HostClock, SensorId, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::fix_requests::MAX_CAMERAS;
+use crate::host_times::ShiftHostTimes;
 use crate::observers::ObserverId;
 
 /// A camera sees the robot for so long after the last fix that the filter accepted.
@@ -46,7 +49,14 @@ pub(crate) enum Newcomers {
     Refused,
 }
 
-#[derive(Debug, Default)]
+/// A camera for a robot's table: as this station numbers it, and by its address, which other stations see as well.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct CameraIdentity {
+    pub(crate) observer: ObserverId,
+    pub(crate) address: Address,
+}
+
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct CameraTable {
     /// Each is a sensor of its own, by its index. One that was never used makes room for another.
     cameras: Vec<Camera>,
@@ -54,9 +64,12 @@ pub(crate) struct CameraTable {
     own_accepted: Option<Timestamp<HostClock>>,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Camera {
-    id: ObserverId,
+    /// `None` for one that another station has seen, until this one does.
+    #[serde(skip)]
+    id: Option<ObserverId>,
+    address: Address,
     first_seen: Timestamp<HostClock>,
     /// The filter was given one of its fixes.
     is_used: bool,
@@ -73,9 +86,10 @@ struct Camera {
 }
 
 impl Camera {
-    const fn new(id: ObserverId, counter: u8, now: Timestamp<HostClock>) -> Self {
+    const fn new(id: CameraIdentity, counter: u8, now: Timestamp<HostClock>) -> Self {
         Self {
-            id,
+            id: Some(id.observer),
+            address: id.address,
             first_seen: now,
             is_used: false,
             accepted: None,
@@ -85,6 +99,10 @@ impl Camera {
             agreements: 0,
             disagreements: 0,
         }
+    }
+
+    fn is(&self, id: CameraIdentity) -> bool {
+        self.id.map_or(self.address == id.address, |own| own == id.observer)
     }
 
     fn watches(&self, now: Timestamp<HostClock>) -> bool {
@@ -107,18 +125,34 @@ impl Camera {
     }
 }
 
+impl ShiftHostTimes for CameraTable {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        let Self { cameras, own_accepted } = self;
+        own_accepted.shift_host_times(by);
+        for camera in cameras {
+            camera.first_seen.shift_host_times(by);
+            camera.accepted.shift_host_times(by);
+        }
+    }
+}
+
 impl CameraTable {
+    pub(crate) fn check(&self) -> Result<(), RestoreError> {
+        (self.cameras.len() <= MAX_CAMERAS).then_some(()).ok_or(RestoreError::Implausible("it has too many cameras"))
+    }
+
     /// Decides about a fix that arrives at `now`; `estimate` is that of its instant.
     pub(crate) fn admit(
         &mut self,
         now: Timestamp<HostClock>,
-        id: ObserverId,
+        id: CameraIdentity,
         fix: &Fix,
         newcomers: Newcomers,
         estimate: impl FnOnce() -> Option<Estimate>,
     ) -> FixAdmission {
+        self.recognize(id);
         let is_watched = self.is_watched_by_other(now, id);
-        let has_other = self.cameras.iter().any(|camera| camera.id != id && camera.is_used);
+        let has_other = self.cameras.iter().any(|camera| !camera.is(id) && camera.is_used);
         let index = self.find_or_add(now, id, fix.reset_counter);
         let (camera, sensor) = (&mut self.cameras[index], SensorId::camera(index));
         if has_other && !camera.is_used && newcomers == Newcomers::Refused {
@@ -149,29 +183,39 @@ impl CameraTable {
     }
 
     /// Whether the filter accepted a fix of a camera lately.
-    pub(crate) fn is_seen_by(&self, now: Timestamp<HostClock>, id: ObserverId) -> bool {
-        self.cameras.iter().any(|camera| camera.id == id && camera.watches(now))
+    pub(crate) fn is_seen_by(&self, now: Timestamp<HostClock>, id: CameraIdentity) -> bool {
+        self.cameras.iter().any(|camera| camera.is(id) && camera.watches(now))
     }
 
     /// Notes that the filter accepted a fix of a camera, or `None` of the robot's own.
-    pub(crate) fn record_accepted(&mut self, now: Timestamp<HostClock>, id: Option<ObserverId>) {
+    pub(crate) fn record_accepted(&mut self, now: Timestamp<HostClock>, id: Option<CameraIdentity>) {
         let Some(id) = id else {
             self.own_accepted = Some(now);
             return;
         };
-        if let Some(camera) = self.cameras.iter_mut().find(|camera| camera.id == id) {
+        if let Some(camera) = self.cameras.iter_mut().find(|camera| camera.is(id)) {
             camera.accepted = Some(now);
         }
     }
 
-    fn is_watched_by_other(&self, now: Timestamp<HostClock>, id: ObserverId) -> bool {
+    fn is_watched_by_other(&self, now: Timestamp<HostClock>, id: CameraIdentity) -> bool {
         let is_own = self.own_accepted.is_some_and(|accepted| now - accepted <= WATCH_TIMEOUT);
-        is_own || self.cameras.iter().any(|camera| camera.id != id && camera.watches(now))
+        is_own || self.cameras.iter().any(|camera| !camera.is(id) && camera.watches(now))
+    }
+
+    /// Gives a camera that another station has seen the number that it has here.
+    fn recognize(&mut self, id: CameraIdentity) {
+        if self.cameras.iter().any(|camera| camera.id == Some(id.observer)) {
+            return;
+        }
+        if let Some(camera) = self.cameras.iter_mut().find(|camera| camera.id.is_none() && camera.is(id)) {
+            camera.id = Some(id.observer);
+        }
     }
 
     /// The index of a camera. Beyond the limit a new one takes the place of the oldest that was never used, else of the last.
-    fn find_or_add(&mut self, now: Timestamp<HostClock>, id: ObserverId, counter: u8) -> usize {
-        if let Some(index) = self.cameras.iter().position(|camera| camera.id == id) {
+    fn find_or_add(&mut self, now: Timestamp<HostClock>, id: CameraIdentity, counter: u8) -> usize {
+        if let Some(index) = self.cameras.iter().position(|camera| camera.is(id)) {
             return index;
         }
         let camera = Camera::new(id, counter, now);

@@ -2,13 +2,17 @@
 //!
 //! This is the only place that converts between the robot's clock and the host's.
 
+use posebridge_estimator::RestoreError;
+use posebridge_estimator::saved::Numbers;
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{
     BrickClock, CameraClock, HostClock, ObservationKind, Radians, RadiansPerSecond, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
-use crate::clock::align::{ClockAligner, ExchangeOutcome};
+use crate::clock::align::{ClockAligner, ExchangeOutcome, SavedAligner};
 use crate::clock::unwrap::UnwrapOutcome;
+use crate::host_times::ShiftHostTimes;
 use crate::observation_extractor::UnalignedObservation;
 use crate::receive::{ReceiveInfo, TimeExchange};
 
@@ -33,7 +37,32 @@ pub(crate) struct AlignedTime {
     pub(crate) is_unaligned: bool,
 }
 
+/// A robot's clock as it is kept elsewhere.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct SavedClocks {
+    aligner: SavedAligner<BrickClock>,
+    last_gyro_turn: Option<(Timestamp<BrickClock>, Radians)>,
+}
+
+impl ShiftHostTimes for SavedClocks {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        self.aligner.shift_host_times(by);
+    }
+}
+
 impl ClockAlignment {
+    pub(crate) fn save(&self) -> SavedClocks {
+        let Self { aligner, last_gyro_turn } = self;
+        SavedClocks { aligner: aligner.save(), last_gyro_turn: *last_gyro_turn }
+    }
+
+    pub(crate) fn restored(saved: SavedClocks) -> Result<Self, RestoreError> {
+        let SavedClocks { aligner, last_gyro_turn } = saved;
+        let is_finite = last_gyro_turn.is_none_or(|(_, turn)| turn.0.are_finite());
+        is_finite.then_some(()).ok_or(RestoreError::Implausible("its gyro's turn is not finite"))?;
+        Ok(Self { aligner: ClockAligner::restored(aligner)?, last_gyro_turn })
+    }
+
     /// The clock of a sender that was followed as an observer before it proved to be a robot.
     pub(crate) fn from_observer(clock: ClockAligner<CameraClock>) -> Self {
         Self { aligner: clock.cast_clock(), last_gyro_turn: None }

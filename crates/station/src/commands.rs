@@ -215,7 +215,20 @@ impl Station {
         }
     }
 
+    /// Fails for a command to a robot that another station owns.
+    fn require_owned(&self, target: CommandTarget, command: &Command) -> Result<(), String> {
+        let is_for_one = match target {
+            CommandTarget::Robot(_) => command.is_for_robots(),
+            CommandTarget::Station => {
+                matches!(command, Command::SetPose { .. } | Command::ResetPose | Command::Simulator(_))
+            }
+        };
+        let robot = self.robots.get(target.posed_robot());
+        if is_for_one && robot.ownership().is_standby() { Err(robot.owned_elsewhere()) } else { Ok(()) }
+    }
+
     fn carry_out(&mut self, target: CommandTarget, command: Command) -> CommandOutcome {
+        self.require_owned(target, &command)?;
         match command {
             Command::SetPose { pose, position_sigma_m, heading_sigma_rad } => {
                 self.set_pose(target.posed_robot(), &StartPose { pose, position_sigma_m, heading_sigma_rad })
@@ -353,6 +366,11 @@ impl Station {
                 refused.get_or_insert(robot.estimator.entry.name);
             }
         }
+        if target == CommandTarget::Station {
+            for robot in self.robots.prepared_mut() {
+                robot.apply(command);
+            }
+        }
         refused.map_or(Ok(()), |filter| Err(format!("the filter {filter} {otherwise}")))
     }
 
@@ -368,6 +386,9 @@ impl Station {
             robot.switch_sensor(sensor, to);
         }
         if target == CommandTarget::Station {
+            for robot in self.robots.prepared_mut() {
+                robot.switch_sensor(sensor, to);
+            }
             self.robots.settings.sensors.insert(sensor, to);
         }
         let is = match to {

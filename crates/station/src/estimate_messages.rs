@@ -15,6 +15,7 @@ use posebridge_telemetry::{
     BrickClock, ChannelName, Estimate, FusionOutcome, FusionRecord, GeodeticOrigin, HostClock, Meters, MetersPerSecond,
     Pose, SensorId, TimeDelta, Timestamp, estimate::row,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::config::{AnnouncedAs, OutputKind};
 
@@ -27,6 +28,8 @@ pub(crate) struct PublishContext {
     pub(crate) host: Timestamp<HostClock>,
     /// Normalised innovation squared of the last fix over its gate: above 1 it was rejected.
     pub(crate) fix_ratio: f64,
+    /// Of the robot's owner in a fleet of stations, 0 without one.
+    pub(crate) epoch: u64,
     /// Where the arena lies on the Earth.
     pub(crate) origin: Option<GeodeticOrigin>,
     /// The recipient: for a ground station the arena's frame is an arbitrary local one.
@@ -34,7 +37,7 @@ pub(crate) struct PublishContext {
 }
 
 pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &PublishContext) -> Option<Message> {
-    let PublishContext { is_predicted, host, fix_ratio, origin, announced_as } = *context;
+    let PublishContext { is_predicted, host, fix_ratio, epoch, origin, announced_as } = *context;
     let flags = PoseFlags {
         position_valid: estimate.validity.position,
         heading_valid: estimate.validity.heading,
@@ -43,7 +46,7 @@ pub(crate) fn estimate_message(kind: OutputKind, estimate: &Estimate, context: &
         predicted: is_predicted,
     };
     match kind {
-        OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, flags))),
+        OutputKind::PlanarPose => Some(Message::PlanarPose(planar_pose(estimate, flags, epoch))),
         OutputKind::Odometry => Some(Message::Odometry(odometry(estimate, host, announced_as))),
         OutputKind::LocalPosition => {
             let [x_speed, y_speed] = velocity(estimate);
@@ -103,7 +106,7 @@ fn velocity(estimate: &Estimate) -> [MetersPerSecond; 2] {
     [cos, sin].map(|share| MetersPerSecond(estimate.forward_speed.0 * share))
 }
 
-fn planar_pose(estimate: &Estimate, flags: PoseFlags) -> PlanarPose {
+fn planar_pose(estimate: &Estimate, flags: PoseFlags, epoch: u64) -> PlanarPose {
     PlanarPose {
         stamp: brick_stamp(estimate.stamp),
         pose: estimate.pose,
@@ -113,6 +116,8 @@ fn planar_pose(estimate: &Estimate, flags: PoseFlags) -> PlanarPose {
         fix_age: estimate.fix_age,
         reset_counter: estimate.reset_counter,
         flags,
+        // Saturates: one that is too large for the wire must not look like an old one.
+        epoch: u32::try_from(epoch).unwrap_or(u32::MAX),
     }
 }
 
@@ -164,7 +169,7 @@ pub(crate) fn travel_time(round_trip: Option<TimeDelta>) -> TimeDelta {
 }
 
 /// Used and rejected observations of one sensor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct FusionCounts {
     pub(crate) accepted: u16,
     pub(crate) rejected: u16,

@@ -7,11 +7,13 @@ use posebridge_telemetry::{
     BrickClock, Estimate, FusionRecord, GeodeticOrigin, HostClock, LinkId, Meters, Priority, SensorId, TimeDelta,
     Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::clock_alignment::ClockAlignment;
 use crate::config::{AnnouncedAs, LinkConfig, OutputInstant, OutputKind, OutputStream};
-use crate::estimate_messages::{self, PublishContext, host_stamp};
+use crate::estimate_messages::{self, FusionCounts, PublishContext, host_stamp};
 use crate::estimator::Estimator;
+use crate::host_times::ShiftHostTimes;
 use crate::output_schedule::{OutputSchedule, priority, priority_of_stream};
 
 #[derive(Debug)]
@@ -27,6 +29,8 @@ pub(crate) struct EstimateSource<'a> {
     pub(crate) now: Timestamp<HostClock>,
     pub(crate) clocks: &'a ClockAlignment,
     pub(crate) estimator: &'a Estimator,
+    /// Of the robot's owner in a fleet of stations, 0 without one.
+    pub(crate) epoch: u64,
     pub(crate) origin: Option<GeodeticOrigin>,
 }
 
@@ -42,10 +46,48 @@ pub(crate) struct EstimatePublisher {
     pub(crate) pending: Option<Estimate>,
 }
 
+/// What is published of a robot whichever links it is published on.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct SavedPublisher {
+    last_range: Option<(Meters, Timestamp<HostClock>)>,
+    /// The same on every link.
+    counts: BTreeMap<SensorId, FusionCounts>,
+}
+
+impl ShiftHostTimes for SavedPublisher {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        let Self { last_range, counts: _ } = self;
+        last_range.shift_host_times(by);
+    }
+}
+
 impl EstimatePublisher {
+    /// Intervals belong to links, and the last records are there again with the next observations.
+    pub(crate) fn save(&self) -> SavedPublisher {
+        let Self { links, last_range, last_records: _, pending: _ } = self;
+        let counts = links.values().next().map(|schedule| schedule.counts().clone());
+        SavedPublisher { last_range: *last_range, counts: counts.unwrap_or_default() }
+    }
+
+    pub(crate) fn restore(&mut self, saved: &SavedPublisher) {
+        self.last_range = saved.last_range;
+        self.last_records.clear();
+        self.pending = None;
+        for schedule in self.links.values_mut() {
+            schedule.set_counts(&saved.counts);
+        }
+    }
+
     pub(crate) fn new(links: &[LinkConfig]) -> Self {
         let schedules = links.iter().map(|link| (link.id, OutputSchedule::new(link)));
         Self { links: schedules.collect(), last_range: None, last_records: BTreeMap::new(), pending: None }
+    }
+
+    /// Every output is due with its next data: the robot has another owner.
+    pub(crate) fn restart(&mut self) {
+        for schedule in self.links.values_mut() {
+            schedule.restart();
+        }
     }
 
     /// The messages of an estimate that are due on a link, which is up.
@@ -157,7 +199,7 @@ fn estimate_message(
     announced_as: AnnouncedAs,
     source: EstimateSource<'_>,
 ) -> Option<Message> {
-    let EstimateSource { now, clocks, estimator, origin } = source;
+    let EstimateSource { now, clocks, estimator, epoch, origin } = source;
     let arrival = now + estimate_messages::travel_time(clocks.aligner.round_trip());
     let ahead: Option<Timestamp<BrickClock>> = match stream.instant {
         OutputInstant::Observed => None,
@@ -166,7 +208,7 @@ fn estimate_message(
     let predicted = ahead.filter(|time| *time > observed.stamp).and_then(|time| estimator.estimate_at(time));
     let is_predicted = predicted.is_some();
     let host = if is_predicted { arrival } else { clocks.to_host(observed.stamp).unwrap_or(now) };
-    let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, origin, announced_as };
+    let context = PublishContext { is_predicted, host, fix_ratio: estimator.fix_ratio, epoch, origin, announced_as };
     estimate_messages::estimate_message(stream.kind, predicted.as_ref().unwrap_or(observed), &context)
 }
 
@@ -196,7 +238,7 @@ mod tests {
         let estimator = Estimator::new(find_filter(&config.robot.filter).unwrap(), &config.robot.filter_config);
         let clocks = ClockAlignment::default();
         let now = at(500);
-        let source = EstimateSource { now, clocks: &clocks, estimator: &estimator, origin: None };
+        let source = EstimateSource { now, clocks: &clocks, estimator: &estimator, epoch: 0, origin: None };
         assert_eq!(publisher.current(LinkId(0), OutputKind::DistanceSensor, source), []);
         let sent = publisher.publish_range(now, Meters(0.7), now, |link| link == LinkId(1));
         assert_eq!(sent.iter().map(|message| message.link).collect::<Vec<_>>(), [LinkId(1)]);

@@ -3,11 +3,12 @@
 use std::collections::BTreeSet;
 
 use posebridge_estimator::numerics::chi_square::chi_square_quantile;
-use posebridge_estimator::{EstimatedQuantity, Filter, FilterCommand, FilterConfig, FilterEntry, Params};
+use posebridge_estimator::{EstimatedQuantity, Filter, FilterCommand, FilterConfig, FilterEntry, Params, RestoreError};
 use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, Observation, ObservationKind,
     OnlineCalibration, ScalarEstimate, SensorId, SensorSwitch, StartPose, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 /// Most components of a fix: x, y and heading.
 const MAX_FIX_COMPONENTS: usize = 3;
@@ -26,6 +27,16 @@ pub(crate) struct Estimator {
     /// The gate of a fix with one, two and three components.
     fix_gates: [f64; MAX_FIX_COMPONENTS],
     /// Resets of filters that were replaced because their numbers were not finite.
+    resets_before: u8,
+}
+
+/// An estimator without its configuration.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct SavedEstimator {
+    filter: Vec<u8>,
+    switched_off: BTreeSet<SensorId>,
+    online_calibration: OnlineCalibration,
+    pub(crate) fix_ratio: f64,
     resets_before: u8,
 }
 
@@ -52,6 +63,47 @@ impl Estimator {
             fix_gates: fix_gates(&config.params),
             resets_before: 0,
         }
+    }
+
+    pub(crate) fn save(&self) -> SavedEstimator {
+        let Self {
+            entry: _,
+            config: _,
+            filter,
+            switched_off,
+            online_calibration,
+            fix_ratio,
+            fix_gates: _,
+            resets_before,
+        } = self;
+        SavedEstimator {
+            filter: filter.save(),
+            switched_off: switched_off.clone(),
+            online_calibration: *online_calibration,
+            fix_ratio: *fix_ratio,
+            resets_before: *resets_before,
+        }
+    }
+
+    /// An estimator that continues from what another one of the same configuration has saved.
+    pub(crate) fn restored(
+        entry: &'static FilterEntry,
+        config: &FilterConfig,
+        saved: &SavedEstimator,
+    ) -> Result<Self, RestoreError> {
+        let mut estimator = Self::new(entry, config);
+        estimator.filter.restore(&saved.filter)?;
+        let latest = estimator.filter.latest_time();
+        let is_finite = latest.is_none_or(|latest| {
+            estimator.filter.estimate_at(latest).is_none_or(|estimate| estimate.is_finite())
+                && estimator.filter.scalar_at(latest).is_none_or(|quantity| quantity.is_finite())
+        });
+        is_finite.then_some(()).ok_or(RestoreError::Implausible("its estimate is not finite"))?;
+        estimator.switched_off.clone_from(&saved.switched_off);
+        estimator.online_calibration = saved.online_calibration;
+        estimator.fix_ratio = saved.fix_ratio;
+        estimator.resets_before = saved.resets_before;
+        Ok(estimator)
     }
 
     /// Uses an observation, late or not, unless its sensor is disabled.
@@ -215,6 +267,14 @@ mod tests {
                 self.1 = f64::INFINITY;
             }
             self.0.observe(observation)
+        }
+
+        fn save(&self) -> Vec<u8> {
+            self.0.save()
+        }
+
+        fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+            self.0.restore(saved)
         }
 
         fn restart_clock(&mut self) {

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use posebridge_telemetry::{
     BrickClock, Estimate, FusionOutcome, FusionRecord, ResetCause, SensorId, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 /// Time without slip after which an episode ends: ten of the gyro's usual windows of 0.2 s.
 const SLIP_TIMEOUT: TimeDelta = TimeDelta::from_millis(2_000);
@@ -25,7 +26,7 @@ const MAX_GAP: TimeDelta = TimeDelta::from_millis(2_000);
 const REPEAT: TimeDelta = TimeDelta::from_millis(10_000);
 
 /// What the observations of one robot have shown so far.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct FusionAlarms {
     slip: SlipEpisode,
     /// An episode that is not reported yet.
@@ -35,7 +36,7 @@ pub(crate) struct FusionAlarms {
 }
 
 /// An unbroken run of gated observations of one sensor.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Contradiction {
     since: Timestamp<BrickClock>,
     last: Timestamp<BrickClock>,
@@ -78,7 +79,7 @@ impl FusionAlarms {
         if !(TimeDelta::ZERO..=MAX_GAP).contains(&(stamp - run.last)) {
             *run = begun;
         }
-        run.count += 1;
+        run.count = run.count.saturating_add(1);
         run.last = stamp;
         let lasts = stamp - run.since;
         let is_due = run.reported.is_none_or(|reported| stamp - reported >= REPEAT);
@@ -115,7 +116,7 @@ impl FusionAlarms {
 }
 
 /// Counts consecutive motion observations with slip.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct SlipEpisode {
     last: Option<Timestamp<BrickClock>>,
     consecutive: u32,

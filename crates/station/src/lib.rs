@@ -23,6 +23,7 @@ mod estimator;
 mod fix_requests;
 mod forwarded_frame;
 mod fusion_alarms;
+mod host_times;
 mod link_command;
 mod link_context;
 mod mavlink1_probe;
@@ -38,11 +39,14 @@ mod observers;
 mod operator;
 mod output_queue;
 mod output_schedule;
+mod ownership;
+mod ownership_status;
 mod parameter_reports;
 mod peer_framers;
 mod receive;
 mod receive_pass;
 mod robot;
+mod robot_snapshot;
 mod robot_table;
 mod sender_identity;
 mod sender_pins;
@@ -69,6 +73,7 @@ pub use config::{
     OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, RpmMeaning,
     StationConfig, ThermometerConfig,
 };
+pub use ownership_status::OwnershipStatus;
 pub use robot::Robot;
 pub use sender_pins::PinPolicy;
 pub use station::Station;

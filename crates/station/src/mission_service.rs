@@ -15,6 +15,9 @@ use crate::sender_identity::RobotIndex;
 use crate::sessions::SenderRole;
 use crate::station::Station;
 
+/// Why a mission pauses for someone who steers.
+const BY_HAND: &str = "steered by hand";
+
 impl Station {
     /// A request about the plan of a robot as a vehicle.
     pub(crate) fn handle_plan_request(
@@ -35,7 +38,13 @@ impl Station {
 
     /// Carries out a command about the drive of a robot. A refusal is reported to all ground stations.
     pub(crate) fn execute_drive_command(&mut self, index: RobotIndex, command: &LinkCommand) -> CommandResult {
-        let (now, origin) = (self.time.now, self.robots.get(index).extractor.origin);
+        let robot = self.robots.get(index);
+        if robot.ownership().is_standby() {
+            let text = self.robots.labelled(index, &robot.owned_elsewhere());
+            self.report_own_text(severity::WARNING, text);
+            return CommandResult::Denied;
+        }
+        let (now, origin) = (self.time.now, robot.extractor.origin);
         match self.open_mission(index).handle_command(now, command, origin) {
             Ok(()) => CommandResult::Accepted,
             Err(refusal) => {
@@ -58,7 +67,7 @@ impl Station {
             let robot = self.robots.get(index);
             let named = if has_vehicles { robot.vehicle_address.system } else { robot.wire_address.system };
             if named == system && sender != Some(index) {
-                self.interrupt_mission(index);
+                self.interrupt_mission(index, BY_HAND);
             }
         }
     }
@@ -70,13 +79,13 @@ impl Station {
             CommandTarget::Robot(index) => vec![index],
         };
         for index in robots {
-            self.interrupt_mission(index);
+            self.interrupt_mission(index, BY_HAND);
         }
     }
 
-    fn interrupt_mission(&mut self, index: RobotIndex) {
+    pub(crate) fn interrupt_mission(&mut self, index: RobotIndex, why: &'static str) {
         if let Some(mission) = self.missions.find(index) {
-            mission.interrupt("steered by hand");
+            mission.interrupt(why);
         }
     }
 
@@ -127,6 +136,9 @@ impl Station {
                 }
             }
             MissionAction::Drive(setpoint) => {
+                if robot.ownership().is_standby() {
+                    return;
+                }
                 let target = robot.wire_address;
                 let Some((endpoint, _)) = robot.last_seen else {
                     return;

@@ -8,7 +8,9 @@ use posebridge_protocol::message::ImuMessage;
 use posebridge_telemetry::{
     HostClock, MetersPerSecond, ObservationKind, RadiansPerSecond, SensorId, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
+use crate::host_times::ShiftHostTimes;
 use crate::observation_extractor::UnalignedObservation;
 
 /// After this silence of a source another one takes its place.
@@ -17,7 +19,7 @@ const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(1_000);
 /// more slowly is at rest by this, and only its positions show that it moves.
 const MIN_GROUND_SPEED_M_PER_S: f64 = 0.3;
 
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct MotionSourceSelector {
     /// The inertial message that is used, and when it was last heard.
     imu: Option<(ImuMessage, Timestamp<HostClock>)>,
@@ -27,7 +29,7 @@ pub(crate) struct MotionSourceSelector {
 }
 
 /// What was heard of wheels or an odometer.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 enum WheelSource {
     #[default]
     Unheard,
@@ -50,6 +52,18 @@ impl WheelSource {
             Self::Unheard => false,
             Self::Speeds(last) => now - last < MAX_SILENCE,
             Self::Travel => true,
+        }
+    }
+}
+
+impl ShiftHostTimes for MotionSourceSelector {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        let Self { imu, wheels, turn_rate } = self;
+        imu.shift_host_times(by);
+        turn_rate.shift_host_times(by);
+        match wheels {
+            WheelSource::Speeds(last) => last.shift_host_times(by),
+            WheelSource::Unheard | WheelSource::Travel => {}
         }
     }
 }

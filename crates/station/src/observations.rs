@@ -7,8 +7,8 @@ use posebridge_protocol::message::{Message, RobotDescription, WireStamp};
 use posebridge_protocol::routing::{DuplicateStatus, Endpoint};
 use posebridge_protocol::session::most_answers;
 use posebridge_telemetry::{
-    Address, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, ReceiveError, SensorId, TimeDelta,
-    Timestamp, severity,
+    Address, Event, FusionOutcome, HostClock, LinkId, Observation, ObservationKind, ReceiveError, RobotId, SensorId,
+    TimeDelta, Timestamp, severity,
 };
 
 use crate::clock::align::Alignment;
@@ -295,6 +295,9 @@ impl Station {
             self.robots.config_for(&self.config, sender.home, sender.address),
             self.config.origin,
         );
+        // A robot that another station has handed over may have described itself to that.
+        let prepared = self.robots.find_prepared(RobotId { link: sender.home, address: sender.address });
+        let unknown = prepared.map_or(unknown, |robot| robot.extractor);
         let robot = self
             .robots
             .of_fix(&self.config, endpoint, sender.address, tag, None)

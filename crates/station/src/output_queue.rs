@@ -2,8 +2,9 @@
 //!
 //! The station's own output is sent first, then forwarded frames: no robot steers by them.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
+use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{Event, LinkId, Output};
 
 use crate::receive_pass::ForwardingReport;
@@ -15,6 +16,8 @@ pub(crate) struct OutputQueue {
     pub(crate) forwarded: VecDeque<Output>,
     /// Frames of this input to count and to forward after the station's own output.
     pub(crate) reports: Vec<(LinkId, ForwardingReport)>,
+    /// Robots of other stations for which frames of others came.
+    pub(crate) withheld: BTreeSet<Endpoint>,
     /// Deferred work is left for the last input.
     pub(crate) is_unfinished: bool,
 }

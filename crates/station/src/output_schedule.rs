@@ -147,6 +147,20 @@ impl OutputSchedule {
         of_records.collect()
     }
 
+    /// Every output is due with its next data.
+    pub(crate) fn restart(&mut self) {
+        self.schedules.clear();
+    }
+
+    pub(crate) const fn counts(&self) -> &BTreeMap<SensorId, estimate_messages::FusionCounts> {
+        &self.counts
+    }
+
+    /// Counts on from what another station has counted.
+    pub(crate) fn set_counts(&mut self, counts: &BTreeMap<SensorId, estimate_messages::FusionCounts>) {
+        self.counts.clone_from(counts);
+    }
+
     pub(crate) fn counts_of(&self, sensor: SensorId) -> estimate_messages::FusionCounts {
         self.counts.get(&sensor).copied().unwrap_or_default()
     }

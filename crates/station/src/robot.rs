@@ -10,7 +10,7 @@ use posebridge_telemetry::{
 };
 
 use crate::battery_monitor::BatteryMonitor;
-use crate::camera_table::{CameraTable, FixAdmission, Newcomers};
+use crate::camera_table::{CameraIdentity, CameraTable, FixAdmission, Newcomers};
 use crate::clock_alignment::ClockAlignment;
 use crate::compared_estimators::{ComparedEstimators, EstimatorInput};
 use crate::config::{BuildError, DescriptionPolicy, LinkConfig, RobotConfig};
@@ -19,7 +19,7 @@ use crate::estimator::{Estimator, FusionReport};
 use crate::fusion_alarms::FusionAlarms;
 use crate::motion_source_selection::MotionSourceSelector;
 use crate::observation_extractor::ObservationExtractor;
-use crate::observers::ObserverId;
+use crate::ownership_status::OwnershipStatus;
 use crate::sender_identity::PEER_TIMEOUT;
 use crate::sensor_health::SensorHealth;
 
@@ -78,13 +78,14 @@ pub struct Robot {
     pub(crate) compared: ComparedEstimators,
     pub(crate) publisher: EstimatePublisher,
     pub(crate) alarms: FusionAlarms,
-    wiring_monitor: WiringMonitor,
-    wiring_findings: Vec<WiringFinding>,
+    pub(crate) wiring_monitor: WiringMonitor,
+    pub(crate) wiring_findings: Vec<WiringFinding>,
     /// The endpoint and the instant of its last message.
     pub(crate) last_seen: Option<(Endpoint, Timestamp<HostClock>)>,
     pub(crate) cameras: CameraTable,
     description: DescriptionPolicy,
-    is_described: bool,
+    pub(crate) is_described: bool,
+    pub(crate) ownership: OwnershipStatus,
 }
 
 impl Robot {
@@ -119,6 +120,7 @@ impl Robot {
             cameras: CameraTable::default(),
             description: config.description,
             is_described: false,
+            ownership: OwnershipStatus::default(),
         }
     }
 
@@ -194,7 +196,7 @@ impl Robot {
     pub(crate) fn admit_fix(
         &mut self,
         now: Timestamp<HostClock>,
-        camera: ObserverId,
+        camera: CameraIdentity,
         fix: &Fix,
         stamp: Timestamp<BrickClock>,
         newcomers: Newcomers,
@@ -206,14 +208,13 @@ impl Robot {
     }
 
     pub(crate) fn estimate_source(&self, now: Timestamp<HostClock>) -> EstimateSource<'_> {
-        EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator, origin: self.extractor.origin }
+        let (clocks, estimator) = (&self.clocks, &self.estimator);
+        EstimateSource { now, clocks, estimator, epoch: self.ownership.epoch(), origin: self.extractor.origin }
     }
 
     pub(crate) fn publishing(&mut self, now: Timestamp<HostClock>) -> (&mut EstimatePublisher, EstimateSource<'_>) {
-        (
-            &mut self.publisher,
-            EstimateSource { now, clocks: &self.clocks, estimator: &self.estimator, origin: self.extractor.origin },
-        )
+        let Self { publisher, clocks, estimator, ownership, extractor, .. } = self;
+        (publisher, EstimateSource { now, clocks, estimator, epoch: ownership.epoch(), origin: extractor.origin })
     }
 
     /// Whether the robot's description replaces the configured geometry, which happens once.
@@ -304,7 +305,12 @@ pub(crate) fn described_geometry(description: &RobotDescription) -> Option<Drive
         track_width: description.track_width,
         tick: Radians(std::f64::consts::TAU / description.ticks_per_turn),
     };
-    let lengths =
-        [geometry.left_wheel_radius.0, geometry.right_wheel_radius.0, geometry.track_width.0, geometry.tick.0];
-    lengths.iter().all(|length| length.is_finite() && *length > 0.0).then_some(geometry)
+    is_valid_geometry(&geometry).then_some(geometry)
+}
+
+/// Whether all lengths are finite and more than zero.
+pub(crate) fn is_valid_geometry(geometry: &DriveGeometry) -> bool {
+    let DriveGeometry { left_wheel_radius, right_wheel_radius, track_width, tick } = *geometry;
+    let lengths = [left_wheel_radius.0, right_wheel_radius.0, track_width.0, tick.0];
+    lengths.iter().all(|length| length.is_finite() && *length > 0.0)
 }

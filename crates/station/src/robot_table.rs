@@ -9,9 +9,11 @@ use posebridge_telemetry::{
     StartPose, SystemId, TimeDelta, Timestamp,
 };
 
+use crate::camera_table::CameraIdentity;
 use crate::clock_alignment::ClockAlignment;
 use crate::config::{BuildError, OutputKind, RobotBlockIndex, RobotConfig, StationConfig};
-use crate::observers::{ObserverAddress, ObserverId, Observers};
+use crate::observers::{ObserverAddress, Observers};
+use crate::ownership_status::OwnershipStatus;
 use crate::robot::{Robot, RobotFilters};
 use crate::sender_identity::{ContestedMessages, MessageOrigin, PEER_TIMEOUT, RobotIndex, SenderIdentities, only_one};
 use crate::vehicle_proxy::VEHICLE_COMPONENT;
@@ -36,6 +38,10 @@ pub(crate) struct RobotTable {
     /// Robots that share their address with another of their link, and whether each was reported as lost: sessions know
     /// only addresses and do not detect the loss of one.
     robots_with_shared_address: BTreeMap<RobotIndex, bool>,
+    /// Robots of which an owner is noted and that are not heard yet, each as it will be adopted.
+    prepared: BTreeMap<RobotId, PreparedRobot>,
+    /// Robots that other stations own, and whether it was said of each that frames for it are not passed on.
+    standby: BTreeMap<RobotIndex, bool>,
     has_refused: bool,
     has_reported_refusal: bool,
     pub(crate) settings: CommonSettings,
@@ -47,6 +53,13 @@ pub(crate) struct RobotTable {
     intervals: Vec<(LinkId, u32, Option<TimeDelta>)>,
     /// Before this instant no robot can time out.
     presence_until: Option<Timestamp<HostClock>>,
+}
+
+/// A robot as it will be adopted.
+pub(crate) struct PreparedRobot {
+    pub(crate) robot: Robot,
+    /// It continues from the state of another station.
+    pub(crate) has_state: bool,
 }
 
 /// Settings for all robots, also for those that appear later.
@@ -90,6 +103,8 @@ impl RobotTable {
             renamed: BTreeMap::new(),
             by_link: BTreeMap::new(),
             robots_with_shared_address: BTreeMap::new(),
+            prepared: BTreeMap::new(),
+            standby: BTreeMap::new(),
             has_refused: false,
             has_reported_refusal: false,
             settings: CommonSettings::default(),
@@ -125,6 +140,11 @@ impl RobotTable {
         &mut self.robots
     }
 
+    /// Robots that are not heard yet.
+    pub(crate) fn prepared_mut(&mut self) -> impl Iterator<Item = &mut Robot> {
+        self.prepared.values_mut().map(|prepared| &mut prepared.robot)
+    }
+
     pub(crate) fn find(&self, id: RobotId) -> Option<RobotIndex> {
         self.by_id.get(&id).copied()
     }
@@ -133,13 +153,107 @@ impl RobotTable {
         self.by_id.len()
     }
 
+    /// The robot with an id; before any is detected, the configured one has the default id.
+    pub(crate) fn find_or_first(&self, id: RobotId) -> Option<RobotIndex> {
+        let is_configured = self.len() == 0 && id == self.first().id;
+        self.find(id).or(is_configured.then_some(0))
+    }
+
+    /// A robot with this id as it would be adopted; `None` if that would be one too many.
+    pub(crate) fn prepare(&mut self, id: RobotId, config: &StationConfig) -> Option<PreparedRobot> {
+        if let Some(prepared) = self.prepared.remove(&id) {
+            return Some(prepared);
+        }
+        if self.len() + self.prepared.len() >= config.max_robots.max(1) {
+            return None;
+        }
+        let block = self.blocks.find(&config.robots, id.link, id.address);
+        let mut robot = self.build(config, block)?;
+        robot.id = id;
+        robot.block = block;
+        Some(PreparedRobot { robot, has_state: false })
+    }
+
+    pub(crate) fn keep_prepared(&mut self, id: RobotId, prepared: PreparedRobot) {
+        self.prepared.insert(id, prepared);
+    }
+
+    pub(crate) fn find_prepared(&self, id: RobotId) -> Option<&Robot> {
+        self.prepared.get(&id).map(|prepared| &prepared.robot)
+    }
+
+    /// A new robot with the settings of all.
+    fn build(&mut self, config: &StationConfig, block: Option<usize>) -> Option<Robot> {
+        let robot_config = config.robot_config(block);
+        let filters = RobotFilters::find(robot_config).ok()?;
+        let mut robot = Robot::new(&filters, robot_config, &config.links, config.origin);
+        robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
+        self.settings.apply(&mut robot, robot_config);
+        for (link, message_id, interval) in &self.intervals {
+            robot.publisher.set_interval(*link, *message_id, *interval);
+        }
+        Some(robot)
+    }
+
+    pub(crate) fn set_ownership(&mut self, index: RobotIndex, status: OwnershipStatus) {
+        self.get_mut(index).ownership = status;
+        if status.is_standby() {
+            self.standby.insert(index, false);
+        } else {
+            self.standby.remove(&index);
+        }
+    }
+
+    /// Whether any robot is owned by another station.
+    pub(crate) fn has_standby(&self) -> bool {
+        !self.standby.is_empty() || self.awaited_standby().next().is_some()
+    }
+
+    /// Whether a robot of this home link that is owned by another station is not heard yet, so that any peer may be it.
+    pub(crate) fn awaits_standby(&self, home: LinkId) -> bool {
+        self.awaited_standby().any(|robot| robot.id.link == home)
+    }
+
+    fn awaited_standby(&self) -> impl Iterator<Item = &Robot> {
+        self.prepared.values().map(|prepared| &prepared.robot).filter(|robot| robot.ownership.is_standby())
+    }
+
+    /// The robot of another station at a peer, the first time that a frame for it is not passed on.
+    pub(crate) fn take_first_withheld(&mut self, link: LinkId, peer: PeerId) -> Option<RobotIndex> {
+        let index = self.standby_at(link, peer)?;
+        let was_said = std::mem::replace(self.standby.get_mut(&index)?, true);
+        (!was_said).then_some(index)
+    }
+
+    /// The robot of another station at a peer, unless one of this station is there as well.
+    pub(crate) fn standby_at(&self, link: LinkId, peer: PeerId) -> Option<RobotIndex> {
+        let is_there = |index: &RobotIndex| self.identities.peer_on(*index, link) == Some(peer);
+        let standby = self.standby.keys().copied().find(is_there)?;
+        let is_shared = (0..self.len()).any(|index| !self.standby.contains_key(&index) && is_there(&index));
+        (!is_shared).then_some(standby)
+    }
+
+    /// The wire addresses of the robots of a home link that other stations own.
+    pub(crate) fn standby_addresses(&self, home: LinkId) -> impl Iterator<Item = Address> {
+        let adopted = self.standby.keys().map(|index| self.get(*index));
+        let adopted = adopted.filter(move |robot| robot.id.link == home).map(|robot| robot.wire_address);
+        let awaited = self.awaited_standby().filter(move |robot| robot.id.link == home);
+        adopted.chain(awaited.map(|robot| robot.id.address))
+    }
+
+    /// The peers of a link with robots that this station owns.
+    pub(crate) fn owned_peers(&self, link: LinkId) -> impl Iterator<Item = PeerId> {
+        let owned = (0..self.len()).filter(|index| !self.standby.contains_key(index));
+        owned.filter_map(move |index| self.identities.peer_on(index, link))
+    }
+
     /// The robot for which a condition holds; `None` if there is none or more than one.
     fn only(&self, is_it: impl Fn(&Robot) -> bool) -> Option<RobotIndex> {
         only_one((0..self.len()).filter(|index| is_it(self.get(*index))))
     }
 
     /// The only robot that a camera corrects at present.
-    pub(crate) fn only_seen_by(&self, now: Timestamp<HostClock>, camera: ObserverId) -> Option<RobotIndex> {
+    pub(crate) fn only_seen_by(&self, now: Timestamp<HostClock>, camera: CameraIdentity) -> Option<RobotIndex> {
         self.only(|robot| robot.cameras.is_seen_by(now, camera))
     }
 
@@ -232,14 +346,14 @@ impl RobotTable {
         let block = self.blocks.find(&config.robots, origin.home, address);
         let robot_config = config.robot_config(block);
         // The first robot replaces the configured one, with what that was given before the detection.
-        if index == self.robots.len() || *robot_config != config.robot {
-            let filters = RobotFilters::find(robot_config).ok()?;
-            let mut robot = Robot::new(&filters, robot_config, &config.links, config.origin);
-            robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
-            self.settings.apply(&mut robot, robot_config);
-            for (link, message_id, interval) in &self.intervals {
-                robot.publisher.set_interval(*link, *message_id, *interval);
-            }
+        let prepared = self.prepared.remove(&id);
+        let has_state = prepared.as_ref().is_some_and(|prepared| prepared.has_state);
+        if let Some(PreparedRobot { robot, .. }) = prepared {
+            self.robots.truncate(index);
+            self.robots.push(robot);
+            self.set_ownership(index, self.robots[index].ownership);
+        } else if index == self.robots.len() || *robot_config != config.robot {
+            let robot = self.build(config, block)?;
             self.robots.truncate(index);
             self.robots.push(robot);
         }
@@ -264,7 +378,8 @@ impl RobotTable {
             self.renamed.entry(vehicle_address.system).or_insert(index);
         }
         // Its answers to time requests may have come before its telemetry.
-        if let Some(clock) = observers.remove_clock(ObserverAddress { home: origin.home, address }, origin.endpoint) {
+        let clock = observers.remove_clock(ObserverAddress { home: origin.home, address }, origin.endpoint);
+        if let Some(clock) = clock.filter(|_| !has_state) {
             robot.clocks = ClockAlignment::from_observer(clock);
         }
         self.presence_until = None;

@@ -5,6 +5,9 @@
 use std::collections::BTreeMap;
 
 use posebridge_telemetry::{FusionOutcome, HostClock, Observation, ObservationKind, SensorId, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::host_times::ShiftHostTimes;
 
 /// A sensor without an observation that was used for this long is not healthy: five heartbeats.
 const MAX_SILENCE: TimeDelta = TimeDelta::from_millis(5_000);
@@ -33,12 +36,19 @@ const fn status_bit(sensor: SensorId) -> u32 {
 }
 
 /// Which sensors of a robot are heard, and whether they agree with its filter.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct SensorHealth {
     /// When an observation of each sensor was last used, if one ever was.
     last_used: BTreeMap<SensorId, Option<Timestamp<HostClock>>>,
     /// A satellite receiver has sent positions: its speeds say nothing of these.
     has_satellite_fix: bool,
+}
+
+impl ShiftHostTimes for SensorHealth {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        let Self { last_used, has_satellite_fix: _ } = self;
+        last_used.shift_host_times(by);
+    }
 }
 
 impl SensorHealth {

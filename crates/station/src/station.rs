@@ -146,6 +146,7 @@ impl Station {
             }
             Input::Command(command) => self.handle_command(*command),
             Input::RobotCommand { robot, command } => self.handle_robot_command(*robot, *command),
+            Input::Ownership { robot, ownership } => self.handle_ownership(*robot, ownership),
             Input::Report { severity, text } => self.handle_report(*severity, text),
             Input::Tick => {}
         }
@@ -173,6 +174,7 @@ impl Station {
         self.run_missions();
         self.process_temperatures();
         self.process_comparisons();
+        self.report_withheld_frames();
         self.send_status_texts();
     }
 
@@ -359,7 +361,7 @@ impl Station {
         }
     }
 
-    fn link_ids(&self) -> Vec<LinkId> {
+    pub(crate) fn link_ids(&self) -> Vec<LinkId> {
         self.links.keys().copied().collect()
     }
 

@@ -16,6 +16,7 @@ use posebridge_telemetry::{
 
 use crate::config::{OutputKind, RobotConfig};
 use crate::output_schedule::priority_of_stream;
+use crate::robot_snapshot::SavedThermometer;
 
 /// Most thermometers of a brick; a brick that sends more names invents them.
 const MAX_CHANNELS_PER_BRICK: u8 = 16;
@@ -85,6 +86,36 @@ impl ThermometerBank {
         self.pending.push(reading);
     }
 
+    /// The states of a brick's thermometers, in their order.
+    pub(crate) fn save(&self, brick: RobotId) -> Vec<SavedThermometer> {
+        let channels = self.bricks.get(&brick).into_iter().flatten();
+        channels.map(|channel| (channel.name, channel.thermometer.save())).collect()
+    }
+
+    /// Replaces a brick's thermometers by those that another station has saved; returns the number of those that are not used.
+    pub(crate) fn restore(&mut self, brick: RobotId, config: &RobotConfig, saved: &[SavedThermometer]) -> usize {
+        if saved.is_empty() {
+            return 0;
+        }
+        let before = self.bricks.remove(&brick).map_or(0, |channels| channels.len());
+        self.channel_count -= before;
+        let room = usize::from(MAX_CHANNELS_PER_BRICK).min(MAX_CHANNELS - self.channel_count);
+        let mut channels: Vec<ThermometerChannel> = Vec::new();
+        for (name, state) in saved.iter().take(room) {
+            let mut channel = ThermometerChannel::new(*name, config);
+            let is_new = channels.iter().all(|known| known.name != *name);
+            if is_new && channel.thermometer.restore(state).is_ok() {
+                channels.push(channel);
+            }
+        }
+        let refused = saved.len() - channels.len();
+        self.channel_count += channels.len();
+        if !channels.is_empty() {
+            self.bricks.insert(brick, channels);
+        }
+        refused
+    }
+
     /// The channel that a brick sent first.
     pub(crate) fn first_channel(&self, brick: RobotId) -> Option<ChannelName> {
         let known = self.bricks.get(&brick).and_then(|channels| channels.first()).map(|channel| channel.name);
@@ -132,13 +163,8 @@ impl ThermometerBank {
                 self.has_rejected = true;
                 return None;
             }
-            let config = config_of(reading.brick);
-            let known = config.thermometers.iter().find(|known| known.channel == reading.channel);
-            let unlisted = || ThermometerSettings::from_config(&config.filter_config);
-            let settings = known.map_or_else(unlisted, |known| known.settings.clone());
-            let thermometer = Thermometer::new(&config.filter_config, &settings);
-            let channels = self.bricks.entry(reading.brick).or_default();
-            channels.push(ThermometerChannel { name: reading.channel, thermometer });
+            let channel = ThermometerChannel::new(reading.channel, config_of(reading.brick));
+            self.bricks.entry(reading.brick).or_default().push(channel);
             self.channel_count += 1;
         }
         let channel = self.bricks.get_mut(&reading.brick)?.get_mut(position)?;
@@ -147,6 +173,13 @@ impl ThermometerBank {
 }
 
 impl ThermometerChannel {
+    fn new(name: ChannelName, config: &RobotConfig) -> Self {
+        let known = config.thermometers.iter().find(|known| known.channel == name);
+        let unlisted = || ThermometerSettings::from_config(&config.filter_config);
+        let settings = known.map_or_else(unlisted, |known| known.settings.clone());
+        Self { name, thermometer: Thermometer::new(&config.filter_config, &settings) }
+    }
+
     /// Its event, and what the brick is sent: nothing for a reading that was not used.
     fn observe(&mut self, index: u8, reading: &TemperatureReading) -> (Event, Option<PredictedEnd>) {
         let record = self.thermometer.observe(&Observation {

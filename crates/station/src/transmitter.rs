@@ -2,7 +2,7 @@
 //!
 //! It borrows what it needs for one pass of sending; its callers decide what is due and what is sent.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_protocol::dialect::{RenumberError, ids};
 use posebridge_protocol::message::{CommandAck, CommandInt, CommandLong, Message, SetMessageInterval, TimeSync};
@@ -109,17 +109,59 @@ impl Transmitter<'_> {
     }
 
     pub(crate) fn send_codec_output(&mut self, id: LinkId) {
+        let is_up = self.links.get(&id).is_some_and(|link| link.state == LinkState::Up);
+        let codec = |links: &mut BTreeMap<LinkId, LinkContext>| links.get_mut(&id)?.codec.as_mut()?.poll_addressed();
+        while let Some((to, bytes)) = codec(self.links) {
+            if is_up {
+                // Nothing takes the place of a lost request: the robot would wait for ever.
+                self.push_permitted(id, to, Priority::Command, bytes);
+            }
+        }
+    }
+
+    /// Queues bytes for those of the recipients that are no robots of other stations, and counts them.
+    fn push_permitted(&mut self, id: LinkId, to: Recipients, priority: Priority, bytes: Vec<u8>) {
+        let permitted = self.permitted(id, to);
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
-        while let Some((to, bytes)) = link.codec.as_mut().and_then(|codec| codec.poll_addressed()) {
-            if link.state == LinkState::Down {
-                continue;
-            }
+        let Some(permitted) = permitted else {
             link.count_sent(&bytes);
-            // Nothing takes the place of a lost request: the robot would wait for ever.
-            self.outputs.push(Output::Transmit { link: id, to, priority: Priority::Command, bytes });
+            self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+            return;
+        };
+        for to in permitted {
+            link.count_sent(&bytes);
+            self.outputs.push(Output::Transmit { link: id, to, priority, bytes: bytes.clone() });
         }
+    }
+
+    /// The recipients that are no robots of other stations; `None` for all of them, as where this station owns each robot that it hears.
+    fn permitted(&self, id: LinkId, to: Recipients) -> Option<Vec<Recipients>> {
+        if !self.robots.has_standby() {
+            return None;
+        }
+        let home = self.router.first_of_group(id);
+        let mut standby = self.robots.standby_addresses(home).peekable();
+        standby.peek()?;
+        let routes = standby.flat_map(|address| self.router.peers_of(self.now, id, address));
+        let routed: Vec<PeerId> = routes.collect();
+        let owned: Vec<PeerId> = self.robots.owned_peers(id).collect();
+        let is_standby = |peer: PeerId| {
+            !owned.contains(&peer) && (routed.contains(&peer) || self.robots.standby_at(id, peer).is_some())
+        };
+        let link = self.links.get(&id)?;
+        let known = || owned.iter().copied().chain(link.ground_stations.iter().copied());
+        // Before a robot is heard any peer may be it. A codec does not tell who is there.
+        let is_any_doubtful = link.codec.is_some() || self.robots.awaits_standby(home);
+        let is_permitted =
+            |peer: &PeerId| !is_standby(*peer) && (!is_any_doubtful || known().any(|known| known == *peer));
+        if let Recipients::Peer(peer) = to {
+            return (!is_permitted(&peer)).then(Vec::new);
+        }
+        let present: BTreeSet<PeerId> = link.framers.present().into_iter().chain(known()).collect();
+        let permitted = present.into_iter().filter(|peer| to.includes(*peer)).filter(is_permitted);
+        Some(permitted.map(Recipients::Peer).collect())
     }
 
     /// Sends a robot's output: as the robot where a ground station expects it from the vehicle, else as the station.
@@ -185,6 +227,9 @@ impl Transmitter<'_> {
     fn transmit(&mut self, transmission: Transmission<'_>) {
         let now = self.now;
         let Transmission { link: id, sender, message, priority, to } = transmission;
+        if let (Some([]), Recipients::Peer(_)) = (self.permitted(id, to).as_deref(), to) {
+            return;
+        }
         let Some(link) = self.links.get_mut(&id) else {
             return;
         };
@@ -203,14 +248,11 @@ impl Transmitter<'_> {
         }
         let in_crowd = to == Recipients::All && link.is_crowded();
         let Some(peers) = in_crowd.then(|| recipients_in_crowd(now, id, link, self.router, message)).flatten() else {
-            link.count_sent(&bytes);
-            self.outputs.push(Output::Transmit { link: id, to, priority, bytes });
+            self.push_permitted(id, to, priority, bytes);
             return;
         };
         for peer in peers {
-            link.count_sent(&bytes);
-            let to = Recipients::Peer(peer);
-            self.outputs.push(Output::Transmit { link: id, to, priority, bytes: bytes.clone() });
+            self.push_permitted(id, Recipients::Peer(peer), priority, bytes.clone());
         }
     }
 
@@ -295,22 +337,28 @@ impl Transmitter<'_> {
             }
             return;
         }
-        let Some(link) = self.links.get_mut(&id) else {
-            return;
-        };
-        let mut push = |to: Recipients| {
-            link.count_forwarded(&frame.bytes);
-            let output = Output::Transmit { link: id, to, priority: frame.priority, bytes: frame.bytes.clone() };
-            self.outputs.forwarded.push_back(output);
-        };
         for (_, to) in to {
             match (to, &listeners) {
                 (Recipients::All | Recipients::AllExcept(_), Some(listeners)) => {
                     for peer in listeners {
-                        push(Recipients::Peer(*peer));
+                        self.push_forwarded(id, Recipients::Peer(*peer), frame);
                     }
                 }
-                _ => push(*to),
+                _ => self.push_forwarded(id, *to, frame),
+            }
+        }
+    }
+
+    fn push_forwarded(&mut self, id: LinkId, to: Recipients, frame: &ForwardedFrame) {
+        let permitted = self.permitted(id, to);
+        if let (Some([]), Recipients::Peer(peer)) = (permitted.as_deref(), to) {
+            self.outputs.withheld.insert(Endpoint { link: id, peer });
+        }
+        for to in permitted.unwrap_or_else(|| vec![to]) {
+            if let Some(link) = self.links.get_mut(&id) {
+                link.count_forwarded(&frame.bytes);
+                let output = Output::Transmit { link: id, to, priority: frame.priority, bytes: frame.bytes.clone() };
+                self.outputs.forwarded.push_back(output);
             }
         }
     }
@@ -405,10 +453,15 @@ impl Transmitter<'_> {
     /// must be sent in the order of their numbers; to all peers of the link, because one that misses a frame would
     /// count it as lost.
     fn send_renumbered(&mut self, id: LinkId, frame: &ForwardedFrame, bytes: Vec<u8>) {
+        let permitted = self.permitted(id, Recipients::All);
         let Some(link) = self.links.get_mut(&id) else { return };
         self.router.record_sent_for(self.now, frame.from, &bytes);
         link.count_forwarded(&bytes);
-        self.outputs.push(Output::Transmit { link: id, to: Recipients::All, priority: frame.priority, bytes });
+        let output = |to, bytes| Output::Transmit { link: id, to, priority: frame.priority, bytes };
+        match permitted {
+            None => self.outputs.push(output(Recipients::All, bytes)),
+            Some(permitted) => permitted.into_iter().for_each(|to| self.outputs.push(output(to, bytes.clone()))),
+        }
         if frame.message_id == ids::HEARTBEAT && frame.source.component == VEHICLE_COMPONENT {
             self.release_heartbeats(id);
         }

@@ -16,6 +16,8 @@ use std::hash::Hash;
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Neg, Sub};
 
+use serde::{Deserialize, Serialize};
+
 /// A clock; implemented only by the three clocks of this module.
 pub trait Clock: Copy + Ord + Hash + fmt::Debug {
     /// The clock's name in messages to people.
@@ -44,7 +46,8 @@ impl Clock for CameraClock {
 
 /// An instant on the clock `C`, in nanoseconds since that clock's zero. The field that holds it says which instant is meant
 /// (middle of an exposure, arrival of the last byte).
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(bound = "")]
 pub struct Timestamp<C> {
     nanos: i64,
     clock: PhantomData<C>,
@@ -110,7 +113,7 @@ impl<C: Clock> Sub<TimeDelta> for Timestamp<C> {
 }
 
 /// A signed duration, in nanoseconds. It belongs to no clock: the skew between clocks over one duration is negligible.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct TimeDelta(i64);
 
 impl TimeDelta {

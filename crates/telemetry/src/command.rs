@@ -8,6 +8,8 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 use crate::ids::{ChannelName, RobotId, SensorId};
 use crate::observation::SensorSwitch;
 use crate::quantities::{Heading, Meters};
@@ -156,7 +158,7 @@ pub enum ParameterStorage {
 }
 
 /// Whether the filter estimates the robot's constants.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnlineCalibration {
     Frozen,
     Enabled,

@@ -1,5 +1,7 @@
 //! Estimates: a robot's pose or a single quantity at one instant, with its uncertainty.
 
+use serde::{Deserialize, Serialize};
+
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ellipse::Ellipse;
 use crate::quantities::{MetersPerSecond, Radians, RadiansPerSecond};
@@ -139,7 +141,7 @@ pub struct Validity {
 }
 
 /// A jump of the estimate that was not motion, from before to after.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseCorrection {
     pub dx_m: f64,
     pub dy_m: f64,
@@ -149,7 +151,7 @@ pub struct PoseCorrection {
 }
 
 /// Why an estimate jumped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ResetCause {
     /// The first absolute observation: before it the pose was relative to the start.
     Located,

@@ -5,10 +5,12 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident($inner:ty)) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         pub struct $name(pub $inner);
 
         impl fmt::Display for $name {
@@ -98,7 +100,8 @@ impl SensorId {
 
 /// The name of one channel of a sender, as the configuration spells it: at most sixteen printable ASCII characters, stored
 /// inline.
-#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(from = "[u8; 16]", into = "[u8; 16]")]
 pub struct ChannelName {
     /// Zeros after the name.
     bytes: [u8; Self::MAX_LEN],
@@ -127,6 +130,18 @@ impl ChannelName {
     }
 }
 
+impl From<[u8; 16]> for ChannelName {
+    fn from(bytes: [u8; 16]) -> Self {
+        Self::from_bytes(&bytes)
+    }
+}
+
+impl From<ChannelName> for [u8; 16] {
+    fn from(name: ChannelName) -> Self {
+        name.bytes
+    }
+}
+
 impl fmt::Display for ChannelName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.as_str())
@@ -140,7 +155,7 @@ impl fmt::Debug for ChannelName {
 }
 
 /// One MAVLink participant: a component of a system.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Address {
     pub system: SystemId,
     pub component: ComponentId,

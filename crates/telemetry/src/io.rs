@@ -10,6 +10,7 @@ use crate::event::{Event, LinkState};
 use crate::ids::{LinkId, PeerId, RobotId};
 use crate::link_health::LinkCounts;
 use crate::observation::Observation;
+use crate::ownership::Ownership;
 
 /// Everything that the station reacts to; with its arrival time, the content of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +45,11 @@ pub enum Input {
     RobotCommand {
         robot: RobotId,
         command: Command,
+    },
+    /// Which station of a fleet owns a robot, as the fleet has decided. Without it a robot is owned by every station that hears it.
+    Ownership {
+        robot: RobotId,
+        ownership: Ownership,
     },
     /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
     Report {

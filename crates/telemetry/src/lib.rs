@@ -18,6 +18,7 @@ pub mod ids;
 pub mod io;
 pub mod link_health;
 pub mod observation;
+pub mod ownership;
 pub mod printable;
 pub mod quantities;
 pub mod quantity_steps;
@@ -40,6 +41,7 @@ pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, P
 pub use io::{Input, Output, Priority, Recipients};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
+pub use ownership::{Ownership, RobotSnapshot};
 pub use printable::{is_printable, printable};
 pub use quantities::{
     Celsius, EncoderTicks, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond,

@@ -1,5 +1,7 @@
 //! Observations of sensors in SI units and typed coordinate frames, independent of wire formats.
 
+use serde::{Deserialize, Serialize};
+
 use crate::clock::{BrickClock, TimeDelta, Timestamp};
 use crate::ids::{BeaconId, LandmarkId, SensorId};
 use crate::quantities::{Celsius, Heading, Meters, MetersPerSecond, MetersPerSecondSquared, Radians, RadiansPerSecond};
@@ -24,7 +26,7 @@ pub enum SensorSwitch {
 }
 
 /// The kinds of observation.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ObservationKind {
     /// Total rotation of each wheel since the counters were zeroed, forward positive. A jump to zero re-bases; it is
     /// not motion.
@@ -91,7 +93,7 @@ impl ObservationKind {
 }
 
 /// A position in the arena with an optional heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fix {
     /// Position of the observed point (the tag).
     pub position: Point2<Arena>,
@@ -106,7 +108,7 @@ pub struct Fix {
 }
 
 /// Covariance of a fix, in the arena: the upper triangle of x, y, heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PositionCovariance {
     pub xx_m2: f64,
     pub xy_m2: f64,

@@ -7,10 +7,12 @@ use std::f64::consts::{PI, TAU};
 use std::fmt;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
+use serde::{Deserialize, Serialize};
+
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident, $unit:literal) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
         pub struct $name(pub f64);
 
         impl Add for $name {
@@ -88,7 +90,8 @@ impl Sub for EncoderTicks {
 }
 
 /// Where the body points: an angle on the circle, in (-pi, pi], 0 along x, counter-clockwise positive.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "f64", into = "f64")]
 pub struct Heading(f64);
 
 impl Heading {
@@ -104,6 +107,22 @@ impl Heading {
     /// In radians, in (-pi, pi].
     pub const fn rad(self) -> f64 {
         self.0
+    }
+}
+
+/// Fails for an angle outside the circle: a saved one is never wrapped.
+impl TryFrom<f64> for Heading {
+    type Error = &'static str;
+
+    fn try_from(angle_rad: f64) -> Result<Self, Self::Error> {
+        let is_wrapped = wrap_rad(angle_rad).to_bits() == angle_rad.to_bits();
+        is_wrapped.then_some(Self(angle_rad)).ok_or("a heading outside (-pi, pi]")
+    }
+}
+
+impl From<Heading> for f64 {
+    fn from(heading: Heading) -> Self {
+        heading.rad()
     }
 }
 

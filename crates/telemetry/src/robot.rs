@@ -3,12 +3,14 @@
 use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
 
+use serde::{Deserialize, Serialize};
+
 use crate::ids::{BeaconId, LandmarkId};
 use crate::quantities::{Meters, Radians};
 use crate::spaces::{Arena, Point2, Pose};
 
 /// A differential drive: two driven wheels on one axle.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DriveGeometry {
     pub left_wheel_radius: Meters,
     pub right_wheel_radius: Meters,
@@ -95,7 +97,7 @@ impl SensorNoise {
 }
 
 /// A number with one standard deviation; a sigma of zero means that it is fixed and not estimated.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct UncertainValue {
     pub value: f64,
     pub sigma: f64,
@@ -200,7 +202,7 @@ impl IndexMut<MountedSensor> for Mountings {
 }
 
 /// Where a robot starts, and how well that is known.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StartPose {
     pub pose: Pose<Arena>,
     /// One standard deviation of x and of y.

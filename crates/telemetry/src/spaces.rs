@@ -23,6 +23,8 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::ops::Mul;
 
+use serde::{Deserialize, Serialize};
+
 use crate::quantities::{Heading, Meters};
 
 /// A space; implemented only by the five spaces of this module.
@@ -54,7 +56,8 @@ space!(/// Fixed to the marker on the robot that the camera sees.
     Tag);
 
 /// A point in the space `S`.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
 pub struct Point2<S> {
     pub x: Meters,
     pub y: Meters,
@@ -91,7 +94,8 @@ impl<S> Default for Point2<S> {
 }
 
 /// The rigid transform that turns coordinates in `Source` into coordinates in `Target`: a rotation, then a translation.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
 pub struct Transform2<Target, Source> {
     /// Position of the origin of `Source` in `Target`.
     pub x: Meters,

@@ -113,6 +113,7 @@ pub(super) fn planar_pose(payload: &[u8]) -> Decoded {
         fix_age: (data.fix_age_ms != NO_FIX).then(|| TimeDelta::from_millis(i64::from(data.fix_age_ms))),
         reset_counter: data.reset_counter,
         flags: flags_from_bits(data.flags),
+        epoch: data.epoch,
     })))
 }
 
@@ -132,6 +133,7 @@ pub(super) fn write_pose(pose: &PlanarPose) -> Payload {
         fix_age_ms,
         reset_counter: pose.reset_counter,
         flags: flags_to_bits(pose.flags),
+        epoch: pose.epoch,
     };
     Payload::encode(&data)
 }

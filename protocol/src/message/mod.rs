@@ -8,6 +8,7 @@ use posebridge_telemetry::{
     Address, Arena, Celsius, ChannelName, EncoderTicks, GeodeticPoint, Heading, LandmarkId, Meters, MetersPerSecond,
     MetersPerSecondSquared, Odom, Pose, Radians, RadiansPerSecond, SensorId, TimeDelta,
 };
+use serde::{Deserialize, Serialize};
 
 mod commands;
 mod heartbeat;
@@ -345,7 +346,7 @@ impl Inertial {
 /// further units in messages of their own.
 ///
 /// They are in the order in which they are preferred: by resolution, the autopilot's first unit before the others.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum ImuMessage {
     /// HIGHRES_IMU (105).
     Highres,
@@ -370,7 +371,7 @@ pub struct PlanarImu {
     pub forward_acceleration: Option<MetersPerSecondSquared>,
 }
 
-/// The estimate on thin links, 52 bytes of payload.
+/// The estimate on thin links, 52 bytes of payload, and up to 56 in a fleet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanarPose {
     /// Brick time for which it holds, microseconds, wrapped as the brick's own counter.
@@ -388,6 +389,8 @@ pub struct PlanarPose {
     pub reset_counter: u8,
     /// The valid parts.
     pub flags: PoseFlags,
+    /// Rises with every change of the station that owns the robot; 0 without a fleet.
+    pub epoch: u32,
 }
 
 impl PlanarPose {

@@ -10,6 +10,7 @@ use std::sync::LazyLock;
 use mavlink::dialects::common;
 use mavlink_core::{MavlinkVersion, Message};
 use posebridge_telemetry::{Address, ComponentId, HostClock, LinkId, PeerId, SystemId, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::dialect::RenumberError;
 use crate::dialect::encoder::rewrite;
@@ -19,7 +20,7 @@ use crate::dialect::generated::posebridge;
 pub const MAX_PEERS: usize = 4_096;
 
 /// The peer of a link from which a frame came. The default is the only peer of the first link.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Endpoint {
     pub link: LinkId,
     pub peer: PeerId,

@@ -78,6 +78,10 @@ def own_cases(own):
         own, "pb_planar_pose", 1, 197, 0,
         time_us=0, x=0.0, y=0.0, heading=0.0, forward_speed=0.0, turn_rate=0.0,
         covariance=[0.0] * 6, fix_age_ms=65535, reset_counter=0, flags=0)
+    yield "pb_planar_pose_in_a_fleet", frame(
+        own, "pb_planar_pose", 1, 197, 1,
+        time_us=1000001, x=1.5, y=-2.25, heading=3.0, forward_speed=0.125, turn_rate=-0.5,
+        covariance=[0.01, 0.002, -0.003, 0.04, 0.005, 0.06], fix_age_ms=250, reset_counter=2, flags=0b10111, epoch=770)
     yield "pb_fusion_health", frame(
         own, "pb_fusion_health", 1, 197, 1,
         time_us=777, innovation=[0.5, -0.25, 0.125], nis_per_dof=3.5, lag_ms=120, accepted=65535, refused=3,

@@ -152,6 +152,7 @@ pub(crate) fn estimate(micros: u32, pose: Pose<Arena>, covariance: [f64; 6], fla
         fix_age: None,
         reset_counter: 9,
         flags,
+        epoch: 0,
     }
 }
 

@@ -37,6 +37,10 @@ pub(crate) struct BrickMessenger {
     schedule: Vec<ScheduledMessage>,
     /// Counter totals at the last reset; messages count from here.
     zero: PerWheel<i64>,
+    /// The highest epoch of an estimate since power-up.
+    epoch: u32,
+    /// Number of estimates with a lower one, which were dropped.
+    pub(crate) outdated_estimates: u64,
 }
 
 impl BrickMessenger {
@@ -51,6 +55,8 @@ impl BrickMessenger {
             node: node(&scenario.brick, &schedule, now),
             schedule,
             zero: PerWheel::default(),
+            epoch: 0,
+            outdated_estimates: 0,
         }
     }
 
@@ -86,13 +92,28 @@ impl BrickMessenger {
     ) -> Option<(WireStamp, Pose<Arena>)> {
         let requests = self.node.handle(register_time(self.settings.wire, now), from, message);
         self.apply_requests(now, &requests);
+        if self.is_outdated(message) {
+            self.outdated_estimates += 1;
+            return None;
+        }
         usable_estimate(message)
+    }
+
+    /// Whether an estimate is of a station that has owned the robot before another one did.
+    fn is_outdated(&mut self, message: &Message) -> bool {
+        let Message::PlanarPose(estimate) = message else {
+            return false;
+        };
+        let is_outdated = estimate.epoch < self.epoch;
+        self.epoch = self.epoch.max(estimate.epoch);
+        is_outdated
     }
 
     pub(crate) fn restart(&mut self, now: Timestamp<BrickClock>, zero: PerWheel<i64>) {
         self.schedule = schedule(&self.settings, self.thermometer.as_ref(), now);
         self.node = node(&self.settings, &self.schedule, now);
         self.zero = zero;
+        self.epoch = 0;
     }
 
     /// Requests for messages that the brick does not have are ignored.

@@ -124,6 +124,14 @@ impl Brick {
         Some((self.program.apply_estimate(now, stamp, pose), pose))
     }
 
+    /// Number of estimates that were dropped because their station no longer owns the robot.
+    pub(crate) const fn outdated_estimates(&self) -> u64 {
+        match &self.emulation {
+            BrickEmulation::Mavlink(messenger) => messenger.outdated_estimates,
+            BrickEmulation::Lego(_) | BrickEmulation::Text(_) => 0,
+        }
+    }
+
     pub(crate) fn receive(&mut self, now: TimeDelta, bytes: &[u8]) {
         if let BrickEmulation::Lego(firmware) = &mut self.emulation {
             firmware.receive(now, bytes);

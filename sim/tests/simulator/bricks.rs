@@ -191,6 +191,10 @@ fn a_restarted_brick_counts_from_zero_and_drives_on() {
 }
 
 fn planar_pose(micros: u32, pose: Pose<Arena>, flags: PoseFlags) -> Vec<u8> {
+    planar_pose_of_epoch(0, micros, pose, flags)
+}
+
+fn planar_pose_of_epoch(epoch: u32, micros: u32, pose: Pose<Arena>, flags: PoseFlags) -> Vec<u8> {
     encoded(&Message::PlanarPose(PlanarPose {
         stamp: WireStamp::Micros32(micros),
         pose,
@@ -200,7 +204,27 @@ fn planar_pose(micros: u32, pose: Pose<Arena>, flags: PoseFlags) -> Vec<u8> {
         fix_age: None,
         reset_counter: 0,
         flags,
+        epoch,
     }))
+}
+
+#[test]
+fn a_brick_drops_the_estimates_of_a_station_that_owned_it_before() {
+    let mut simulation = Simulation::new(bundled("square"));
+    run(&mut simulation, 1_000);
+    let flags = PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() };
+    let used = [0, 3, 2, 3, 0, 4].map(|epoch| {
+        let before = simulation.received_estimates().len();
+        simulation.receive(&planar_pose_of_epoch(epoch, 900_000, Pose::default(), flags));
+        run(&mut simulation, 10);
+        simulation.received_estimates().len() - before
+    });
+    assert_eq!((used, simulation.outdated_estimates()), ([1, 1, 0, 1, 0, 1], 2));
+    // After a power cycle it knows none.
+    simulation.restart_brick();
+    run(&mut simulation, 1_000);
+    simulation.receive(&planar_pose_of_epoch(1, 900_000, Pose::default(), flags));
+    assert_eq!(simulation.outdated_estimates(), 2);
 }
 
 /// Drives the square with a perfect estimate that arrives 60 ms late, 20 times per second.

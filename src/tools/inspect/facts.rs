@@ -289,7 +289,11 @@ fn record_input(
         }
         Input::Observation(_) => facts.observations += 1,
         Input::Command(_) | Input::RobotCommand { .. } => facts.commands += 1,
-        Input::Report { .. } | Input::Port { .. } | Input::PeerAddress { .. } | Input::Tick => {}
+        Input::Report { .. }
+        | Input::Port { .. }
+        | Input::PeerAddress { .. }
+        | Input::Ownership { .. }
+        | Input::Tick => {}
     }
 }
 

@@ -147,7 +147,9 @@ fn pose_text(pose: &PlanarPose) -> String {
     let numbers = [pose.x_m, pose.y_m, pose.heading_rad, pose.forward_speed_m_per_s, pose.turn_rate_rad_per_s];
     let bits: Vec<String> =
         numbers.iter().chain(&pose.covariance).map(|number| format!("{:08x}", number.to_bits())).collect();
-    format!("pose {} {} {} {} {}", pose.time_us, bits.join(" "), pose.fix_age_ms, pose.reset_counter, pose.flags)
+    let rest =
+        [pose.fix_age_ms.into(), pose.reset_counter.into(), pose.flags.into(), pose.epoch].map(|n: u32| n.to_string());
+    format!("pose {} {} {}", pose.time_us, bits.join(" "), rest.join(" "))
 }
 
 /// The C header behind its driver, compiled by the system's compiler.

@@ -13,10 +13,12 @@ use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::{
     BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::{DynamicModel, MAX_STATES, QUANTITY, ROWS};
 use crate::numerics::covariance::symmetrise;
+use crate::saved::{self, RestoreError, covariance, finite};
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation::{self, add_innovation};
 
@@ -25,10 +27,12 @@ const PRIOR_SIGMAS: f64 = 1e5;
 /// Noise where the robot's file gives none: half a last digit of a thermometer with sixteen steps per kelvin.
 pub(super) const DEFAULT_SIGMA_K: f64 = 0.03;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct State {
     stamp: Timestamp<BrickClock>,
+    #[serde(deserialize_with = "finite")]
     mean: SVector<f64, ROWS>,
+    #[serde(deserialize_with = "covariance")]
     covariance: SMatrix<f64, ROWS, ROWS>,
 }
 
@@ -43,7 +47,24 @@ pub struct DynamicFilter {
     last_samples: [Option<(SensorId, Timestamp<BrickClock>)>; MAX_STATES],
 }
 
+/// A filter of dynamic measurement without its configuration.
+#[derive(Serialize, Deserialize)]
+pub(super) struct SavedDynamic {
+    state: Option<State>,
+    last_samples: [Option<(SensorId, Timestamp<BrickClock>)>; MAX_STATES],
+}
+
 impl DynamicFilter {
+    pub(super) const fn saved(&self) -> SavedDynamic {
+        let Self { model: _, sigma: _, prior_sigma: _, random_walk_per_sqrt_s: _, history_s: _, state, last_samples } =
+            self;
+        SavedDynamic { state: *state, last_samples: *last_samples }
+    }
+
+    pub(super) const fn set_saved(&mut self, saved: &SavedDynamic) {
+        SavedDynamic { state: self.state, last_samples: self.last_samples } = *saved;
+    }
+
     /// One thermometer, [`SensorId::THERMOMETER`], of first order; ignores all temperatures if `dynamic_tau_s` is not
     /// positive.
     pub fn new(config: &FilterConfig) -> Self {
@@ -178,6 +199,15 @@ impl Filter for DynamicFilter {
                 self.use_sample(record, observation, temperature.0);
             }
         })
+    }
+
+    fn save(&self) -> Vec<u8> {
+        saved::to_bytes(&self.saved())
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        self.set_saved(&saved::from_bytes(saved)?);
+        Ok(())
     }
 
     /// Restarts without a state: the length of the break is unknown, and the sensor went on.

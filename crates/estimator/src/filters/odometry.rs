@@ -8,19 +8,25 @@ use posebridge_telemetry::{
     Arena, BrickClock, Estimate, FusionOutcome, FusionRecord, Heading, Meters, Observation, Pose, ResetCause,
     StartPose, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::filter::{Filter, FilterCommand, FilterConfig};
 use crate::models::differential_drive::{body_step, propagate_pose, step_noise};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SavedTrack};
+use crate::saved::{self, RestoreError, covariance, finite};
 use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
 use crate::validation::{self, RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct DeadReckonedState {
     stamp: Option<Timestamp<BrickClock>>,
+    #[serde(deserialize_with = "finite")]
     pose: Pose<Arena>,
+    #[serde(deserialize_with = "covariance")]
     covariance: Matrix3<f64>,
+    #[serde(deserialize_with = "finite")]
     forward_m_per_s: f64,
+    #[serde(deserialize_with = "finite")]
     turn_rad_per_s: f64,
 }
 
@@ -43,6 +49,15 @@ pub struct OdometryFilter {
     /// Oldest first, never empty: one entry per motion observation within the history.
     states: VecDeque<DeadReckonedState>,
     /// The pose was given, by the configuration or by a person.
+    has_pose: bool,
+    status: TrackingStatus,
+}
+
+/// An odometry filter without its configuration.
+#[derive(Serialize, Deserialize)]
+struct SavedOdometry {
+    track: SavedTrack,
+    states: VecDeque<DeadReckonedState>,
     has_pose: bool,
     status: TrackingStatus,
 }
@@ -165,6 +180,21 @@ impl Filter for OdometryFilter {
             FilterCommand::SetOnlineCalibration(_) | FilterCommand::ResetCalibration => return FusionOutcome::Unused,
         }
         FusionOutcome::Accepted
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let Self { config: _, track, states, has_pose, status } = self;
+        let (track, states) = (track.save(), states.clone());
+        saved::to_bytes(&SavedOdometry { track, states, has_pose: *has_pose, status: *status })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let SavedOdometry { track, states, has_pose, status } = saved::from_bytes(saved)?;
+        let is_sound = !states.is_empty() && saved::is_ordered(&states, |state| state.stamp, |one, next| one <= next);
+        is_sound.then_some(()).ok_or(RestoreError::Implausible("its states are none, too many, or out of order"))?;
+        let fresh = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
+        *self = Self { config: self.config.clone(), track: fresh.with_saved(track), states, has_pose, status };
+        Ok(())
     }
 
     fn restart_clock(&mut self) {

@@ -10,14 +10,18 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
+use serde::{Deserialize, Serialize};
 
 use super::se2::{BodyStep, StepRule, displace};
 use crate::numerics::covariance::symmetrise;
+use crate::saved::finite;
 
 /// Travel of the two wheels' contact points, in metres, forward positive.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WheelTravel {
+    #[serde(deserialize_with = "finite")]
     pub left_m: f64,
+    #[serde(deserialize_with = "finite")]
     pub right_m: f64,
 }
 

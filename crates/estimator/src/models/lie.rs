@@ -9,14 +9,20 @@
 
 use nalgebra::Matrix3;
 use posebridge_telemetry::quantities::wrap_rad;
+use serde::{Deserialize, Serialize};
+
+use crate::saved::finite;
 
 /// An element of SE(2): position and heading of a body in a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Se2 {
     /// Coordinates of the origin.
+    #[serde(deserialize_with = "finite")]
     pub x_m: f64,
+    #[serde(deserialize_with = "finite")]
     pub y_m: f64,
     /// Wrapped.
+    #[serde(deserialize_with = "finite")]
     pub heading_rad: f64,
 }
 

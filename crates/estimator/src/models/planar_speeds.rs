@@ -19,15 +19,20 @@
 use nalgebra::{SMatrix, SVector};
 use posebridge_telemetry::DriveGeometry;
 use posebridge_telemetry::estimate::row;
+use serde::{Deserialize, Serialize};
+
+use crate::saved::finite;
 
 pub const N: usize = 5;
 pub type Mean = SVector<f64, N>;
 pub type Covariance = SMatrix<f64, N, N>;
 
 /// The accelerations of the body, along its x axis and about the vertical: the input.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Acceleration {
+    #[serde(deserialize_with = "finite")]
     pub forward_m_per_s2: f64,
+    #[serde(deserialize_with = "finite")]
     pub turn_rad_per_s2: f64,
 }
 

@@ -5,23 +5,30 @@
 //! ```
 //! p depends on the encoder alone, so that the travel is linear in beta, which the filter learns. At power-up p is uniform.
 
+use serde::{Deserialize, Serialize};
+
+use crate::saved::finite;
+
 /// Variance of a uniform p.
 const UNIFORM_VARIANCE: f64 = 1.0 / 12.0;
 
 /// The share p of its play by which one gear is ahead of its wheel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct GearPosition {
+    #[serde(deserialize_with = "finite")]
     share: f64,
     /// Whether the gear has touched an end since power-up.
     is_known: bool,
 }
 
 /// The change of p over a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BacklashCrossing {
     /// The change expected.
+    #[serde(deserialize_with = "finite")]
     pub share: f64,
     /// Its variance: more than zero until the gear has touched an end for the first time.
+    #[serde(deserialize_with = "finite")]
     pub variance: f64,
 }
 

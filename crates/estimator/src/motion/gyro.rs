@@ -1,9 +1,11 @@
 //! The gyro's rate over time.
 
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::TimeSeries;
 use super::reading::InsertOutcome;
+use crate::saved::Numbers;
 
 /// The last sample is held for this long and no longer: three periods of a 50 Hz gyro.
 const SAMPLE_HOLD: TimeDelta = TimeDelta::from_millis(60);
@@ -28,9 +30,15 @@ impl GyroTurn {
 }
 
 /// The gyro's rate over time: each sample is the mean since the one before it.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct GyroTrack {
     samples: TimeSeries<f64>,
+}
+
+impl Numbers for GyroTrack {
+    fn are_finite(&self) -> bool {
+        self.samples.entries.iter().all(|(_, rate)| rate.are_finite())
+    }
 }
 
 impl GyroTrack {

@@ -9,10 +9,14 @@ mod track;
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::saved;
 
 pub use backlash::BacklashCrossing;
 pub use gyro::{GyroTrack, GyroTurn};
 pub use reading::{InsertOutcome, MotionReading, MotionSource};
+pub(crate) use track::SavedTrack;
 pub use track::{MotionTrack, TravelSegment};
 
 /// Speeds are held for this long after the last motion observation, and are stale after that.
@@ -23,10 +27,28 @@ pub(crate) const UNOBSERVED_M_PER_SQRT_S: f64 = 0.3;
 pub(crate) const UNOBSERVED_RAD_PER_SQRT_S: f64 = 1.0;
 
 /// Values with their instants, oldest first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(try_from = "SavedSeries<T>", bound(deserialize = "T: Deserialize<'de>"))]
 pub(crate) struct TimeSeries<T> {
     entries: VecDeque<(Timestamp<BrickClock>, T)>,
     is_truncated: bool,
+}
+
+/// A series as it is read, perhaps out of order.
+#[derive(Deserialize)]
+struct SavedSeries<T> {
+    entries: VecDeque<(Timestamp<BrickClock>, T)>,
+    is_truncated: bool,
+}
+
+impl<T> TryFrom<SavedSeries<T>> for TimeSeries<T> {
+    type Error = &'static str;
+
+    fn try_from(saved: SavedSeries<T>) -> Result<Self, Self::Error> {
+        let SavedSeries { entries, is_truncated } = saved;
+        let is_sound = saved::is_ordered(&entries, |(at, _)| *at, |one, next| one < next);
+        is_sound.then_some(Self { entries, is_truncated }).ok_or("instants out of order")
+    }
 }
 
 impl<T> Default for TimeSeries<T> {
@@ -47,6 +69,12 @@ impl<T> TimeSeries<T> {
         } else {
             Ok((index, before))
         }
+    }
+
+    /// The same instants with other values.
+    pub(crate) fn map<U>(&self, change: impl Fn(&T) -> U) -> TimeSeries<U> {
+        let entries = self.entries.iter().map(|(at, value)| (*at, change(value)));
+        TimeSeries { entries: entries.collect(), is_truncated: self.is_truncated }
     }
 
     fn count_until(&self, stamp: Timestamp<BrickClock>) -> usize {

@@ -1,8 +1,10 @@
 //! A motion reading, and the travel between two of them.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, Heading, ObservationKind, Odom, Pose, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::models::differential_drive::WheelTravel;
+use crate::saved::finite;
 
 /// The result of inserting a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +23,7 @@ pub enum InsertOutcome {
 }
 
 /// The kind of motion observation in use; a later variant replaces an earlier one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum MotionSource {
     /// Commanded or foreign speeds, held.
     Velocity,
@@ -31,19 +33,24 @@ pub enum MotionSource {
     Wheels,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum MotionReading {
     /// Total rotation of each wheel.
     Wheels {
+        #[serde(deserialize_with = "finite")]
         left_rad: f64,
+        #[serde(deserialize_with = "finite")]
         right_rad: f64,
     },
+    #[serde(deserialize_with = "finite")]
     Odometer(Pose<Odom>),
     /// Speeds, held until the next reading.
     Velocity {
         /// Along the body's x axis.
+        #[serde(deserialize_with = "finite")]
         forward_m_per_s: f64,
         /// About the vertical.
+        #[serde(deserialize_with = "finite")]
         turn_rad_per_s: f64,
     },
 }

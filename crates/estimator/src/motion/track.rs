@@ -1,6 +1,7 @@
 //! The wheels' travel over time, from whichever source is best.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::backlash::{BacklashCrossing, GearPosition};
 use super::reading::{InsertOutcome, MotionReading, MotionSource};
@@ -10,7 +11,7 @@ use crate::models::differential_drive::{WheelTravel, body_step};
 /// Over a longer interval the path is not taken for an arc. Five lost frames in a row at 20 Hz are below it.
 const MAX_ARC_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct MotionSample {
     reading: MotionReading,
     /// Since the first sample; an unknown step counts as zero.
@@ -40,6 +41,13 @@ pub enum TravelSegment {
     BeyondData { until: Timestamp<BrickClock> },
 }
 
+/// What a track has heard, without its configuration.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct SavedTrack {
+    source: Option<MotionSource>,
+    samples: TimeSeries<MotionSample>,
+}
+
 #[derive(Clone, Debug)]
 pub struct MotionTrack {
     geometry: DriveGeometry,
@@ -66,6 +74,18 @@ impl MotionTrack {
     /// A larger jump than this re-bases the counters from now on.
     pub const fn set_max_wheel_rad_per_s(&mut self, max_wheel_rad_per_s: f64) {
         self.max_wheel_rad_per_s = max_wheel_rad_per_s;
+    }
+
+    pub(crate) fn save(&self) -> SavedTrack {
+        let Self { geometry: _, max_wheel_rad_per_s: _, backlash_rad: _, source, samples } = self;
+        SavedTrack { source: *source, samples: samples.clone() }
+    }
+
+    /// This track with what another one of the same configuration has heard.
+    #[must_use]
+    pub(crate) fn with_saved(self, saved: SavedTrack) -> Self {
+        let SavedTrack { source, samples } = saved;
+        Self { source, samples, ..self }
     }
 
     pub fn insert(&mut self, stamp: Timestamp<BrickClock>, reading: &MotionReading) -> InsertOutcome {

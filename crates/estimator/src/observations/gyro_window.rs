@@ -15,16 +15,19 @@
 //! Source: docs/maths/pose.md section 3.
 
 use posebridge_telemetry::{BrickClock, DriveGeometry, SensorNoise, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::{PoseView, StateTerm};
 use crate::motion::GyroTurn;
+use crate::saved::finite;
 
 /// Sums since the window began.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GyroWindow {
     pub start: Timestamp<BrickClock>,
     /// The instant up to which the encoders' turn is summed.
     pub until: Timestamp<BrickClock>,
+    #[serde(deserialize_with = "finite")]
     pub forward_m: f64,
 }
 

@@ -13,11 +13,13 @@
 //! Source: docs/maths/pose.md section 5; paper 1 (Valera et al.), equations 20 to 22, for the accelerations.
 
 use posebridge_telemetry::{DriveGeometry, SensorNoise};
+use serde::{Deserialize, Serialize};
 
 use super::gyro_window::{gyro_variance, rounding_variance};
 use crate::models::differential_drive::StepNoise;
 use crate::models::planar_speeds::Acceleration;
 use crate::models::se2::BodyStep;
+use crate::saved::{finite, not_negative};
 
 /// Least variance of a speed, (mm/s)²: a wheel at rest may still creep within its backlash.
 const MIN_FORWARD_VARIANCE: f64 = 1e-6;
@@ -25,9 +27,11 @@ const MIN_FORWARD_VARIANCE: f64 = 1e-6;
 const MIN_TURN_VARIANCE: f64 = 3e-6;
 
 /// A speed with its variance, m/s or rad/s: measured, or estimated outside the covariance matrix.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Speed {
+    #[serde(deserialize_with = "finite")]
     pub value: f64,
+    #[serde(deserialize_with = "not_negative")]
     pub variance: f64,
 }
 

@@ -17,6 +17,7 @@
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
+use serde::{Deserialize, Serialize};
 
 use super::paper_scaffold::{
     FixStep, GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
@@ -27,6 +28,7 @@ use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
 use crate::observations::fix::fix_noise;
 use crate::observations::sensor_frame::Exposure;
+use crate::saved::{covariance, finite};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
 
 /// Whether the filter uses fixes: the paper itself does not.
@@ -62,6 +64,21 @@ pub(super) struct FiveStateEkf {
     turned_rad: [f64; 2],
 }
 
+/// What changes in a [`FiveStateEkf`].
+#[derive(Clone, Copy, Serialize, Deserialize)]
+pub(super) struct SavedFiveStates {
+    #[serde(deserialize_with = "finite")]
+    mean: Mean,
+    #[serde(deserialize_with = "covariance")]
+    covariance: Covariance,
+    #[serde(deserialize_with = "finite")]
+    wheel_heading_rad: f64,
+    #[serde(deserialize_with = "finite")]
+    gyro_heading_rad: f64,
+    #[serde(deserialize_with = "finite")]
+    turned_rad: [f64; 2],
+}
+
 const BY_WHEELS: usize = 0;
 const BY_GYRO: usize = 1;
 
@@ -86,6 +103,27 @@ impl FiveStateEkf {
 }
 
 impl SampledFilter for FiveStateEkf {
+    type Saved = SavedFiveStates;
+
+    fn saved(&self) -> SavedFiveStates {
+        let Self {
+            mean,
+            covariance,
+            matrices: _,
+            fixes: _,
+            prediction: _,
+            wheel_heading_rad,
+            gyro_heading_rad,
+            turned_rad,
+        } = *self;
+        SavedFiveStates { mean, covariance, wheel_heading_rad, gyro_heading_rad, turned_rad }
+    }
+
+    fn with_saved(&self, saved: SavedFiveStates) -> Self {
+        let SavedFiveStates { mean, covariance, wheel_heading_rad, gyro_heading_rad, turned_rad } = saved;
+        Self { mean, covariance, wheel_heading_rad, gyro_heading_rad, turned_rad, ..*self }
+    }
+
     fn uses(&self, extra: OptionalSensor) -> bool {
         match extra {
             OptionalSensor::Gyro | OptionalSensor::Accelerometers => true,

@@ -34,6 +34,7 @@ use nalgebra::{SMatrix, SVector, Vector2};
 use posebridge_telemetry::estimate::row::{FORWARD, HEADING, TURN, X, Y};
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{Calibration, DriveGeometry, Fix, FusionOutcome, FusionRecord, StartPose, UncertainValue};
+use serde::{Deserialize, Serialize};
 
 use super::paper_scaffold::{
     FixStep, GaussianState, GyroStep, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep,
@@ -49,6 +50,7 @@ use crate::numerics::covariance::symmetrise;
 use crate::observations::fix::{FixNoise, fix_noise, lever_in_arena, mid_axle, with_heading_variance};
 use crate::observations::gyro_window::gyro_variance;
 use crate::observations::sensor_frame::Exposure;
+use crate::saved::{covariance, finite};
 use crate::update::{LinearizedMeasurement, ScalarMeasurement};
 
 pub const N: usize = 9;
@@ -95,6 +97,22 @@ struct CorrectedEkf<const N: usize> {
     /// Variances of path, m², and heading, rad², by the rounding of the counts.
     rounding: [f64; 2],
     absolute: AbsoluteSensors,
+    rejected: RejectedFixes,
+}
+
+/// What changes in a [`CorrectedEkf`].
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct SavedCorrectedEkf<const N: usize> {
+    #[serde(deserialize_with = "finite")]
+    mean: Mean<N>,
+    #[serde(deserialize_with = "covariance")]
+    covariance: Covariance<N>,
+    #[serde(deserialize_with = "finite")]
+    counted_path_m: f64,
+    #[serde(deserialize_with = "finite")]
+    wheel_heading_rad: f64,
+    #[serde(deserialize_with = "finite")]
+    gyro_heading_rad: f64,
     rejected: RejectedFixes,
 }
 
@@ -354,6 +372,28 @@ fn add_random_walk<const N: usize>(q: &mut Covariance<N>, moved: &Mean<N>, row: 
 }
 
 impl<const N: usize> SampledFilter for CorrectedEkf<N> {
+    type Saved = SavedCorrectedEkf<N>;
+
+    fn saved(&self) -> SavedCorrectedEkf<N> {
+        let Self {
+            mean,
+            covariance,
+            counted_path_m,
+            wheel_heading_rad,
+            gyro_heading_rad,
+            rounding: _,
+            absolute: _,
+            rejected,
+        } = *self;
+        SavedCorrectedEkf { mean, covariance, counted_path_m, wheel_heading_rad, gyro_heading_rad, rejected }
+    }
+
+    fn with_saved(&self, saved: SavedCorrectedEkf<N>) -> Self {
+        let SavedCorrectedEkf { mean, covariance, counted_path_m, wheel_heading_rad, gyro_heading_rad, rejected } =
+            saved;
+        Self { mean, covariance, counted_path_m, wheel_heading_rad, gyro_heading_rad, rejected, ..*self }
+    }
+
     fn uses(&self, extra: OptionalSensor) -> bool {
         match extra {
             OptionalSensor::Gyro | OptionalSensor::Accelerometers => true,

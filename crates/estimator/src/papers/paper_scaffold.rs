@@ -15,6 +15,8 @@ use posebridge_telemetry::{
     Arena, BrickClock, Calibration, DriveGeometry, Estimate, Fix, FusionOutcome, FusionRecord, Heading, Meters,
     Observation, ObservationKind, Pose, ResetCause, SensorId, StartPose, TimeDelta, Timestamp,
 };
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{WheelTravel, body_step};
@@ -24,6 +26,7 @@ use crate::motion::{SPEED_HOLD, TimeSeries};
 use crate::numerics::chi_square::chi_square_gates;
 use crate::observations::fix::{fix_noise, mid_axle};
 use crate::observations::sensor_frame::Exposure;
+use crate::saved::{self, Numbers, RestoreError};
 use crate::tracking::{PublishedState, TrackingStatus};
 use crate::validation::{self, reject_repeated};
 
@@ -31,7 +34,7 @@ use crate::validation::{self, reject_repeated};
 const ACCELERATION_HOLD: TimeDelta = MAX_STEP;
 
 /// The state at one instant, with everything that a prediction from it needs.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Serialize, Deserialize)]
 struct FilterSnapshot<M> {
     stamp: Option<Timestamp<BrickClock>>,
     filter: M,
@@ -39,6 +42,13 @@ struct FilterSnapshot<M> {
     status: TrackingStatus,
     /// The pose was given, by the configuration, a person or a fix.
     has_pose: bool,
+}
+
+impl<M> FilterSnapshot<M> {
+    fn map<T>(self, change: impl FnOnce(M) -> T) -> FilterSnapshot<T> {
+        let Self { stamp, filter, acceleration, status, has_pose } = self;
+        FilterSnapshot { stamp, filter: change(filter), acceleration, status, has_pose }
+    }
 }
 
 impl<M: SampledFilter> FilterSnapshot<M> {
@@ -97,6 +107,19 @@ pub(super) struct OnArrivalFilter<M> {
     current: FilterSnapshot<M>,
     /// The state after each instant within the history.
     history: TimeSeries<FilterSnapshot<M>>,
+}
+
+/// A filter of a paper without its configuration; `S` is the part of its equations that changes.
+#[derive(Serialize, Deserialize)]
+#[serde(bound(serialize = "S: Serialize", deserialize = "S: Deserialize<'de>"))]
+struct SavedOnArrival<S> {
+    last_wheels: Option<(Timestamp<BrickClock>, [f64; 2])>,
+    last_gyro: Option<Timestamp<BrickClock>>,
+    last_acceleration: Option<Timestamp<BrickClock>>,
+    last_compass: Option<Timestamp<BrickClock>>,
+    last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
+    current: FilterSnapshot<S>,
+    history: TimeSeries<FilterSnapshot<S>>,
 }
 
 impl<M: SampledFilter> OnArrivalFilter<M> {
@@ -330,6 +353,38 @@ impl<M: SampledFilter> Filter for OnArrivalFilter<M> {
         FusionOutcome::PoseReset
     }
 
+    fn save(&self) -> Vec<u8> {
+        let Self { context: _, last_wheels, last_gyro, last_acceleration, last_compass, last_fixes, current, history } =
+            self;
+        let save = |snapshot: &FilterSnapshot<M>| snapshot.map(|filter| filter.saved());
+        saved::to_bytes(&SavedOnArrival {
+            last_wheels: *last_wheels,
+            last_gyro: *last_gyro,
+            last_acceleration: *last_acceleration,
+            last_compass: *last_compass,
+            last_fixes: last_fixes.clone(),
+            current: save(current),
+            history: history.map(save),
+        })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let saved: SavedOnArrival<M::Saved> = saved::from_bytes(saved)?;
+        (saved.last_wheels.is_none_or(|(_, angles)| angles.are_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its wheels' angles are not finite"))?;
+        let constants = self.current.filter;
+        let restore = |snapshot: FilterSnapshot<M::Saved>| snapshot.map(|filter| constants.with_saved(filter));
+        self.current = restore(saved.current);
+        self.history = saved.history.map(|snapshot| restore(*snapshot));
+        self.last_wheels = saved.last_wheels;
+        self.last_gyro = saved.last_gyro;
+        self.last_acceleration = saved.last_acceleration;
+        self.last_compass = saved.last_compass;
+        self.last_fixes = saved.last_fixes;
+        Ok(())
+    }
+
     fn restart_clock(&mut self) {
         let mut next = FilterSnapshot { stamp: None, acceleration: None, ..self.current };
         next.status.forget_stamps();
@@ -393,6 +448,15 @@ pub(super) struct GaussianState {
 
 /// The equations of one filter.
 pub(super) trait SampledFilter: Copy + Send {
+    /// What changes, without the constants of the filter.
+    type Saved: Copy + Serialize + DeserializeOwned;
+
+    fn saved(&self) -> Self::Saved;
+
+    /// The constants of this filter with what has changed in another one.
+    #[must_use]
+    fn with_saved(&self, saved: Self::Saved) -> Self;
+
     /// Whether it uses a sensor besides the wheels.
     fn uses(&self, extra: OptionalSensor) -> bool;
 

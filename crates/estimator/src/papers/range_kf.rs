@@ -21,11 +21,13 @@ use nalgebra::{Matrix2, Vector2};
 use posebridge_telemetry::{
     BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use crate::filter::{Filter, FilterConfig};
 use crate::models::wall_approach::{DISTANCE, SPEED, WallApproachModel};
 use crate::motion::TimeSeries;
 use crate::numerics::covariance::symmetrise;
+use crate::saved::{self, Numbers, RestoreError, covariance, finite};
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation::{self, add_innovation};
 
@@ -56,12 +58,15 @@ pub enum RangeFilterVariant {
     Corrected,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct State {
     stamp: Timestamp<BrickClock>,
+    #[serde(deserialize_with = "finite")]
     mean: Vector2<f64>,
+    #[serde(deserialize_with = "covariance")]
     covariance: Matrix2<f64>,
     /// The command from here on, m/s.
+    #[serde(deserialize_with = "finite")]
     command_m_per_s: f64,
 }
 
@@ -75,12 +80,26 @@ pub struct RangeFilter {
     /// `None` before the first reading.
     state: Option<State>,
     history: TimeSeries<State>,
-    command: Option<(Timestamp<BrickClock>, f64)>,
+    command: Option<Reading>,
     last_range: Option<Timestamp<BrickClock>>,
     /// The last two refused readings since one was used, the older one first.
-    refused: [Option<(Timestamp<BrickClock>, f64)>; AGREEING_REFUSALS - 1],
+    refused: [Option<Reading>; AGREEING_REFUSALS - 1],
     refusals: usize,
 }
+
+/// A range filter without its configuration.
+#[derive(Serialize, Deserialize)]
+struct SavedRangeFilter {
+    state: Option<State>,
+    history: TimeSeries<State>,
+    command: Option<Reading>,
+    last_range: Option<Timestamp<BrickClock>>,
+    refused: [Option<Reading>; AGREEING_REFUSALS - 1],
+    refusals: usize,
+}
+
+/// A command in m/s or a range in m, with its instant.
+type Reading = (Timestamp<BrickClock>, f64);
 
 impl RangeFilter {
     pub fn new(config: &FilterConfig, variant: RangeFilterVariant) -> Self {
@@ -189,7 +208,7 @@ impl RangeFilter {
 
     /// Refuses a reading, or restarts with it: a gate that only ever refuses would follow a wall that is no longer ahead.
     fn refuse(&mut self, reading: (Timestamp<BrickClock>, f64), gate_m: f64) -> FusionOutcome {
-        self.refusals += 1;
+        self.refusals = self.refusals.saturating_add(1);
         let (stamp, range_m) = reading;
         if let [Some((first, first_m)), Some((second, second_m))] = self.refused {
             let (between_s, since_s) = ((second - first).as_secs_f64(), (stamp - second).as_secs_f64());
@@ -273,6 +292,47 @@ impl Filter for RangeFilter {
                 self.observe_range(record, observation.stamp, range.0);
             }
         })
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let Self {
+            variant: _,
+            model: _,
+            range_var_m2: _,
+            process_var: _,
+            gate_min_m: _,
+            history_s: _,
+            state,
+            history,
+            command,
+            last_range,
+            refused,
+            refusals,
+        } = self;
+        saved::to_bytes(&SavedRangeFilter {
+            state: *state,
+            history: history.clone(),
+            command: *command,
+            last_range: *last_range,
+            refused: *refused,
+            refusals: *refusals,
+        })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let saved: SavedRangeFilter = saved::from_bytes(saved)?;
+        let mut readings = saved.refused.iter().flatten().chain(&saved.command);
+        (readings.all(|(_, value)| value.are_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a reading in it is not finite"))?;
+        let SavedRangeFilter { state, history, command, last_range, refused, refusals } = saved;
+        self.state = state;
+        self.history = history;
+        self.command = command;
+        self.last_range = last_range;
+        self.refused = refused;
+        self.refusals = refusals;
+        Ok(())
     }
 
     /// Restarts with the next reading: the distance driven during the break is unknown.

@@ -10,6 +10,9 @@
 //! Source: Umeyama (1991) for the turn of least squares; docs/lab/square.md section M5.
 
 use posebridge_telemetry::{BrickClock, Timestamp, UncertainValue, quantities::wrap_rad};
+use serde::{Deserialize, Serialize};
+
+use crate::saved::finite;
 
 const COUNT: usize = 3;
 /// Root mean square distance of the positions from their middle that makes a heading, m.
@@ -19,19 +22,21 @@ const PATH_ERROR: f64 = 0.1;
 /// Largest residual in sigmas of a fix.
 const MAX_SIGMAS: f64 = 3.0;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct RejectedFix {
     pub(super) stamp: Timestamp<BrickClock>,
     /// The tag by the fix.
+    #[serde(deserialize_with = "finite")]
     pub(super) measured_m: [f64; 2],
     /// The tag by the filter.
+    #[serde(deserialize_with = "finite")]
     pub(super) expected_m: [f64; 2],
     /// Heading by the fix less that by the filter.
     pub(super) turn_rad: Option<UncertainValue>,
 }
 
 /// The last fixes that were rejected without one that was used between them.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct RejectedFixes([Option<RejectedFix>; COUNT]);
 
 impl RejectedFixes {

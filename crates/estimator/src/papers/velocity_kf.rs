@@ -13,12 +13,14 @@
 use nalgebra::{Matrix2, SVector};
 use posebridge_telemetry::estimate::row::{FORWARD, TURN};
 use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
+use serde::{Deserialize, Serialize};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::{SAMPLING_INTERVAL_S, SpeedMatrices, UNITS, covariance_si, variances_si};
 use super::rows;
 use crate::filter::{Filter, FilterConfig};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean, N, PredictionStep};
+use crate::saved::{covariance, finite};
 use crate::validation::write_innovation;
 
 #[derive(Clone, Copy)]
@@ -26,6 +28,15 @@ struct VelocityKf {
     mean: Mean,
     covariance: Covariance,
     matrices: SpeedMatrices,
+}
+
+/// What changes in a [`VelocityKf`].
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct SavedVelocityKf {
+    #[serde(deserialize_with = "finite")]
+    mean: Mean,
+    #[serde(deserialize_with = "covariance")]
+    covariance: Covariance,
 }
 
 pub fn build(config: &FilterConfig, matrices: &SpeedMatrices) -> Box<dyn Filter> {
@@ -53,6 +64,17 @@ impl VelocityKf {
 }
 
 impl SampledFilter for VelocityKf {
+    type Saved = SavedVelocityKf;
+
+    fn saved(&self) -> SavedVelocityKf {
+        let Self { mean, covariance, matrices: _ } = *self;
+        SavedVelocityKf { mean, covariance }
+    }
+
+    fn with_saved(&self, SavedVelocityKf { mean, covariance }: SavedVelocityKf) -> Self {
+        Self { mean, covariance, ..*self }
+    }
+
     fn uses(&self, extra: OptionalSensor) -> bool {
         extra == OptionalSensor::Accelerometers
     }

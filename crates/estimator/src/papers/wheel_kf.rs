@@ -20,6 +20,7 @@
 use nalgebra::{Matrix2, Matrix3, SVector, Vector2, Vector3};
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{FusionOutcome, FusionRecord, StartPose};
+use serde::{Deserialize, Serialize};
 
 use super::paper_scaffold::{GaussianState, OnArrivalFilter, OptionalSensor, SampledContext, SampledFilter, WheelStep};
 use super::paper1::{SAMPLING_INTERVAL_S, WheelMatrices};
@@ -28,6 +29,7 @@ use crate::filter::{Filter, FilterConfig};
 use crate::models::differential_drive::{StepNoise, WheelTravel, body_step, propagate_pose, step_noise};
 use crate::models::planar_speeds::{Acceleration, Covariance, Mean};
 use crate::numerics::covariance::symmetrise;
+use crate::saved::{covariance, finite};
 use crate::update::{ScalarMeasurement, UpdateOutcome, use_scalar};
 use crate::validation::write_innovation;
 
@@ -100,6 +102,30 @@ struct WheelKf {
     pose: Vector3<f64>,
     pose_covariance: Matrix3<f64>,
 }
+
+/// What changes in a [`WheelKf`].
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct SavedWheelKf {
+    /// Of the left and of the right wheel's filter.
+    #[serde(deserialize_with = "finite")]
+    means: [Vector2<f64>; 2],
+    covariances: [SavedCovariance; 2],
+    #[serde(deserialize_with = "finite")]
+    rolled_deg: [f64; 2],
+    #[serde(deserialize_with = "finite")]
+    counted_deg: [f64; 2],
+    #[serde(deserialize_with = "finite")]
+    moved: [f64; 2],
+    #[serde(deserialize_with = "finite")]
+    settled: [f64; 2],
+    #[serde(deserialize_with = "finite")]
+    pose: Vector3<f64>,
+    #[serde(deserialize_with = "covariance")]
+    pose_covariance: Matrix3<f64>,
+}
+
+#[derive(Clone, Copy, Serialize, Deserialize)]
+struct SavedCovariance(#[serde(deserialize_with = "covariance")] Matrix2<f64>);
 
 pub fn build(config: &FilterConfig, matrices: &WheelMatrices, odometry: WheelOdometry) -> Box<dyn Filter> {
     let maths = WheelKf {
@@ -181,6 +207,26 @@ impl WheelKf {
 }
 
 impl SampledFilter for WheelKf {
+    type Saved = SavedWheelKf;
+
+    fn saved(&self) -> SavedWheelKf {
+        let Self { matrices: _, odometry: _, wheels, rolled_deg, counted_deg, moved, settled, pose, pose_covariance } =
+            *self;
+        let means = wheels.map(|wheel| wheel.mean);
+        let covariances = wheels.map(|wheel| SavedCovariance(wheel.covariance));
+        SavedWheelKf { means, covariances, rolled_deg, counted_deg, moved, settled, pose, pose_covariance }
+    }
+
+    fn with_saved(&self, saved: SavedWheelKf) -> Self {
+        let SavedWheelKf { means, covariances, rolled_deg, counted_deg, moved, settled, pose, pose_covariance } = saved;
+        let wheels = std::array::from_fn(|wheel| SingleWheelFilter {
+            mean: means[wheel],
+            covariance: covariances[wheel].0,
+            ..self.wheels[wheel]
+        });
+        Self { wheels, rolled_deg, counted_deg, moved, settled, pose, pose_covariance, ..*self }
+    }
+
     fn uses(&self, _extra: OptionalSensor) -> bool {
         false
     }

@@ -10,8 +10,11 @@
 //! sensors clearly moved, agree with the fault and disagree without it: a stuck robot and a lifted one support none. A fault
 //! that makes a motion a thousand times smaller or larger gains nothing where that leaves nothing of it but noise.
 
+use serde::{Deserialize, Serialize};
+
 use super::fault::{Hypothesis, WiringFault};
 use super::finding::{DecidingObservation, RatioKind, WiringFinding, WiringRatio};
+use crate::saved::finite;
 
 /// Cost of one window at most: four standard deviations.
 pub(super) const MAX_COST: f64 = 16.0;
@@ -76,11 +79,15 @@ impl Comparison {
 }
 
 /// Sums for a ratio by least squares.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct RatioSums {
+    #[serde(deserialize_with = "finite")]
     windows: f64,
+    #[serde(deserialize_with = "finite")]
     xx: f64,
+    #[serde(deserialize_with = "finite")]
     xy: f64,
+    #[serde(deserialize_with = "finite")]
     yy: f64,
 }
 
@@ -102,12 +109,16 @@ impl RatioSums {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 struct Score {
+    #[serde(deserialize_with = "finite")]
     gain: f64,
+    #[serde(deserialize_with = "finite")]
     loss: f64,
     supporting_windows: u32,
+    #[serde(deserialize_with = "finite")]
     supporting_turn_rad: f64,
+    #[serde(deserialize_with = "finite")]
     supporting_path_m: f64,
     ratios: [RatioSums; RatioKind::ALL.len()],
 }
@@ -164,7 +175,26 @@ pub(super) enum WindowKind {
     Fixes,
 }
 
+/// Evidence without the hypotheses, which are always the same.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct SavedEvidence {
+    scores: [Score; FAULTS],
+    segments: u32,
+    gyro_windows: u32,
+    reported: Option<FaultSet>,
+}
+
 impl Evidence {
+    pub(super) const fn save(&self) -> SavedEvidence {
+        let Self { hypotheses: _, scores, segments, gyro_windows, reported } = self;
+        SavedEvidence { scores: *scores, segments: *segments, gyro_windows: *gyro_windows, reported: *reported }
+    }
+
+    pub(super) fn restored(saved: &SavedEvidence) -> Self {
+        let SavedEvidence { scores, segments, gyro_windows, reported } = *saved;
+        Self { scores, segments, gyro_windows, reported, ..Self::new() }
+    }
+
     pub(super) fn new() -> Self {
         Self {
             hypotheses: WiringFault::ALL.map(Hypothesis::of_fault),
@@ -259,7 +289,7 @@ fn add_support(score: &mut Score, with: &Comparisons, without: &Comparisons) {
             score.ratios[kind as usize].add(pair);
         }
     }
-    score.supporting_windows += u32::from(is_supporting);
+    score.supporting_windows = score.supporting_windows.saturating_add(u32::from(is_supporting));
 }
 
 #[cfg(test)]

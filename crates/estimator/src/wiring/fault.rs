@@ -1,9 +1,10 @@
 //! The table of faults: what each does to the observations, and the wiring that undoes it.
 
 use posebridge_telemetry::{CameraUnit, GyroUnit, Wiring};
+use serde::{Deserialize, Serialize};
 
 /// Something that is connected, counted or configured wrongly.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum WiringFault {
     GyroInDegrees,
     /// The configuration says degrees per second.

@@ -2,10 +2,12 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 use super::fault::WiringFault;
 
 /// Two sensors that observe the same motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RatioKind {
     /// The gyro's turn over that of the wheels.
     GyroTurn,
@@ -21,7 +23,7 @@ impl RatioKind {
 
 /// What one sensor observed over what the wheels reported, in the windows that show a fault. For one reversed wheel, the
 /// report without the fault.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WiringRatio {
     pub kind: RatioKind,
     pub value: f64,
@@ -30,7 +32,7 @@ pub struct WiringRatio {
 }
 
 /// What is missing to decide between several faults.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DecidingObservation {
     Fixes,
     FixesWithHeading,
@@ -38,7 +40,7 @@ pub enum DecidingObservation {
 }
 
 /// One fault, or several that look the same so far.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WiringFinding {
     /// In the order of [`WiringFault::ALL`]; one if it is decided.
     pub candidates: Vec<WiringFault>,

@@ -14,13 +14,15 @@ mod windows;
 use posebridge_telemetry::{
     BrickClock, DriveGeometry, Fix, Observation, ObservationKind, SensorId, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
-use self::evidence::{Evidence, WindowKind};
-use self::motion_log::MotionLog;
+use self::evidence::{Evidence, SavedEvidence, WindowKind};
+use self::motion_log::{MotionLog, SavedLog};
 use self::settings::Settings;
 use self::windows::{FixPoint, PreviousSegment, Segment, TurnWindow};
 use crate::filter::FilterConfig;
 use crate::motion::{MotionReading, MotionSource};
+use crate::saved::RestoreError;
 
 pub use self::fault::WiringFault;
 pub use self::finding::{DecidingObservation, RatioKind, WiringFinding, WiringRatio};
@@ -64,6 +66,20 @@ pub struct WiringMonitor {
     evidence: Evidence,
 }
 
+/// A detector without its settings.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedMonitor {
+    source: Option<MotionSource>,
+    last_reading: Option<(Timestamp<BrickClock>, MotionReading)>,
+    wheels: SavedLog<2>,
+    gyro: SavedLog<1>,
+    turn_start: Option<Timestamp<BrickClock>>,
+    anchor: Option<FixPoint>,
+    pending: Option<FixPoint>,
+    previous: Option<PreviousSegment>,
+    evidence: SavedEvidence,
+}
+
 impl WiringMonitor {
     pub fn new(config: &FilterConfig) -> Self {
         Self {
@@ -78,6 +94,38 @@ impl WiringMonitor {
             previous: None,
             evidence: Evidence::new(),
         }
+    }
+
+    pub fn save(&self) -> SavedMonitor {
+        let Self { settings: _, source, last_reading, wheels, gyro, turn_start, anchor, pending, previous, evidence } =
+            self;
+        SavedMonitor {
+            source: *source,
+            last_reading: *last_reading,
+            wheels: wheels.save(),
+            gyro: gyro.save(),
+            turn_start: *turn_start,
+            anchor: *anchor,
+            pending: *pending,
+            previous: *previous,
+            evidence: evidence.save(),
+        }
+    }
+
+    /// This detector with what another one of the same configuration has found.
+    pub fn with_saved(&self, saved: &SavedMonitor) -> Result<Self, RestoreError> {
+        Ok(Self {
+            settings: self.settings,
+            source: saved.source,
+            last_reading: saved.last_reading,
+            wheels: MotionLog::new(WHEEL_SPACING_RAD).with_saved(&saved.wheels)?,
+            gyro: MotionLog::new(GYRO_SPACING_RAD).with_saved(&saved.gyro)?,
+            turn_start: saved.turn_start,
+            anchor: saved.anchor,
+            pending: saved.pending,
+            previous: saved.previous,
+            evidence: Evidence::restored(&saved.evidence),
+        })
     }
 
     /// Uses an observation, corrected by the wiring that is configured. An observation that is older than another one of its

@@ -3,7 +3,11 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::SVector;
 use posebridge_telemetry::{BrickClock, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::saved::{Numbers, RestoreError, is_ordered};
 
 /// Samples in a log. With one for each 0.15 rad of a wheel this is 2 m of a small robot.
 const CAPACITY: usize = 512;
@@ -13,6 +17,10 @@ pub(super) struct LogSample<const N: usize> {
     pub(super) time: Timestamp<BrickClock>,
     pub(super) totals: [f64; N],
 }
+
+/// A log without its spacing: the instants, and the totals of each.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct SavedLog<const N: usize>(Vec<(Timestamp<BrickClock>, SVector<f64, N>)>);
 
 /// Totals that grow with motion; linear between two samples.
 #[derive(Clone, Debug)]
@@ -25,6 +33,24 @@ pub(super) struct MotionLog<const N: usize> {
 impl<const N: usize> MotionLog<N> {
     pub(super) fn new(spacing: f64) -> Self {
         Self { samples: VecDeque::with_capacity(CAPACITY), spacing }
+    }
+
+    pub(super) fn save(&self) -> SavedLog<N> {
+        SavedLog(self.samples.iter().map(|sample| (sample.time, sample.totals.into())).collect())
+    }
+
+    /// This log with the samples of another one.
+    pub(super) fn with_saved(mut self, saved: &SavedLog<N>) -> Result<Self, RestoreError> {
+        let samples = saved.0.iter().map(|(time, totals)| LogSample { time: *time, totals: (*totals).into() });
+        self.samples.clear();
+        self.samples.extend(samples.take(CAPACITY));
+        let is_sound = saved.0.len() <= CAPACITY
+            && is_ordered(&self.samples, |sample| sample.time, |one, next| one < next)
+            && self.samples.iter().all(|sample| sample.totals.are_finite());
+        is_sound
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its record of the wheels or the gyro is too long, or out of order"))?;
+        Ok(self)
     }
 
     pub(super) fn clear(&mut self) {

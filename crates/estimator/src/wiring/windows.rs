@@ -9,12 +9,14 @@
 //! Expected standard deviations are generous: faults change signs, or sizes by a factor of two and more.
 
 use posebridge_telemetry::{BrickClock, Fix, SensorId, Timestamp, quantities::wrap_rad};
+use serde::{Deserialize, Serialize};
 
 use super::evidence::{Comparison, Comparisons};
 use super::fault::Hypothesis;
 use super::finding::RatioKind;
 use super::motion_log::MotionLog;
 use super::settings::Settings;
+use crate::saved::{finite, not_negative};
 
 /// A fix is believed to be this good at least, however large the covariance that it brings: that may be in millimetres.
 const MAX_FIX_SIGMA_M: f64 = 0.2;
@@ -98,15 +100,19 @@ fn wheel_variance(hypothesis: &Hypothesis, settings: &Settings, radius_m: f64) -
 }
 
 /// A fix as the detector keeps it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct FixPoint {
     pub(super) time: Timestamp<BrickClock>,
     pub(super) sensor: SensorId,
     pub(super) reset_counter: u8,
+    #[serde(deserialize_with = "not_negative")]
     pub(super) sigma_m: f64,
+    #[serde(deserialize_with = "finite")]
     position_m: [f64; 2],
     /// With its standard deviation.
+    #[serde(deserialize_with = "finite")]
     heading_rad: Option<[f64; 2]>,
+    #[serde(deserialize_with = "finite")]
     lever_m: [f64; 2],
 }
 
@@ -141,11 +147,14 @@ pub(super) struct Segment {
 }
 
 /// Motion by the wheels over a segment, under one hypothesis.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct SegmentMotion {
     /// Displacement of the tag in the body's frame at the start.
+    #[serde(deserialize_with = "finite")]
     chord_m: [f64; 2],
+    #[serde(deserialize_with = "finite")]
     turn_rad: f64,
+    #[serde(deserialize_with = "finite")]
     length_m: f64,
 }
 
@@ -326,8 +335,9 @@ impl PreviousMotion {
 }
 
 /// The segment before this one, with its motion under each hypothesis.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct PreviousSegment {
+    #[serde(deserialize_with = "finite")]
     seen_m: [f64; 2],
     without_fault: SegmentMotion,
     with_fault: [SegmentMotion; super::fault::WiringFault::ALL.len()],

@@ -23,6 +23,7 @@ mod paper1_order;
 mod properties;
 mod range;
 mod robustness;
+mod saved;
 mod smoother;
 mod smoother_oracle;
 mod support;

@@ -1,6 +1,6 @@
 //! The scoring of drives with known truth: a toy estimator with a known error gives the known figures.
 
-use posebridge_estimator::Filter;
+use posebridge_estimator::{Filter, RestoreError};
 use posebridge_lab::accuracy::{FilterScore, ObservationArrival, ReferenceDrive, score};
 use posebridge_report::{Consistency, TimedPose};
 use posebridge_telemetry::{
@@ -34,6 +34,14 @@ impl Filter for ToyFilter {
     fn set_pose(&mut self, start: &StartPose) -> FusionOutcome {
         self.pose = start.pose;
         FusionOutcome::PoseReset
+    }
+
+    fn save(&self) -> Vec<u8> {
+        Vec::new()
+    }
+
+    fn restore(&mut self, _saved: &[u8]) -> Result<(), RestoreError> {
+        Err(RestoreError::Unsupported)
     }
 
     fn restart_clock(&mut self) {}
@@ -170,6 +178,14 @@ impl Filter for StubbornFilter {
         };
         self.toy.pose = pose(fix.position.x.0, 0.0, 3.1);
         FusionRecord { outcome, ..record }
+    }
+
+    fn save(&self) -> Vec<u8> {
+        Vec::new()
+    }
+
+    fn restore(&mut self, _saved: &[u8]) -> Result<(), RestoreError> {
+        Err(RestoreError::Unsupported)
     }
 
     fn restart_clock(&mut self) {}

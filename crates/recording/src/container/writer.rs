@@ -166,6 +166,7 @@ impl<W: Write> RecordingWriter<W> {
             | Input::Link { .. }
             | Input::PeerAddress { .. }
             | Input::Observation(_)
+            | Input::Ownership { .. }
             | Input::Report { .. }
             | Input::Tick => None,
         };

@@ -10,7 +10,7 @@ use posebridge_recording::container::{
 };
 use posebridge_telemetry::{
     Address, Command, Heading, HostClock, Input, LinkCounts, LinkId, LinkState, Meters, Observation, ObservationKind,
-    ParameterName, PeerId, Pose, Radians, RobotId, SensorId, TimeDelta, Timestamp,
+    Ownership, ParameterName, PeerId, Pose, Radians, RobotId, RobotSnapshot, SensorId, TimeDelta, Timestamp,
 };
 
 use crate::MemoryFile;
@@ -42,6 +42,8 @@ fn every_kind() -> Vec<Input> {
         })
     };
     let link = LinkId(u16::MAX);
+    let owned = |link, ownership| Input::Ownership { robot: RobotId { link, address: Address::new(7, 1) }, ownership };
+    let snapshot = RobotSnapshot { bytes: vec![0, 255, 4], clock_offset: TimeDelta::from_nanos(-5) };
     vec![
         observation(ObservationKind::WheelAngles { left: Radians(-1e6), right: Radians(0.5) }),
         observation(ObservationKind::OdometerPose(Pose::new(Meters(0.0), Meters(-0.0), Heading::from_rad(-3.0)))),
@@ -56,6 +58,9 @@ fn every_kind() -> Vec<Input> {
         Input::Command(set_pose),
         Input::Command(Command::SetParameter { name: ParameterName::from_bytes(b"gate_prob"), value: 0.9 }),
         Input::RobotCommand { robot: RobotId { link, address: Address::new(7, 1) }, command: set_pose },
+        owned(link, Ownership::Standby { epoch: u64::MAX }),
+        owned(link, Ownership::Owner { epoch: 1, state: None }),
+        owned(link, Ownership::Owner { epoch: 2, state: Some(snapshot) }),
         Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
     ]

@@ -2,9 +2,9 @@
 
 use posebridge_recording::container::RecordingReader;
 use posebridge_telemetry::{
-    Address, Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, ObservationKind, ParameterName,
-    PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, SensorId, SimulatorCommand,
-    SlippingWheel, TimeDelta, Timestamp,
+    Address, Command, Fix, Heading, Input, LandmarkId, LinkId, Meters, Observation, ObservationKind, Ownership,
+    ParameterName, PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId, RobotSnapshot,
+    SensorId, SimulatorCommand, SlippingWheel, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 
@@ -88,6 +88,14 @@ fn any_input() -> impl Strategy<Value = Input> {
         (any_f64(), any::<i64>(), 0_u8..6).prop_map(|(number, nanos, kind)| {
             Input::Command(Command::Simulator(simulator_command(number, nanos, kind)))
         }),
+        (any::<u16>(), any::<u64>(), any::<i64>(), proptest::option::of(prop::collection::vec(any::<u8>(), 0..200)))
+            .prop_map(|(link, epoch, nanos, bytes)| {
+                let clock_offset = TimeDelta::from_nanos(nanos);
+                let state = bytes.map(|bytes| RobotSnapshot { bytes, clock_offset });
+                let is_owner = state.is_some() || epoch % 2 == 0;
+                let ownership = if is_owner { Ownership::Owner { epoch, state } } else { Ownership::Standby { epoch } };
+                Input::Ownership { robot: RobotId { link: LinkId(link), address: Address::new(1, 1) }, ownership }
+            }),
         (any_f64(), any_f64(), any_heading(), proptest::option::of((any::<u16>(), any::<u8>()))).prop_map(
             |(x, y, heading, robot)| {
                 let command = Command::SetPose {

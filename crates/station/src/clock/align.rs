@@ -1,12 +1,16 @@
 //! Alignment of one remote clock with the host's: stamps in, instants with their uncertainty out.
 
+use posebridge_estimator::RestoreError;
+use posebridge_estimator::saved::finite;
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
+use serde::{Deserialize, Serialize};
 
 use super::Endpoint;
-use super::bounds::{ClockBounds, LinearOffset};
+use super::bounds::{ClockBounds, LinearOffset, SavedBounds};
 use super::conversion::ClockConversion;
 use super::unwrap::{UnwrapOutcome, Unwrapper};
+use crate::host_times::ShiftHostTimes;
 
 /// Assumed smallest delay of a link whose far end never replies, s: half of a Bluetooth link's usual round trip.
 const ONE_WAY_DELAY_S: f64 = 0.010;
@@ -73,6 +77,33 @@ struct ClockPoint {
     host_s: f64,
 }
 
+/// An alignment as it is kept elsewhere.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(bound = "")]
+pub struct SavedAligner<C: Clock> {
+    unwrapper: Unwrapper,
+    bounds: SavedBounds,
+    origin: Option<(Timestamp<C>, Timestamp<HostClock>)>,
+    linear_offset: Option<LinearOffset>,
+    conversion: ClockConversion,
+    #[serde(deserialize_with = "finite")]
+    latest_s: f64,
+    answers: u32,
+    round_trip: Option<TimeDelta>,
+    step_micros: u64,
+    is_contradicted: bool,
+}
+
+impl<C: Clock> ShiftHostTimes for SavedAligner<C> {
+    /// All but these is relative to the origin.
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        self.unwrapper.shift_host_times(by);
+        if let Some((_, host)) = &mut self.origin {
+            host.shift_host_times(by);
+        }
+    }
+}
+
 impl<C: Clock> Default for ClockAligner<C> {
     fn default() -> Self {
         Self {
@@ -91,6 +122,40 @@ impl<C: Clock> Default for ClockAligner<C> {
 }
 
 impl<C: Clock> ClockAligner<C> {
+    /// Stamps of several endpoints are kept by the numbers that these have here. To a station where the numbers mean others, or nothing, an
+    /// endpoint is a new one of a clock that it knows.
+    pub fn save(&self) -> SavedAligner<C> {
+        SavedAligner {
+            unwrapper: self.unwrapper.clone(),
+            bounds: self.bounds.save(),
+            origin: self.origin,
+            linear_offset: self.linear_offset,
+            conversion: self.conversion.clone(),
+            latest_s: self.latest_s,
+            answers: self.answers,
+            round_trip: self.round_trip,
+            step_micros: self.step_micros,
+            is_contradicted: self.is_contradicted,
+        }
+    }
+
+    pub fn restored(saved: SavedAligner<C>) -> Result<Self, RestoreError> {
+        saved.unwrapper.check()?;
+        saved.conversion.check()?;
+        Ok(Self {
+            unwrapper: saved.unwrapper,
+            bounds: ClockBounds::restored(saved.bounds)?,
+            origin: saved.origin,
+            linear_offset: saved.linear_offset,
+            conversion: saved.conversion,
+            latest_s: saved.latest_s,
+            answers: saved.answers,
+            round_trip: saved.round_trip,
+            step_micros: saved.step_micros,
+            is_contradicted: saved.is_contradicted,
+        })
+    }
+
     /// Records the arrival of a message with this stamp from `endpoint`.
     pub fn observe_arrival(
         &mut self,

@@ -18,8 +18,12 @@
 //! Sources: convex hulls for one-way delays: Zhang, Liu, Xia (2002); both sides with error bounds: TICSync (2011);
 //! docs/maths/clock.md, sections 2 and 3.
 
+use posebridge_estimator::RestoreError;
+use posebridge_estimator::saved::finite;
+use serde::{Deserialize, Serialize};
+
 use super::MAX_SKEW;
-use super::hull::{BoundHull, BoundSide, BoundWindow, OffsetBound};
+use super::hull::{BoundHull, BoundSide, BoundWindow, OffsetBound, SavedWindow};
 use super::maximize::{LinearPiece, argmax, nearest_nonnegative};
 
 /// Window of the bounds, s. It balances the effect of the delays' jitter on the line's end, which falls with the
@@ -45,17 +49,22 @@ const CONTRADICTION_S: f64 = 0.020;
 const MAX_PIECES: usize = 2 * MAX_BOUNDS;
 
 /// A tangent to the offset between the bounds, valid near the window's end.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinearOffset {
     /// Remote instant at which `offset_s` holds.
+    #[serde(deserialize_with = "finite")]
     pub at_s: f64,
     /// Host minus remote at `at_s`.
+    #[serde(deserialize_with = "finite")]
     pub offset_s: f64,
     /// Change of the offset per remote second.
+    #[serde(deserialize_with = "finite")]
     pub slope: f64,
     /// Largest deviation of the true offset from `offset_s` at `at_s`.
+    #[serde(deserialize_with = "finite")]
     pub uncertainty_s: f64,
     /// Largest deviation of the true slope from `slope` at `at_s`.
+    #[serde(deserialize_with = "finite")]
     pub slope_uncertainty: f64,
 }
 
@@ -81,6 +90,15 @@ struct CentralOffset {
     margin_s: f64,
 }
 
+/// The bounds within the window, without what follows from them.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SavedBounds {
+    upper: SavedWindow,
+    lower: SavedWindow,
+    #[serde(deserialize_with = "finite")]
+    slope: f64,
+}
+
 /// The bounds within the window.
 #[derive(Clone, Debug)]
 pub struct ClockBounds {
@@ -104,6 +122,20 @@ impl Default for ClockBounds {
 }
 
 impl ClockBounds {
+    pub(super) fn save(&self) -> SavedBounds {
+        // The hulls are made anew for every question.
+        let Self { upper, lower, upper_hull: _, lower_hull: _, slope } = self;
+        SavedBounds { upper: upper.save(), lower: lower.save(), slope: *slope }
+    }
+
+    pub(super) fn restored(saved: SavedBounds) -> Result<Self, RestoreError> {
+        let Self { upper, lower, upper_hull, lower_hull, .. } = Self::default();
+        let SavedBounds { upper: of_upper, lower: of_lower, slope } = saved;
+        let upper = upper.restore(of_upper, MAX_BOUNDS)?;
+        let lower = lower.restore(of_lower, MAX_BOUNDS)?;
+        Ok(Self { upper, lower, upper_hull, lower_hull, slope })
+    }
+
     pub fn add_arrival(&mut self, remote_s: f64, host_s: f64) {
         keep_tightest(&mut self.upper, self.slope, OffsetBound { t_s: remote_s, offset_s: host_s - remote_s });
     }

@@ -15,21 +15,30 @@
 
 use std::collections::VecDeque;
 
+use posebridge_estimator::RestoreError;
+use posebridge_estimator::saved::{finite, is_ordered};
+use serde::{Deserialize, Serialize};
+
 use super::bounds::LinearOffset;
 
 /// Rate at which the conversion turns towards a new line. 15 ms, the first error on a Bluetooth link, are corrected in
 /// 0.3 s, and an interval is wrong by a twentieth meanwhile. The Network Time Protocol uses 500 ppm, but no robot
 /// drives by its clock.
 const SLEW_RATE: f64 = 0.05;
+/// More than any clock and the turn towards its line: beyond -1 time would run backwards.
+const LARGEST_SLOPE: f64 = 0.5;
 /// Two per line; with ten lines per second, the highest configured rate, they reach back 12 s: longer than the delay of
 /// any fix.
 const MAX_KNOTS: usize = 256;
 
 /// From `at_s` on the offset is `offset_s + slope (b - at_s)`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct ConversionKnot {
+    #[serde(deserialize_with = "finite")]
     at_s: f64,
+    #[serde(deserialize_with = "finite")]
     offset_s: f64,
+    #[serde(deserialize_with = "finite")]
     slope: f64,
 }
 
@@ -46,13 +55,20 @@ impl ConversionKnot {
 }
 
 /// A continuous, strictly increasing function from remote to host seconds.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClockConversion {
     /// In the order of time.
     knots: VecDeque<ConversionKnot>,
 }
 
 impl ClockConversion {
+    pub(super) fn check(&self) -> Result<(), RestoreError> {
+        let is_sound = self.knots.len() <= MAX_KNOTS
+            && is_ordered(&self.knots, |knot| knot.at_s, |one, next| one <= next)
+            && self.knots.iter().all(|knot| knot.slope.abs() <= LARGEST_SLOPE);
+        is_sound.then_some(()).ok_or(RestoreError::Implausible("the conversion of its clock has knots that cannot be"))
+    }
+
     /// Follows `line` from the remote instant `from_s` on; earlier values stay. The first line is used without a turn.
     pub fn steer(&mut self, line: &LinearOffset, from_s: f64) {
         let on_line = |at_s: f64| ConversionKnot { at_s, offset_s: line.offset_at(at_s), slope: line.slope };

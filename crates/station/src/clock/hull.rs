@@ -34,6 +34,10 @@
 
 use std::collections::VecDeque;
 
+use posebridge_estimator::RestoreError;
+use posebridge_estimator::saved::finite;
+use serde::{Deserialize, Serialize};
+
 /// The side of the true offset on which the bounds lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BoundSide {
@@ -54,9 +58,11 @@ impl BoundSide {
 }
 
 /// One bound: at the remote instant `t_s` the offset is at most (or at least) `offset_s`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct OffsetBound {
+    #[serde(deserialize_with = "finite")]
     pub(super) t_s: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) offset_s: f64,
 }
 
@@ -146,7 +152,38 @@ struct OlderBound {
     after: usize,
 }
 
+/// The bounds of a window without what follows from them.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct SavedWindow {
+    older: Vec<OffsetBound>,
+    younger: Vec<OffsetBound>,
+    open: Option<OffsetBound>,
+}
+
 impl BoundWindow {
+    pub(super) fn save(&self) -> SavedWindow {
+        let older = self.older.iter().map(|older| older.bound).collect();
+        SavedWindow { older, younger: self.younger.clone(), open: self.open }
+    }
+
+    /// Fills an empty window, of at most `most` bounds, with those of another one.
+    pub(super) fn restore(mut self, saved: SavedWindow, most: usize) -> Result<Self, RestoreError> {
+        let SavedWindow { older, younger, open } = saved;
+        let instants: Vec<f64> = older.iter().chain(&younger).chain(&open).map(|bound| bound.t_s).collect();
+        let is_sound = instants.len() <= most
+            && instants.is_sorted_by(|one, next| one < next)
+            && (open.is_some() || instants.is_empty());
+        is_sound
+            .then_some(())
+            .ok_or(RestoreError::Implausible("the bounds of its clock are too many, or out of order"))?;
+        self.younger.extend(older);
+        self.age_younger();
+        for bound in younger.into_iter().chain(open) {
+            self.append(bound);
+        }
+        Ok(self)
+    }
+
     pub(super) fn new(side: BoundSide, drift_per_s: f64, most: usize) -> Self {
         Self {
             side,

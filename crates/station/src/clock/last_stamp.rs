@@ -2,8 +2,10 @@
 
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::MAX_SKEW;
+use crate::host_times::ShiftHostTimes;
 
 /// Period of a 32-bit microsecond counter.
 pub(super) const PERIOD_MICROS: i64 = 1 << 32;
@@ -21,8 +23,11 @@ const RESTART_AHEAD_THRESHOLD: TimeDelta = TimeDelta::from_millis(1_000);
 /// longer than TCP, whose sender gives up after 924.6 s (Linux, ip-sysctl, tcp_retries2).
 const MAX_DELAY: TimeDelta = TimeDelta::from_millis(924_600);
 
+/// The latest instant that a timestamp of the remote clock can have.
+const MAX_MICROS: u64 = i64::MAX as u64 / 1_000;
+
 /// The last stamp of a clock, or of one of its endpoints.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct LastStamp {
     pub(super) remote_micros: i64,
     pub(super) arrival: Timestamp<HostClock>,
@@ -43,7 +48,19 @@ pub(super) struct PlausibleRange {
     pub(super) latest_micros: i64,
 }
 
+impl ShiftHostTimes for LastStamp {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        self.arrival.shift_host_times(by);
+        self.released.shift_host_times(by);
+    }
+}
+
 impl LastStamp {
+    /// Whether sums of its numbers stay within their range.
+    pub(super) fn is_sound(&self) -> bool {
+        self.remote_micros.unsigned_abs() <= MAX_MICROS
+    }
+
     /// The first stamp of a clock.
     pub(super) const fn first(remote_micros: i64, arrival: Timestamp<HostClock>) -> Self {
         Self { remote_micros, arrival, queue_delay: TimeDelta::ZERO, queue: TimeDelta::ZERO, released: arrival }

@@ -33,11 +33,14 @@
 //! # Sources
 //! docs/maths/clock.md, section 1.
 
+use posebridge_estimator::RestoreError;
 use posebridge_protocol::message::WireStamp;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp, clock::Clock};
+use serde::{Deserialize, Serialize};
 
 use super::Endpoint;
 use super::last_stamp::{LastStamp, micros_of, nearest_instant};
+use crate::host_times::ShiftHostTimes;
 
 /// Most endpoints that are followed; the one that was silent longest is dropped first. No robot is connected by more
 /// links.
@@ -47,7 +50,7 @@ const MAX_TRACKS: usize = 8;
 const ALIVE_WINDOW: TimeDelta = TimeDelta::from_millis(2_000);
 
 /// Unwraps the stamps of one remote clock, from all its endpoints.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Unwrapper {
     latest: Option<LastStamp>,
     tracks: Vec<StampTrack>,
@@ -63,7 +66,7 @@ pub enum UnwrapOutcome<C: Clock> {
     Stale,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct StampTrack {
     endpoint: Endpoint,
     last: LastStamp,
@@ -71,7 +74,7 @@ struct StampTrack {
 }
 
 /// The clock of an endpoint's stamps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 enum TrackStatus {
     Current,
     /// The current clock, with stamps that have been long past since the first one.
@@ -83,7 +86,22 @@ enum TrackStatus {
     },
 }
 
+impl ShiftHostTimes for Unwrapper {
+    fn shift_host_times(&mut self, by: TimeDelta) {
+        self.latest.shift_host_times(by);
+        for track in &mut self.tracks {
+            track.last.shift_host_times(by);
+        }
+    }
+}
+
 impl Unwrapper {
+    pub(super) fn check(&self) -> Result<(), RestoreError> {
+        let mut stamps = self.tracks.iter().map(|track| &track.last).chain(&self.latest);
+        let is_sound = self.tracks.len() <= MAX_TRACKS && stamps.all(LastStamp::is_sound);
+        is_sound.then_some(()).ok_or(RestoreError::Implausible("a timestamp of its clock is beyond all times"))
+    }
+
     /// The instant of a stamp that arrived from `endpoint` at `arrival`.
     pub fn unwrap<C: Clock>(
         &mut self,

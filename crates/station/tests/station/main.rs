@@ -27,6 +27,7 @@ mod several_robots;
 mod signing;
 mod strangers;
 mod support;
+mod takeover;
 mod thermometers;
 mod vehicle_requests;
 mod vehicle_status;

@@ -96,6 +96,7 @@ mod tests {
             fix_age: None,
             reset_counter: 3,
             flags: PoseFlags { position_valid: true, heading_valid: true, ..PoseFlags::default() },
+            epoch: 0,
         }
     }
 

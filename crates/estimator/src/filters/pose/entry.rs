@@ -3,13 +3,16 @@
 use std::cmp::Ordering;
 
 use posebridge_telemetry::{BrickClock, Fix, FusionOutcome, Heading, ObservationKind, SensorId, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use super::relocalize::StateCommand;
 use crate::history::HistoryEntry;
 use crate::models::planar_speeds::Acceleration;
 use crate::motion::MotionReading;
+use crate::saved::Numbers;
+use crate::validation;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum UpdateKind {
     TurnRate(f64),
     Accelerations(Acceleration),
@@ -19,7 +22,7 @@ pub(super) enum UpdateKind {
     Command(StateCommand),
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct PoseEntry {
     pub(super) stamp: Timestamp<BrickClock>,
     pub(super) sensor: SensorId,
@@ -27,6 +30,20 @@ pub(super) struct PoseEntry {
 }
 
 impl PoseEntry {
+    /// Whether it is what the filter might have made of an observation or a command.
+    pub(super) fn is_valid(&self) -> bool {
+        match &self.update {
+            UpdateKind::TurnRate(rate) => rate.are_finite(),
+            UpdateKind::Absolute(observation, sigma) => validation::is_finite(observation) && *sigma >= TimeDelta::ZERO,
+            UpdateKind::Command(StateCommand::SetPose(start)) => validation::is_valid_start(start),
+            UpdateKind::Accelerations(_)
+            | UpdateKind::Motion(_)
+            | UpdateKind::Command(
+                StateCommand::ResetPose | StateCommand::SetOnlineCalibration(_) | StateCommand::ResetCalibration,
+            ) => true,
+        }
+    }
+
     /// Order of the updates of one instant, so that the order of arrival does not matter. Commands come last, in the order given.
     const fn rank(&self) -> u8 {
         match self.update {

@@ -25,20 +25,22 @@ use posebridge_telemetry::{
     BrickClock, Calibration, DriveGeometry, Estimate, FusionOutcome, FusionRecord, MissingObservation, Observation,
     ObservationKind, SensorId, StartPose, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use self::absolute_update::MAX_DELAY;
 use self::context::UpdateContext;
 use self::entry::{PoseEntry, UpdateKind};
 use self::layout::{CORE_STATES, FORWARD, HEADING, LARGE_STATES, LEFT, MEDIUM_STATES, SMALL_STATES, StateLayout};
-use self::recent_ranges::{BeaconRange, WINDOWS};
+use self::recent_ranges::{BeaconRange, RecentRanges, WINDOWS};
 use self::relocalize::StateCommand;
 use self::state::{PoseBlock, PoseState, arena_pose};
 use crate::filter::{Filter, FilterCommand, FilterConfig};
-use crate::history::FixedLagHistory;
+use crate::history::{FixedLagHistory, SavedHistory};
 use crate::models::lie::Se2;
 use crate::models::planar_speeds::Acceleration;
-use crate::motion::{InsertOutcome, MotionReading};
+use crate::motion::{GyroTrack, InsertOutcome, MotionReading, SavedTrack};
 use crate::observations::StateTerm;
+use crate::saved::{self, Numbers, RestoreError};
 use crate::tracking::PublishedState;
 use crate::update::preview_scalar;
 use crate::validation;
@@ -64,6 +66,33 @@ pub struct PoseFilter<const N: usize> {
     history: FixedLagHistory<PoseEntry, PoseState<N>>,
     /// Up to this instant, detected slip has been reported.
     slip_reported_at: Option<Timestamp<BrickClock>>,
+}
+
+/// A pose filter without its configuration.
+#[derive(Serialize, Deserialize)]
+struct SavedPoseFilter<const N: usize> {
+    track: SavedTrack,
+    gyro: GyroTrack,
+    ranges: RecentRanges,
+    history: SavedHistory<PoseEntry, PoseState<N>>,
+    slip_reported_at: Option<Timestamp<BrickClock>>,
+}
+
+impl<const N: usize> SavedPoseFilter<N> {
+    fn check(&self) -> Result<(), RestoreError> {
+        let Self { track: _, gyro, ranges, history, slip_reported_at: _ } = self;
+        gyro.are_finite().then_some(()).ok_or(RestoreError::Implausible("a rate of its gyro is not finite"))?;
+        ranges
+            .are_in_order()
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its ranges are too many, or out of order"))?;
+        (history.entries.iter().all(PoseEntry::is_valid))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("an observation in it has numbers that cannot be"))?;
+        let first = history.entries.front().map(|entry| entry.stamp);
+        let begins_before = history.base.stamp.is_none_or(|base| first.is_none_or(|first| base <= first));
+        begins_before.then_some(()).ok_or(RestoreError::Implausible("its observations are from before its beginning"))
+    }
 }
 
 impl<const N: usize> PoseFilter<N> {
@@ -200,6 +229,38 @@ impl<const N: usize> Filter for PoseFilter<N> {
         FusionOutcome::Accepted
     }
 
+    fn save(&self) -> Vec<u8> {
+        let Self { context, history, slip_reported_at } = self;
+        let UpdateContext { config: _, layout: _, track, gyro, ranges, .. } = context;
+        saved::to_bytes(&SavedPoseFilter {
+            track: track.save(),
+            gyro: gyro.clone(),
+            ranges: ranges.clone(),
+            history: history.save(|before, after, entry| replay_entry(before, after, entry, context)),
+            slip_reported_at: *slip_reported_at,
+        })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let saved: SavedPoseFilter<N> = saved::from_bytes(saved)?;
+        saved.check()?;
+        let SavedPoseFilter { track, gyro, ranges, history, slip_reported_at } = saved;
+        let mut context = UpdateContext::new(&self.context.config, N);
+        context.track = context.track.with_saved(track);
+        context.gyro = gyro;
+        context.ranges = ranges;
+        let history = FixedLagHistory::restored(history, |before, after, entry| {
+            replay_entry(before, after, entry, &context);
+        })?;
+        let restored = Self { context, history, slip_reported_at };
+        let latest = restored.latest_time().and_then(|latest| restored.estimate_at(latest));
+        (latest.is_none_or(|latest| latest.is_finite()))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("its estimate is not finite"))?;
+        *self = restored;
+        Ok(())
+    }
+
     fn restart_clock(&mut self) {
         let mut state = *self.state();
         state.restart_clock(&PoseState::initial(&self.context.config, &self.context.layout));
@@ -268,6 +329,16 @@ fn apply_entry<const N: usize>(
     if entry.is_without_effect(record.outcome) {
         *after = before.after_rejection(after);
     }
+}
+
+/// Applies an entry again.
+fn replay_entry<const N: usize>(
+    before: &PoseState<N>,
+    after: &mut PoseState<N>,
+    entry: &PoseEntry,
+    context: &UpdateContext,
+) {
+    apply_entry(before, after, entry, context, &mut scratch_record(entry));
 }
 
 fn apply_update<const N: usize>(

@@ -12,6 +12,9 @@
 //! Source: docs/maths/pose.md section 6; Robbins and Monro (1951) for quantiles by stochastic approximation.
 
 use posebridge_telemetry::SensorId;
+use serde::{Deserialize, Serialize};
+
+use crate::saved::{finite, not_nan};
 
 /// Most sources with a learned scale; further ones keep their configured noise.
 const MAX_SOURCES: usize = 8;
@@ -27,7 +30,7 @@ const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_573;
 const FIRST_GAIN: f64 = 2.33;
 
 /// One source: a group of components of one kind of observation by one sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NoiseSource {
     pub sensor: SensorId,
     /// The number of its kind, see `entry`.
@@ -36,7 +39,7 @@ pub struct NoiseSource {
 }
 
 /// Components of an observation with the same noise.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NoiseGroup {
     /// Both coordinates of a position.
     Position,
@@ -51,17 +54,19 @@ impl NoiseGroup {
     pub const ALL: [Self; 4] = [Self::Position, Self::Range, Self::Heading, Self::Bearing];
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct NoiseScale {
     source: NoiseSource,
+    #[serde(deserialize_with = "finite")]
     ln_factor: f64,
     count: u32,
     /// The path of the wheels at the last look that counted.
+    #[serde(deserialize_with = "not_nan")]
     counted_at_m: f64,
 }
 
 /// The scales of all sources.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NoiseScales {
     slots: [Option<NoiseScale>; MAX_SOURCES],
 }
@@ -106,7 +111,7 @@ pub fn scale_vote(innovation: f64, s: f64, noise: f64) -> f64 {
 const MAX_OBSERVERS: usize = 8;
 
 /// The reset counters of all observers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ObserverFrames {
     counters: [Option<(SensorId, u8)>; MAX_OBSERVERS],
 }

@@ -3,8 +3,10 @@
 use std::collections::VecDeque;
 
 use posebridge_telemetry::{BeaconId, BrickClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::motion::count_before;
+use crate::saved::{is_ordered, not_negative};
 
 /// A pose is sought from the ranges of the shorter time first: the robot may have been carried before.
 pub const WINDOWS: [TimeDelta; 2] = [TimeDelta::from_millis(2_500), TimeDelta::from_millis(8_000)];
@@ -14,20 +16,25 @@ const MIN_INTERVAL: TimeDelta = TimeDelta::from_millis(200);
 const MAX_RANGES: usize = 64;
 
 /// A range as it was measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BeaconRange {
     pub stamp: Timestamp<BrickClock>,
     pub beacon: BeaconId,
+    #[serde(deserialize_with = "not_negative")]
     pub range_m: f64,
 }
 
 /// The ranges of the last seconds in the order of time, whatever order they came in.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RecentRanges {
     ranges: VecDeque<BeaconRange>,
 }
 
 impl RecentRanges {
+    pub(super) fn are_in_order(&self) -> bool {
+        is_ordered(&self.ranges, |range| (range.stamp, range.beacon), |one, next| one <= next)
+    }
+
     pub fn insert(&mut self, range: BeaconRange) {
         let is_before = |other: &BeaconRange| {
             let key = |range: &BeaconRange| (range.stamp, range.beacon);

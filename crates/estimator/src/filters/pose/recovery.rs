@@ -25,9 +25,11 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use posebridge_telemetry::{BrickClock, SensorId, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::models::lie::Se2;
 use crate::observations::ObservationModel;
+use crate::saved::{covariance, not_nan};
 use crate::update::nis_and_log_likelihood;
 
 /// Most alternatives beside the believed pose.
@@ -57,19 +59,22 @@ const DROP_MARGIN: f64 = 4.0;
 pub const PUT_DOWN: TimeDelta = TimeDelta::from_millis(300);
 
 /// A pose that observations speak for.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Alternative {
     /// T: the alternative pose is T X.
     from_believed: Se2,
     /// Of the pose's error in the body at the last observation that agreed: forward, left, turn.
+    #[serde(deserialize_with = "covariance")]
     covariance: Matrix3<f64>,
     /// Unknown where fixes tell positions only: the heading of `from_believed` means nothing then.
     pub is_heading_known: bool,
     /// The sensor that spoke for it first.
     pub sensor: SensorId,
+    #[serde(deserialize_with = "not_nan")]
     pub ln_odds: f64,
     /// Number of observations that agree with it.
     pub agreements: u32,
+    #[serde(deserialize_with = "not_nan")]
     first_ln_odds: f64,
     /// Of the last observation that agreed.
     latest: Timestamp<BrickClock>,
@@ -153,7 +158,7 @@ fn with_outliers(ln_density: f64, ln_anything: f64) -> f64 {
 }
 
 /// The alternatives to the believed pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AlternativeBank {
     alternatives: [Option<Alternative>; MAX_ALTERNATIVES],
 }
@@ -272,7 +277,7 @@ impl Alternative {
         }
         if explains {
             // A direction or a distance alone agrees with too many poses.
-            self.agreements += u32::from(is_own_sensor || M >= 2);
+            self.agreements = self.agreements.saturating_add(u32::from(is_own_sensor || M >= 2));
             self.latest = evidence.stamp;
             self.from_believed = explanation.pose.compose(evidence.believed.inverse());
             self.covariance = explanation.covariance;

@@ -14,6 +14,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, SMatrix, SVector};
 use posebridge_telemetry::{FusionOutcome, Heading, Meters, OnlineCalibration, Point2, ResetCause, StartPose};
+use serde::{Deserialize, Serialize};
 
 use super::context::UpdateContext;
 use super::layout::{FORWARD, GYRO_BIAS, HEADING, LEFT, StateLayout};
@@ -119,7 +120,7 @@ fn set_covariance_from_fix<const N: usize>(
 // zero. Their variances are kept aside and come back when they are learned again; what they had in common with other rows is lost.
 // Source: docs/maths/pose.md section 8.
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum StateCommand {
     SetPose(StartPose),
     /// The pose is unknown until the next fix.

@@ -3,8 +3,10 @@
 use nalgebra::Matrix3;
 use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{BrickClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::models::lie::Se2;
+use crate::saved::{finite, not_negative};
 
 /// Number of sightings that are kept, of different landmarks.
 const KEPT: usize = 3;
@@ -16,18 +18,21 @@ const MIN_BASELINE_M: f64 = 0.3;
 const MAX_MISMATCH_SIGMAS: f64 = 3.5;
 
 /// A landmark that was sighted.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sighting {
     /// In the map, m.
+    #[serde(deserialize_with = "finite")]
     pub landmark: [f64; 2],
     /// Where it would be if the believed pose were right, m: that does not change while the body moves, only while the pose is corrected.
+    #[serde(deserialize_with = "finite")]
     pub seen: [f64; 2],
     /// Variance of each coordinate of `seen`.
+    #[serde(deserialize_with = "not_negative")]
     pub variance_m2: f64,
     pub stamp: Timestamp<BrickClock>,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RecentSightings {
     kept: [Option<Sighting>; KEPT],
 }

@@ -17,6 +17,7 @@ use posebridge_telemetry::quantities::wrap_rad;
 use posebridge_telemetry::{
     Arena, BrickClock, Calibration, Heading, Meters, Pose, ResetCause, StartPose, TimeDelta, Timestamp, UncertainValue,
 };
+use serde::{Deserialize, Serialize};
 
 use super::layout::{
     BACKLASH, DIFFERENCE, FORWARD, GYRO_BIAS, GYRO_SCALE, HEADING, LEFT, MAX_BEACONS, RADIUS, ROUNDING, StateLayout,
@@ -30,6 +31,7 @@ use crate::models::lie::Se2;
 use crate::observations::gyro_window::{GyroWindow, GyroWindowModel, rounding_variance};
 use crate::observations::speed::Speed;
 use crate::observations::{PoseView, StateTerm};
+use crate::saved::{covariance, finite, not_negative};
 use crate::tracking::TrackingStatus;
 use crate::update::ScalarMeasurement;
 use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M};
@@ -41,7 +43,7 @@ const HEADING_KNOWN_SIGMA_RAD: f64 = 0.5;
 pub(super) type PoseBlock = [[f64; 3]; 3];
 
 /// When the encoder counts changed, and the intervals between: distinguishes a robot at rest from one that creeps.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TickActivity {
     /// The last reading with a changed count.
     pub changed_at: Option<Timestamp<BrickClock>>,
@@ -68,18 +70,19 @@ impl TickActivity {
 }
 
 /// Gyro windows one after the other in which gyro and wheels contradict each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Slip {
     /// The end of the last one.
     pub until: Timestamp<BrickClock>,
     /// By how much the gyro turned more than the wheels in all of them, beyond chance, rad.
+    #[serde(deserialize_with = "finite")]
     pub turned_rad: f64,
     /// Whether both wheels stood all the time.
     pub wheels_stood: bool,
 }
 
 /// What says that the robot moves.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionEvidence {
     /// A motion reading was ever used: from then on others know a pose of this robot.
     pub has_been_heard: bool,
@@ -88,7 +91,7 @@ pub struct MotionEvidence {
 }
 
 /// Everything that a replay must restore.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseState<const N: usize> {
     /// The instant for which it holds; `None` before the first observation.
     pub stamp: Option<Timestamp<BrickClock>>,
@@ -96,7 +99,9 @@ pub struct PoseState<const N: usize> {
     pub speeds_predicted_to: Option<Timestamp<BrickClock>>,
     pub pose: Se2,
     /// The other states, each in its row; the pose's rows are zero between updates.
+    #[serde(deserialize_with = "finite")]
     pub mean: SVector<f64, N>,
+    #[serde(deserialize_with = "covariance")]
     pub covariance: SMatrix<f64, N, N>,
     /// Kept outside the covariance matrix: speeds predict, and wheels and gyro observe them.
     pub forward: Speed,
@@ -111,6 +116,7 @@ pub struct PoseState<const N: usize> {
     pub slip: Option<Slip>,
     pub last_acceleration: Option<Timestamp<BrickClock>>,
     /// The path of the faster wheel since power-up.
+    #[serde(deserialize_with = "not_negative")]
     pub wheel_path_m: f64,
     /// The latest instant at which the robot was carried: its gyro turned while its wheels stood.
     pub carried_at: Option<Timestamp<BrickClock>>,
@@ -122,6 +128,7 @@ pub struct PoseState<const N: usize> {
     pub observer_frames: ObserverFrames,
     /// While the constants are frozen: their variances before, each in its row; those of the covariance are zero
     /// meanwhile.
+    #[serde(deserialize_with = "finite")]
     pub frozen_variances: Option<SVector<f64, N>>,
 }
 

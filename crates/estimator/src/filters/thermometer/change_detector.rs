@@ -10,6 +10,10 @@
 //!
 //! Source: Page (1954), the cumulative sum test.
 
+use serde::{Deserialize, Serialize};
+
+use crate::saved::not_negative;
+
 /// A reading further from the expected one, in sigmas, is not used and counts as this far.
 const GATE: f64 = 5.0;
 /// Deviation, in sigmas, that does not add to the sums.
@@ -34,20 +38,25 @@ pub enum ReadingClass {
     },
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct ChangeDetector {
+    #[serde(deserialize_with = "not_negative")]
     above: f64,
+    #[serde(deserialize_with = "not_negative")]
     below: f64,
+    #[serde(deserialize_with = "not_negative")]
     squares: f64,
     /// Number of readings, as far as they are not forgotten.
+    #[serde(deserialize_with = "not_negative")]
     weight: f64,
     /// The readings since each sum was last zero.
     runs: [DeviatingRun; 2],
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 struct DeviatingRun {
     readings: usize,
+    #[serde(deserialize_with = "not_negative")]
     squares: f64,
 }
 
@@ -67,7 +76,7 @@ impl ChangeDetector {
         self.weight = retention * self.weight + 1.0;
         for (sum, run) in [self.above, self.below].into_iter().zip(&mut self.runs) {
             if sum > 0.0 {
-                run.readings += 1;
+                run.readings = run.readings.saturating_add(1);
                 run.squares += (counted * scale).powi(2);
             } else {
                 *run = DeviatingRun::default();

@@ -15,10 +15,12 @@
 use std::collections::VecDeque;
 
 use posebridge_telemetry::estimate::NORMAL_95;
+use serde::{Deserialize, Serialize};
 
 use super::change_detector::{ChangeDetector, ReadingClass};
 use super::filter_bank::{FilterBank, MeanVariance, StepStart};
 use crate::models::slow_sensor::{SensorDynamics, SlowLag};
+use crate::saved::{RestoreError, finite};
 
 /// A new step is found with this number of readings; a model that does not fit, with more. After that the needed part of a
 /// lag doubles, until the sensor has settled.
@@ -48,9 +50,11 @@ const MAX_BOUND_SIGMAS: f64 = 4.0;
 /// Largest ratio of the observed and the expected standard deviation of the innovations.
 const MAX_INFLATION: f64 = 2.0;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct TimedReading {
+    #[serde(deserialize_with = "finite")]
     at_s: f64,
+    #[serde(deserialize_with = "finite")]
     value: f64,
     /// Not used, but perhaps the first of a step.
     is_outlier: bool,
@@ -68,9 +72,10 @@ pub struct EndPredictor {
     misfits: i32,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Approach {
     bank: FilterBank,
+    #[serde(deserialize_with = "finite")]
     started_at_s: f64,
     /// Number of the latest readings of which nothing was left of the step.
     settled_readings: usize,
@@ -84,7 +89,35 @@ pub struct ReadingReport {
     pub expected: Option<MeanVariance>,
 }
 
+/// A predictor without what is known of its sensor.
+#[derive(Serialize, Deserialize)]
+pub(super) struct SavedPredictor {
+    change_detector: ChangeDetector,
+    recent: VecDeque<TimedReading>,
+    approach: Option<Approach>,
+    misfits: i32,
+}
+
 impl EndPredictor {
+    pub(super) fn saved(&self) -> SavedPredictor {
+        let Self { dynamics: _, sigma: _, change_detector, recent, approach, misfits } = self;
+        let (recent, approach) = (recent.clone(), approach.clone());
+        SavedPredictor { change_detector: *change_detector, recent, approach, misfits: *misfits }
+    }
+
+    /// This predictor with what another one of the same sensor has seen.
+    pub(super) fn with_saved(&self, saved: SavedPredictor) -> Result<Self, RestoreError> {
+        let SavedPredictor { change_detector, recent, approach, misfits } = saved;
+        (recent.len() <= REST_READINGS)
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a thermometer in it has too many readings"))?;
+        let is_sound = approach.as_ref().is_none_or(|approach| approach.bank.is_sound() && !recent.is_empty());
+        (is_sound && (0..=MAX_MISFITS).contains(&misfits))
+            .then_some(())
+            .ok_or(RestoreError::Implausible("a thermometer in it has numbers that cannot be"))?;
+        Ok(Self { dynamics: self.dynamics, sigma: self.sigma, change_detector, recent, approach, misfits })
+    }
+
     /// `sigma` is the noise of a reading, with what rounding adds; positive, in the unit of the readings.
     pub fn new(dynamics: SensorDynamics, sigma: f64) -> Self {
         Self {
@@ -180,7 +213,7 @@ impl EndPredictor {
         let bank = &mut approach.bank;
         bank.update(value, noise_variance);
         let is_settled = bank.elapsed_lags() > SETTLED_LAGS && bank.remainder().abs() < SETTLED_SIGMAS * self.sigma;
-        approach.settled_readings = if is_settled { approach.settled_readings + 1 } else { 0 };
+        approach.settled_readings = if is_settled { approach.settled_readings.saturating_add(1) } else { 0 };
         // Older readings are still those of the step.
         let (settled_readings, is_lost) = (approach.settled_readings, bank.is_empty());
         if is_lost || settled_readings >= MIN_REST_READINGS {

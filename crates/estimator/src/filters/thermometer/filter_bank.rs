@@ -20,8 +20,10 @@
 //! Source: Paper 2 (Markovsky) for a given sensor; Magill (1965) for the bank; docs/lab/thermometer.md, section M7.
 
 use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
 
 use crate::models::slow_sensor::{LogNormal, MIN_LAG_RATIO, SensorDynamics, SlowLag};
+use crate::saved::{covariance, finite, not_nan};
 use crate::update::{ScalarMeasurement, use_scalar};
 
 const STATES: usize = 5;
@@ -75,30 +77,40 @@ pub(super) struct StepStart {
     pub(super) duration_s: f64,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct FilterBank {
     members: Vec<Member>,
     drift: Drift,
+    #[serde(deserialize_with = "finite")]
     level: f64,
+    #[serde(deserialize_with = "finite")]
     elapsed_s: f64,
 }
 
 /// The hypothesis that the reading changes without an end.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Drift {
     /// Reading and slope per second.
+    #[serde(deserialize_with = "finite")]
     mean: SVector<f64, 2>,
+    #[serde(deserialize_with = "covariance")]
     covariance: SMatrix<f64, 2, 2>,
+    #[serde(deserialize_with = "not_nan")]
     ln_weight: f64,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Member {
+    #[serde(deserialize_with = "finite")]
     rates_per_s: [f64; 2],
     /// q.
+    #[serde(deserialize_with = "finite")]
     rate_walk: f64,
+    #[serde(deserialize_with = "finite")]
     mean: SVector<f64, STATES>,
+    #[serde(deserialize_with = "covariance")]
     covariance: SMatrix<f64, STATES, STATES>,
+    #[serde(deserialize_with = "not_nan")]
     ln_weight: f64,
 }
 
@@ -121,7 +133,15 @@ struct Nodes {
     distance: f64,
 }
 
+/// Most members of a bank: those of a sensor of which nothing is known.
+pub(super) const MAX_MEMBERS: usize = 4_096;
+
 impl FilterBank {
+    /// Whether a bank may have these members.
+    pub(super) fn is_sound(&self) -> bool {
+        !self.members.is_empty() && self.members.len() <= MAX_MEMBERS
+    }
+
     /// At the last instant of rest. `sigma` is the noise of a reading.
     pub(super) fn new(dynamics: &SensorDynamics, start: &StepStart, sigma: f64) -> Self {
         let change = start.change.abs().max(MIN_CHANGE_SIGMAS * sigma);

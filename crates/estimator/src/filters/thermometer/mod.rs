@@ -13,15 +13,18 @@ mod filter_bank;
 use posebridge_telemetry::{
     BrickClock, FusionOutcome, FusionRecord, Observation, ObservationKind, ScalarEstimate, SensorId, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use self::change_detector::ChangeDetector;
 pub use self::change_detector::ReadingClass;
+use self::end_predictor::SavedPredictor;
 pub use self::end_predictor::{EndPredictor, ReadingReport};
 pub use self::filter_bank::MeanVariance;
-use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter};
+use super::dynamic::{DEFAULT_SIGMA_K, DynamicFilter, SavedDynamic};
 use crate::filter::{Filter, FilterConfig};
 use crate::models::dynamic_measurement::DynamicModel;
 use crate::models::slow_sensor::SensorDynamics;
+use crate::saved::{self, RestoreError};
 use crate::update::{ScalarOutcome, UpdateOutcome};
 use crate::validation::{self, MAX_AHEAD, add_innovation};
 
@@ -71,6 +74,21 @@ enum ThermometerModel {
 struct ExactThermometer {
     filter: DynamicFilter,
     change_detector: ChangeDetector,
+}
+
+/// A thermometer without its settings.
+#[derive(Serialize, Deserialize)]
+struct SavedThermometer {
+    model: SavedModel,
+    newest: Option<Timestamp<BrickClock>>,
+    last: Option<Timestamp<BrickClock>>,
+    far_ahead: Option<Timestamp<BrickClock>>,
+}
+
+#[derive(Serialize, Deserialize)]
+enum SavedModel {
+    Exact { filter: Box<SavedDynamic>, change_detector: ChangeDetector },
+    Learning { predictor: SavedPredictor, origin: Option<Timestamp<BrickClock>> },
 }
 
 impl Thermometer {
@@ -173,6 +191,44 @@ impl Filter for Thermometer {
                 }
             }
         })
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let Self { model, history_s: _, newest, last, far_ahead } = self;
+        let model = match model {
+            ThermometerModel::Exact(exact) => {
+                SavedModel::Exact { filter: Box::new(exact.filter.saved()), change_detector: exact.change_detector }
+            }
+            ThermometerModel::Learning { predictor, origin } => {
+                SavedModel::Learning { predictor: predictor.saved(), origin: *origin }
+            }
+        };
+        saved::to_bytes(&SavedThermometer { model, newest: *newest, last: *last, far_ahead: *far_ahead })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let SavedThermometer { model, newest, last, far_ahead } = saved::from_bytes(saved)?;
+        match (&mut self.model, model) {
+            (ThermometerModel::Exact(exact), SavedModel::Exact { filter, change_detector }) => {
+                exact.filter.set_saved(&filter);
+                exact.change_detector = change_detector;
+            }
+            (
+                ThermometerModel::Learning { predictor, origin },
+                SavedModel::Learning { predictor: saved, origin: saved_origin },
+            ) => {
+                **predictor = predictor.with_saved(saved)?;
+                *origin = saved_origin;
+            }
+            (ThermometerModel::Exact(_), SavedModel::Learning { .. })
+            | (ThermometerModel::Learning { .. }, SavedModel::Exact { .. }) => {
+                return Err(RestoreError::Implausible("it knows its thermometer otherwise"));
+            }
+        }
+        self.newest = newest;
+        self.last = last;
+        self.far_ahead = far_ahead;
+        Ok(())
     }
 
     /// Restarts, because the length of the break is unknown; keeps the learned noise.

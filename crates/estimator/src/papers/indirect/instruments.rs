@@ -3,17 +3,20 @@
 //! counters does not add up.
 
 use posebridge_telemetry::{BrickClock, FusionOutcome, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
+use crate::saved::{finite, not_negative};
 use crate::validation::reject_repeated;
 
 /// After a longer silence the integral restarts.
 const MAX_INTERVAL: TimeDelta = TimeDelta::from_millis(300);
 
 /// Timing of an instrument, and whether the filter tracks its integrals.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct InstrumentTiming {
     last: Option<Timestamp<BrickClock>>,
     /// Sum of the squared intervals since it was taken last.
+    #[serde(deserialize_with = "not_negative")]
     squared_intervals_s2: f64,
     /// Whether the filter has rows for the errors of the sums.
     pub(super) is_tracked: bool,
@@ -55,9 +58,10 @@ impl InstrumentTiming {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct GyroAngle {
     pub(super) timing: InstrumentTiming,
+    #[serde(deserialize_with = "finite")]
     pub(super) angle_rad: f64,
 }
 
@@ -71,12 +75,16 @@ impl GyroAngle {
 }
 
 /// Distance and angle by a pair of accelerometers, one at each wheel.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct AccelerometerIntegral {
     pub(super) timing: InstrumentTiming,
+    #[serde(deserialize_with = "finite")]
     pub(super) distance_m: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) speed_m_per_s: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) angle_rad: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) turn_rad_per_s: f64,
 }
 

@@ -25,18 +25,21 @@ use posebridge_telemetry::{
     BrickClock, Calibration, Estimate, Fix, FusionOutcome, FusionRecord, Observation, ObservationKind, SensorId,
     StartPose, TimeDelta, Timestamp,
 };
+use serde::{Deserialize, Serialize};
 
 use self::error_state::{GYRO_BIAS, RADIUS_DIFFERENCE, RADIUS_SCALE, TRACK_SCALE};
 pub use self::nominal_path::CorrectionMode;
-use self::nominal_path::NominalPath;
+use self::nominal_path::{NominalPath, SavedPath};
 use self::path_state::PathState;
 use crate::filter::{Filter, FilterConfig};
-use crate::motion::{InsertOutcome, MotionReading, MotionTrack, TimeSeries};
+use crate::motion::{InsertOutcome, MotionReading, MotionTrack, SavedTrack, TimeSeries};
+use crate::saved::{self, RestoreError, not_negative};
 use crate::validation;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct RejectedFixStreak {
     since: Timestamp<BrickClock>,
+    #[serde(deserialize_with = "not_negative")]
     count: f64,
 }
 
@@ -44,6 +47,17 @@ pub struct IndirectFilter {
     config: FilterConfig,
     track: MotionTrack,
     path: NominalPath,
+    history: TimeSeries<PathState>,
+    latest: Option<Timestamp<BrickClock>>,
+    last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
+    rejected_fixes: Option<RejectedFixStreak>,
+}
+
+/// An indirect filter without its configuration.
+#[derive(Serialize, Deserialize)]
+struct SavedIndirect {
+    track: SavedTrack,
+    path: SavedPath,
     history: TimeSeries<PathState>,
     latest: Option<Timestamp<BrickClock>>,
     last_fixes: BTreeMap<SensorId, Timestamp<BrickClock>>,
@@ -169,6 +183,30 @@ impl Filter for IndirectFilter {
             self.save_state(end);
         }
         FusionOutcome::PoseReset
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let Self { config: _, track, path, history, latest, last_fixes, rejected_fixes } = self;
+        saved::to_bytes(&SavedIndirect {
+            track: track.save(),
+            path: path.save(),
+            history: history.clone(),
+            latest: *latest,
+            last_fixes: last_fixes.clone(),
+            rejected_fixes: *rejected_fixes,
+        })
+    }
+
+    fn restore(&mut self, saved: &[u8]) -> Result<(), RestoreError> {
+        let SavedIndirect { track, path, history, latest, last_fixes, rejected_fixes } = saved::from_bytes(saved)?;
+        let fresh = MotionTrack::new(self.config.geometry, self.config.params.max_wheel_rad_per_s);
+        self.track = fresh.with_saved(track);
+        self.path = self.path.with_saved(&path);
+        self.history = history;
+        self.latest = latest;
+        self.last_fixes = last_fixes;
+        self.rejected_fixes = rejected_fixes;
+        Ok(())
     }
 
     fn restart_clock(&mut self) {

@@ -5,6 +5,7 @@ use posebridge_telemetry::{
     Arena, BrickClock, Fix, FusionOutcome, FusionRecord, Heading, Meters, Pose, ResetCause, StartPose, Timestamp,
     UncertainValue,
 };
+use serde::{Deserialize, Serialize};
 
 use super::error_state::{
     ACCELERATED_ANGLE, ACCELERATED_DISTANCE, ACCELERATED_SPEED, ACCELERATED_TURN, Covariance, DISTANCE, ErrorState,
@@ -22,6 +23,7 @@ use crate::numerics::covariance::symmetrise;
 use crate::observations::fix::{FixNoise, fix_noise, mid_axle};
 use crate::observations::sensor_frame::Exposure;
 use crate::papers::rows::{self, position_in_arena};
+use crate::saved::{covariance, finite};
 use crate::tracking::TrackingStatus;
 use crate::update::{LinearizedMeasurement, ScalarMeasurement, use_scalar};
 use crate::validation::{RESTART_HEADING_SIGMA_RAD, RESTART_POSITION_SIGMA_M, add_innovation};
@@ -48,9 +50,11 @@ pub enum CorrectionMode {
 }
 
 /// A place on the nominal path; the angle is not wrapped.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct PathPoint {
+    #[serde(deserialize_with = "finite")]
     pub(super) angle_rad: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) distance_m: f64,
 }
 
@@ -77,7 +81,80 @@ pub(super) struct NominalPath {
     pub(super) status: TrackingStatus,
 }
 
+/// A path without its configuration.
+#[derive(Serialize, Deserialize)]
+pub(super) struct SavedPath {
+    #[serde(deserialize_with = "finite")]
+    x_m: f64,
+    #[serde(deserialize_with = "finite")]
+    y_m: f64,
+    end: PathPoint,
+    #[serde(deserialize_with = "finite")]
+    debounced_angle_rad: f64,
+    previous: Option<(Timestamp<BrickClock>, PathPoint)>,
+    stamp: Option<Timestamp<BrickClock>>,
+    #[serde(deserialize_with = "finite")]
+    scales: GeometryScales,
+    #[serde(deserialize_with = "finite")]
+    errors: ErrorState,
+    #[serde(deserialize_with = "covariance")]
+    covariance: Covariance,
+    gyro: GyroAngle,
+    accelerometers: AccelerometerIntegral,
+    #[serde(deserialize_with = "finite")]
+    forward_m_per_s: f64,
+    #[serde(deserialize_with = "finite")]
+    turn_rad_per_s: f64,
+    has_pose: bool,
+    status: TrackingStatus,
+}
+
 impl NominalPath {
+    pub(super) const fn save(&self) -> SavedPath {
+        SavedPath {
+            x_m: self.x_m,
+            y_m: self.y_m,
+            end: self.end,
+            debounced_angle_rad: self.debounced_angle_rad,
+            previous: self.previous,
+            stamp: self.stamp,
+            scales: self.scales,
+            errors: self.errors,
+            covariance: self.covariance,
+            gyro: self.gyro,
+            accelerometers: self.accelerometers,
+            forward_m_per_s: self.forward_m_per_s,
+            turn_rad_per_s: self.turn_rad_per_s,
+            has_pose: self.has_pose,
+            status: self.status,
+        }
+    }
+
+    /// This path with what another one of the same configuration has become.
+    #[must_use]
+    pub(super) fn with_saved(&self, saved: &SavedPath) -> Self {
+        Self {
+            config: self.config.clone(),
+            gates: self.gates,
+            correction: self.correction,
+            x_m: saved.x_m,
+            y_m: saved.y_m,
+            end: saved.end,
+            debounced_angle_rad: saved.debounced_angle_rad,
+            previous: saved.previous,
+            stamp: saved.stamp,
+            scales: saved.scales,
+            errors: saved.errors,
+            covariance: saved.covariance,
+            gyro: saved.gyro,
+            accelerometers: saved.accelerometers,
+            forward_m_per_s: saved.forward_m_per_s,
+            turn_rad_per_s: saved.turn_rad_per_s,
+            has_pose: saved.has_pose,
+            status: saved.status,
+        }
+    }
+
     pub(super) fn new(config: &FilterConfig, correction: CorrectionMode) -> Self {
         let known = &config.calibration;
         let mut path = Self {
@@ -193,7 +270,7 @@ impl NominalPath {
     fn debounce_angle(&mut self, angle_rad: f64) -> f64 {
         let play_rad = (6.0 * self.rounding().angle_rad2).sqrt();
         let before_rad = self.debounced_angle_rad;
-        self.debounced_angle_rad = before_rad.clamp(angle_rad - play_rad, angle_rad + play_rad);
+        self.debounced_angle_rad = before_rad.max(angle_rad - play_rad).min(angle_rad + play_rad);
         self.debounced_angle_rad - before_rad
     }
 

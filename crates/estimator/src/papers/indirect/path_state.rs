@@ -2,21 +2,27 @@
 
 use nalgebra::{Matrix3, Vector2};
 use posebridge_telemetry::{Arena, BrickClock, Estimate, Heading, Meters, Pose, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::filter::FilterConfig;
 use crate::models::se2::{BodyStep, StepRule, displace};
 use crate::motion::SPEED_HOLD;
 use crate::numerics::covariance::symmetrise;
+use crate::saved::{covariance, finite};
 use crate::tracking::{PublishedState, TrackingStatus, with_speed_variances};
 
 /// Interval over which the speed is a mean; the speed may have changed by its end.
 const TYPICAL_STEP_S: f64 = 0.05;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct PathState {
+    #[serde(deserialize_with = "finite")]
     pub(super) pose: Pose<Arena>,
+    #[serde(deserialize_with = "covariance")]
     pub(super) covariance: Matrix3<f64>,
+    #[serde(deserialize_with = "finite")]
     pub(super) forward_m_per_s: f64,
+    #[serde(deserialize_with = "finite")]
     pub(super) turn_rad_per_s: f64,
     pub(super) has_pose: bool,
     pub(super) has_heading: bool,

@@ -3,14 +3,15 @@
 use posebridge_telemetry::{
     Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts,
     LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind,
-    OnlineCalibration, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians, RadiansPerSecond, RobotId,
-    SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta, Timestamp,
+    OnlineCalibration, Ownership, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians,
+    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource,
+    TimeDelta, Timestamp,
 };
 
 use super::super::fields::ByteReader;
 use super::{
     CHECKSUM_BYTES, DROPPED_DATAGRAMS_VERSION, DecodeError, NEWEST_VERSION, OLDEST_VERSION, RecordPosition, command,
-    fix_flag, kind, simulator, tag,
+    fix_flag, kind, ownership, simulator, tag,
 };
 
 pub(in crate::container) fn decode(bytes: &[u8], position: RecordPosition) -> Result<Input, DecodeError> {
@@ -106,10 +107,31 @@ impl<'a> ByteReader<'a> {
                 let tag = self.u8()?;
                 Input::RobotCommand { robot, command: self.command(tag)? }
             }
+            tag::OWNERSHIP => {
+                let link = LinkId(self.u16()?);
+                let robot = RobotId { link, address: Address::new(self.u8()?, self.u8()?) };
+                Input::Ownership { robot, ownership: self.ownership()? }
+            }
             tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
             tag::TICK => Input::Tick,
             value => {
                 return Err(DecodeError::Unknown { field: "input tag", value });
+            }
+        })
+    }
+
+    fn ownership(&mut self) -> Result<Ownership, DecodeError> {
+        let (owner, epoch) = (self.u8()?, self.u64()?);
+        Ok(match owner {
+            ownership::STANDBY => Ownership::Standby { epoch },
+            ownership::OWNER => Ownership::Owner { epoch, state: None },
+            ownership::OWNER_WITH_STATE => {
+                let clock_offset = TimeDelta::from_nanos(self.i64()?);
+                let bytes = std::mem::take(&mut self.remaining).to_vec();
+                Ownership::Owner { epoch, state: Some(RobotSnapshot { bytes, clock_offset }) }
+            }
+            value => {
+                return Err(DecodeError::Unknown { field: "ownership", value });
             }
         })
     }

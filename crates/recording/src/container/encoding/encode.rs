@@ -1,11 +1,12 @@
 use posebridge_telemetry::{
     Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration,
-    ParameterStorage, PeerId, Pose, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource, TimeDelta,
+    Ownership, ParameterStorage, PeerId, Pose, RobotSnapshot, SensorSwitch, SimulatorCommand, SlippingWheel,
+    SteeringSource, TimeDelta,
 };
 
 use super::{
-    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command,
-    fix_flag, kind, put_numbers, simulator, tag,
+    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, OWNERSHIP_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION,
+    RecordPosition, command, fix_flag, kind, ownership, put_numbers, simulator, tag,
 };
 
 /// `bytes` must be empty.
@@ -14,6 +15,7 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
         Input::PeerAddress { .. } => PEER_ADDRESS_VERSION,
         Input::Port { counts, .. } if has_dropped(counts) => DROPPED_DATAGRAMS_VERSION,
+        Input::Ownership { .. } => OWNERSHIP_VERSION,
         Input::Bytes { .. }
         | Input::Port { .. }
         | Input::Link { .. }
@@ -62,6 +64,12 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
             bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
             put_command(command, bytes);
         }
+        Input::Ownership { robot, ownership: decided } => {
+            bytes.push(tag::OWNERSHIP);
+            bytes.extend_from_slice(&robot.link.0.to_le_bytes());
+            bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
+            put_ownership(decided, bytes);
+        }
         Input::Report { severity, text } => {
             bytes.push(tag::REPORT);
             bytes.push(*severity);
@@ -71,6 +79,19 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
     }
     let checksum = position.checksum(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
+}
+
+fn put_ownership(decided: &Ownership, bytes: &mut Vec<u8>) {
+    bytes.push(match decided {
+        Ownership::Standby { .. } => ownership::STANDBY,
+        Ownership::Owner { state: None, .. } => ownership::OWNER,
+        Ownership::Owner { state: Some(_), .. } => ownership::OWNER_WITH_STATE,
+    });
+    bytes.extend_from_slice(&decided.epoch().to_le_bytes());
+    if let Ownership::Owner { state: Some(RobotSnapshot { bytes: state, clock_offset }), .. } = decided {
+        bytes.extend_from_slice(&clock_offset.as_nanos().to_le_bytes());
+        bytes.extend_from_slice(state);
+    }
 }
 
 fn put_command(command: &Command, bytes: &mut Vec<u8>) {

@@ -20,7 +20,8 @@ const ROBOT_COMMAND_VERSION: u8 = 5;
 const PEER_ADDRESS_VERSION: u8 = 6;
 /// The counts of a port where datagrams were dropped.
 const DROPPED_DATAGRAMS_VERSION: u8 = 7;
-const NEWEST_VERSION: u8 = DROPPED_DATAGRAMS_VERSION;
+const OWNERSHIP_VERSION: u8 = 8;
+const NEWEST_VERSION: u8 = OWNERSHIP_VERSION;
 /// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
 const CHECKSUM_BYTES: usize = 4;
@@ -42,6 +43,14 @@ mod tag {
     /// A robot id and a command for it under one of the command tags.
     pub(super) const ROBOT_COMMAND: u8 = 10;
     pub(super) const PEER_ADDRESS: u8 = 11;
+    pub(super) const OWNERSHIP: u8 = 12;
+}
+
+/// Whether the station owns the robot.
+mod ownership {
+    pub(super) const STANDBY: u8 = 0;
+    pub(super) const OWNER: u8 = 1;
+    pub(super) const OWNER_WITH_STATE: u8 = 2;
 }
 
 /// The command that follows.

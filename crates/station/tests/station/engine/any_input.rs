@@ -3,8 +3,8 @@
 use super::all_outputs;
 use crate::support::{BRICK, HEARTBEAT, LINK, TestStation, config, frame, ticks};
 use posebridge_telemetry::{
-    Address, Command, Event, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Point2, Pose,
-    Radians, RobotId, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
+    Address, Command, Event, Heading, Input, LinkId, LinkState, Meters, Observation, ObservationKind, Ownership,
+    Point2, Pose, Radians, RobotId, RobotSnapshot, SensorId, SensorSwitch, SimulatorCommand, TimeDelta, Timestamp,
 };
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -28,7 +28,7 @@ fn any_input() -> impl Strategy<Value = (i64, Input)> {
     let state = prop_oneof![Just(LinkState::Up), Just(LinkState::Down)];
     let state = (link, state).prop_map(|(link, state)| Input::Link { link, state });
     let number = prop_oneof![4 => -100.0..100.0, 1 => any::<f64>()];
-    let numbers = (number.clone(), number.clone(), number, any::<i64>(), 0_u8..6);
+    let numbers = (number.clone(), number.clone(), number, any::<i64>(), 0_u8..7);
     let values = numbers.prop_map(|(a, b, c, nanos, kind)| input_of((a, b, c), nanos, kind));
     let wait_ms = prop_oneof![6 => 0_i64..120, 1 => 0_i64..100_000, 1 => any::<u32>().prop_map(i64::from)];
     let input = prop_oneof![6 => bytes, 1 => state, 3 => values, 1 => Just(Input::Tick)];
@@ -51,6 +51,14 @@ fn input_of((a, b, c): (f64, f64, f64), nanos: i64, kind: u8) -> Input {
             let switch = Command::SwitchSource { sensor: SensorId((nanos % 4) as u8), to };
             let command = if nanos % 2 == 0 { Command::ResetPose } else { switch };
             return Input::RobotCommand { robot, command };
+        }
+        6 => {
+            let robot = RobotId { link: LINK, address: Address::new(1, (nanos % 3) as u8) };
+            let epoch = nanos.unsigned_abs();
+            let bytes = nanos.to_le_bytes().into_iter().cycle().take((nanos % 50).unsigned_abs() as usize).collect();
+            let state = (a > 0.0).then_some(RobotSnapshot { bytes, clock_offset: TimeDelta::from_nanos(nanos) });
+            let ownership = if a > b { Ownership::Owner { epoch, state } } else { Ownership::Standby { epoch } };
+            return Input::Ownership { robot, ownership };
         }
         4 => {
             return Input::Command(Command::Simulator(SimulatorCommand::Kidnap {
