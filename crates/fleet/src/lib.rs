@@ -43,6 +43,7 @@ mod queries;
 mod reception;
 mod robot_entry;
 mod robot_table;
+mod ros2_keys;
 
 pub use config::OwnershipConfig;
 pub use epoch::{Epoch, EpochFence, FenceDecision, Token};
@@ -55,3 +56,4 @@ pub use io::{
 pub use keys::{FleetKey, FleetKeys, KeyError};
 pub use names::{CameraName, FleetName, LinkName, NameError, RobotName, StationId, StationName};
 pub use ownership::{Ownership, RobotRole};
+pub use ros2_keys::{EndpointKind, RosAttachment, RosEndpoint, RosName, RosNameError, RosNode, RosQos, RosType};

@@ -10,6 +10,7 @@ mod estimate;
 mod hostile;
 mod keys;
 mod network;
+mod ros2_keys;
 mod rules;
 mod scenarios;
 mod sessions;
