@@ -9,7 +9,7 @@ fn node(namespace: Option<&str>) -> RosNode {
     RosNode {
         domain: 7,
         session: "8a1f03c2d5e64b7790aa12bc34de56f0".to_owned(),
-        namespace: namespace.map(|name| RosName::new(name).unwrap()),
+        namespace: namespace.map(|name| RosName::new(name).expect("it is a name")),
         name: "posebridge".to_owned(),
     }
 }
@@ -62,8 +62,8 @@ fn an_attachment_has_the_bytes_of_rmw_zenoh() {
     let publisher: [u8; 16] = std::array::from_fn(|at| at as u8);
     let attachment = RosAttachment { sequence: 258, source_nanos: 1_790_000_000_123_456_789, publisher };
     let bytes = attachment.encode();
-    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(hex, "020100000000000015cd4e2b845bd71810000102030405060708090a0b0c0d0e0f");
+    let numbers = [0x02, 0x01, 0, 0, 0, 0, 0, 0, 0x15, 0xCD, 0x4E, 0x2B, 0x84, 0x5B, 0xD7, 0x18, 0x10];
+    assert_eq!(bytes.to_vec(), [&numbers[..], &publisher].concat());
     assert_eq!(RosAttachment::decode(&bytes), Some(attachment));
 }
 
