@@ -37,7 +37,7 @@ static void print_pose(const mavlink_message_t *read, mavlink_message_t *written
     printf(" %u", pose.time_us);
     print_floats((const float[]){pose.x, pose.y, pose.heading, pose.forward_speed, pose.turn_rate}, 5);
     print_floats(pose.covariance, 6);
-    printf(" %u %u %u", pose.fix_age_ms, pose.reset_counter, pose.flags);
+    printf(" %u %u %u %u", pose.fix_age_ms, pose.reset_counter, pose.flags, pose.epoch);
     mavlink_msg_pb_planar_pose_encode(read->sysid, read->compid, written, &pose);
 }
 

@@ -21,7 +21,7 @@ EDGES = [
     pb.MAVLink_pb_wheel_ticks_message(4294967295, -2147483648, 2147483647, 3),
     pb.MAVLink_pb_wheel_ticks_message(5, 0, 0, 0),
     pb.MAVLink_pb_inertial_message(1, -2147483648, -32768, 32767, -2, 7),
-    pb.MAVLink_pb_planar_pose_message(7, 1.5, -2.25, 3.125, 0.1, -0.2, [0.5, 0.25, -0.125, 1e-9, 1e9, 2.0], 65535, 255, 31),
+    pb.MAVLink_pb_planar_pose_message(7, 1.5, -2.25, 3.125, 0.1, -0.2, [0.5, 0.25, -0.125, 1e-9, 1e9, 2.0], 65535, 255, 31, 4000000001),
     pb.MAVLink_pb_planar_pose_message(8, 0.0, 0.0, 0.0, 0.0, 0.0, [0.0] * 6, 0, 0, 0),
     pb.MAVLink_pb_fusion_health_message(9, [0.5, -0.25, 0.125], 1.75, 65535, 1, 65534, 9, 6),
     pb.MAVLink_pb_robot_description_message(0.028, 0.0281, 0.112, 360.0, 0.01, 0.001, b"sixteen letters!"),
