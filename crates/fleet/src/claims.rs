@@ -1,6 +1,6 @@
 //! How a station becomes the owner of a robot, and how it ceases to be.
 
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::event::{ClaimReason, OwnershipEvent, StopReason};
 use crate::io::{Output, Reception, StartState};
 use crate::names::RobotName;
@@ -61,7 +61,7 @@ impl Ownership {
     pub(crate) fn claim(&mut self, robot: &RobotName, reason: ClaimReason) {
         let Some(entry) = self.robots.get_mut(robot) else { return };
         let epoch = entry.highest_epoch.map_or(Epoch::FIRST, Epoch::next);
-        let token = Token { epoch, station: self.station.clone() };
+        let token = OwnershipToken { epoch, station: self.station.clone() };
         if let Some(rival) = entry.tokens.last().filter(|rival| **rival > token) {
             let holder = rival.station.clone();
             entry.role = Role::StandBy(StandBy::new(self.now + self.config.max_query_backoff, &self.config));
@@ -89,7 +89,7 @@ impl Ownership {
     }
 
     /// Somebody else owns the robot. The token stays for a while, so that nobody misses it before he has heard of the new one.
-    pub(crate) fn yield_to(&mut self, robot: &RobotName, winner: Token) {
+    pub(crate) fn yield_to(&mut self, robot: &RobotName, winner: OwnershipToken) {
         let Some(entry) = self.robots.get(robot) else { return };
         match entry.role {
             Role::Owner(Owner { epoch, .. }) => self.stop(robot, epoch, StopReason::Replaced(winner)),

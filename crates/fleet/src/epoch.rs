@@ -49,7 +49,7 @@ impl fmt::Debug for Epoch {
 
 /// A station's claim to own a robot. Of several for one robot the highest holds: by epoch, then by station.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Token {
+pub struct OwnershipToken {
     pub epoch: Epoch,
     pub station: StationId,
 }

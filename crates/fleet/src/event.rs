@@ -4,7 +4,7 @@ use std::fmt;
 
 use posebridge_telemetry::TimeDelta;
 
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::names::{RobotName, StationId};
 
 /// Why a station claims a robot.
@@ -24,7 +24,7 @@ pub enum ClaimReason {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StopReason {
     /// Another station has a higher token.
-    Replaced(Token),
+    Replaced(OwnershipToken),
     /// The robot was handed over.
     HandedOver(StationId),
     /// The robot was silent for long.
@@ -78,7 +78,7 @@ impl fmt::Display for ClaimReason {
 impl fmt::Display for StopReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Replaced(Token { epoch, station }) => write!(f, "{station} owns it with epoch {epoch}"),
+            Self::Replaced(OwnershipToken { epoch, station }) => write!(f, "{station} owns it with epoch {epoch}"),
             Self::HandedOver(to) => write!(f, "handed over to {to}"),
             Self::Silent => write!(f, "it is silent"),
             Self::Frozen => write!(f, "this station was not running and asks whether somebody took over"),

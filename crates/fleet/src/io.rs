@@ -4,7 +4,7 @@ use std::fmt;
 
 use posebridge_telemetry::TimeDelta;
 
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::event::OwnershipEvent;
 use crate::names::{RobotName, StationId};
 
@@ -51,11 +51,11 @@ pub enum Input {
     /// A token of another station; after a rejoin, of a token that was there already.
     TokenAppeared {
         robot: RobotName,
-        token: Token,
+        token: OwnershipToken,
     },
     TokenVanished {
         robot: RobotName,
-        token: Token,
+        token: OwnershipToken,
     },
     StationAppeared(StationId),
     StationVanished(StationId),
@@ -110,7 +110,7 @@ pub enum StateAnswer {
     /// It does not own the robot.
     NotOwner {
         /// The token that holds, of a third station: the asker may not be connected with that one yet.
-        owner: Option<Token>,
+        owner: Option<OwnershipToken>,
         /// The highest that it knows of, also of tokens that have vanished.
         highest_epoch: Option<Epoch>,
         /// The last state that it knows.
@@ -132,7 +132,7 @@ pub enum AnswerContent {
     },
     Promised,
     NotOwner {
-        owner: Option<Token>,
+        owner: Option<OwnershipToken>,
         highest_epoch: Option<Epoch>,
         state: Option<StateSnapshot>,
     },

@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use thiserror::Error;
 
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::names::{CameraName, FleetName, LinkName, NameError, RobotName, StationId};
 
 /// The first chunk of every key.
@@ -26,7 +26,7 @@ pub enum FleetKey {
     /// States of the robot's filter: published by the owner, and answered by every station.
     State { robot: RobotName },
     /// A liveliness token: the station claims the robot.
-    Ownership { robot: RobotName, token: Token },
+    Ownership { robot: RobotName, token: OwnershipToken },
     /// A liveliness token: the station is there.
     Station(StationId),
 }
@@ -189,7 +189,7 @@ fn take_apart(key: &FleetKey) -> (Kind, Fields) {
         FleetKey::Fix { robot, camera } => (Kind::Fix, Fields { camera: Some(camera.clone()), ..of(robot) }),
         FleetKey::Command { robot } => (Kind::Command, of(robot)),
         FleetKey::State { robot } => (Kind::State, of(robot)),
-        FleetKey::Ownership { robot, token: Token { epoch, station } } => {
+        FleetKey::Ownership { robot, token: OwnershipToken { epoch, station } } => {
             (Kind::Ownership, Fields { epoch: Some(*epoch), station: Some(station.clone()), ..of(robot) })
         }
         FleetKey::Station(station) => (Kind::Station, Fields { station: Some(station.clone()), ..Fields::default() }),
@@ -205,7 +205,9 @@ fn put_together(kind: Kind, fields: Fields) -> Option<FleetKey> {
         Kind::Fix => FleetKey::Fix { robot: robot?, camera: camera? },
         Kind::Command => FleetKey::Command { robot: robot? },
         Kind::State => FleetKey::State { robot: robot? },
-        Kind::Ownership => FleetKey::Ownership { robot: robot?, token: Token { epoch: epoch?, station: station? } },
+        Kind::Ownership => {
+            FleetKey::Ownership { robot: robot?, token: OwnershipToken { epoch: epoch?, station: station? } }
+        }
         Kind::Station => FleetKey::Station(station?),
     })
 }

@@ -6,7 +6,7 @@
 //!
 //! # The protocol
 //!
-//! - A station announces a claim with a liveliness token of robot, [`Epoch`] and station ([`Token`]). Of several claims for one robot the
+//! - A station announces a claim with a liveliness token of robot, [`Epoch`] and station ([`OwnershipToken`]). Of several claims for one robot the
 //!   highest holds. An owner that learns of a higher one stops at once, and withdraws its token a little later, so that everybody has
 //!   heard of the new owner before the old token vanishes.
 //! - A station that hears a robot is its stand-by unless it owns it. It asks the owner. An owner that hears the robot, too, says so, and the
@@ -46,7 +46,7 @@ mod robot_table;
 mod ros2_keys;
 
 pub use config::OwnershipConfig;
-pub use epoch::{Epoch, EpochFence, FenceDecision, Token};
+pub use epoch::{Epoch, EpochFence, FenceDecision, OwnershipToken};
 pub use estimate::{EstimateError, FleetEstimate};
 pub use event::{ClaimReason, OwnershipEvent, StopReason};
 pub use io::{

@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, VecDeque};
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use crate::config::OwnershipConfig;
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::event::{ClaimReason, OwnershipEvent, StopReason};
 use crate::fleet_status::FleetStatus;
 use crate::io::{Input, Output, QueryId, Reception, RefusalCounts};
@@ -132,9 +132,9 @@ impl Ownership {
     }
 
     /// The highest token that is known for the robot: its owner's.
-    pub fn owner(&self, robot: &RobotName) -> Option<Token> {
+    pub fn owner(&self, robot: &RobotName) -> Option<OwnershipToken> {
         let entry = self.robots.get(robot)?;
-        let own = entry.own_epoch().map(|epoch| Token { epoch, station: self.station.clone() });
+        let own = entry.own_epoch().map(|epoch| OwnershipToken { epoch, station: self.station.clone() });
         own.max(entry.tokens.last().cloned())
     }
 
@@ -170,7 +170,7 @@ impl Ownership {
         }
     }
 
-    pub(crate) fn on_token_appeared(&mut self, robot: &RobotName, token: Token) {
+    pub(crate) fn on_token_appeared(&mut self, robot: &RobotName, token: OwnershipToken) {
         if token.station == self.station {
             let entry = self.robots.get(robot);
             let own = entry.and_then(|entry| entry.own_epoch().or(entry.retiring.map(|retiring| retiring.epoch)));
@@ -192,7 +192,7 @@ impl Ownership {
         }
         entry.raise_epoch(token.epoch);
         entry.epoch_known_at = Some(self.now);
-        let own = entry.own_epoch().map(|epoch| Token { epoch, station: self.station.clone() });
+        let own = entry.own_epoch().map(|epoch| OwnershipToken { epoch, station: self.station.clone() });
         let is_highest = entry.tokens.last() == Some(&token);
         if own.is_some_and(|own| token > own) {
             self.yield_to(robot, token);
@@ -204,7 +204,7 @@ impl Ownership {
         }
     }
 
-    fn on_token_vanished(&mut self, robot: &RobotName, token: &Token) {
+    fn on_token_vanished(&mut self, robot: &RobotName, token: &OwnershipToken) {
         let Some(entry) = self.robots.get_mut(robot) else { return };
         let was_highest = entry.tokens.last() == Some(token);
         if !entry.tokens.remove(token) || !was_highest {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use posebridge_telemetry::TimeDelta;
 
-use crate::epoch::Token;
+use crate::epoch::OwnershipToken;
 use crate::event::{ClaimReason, StopReason};
 use crate::io::{AnswerContent, Output, QueryId, QueryTarget, Reception, StateAnswer, StateSnapshot};
 use crate::names::{RobotName, StationId};
@@ -129,7 +129,7 @@ impl Ownership {
         let is_for_everyone = query.target == QueryTarget::Everyone;
         match answer {
             StateAnswer::Serving { epoch, silent_in, .. } => {
-                let token = Token { epoch, station: from.clone() };
+                let token = OwnershipToken { epoch, station: from.clone() };
                 // Known already, unless its token was refused or is still on its way.
                 self.on_token_appeared(robot, token);
                 if let Some(Role::StandBy(stand_by)) = self.robots.get_mut(robot).map(|entry| &mut entry.role) {
@@ -189,7 +189,7 @@ impl Ownership {
     }
 
     /// Nobody who answered owns the robot. An owner that only others are connected with gets the time of a rejoin.
-    fn on_everyone_asked(&mut self, robot: &RobotName, distant_owner: Option<&Token>) {
+    fn on_everyone_asked(&mut self, robot: &RobotName, distant_owner: Option<&OwnershipToken>) {
         let Some(entry) = self.robots.get_mut(robot) else { return };
         let Role::StandBy(stand_by) = &mut entry.role else { return };
         let since = *stand_by.distant_owner_since.get_or_insert(self.now);
@@ -215,7 +215,7 @@ impl Ownership {
         reception: Reception,
         state: StateSnapshot,
     ) {
-        let token = Token { epoch: state.epoch, station: from };
+        let token = OwnershipToken { epoch: state.epoch, station: from };
         let Some(entry) = self.robots.get_mut(robot).filter(|entry| entry.tokens.contains(&token)) else {
             self.refusals.states += 1;
             return;

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
 use crate::config::OwnershipConfig;
-use crate::epoch::{Epoch, Token};
+use crate::epoch::{Epoch, OwnershipToken};
 use crate::io::{QueryId, QueryTarget, Reception, StartState, StateSnapshot};
 use crate::names::StationId;
 use crate::reception::ReceptionMonitor;
@@ -13,7 +13,7 @@ use crate::reception::ReceptionMonitor;
 #[derive(Clone, Debug)]
 pub(crate) struct RobotEntry {
     /// Those of other stations that have not vanished.
-    pub(crate) tokens: BTreeSet<Token>,
+    pub(crate) tokens: BTreeSet<OwnershipToken>,
     /// Also of tokens that have vanished.
     pub(crate) highest_epoch: Option<Epoch>,
     /// When a token or everybody's answers last told the highest epoch.
@@ -83,7 +83,7 @@ pub(crate) struct PendingQuery {
     /// Of a query to everyone, those that have not answered.
     pub(crate) waiting_for: BTreeSet<StationId>,
     /// An owner of which an answer tells.
-    pub(crate) distant_owner: Option<Token>,
+    pub(crate) distant_owner: Option<OwnershipToken>,
 }
 
 #[derive(Clone, Debug)]

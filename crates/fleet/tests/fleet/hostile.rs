@@ -1,8 +1,8 @@
 //! Whatever others send: no panic, bounded tables, and the robots that are heard here are served.
 
 use posebridge_fleet::{
-    Epoch, Input, Output, Ownership, OwnershipConfig, QueryId, Reception, RobotName, RobotRole, StateAnswer,
-    StateSnapshot, StationId, StationName, Token,
+    Epoch, Input, Output, Ownership, OwnershipConfig, OwnershipToken, QueryId, Reception, RobotName, RobotRole,
+    StateAnswer, StateSnapshot, StationId, StationName,
 };
 use posebridge_telemetry::TimeDelta;
 use proptest::prelude::*;
@@ -46,7 +46,7 @@ fn more_robots_than_the_limit_are_refused_and_those_that_are_served_stay() {
 fn many_tokens_of_one_robot_leave_the_highest_and_many_stations_the_first() {
     let mut ownership = connected();
     for number in 1..=100 {
-        let token = Token { epoch: epoch(number), station: station("evil") };
+        let token = OwnershipToken { epoch: epoch(number), station: station("evil") };
         give(&mut ownership, 0, Input::TokenAppeared { robot: robot(), token });
         give(&mut ownership, 0, Input::StationAppeared(station(&format!("s{number}"))));
     }
@@ -89,7 +89,7 @@ fn what_was_not_asked_is_not_used() {
 #[test]
 fn at_the_last_epoch_stations_settle_by_their_ids_and_the_robot_is_served_when_the_token_goes() {
     let mut ownership = connected();
-    let last = |name: &str| Token { epoch: Epoch::LAST, station: station(name) };
+    let last = |name: &str| OwnershipToken { epoch: Epoch::LAST, station: station(name) };
     give(&mut ownership, 0, Input::TokenAppeared { robot: robot(), token: last("c") });
     let mut exhausted = 0;
     for millis in (0..10_000).step_by(20) {
@@ -132,8 +132,8 @@ fn any_state() -> impl Strategy<Value = StateSnapshot> {
     })
 }
 
-fn any_token() -> impl Strategy<Value = Token> {
-    (any_epoch(), any_station()).prop_map(|(epoch, station)| Token { epoch, station })
+fn any_token() -> impl Strategy<Value = OwnershipToken> {
+    (any_epoch(), any_station()).prop_map(|(epoch, station)| OwnershipToken { epoch, station })
 }
 
 fn any_answer() -> impl Strategy<Value = StateAnswer> {
@@ -209,7 +209,7 @@ proptest! {
             for index in 0..6 {
                 let robot = named(&format!("r{index}"));
                 if let RobotRole::Owner(epoch) = ownership.role(&robot) {
-                    prop_assert_eq!(ownership.owner(&robot), Some(Token { epoch, station: own.clone() }));
+                    prop_assert_eq!(ownership.owner(&robot), Some(OwnershipToken { epoch, station: own.clone() }));
                     prop_assert!(declared.contains(&(robot, epoch)));
                 }
             }

@@ -1,8 +1,8 @@
 //! Keys as text, both ways.
 
 use posebridge_fleet::{
-    CameraName, Epoch, FleetKey, FleetKeys, FleetName, KeyError, LinkName, NameError, RobotName, StationId,
-    StationName, Token,
+    CameraName, Epoch, FleetKey, FleetKeys, FleetName, KeyError, LinkName, NameError, OwnershipToken, RobotName,
+    StationId, StationName,
 };
 use proptest::prelude::*;
 
@@ -13,7 +13,7 @@ fn keys() -> FleetKeys {
 fn examples() -> [(&'static str, FleetKey); 7] {
     let robot = || RobotName::new("nxt-7").expect("a name");
     let station = || StationId { name: StationName::new("north").expect("a name"), instance: 0xab };
-    let token = Token { epoch: Epoch::new(4_294_967_295).expect("not zero"), station: station() };
+    let token = OwnershipToken { epoch: Epoch::new(4_294_967_295).expect("not zero"), station: station() };
     [
         ("pb/lab/nxt-7/raw/usb0", FleetKey::Raw { robot: robot(), link: LinkName::new("usb0").expect("a name") }),
         ("pb/lab/nxt-7/est", FleetKey::Estimate { robot: robot() }),

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use posebridge_fleet::{AnswerContent, QueryId, Reception, RobotName, StateAnswer, StateSnapshot, StationId, Token};
+use posebridge_fleet::{
+    AnswerContent, OwnershipToken, QueryId, Reception, RobotName, StateAnswer, StateSnapshot, StationId,
+};
 use posebridge_telemetry::TimeDelta;
 
 /// Virtual time, in microseconds.
@@ -24,8 +26,8 @@ pub(crate) const MAX_RECONNECT: Micros = 1_000_000;
 pub(crate) enum Message {
     /// The first one of a session.
     Hello(StationId),
-    TokenAppeared(RobotName, Token),
-    TokenVanished(RobotName, Token),
+    TokenAppeared(RobotName, OwnershipToken),
+    TokenVanished(RobotName, OwnershipToken),
     /// All tokens of the sender were sent.
     AllListed,
     /// Asks for [`Message::Pong`], behind all tokens of the sender.
@@ -55,7 +57,7 @@ pub(crate) struct Pair {
     pub(crate) reachable_since: Micros,
     pub(crate) directions: [Direction; 2],
     /// Tokens that each end was told of by the other, for the end of the session.
-    pub(crate) listed: [BTreeSet<(RobotName, Token)>; 2],
+    pub(crate) listed: [BTreeSet<(RobotName, OwnershipToken)>; 2],
 }
 
 /// As a shell answers: it adds the state at a hand-over.

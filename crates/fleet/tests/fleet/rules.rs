@@ -1,6 +1,6 @@
 //! What must hold at every step, and what must hold when everything is quiet.
 
-use posebridge_fleet::{Epoch, EpochFence, FenceDecision, RobotName, RobotRole, Token};
+use posebridge_fleet::{Epoch, EpochFence, FenceDecision, OwnershipToken, RobotName, RobotRole};
 use posebridge_telemetry::Timestamp;
 
 use crate::network::{MAX_DELAY, Micros};
@@ -17,14 +17,15 @@ impl Simulation {
     /// No two owners have seen each other's token.
     pub(crate) fn check_owners(&mut self, station: usize, robot: &RobotName) {
         let token_of = |station: usize| match self.stations[station].ownership.role(robot) {
-            RobotRole::Owner(epoch) => Some(Token { epoch, station: self.stations[station].id.clone() }),
+            RobotRole::Owner(epoch) => Some(OwnershipToken { epoch, station: self.stations[station].id.clone() }),
             RobotRole::None | RobotRole::StandBy | RobotRole::Paused(_) => None,
         };
         let Some(own) = token_of(station) else { return };
         for other in (0..self.stations.len()).filter(|other| *other != station) {
             let Some(token) = token_of(other).filter(|_| self.stations[other].is_alive) else { continue };
-            let sees =
-                |station: usize, token: &Token| self.stations[station].seen.contains(&(robot.clone(), token.clone()));
+            let sees = |station: usize, token: &OwnershipToken| {
+                self.stations[station].seen.contains(&(robot.clone(), token.clone()))
+            };
             if sees(station, &token) && sees(other, &own) {
                 self.violations.push(format!("{}: {own:?} and {token:?} both own {robot} and know it", self.now));
                 return;
@@ -33,7 +34,7 @@ impl Simulation {
     }
 
     /// No owner sends who must know that he was replaced.
-    pub(crate) fn check_estimate(&mut self, station: usize, robot: usize, own: &Token) {
+    pub(crate) fn check_estimate(&mut self, station: usize, robot: usize, own: &OwnershipToken) {
         let name = &self.robots[robot].name;
         let sender = &self.stations[station];
         let claimed = self.robots[robot].starts.iter().find(|start| start.token == *own).map(|start| start.time);

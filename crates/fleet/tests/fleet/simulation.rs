@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use posebridge_fleet::{
-    ClaimReason, Input, Output, OwnershipEvent, QueryTarget, RobotName, RobotRole, StartState, StateSnapshot,
-    StopReason, Token,
+    ClaimReason, Input, Output, OwnershipEvent, OwnershipToken, QueryTarget, RobotName, RobotRole, StartState,
+    StateSnapshot, StopReason,
 };
 use posebridge_telemetry::TimeDelta;
 use rand::{RngExt, SeedableRng};
@@ -402,7 +402,7 @@ impl Simulation {
         let sender = &self.stations[station];
         let Some(epoch) = sender.ownership.permit(sender.clock(self.now), name) else { return };
         let robot = self.robot_index[name];
-        self.check_estimate(station, robot, &Token { epoch, station: sender.id.clone() });
+        self.check_estimate(station, robot, &OwnershipToken { epoch, station: sender.id.clone() });
         self.robot_receives(station, robot, epoch);
     }
 
@@ -465,14 +465,14 @@ impl Simulation {
         let others: Vec<usize> = (0..self.stations.len()).filter(|other| *other != station).collect();
         match output {
             Output::DeclareToken { robot, epoch } => {
-                let token = Token { epoch, station: id };
+                let token = OwnershipToken { epoch, station: id };
                 self.stations[station].declared.insert((robot.clone(), token.clone()));
                 for other in others {
                     self.send(station, other, Message::TokenAppeared(robot.clone(), token.clone()));
                 }
             }
             Output::WithdrawToken { robot, epoch } => {
-                let token = Token { epoch, station: id };
+                let token = OwnershipToken { epoch, station: id };
                 if !self.stations[station].declared.remove(&(robot.clone(), token.clone())) {
                     self.violations.push(format!("{} withdraws {token:?} of {robot}, not declared", self.now));
                 }
@@ -522,7 +522,7 @@ impl Simulation {
                 self.schedule(300_000, Event::PingExpired { station, run, ping });
             }
             Output::Start { robot, epoch, state } => {
-                let token = Token { epoch, station: id };
+                let token = OwnershipToken { epoch, station: id };
                 let has_state = state != StartState::Cold;
                 let index = self.robot_index[&robot];
                 self.robots[index].starts.push(Start { time: self.now, station, token, has_state });

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_fleet::{
-    Epoch, EpochFence, Input, Ownership, OwnershipConfig, RobotName, StationId, StationName, Token,
+    Epoch, EpochFence, Input, Ownership, OwnershipConfig, OwnershipToken, RobotName, StationId, StationName,
 };
 use posebridge_telemetry::{HostClock, Timestamp};
 
@@ -40,9 +40,9 @@ pub(crate) struct SimulatedStation {
     pub(crate) waiting: VecDeque<Waiting>,
     pub(crate) robots_waiting: VecDeque<RobotName>,
     /// Tokens that it has declared and not withdrawn.
-    pub(crate) declared: BTreeSet<(RobotName, Token)>,
+    pub(crate) declared: BTreeSet<(RobotName, OwnershipToken)>,
     /// Tokens of others that it was given.
-    pub(crate) seen: BTreeSet<(RobotName, Token)>,
+    pub(crate) seen: BTreeSet<(RobotName, OwnershipToken)>,
     /// Its runs; events of an earlier one do not reach it.
     pub(crate) run: u64,
     /// Those that have sent all of their tokens.
@@ -97,7 +97,7 @@ impl SimulatedStation {
 pub(crate) struct Start {
     pub(crate) time: Micros,
     pub(crate) station: usize,
-    pub(crate) token: Token,
+    pub(crate) token: OwnershipToken,
     pub(crate) has_state: bool,
 }
 

@@ -1,8 +1,9 @@
 //! Single steps of the protocol, with the outputs in their order.
 
 use posebridge_fleet::{
-    AnswerContent, ClaimReason, Epoch, Input, Output, Ownership, OwnershipConfig, OwnershipEvent, QueryId, QueryTarget,
-    Reception, RobotName, RobotRole, StartState, StateAnswer, StateSnapshot, StationId, StationName, StopReason, Token,
+    AnswerContent, ClaimReason, Epoch, Input, Output, Ownership, OwnershipConfig, OwnershipEvent, OwnershipToken,
+    QueryId, QueryTarget, Reception, RobotName, RobotRole, StartState, StateAnswer, StateSnapshot, StationId,
+    StationName, StopReason,
 };
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 
@@ -22,8 +23,8 @@ pub(crate) fn epoch(number: u32) -> Epoch {
     Epoch::new(number).expect("not zero")
 }
 
-pub(crate) fn token(number: u32, name: &str) -> Token {
-    Token { epoch: epoch(number), station: station(name) }
+pub(crate) fn token(number: u32, name: &str) -> OwnershipToken {
+    OwnershipToken { epoch: epoch(number), station: station(name) }
 }
 
 pub(crate) fn give(ownership: &mut Ownership, millis: i64, input: Input) -> Vec<Output> {
