@@ -6,6 +6,7 @@ mod bricks;
 mod calibration;
 mod camera;
 mod camera_file;
+mod fleet;
 mod lengths;
 mod link;
 mod load;
@@ -30,6 +31,7 @@ pub use calibration::{
 };
 pub use camera::CameraConfig;
 pub use camera_file::{CalibrationNote, CameraChoice, CameraFile};
+pub use fleet::{FleetSection, FleetSettings};
 pub use link::{AtInstant, LinkSection, LinkTarget, OutputSection, PinChoice, load_link_profile, load_scenario};
 pub use load::{
     ConfigError, DEFAULT_TOML, Loaded, Overlay, Setting, apply_overrides, apply_profile, config_with_overlay, load,

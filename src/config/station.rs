@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::camera::CameraConfig;
 use super::camera_file::CameraChoice;
+use super::fleet::FleetSection;
 use super::link::{LinkSection, LinkTarget, brick_link, rules_of};
 use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
@@ -44,6 +45,8 @@ pub struct Config {
     pub clock: ClockConfig,
     /// What passes between the links.
     pub routing: RoutingSection,
+    /// The stations that this one shares robots with.
+    pub fleet: FleetSection,
     /// The recording.
     pub record: RecordSection,
     /// The page of the station.
@@ -119,6 +122,7 @@ impl Default for Config {
             camera: CameraConfig::default(),
             clock: ClockConfig::default(),
             routing: RoutingSection::default(),
+            fleet: FleetSection::default(),
             record: RecordSection::default(),
             dashboard: DashboardSection::default(),
             plotjuggler: PlotJugglerSection::default(),
@@ -237,6 +241,7 @@ impl Config {
             max_robots: usize::from(self.station.max_robots),
             robot_system: (self.station.robot_system != 0).then_some(SystemId(self.station.robot_system)),
             origin: self.station.origin.map(OriginSection::to_origin).transpose()?,
+            ownership: self.fleet.ownership(),
             fix_requests: self.camera.fix_requests()?,
             timesync_period: TimeDelta::from_millis(i64::from(self.clock.timesync_period_ms)),
             brick_message_intervals: intervals,
@@ -334,6 +339,7 @@ impl Config {
         self.targets()?;
         self.station_config()?;
         self.dashboard.checked()?;
+        self.fleet.checked(&self.robots)?;
         self.plotjuggler.checked().map(drop)
     }
 

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use posebridge_telemetry::{Arena, Command, Pose};
 
-use crate::config::PLOTJUGGLER_ADDRESS;
+use crate::config::{FleetSection, PLOTJUGGLER_ADDRESS};
 use crate::flags::{ConfigFlags, DashboardFlags, DetailFlags, LinkFlags, positive};
 
 /// What a run records.
@@ -99,6 +99,9 @@ pub struct RunArgs {
     /// How much is printed at the end.
     #[command(flatten)]
     pub detail: DetailFlags,
+    /// The stations that this one shares robots with.
+    #[command(flatten)]
+    pub fleet: FleetFlags,
     /// What happens when the station stands still.
     #[command(flatten)]
     pub watchdog: WatchdogFlags,
@@ -124,6 +127,32 @@ pub struct WatchdogFlags {
     /// is told only.
     #[arg(long)]
     pub watchdog_exit: bool,
+}
+
+/// The stations that this one shares robots with.
+#[derive(Args, Clone, Debug, Default)]
+pub struct FleetFlags {
+    /// Share robots with the other stations of this fleet: each robot is served by one of them, and goes on at another one when
+    /// that ends or the robot moves (docs/fleet.md).
+    #[arg(long, value_name = "NAME")]
+    pub fleet: Option<String>,
+    /// Station of the fleet to connect to, e.g. tcp/192.168.1.5:7447. Can be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub join: Vec<String>,
+    /// Where other stations may connect, e.g. tcp/192.168.1.6:7447; without it only those of this computer can. Can be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub fleet_listen: Vec<String>,
+}
+
+impl FleetFlags {
+    /// Sets what is given.
+    pub fn apply(&self, section: &mut FleetSection) {
+        if let Some(name) = &self.fleet {
+            section.name.clone_from(name);
+        }
+        section.join.extend(self.join.iter().cloned());
+        section.listen.extend(self.fleet_listen.iter().cloned());
+    }
 }
 
 /// What is shown besides the page.

@@ -9,6 +9,8 @@ mod cameras;
 mod dead_reckoning;
 pub mod event_collector;
 pub mod event_file;
+#[cfg_attr(not(feature = "fleet"), path = "no_fleet.rs")]
+pub mod fleet;
 pub mod input_file;
 pub mod learned_calibration;
 pub mod link_frames;

@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 use super::args::RunArgs;
 use super::cameras::Cameras;
 use super::event_collector::EventCollector;
+use super::fleet::Fleet;
 use super::learned_calibration::LearnedCalibration;
 use super::link_log::LinkLog;
 use super::links::{FinishedSimulation, LapLimit, SimulatedSession, open_links, stop_bricks};
@@ -75,6 +76,7 @@ pub(super) async fn session(
     if let Some(warning) = config.filter.warning(&config.robot) {
         print_line(&warning);
     }
+    let fleet = Fleet::start(config, timer).before_start()?;
     let reserved = reserve_dashboard(&args.page, config).before_start()?;
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
@@ -116,6 +118,7 @@ pub(super) async fn session(
         observer,
         failures,
         signing: keeper,
+        fleet,
         requests: RequestHandler::new(folder.clone(), timer, config.clone(), for_recordings, current)
             .with_bricks(reachable),
         truth,
@@ -127,6 +130,7 @@ pub(super) async fn session(
     };
     let ending = stop_conditions(args, embedded.as_ref(), &stop);
     wait_for_end(&mut station_loop, &ending, signals, &mut viewers).await;
+    station_loop.leave_fleet();
     let driven = stop_bricks(embedded, &stop).while_running()?;
     let kept = station_loop.save_signing_state();
     let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;

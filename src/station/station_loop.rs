@@ -15,6 +15,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::bag_recorder::BagRecorder;
+use super::fleet::{Fleet, FleetEvent};
 use super::link_log::LinkLog;
 use super::observer::Observer;
 use super::page_history::station_status;
@@ -62,6 +63,8 @@ pub struct StationLoop {
     /// Errors of a recording or telemetry log that ended before the run.
     pub failures: DeferredErrors,
     pub signing: Option<SigningStateWriter>,
+    /// The stations that this one shares robots with.
+    pub fleet: Option<Fleet>,
     pub requests: RequestHandler,
     pub truth: Vec<TruthTap>,
     /// The pose of the first robot with an estimate, until it is set.
@@ -89,7 +92,8 @@ impl StationLoop {
             let deadline = self.station.deadline().into_iter().chain(end_at).min();
             let turned = self.timer.now();
             self.report_stall(turned);
-            let wake_at = deadline.into_iter().chain([turned + TURN_PERIOD]).min();
+            let fleet_deadline = self.fleet.as_ref().and_then(Fleet::deadline);
+            let wake_at = deadline.into_iter().chain(fleet_deadline).chain([turned + TURN_PERIOD]).min();
             let (now, input) = tokio::select! {
                 // What came goes first; the station sees by its instant what is due, and the loop whether it has to end.
                 biased;
@@ -106,11 +110,16 @@ impl StationLoop {
                     }
                     (at, input)
                 }
+                event = next_fleet_event(&mut self.fleet) => {
+                    self.handle_fleet_event(event);
+                    continue;
+                }
                 command = next_command(&mut self.dashboard) => (self.timer.now(), command),
                 report = self.requests.next_report() => (self.timer.now(), report),
                 () = deadline_timer.wait_until(wake_at) => {
                     let now = self.timer.now();
                     if deadline.is_none_or(|deadline| now < deadline) {
+                        self.advance_fleet();
                         continue;
                     }
                     (now, Input::Tick)
@@ -120,6 +129,7 @@ impl StationLoop {
             if end_at.is_some_and(|end| now >= end) {
                 return;
             }
+            self.advance_fleet();
             if let Some(address) = newest_peers.address_of_new(&self.links, &input) {
                 self.handle(now, address);
             }
@@ -135,6 +145,34 @@ impl StationLoop {
                 self.publish_status(now);
                 self.record_truth();
             }
+        }
+    }
+
+    /// Gives the robots of a fleet to other stations.
+    pub fn leave_fleet(&mut self) {
+        if let Some(mut fleet) = self.fleet.take() {
+            fleet.shut_down(&self.station);
+        }
+    }
+
+    /// Before an input: what the fleet says, and whether this station stood still, counts first.
+    fn advance_fleet(&mut self) {
+        if let Some(fleet) = &mut self.fleet {
+            fleet.advance();
+            self.handle_fleet_inputs();
+        }
+    }
+
+    fn handle_fleet_event(&mut self, event: FleetEvent) {
+        if let Some(fleet) = &mut self.fleet {
+            fleet.handle(event);
+            self.handle_fleet_inputs();
+        }
+    }
+
+    fn handle_fleet_inputs(&mut self) {
+        while let Some(input) = self.fleet.as_mut().and_then(|fleet| fleet.next_input(&self.station)) {
+            self.handle(self.timer.now(), input);
         }
     }
 
@@ -255,6 +293,10 @@ impl StationLoop {
         while let Some(output) = self.station.poll() {
             match output {
                 Output::Transmit { link, to, priority, bytes } => {
+                    if self.fleet.as_ref().is_some_and(|fleet| !fleet.may_send()) {
+                        // It stood still in the middle of this; its robots may be another station's by now.
+                        continue;
+                    }
                     if let Some(port) = self.links.get_mut(link) {
                         let frame = &bytes;
                         port.send_outgoing(&OutgoingFrame { to, priority, frame });
@@ -271,6 +313,9 @@ impl StationLoop {
         let events: Arc<[Event]> = events.into();
         if let Some(dashboard) = &self.dashboard {
             dashboard.publish_events(now, &events);
+        }
+        if let Some(fleet) = &mut self.fleet {
+            fleet.observe(&self.station, now, &input, &events);
         }
         let is_command = matches!(input, Input::Command(_) | Input::RobotCommand { .. });
         let logged = self.log_traffic(now, &input, &sent);
@@ -308,6 +353,7 @@ impl StationLoop {
         if is_command {
             self.publish_status(now);
         }
+        self.handle_fleet_inputs();
     }
 
     /// The command that sets the configured pose, with the first estimate of a robot.
@@ -370,6 +416,14 @@ fn end_side_file<F: SideFileFormat>(file: &mut Option<SideFile<F>>, failures: &m
     let report = warning(format!("no more {kind}: {error:#}"));
     failures.record::<()>(Err(error.context(format!("the {kind} is not whole"))));
     Some(report)
+}
+
+/// The next event of the fleet; pending without one.
+async fn next_fleet_event(fleet: &mut Option<Fleet>) -> FleetEvent {
+    match fleet {
+        Some(fleet) => fleet.next_event().await,
+        None => std::future::pending().await,
+    }
 }
 
 fn warning(text: String) -> Input {

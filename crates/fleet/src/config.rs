@@ -61,7 +61,7 @@ impl Default for OwnershipConfig {
             max_unanswered: 2,
             max_robots: 256,
             max_stations: 64,
-            max_state_len: 65_536,
+            max_state_len: 524_288,
         }
     }
 }

@@ -4,11 +4,12 @@ use std::fmt;
 use std::num::NonZeroU32;
 
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use serde::{Deserialize, Serialize};
 
 use crate::names::StationId;
 
 /// Counts the owners of one robot, from 1. Each new owner takes the highest epoch that it knows and adds one.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Epoch(NonZeroU32);
 
 impl Epoch {
@@ -48,7 +49,7 @@ impl fmt::Debug for Epoch {
 }
 
 /// A station's claim to own a robot. Of several for one robot the highest holds: by epoch, then by station.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct OwnershipToken {
     pub epoch: Epoch,
     pub station: StationId,

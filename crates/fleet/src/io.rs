@@ -3,24 +3,25 @@
 use std::fmt;
 
 use posebridge_telemetry::TimeDelta;
+use serde::{Deserialize, Serialize};
 
 use crate::epoch::{Epoch, OwnershipToken};
 use crate::event::OwnershipEvent;
 use crate::names::{RobotName, StationId};
 
 /// Numbers the queries of one station.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct QueryId(pub u64);
 
 /// Whether a station hears a robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reception {
     Heard,
     Silent,
 }
 
 /// The state of a robot's filter. The bytes are the engine's own.
-#[derive(Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StateSnapshot {
     /// Of the owner that took it.
     pub epoch: Epoch,
@@ -93,7 +94,7 @@ pub enum Input {
 }
 
 /// A station's answer to a query.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StateAnswer {
     /// It owns the robot and hears it.
     Serving {

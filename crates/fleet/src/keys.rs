@@ -153,6 +153,16 @@ impl FleetKeys {
         self.select(Kind::Estimate)
     }
 
+    /// Matches every [`FleetKey::Fix`].
+    pub fn all_fixes(&self) -> String {
+        self.select(Kind::Fix)
+    }
+
+    /// Matches every [`FleetKey::Command`].
+    pub fn all_commands(&self) -> String {
+        self.select(Kind::Command)
+    }
+
     /// Matches every [`FleetKey::State`].
     pub fn all_states(&self) -> String {
         self.select(Kind::State)

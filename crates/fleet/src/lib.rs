@@ -35,8 +35,10 @@ mod epoch;
 mod estimate;
 mod event;
 mod fleet_status;
+mod fleet_table;
 mod io;
 mod keys;
+mod messages;
 mod names;
 mod ownership;
 mod queries;
@@ -44,16 +46,23 @@ mod reception;
 mod robot_entry;
 mod robot_table;
 mod ros2_keys;
+mod station_clock;
 
 pub use config::OwnershipConfig;
 pub use epoch::{Epoch, EpochFence, FenceDecision, OwnershipToken};
 pub use estimate::{EstimateError, FleetEstimate};
 pub use event::{ClaimReason, OwnershipEvent, StopReason};
+pub use fleet_table::{FleetRobot, FleetStation, FleetTable};
 pub use io::{
     AnswerContent, Input, Output, QueryId, QueryTarget, Reception, RefusalCounts, StartState, StateAnswer,
     StateSnapshot,
 };
 pub use keys::{FleetKey, FleetKeys, KeyError};
+pub use messages::{
+    FleetMessage, MessageError, RawChunk, SavedState, StateNotice, StateQuestion, StateReply, StationReport, decode_message,
+    encode_message,
+};
 pub use names::{CameraName, FleetName, LinkName, NameError, RobotName, StationId, StationName};
 pub use ownership::{Ownership, RobotRole};
 pub use ros2_keys::{EndpointKind, RosAttachment, RosEndpoint, RosName, RosNameError, RosNode, RosQos, RosType};
+pub use station_clock::{ClockExchange, ClockOffset, StationClock};

@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// The longest name, in bytes.
@@ -38,7 +39,8 @@ macro_rules! name {
         $(#[$doc])*
         ///
         /// 1 to 64 letters and digits of ASCII, `-`, `_` and `.`, so that it is one chunk of a Zenoh key. A clone shares the text.
-        #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(try_from = "String", into = "String")]
         pub struct $name(Arc<str>);
 
         impl $name {
@@ -49,6 +51,19 @@ macro_rules! name {
 
             pub fn as_str(&self) -> &str {
                 &self.0
+            }
+        }
+
+        impl TryFrom<String> for $name {
+            type Error = NameError;
+            fn try_from(text: String) -> Result<Self, NameError> {
+                Self::new(&text)
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(name: $name) -> Self {
+                name.as_str().to_owned()
             }
         }
 
@@ -85,7 +100,7 @@ name!(/// A camera of the fleet.
     CameraName);
 
 /// One run of a station. Written as `name-0123456789abcdef`.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct StationId {
     pub name: StationName,
     /// Drawn at random when the program starts: a station that was restarted is another one, and knows nothing of what it owned.

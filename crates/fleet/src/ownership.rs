@@ -117,9 +117,14 @@ impl Ownership {
     /// been frozen since the last input.
     pub fn permit(&self, now: Timestamp<HostClock>, robot: &RobotName) -> Option<Epoch> {
         match self.role(robot) {
-            RobotRole::Owner(epoch) if now - self.now <= self.config.freeze_limit => Some(epoch),
+            RobotRole::Owner(epoch) if self.is_awake(now) => Some(epoch),
             RobotRole::Owner(_) | RobotRole::None | RobotRole::StandBy | RobotRole::Paused(_) => None,
         }
+    }
+
+    /// Whether the last input is so recent that this station has not been frozen since.
+    pub fn is_awake(&self, now: Timestamp<HostClock>) -> bool {
+        now - self.now <= self.config.freeze_limit
     }
 
     pub fn role(&self, robot: &RobotName) -> RobotRole {

@@ -29,6 +29,11 @@ impl HostTimer {
         Timestamp::from_nanos(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))
     }
 
+    /// As [`Self::now`], but also counts while the computer sleeps, where the system tells (Linux).
+    pub fn now_with_sleep(&self) -> Timestamp<HostClock> {
+        self.now() + read_sleep()
+    }
+
     /// Returns when `now()` has reached `stamp`, at once if it has. The runtime's timers have a resolution of about a
     /// millisecond and wake late, never early.
     pub async fn sleep_until(self, stamp: Timestamp<HostClock>) {
@@ -107,6 +112,16 @@ fn read_clock() -> Instant {
 fn read_utc_micros() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
+}
+
+/// For how long the computer has slept since it was started; zero where the system does not tell.
+fn read_sleep() -> TimeDelta {
+    #[cfg(target_os = "linux")]
+    let awake_and_asleep = Duration::try_from(clock_gettime(ClockId::Boottime)).unwrap_or_default();
+    #[cfg(not(target_os = "linux"))]
+    let awake_and_asleep = read_monotonic();
+    let asleep = awake_and_asleep.saturating_sub(read_monotonic());
+    TimeDelta::from_nanos(i64::try_from(asleep.as_nanos()).unwrap_or(0))
 }
 
 fn read_monotonic() -> Duration {

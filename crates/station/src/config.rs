@@ -30,6 +30,8 @@ pub struct StationConfig {
     pub robot_system: Option<SystemId>,
     /// Where the arena lies on the Earth, if that is known.
     pub origin: Option<GeodeticOrigin>,
+    /// Who decides which robots this station owns.
+    pub ownership: OwnershipPolicy,
     pub fix_requests: FixRequestConfig,
     /// Interval of time requests to brick and camera, after the first replies.
     pub timesync_period: TimeDelta,
@@ -40,6 +42,16 @@ pub struct StationConfig {
     /// How long a frame is remembered to detect duplicates from other endpoints; zero turns this off.
     pub duplicate_window: TimeDelta,
     pub links: Vec<LinkConfig>,
+}
+
+/// Who decides which robots a station owns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OwnershipPolicy {
+    /// Nobody: the station sends to every robot that it hears.
+    #[default]
+    Unmanaged,
+    /// A fleet: a robot is sent nothing until [`Input::Ownership`](posebridge_telemetry::Input::Ownership) says that it is owned here.
+    Fleet,
 }
 
 /// The configuration of one robot, or of all robots without a block of their own.

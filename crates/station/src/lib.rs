@@ -68,7 +68,7 @@ extern crate self as posebridge_station;
 #[path = "../tests/station/support/config.rs"]
 mod test_config;
 
-pub use config::{
+pub use config::{OwnershipPolicy,
     AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig,
     OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, RpmMeaning,
     StationConfig, ThermometerConfig,

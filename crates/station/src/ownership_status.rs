@@ -2,6 +2,8 @@
 
 use posebridge_telemetry::Ownership;
 
+use crate::config::OwnershipPolicy;
+
 /// Whether this station owns a robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OwnershipStatus {
@@ -27,6 +29,16 @@ impl OwnershipStatus {
 
     pub const fn is_standby(self) -> bool {
         matches!(self, Self::Standby { .. })
+    }
+}
+
+impl From<OwnershipPolicy> for OwnershipStatus {
+    /// Of a robot that nothing was decided about.
+    fn from(policy: OwnershipPolicy) -> Self {
+        match policy {
+            OwnershipPolicy::Unmanaged => Self::Unmanaged,
+            OwnershipPolicy::Fleet => Self::Standby { epoch: 0 },
+        }
     }
 }
 

@@ -93,8 +93,10 @@ impl CommonSettings {
 impl RobotTable {
     /// Fails if a filter is unknown.
     pub(crate) fn new(config: &StationConfig) -> Result<Self, BuildError> {
+        let mut first = Robot::new(&RobotFilters::find(&config.robot)?, &config.robot, &config.links, config.origin);
+        first.ownership = config.ownership.into();
         Ok(Self {
-            robots: vec![Robot::new(&RobotFilters::find(&config.robot)?, &config.robot, &config.links, config.origin)],
+            robots: vec![first],
             by_id: BTreeMap::new(),
             identities: SenderIdentities::default(),
             contested: ContestedMessages::default(),
@@ -187,6 +189,7 @@ impl RobotTable {
         let robot_config = config.robot_config(block);
         let filters = RobotFilters::find(robot_config).ok()?;
         let mut robot = Robot::new(&filters, robot_config, &config.links, config.origin);
+        robot.ownership = config.ownership.into();
         robot.apply(&FilterCommand::SetParams(config.robot.filter_config.params));
         self.settings.apply(&mut robot, robot_config);
         for (link, message_id, interval) in &self.intervals {
@@ -351,12 +354,12 @@ impl RobotTable {
         if let Some(PreparedRobot { robot, .. }) = prepared {
             self.robots.truncate(index);
             self.robots.push(robot);
-            self.set_ownership(index, self.robots[index].ownership);
         } else if index == self.robots.len() || *robot_config != config.robot {
             let robot = self.build(config, block)?;
             self.robots.truncate(index);
             self.robots.push(robot);
         }
+        self.set_ownership(index, self.robots[index].ownership);
         let namesakes: Vec<RobotIndex> = self.identities.at_home(origin.home, address).collect();
         if !namesakes.is_empty() {
             for robot in namesakes.into_iter().chain([index]) {

@@ -4,7 +4,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 use posebridge_report::metrics::summarise;
 use posebridge_report::{ErrorSummary, PoseTrack, SourceTally, TimedPose, mean_over_runs};
 use posebridge_station::{
-    DescriptionPolicy, FixRequestConfig, GoalPolicy, RobotConfig, RpmMeaning, Station, StationConfig,
+    DescriptionPolicy, FixRequestConfig, GoalPolicy, OwnershipPolicy, RobotConfig, RpmMeaning, Station, StationConfig,
 };
 use posebridge_telemetry::{Address, Estimate, Input, Observation, Point2, TimeDelta};
 
@@ -211,6 +211,7 @@ pub fn replay_run(
         timesync_period: TimeDelta::from_millis(1_000),
         brick_message_intervals: vec![],
         autopilot_message_intervals: vec![],
+        ownership: OwnershipPolicy::Unmanaged,
         duplicate_window: TimeDelta::ZERO,
         links: vec![],
     };

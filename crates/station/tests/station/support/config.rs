@@ -5,7 +5,7 @@ use posebridge_estimator::{FilterConfig, Params};
 use posebridge_protocol::framing::{TransportKind, WireVersion};
 use posebridge_station::{
     AcceptedVersions, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig, OutputInstant, OutputKind,
-    OutputStream, RobotConfig, RpmMeaning, StationConfig,
+    OutputStream, OwnershipPolicy, RobotConfig, RpmMeaning, StationConfig,
 };
 use posebridge_telemetry::{
     Address, DriveGeometry, HostClock, LinkId, Meters, Point2, Pose, Radians, SensorNoise, StartPose, TimeDelta,
@@ -57,6 +57,7 @@ pub(crate) fn config() -> StationConfig {
         timesync_period: TimeDelta::from_millis(500),
         brick_message_intervals: vec![(42_100, TimeDelta::from_millis(50)), (42_101, TimeDelta::from_millis(50))],
         autopilot_message_intervals: vec![],
+        ownership: OwnershipPolicy::Unmanaged,
         duplicate_window: TimeDelta::from_millis(15_000),
         links: vec![link(LINK, vec![stream(OutputKind::PlanarPose, 0)])],
     }

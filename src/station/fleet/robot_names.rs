@@ -1,0 +1,73 @@
+//! The names by which the fleet knows the robots of this station.
+
+use std::collections::BTreeMap;
+
+use posebridge_fleet::{RobotName, StationName};
+use posebridge_station::Station;
+use posebridge_telemetry::{LinkId, RobotId};
+
+use super::address_name;
+use crate::config::Config;
+
+/// Names in both directions.
+pub(super) struct RobotNames {
+    names: BTreeMap<RobotId, Option<RobotName>>,
+    ids: BTreeMap<RobotName, RobotId>,
+    /// Of links whose robots say no id of their own, the name of their robot.
+    by_link: BTreeMap<LinkId, String>,
+}
+
+impl RobotNames {
+    /// A robot has the name of its `[[robot]]` block, else its MAVLink ids. A brick without MAVLink has none: it gets a name that no robot of
+    /// another station has, and so stays at this station.
+    pub(super) fn new(config: &Config, station: &StationName) -> Self {
+        let bricks = config.links.iter().enumerate().filter(|(_, link)| link.brick.is_some());
+        let by_link = bricks.map(|(index, _)| (LinkId(index as u16), format!("{station}.link{index}")));
+        Self { names: BTreeMap::new(), ids: BTreeMap::new(), by_link: by_link.collect() }
+    }
+
+    /// Names a robot, unless another one of this station has the name.
+    pub(super) fn add(&mut self, station: &Station, robot: RobotId) {
+        if self.names.contains_key(&robot) {
+            return;
+        }
+        let configured = station.robots().iter().find(|known| known.id() == robot).and_then(|known| known.name());
+        let text = match (configured, self.by_link.get(&robot.link)) {
+            (Some(name), _) => name.to_owned(),
+            (None, Some(name)) => name.clone(),
+            (None, None) => address_name(robot.address),
+        };
+        let name = match RobotName::new(&text) {
+            Ok(name) => match self.ids.get(&name) {
+                None => Some(name),
+                Some(other) => {
+                    tracing::warn!(
+                        "robot {robot} has the same name in the fleet as robot {other}, `{name}`, and is not served: give it a name or \
+                         another system id"
+                    );
+                    None
+                }
+            },
+            Err(error) => {
+                tracing::warn!("robot {robot} is not served: its name `{text}` is none in a fleet: {error}");
+                None
+            }
+        };
+        if let Some(name) = &name {
+            self.ids.insert(name.clone(), robot);
+        }
+        self.names.insert(robot, name);
+    }
+
+    pub(super) fn name(&self, robot: RobotId) -> Option<&RobotName> {
+        self.names.get(&robot)?.as_ref()
+    }
+
+    pub(super) fn id(&self, robot: &RobotName) -> Option<RobotId> {
+        self.ids.get(robot).copied()
+    }
+
+    pub(super) fn on_link(&self, link: LinkId) -> Vec<RobotName> {
+        self.ids.iter().filter(|(_, id)| id.link == link).map(|(name, _)| name.clone()).collect()
+    }
+}
