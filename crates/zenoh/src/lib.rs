@@ -1,4 +1,4 @@
-//! Zenoh sessions: what stations of a fleet say to each other, on the network.
+//! Zenoh sessions: what stations of a fleet say to each other, and a node of ROS 2.
 //!
 //! A [`FleetSession`] is one thread that owns the session. It takes [`FleetCommand`]s and gives [`FleetEvent`]s through bounded channels,
 //! so that nothing on the network makes a station wait. What the messages mean is in `posebridge-fleet`.
@@ -6,7 +6,9 @@
 mod connection;
 mod fleet_session;
 mod publishers;
+mod ros2_node;
 mod subscriptions;
 
 pub use connection::{Connection, ConnectionError, Scouting};
 pub use fleet_session::{CommandReply, FleetCommand, FleetEvent, FleetSession, Publication, SessionCounts};
+pub use ros2_node::{Ros2Error, Ros2Node};

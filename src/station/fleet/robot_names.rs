@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use posebridge_fleet::{RobotName, StationName};
-use posebridge_station::Station;
+use posebridge_station::{Robot, Station};
 use posebridge_telemetry::{LinkId, RobotId};
 
 use super::address_name;
@@ -31,7 +31,10 @@ impl RobotNames {
         if self.names.contains_key(&robot) {
             return;
         }
-        let configured = station.robots().iter().find(|known| known.id() == robot).and_then(|known| known.name());
+        let Some(configured) = station.robots().iter().find(|known| known.id() == robot).map(Robot::name) else {
+            // A camera or another participant that is no robot.
+            return;
+        };
         let text = match (configured, self.by_link.get(&robot.link)) {
             (Some(name), _) => name.to_owned(),
             (None, Some(name)) => name.clone(),

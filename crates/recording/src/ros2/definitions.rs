@@ -10,12 +10,13 @@ use std::collections::VecDeque;
 /// What separates the definitions in a schema.
 const SEPARATOR: &str = "================================================================================";
 
+/// A type of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct MessageType {
+pub struct MessageType {
     /// `package/msg/Type`.
-    pub(super) name: &'static str,
+    pub name: &'static str,
     /// Of all its fields, by which programs know that two have the same definition.
-    pub(super) hash: &'static str,
+    pub hash: &'static str,
 }
 
 pub(super) const ODOMETRY: MessageType = MessageType {

@@ -1,4 +1,4 @@
-//! Converts events to the messages of a bag.
+//! Converts events to messages of ROS 2.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -31,27 +31,29 @@ const UNMEASURED: f64 = 1e6;
 /// Begins a covariance of `sensor_msgs/Imu` whose quantity is not measured.
 const NOT_MEASURED: [f64; 9] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
-/// A message of the bag.
+/// A message of a topic.
 #[derive(Debug)]
-pub(super) struct BagMessage {
-    pub(super) topic: String,
-    pub(super) message_type: MessageType,
-    pub(super) data: Vec<u8>,
+pub struct RosMessage {
+    /// With its namespace.
+    pub topic: String,
+    pub message_type: MessageType,
+    /// In CDR, with its header.
+    pub data: Vec<u8>,
 }
 
 /// Converts events, in order.
 #[derive(Debug)]
-pub(super) struct BagEncoder {
+pub struct RosEncoder {
     /// UTC of the host clock's zero.
     zero_nanos: u64,
     names: RobotNames,
     first: Option<RobotId>,
-    robots: BTreeMap<RobotId, BagRobot>,
+    robots: BTreeMap<RobotId, RosRobot>,
     links_down: BTreeSet<LinkId>,
 }
 
 #[derive(Debug)]
-struct BagRobot {
+struct RosRobot {
     /// Empty for the first robot, if it has no name.
     name: String,
     odom_frame: String,
@@ -61,8 +63,9 @@ struct BagRobot {
     last_transform: Option<Timestamp<HostClock>>,
 }
 
-impl BagEncoder {
-    pub(super) fn new(zero_nanos: u64) -> Self {
+impl RosEncoder {
+    /// `zero_nanos` is UTC of the host clock's zero.
+    pub fn new(zero_nanos: u64) -> Self {
         Self {
             zero_nanos,
             names: RobotNames::default(),
@@ -73,7 +76,7 @@ impl BagEncoder {
     }
 
     /// `now` is the arrival of the event.
-    pub(super) fn encode(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<BagMessage> {
+    pub fn encode(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<RosMessage> {
         self.names.observe(event);
         match event {
             Event::EstimateUpdated { robot, estimate } => self.estimate_messages(*robot, now, estimate),
@@ -113,7 +116,7 @@ impl BagEncoder {
     }
 
     /// Adds an unknown robot; a name that comes later does not change its topics. Observations without a sender are of the first one.
-    fn robot(&mut self, robot: RobotId) -> &mut BagRobot {
+    fn robot(&mut self, robot: RobotId) -> &mut RosRobot {
         let robot = match self.first {
             Some(first) if robot == RobotId::default() => first,
             Some(first) if first == RobotId::default() => {
@@ -132,12 +135,12 @@ impl BagEncoder {
                 None if self.robots.is_empty() => String::new(),
                 None => unique_name(&id_name(robot), is_taken),
             };
-            self.robots.insert(robot, BagRobot::new(name));
+            self.robots.insert(robot, RosRobot::new(name));
         }
-        self.robots.entry(robot).or_insert_with(|| BagRobot::new(String::new()))
+        self.robots.entry(robot).or_insert_with(|| RosRobot::new(String::new()))
     }
 
-    fn estimate_messages(&mut self, robot: RobotId, now: Timestamp<HostClock>, estimate: &Estimate) -> Vec<BagMessage> {
+    fn estimate_messages(&mut self, robot: RobotId, now: Timestamp<HostClock>, estimate: &Estimate) -> Vec<RosMessage> {
         let zero_nanos = self.zero_nanos;
         let robot = self.robot(robot);
         // Without a heading there is no pose in the arena.
@@ -179,7 +182,7 @@ impl BagEncoder {
         robot: RobotId,
         now: Timestamp<HostClock>,
         observation: &Observation,
-    ) -> Option<BagMessage> {
+    ) -> Option<RosMessage> {
         let ObservationKind::TurnRate(turn) = observation.measurement else {
             return None;
         };
@@ -199,7 +202,7 @@ impl BagEncoder {
         Some(robot.message("imu", definitions::IMU, imu.encode()))
     }
 
-    fn health_message(&self, now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> BagMessage {
+    fn health_message(&self, now: Timestamp<HostClock>, link: LinkId, health: &LinkHealth) -> RosMessage {
         let counters = LinkCounter::ALL.iter().map(|counter| (counter.key, (counter.read)(health).to_string()));
         let round_trip = health.round_trip.map(|time| ("round_trip_s", time.as_secs_f64().to_string()));
         let (level, message) = if self.links_down.contains(&link) {
@@ -212,7 +215,7 @@ impl BagEncoder {
     }
 
     /// An event in words.
-    fn described(&self, now: Timestamp<HostClock>, event: &Event, subject: &str) -> Vec<BagMessage> {
+    fn described(&self, now: Timestamp<HostClock>, event: &Event, subject: &str) -> Vec<RosMessage> {
         let Some((severity, text)) = event.describe() else {
             return Vec::new();
         };
@@ -235,15 +238,15 @@ impl BagEncoder {
         subject: &str,
         message: String,
         values: Vec<(&'static str, String)>,
-    ) -> BagMessage {
+    ) -> RosMessage {
         let status = DiagnosticStatus { level, name: format!("posebridge: {subject}"), message, values };
         let header = Header { stamp: stamp(self.zero_nanos, now), frame_id: "" };
         let data = encode_diagnostics(&header, &[status]);
-        BagMessage { topic: DIAGNOSTICS_TOPIC.to_owned(), message_type: definitions::DIAGNOSTIC_ARRAY, data }
+        RosMessage { topic: DIAGNOSTICS_TOPIC.to_owned(), message_type: definitions::DIAGNOSTIC_ARRAY, data }
     }
 }
 
-impl BagRobot {
+impl RosRobot {
     fn new(name: String) -> Self {
         let frame = |frame: &str| if name.is_empty() { frame.to_owned() } else { format!("{name}/{frame}") };
         Self {
@@ -261,12 +264,12 @@ impl BagRobot {
         Some(self.alignment?.host_time(brick))
     }
 
-    fn message(&self, topic: &str, message_type: MessageType, data: Vec<u8>) -> BagMessage {
+    fn message(&self, topic: &str, message_type: MessageType, data: Vec<u8>) -> RosMessage {
         let topic = if self.name.is_empty() { format!("/{topic}") } else { format!("/{}/{topic}", self.name) };
-        BagMessage { topic, message_type, data }
+        RosMessage { topic, message_type, data }
     }
 
-    fn transform_message(&self, stamp: RosTime, estimate: &Estimate) -> BagMessage {
+    fn transform_message(&self, stamp: RosTime, estimate: &Estimate) -> RosMessage {
         let odom_from_body = TransformStamped {
             header: Header { stamp, frame_id: &self.odom_frame },
             child_frame_id: &self.body_frame,
@@ -282,7 +285,7 @@ impl BagRobot {
             };
             encode_transforms(&[map_from_odom, odom_from_body])
         };
-        BagMessage { topic: TF_TOPIC.to_owned(), message_type: definitions::TF_MESSAGE, data }
+        RosMessage { topic: TF_TOPIC.to_owned(), message_type: definitions::TF_MESSAGE, data }
     }
 }
 

@@ -28,6 +28,8 @@ mod metadata;
 mod names;
 mod writer;
 
+pub use definitions::MessageType;
+pub use encoder::{RosEncoder, RosMessage};
 pub use writer::{RosBagError, RosBagWriter};
 
 /// Ends the name of a bag beside the recording that it was made of or with.

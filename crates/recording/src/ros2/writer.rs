@@ -7,7 +7,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use posebridge_telemetry::{Event, HostClock, Timestamp};
 
-use super::encoder::{BagEncoder, BagMessage};
+use super::encoder::{RosEncoder, RosMessage};
 use super::metadata::{BagContents, QOS_PROFILES};
 
 /// The last start of a session whose stamps fit into the 32 bits of `builtin_interfaces/Time`: 2038-01-19.
@@ -35,7 +35,7 @@ pub struct RosBagWriter<W: Write> {
     mcap: mcap::Writer<NoSeek<BufWriter<W>>>,
     /// UTC of the host clock's zero.
     zero_nanos: u64,
-    encoder: BagEncoder,
+    encoder: RosEncoder,
     /// By topic; each is created with its first message.
     channels: BTreeMap<String, u16>,
     contents: BagContents,
@@ -60,7 +60,7 @@ impl<W: Write> RosBagWriter<W> {
         Ok(Self {
             mcap,
             zero_nanos,
-            encoder: BagEncoder::new(zero_nanos),
+            encoder: RosEncoder::new(zero_nanos),
             channels: BTreeMap::new(),
             contents: BagContents::default(),
         })
@@ -112,7 +112,7 @@ impl<W: Write> RosBagWriter<W> {
         Ok((buffered.into_inner().map_err(IntoInnerError::into_error)?, messages))
     }
 
-    fn channel(&mut self, message: &BagMessage) -> Result<u16, RosBagError> {
+    fn channel(&mut self, message: &RosMessage) -> Result<u16, RosBagError> {
         if let Some(id) = self.channels.get(&message.topic) {
             return Ok(*id);
         }
