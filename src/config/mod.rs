@@ -15,6 +15,7 @@ mod profile;
 mod robot;
 mod robot_blocks;
 mod robots;
+mod ros2;
 mod routing;
 mod sections;
 mod sensor;
@@ -45,6 +46,7 @@ pub use robots::{
     BundledRobot, ROBOTS, TemplateLink, TemplateValue, UnknownRobot, list as list_of_robots, template, template_of,
     with_values,
 };
+pub use ros2::Ros2Section;
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use sections::{
     DashboardSection, FilterSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace, RecordSection,

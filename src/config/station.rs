@@ -18,6 +18,7 @@ use super::fleet::FleetSection;
 use super::link::{LinkSection, LinkTarget, brick_link, rules_of};
 use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
+use super::ros2::Ros2Section;
 use super::routing::RoutingSection;
 use super::sections::{DashboardSection, FilterSection, PlotJugglerSection, RecordSection, WorldConfig, filter_config};
 
@@ -47,6 +48,8 @@ pub struct Config {
     pub routing: RoutingSection,
     /// The stations that this one shares robots with.
     pub fleet: FleetSection,
+    /// Topics for ROS 2.
+    pub ros2: Ros2Section,
     /// The recording.
     pub record: RecordSection,
     /// The page of the station.
@@ -123,6 +126,7 @@ impl Default for Config {
             clock: ClockConfig::default(),
             routing: RoutingSection::default(),
             fleet: FleetSection::default(),
+            ros2: Ros2Section::default(),
             record: RecordSection::default(),
             dashboard: DashboardSection::default(),
             plotjuggler: PlotJugglerSection::default(),

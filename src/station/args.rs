@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use posebridge_telemetry::{Arena, Command, Pose};
 
-use crate::config::{FleetSection, PLOTJUGGLER_ADDRESS};
+use crate::config::{FleetSection, PLOTJUGGLER_ADDRESS, Ros2Section};
 use crate::flags::{ConfigFlags, DashboardFlags, DetailFlags, LinkFlags, positive};
 
 /// What a run records.
@@ -129,7 +129,7 @@ pub struct WatchdogFlags {
     pub watchdog_exit: bool,
 }
 
-/// The stations that this one shares robots with.
+/// Stations that this one shares robots with, and nodes of ROS 2.
 #[derive(Args, Clone, Debug, Default)]
 pub struct FleetFlags {
     /// Share robots with the other stations of this fleet: each robot is served by one of them, and goes on at another one when
@@ -142,13 +142,20 @@ pub struct FleetFlags {
     /// Where other stations may connect, e.g. tcp/192.168.1.6:7447; without it only those of this computer can. Can be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub fleet_listen: Vec<String>,
+    /// Publish odometry, pose, transforms and diagnostics for nodes of ROS 2 with this ROS_DOMAIN_ID, over Zenoh (rmw_zenoh).
+    /// Default: 0 (docs/ros2.md).
+    #[arg(long, value_name = "DOMAIN", num_args = 0..=1, require_equals = true, default_missing_value = "0")]
+    pub ros2: Option<u32>,
 }
 
 impl FleetFlags {
     /// Sets what is given.
-    pub fn apply(&self, section: &mut FleetSection) {
+    pub fn apply(&self, section: &mut FleetSection, ros2: &mut Ros2Section) {
         if let Some(name) = &self.fleet {
             section.name.clone_from(name);
+        }
+        if let Some(domain) = self.ros2 {
+            (ros2.enabled, ros2.domain) = (true, domain);
         }
         section.join.extend(self.join.iter().cloned());
         section.listen.extend(self.fleet_listen.iter().cloned());

@@ -27,6 +27,8 @@ pub mod recorder;
 pub mod recording_files;
 pub mod recording_parts;
 pub mod requests;
+#[cfg_attr(not(feature = "fleet"), path = "no_ros2.rs")]
+pub mod ros2;
 pub mod run;
 pub mod run_report;
 mod session;

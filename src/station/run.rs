@@ -145,7 +145,7 @@ pub fn configuration(args: &RunArgs) -> Result<Config> {
             config = config.with_camera_of(&scenario).with_rendered_camera(&scenario)?;
         }
     }
-    args.fleet.apply(&mut config.fleet);
+    args.fleet.apply(&mut config.fleet, &mut config.ros2);
     let config = config.with_cameras_read()?;
     config.validate()?;
     Ok(config)

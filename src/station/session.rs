@@ -21,6 +21,7 @@ use super::per_robot::PerRobot;
 use super::recorder::Recorder;
 use super::recording_files::{RecordedFiles, output_folder, start_bag, start_recorder, start_tlog};
 use super::requests::{ReachableBrick, RequestHandler};
+use super::ros2::Ros2Publisher;
 use super::setup::{RobotSetup, SetupChecklists};
 use super::side_file::{SideFile, SideFileFormat, WrittenSideFile};
 use super::signing::{SigningSession, warn_of_open_listeners};
@@ -77,6 +78,7 @@ pub(super) async fn session(
         print_line(&warning);
     }
     let fleet = Fleet::start(config, timer).before_start()?;
+    let ros2 = Ros2Publisher::start(config, timer).before_start()?;
     let reserved = reserve_dashboard(&args.page, config).before_start()?;
     let folder = output_folder(args, config, &timer).before_start()?;
     let stop = CancellationToken::new();
@@ -115,6 +117,7 @@ pub(super) async fn session(
         input_count: 0,
         tlog,
         bag,
+        ros2,
         observer,
         failures,
         signing: keeper,
@@ -224,12 +227,15 @@ struct StoppedStation {
 
 /// Closes the links, then waits for recorder and observer.
 fn close(station_loop: StationLoop) -> Result<StoppedStation> {
-    let StationLoop { recorder, tlog, bag, observer, links: ports, mut failures, requests, .. } = station_loop;
+    let StationLoop { recorder, tlog, bag, ros2, observer, links: ports, mut failures, requests, .. } = station_loop;
     let unsent: u64 = ports.iter().map(|port| port.counters().drops_out).sum();
     if unsent > 0 {
         print_line(&format!("{unsent} messages were not sent: a link was down or too slow"));
     }
     drop(ports);
+    if let Some(ros2) = ros2 {
+        ros2.finish();
+    }
     let last = requests.current().map(Path::to_owned);
     // A disk that fails now must not cost the tables, nor one file the others.
     let mut recorded = requests.finish(&mut failures);

@@ -21,6 +21,7 @@ use super::observer::Observer;
 use super::page_history::station_status;
 use super::recorder::Recorder;
 use super::requests::RequestHandler;
+use super::ros2::Ros2Publisher;
 use super::setup::SetupChecklists;
 use super::side_file::{SideFile, SideFileFormat};
 use super::signing::SigningStateWriter;
@@ -57,6 +58,7 @@ pub struct StationLoop {
     pub input_count: u64,
     pub tlog: Option<TlogRecorder>,
     pub bag: Option<BagRecorder>,
+    pub ros2: Option<Ros2Publisher>,
     pub observer: Observer,
     pub dashboard: Option<DashboardHandle>,
     pub setup: SetupChecklists,
@@ -322,6 +324,9 @@ impl StationLoop {
         self.requests.on_input(&input);
         let recorded = self.record(now, input, &events);
         let bagged = self.record_bag(now, &events);
+        if let Some(ros2) = &self.ros2 {
+            ros2.publish(&self.station, now, &events);
+        }
         let watched = self.observer.push(now, &events);
         self.setup.observe(now, &events);
         let placed = self.place_first_robot(&events);
