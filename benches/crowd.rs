@@ -4,6 +4,10 @@
 //! its page. With `flood` 50 more peers send 2000 datagrams a second each, one half of them understood; with `silent` 4000 addresses send a
 //! byte every five seconds. Run with `cargo bench --bench crowd -- [SECONDS] [flood] [silent]`.
 //!
+//! With `fleet=ROBOTS` so many robots are spread over four stations of a fleet, each a process without page and recording:
+//! `cargo bench --features fleet --bench crowd -- 20 fleet=1000`. ROBOTS is 500, 1000, 2000, 2500 or 5000. Limits then hold for the stations
+//! together.
+//!
 //! The age of an estimate is the time from before its telemetry is sent until the kernel has it for the robot. Exit code 1 if a robot
 //! misses an estimate or gets another's, the kernel drops a datagram, or the 99th percentile of the age is above 5 ms.
 //!
@@ -34,11 +38,11 @@ use posebridge_protocol::message::{Heartbeat, Message, WheelTicks, WireStamp};
 use posebridge_telemetry::{Address, EncoderTicks, Timestamp};
 
 const ROBOTS: u32 = 500;
+const FLEET_STATIONS: usize = 4;
 const PERIOD_MICROS: u32 = 50_000;
 /// Robots send one after the other, some in each tick.
 const TICK: Duration = Duration::from_millis(1);
 const TICKS_PER_PERIOD: u32 = 50;
-const ROBOTS_PER_TICK: u32 = ROBOTS / TICKS_PER_PERIOD;
 const FLOODING_PEERS: u32 = 50;
 const FLOOD_PER_TICK: usize = 2;
 const SILENT_PEERS: u32 = 4_000;
@@ -46,6 +50,8 @@ const SILENT_REST_TICKS: u32 = 5_000;
 /// After the last telemetry.
 const GRACE_TICKS: u32 = 500;
 const WARM_UP_ROUNDS: u32 = 20;
+/// Until every robot has an owner.
+const FLEET_WARM_UP_ROUNDS: u32 = 100;
 const MAX_ECHO_SECONDS: u32 = 15;
 const MAX_P99: Duration = Duration::from_millis(5);
 /// PB_PLANAR_POSE with its envelope.
@@ -56,6 +62,8 @@ struct Load {
     seconds: u32,
     has_flood: bool,
     has_silent: bool,
+    /// Rounds whose missing estimates are counted apart.
+    warm_up_rounds: u32,
 }
 
 fn main() -> ExitCode {
@@ -65,13 +73,16 @@ fn main() -> ExitCode {
         serve_echo();
     }
     let seconds = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(60);
-    let load = Load { seconds, has_flood: has("flood"), has_silent: has("silent") };
-    let mut echo = Server::start_echo();
-    let bare = Crowd::new().run(Load { seconds: seconds.min(MAX_ECHO_SECONDS), ..load }, &mut echo);
-    echo.stop();
-    let mut station = Server::start_station();
-    let ours = Crowd::new().run(load, &mut station);
-    station.stop();
+    let in_fleet = arguments.iter().find_map(|argument| argument.strip_prefix("fleet=")?.parse().ok());
+    let robots = in_fleet.unwrap_or(ROBOTS);
+    let warm_up_rounds = if in_fleet.is_some() { FLEET_WARM_UP_ROUNDS } else { WARM_UP_ROUNDS };
+    let load = Load { seconds, has_flood: has("flood"), has_silent: has("silent"), warm_up_rounds };
+    let mut echo = vec![Server::start_echo()];
+    let bare = Crowd::new(robots).run(Load { seconds: seconds.min(MAX_ECHO_SECONDS), ..load }, &echo);
+    echo.iter_mut().for_each(Server::stop);
+    let mut stations = if in_fleet.is_some() { Server::start_fleet() } else { vec![Server::start_station()] };
+    let ours = Crowd::new(robots).run(load, &stations);
+    stations.iter_mut().for_each(Server::stop);
     println!("{:<26} {:>12} {:>12}", "", "station", "bare echo");
     let row = |name: &str, read: &dyn Fn(&Outcome) -> String| {
         println!("{name:<26} {:>12} {:>12}", read(&ours), read(&bare));
@@ -80,11 +91,12 @@ fn main() -> ExitCode {
     row("datagrams of others", &|of| of.others.to_string());
     row("replies", &|of| of.received.iter().sum::<u32>().to_string());
     row("fewest for a robot", &|of| format!("{} of {}", of.fewest(), of.rounds));
-    row("missed, first second", &|of| of.missed(|round| round < WARM_UP_ROUNDS).to_string());
-    row("missed later", &|of| of.missed(|round| round >= WARM_UP_ROUNDS).to_string());
+    row("missed at first", &|of| of.missed(|round| round < warm_up_rounds).to_string());
+    row("missed later", &|of| of.missed(|round| round >= warm_up_rounds).to_string());
     row("to another robot", &|of| of.misdirected.to_string());
     row("dropped by the kernel", &|of| of.kernel_drops.to_string());
     row("processor, % of one core", &|of| format!("{:.1}", of.cpu_share * 100.0));
+    row("network, bytes per robot and s", &|of| format!("{:.0}", of.bytes_per_robot_and_s));
     row("memory, kB", &|of| of.memory_kb.to_string());
     for share in [0.5, 0.99, 1.0] {
         row(&format!("age p{:.0}, ms", share * 100.0), &|of| format!("{:.3}", of.age(share).as_secs_f64() * 1e3));
@@ -93,7 +105,7 @@ fn main() -> ExitCode {
         let ratio = ours.age(share).as_secs_f64() / bare.age(share).as_secs_f64();
         println!("station to echo, p{:<8.0} {ratio:>13.2}", share * 100.0);
     }
-    let failures = ours.failures();
+    let failures = ours.failures(in_fleet.map_or(0, |_| warm_up_rounds));
     for failure in &failures {
         println!("FAILED: {failure}");
     }
@@ -120,6 +132,29 @@ impl Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_posebridge"));
         command.args(["run", "--listen", "udp://127.0.0.1:0", "--out"]).arg(folder.path().join("run"));
         Self::start(&mut command, Some(folder))
+    }
+
+    /// Stations that are all connected with each other.
+    fn start_fleet() -> Vec<Self> {
+        let port = |_| {
+            let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+            listener.local_addr().expect("its address").port()
+        };
+        let ports: Vec<u16> = (0..FLEET_STATIONS).map(port).collect();
+        let start = |station: usize| {
+            let folder = tempfile::tempdir().expect("a scratch folder");
+            let mut command = Command::new(env!("CARGO_BIN_EXE_posebridge"));
+            command.args(["run", "--listen", "udp://127.0.0.1:0", "--no-dashboard", "--no-record"]);
+            command.args(["--set", "station.max_robots=5000", "--fleet", "crowd"]);
+            command.args(["--set", &format!("fleet.station=station{station}")]);
+            command.args(["--fleet-listen", &format!("tcp/127.0.0.1:{}", ports[station])]);
+            for port in &ports[..station] {
+                command.args(["--join", &format!("tcp/127.0.0.1:{port}")]);
+            }
+            command.arg("--out").arg(folder.path().join("run"));
+            Self::start(&mut command, Some(folder))
+        };
+        (0..FLEET_STATIONS).map(start).collect()
     }
 
     fn start(command: &mut Command, folder: Option<tempfile::TempDir>) -> Self {
@@ -208,6 +243,7 @@ struct Crowd {
     floods: Vec<(UdpSocket, Vec<u8>)>,
     /// When each round's telemetry was sent, robot by robot.
     sent: Vec<Option<SystemTime>>,
+    warm_up_rounds: u32,
     outcome: Outcome,
 }
 
@@ -224,6 +260,8 @@ struct Outcome {
     kernel_drops: u64,
     cpu_share: f64,
     memory_kb: u64,
+    /// On the loopback interface, of everything: telemetry, estimates, and what stations say to each other.
+    bytes_per_robot_and_s: f64,
     ages: Vec<Duration>,
 }
 
@@ -240,11 +278,12 @@ impl Outcome {
         self.ages.get((self.ages.len().saturating_sub(1) as f64 * share) as usize).copied().unwrap_or_default()
     }
 
-    fn failures(&self) -> Vec<String> {
-        let lacking = self.received.iter().filter(|received| **received < self.rounds).count();
+    /// `excused_rounds` at first may miss estimates.
+    fn failures(&self, excused_rounds: u32) -> Vec<String> {
+        let lacking = self.missed(|round| round >= excused_rounds);
         let p99 = self.age(0.99);
         [
-            (lacking > 0, format!("{lacking} robots miss estimates")),
+            (lacking > 0, format!("{lacking} estimates are missing")),
             (self.misdirected > 0, format!("{} estimates went to another robot", self.misdirected)),
             (self.kernel_drops > 0, format!("the kernel dropped {} datagrams", self.kernel_drops)),
             (p99 > MAX_P99, format!("p99 of the age is {p99:?}, above {MAX_P99:?}")),
@@ -253,6 +292,13 @@ impl Outcome {
         .filter_map(|(has_failed, text)| has_failed.then_some(text))
         .collect()
     }
+}
+
+/// Bytes that were sent on the loopback interface since the computer started.
+fn loopback_bytes() -> u64 {
+    let table = std::fs::read_to_string("/proc/net/dev").expect("Linux");
+    let row = table.lines().find_map(|line| line.trim().strip_prefix("lo:")).expect("a loopback interface");
+    row.split_whitespace().nth(8).and_then(|bytes| bytes.parse().ok()).expect("a number")
 }
 
 fn robot_host(robot: u32) -> Ipv4Addr {
@@ -264,7 +310,7 @@ fn silent_host(number: u32) -> Ipv4Addr {
 }
 
 impl Crowd {
-    fn new() -> Self {
+    fn new(robots: u32) -> Self {
         let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         socket.set_nonblocking(true).expect("a socket that does not wait");
         setsockopt(&socket, RcvBuf, &(4 << 20)).expect("a large buffer");
@@ -288,57 +334,70 @@ impl Crowd {
         };
         Self {
             socket,
-            robots: (0..ROBOTS).map(robot).collect(),
+            robots: (0..robots).map(robot).collect(),
             floods: (0..FLOODING_PEERS).map(flood).collect(),
             sent: Vec::new(),
-            outcome: Outcome { received: vec![0; ROBOTS as usize], ..Outcome::default() },
+            warm_up_rounds: 0,
+            outcome: Outcome { received: vec![0; robots as usize], ..Outcome::default() },
         }
     }
 
-    fn run(mut self, load: Load, server: &mut Server) -> Outcome {
+    fn robot_count(&self) -> u32 {
+        self.robots.len() as u32
+    }
+
+    /// Each robot sends to one of the servers.
+    fn run(mut self, load: Load, servers: &[Server]) -> Outcome {
         let ticks = load.seconds * 1_000;
         self.outcome.rounds = ticks / TICKS_PER_PERIOD;
-        self.sent = vec![None; (self.outcome.rounds * ROBOTS) as usize];
-        let (began, cpu) = (Instant::now(), server.cpu());
+        self.warm_up_rounds = load.warm_up_rounds;
+        self.sent = vec![None; (self.outcome.rounds * self.robot_count()) as usize];
+        let cpu = |servers: &[Server]| servers.iter().map(Server::cpu).sum::<Duration>();
+        let (began, cpu_before, bytes_before) = (Instant::now(), cpu(servers), loopback_bytes());
         for tick in 0..ticks + GRACE_TICKS {
             if tick < ticks {
-                self.send_telemetry(tick, server.address);
+                self.send_telemetry(tick, servers);
             }
             // One in each tick, and then a rest.
             let silent = tick % SILENT_REST_TICKS;
             if load.has_silent && silent < SILENT_PEERS {
-                self.send_from(silent_host(silent), &[0], server.address);
+                self.send_from(silent_host(silent), &[0], servers[0].address);
                 self.outcome.others += 1;
             }
             if load.has_flood {
-                self.send_flood(server.address.into());
+                self.send_flood(servers[0].address.into());
             }
             self.receive();
             std::thread::sleep((began + TICK * (tick + 1)).saturating_duration_since(Instant::now()));
         }
         self.receive();
+        let robots = self.robot_count();
         let missed = self.sent.iter().enumerate().filter(|(_, sent)| sent.is_some());
-        self.outcome.missed_rounds = missed.map(|(index, _)| index as u32 / ROBOTS).collect();
+        self.outcome.missed_rounds = missed.map(|(index, _)| index as u32 / robots).collect();
         let mut outcome = self.outcome;
         outcome.ages.sort_unstable();
-        outcome.cpu_share = server.cpu().saturating_sub(cpu).as_secs_f64() / began.elapsed().as_secs_f64();
-        outcome.memory_kb = server.memory_kb();
-        outcome.kernel_drops = server.kernel_drops();
+        let elapsed_s = began.elapsed().as_secs_f64();
+        outcome.cpu_share = cpu(servers).saturating_sub(cpu_before).as_secs_f64() / elapsed_s;
+        outcome.bytes_per_robot_and_s = (loopback_bytes() - bytes_before) as f64 / elapsed_s / f64::from(robots);
+        outcome.memory_kb = servers.iter().map(Server::memory_kb).sum();
+        outcome.kernel_drops = servers.iter().map(Server::kernel_drops).sum();
         outcome
     }
 
-    fn send_telemetry(&mut self, tick: u32, to: SocketAddrV4) {
-        let (round, first) = (tick / TICKS_PER_PERIOD, tick % TICKS_PER_PERIOD * ROBOTS_PER_TICK);
-        for robot in first..first + ROBOTS_PER_TICK {
+    fn send_telemetry(&mut self, tick: u32, servers: &[Server]) {
+        let robots = self.robot_count();
+        let per_tick = robots / TICKS_PER_PERIOD;
+        let (round, first) = (tick / TICKS_PER_PERIOD, tick % TICKS_PER_PERIOD * per_tick);
+        for robot in first..first + per_tick {
             let ticks = EncoderTicks(i64::from(round) * 5 + i64::from(robot));
             // Unique: it tells which telemetry an estimate answers.
-            let stamp = WireStamp::Micros32(PERIOD_MICROS * (round + 20) + robot * (PERIOD_MICROS / ROBOTS));
+            let stamp = WireStamp::Micros32(PERIOD_MICROS * (round + 20) + robot * (PERIOD_MICROS / robots));
             let message = Message::WheelTicks(WheelTicks { stamp, left: ticks, right: ticks });
             let Robot { encoder, address } = &mut self.robots[robot as usize];
             let mut frame = Vec::new();
             encoder.encode(*address, &message, &mut frame);
-            self.sent[(round * ROBOTS + robot) as usize] = Some(SystemTime::now());
-            self.send_from(robot_host(robot), &frame, to);
+            self.sent[(round * robots + robot) as usize] = Some(SystemTime::now());
+            self.send_from(robot_host(robot), &frame, servers[robot as usize % servers.len()].address);
             self.outcome.sent += 1;
         }
     }
@@ -389,15 +448,16 @@ impl Crowd {
         let Some(stamp) = stamp_of(datagram) else {
             return;
         };
-        let robot = stamp % PERIOD_MICROS / (PERIOD_MICROS / ROBOTS);
+        let robots = self.robot_count();
+        let robot = stamp % PERIOD_MICROS / (PERIOD_MICROS / robots);
         let round = (stamp / PERIOD_MICROS).wrapping_sub(20);
         if host != robot_host(robot) {
             // What the station says while it knows one robot only is for all.
-            self.outcome.misdirected += u64::from(round >= WARM_UP_ROUNDS);
+            self.outcome.misdirected += u64::from(round >= self.warm_up_rounds);
             return;
         }
         // The first estimate of a telemetry counts.
-        let Some(sent) = self.sent.get_mut((round * ROBOTS + robot) as usize).and_then(Option::take) else {
+        let Some(sent) = self.sent.get_mut((round * robots + robot) as usize).and_then(Option::take) else {
             return;
         };
         self.outcome.received[robot as usize] += 1;

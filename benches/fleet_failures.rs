@@ -44,13 +44,17 @@ fn main() -> ExitCode {
     let mut fleet = StationGroup::start(folder.path());
     let mut robots = RobotGroup::new();
     robots.run(&fleet, 30_000, |robots| robots.all_served());
-    println!("{:<34} {:>10} {:>10} {:>8} {:>10} {:>8} {:>8}", "step", "median, s", "longest, s", "limit, s", "one owner", "lower", "accepted");
+    println!(
+        "{:<34} {:>10} {:>10} {:>8} {:>10} {:>8} {:>8}",
+        "step", "median, s", "longest, s", "limit, s", "one owner", "lower", "accepted"
+    );
     let mut is_good = true;
     let mut step = |name: &str, limit_ms: u64, robots: &mut RobotGroup, fleet: &StationGroup, duration_ms: u64| {
         let begun_ms = robots.now_ms();
         robots.run(fleet, duration_ms, |_| false);
         let outcome = robots.outcome_since(begun_ms);
-        let [median_s, longest_s] = [outcome.gaps_ms[ROBOTS / 2], outcome.gaps_ms[ROBOTS - 1]].map(|ms| ms as f64 / 1e3);
+        let [median_s, longest_s] =
+            [outcome.gaps_ms[ROBOTS / 2], outcome.gaps_ms[ROBOTS - 1]].map(|ms| ms as f64 / 1e3);
         println!(
             "{name:<34} {median_s:>10.3} {longest_s:>10.3} {:>8.1} {:>7} of {ROBOTS} {:>8} {:>8}",
             limit_ms as f64 / 1e3,
@@ -295,7 +299,9 @@ impl RobotGroup {
                 }
                 robot.receive(fleet, now_ms);
             }
-            std::thread::sleep((self.begun + Duration::from_millis(self.tick)).saturating_duration_since(Instant::now()));
+            std::thread::sleep(
+                (self.begun + Duration::from_millis(self.tick)).saturating_duration_since(Instant::now()),
+            );
         }
     }
 

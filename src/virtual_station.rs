@@ -327,9 +327,12 @@ impl VirtualSession<'_> {
                     CommandExecutor::Simulation => {}
                     CommandExecutor::Link => self.pending_link_commands.push_back(command),
                 },
-                // There is no file to write.
+                // There is no file to write, and no other station.
                 Output::Request(
-                    Request::SaveParameters { .. } | Request::StartRecording { .. } | Request::StopRecording,
+                    Request::SaveParameters { .. }
+                    | Request::StartRecording { .. }
+                    | Request::StopRecording
+                    | Request::ShareFix { .. },
                 ) => {}
             }
         }

@@ -4,7 +4,7 @@
 use anyhow::{Result, ensure};
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
-use posebridge_telemetry::{Event, HostClock, Input, Timestamp};
+use posebridge_telemetry::{Event, HostClock, Input, OutsideFix, Timestamp};
 
 use crate::config::Config;
 
@@ -18,7 +18,10 @@ impl Fleet {
     /// Fails if the configuration names a fleet.
     pub fn start(config: &Config, _timer: HostTimer) -> Result<Option<Self>> {
         let is_alone = config.fleet.checked(&config.robots)?.is_none();
-        ensure!(is_alone, "this program was built without fleets: build it with `cargo build --release --features fleet`");
+        ensure!(
+            is_alone,
+            "this program was built without fleets: build it with `cargo build --release --features fleet`"
+        );
         Ok(None)
     }
 
@@ -43,6 +46,10 @@ impl Fleet {
     }
 
     pub fn observe(&mut self, _station: &Station, _now: Timestamp<HostClock>, _input: &Input, _events: &[Event]) {
+        match *self {}
+    }
+
+    pub fn share_fix(&mut self, _tag: u32, _fix: &OutsideFix) {
         match *self {}
     }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Result, ensure};
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
-use posebridge_telemetry::{Event, HostClock, Timestamp};
+use posebridge_telemetry::{Event, HostClock, Input, Timestamp};
 
 use crate::config::Config;
 
@@ -25,6 +25,10 @@ impl Ros2Publisher {
     }
 
     pub fn publish(&self, _station: &Station, _now: Timestamp<HostClock>, _events: &Arc<[Event]>) {
+        match *self {}
+    }
+
+    pub async fn next_request(&mut self) -> Input {
         match *self {}
     }
 

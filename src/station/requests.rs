@@ -136,6 +136,8 @@ impl RequestHandler {
             },
             Request::StartRecording { values } => self.start(now, input_count, values, recorder),
             Request::StopRecording => self.stop(recorder),
+            // The fleet's.
+            Request::ShareFix { .. } => return None,
             Request::Simulator { robot, command } => match self.forward_to_simulator(*robot, command) {
                 // What happens to the brick stands in the command.
                 Ok(()) => return None,

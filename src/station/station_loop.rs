@@ -9,7 +9,8 @@ use posebridge_recording::container::TruthSample;
 use posebridge_station::Station;
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{
-    Arena, Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Pose, Priority, TimeDelta, Timestamp,
+    Arena, Command, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Pose, Priority, Request, TimeDelta,
+    Timestamp,
 };
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -117,6 +118,7 @@ impl StationLoop {
                     continue;
                 }
                 command = next_command(&mut self.dashboard) => (self.timer.now(), command),
+                request = next_ros2_request(&mut self.ros2) => (self.timer.now(), request),
                 report = self.requests.next_report() => (self.timer.now(), report),
                 () = deadline_timer.wait_until(wake_at) => {
                     let now = self.timer.now();
@@ -308,6 +310,11 @@ impl StationLoop {
                     }
                 }
                 Output::Event(event) => events.push(event),
+                Output::Request(Request::ShareFix { tag, fix }) => {
+                    if let Some(fleet) = &mut self.fleet {
+                        fleet.share_fix(tag, &fix);
+                    }
+                }
                 Output::Request(request) => requests.push(request),
             }
         }
@@ -427,6 +434,14 @@ fn end_side_file<F: SideFileFormat>(file: &mut Option<SideFile<F>>, failures: &m
 async fn next_fleet_event(fleet: &mut Option<Fleet>) -> FleetEvent {
     match fleet {
         Some(fleet) => fleet.next_event().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// The next request of a node of ROS 2; pending without one.
+async fn next_ros2_request(ros2: &mut Option<Ros2Publisher>) -> Input {
+    match ros2 {
+        Some(ros2) => ros2.next_request().await,
         None => std::future::pending().await,
     }
 }

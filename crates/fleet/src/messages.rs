@@ -1,6 +1,6 @@
 //! What stations send each other, as bytes: a version, then the message in postcard's encoding. Received bytes are not trusted.
 
-use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
+use posebridge_telemetry::{Address, Fix, HostClock, TimeDelta, Timestamp};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -71,6 +71,24 @@ pub struct RawChunk {
     pub bytes: Vec<u8>,
 }
 
+/// A camera's fix of a robot that another station owns.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SharedFix {
+    pub from: StationId,
+    /// Counts the fixes of this camera for this robot, so that gaps are seen; wraps.
+    pub sequence: u32,
+    /// The camera's own.
+    pub camera: Address,
+    /// On the clock of that station.
+    pub time: Timestamp<HostClock>,
+    /// The time is at most this far from the true one.
+    pub uncertainty: TimeDelta,
+    pub fix: Fix,
+}
+
+impl FleetMessage for SharedFix {
+    const NAME: &'static str = "fix";
+}
 impl FleetMessage for StateQuestion {
     const NAME: &'static str = "question about a state";
 }
@@ -93,7 +111,9 @@ impl FleetMessage for RawChunk {
 /// Why bytes are no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum MessageError {
-    #[error("a {name} of version {version}, which this station does not know: all stations of a fleet need the same version")]
+    #[error(
+        "a {name} of version {version}, which this station does not know: all stations of a fleet need the same version"
+    )]
     Version { name: &'static str, version: u8 },
     #[error("no {name}: its bytes end early, go on too long or hold something impossible")]
     Content { name: &'static str },
@@ -160,12 +180,8 @@ mod tests {
 
     #[test]
     fn a_name_that_is_no_name_and_an_epoch_of_zero_are_refused() {
-        let question = encode_message(&StateQuestion {
-            from: station(),
-            to: None,
-            id: QueryId(1),
-            heard_for: TimeDelta::ZERO,
-        });
+        let question =
+            encode_message(&StateQuestion { from: station(), to: None, id: QueryId(1), heard_for: TimeDelta::ZERO });
         let mut slash = question;
         slash[2] = b'/';
         assert!(decode_message::<StateQuestion>(&slash).is_err());

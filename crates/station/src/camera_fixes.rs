@@ -1,12 +1,14 @@
 //! Cameras: their fixes on the way to a robot's estimator, their clocks, and requests for more.
 
+use posebridge_protocol::routing::Endpoint;
 use posebridge_telemetry::{
-    Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, Observation, ObservationKind, Priority,
-    TimeDelta, Timestamp, severity,
+    Address, Estimate, Event, FusionOutcome, FusionRecord, HostClock, LinkId, Observation, ObservationKind, Output,
+    OutsideFix, Priority, Request, RobotId, SensorId, TimeDelta, Timestamp, severity,
 };
 
 use crate::camera_table::{CameraIdentity, FixAdmission, Newcomers};
 use crate::clock::align::Alignment;
+use crate::config::OwnershipPolicy;
 use crate::fix_requests::fix_request;
 use crate::observation_extractor::UnalignedObservation;
 use crate::observations::MessageSender;
@@ -15,6 +17,15 @@ use crate::receive::{ReceiveInfo, TimeExchange};
 use crate::sender_identity::{ContestedMessage, MessageOrigin, RobotIndex};
 use crate::sender_pins::SenderPins;
 use crate::station::Station;
+
+/// Who sent a fix, and when it came.
+#[derive(Clone, Copy, Debug)]
+struct FixSender {
+    arrival: Timestamp<HostClock>,
+    source: Address,
+    /// The first link of its group, and where it was received; `None` if it came over no link.
+    link: Option<(LinkId, Endpoint)>,
+}
 
 impl Station {
     /// A fix that a robot relays, stamped by its own clock: it may be older than any reordering explains.
@@ -59,6 +70,9 @@ impl Station {
             self.request_time_burst(observer);
             self.observers.fix_requests.reset_camera((link, source));
         }
+        if let (Some((time, uncertainty)), Some(tag)) = (host.time, observation.tag) {
+            self.share_fix(tag, source, time, uncertainty, observation.observed);
+        }
         let camera = CameraIdentity { observer: host.observer, address: source };
         let watched = self.robots.only_seen_by(self.time.now, camera);
         let robot = self.robots.of_fix(&self.config, sender.received.endpoint, source, observation.tag, watched);
@@ -75,20 +89,54 @@ impl Station {
             stamp_sigma: sigma,
             measurement: observation.observed,
         };
-        self.observe_fix(index, sender, camera, fix);
+        let from =
+            FixSender { arrival: sender.received.host_time, source, link: Some((link, sender.received.endpoint)) };
+        self.observe_fix(index, from, camera, fix);
+    }
+
+    /// A fix from another station or program, whose time is on the host's clock. The error of that time is part of the fix.
+    pub(crate) fn handle_outside_fix(&mut self, robot: RobotId, outside: &OutsideFix) {
+        let Some(index) = self.robots.find(robot) else {
+            return;
+        };
+        let (now, source) = (self.time.now, outside.source);
+        let camera = CameraIdentity { observer: self.observers.outside(source, now), address: source };
+        let clocks = &self.robots.get(index).clocks;
+        let Some((stamp, stamp_sigma)) = clocks.at_host_time(outside.time, outside.uncertainty) else {
+            return;
+        };
+        let measurement = ObservationKind::Fix(outside.fix);
+        let observation = Observation { sensor: SensorId::CAMERA, stamp, stamp_sigma, measurement };
+        self.observe_fix(index, FixSender { arrival: now, source, link: None }, camera, observation);
+    }
+
+    /// In a fleet the robot with the tag may be another station's.
+    fn share_fix(
+        &mut self,
+        tag: u32,
+        source: Address,
+        time: Timestamp<HostClock>,
+        uncertainty: TimeDelta,
+        observed: ObservationKind,
+    ) {
+        if let (OwnershipPolicy::Fleet, ObservationKind::Fix(fix)) = (self.config.ownership, observed) {
+            let fix = OutsideFix { source, time, uncertainty, fix };
+            self.outputs.push(Output::Request(Request::ShareFix { tag, fix }));
+        }
     }
 
     /// Gives a robot's filter the fix of a camera, unless that has to agree with the others first.
     fn observe_fix(
         &mut self,
         index: RobotIndex,
-        sender: &MessageSender,
+        sender: FixSender,
         camera: CameraIdentity,
         mut observation: Observation,
     ) {
-        let (now, arrival, source) = (self.time.now, sender.received.host_time, sender.origin.address);
+        let now = self.time.now;
+        let FixSender { arrival, source, link } = sender;
         if let ObservationKind::Fix(fix) = &mut observation.measurement {
-            let pins = self.links.get(&sender.received.endpoint.link).and_then(|link| link.pins.as_ref());
+            let pins = link.and_then(|(_, endpoint)| self.links.get(&endpoint.link)?.pins.as_ref());
             let has_pins = pins.is_some_and(SenderPins::keeps_first_camera);
             let newcomers = if has_pins { Newcomers::Refused } else { Newcomers::OnProbation };
             match self.robots.get_mut(index).admit_fix(now, camera, fix, observation.stamp, newcomers) {
@@ -100,9 +148,9 @@ impl Station {
                     observation.sensor = sensor;
                     self.hold_back(index, source, arrival, observation);
                     if let Some(distance_m) = named_distance_m {
-                        let link = sender.origin.home;
+                        let place = link.map_or_else(|| "outside".to_owned(), |(home, _)| format!("on link {home}"));
                         let text = format!(
-                            "camera {source} on link {link} sees it {distance_m:.1} m from where the others do: not used until it agrees"
+                            "camera {source} {place} sees it {distance_m:.1} m from where the others do: not used until it agrees"
                         );
                         self.report_own_text(severity::WARNING, self.robots.labelled(index, &text));
                     }

@@ -14,11 +14,11 @@
 use posebridge_estimator::{FilterCommand, PARAMS, Params};
 use posebridge_protocol::dialect::commands::{CommandError, decode_command};
 use posebridge_protocol::dialect::ids;
-use posebridge_protocol::message::{CommandResult, Message};
+use posebridge_protocol::message::{CommandResult, Message, Setpoint};
 use posebridge_telemetry::{
-    Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, OnlineCalibration, Output,
-    ParameterName, ParameterStorage, Priority, Request, RobotId, SensorId, SensorSwitch, SimulatorCommand, StartPose,
-    severity,
+    Address, Command, Event, FilterComparison, FusionOutcome, LinkId, LinkState, MetersPerSecond, OnlineCalibration,
+    Output, ParameterName, ParameterStorage, Priority, RadiansPerSecond, Request, RobotId, SensorId, SensorSwitch,
+    SimulatorCommand, StartPose, severity,
 };
 
 use crate::link_command::LinkCommand;
@@ -219,9 +219,10 @@ impl Station {
     fn require_owned(&self, target: CommandTarget, command: &Command) -> Result<(), String> {
         let is_for_one = match target {
             CommandTarget::Robot(_) => command.is_for_robots(),
-            CommandTarget::Station => {
-                matches!(command, Command::SetPose { .. } | Command::ResetPose | Command::Simulator(_))
-            }
+            CommandTarget::Station => matches!(
+                command,
+                Command::SetPose { .. } | Command::ResetPose | Command::Drive { .. } | Command::Simulator(_)
+            ),
         };
         let robot = self.robots.get(target.posed_robot());
         if is_for_one && robot.ownership().is_standby() { Err(robot.owned_elsewhere()) } else { Ok(()) }
@@ -261,6 +262,7 @@ impl Station {
                 self.emit_request(Request::StopRecording);
                 Ok("the recording's end was asked for".to_owned())
             }
+            Command::Drive { forward, turn } => self.drive(target, forward, turn),
             Command::Simulator(command) => {
                 command.validate().map_err(|error| error.to_string())?;
                 let robot = match target {
@@ -274,6 +276,20 @@ impl Station {
                 Ok(command.to_string())
             }
         }
+    }
+
+    /// Sends a robot speeds, if it is one that takes goals.
+    fn drive(&mut self, target: CommandTarget, forward: MetersPerSecond, turn: RadiansPerSecond) -> CommandOutcome {
+        let index = target.posed_robot();
+        if !(forward.0.is_finite() && turn.0.is_finite()) {
+            return Err("not driven: a speed is not finite".to_owned());
+        }
+        if !self.robots.get(index).accepts_goals {
+            return Err("not driven: the robot takes no speeds (`robot.accepts_goals`, docs/missions.md)".to_owned());
+        }
+        self.interrupt_missions(target);
+        self.send_setpoint(index, Setpoint::BodyVelocity { forward, turn });
+        Ok(format!("driven by a program: {} m/s, {} rad/s", forward.0, turn.0))
     }
 
     fn set_pose(&mut self, index: RobotIndex, start: &StartPose) -> CommandOutcome {

@@ -2,7 +2,7 @@
 //!
 //! What a mission gives is sent behind the rest of an input, so that estimates and acknowledgements are first.
 
-use posebridge_protocol::message::{CommandResult, Message, PositionTarget};
+use posebridge_protocol::message::{CommandResult, Message, PositionTarget, Setpoint};
 use posebridge_protocol::routing::Endpoint;
 use posebridge_protocol::session::{PlanRequest, SessionSender};
 use posebridge_telemetry::{Estimate, LinkId, LinkState, Priority, RobotId, SystemId, severity};
@@ -135,23 +135,26 @@ impl Station {
                     self.transmitter().send_session_message(link, role, &message);
                 }
             }
-            MissionAction::Drive(setpoint) => {
-                if robot.ownership().is_standby() {
-                    return;
-                }
-                let target = robot.wire_address;
-                let Some((endpoint, _)) = robot.last_seen else {
-                    return;
-                };
-                // A lost goal is sent again.
-                if self.links.get(&endpoint.link).is_some_and(|link| link.state == LinkState::Up) {
-                    let message = Message::PositionTarget(PositionTarget { target, setpoint });
-                    self.transmitter().send_to_peer(endpoint, &message, Priority::Command);
-                }
-            }
+            MissionAction::Drive(setpoint) => self.send_setpoint(index, setpoint),
             MissionAction::Report { severity, text } => {
                 self.report_own_text(severity, self.robots.labelled(index, &text));
             }
+        }
+    }
+
+    /// Sends a robot where to drive, if it is this station's; what is lost is not sent again here.
+    pub(crate) fn send_setpoint(&mut self, index: RobotIndex, setpoint: Setpoint) {
+        let robot = self.robots.get(index);
+        if robot.ownership().is_standby() {
+            return;
+        }
+        let target = robot.wire_address;
+        let Some((endpoint, _)) = robot.last_seen else {
+            return;
+        };
+        if self.links.get(&endpoint.link).is_some_and(|link| link.state == LinkState::Up) {
+            let message = Message::PositionTarget(PositionTarget { target, setpoint });
+            self.transmitter().send_to_peer(endpoint, &message, Priority::Command);
         }
     }
 }

@@ -21,6 +21,9 @@ use crate::sender_identity::{HANDOVER, addresses_at, contender_entry};
 /// Most remembered observers; beyond it those that have been silent longest are forgotten, a quarter at a time.
 const MAX_OBSERVERS: usize = 1_024;
 
+/// Stands for a link where an observer is on none; no station has so many.
+const OUTSIDE: LinkId = LinkId(u16::MAX);
+
 /// Identifies an observer. The number of a forgotten one is not used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ObserverId(u64);
@@ -125,6 +128,13 @@ impl Observers {
             }
             ObserverIdentity::Contested(_) => None,
         }
+    }
+
+    /// The number of a source that is not on any link.
+    pub(crate) fn outside(&mut self, source: Address, now: Timestamp<HostClock>) -> ObserverId {
+        let endpoint = Endpoint { link: OUTSIDE, peer: PeerId::default() };
+        let sender = ObserverAddress { home: OUTSIDE, address: source };
+        self.identify(sender, ReceiveInfo { endpoint, host_time: now }).id()
     }
 
     /// Whether the sender of a message is undecided.

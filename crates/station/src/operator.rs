@@ -32,11 +32,14 @@ impl OperatorState {
         Self { saved_params: params, requested_on: None, last_command: None }
     }
 
-    /// Whether a command repeats the last one because a key is held.
+    /// Whether a command repeats the last one because a key is held, or is one of a stream of speeds from a program.
     pub(crate) fn is_key_repeat(&mut self, command: TargetedCommand) -> bool {
-        let is_drive = matches!(command.command, Command::Simulator(SimulatorCommand::Drive { .. }));
+        let is_key = matches!(command.command, Command::Simulator(SimulatorCommand::Drive { .. }));
+        let is_stream = |command: &TargetedCommand| matches!(command.command, Command::Drive { .. });
         let before = self.last_command.replace(command);
-        is_drive && before == Some(command)
+        let is_continued =
+            before.is_some_and(|before| before.target == command.target && is_stream(&before) && is_stream(&command));
+        is_key && before == Some(command) || is_continued
     }
 }
 

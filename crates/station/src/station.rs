@@ -147,6 +147,7 @@ impl Station {
             Input::Command(command) => self.handle_command(*command),
             Input::RobotCommand { robot, command } => self.handle_robot_command(*robot, *command),
             Input::Ownership { robot, ownership } => self.handle_ownership(*robot, ownership),
+            Input::OutsideFix { robot, fix } => self.handle_outside_fix(*robot, fix),
             Input::Report { severity, text } => self.handle_report(*severity, text),
             Input::Tick => {}
         }

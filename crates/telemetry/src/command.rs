@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::ids::{ChannelName, RobotId, SensorId};
 use crate::observation::SensorSwitch;
-use crate::quantities::{Heading, Meters};
+use crate::outside_fix::OutsideFix;
+use crate::quantities::{Heading, Meters, MetersPerSecond, RadiansPerSecond};
 use crate::simulator::SimulatorCommand;
 use crate::spaces::{Arena, Pose};
 
@@ -48,6 +49,11 @@ pub enum Command {
     SwitchSource {
         sensor: SensorId,
         to: SensorSwitch,
+    },
+    /// Drive at these speeds until the next command; the robot decides for how long.
+    Drive {
+        forward: MetersPerSecond,
+        turn: RadiansPerSecond,
     },
     /// Run further filters beside the one that sends, those of the configuration or else all, or stop them.
     CompareFilters(FilterComparison),
@@ -90,6 +96,7 @@ impl Command {
             | Self::OnlineCalibration(_)
             | Self::ResetCalibration
             | Self::SwitchSource { .. }
+            | Self::Drive { .. }
             | Self::Simulator(_) => true,
             Self::SetParameter { .. }
             | Self::Parameters(_)
@@ -113,6 +120,7 @@ impl Command {
             Self::ResetCalibration => "reset calibration",
             Self::SwitchSource { to: SensorSwitch::Off, .. } => "switch source off",
             Self::SwitchSource { to: SensorSwitch::On, .. } => "switch source on",
+            Self::Drive { .. } => "drive at",
             Self::CompareFilters(FilterComparison::Off) => "stop comparing filters",
             Self::CompareFilters(FilterComparison::On) => "compare filters",
             Self::StartRecording => "start recording",
@@ -135,6 +143,7 @@ impl fmt::Display for Command {
             ),
             Self::SetParameter { name: parameter, value } => write!(f, "{name}: {parameter} = {value}"),
             Self::SwitchSource { sensor, .. } => write!(f, "{name}: sensor {sensor}"),
+            Self::Drive { forward, turn } => write!(f, "{name} {} m/s, {} rad/s", forward.0, turn.0),
             Self::Simulator(command) => command.fmt(f),
             Self::ResetPose
             | Self::Parameters(_)
@@ -186,6 +195,12 @@ pub enum Request {
     },
     /// End the recording, if one is open.
     StopRecording,
+    /// Tell the fleet of a fix of a tagged robot: its owner may be another station.
+    ShareFix {
+        /// The tag's number.
+        tag: u32,
+        fix: OutsideFix,
+    },
     /// Carry out a command to a simulated brick, if the program has one.
     Simulator {
         /// The robot that the brick drives; `None` if none was named.

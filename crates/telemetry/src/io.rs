@@ -10,6 +10,7 @@ use crate::event::{Event, LinkState};
 use crate::ids::{LinkId, PeerId, RobotId};
 use crate::link_health::LinkCounts;
 use crate::observation::Observation;
+use crate::outside_fix::OutsideFix;
 use crate::ownership::Ownership;
 
 /// Everything that the station reacts to; with its arrival time, the content of a recording.
@@ -50,6 +51,11 @@ pub enum Input {
     Ownership {
         robot: RobotId,
         ownership: Ownership,
+    },
+    /// A fix of a robot that did not come over a link.
+    OutsideFix {
+        robot: RobotId,
+        fix: OutsideFix,
     },
     /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
     Report {

@@ -18,6 +18,7 @@ pub mod ids;
 pub mod io;
 pub mod link_health;
 pub mod observation;
+mod outside_fix;
 pub mod ownership;
 pub mod printable;
 pub mod quantities;
@@ -41,6 +42,7 @@ pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, P
 pub use io::{Input, Output, Priority, Recipients};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
+pub use outside_fix::OutsideFix;
 pub use ownership::{Ownership, RobotSnapshot};
 pub use printable::{is_printable, printable};
 pub use quantities::{

@@ -51,18 +51,10 @@ impl Ros2Node {
     /// Opens a session and shows the node. It must not be called from a runtime's thread.
     pub fn open(connection: &Connection, domain: u32, name: &str) -> Result<Self, ConnectionError> {
         let session = connection.open()?;
-        let node =
-            RosNode { domain, session: session.zid().to_string(), namespace: None, name: name.to_owned() };
+        let node = RosNode { domain, session: session.zid().to_string(), namespace: None, name: name.to_owned() };
         let presence = session.liveliness().declare_token(node.token()).wait();
         let presence = presence.map_err(|error| ConnectionError::Open(error.to_string()))?;
-        Ok(Self {
-            session,
-            node,
-            next_id: 1,
-            topics: BTreeMap::new(),
-            subscriptions: Vec::new(),
-            _presence: presence,
-        })
+        Ok(Self { session, node, next_id: 1, topics: BTreeMap::new(), subscriptions: Vec::new(), _presence: presence })
     }
 
     /// Publishes a message in CDR; `source_nanos` is its time since 1970. The topic is declared with its first message.

@@ -3,6 +3,7 @@
 //! [`Ownership`] decides; [`FleetSession`] is the network. This connects both with the engine: what the fleet decides becomes
 //! inputs of the engine, and is recorded with the others.
 
+mod camera_fixes;
 mod robot_names;
 mod state_schedule;
 
@@ -11,19 +12,20 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result};
 use posebridge_fleet::{
-    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetTable, Output, Ownership, OwnershipConfig, QueryTarget, Reception,
-    RobotName, RobotRole, SavedState, StartState, StateAnswer, StateNotice, StateQuestion, StateReply, StateSnapshot,
-    StationId, StationName, decode_message, encode_message,
+    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetTable, Output, Ownership, OwnershipConfig, QueryTarget,
+    Reception, RobotName, RobotRole, SavedState, SharedFix, StartState, StateAnswer, StateNotice, StateQuestion,
+    StateReply, StateSnapshot, StationId, StationName, decode_message, encode_message,
 };
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
 use posebridge_telemetry::{
-    Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, Ownership as EngineOwnership, RobotId, RobotSnapshot,
-    TimeDelta, Timestamp, severity,
+    Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, OutsideFix, Ownership as EngineOwnership,
+    RobotId, RobotSnapshot, TimeDelta, Timestamp, severity,
 };
 pub use posebridge_zenoh::FleetEvent;
 use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting};
 
+use self::camera_fixes::FixExchange;
 use self::robot_names::RobotNames;
 use self::state_schedule::StateSchedule;
 use crate::config::{Config, FleetSettings};
@@ -42,6 +44,7 @@ pub struct Fleet {
     names: RobotNames,
     estimates: BTreeMap<RobotId, EstimateStream>,
     states: StateSchedule,
+    fixes: FixExchange,
     timer: HostTimer,
     /// Inputs for the engine that were not taken yet.
     inputs: Vec<Input>,
@@ -83,6 +86,7 @@ impl Fleet {
             table,
             estimates: BTreeMap::new(),
             states: StateSchedule::default(),
+            fixes: FixExchange::new(config),
             timer,
             inputs: Vec::new(),
             next_cleaning: Timestamp::ZERO,
@@ -118,7 +122,40 @@ impl Fleet {
     pub fn handle(&mut self, event: FleetEvent) {
         match event {
             FleetEvent::Ownership(input) => self.give_about_robot(input),
-            FleetEvent::Fix { .. } | FleetEvent::Command { .. } => {}
+            FleetEvent::Fix { key, bytes } => self.receive_fix(&key, &bytes),
+            FleetEvent::Command { .. } => {}
+        }
+    }
+
+    /// Sends a camera's fix to the owner of the robot with the tag, if that is another station.
+    pub fn share_fix(&mut self, tag: u32, fix: &OutsideFix) {
+        let Some(robot) = self.fixes.robot_of(tag) else { return };
+        let owner = self.ownership.owner(robot);
+        if owner.is_some_and(|owner| owner.station != self.station) {
+            let robot = robot.clone();
+            if let Some(publication) = self.fixes.publication(&self.station, robot, fix) {
+                self.session.publish(publication);
+            }
+        }
+    }
+
+    fn receive_fix(&mut self, key: &FleetKey, bytes: &[u8]) {
+        let FleetKey::Fix { robot: name, .. } = key else { return };
+        let Some(robot) = self.names.id(name) else { return };
+        if !matches!(self.ownership.role(name), RobotRole::Owner(_)) {
+            return;
+        }
+        let now = self.timer.now();
+        let shared = match decode_message::<SharedFix>(bytes) {
+            Ok(shared) => shared,
+            Err(error) => {
+                tracing::warn!(robot = %name, "a fix of another station is not used: {error}");
+                return;
+            }
+        };
+        let offset = self.table().offset(now, &shared.from);
+        if let Some(fix) = self.fixes.receive(name, &shared, offset) {
+            self.inputs.push(Input::OutsideFix { robot, fix });
         }
     }
 
@@ -248,9 +285,7 @@ impl Fleet {
                     AnswerContent::Serving { epoch, heard_ago, silent_in } => {
                         StateAnswer::Serving { epoch, heard_ago, silent_in }
                     }
-                    AnswerContent::HandOver { epoch } => {
-                        StateAnswer::HandOver(self.save_state(station, &robot, epoch))
-                    }
+                    AnswerContent::HandOver { epoch } => StateAnswer::HandOver(self.save_state(station, &robot, epoch)),
                     AnswerContent::Promised => StateAnswer::Promised,
                     AnswerContent::NotOwner { owner, highest_epoch, state } => {
                         StateAnswer::NotOwner { owner, highest_epoch, state }
@@ -332,8 +367,9 @@ fn station_id(settings: &FleetSettings) -> Result<StationId> {
         None => {
             let system = rustix::system::uname();
             let host = system.nodename().to_string_lossy();
-            StationName::new(&host)
-                .with_context(|| format!("this computer's name `{host}` cannot be the station's: set `fleet.station`"))?
+            StationName::new(&host).with_context(|| {
+                format!("this computer's name `{host}` cannot be the station's: set `fleet.station`")
+            })?
         }
     };
     let mut instance = [0; 8];

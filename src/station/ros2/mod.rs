@@ -1,4 +1,7 @@
-//! The topics of a running station for ROS 2: what a bag would hold, live. A thread encodes and sends; the station loop never waits for it.
+//! The topics of a running station for ROS 2: what a bag would hold, live, and requests for robots. A thread encodes and sends; the station
+//! loop never waits for it.
+
+mod robot_requests;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,15 +13,19 @@ use posebridge_fleet::{RosName, RosType};
 use posebridge_link::HostTimer;
 use posebridge_recording::ros2::{RosEncoder, RosMessage};
 use posebridge_station::Station;
-use posebridge_telemetry::{Event, HostClock, RobotId, Timestamp};
+use posebridge_telemetry::{Event, HostClock, Input, RobotId, Timestamp};
 use posebridge_zenoh::{Connection, Ros2Node};
+use tokio::sync::mpsc;
 
+use self::robot_requests::RobotRequests;
 use crate::config::{Config, Ros2Section};
 
 /// Name of the node.
 const NODE: &str = "posebridge";
 /// Inputs whose events wait; more are dropped.
 const MAX_BATCHES: usize = 8_192;
+/// Requests that wait; more are dropped.
+const MAX_REQUESTS: usize = 256;
 
 /// The events of one input.
 struct EventBatch {
@@ -29,6 +36,8 @@ struct EventBatch {
 /// The station loop's end.
 pub struct Ros2Publisher {
     batches: Option<Sender<EventBatch>>,
+    /// What nodes ask of robots.
+    requests: mpsc::Receiver<Input>,
     dropped: Arc<AtomicU64>,
     thread: Option<JoinHandle<()>>,
 }
@@ -44,13 +53,13 @@ impl Ros2Publisher {
         let domain = section.domain;
         let (batches, waiting) = crossbeam_channel::bounded(MAX_BATCHES);
         let (opened, result) = crossbeam_channel::bounded(1);
-        let zero_nanos = timer.utc_start() * 1_000;
         let dropped = Arc::new(AtomicU64::new(0));
         let unsent = Arc::clone(&dropped);
+        let (requests, receiver) = mpsc::channel(MAX_REQUESTS);
         let work = move || match open(&connections, domain) {
             Ok(node) => {
                 drop(opened.send(Ok(())));
-                publish_all(node, zero_nanos, &waiting, &unsent);
+                publish_all(node, RobotRequests::new(requests, timer), &waiting, &unsent);
             }
             Err(error) => drop(opened.send(Err(error))),
         };
@@ -58,7 +67,7 @@ impl Ros2Publisher {
         let started = result.recv().map_err(|_ended| anyhow!("the thread for ROS 2 died"))?;
         started.with_context(|| format!("publishing for ROS 2 at `{}`", section.endpoint))?;
         tracing::info!(domain, endpoint = section.endpoint, "publishing for ROS 2");
-        Ok(Some(Self { batches: Some(batches), dropped, thread: Some(thread) }))
+        Ok(Some(Self { batches: Some(batches), requests: receiver, dropped, thread: Some(thread) }))
     }
 
     /// Passes the events of an input on; estimates of robots that another station owns are its to publish.
@@ -76,6 +85,14 @@ impl Ros2Publisher {
             && batches.try_send(EventBatch { now, events }).is_err()
         {
             self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// The next request of a node; pending while there is none.
+    pub async fn next_request(&mut self) -> Input {
+        match self.requests.recv().await {
+            Some(request) => request,
+            None => std::future::pending().await,
         }
     }
 
@@ -111,7 +128,8 @@ fn open(connections: &[Connection; 2], domain: u32) -> Result<Ros2Node> {
     })
 }
 
-fn publish_all(mut node: Ros2Node, zero_nanos: u64, batches: &Receiver<EventBatch>, dropped: &AtomicU64) {
+fn publish_all(mut node: Ros2Node, mut requests: RobotRequests, batches: &Receiver<EventBatch>, dropped: &AtomicU64) {
+    let zero_nanos = requests.zero_nanos();
     let mut encoder = RosEncoder::new(zero_nanos);
     let mut has_failed = false;
     for EventBatch { now, events } in batches {
@@ -124,6 +142,7 @@ fn publish_all(mut node: Ros2Node, zero_nanos: u64, batches: &Receiver<EventBatc
                 }
             }
         }
+        requests.subscribe_to_new(&mut node, &encoder);
     }
 }
 

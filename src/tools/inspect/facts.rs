@@ -293,6 +293,7 @@ fn record_input(
         | Input::Port { .. }
         | Input::PeerAddress { .. }
         | Input::Ownership { .. }
+        | Input::OutsideFix { .. }
         | Input::Tick => {}
     }
 }

@@ -123,6 +123,7 @@ impl CommandContext {
             | Command::Parameters(_)
             | Command::OnlineCalibration(_)
             | Command::ResetCalibration
+            | Command::Drive { .. }
             | Command::StartRecording
             | Command::CompareFilters(_)
             | Command::StopRecording => None,

@@ -167,6 +167,7 @@ impl<W: Write> RecordingWriter<W> {
             | Input::PeerAddress { .. }
             | Input::Observation(_)
             | Input::Ownership { .. }
+            | Input::OutsideFix { .. }
             | Input::Report { .. }
             | Input::Tick => None,
         };

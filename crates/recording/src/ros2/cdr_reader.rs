@@ -9,7 +9,7 @@ const HEADER_BYTES: usize = 4;
 /// Why a message cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("byte {offset} of the message: {what}")]
-pub(super) struct CdrError {
+pub struct CdrError {
     /// From the first byte of its header.
     offset: usize,
     what: String,

@@ -75,6 +75,11 @@ impl RosEncoder {
         }
     }
 
+    /// The robots that have topics, each with the part of the name before the last; empty for a lone one without a name.
+    pub fn namespaces(&self) -> impl Iterator<Item = (RobotId, &str)> {
+        self.robots.iter().map(|(robot, known)| (*robot, known.name.as_str()))
+    }
+
     /// `now` is the arrival of the event.
     pub fn encode(&mut self, now: Timestamp<HostClock>, event: &Event) -> Vec<RosMessage> {
         self.names.observe(event);

@@ -26,10 +26,13 @@ mod frames;
 mod messages;
 mod metadata;
 mod names;
+mod requests;
 mod writer;
 
+pub use cdr_reader::CdrError;
 pub use definitions::MessageType;
 pub use encoder::{RosEncoder, RosMessage};
+pub use requests::{REQUEST_TOPICS, RosRequest, RosRequestError, RosRequestType};
 pub use writer::{RosBagError, RosBagWriter};
 
 /// Ends the name of a bag beside the recording that it was made of or with.

@@ -9,8 +9,9 @@ use posebridge_recording::container::{
     RecordingWriter, TruthSample, WriteError, read_truth,
 };
 use posebridge_telemetry::{
-    Address, Command, Heading, HostClock, Input, LinkCounts, LinkId, LinkState, Meters, Observation, ObservationKind,
-    Ownership, ParameterName, PeerId, Pose, Radians, RobotId, RobotSnapshot, SensorId, TimeDelta, Timestamp,
+    Address, Command, Fix, Heading, HostClock, Input, LinkCounts, LinkId, LinkState, Meters, MetersPerSecond,
+    Observation, ObservationKind, OutsideFix, Ownership, ParameterName, PeerId, Point2, Pose, Radians,
+    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, TimeDelta, Timestamp,
 };
 
 use crate::MemoryFile;
@@ -43,6 +44,18 @@ fn every_kind() -> Vec<Input> {
     };
     let link = LinkId(u16::MAX);
     let owned = |link, ownership| Input::Ownership { robot: RobotId { link, address: Address::new(7, 1) }, ownership };
+    let outside = OutsideFix {
+        source: Address::new(255, 191),
+        time: Timestamp::from_nanos(-7),
+        uncertainty: TimeDelta::from_nanos(9),
+        fix: Fix {
+            position: Point2::new(Meters(1.0), Meters(-0.0)),
+            heading: Some(Heading::from_rad(1.0)),
+            covariance: None,
+            tag_in_body: Point2::new(Meters(0.0), Meters(0.1)),
+            reset_counter: 3,
+        },
+    };
     let snapshot = RobotSnapshot { bytes: vec![0, 255, 4], clock_offset: TimeDelta::from_nanos(-5) };
     vec![
         observation(ObservationKind::WheelAngles { left: Radians(-1e6), right: Radians(0.5) }),
@@ -61,6 +74,11 @@ fn every_kind() -> Vec<Input> {
         owned(link, Ownership::Standby { epoch: u64::MAX }),
         owned(link, Ownership::Owner { epoch: 1, state: None }),
         owned(link, Ownership::Owner { epoch: 2, state: Some(snapshot) }),
+        Input::RobotCommand {
+            robot: RobotId { link, address: Address::new(7, 1) },
+            command: Command::Drive { forward: MetersPerSecond(0.25), turn: RadiansPerSecond(-0.5) },
+        },
+        Input::OutsideFix { robot: RobotId { link, address: Address::new(7, 1) }, fix: outside },
         Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
     ]

@@ -5,10 +5,11 @@ use crate::support::{
 };
 use posebridge_protocol::bricks::{CodecSettings, brick_protocol};
 use posebridge_protocol::message::{CommandAck, Heartbeat, Message, Odometry, OdometryPose, TimeSync, VisionFix};
-use posebridge_station::{BrickLink, FixRequestConfig, StationConfig};
+use posebridge_station::{BrickLink, FixRequestConfig, OwnershipPolicy, StationConfig};
 use posebridge_telemetry::{
-    Address, Event, FusionOutcome, FusionRecord, Heading, HostClock, LinkId, Meters, MetersPerSecond, Observation,
-    ObservationKind, PeerId, Pose, RadiansPerSecond, ReceiveError, Recipients, SensorId, TimeDelta, Timestamp,
+    Address, Event, Fix, FusionOutcome, FusionRecord, Heading, HostClock, Input, LinkId, Meters, MetersPerSecond,
+    Observation, ObservationKind, Output, OutsideFix, PeerId, Point2, Pose, PositionCovariance, RadiansPerSecond,
+    ReceiveError, Recipients, Request, RobotId, SensorId, TimeDelta, Timestamp,
 };
 
 /// A camera with MAVLink on a link of its own.
@@ -439,4 +440,73 @@ fn a_robots_broadcast_goes_to_the_ground_station_and_to_no_other_robot() {
     assert_eq!(recipients_of(&mut station, ROBOTS, Address::new(254, 190), &gcs_heartbeat, at(3)), all_others);
     let of_robot = recipients_of(&mut station, 4, robot_address(4), &ticks(1_050, 7, 8), at(50));
     assert_eq!(of_robot, [Recipients::Peer(ground_station)]);
+}
+
+/// What another station or program says, whose time is on the host's clock.
+fn outside_fix(exposed: Timestamp<HostClock>) -> Input {
+    let [x_m, y_m] = POSITION_M;
+    let fix = Fix {
+        position: Point2::new(Meters(x_m), Meters(y_m)),
+        heading: Some(Heading::from_rad(0.01)),
+        covariance: Some(PositionCovariance { xx_m2: 1e-6, xy_m2: 0.0, yy_m2: 1e-6, heading_rad2: 1e-4 }),
+        tag_in_body: Point2::new(Meters(0.0), Meters(0.0)),
+        reset_counter: 0,
+    };
+    let uncertainty = TimeDelta::from_millis(6);
+    let fix = OutsideFix { source: Address::new(1, 100), time: exposed, uncertainty, fix };
+    Input::OutsideFix { robot: RobotId { link: LINK, address: BRICK }, fix }
+}
+
+#[test]
+fn a_fix_from_outside_moves_the_pose_at_its_time_and_the_error_of_that_time_is_part_of_it() {
+    let mut station = station_of(&three_links());
+    station.handle(at(1_300), outside_fix(at(1_150)));
+    let (observation, verdict, arrival) = fixes(&station)[0];
+    assert_eq!((verdict, arrival), (FusionOutcome::Accepted, at(1_300)));
+    let exposed_ms = clock_reading_ms(at(1_150), BRICK_AHEAD_MS) as f64;
+    assert!((observation.stamp.as_nanos() as f64 / 1e6 - exposed_ms).abs() < 2.0, "{:?}", observation.stamp);
+    // Anywhere within 6 ms, and what is not known of the robot's clock: a uniform distribution has 1/sqrt(3) of that.
+    let sigma_ms = observation.stamp_sigma.as_millis_f64();
+    assert!((6.0 / 3.0_f64.sqrt()..5.0).contains(&sigma_ms), "{sigma_ms} ms");
+    // A camera of this station with the same address is another one.
+    tenth(&mut station, 13);
+    station.bytes_from(
+        at(1_400),
+        TRACKER_LINK,
+        PeerId::default(),
+        &frame(TRACKER, &Message::VisionPosition(tracked_fix(at(1_350), 0))),
+    );
+    let sensors: Vec<SensorId> = fixes(&station).iter().map(|(observation, ..)| observation.sensor).collect();
+    assert_eq!(sensors, [SensorId::camera(0), SensorId::camera(1)]);
+    // One for a robot that is not known is left.
+    let stranger = RobotId { link: LINK, address: Address::new(9, 1) };
+    let Input::OutsideFix { fix, .. } = outside_fix(at(1_350)) else { panic!("it is one") };
+    station.handle(at(1_410), Input::OutsideFix { robot: stranger, fix });
+    assert_eq!(fixes(&station).len(), 2);
+}
+
+#[test]
+fn in_a_fleet_a_fix_of_a_tag_is_shared_with_its_time_on_the_host_s_clock() {
+    for (ownership, shared) in [(OwnershipPolicy::Unmanaged, 0), (OwnershipPolicy::Fleet, 1)] {
+        let mut station = station_of(&StationConfig { ownership, ..three_links() });
+        let line = String::from_utf8(json_fix("camera", at(1_150))).unwrap();
+        let tagged = line.replace("\"x_m\"", "\"tag\": 7, \"x_m\"");
+        for line in [&line, &tagged] {
+            station.bytes_from(at(1_300), JSON_LINK, PeerId::default(), line.as_bytes());
+        }
+        let requests: Vec<_> = station
+            .outputs
+            .iter()
+            .filter_map(|(_, output)| match output {
+                Output::Request(Request::ShareFix { tag, fix }) => Some((*tag, fix)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(requests.len(), shared);
+        for (tag, shared) in requests {
+            assert_eq!((tag, shared.fix.position.x), (7, Meters(POSITION_M[0])));
+            assert!((shared.time - at(1_150)).as_millis_f64().abs() < 2.0, "{:?}", shared.time);
+            assert!(shared.uncertainty > TimeDelta::ZERO && shared.uncertainty < TimeDelta::from_millis(5));
+        }
+    }
 }

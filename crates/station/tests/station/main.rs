@@ -14,6 +14,7 @@ mod clock_alignment;
 mod clocks;
 mod commands;
 mod compared_filters;
+mod driving;
 mod engine;
 mod ground_station;
 mod identity;

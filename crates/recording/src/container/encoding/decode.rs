@@ -3,7 +3,7 @@
 use posebridge_telemetry::{
     Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts,
     LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind,
-    OnlineCalibration, Ownership, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians,
+    OnlineCalibration, OutsideFix, Ownership, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians,
     RadiansPerSecond, RobotId, RobotSnapshot, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource,
     TimeDelta, Timestamp,
 };
@@ -102,22 +102,31 @@ impl<'a> ByteReader<'a> {
             tag::OBSERVATION => Input::Observation(self.observation()?),
             tag @ (tag::SET_POSE | tag::COMMAND | tag::SIMULATOR) => Input::Command(self.command(tag)?),
             tag::ROBOT_COMMAND => {
-                let link = LinkId(self.u16()?);
-                let robot = RobotId { link, address: Address::new(self.u8()?, self.u8()?) };
+                let robot = self.robot()?;
                 let tag = self.u8()?;
                 Input::RobotCommand { robot, command: self.command(tag)? }
             }
-            tag::OWNERSHIP => {
-                let link = LinkId(self.u16()?);
-                let robot = RobotId { link, address: Address::new(self.u8()?, self.u8()?) };
-                Input::Ownership { robot, ownership: self.ownership()? }
-            }
+            tag::OWNERSHIP => Input::Ownership { robot: self.robot()?, ownership: self.ownership()? },
+            tag::OUTSIDE_FIX => Input::OutsideFix {
+                robot: self.robot()?,
+                fix: OutsideFix {
+                    source: Address::new(self.u8()?, self.u8()?),
+                    time: Timestamp::from_nanos(self.i64()?),
+                    uncertainty: TimeDelta::from_nanos(self.i64()?),
+                    fix: self.fix()?,
+                },
+            },
             tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
             tag::TICK => Input::Tick,
             value => {
                 return Err(DecodeError::Unknown { field: "input tag", value });
             }
         })
+    }
+
+    fn robot(&mut self) -> Result<RobotId, DecodeError> {
+        let link = LinkId(self.u16()?);
+        Ok(RobotId { link, address: Address::new(self.u8()?, self.u8()?) })
     }
 
     fn ownership(&mut self) -> Result<Ownership, DecodeError> {
@@ -167,6 +176,9 @@ impl<'a> ByteReader<'a> {
             command::STOP_RECORDING => Command::StopRecording,
             command::COMPARE_OFF => Command::CompareFilters(FilterComparison::Off),
             command::COMPARE_ON => Command::CompareFilters(FilterComparison::On),
+            command::DRIVE => {
+                Command::Drive { forward: MetersPerSecond(self.f64()?), turn: RadiansPerSecond(self.f64()?) }
+            }
             value => {
                 return Err(DecodeError::Unknown { field: "command", value });
             }

@@ -1,17 +1,20 @@
 use posebridge_telemetry::{
     Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration,
-    Ownership, ParameterStorage, PeerId, Pose, RobotSnapshot, SensorSwitch, SimulatorCommand, SlippingWheel,
-    SteeringSource, TimeDelta,
+    OutsideFix, Ownership, ParameterStorage, PeerId, Pose, RobotId, RobotSnapshot, SensorSwitch, SimulatorCommand,
+    SlippingWheel, SteeringSource, TimeDelta,
 };
 
 use super::{
-    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, OWNERSHIP_VERSION, PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION,
-    RecordPosition, command, fix_flag, kind, ownership, put_numbers, simulator, tag,
+    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, OUTSIDE_FIX_VERSION, OWNERSHIP_VERSION, PEER_ADDRESS_VERSION,
+    ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, ownership, put_numbers, simulator, tag,
 };
 
 /// `bytes` must be empty.
 pub(in crate::container) fn encode(input: &Input, position: RecordPosition, bytes: &mut Vec<u8>) {
     bytes.push(match input {
+        Input::Command(Command::Drive { .. })
+        | Input::RobotCommand { command: Command::Drive { .. }, .. }
+        | Input::OutsideFix { .. } => OUTSIDE_FIX_VERSION,
         Input::RobotCommand { .. } => ROBOT_COMMAND_VERSION,
         Input::PeerAddress { .. } => PEER_ADDRESS_VERSION,
         Input::Port { counts, .. } if has_dropped(counts) => DROPPED_DATAGRAMS_VERSION,
@@ -60,15 +63,21 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
         Input::Command(command) => put_command(command, bytes),
         Input::RobotCommand { robot, command } => {
             bytes.push(tag::ROBOT_COMMAND);
-            bytes.extend_from_slice(&robot.link.0.to_le_bytes());
-            bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
+            put_robot(*robot, bytes);
             put_command(command, bytes);
         }
         Input::Ownership { robot, ownership: decided } => {
             bytes.push(tag::OWNERSHIP);
-            bytes.extend_from_slice(&robot.link.0.to_le_bytes());
-            bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
+            put_robot(*robot, bytes);
             put_ownership(decided, bytes);
+        }
+        Input::OutsideFix { robot, fix: OutsideFix { source, time, uncertainty, fix } } => {
+            bytes.push(tag::OUTSIDE_FIX);
+            put_robot(*robot, bytes);
+            bytes.extend_from_slice(&[source.system.0, source.component.0]);
+            bytes.extend_from_slice(&time.as_nanos().to_le_bytes());
+            bytes.extend_from_slice(&uncertainty.as_nanos().to_le_bytes());
+            put_fix(fix, bytes);
         }
         Input::Report { severity, text } => {
             bytes.push(tag::REPORT);
@@ -79,6 +88,11 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
     }
     let checksum = position.checksum(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
+}
+
+fn put_robot(robot: RobotId, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&robot.link.0.to_le_bytes());
+    bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
 }
 
 fn put_ownership(decided: &Ownership, bytes: &mut Vec<u8>) {
@@ -125,6 +139,10 @@ fn put_command(command: &Command, bytes: &mut Vec<u8>) {
         Command::StopRecording => put(command::STOP_RECORDING),
         Command::CompareFilters(FilterComparison::Off) => put(command::COMPARE_OFF),
         Command::CompareFilters(FilterComparison::On) => put(command::COMPARE_ON),
+        Command::Drive { forward, turn } => {
+            put(command::DRIVE);
+            put_numbers(&[forward.0, turn.0], bytes);
+        }
         Command::Simulator(command) => {
             bytes.push(tag::SIMULATOR);
             put_simulator(command, bytes);

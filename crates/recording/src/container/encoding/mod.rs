@@ -21,7 +21,9 @@ const PEER_ADDRESS_VERSION: u8 = 6;
 /// The counts of a port where datagrams were dropped.
 const DROPPED_DATAGRAMS_VERSION: u8 = 7;
 const OWNERSHIP_VERSION: u8 = 8;
-const NEWEST_VERSION: u8 = OWNERSHIP_VERSION;
+/// Fixes from outside, and speeds for robots.
+const OUTSIDE_FIX_VERSION: u8 = 9;
+const NEWEST_VERSION: u8 = OUTSIDE_FIX_VERSION;
 /// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
 const CHECKSUM_BYTES: usize = 4;
@@ -44,6 +46,7 @@ mod tag {
     pub(super) const ROBOT_COMMAND: u8 = 10;
     pub(super) const PEER_ADDRESS: u8 = 11;
     pub(super) const OWNERSHIP: u8 = 12;
+    pub(super) const OUTSIDE_FIX: u8 = 13;
 }
 
 /// Whether the station owns the robot.
@@ -69,6 +72,7 @@ mod command {
     pub(super) const STOP_RECORDING: u8 = 11;
     pub(super) const COMPARE_OFF: u8 = 12;
     pub(super) const COMPARE_ON: u8 = 13;
+    pub(super) const DRIVE: u8 = 14;
 }
 
 /// The command for the simulated brick that follows.
