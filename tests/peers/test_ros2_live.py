@@ -10,6 +10,7 @@ import threading
 import time
 import unittest
 
+import numpy
 import zenoh
 from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk import attachment, discovery, keyexpr
@@ -58,15 +59,21 @@ class Listener:
             return {key: list(samples) for key, samples in self.samples.items()}
 
 
+def station_for_nodes(folder, *arguments):
+    """A station with a simulated robot, and where nodes connect to it."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    station = RunningStation(
+        folder, "station", simulated(folder), f"--ros2={DOMAIN}", "--set", f"ros2.endpoint={endpoint}", "--no-dashboard", *arguments)
+    station.wait_for("detected")
+    return station, endpoint
+
+
 class LiveTopics(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         folder = cls.enterClassContext(tempfile.TemporaryDirectory())
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
-        station = RunningStation(
-            folder, "station", simulated(folder), f"--ros2={DOMAIN}", "--set", f"ros2.endpoint={endpoint}", "--no-dashboard")
+        station, endpoint = station_for_nodes(folder)
         cls.addClassCleanup(station.kill)
-        station.wait_for("detected")
         with node_at(endpoint) as session:
             listener = Listener(session, f"{DOMAIN}/**")
             cls.samples = listener.wait_for(
@@ -128,6 +135,67 @@ class LiveTopics(unittest.TestCase):
         for bytes_, _ in self.messages_of("tf"):
             frames = [(one.header.frame_id, one.child_frame_id) for one in self.store.deserialize_cdr(bytes_, TOPICS["/tf"]).transforms]
             self.assertIn(frames, ([("odom", "base_link")], [("map", "odom"), ("odom", "base_link")]))
+
+
+class Requests(unittest.TestCase):
+    def setUp(self):
+        folder = self.enterContext(tempfile.TemporaryDirectory())
+        self.station, endpoint = station_for_nodes(folder, "--set", "robot.accepts_goals=true")
+        self.station.belongs_to(self)
+        self.session = self.enterContext(node_at(endpoint))
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+
+    def publisher(self, topic, kind):
+        """Publishes as a node does, once the station has subscribed."""
+        dds = kind.replace("/", "::").replace("::msg::", "::msg::dds_::") + "_"
+        key = keyexpr.topic_keyexpr(DOMAIN, topic, dds, self.store.hash_rihs01(kind))
+        publisher = self.session.declare_publisher(key)
+        deadline = time.monotonic() + DEADLINE_S
+        while not publisher.matching_status.matching:
+            self.assertLess(time.monotonic(), deadline, f"nobody subscribes to {key}")
+        note = attachment.Attachment(sequence_id=1, timestamp_ns=time.time_ns(), gid=bytes(range(16)))
+        return lambda message: publisher.put(bytes(self.store.serialize_cdr(message, kind)), attachment=note.to_bytes())
+
+    def make(self, kind, *fields):
+        return self.store.types[kind](*fields)
+
+    def vector(self, *numbers):
+        return self.make("geometry_msgs/msg/Vector3", *numbers)
+
+    def test_speeds_drive_the_robot(self):
+        twist = self.make("geometry_msgs/msg/Twist", self.vector(0.125, 0.0, 0.0), self.vector(0.0, 0.0, -0.25))
+        self.publisher("/cmd_vel", "geometry_msgs/msg/Twist")(twist)
+        self.station.wait_for("driven by a program: 0.125 m/s, -0.25 rad/s")
+
+    def pose(self, stamp_ns):
+        stamp = self.make("builtin_interfaces/msg/Time", stamp_ns // 10**9, stamp_ns % 10**9)
+        pose = self.make(
+            "geometry_msgs/msg/Pose", self.make("geometry_msgs/msg/Point", 5.0, -0.5, 0.0),
+            self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.6, 0.8))
+        covariance = numpy.diag([1e-4, 1e-4, 0.0, 0.0, 0.0, 1e-3]).flatten()
+        return self.make(
+            "geometry_msgs/msg/PoseWithCovarianceStamped", self.make("std_msgs/msg/Header", stamp, "map"),
+            self.make("geometry_msgs/msg/PoseWithCovariance", pose, covariance))
+
+    def test_a_pose_is_a_fix_at_its_time(self):
+        publish = self.publisher("/pose_fix", "geometry_msgs/msg/PoseWithCovarianceStamped")
+        # So far from where the station's own camera sees the robot that this is said after some: then they have arrived. Each fix is a
+        # tenth of a second old, and comes after news of the robot.
+        started_ns = time.time_ns()
+        for count in range(3, 40):
+            publish(self.pose(time.time_ns() - 10**8))
+            self.station.wait_for("odometry", times=count)
+            if "camera 255/191 outside sees it" in self.station.talk():
+                break
+        sent_s = (time.time_ns() - started_ns) / 1e9
+        source = {"system": 255, "component": 191}
+        observed = [one for one in events_named(self.station.stop(), "observed") if one["source"] == source]
+        self.assertGreaterEqual(len(observed), 5)
+        for one in observed:
+            self.assertEqual((one["x_m"], one["y_m"]), (5.0, -0.5))
+            self.assertAlmostEqual(one["heading_rad"], 2 * math.atan2(0.6, 0.8), delta=TOLERANCE)
+        first, last = (one["robot_ns"] for one in (observed[0], observed[-1]))
+        self.assertTrue(0.0 < (last - first) / 1e9 < sent_s)
 
 
 if __name__ == "__main__":
