@@ -1,61 +1,16 @@
 //! Sessions of a fleet over real sockets of this computer.
 #![expect(clippy::expect_used, reason = "helpers outside #[test] stop with a reason when the set-up is broken")]
 
-use std::net::TcpListener;
-use std::sync::{Arc, Mutex};
+mod support;
 
 use posebridge_fleet::{
-    Epoch, FleetEstimate, FleetKey, FleetName, FleetTable, Input, OwnershipToken, QueryId, Reception, RobotName,
-    StateAnswer, StateNotice, StateQuestion, StateReply, StateSnapshot, StationId, StationName, encode_message,
+    Epoch, FleetEstimate, FleetKey, Input, OwnershipToken, QueryId, Reception, RobotName, StateAnswer, StateNotice,
+    StateQuestion, StateReply, StateSnapshot, StationId, encode_message,
 };
-use posebridge_link::HostTimer;
 use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, TimeDelta, Timestamp, Validity};
-use posebridge_zenoh::{Connection, FleetCommand, FleetEvent, FleetSession, Publication};
+use posebridge_zenoh::{FleetCommand, FleetEvent, Publication};
 
-struct Member {
-    id: StationId,
-    session: FleetSession,
-    table: Arc<Mutex<FleetTable>>,
-}
-
-/// A port that was free a moment ago: Zenoh does not say which one it took.
-fn free_endpoint() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    format!("tcp/{}", listener.local_addr().expect("its address"))
-}
-
-impl Member {
-    fn start(fleet: &str, name: &str, connection: Connection) -> Self {
-        let id = StationId { name: StationName::new(name).expect("a name"), instance: 1 };
-        let table = Arc::new(Mutex::new(FleetTable::new(16, 16)));
-        let fleet = FleetName::new(fleet).expect("a name");
-        let session = FleetSession::start(connection, fleet, id.clone(), HostTimer::start(), Arc::clone(&table));
-        Self { id, session: session.expect("a session"), table }
-    }
-
-    fn listening(fleet: &str, endpoint: &str) -> Self {
-        Self::start(fleet, "a", Connection { listen: vec![endpoint.to_owned()], ..Connection::default() })
-    }
-
-    fn joining(fleet: &str, name: &str, endpoint: &str) -> Self {
-        Self::start(fleet, name, Connection { join: vec![endpoint.to_owned()], ..Connection::default() })
-    }
-
-    /// The first input that fits; those before it are dropped.
-    async fn wait_for<T>(&mut self, pick: impl Fn(&Input) -> Option<T>) -> T {
-        loop {
-            if let FleetEvent::Ownership(input) = self.session.next_event().await
-                && let Some(found) = pick(&input)
-            {
-                return found;
-            }
-        }
-    }
-
-    async fn wait_for_input(&mut self, expected: Input) {
-        self.wait_for(|input| (*input == expected).then_some(())).await;
-    }
-}
+use crate::support::{Member, free_endpoint};
 
 fn robot() -> RobotName {
     RobotName::new("ada").expect("a name")
