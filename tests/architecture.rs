@@ -27,8 +27,7 @@ struct Layer {
 }
 
 /// What "all" in the code map means: neither what is for microcontrollers nor the tests of the others.
-const ALL: &str =
-    "telemetry, protocol, estimator, recording, station, report, lab, sim, link, dashboard, vision, camera, fleet";
+const ALL: &str = "telemetry, protocol, estimator, recording, station, report, lab, sim, link, dashboard, vision, camera, fleet, zenoh";
 
 /// The code map. A row stands there before its crate does; a crate without a row is a failure.
 fn layers() -> BTreeMap<String, Layer> {
@@ -76,6 +75,7 @@ const IO_CRATES: &[&str] = &[
     "rustix",
     "ratatui",
     "crossterm",
+    "zenoh",
 ];
 
 /// Paths that reach the clock or the world, each as it is written where it is used.

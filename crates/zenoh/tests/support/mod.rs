@@ -1,5 +1,9 @@
 //! Stations of a fleet for tests, with real sessions.
-#![allow(dead_code, clippy::expect_used, reason = "each test program uses its part; helpers stop where the set-up is broken")]
+#![allow(
+    dead_code,
+    clippy::expect_used,
+    reason = "each test program uses its part; helpers stop where the set-up is broken"
+)]
 
 use std::net::TcpListener;
 use std::sync::{Arc, Mutex};
