@@ -43,7 +43,7 @@ fn main() -> ExitCode {
     let folder = tempfile::tempdir().expect("a scratch folder");
     let mut fleet = StationGroup::start(folder.path());
     let mut robots = RobotGroup::new();
-    robots.run(&fleet, 30_000, |robots| robots.all_served());
+    robots.run(&fleet, 30_000, RobotGroup::all_served);
     println!(
         "{:<34} {:>10} {:>10} {:>8} {:>10} {:>8} {:>8}",
         "step", "median, s", "longest, s", "limit, s", "one owner", "lower", "accepted"
@@ -79,10 +79,10 @@ fn main() -> ExitCode {
         fleet.signal(victim, Signal::SIGCONT);
         ends.push(step("  SIGCONT", 500, &mut robots, &fleet, 8_000));
         let (victim, owned) = robots.busiest();
-        fleet.cut(victim, true);
+        fleet.set_network(victim, Network::Cut);
         // Both sides hear the robots: the cut-off owner goes on, and another one takes over.
         step(&format!("{round}. the owner of {owned} is cut off"), 2_500, &mut robots, &fleet, 8_000);
-        fleet.cut(victim, false);
+        fleet.set_network(victim, Network::Whole);
         ends.push(step("  it is connected again", 500, &mut robots, &fleet, 8_000));
     }
     fleet.stop();
@@ -109,6 +109,12 @@ struct Process {
 struct Relay {
     between: [usize; 2],
     is_cut: Arc<AtomicBool>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Network {
+    Whole,
+    Cut,
 }
 
 fn free_port() -> u16 {
@@ -163,9 +169,9 @@ impl StationGroup {
         self.stations[station] = Process { child, args, robots_at: address };
     }
 
-    fn cut(&self, station: usize, is_cut: bool) {
+    fn set_network(&self, station: usize, network: Network) {
         for relay in self.relays.iter().filter(|relay| relay.between.contains(&station)) {
-            relay.is_cut.store(is_cut, Ordering::Relaxed);
+            relay.is_cut.store(network == Network::Cut, Ordering::Relaxed);
         }
     }
 
@@ -222,7 +228,7 @@ fn start_relay(to: u16, is_cut: Arc<AtomicBool>) -> u16 {
 
 /// Copies until one end closes. What is read while the relay is cut is lost, and with it the connection.
 fn copy(mut from: TcpStream, mut to: TcpStream, is_cut: &AtomicBool) {
-    let mut buffer = [0; 65_536];
+    let mut buffer = vec![0; 65_536];
     let mut was_cut = false;
     while let Ok(read @ 1..) = from.read(&mut buffer) {
         was_cut |= is_cut.load(Ordering::Relaxed);
@@ -294,7 +300,7 @@ impl RobotGroup {
             self.tick += 1;
             let now_ms = self.now_ms();
             for (number, robot) in self.robots.iter_mut().enumerate() {
-                if (self.tick + number as u64) % PERIOD_MS == 0 {
+                if (self.tick + number as u64).is_multiple_of(PERIOD_MS) {
                     robot.send(fleet, (self.tick + number as u64) / PERIOD_MS);
                 }
                 robot.receive(fleet, now_ms);
@@ -341,7 +347,7 @@ impl Robot {
         let ticks = EncoderTicks(4 * step as i64);
         let stamp = WireStamp::Micros32(5_000_000 + step as u32 * (PERIOD_MS as u32 * 1_000));
         let mut frame = Vec::new();
-        if step % 20 == 0 {
+        if step.is_multiple_of(20) {
             self.encoder.encode(self.address, &ROBOT_HEARTBEAT, &mut frame);
         }
         let wheels = Message::WheelTicks(WheelTicks { stamp, left: ticks, right: ticks });

@@ -310,6 +310,8 @@ async fn start_station_loop(
         setup: SetupChecklists::default(),
         failures: DeferredErrors::default(),
         input_count: 0,
+        fleet: None,
+        ros2: None,
         signing: None,
         requests: RequestHandler::new(
             recording.with_extension("folder"),

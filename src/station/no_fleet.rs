@@ -1,5 +1,5 @@
 //! In place of `fleet/` in a build without the feature `fleet`.
-#![expect(clippy::unused_self, clippy::needless_pass_by_ref_mut, reason = "as with the feature")]
+#![expect(clippy::unused_async, clippy::needless_pass_by_value, reason = "as with the feature")]
 
 use anyhow::{Result, ensure};
 use posebridge_link::HostTimer;

@@ -1,5 +1,5 @@
 //! In place of `ros2/` in a build without the feature `fleet`.
-#![expect(clippy::unused_self, reason = "as with the feature")]
+#![expect(clippy::unused_async, reason = "as with the feature")]
 
 use std::sync::Arc;
 

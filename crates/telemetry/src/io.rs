@@ -69,10 +69,6 @@ pub enum Input {
 
 /// Everything that the station requests of its program.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "an output is moved once, from the station to its reader; a box would cost an allocation for each event"
-)]
 pub enum Output {
     Event(Event),
     Transmit {

@@ -36,6 +36,9 @@ const COMMAND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Questions of others that wait for an answer.
 const MAX_QUESTIONS: usize = 4_096;
 
+/// Takes the answer to a command, or why there is none.
+pub type AnswerReceiver = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send + Sync>;
+
 /// What a station says to its fleet. These are carried out in their order.
 pub enum FleetCommand {
     DeclareToken {
@@ -62,7 +65,7 @@ pub enum FleetCommand {
     SendCommand {
         robot: RobotName,
         request: Vec<u8>,
-        reply: Box<dyn FnOnce(Result<Vec<u8>, String>) + Send + Sync>,
+        reply: AnswerReceiver,
     },
 }
 
@@ -403,12 +406,7 @@ impl SessionThread {
         }
     }
 
-    fn send_command(
-        &self,
-        robot: RobotName,
-        request: Vec<u8>,
-        reply: Box<dyn FnOnce(Result<Vec<u8>, String>) + Send + Sync>,
-    ) -> Result<(), zenoh::Error> {
+    fn send_command(&self, robot: RobotName, request: Vec<u8>, reply: AnswerReceiver) -> Result<(), zenoh::Error> {
         let key = self.shared.keys.build(&FleetKey::Command { robot });
         let waiting = Mutex::new(WaitingOperator(Some(reply)));
         self.session
@@ -439,7 +437,7 @@ impl SessionThread {
 }
 
 /// Who waits for the answer to a command. Dropped without one, it tells that there is none.
-struct WaitingOperator(Option<Box<dyn FnOnce(Result<Vec<u8>, String>) + Send + Sync>>);
+struct WaitingOperator(Option<AnswerReceiver>);
 
 impl WaitingOperator {
     fn tell(&mut self, answer: Result<Vec<u8>, String>) {

@@ -10,5 +10,7 @@ mod ros2_node;
 mod subscriptions;
 
 pub use connection::{Connection, ConnectionError, Scouting};
-pub use fleet_session::{CommandReply, FleetCommand, FleetEvent, FleetSession, Publication, SessionCounts};
+pub use fleet_session::{
+    AnswerReceiver, CommandReply, FleetCommand, FleetEvent, FleetSession, Publication, SessionCounts,
+};
 pub use ros2_node::{Ros2Error, Ros2Node};

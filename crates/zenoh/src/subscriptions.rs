@@ -29,7 +29,7 @@ impl Subscriptions {
         let own = keys.build(&FleetKey::Station(shared.station.clone()));
         // First what answers others, then what tells them that somebody is there.
         let queryables = vec![
-            queryable(session, shared, own.clone(), answer_with_report)?,
+            queryable(session, shared, own.clone(), |shared, query| answer_with_report(shared, &query))?,
             queryable(session, shared, keys.all_states(), on_state_question)?,
             queryable(session, shared, keys.all_commands(), on_command)?,
         ];
@@ -178,7 +178,7 @@ fn on_command(shared: &Shared, query: Query) {
     shared.emit(FleetEvent::Command { robot, request, reply: CommandReply(query) });
 }
 
-fn answer_with_report(shared: &Shared, query: Query) {
+fn answer_with_report(shared: &Shared, query: &Query) {
     let report = StationReport {
         from: shared.station.clone(),
         host_time: shared.timer.now(),

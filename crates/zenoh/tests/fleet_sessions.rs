@@ -81,10 +81,8 @@ async fn a_question_reaches_whom_it_is_for_and_a_state_everybody() {
         let question = StateQuestion { from: asker.id.clone(), to, id: QueryId(id), heard_for };
         asker.session.send(FleetCommand::Ask { robot: robot(), question });
     };
-    let asked = |input: &Input| match input {
-        Input::StateQuery { from, id, .. } => Some((from.clone(), *id)),
-        _ => None,
-    };
+    let asked =
+        |input: &Input| if let Input::StateQuery { from, id, .. } = input { Some((from.clone(), *id)) } else { None };
     let answer = |member: &Member, to: &StationId, id: QueryId| {
         let answer = StateAnswer::NotOwner { owner: None, highest_epoch: None, state: None };
         let reply = StateReply { from: member.id.clone(), answer };
@@ -104,9 +102,9 @@ async fn a_question_reaches_whom_it_is_for_and_a_state_everybody() {
     for _ in 0..3 {
         answered.push(
             asker
-                .wait_for(|input| match input {
-                    Input::StateAnswer { from, id, .. } => Some((id.0, from.name.as_str().to_owned())),
-                    _ => None,
+                .wait_for(|input| {
+                    let Input::StateAnswer { from, id, .. } = input else { return None };
+                    Some((id.0, from.name.as_str().to_owned()))
                 })
                 .await,
         );
@@ -151,10 +149,8 @@ async fn estimates_are_counted_and_commands_answered_by_the_owner() {
     while viewer.table.lock().unwrap().robots().next().is_none_or(|(_, row)| row.received < 3) {
         tokio::task::yield_now().await;
     }
-    let table = viewer.table.lock().unwrap();
-    let (name, row) = table.robots().next().unwrap();
-    assert_eq!((name, row.lost, row.estimate), (&robot(), 1, Some(estimate(3))));
-    drop(table);
+    let row = viewer.table.lock().unwrap().robots().next().map(|(name, row)| (name.clone(), row.lost, row.estimate));
+    assert_eq!(row, Some((robot(), 1, Some(estimate(3)))));
     let (told, answer) = tokio::sync::oneshot::channel();
     let reply = Box::new(move |answer: Result<Vec<u8>, String>| drop(told.send(answer)));
     drop(owner);

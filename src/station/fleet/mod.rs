@@ -312,7 +312,7 @@ impl Fleet {
     fn start_robot(&mut self, robot: &RobotName, epoch: Epoch, state: StartState) {
         let received = match state {
             StartState::Cold | StartState::Kept => None,
-            StartState::Received(snapshot) => self.receive_state(robot, snapshot),
+            StartState::Received(snapshot) => self.receive_state(robot, &snapshot),
         };
         let epoch = u64::from(epoch.get());
         self.push_ownership(robot, EngineOwnership::Owner { epoch, state: received });
@@ -326,7 +326,7 @@ impl Fleet {
 
     /// The state of another station, for the engine. The offset of its clock is that of the exchanges with it, else what the state's age
     /// says, which is wrong by the time that the state was on its way.
-    fn receive_state(&self, robot: &RobotName, snapshot: StateSnapshot) -> Option<RobotSnapshot> {
+    fn receive_state(&self, robot: &RobotName, snapshot: &StateSnapshot) -> Option<RobotSnapshot> {
         let saved = match decode_message::<SavedState>(&snapshot.bytes) {
             Ok(saved) => saved,
             Err(error) => {
@@ -362,15 +362,13 @@ impl Fleet {
 
 /// The id of this run: a station that was restarted is another one.
 fn station_id(settings: &FleetSettings) -> Result<StationId> {
-    let name = match &settings.station {
-        Some(name) => name.clone(),
-        None => {
-            let system = rustix::system::uname();
-            let host = system.nodename().to_string_lossy();
-            StationName::new(&host).with_context(|| {
-                format!("this computer's name `{host}` cannot be the station's: set `fleet.station`")
-            })?
-        }
+    let name = if let Some(name) = &settings.station {
+        name.clone()
+    } else {
+        let system = rustix::system::uname();
+        let host = system.nodename().to_string_lossy();
+        StationName::new(&host)
+            .with_context(|| format!("this computer's name `{host}` cannot be the station's: set `fleet.station`"))?
     };
     let mut instance = [0; 8];
     getrandom::fill(&mut instance).context("a random number for the station's id")?;

@@ -170,7 +170,7 @@ mod tests {
         for len in 0..pose.len() {
             assert!(RosRequestType::PoseFix.decode(&pose[..len]).is_err(), "{len} bytes");
         }
-        let mut odom = pose.clone();
+        let mut odom = pose;
         odom[16] = b'x';
         assert_eq!(RosRequestType::PoseFix.decode(&odom), Err(RosRequestError::Frame("xap".to_owned())));
         let mut infinite = bytes(TWIST_HEX);
