@@ -28,6 +28,7 @@ pub struct StateSnapshot {
     /// How long before the input or output that holds it the state was taken; without the time on the wire. Clocks of different
     /// stations do not compare, so an age is passed on.
     pub age: TimeDelta,
+    #[serde(with = "serde_bytes")]
     pub bytes: Vec<u8>,
 }
 

@@ -49,6 +49,7 @@ pub struct SavedState {
     pub station: StationId,
     /// The clock of that station when it saved the state.
     pub saved_at: Timestamp<HostClock>,
+    #[serde(with = "serde_bytes")]
     pub engine_state: Vec<u8>,
 }
 
@@ -68,6 +69,7 @@ pub struct RawChunk {
     pub sequence: u32,
     /// On the clock of that station.
     pub arrival: Timestamp<HostClock>,
+    #[serde(with = "serde_bytes")]
     pub bytes: Vec<u8>,
 }
 

@@ -26,6 +26,9 @@ pub struct Ownership {
     pub(crate) last_join: Option<Timestamp<HostClock>>,
     pub(crate) status: FleetStatus,
     pub(crate) now: Timestamp<HostClock>,
+    /// No robot is due before; `None` if none will be. Most inputs concern one robot, and a look at all of them for each would cost more than
+    /// all the rest.
+    next_due: Option<Timestamp<HostClock>>,
     pub(crate) last_query: QueryId,
     pub(crate) outputs: VecDeque<Output>,
     pub(crate) refusals: RefusalCounts,
@@ -55,6 +58,7 @@ impl Ownership {
             last_join: None,
             status: FleetStatus::Unconfirmed { since: now, next_request: now },
             now,
+            next_due: None,
             last_query: QueryId(0),
             outputs: VecDeque::new(),
             refusals: RefusalCounts::default(),
@@ -72,6 +76,12 @@ impl Ownership {
         self.now = self.now.max(now);
         if elapsed > self.config.freeze_limit {
             self.check_freeze(elapsed);
+            self.next_due = Some(self.now);
+        }
+        let status = self.status;
+        let concerned = concerned_robot(&input).cloned();
+        if concerned.is_none() && input != Input::Tick {
+            self.next_due = Some(self.now);
         }
         match input {
             Input::RobotHeard { robot } => self.on_robot_heard(&robot),
@@ -91,10 +101,25 @@ impl Ownership {
             Input::Tick => {}
         }
         self.advance_status();
+        if self.status != status {
+            self.next_due = Some(self.now);
+        }
+        let serving = self.serving();
+        if let Some(entry) = concerned.and_then(|robot| self.robots.get(&robot)) {
+            self.next_due = earliest(self.next_due, entry.due(serving, &self.config));
+        }
+        if self.next_due.is_some_and(|due| due <= self.now) {
+            self.advance_due_robots();
+        }
+    }
+
+    fn advance_due_robots(&mut self) {
         let serving = self.serving();
         for robot in self.robots.names(|entry| entry.due(serving, &self.config).is_some_and(|due| due <= self.now)) {
             self.advance_robot(&robot);
         }
+        let due = self.robots.iter().filter_map(|(_, entry)| entry.due(serving, &self.config));
+        self.next_due = due.min();
     }
 
     /// The next thing to do; `None` when all is done.
@@ -104,13 +129,9 @@ impl Ownership {
 
     /// When [`Input::Tick`] is due if no other input comes; `None` if never.
     pub fn deadline(&self) -> Option<Timestamp<HostClock>> {
-        let serving = self.serving();
-        let mut deadline = self.status.due();
-        for (_, entry) in self.robots.iter().filter(|(_, entry)| entry.is_local()) {
-            deadline = earliest(deadline, entry.due(serving, &self.config));
-            deadline = earliest(deadline, Some(self.now + self.config.tick_interval));
-        }
-        deadline
+        let has_local = self.robots.iter().any(|(_, entry)| entry.is_local());
+        let tick = has_local.then(|| self.now + self.config.tick_interval);
+        earliest(earliest(self.status.due(), self.next_due), tick)
     }
 
     /// The epoch in which an estimate may be sent to the robot now, if any. The shell asks before each estimate: the station may have
@@ -308,5 +329,24 @@ impl Ownership {
             | FleetStatus::Isolated
             | FleetStatus::Ended => {}
         }
+    }
+}
+
+/// The only robot that an input changes anything for; `None` if it may change all.
+const fn concerned_robot(input: &Input) -> Option<&RobotName> {
+    match input {
+        Input::RobotHeard { robot }
+        | Input::RobotLinkClosed { robot }
+        | Input::TokenAppeared { robot, .. }
+        | Input::TokenVanished { robot, .. }
+        | Input::StateQuery { robot, .. }
+        | Input::StateAnswer { robot, .. }
+        | Input::StatePublished { robot, .. } => Some(robot),
+        Input::StationAppeared(_)
+        | Input::StationVanished(_)
+        | Input::FleetConfirmed
+        | Input::FleetDisconnected
+        | Input::Shutdown
+        | Input::Tick => None,
     }
 }
