@@ -14,7 +14,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::query::{Query, Queryable, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use crate::fleet_session::{CommandReply, FleetEvent, ReportPurpose, ReportRound, Shared, lock};
+use crate::fleet_session::{CommandReply, FleetCommand, FleetEvent, ReportPurpose, ReportRound, Shared, lock};
 
 /// All that a session listens to, for as long as this is kept.
 pub(crate) struct Subscriptions {
@@ -102,7 +102,7 @@ fn on_station_token(shared: &Shared, sample: &Sample) {
             lock(&shared.table).add_station(station.clone());
             shared.emit_input(Input::StationAppeared(station));
             if is_first {
-                shared.request_confirmation();
+                shared.command(FleetCommand::Confirm);
             }
         }
         SampleKind::Delete => {
@@ -126,7 +126,10 @@ fn on_ownership_token(shared: &Shared, sample: &Sample) {
         return;
     }
     shared.emit_input(match sample.kind() {
-        SampleKind::Put => Input::TokenAppeared { robot, token },
+        SampleKind::Put => {
+            shared.command(FleetCommand::ExpectRobot(robot.clone()));
+            Input::TokenAppeared { robot, token }
+        }
         SampleKind::Delete => Input::TokenVanished { robot, token },
     });
 }
