@@ -82,11 +82,7 @@ impl FleetSection {
                 format!("`robot.name` is `{name}`; in a fleet it is part of a key, the same at every station")
             })?;
         }
-        ensure!(
-            self.state_interval_ms >= 100,
-            "`fleet.state_interval_ms` is {}; at least 100",
-            self.state_interval_ms
-        );
+        ensure!(self.state_interval_ms >= 100, "`fleet.state_interval_ms` is {}; at least 100", self.state_interval_ms);
         Ok(Some(FleetSettings {
             fleet,
             station,

@@ -18,7 +18,10 @@ impl Fleet {
     /// Fails if the configuration names a fleet.
     pub fn start(config: &Config, _timer: HostTimer) -> Result<Option<Self>> {
         let is_alone = config.fleet.checked(&config.robots)?.is_none();
-        ensure!(is_alone, "this program was built without fleets: build it with `cargo build --release --features fleet`");
+        ensure!(
+            is_alone,
+            "this program was built without fleets: build it with `cargo build --release --features fleet`"
+        );
         Ok(None)
     }
 

@@ -182,6 +182,7 @@ fn start_dashboard(
         ui_dir: flags.ui_dir.clone(),
         taps,
         cameras,
+        fleet: None,
     };
     let started = Dashboard::start(bound, facts, sources);
     let (dashboard, feed, commands) = started.context("starting the dashboard")?;

@@ -59,8 +59,8 @@ pub use io::{
 };
 pub use keys::{FleetKey, FleetKeys, KeyError};
 pub use messages::{
-    FleetMessage, MessageError, RawChunk, SavedState, StateNotice, StateQuestion, StateReply, StationReport, decode_message,
-    encode_message,
+    FleetMessage, MessageError, RawChunk, SavedState, StateNotice, StateQuestion, StateReply, StationReport,
+    decode_message, encode_message,
 };
 pub use names::{CameraName, FleetName, LinkName, NameError, RobotName, StationId, StationName};
 pub use ownership::{Ownership, RobotRole};

@@ -93,7 +93,9 @@ impl FleetMessage for RawChunk {
 /// Why bytes are no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum MessageError {
-    #[error("a {name} of version {version}, which this station does not know: all stations of a fleet need the same version")]
+    #[error(
+        "a {name} of version {version}, which this station does not know: all stations of a fleet need the same version"
+    )]
     Version { name: &'static str, version: u8 },
     #[error("no {name}: its bytes end early, go on too long or hold something impossible")]
     Content { name: &'static str },
@@ -160,12 +162,8 @@ mod tests {
 
     #[test]
     fn a_name_that_is_no_name_and_an_epoch_of_zero_are_refused() {
-        let question = encode_message(&StateQuestion {
-            from: station(),
-            to: None,
-            id: QueryId(1),
-            heard_for: TimeDelta::ZERO,
-        });
+        let question =
+            encode_message(&StateQuestion { from: station(), to: None, id: QueryId(1), heard_for: TimeDelta::ZERO });
         let mut slash = question;
         slash[2] = b'/';
         assert!(decode_message::<StateQuestion>(&slash).is_err());

@@ -106,6 +106,10 @@ mod tests {
         assert!(offset.uncertainty >= TimeDelta::from_millis(17) && offset.uncertainty < TimeDelta::from_millis(18));
         clock.push(exchange(21_000, -3, 1));
         assert_eq!(clock.exchanges.len(), WINDOW);
-        assert_eq!(clock.exchanges.back().unwrap().sent, Timestamp::from_millis(19_000), "an answer before its question");
+        assert_eq!(
+            clock.exchanges.back().unwrap().sent,
+            Timestamp::from_millis(19_000),
+            "an answer before its question"
+        );
     }
 }

@@ -68,10 +68,10 @@ extern crate self as posebridge_station;
 #[path = "../tests/station/support/config.rs"]
 mod test_config;
 
-pub use config::{OwnershipPolicy,
+pub use config::{
     AcceptedVersions, AnnouncedAs, BrickLink, BuildError, DescriptionPolicy, FixRequestConfig, GoalPolicy, LinkConfig,
-    OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, RobotBlock, RobotConfig, RobotMatch, RpmMeaning,
-    StationConfig, ThermometerConfig,
+    OUTPUTS, OutputInfo, OutputInstant, OutputKind, OutputStream, OwnershipPolicy, RobotBlock, RobotConfig, RobotMatch,
+    RpmMeaning, StationConfig, ThermometerConfig,
 };
 pub use ownership_status::OwnershipStatus;
 pub use robot::Robot;

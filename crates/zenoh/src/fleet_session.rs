@@ -76,9 +76,16 @@ pub struct Publication {
 pub enum FleetEvent {
     Ownership(Input),
     /// A camera's fix of a robot, from another station.
-    Fix { key: FleetKey, bytes: Vec<u8> },
+    Fix {
+        key: FleetKey,
+        bytes: Vec<u8>,
+    },
     /// An operator's command from another station.
-    Command { robot: RobotName, request: Vec<u8>, reply: CommandReply },
+    Command {
+        robot: RobotName,
+        request: Vec<u8>,
+        reply: CommandReply,
+    },
 }
 
 /// Answers a command of another station. Without an answer the operator is told that there is none.

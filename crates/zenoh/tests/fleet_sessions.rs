@@ -9,9 +9,7 @@ use posebridge_fleet::{
     StateAnswer, StateNotice, StateQuestion, StateReply, StateSnapshot, StationId, StationName, encode_message,
 };
 use posebridge_link::HostTimer;
-use posebridge_telemetry::{
-    Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, TimeDelta, Timestamp, Validity,
-};
+use posebridge_telemetry::{Heading, Meters, MetersPerSecond, Pose, RadiansPerSecond, TimeDelta, Timestamp, Validity};
 use posebridge_zenoh::{Connection, FleetCommand, FleetEvent, FleetSession, Publication};
 
 struct Member {

@@ -11,15 +11,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result};
 use posebridge_fleet::{
-    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetTable, Output, Ownership, OwnershipConfig, QueryTarget, Reception,
-    RobotName, RobotRole, SavedState, StartState, StateAnswer, StateNotice, StateQuestion, StateReply, StateSnapshot,
-    StationId, StationName, decode_message, encode_message,
+    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetTable, Output, Ownership, OwnershipConfig, QueryTarget,
+    Reception, RobotName, RobotRole, SavedState, StartState, StateAnswer, StateNotice, StateQuestion, StateReply,
+    StateSnapshot, StationId, StationName, decode_message, encode_message,
 };
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
 use posebridge_telemetry::{
-    Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, Ownership as EngineOwnership, RobotId, RobotSnapshot,
-    TimeDelta, Timestamp, severity,
+    Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, Ownership as EngineOwnership, RobotId,
+    RobotSnapshot, TimeDelta, Timestamp, severity,
 };
 pub use posebridge_zenoh::FleetEvent;
 use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting};
@@ -248,9 +248,7 @@ impl Fleet {
                     AnswerContent::Serving { epoch, heard_ago, silent_in } => {
                         StateAnswer::Serving { epoch, heard_ago, silent_in }
                     }
-                    AnswerContent::HandOver { epoch } => {
-                        StateAnswer::HandOver(self.save_state(station, &robot, epoch))
-                    }
+                    AnswerContent::HandOver { epoch } => StateAnswer::HandOver(self.save_state(station, &robot, epoch)),
                     AnswerContent::Promised => StateAnswer::Promised,
                     AnswerContent::NotOwner { owner, highest_epoch, state } => {
                         StateAnswer::NotOwner { owner, highest_epoch, state }
@@ -332,8 +330,9 @@ fn station_id(settings: &FleetSettings) -> Result<StationId> {
         None => {
             let system = rustix::system::uname();
             let host = system.nodename().to_string_lossy();
-            StationName::new(&host)
-                .with_context(|| format!("this computer's name `{host}` cannot be the station's: set `fleet.station`"))?
+            StationName::new(&host).with_context(|| {
+                format!("this computer's name `{host}` cannot be the station's: set `fleet.station`")
+            })?
         }
     };
     let mut instance = [0; 8];
