@@ -1,8 +1,10 @@
 //! The tokens by which stations of a fleet accept the commands of each other's operators.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::token::{AccessRole, AccessToken, TokenTable};
+use crate::token_file::{self, TokenFileError};
 
 /// The operators' tokens of the page, as they are at present. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -30,6 +32,16 @@ pub enum OperatorTokenError {
 impl OperatorTokens {
     pub(crate) const fn new(table: Option<Arc<TokenTable>>) -> Self {
         Self { table }
+    }
+
+    /// Those of a file of tokens; a missing one is created with one of each role.
+    pub fn read_or_create(path: &Path) -> Result<Self, TokenFileError> {
+        let grants = token_file::read_or_create(path)?;
+        Ok(Self { table: Some(Arc::new(TokenTable::new(grants))) })
+    }
+
+    pub(crate) fn table(&self) -> Option<Arc<TokenTable>> {
+        self.table.clone()
     }
 
     /// The first one, to be shown to another station.

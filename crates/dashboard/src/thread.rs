@@ -62,9 +62,9 @@ impl Dashboard {
         let reachable = bound.as_ref().map_or_else(Vec::new, BoundListener::reachable_addresses);
         let tokens = tokens_for(address, &facts)?.map(Arc::new);
         let token_file = facts.token_file.clone();
-        let operator_table = match (&tokens, &token_file, &sources.fleet) {
-            (None, Some(path), Some(_)) => Some(Arc::new(TokenTable::new(token_file::read_or_create(path)?))),
-            (Some(_), _, _) | (None, None, _) | (None, Some(_), None) => tokens.clone(),
+        let operator_tokens = match (&tokens, &token_file, &sources.fleet) {
+            (None, Some(path), Some(_)) => OperatorTokens::read_or_create(path)?,
+            (Some(_), _, _) | (None, None, _) | (None, Some(_), None) => OperatorTokens::new(tokens.clone()),
         };
         let counts = Arc::new(ServerCounters::default());
         let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
@@ -78,7 +78,7 @@ impl Dashboard {
         let clock: Arc<HostClockSource> = Arc::from(sources.clock);
         let connections = Arc::new(ConnectionTable::new(Arc::clone(&counts), Arc::clone(&clock)));
         let guard = address.map(|address| RequestGuard::new(address, &facts.public_names, tokens.clone()));
-        let watch = token_file.zip(operator_table.clone());
+        let watch = token_file.zip(operator_tokens.table());
         let watch = watch.map(|(path, tokens)| TokenWatch { path, tokens, connections: Arc::clone(&connections) });
         let fleet_name = sources.fleet.as_ref().map(|fleet| fleet.name.clone());
         let hub = Hub::new(facts, tokens.as_deref(), fleet_name);
@@ -115,16 +115,8 @@ impl Dashboard {
             .name("dashboard".to_owned())
             .spawn(move || run(served, watch, hub, inlets, &thread_stop))
             .map_err(|source| DashboardStartError::Thread { source })?;
-        let dashboard = Self {
-            address,
-            reachable,
-            tokens,
-            operator_tokens: OperatorTokens::new(operator_table),
-            has_token_file,
-            commander,
-            stop,
-            thread: Some(thread),
-        };
+        let dashboard =
+            Self { address, reachable, tokens, operator_tokens, has_token_file, commander, stop, thread: Some(thread) };
         Ok((dashboard, feed, command_receiver))
     }
 
