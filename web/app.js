@@ -49,7 +49,7 @@ const station = new Station({
   robot: () => (replay.isOn ? null : chosenRobot(session)?.id ?? null),
 });
 const replay = new Replay(document.getElementById('replay-bar'), showMode);
-const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, stalled_s: 0, path: [], arena: null, hasSimulator: false };
+const view = { session, isReplay: false, robot: null, isOneOfMany: false, errors: null, until_s: 0, silence_s: 0, stalled_s: 0, path: [], arena: null, fleet: null, hasSimulator: false };
 
 const timeBar = new TimeBar(document.getElementById('time-bar'));
 timeAxis.onChange = () => { isStale = true; };
@@ -147,6 +147,8 @@ function look() {
   timeAxis.look(Number.isNaN(begin_s) ? view.until_s : begin_s, now_s, view.until_s);
   view.path = station.path();
   view.arena = station.arena;
+  view.fleet = replay.isOn || station.fleet.name === null ? null : station.fleet;
+  if (view.stalled_s === 0 && !document.hidden) view.fleet?.poll();
   view.hasSimulator = station.simulator !== null;
 }
 

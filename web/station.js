@@ -1,5 +1,6 @@
 // What the panels know of the station besides a session's data: parameters, sources, recordings, simulator; and how to ask it for things.
 
+import { Fleet } from './fleet.js';
 import { isRecord } from './model/session.js';
 import { list } from './model/robot.js';
 
@@ -21,6 +22,8 @@ export class Station {
     this.simulator = null;
     /** What stands in the arena. */
     this.arena = arenaOf(null);
+    /** The stations and robots of the fleet, if this station is in one. */
+    this.fleet = new Fleet(() => this.redraw());
     this.sources = new Map();
     this.parameters = new Map();
     this.recordings = [];
@@ -41,6 +44,7 @@ export class Station {
     this.version = String(hello.version ?? '').slice(0, 40);
     this.simulator = isRecord(hello.simulator) ? hello.simulator : null;
     this.arena = arenaOf(hello.arena);
+    this.fleet.join(hello.fleet);
     this.#takeSources(hello.sources);
     this.parameters = new Map(list(hello.parameters).filter(isParameter).slice(0, MOST_PARAMETERS).map((parameter) => [parameter.name, parameter]));
     this.recordings = list(hello.recordings).filter(isRecord);

@@ -2,6 +2,7 @@
 #![expect(clippy::unused_async, clippy::needless_pass_by_value, reason = "as with the feature")]
 
 use anyhow::{Result, ensure};
+use posebridge_dashboard::{FleetSource, OperatorTokens};
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
 use posebridge_telemetry::{Event, HostClock, Input, OutsideFix, Timestamp};
@@ -54,6 +55,14 @@ impl Fleet {
     }
 
     pub fn next_input(&mut self, _station: &Station) -> Option<Input> {
+        match *self {}
+    }
+
+    pub fn source(&self) -> FleetSource {
+        match *self {}
+    }
+
+    pub fn set_operator_tokens(&mut self, _tokens: OperatorTokens) {
         match *self {}
     }
 

@@ -77,7 +77,7 @@ pub(super) async fn session(
     if let Some(warning) = config.filter.warning(&config.robot) {
         print_line(&warning);
     }
-    let fleet = Fleet::start(config, timer).before_start()?;
+    let mut fleet = Fleet::start(config, timer).before_start()?;
     let ros2 = Ros2Publisher::start(config, timer).before_start()?;
     let reserved = reserve_dashboard(&args.page, config).before_start()?;
     let folder = output_folder(args, config, &timer).before_start()?;
@@ -105,9 +105,13 @@ pub(super) async fn session(
     let tlog = start_tlog(args, config, &timer, &recording, &mut failures).before_start()?;
     let bag = start_bag(args, config, &timer, &recording, &mut failures).before_start()?;
     let current = recorder.as_ref().map(|_| recording);
-    let shown = ShownSession { timer, folder: &folder, embedded: embedded.as_ref(), cameras: cameras.sources() };
+    let (cameras, shared) = (cameras.sources(), fleet.as_ref().map(Fleet::source));
+    let shown = ShownSession { timer, folder: &folder, embedded: embedded.as_ref(), cameras, fleet: shared };
     let viewers = Viewers::start(reserved, args, config, shown);
     let (mut viewers, dashboard) = viewers.before_start()?;
+    if let Some(fleet) = &mut fleet {
+        fleet.set_operator_tokens(viewers.operator_tokens());
+    }
     let on_stall = if args.watchdog.watchdog_exit { OnStall::Exit } else { OnStall::Tell };
     let mut station_loop = StationLoop {
         station,

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result, ensure};
 use posebridge_dashboard::model::{ArenaRow, ParameterRow, PlaceRow, SimulatorFacts, SimulatorNow};
 use posebridge_dashboard::{
-    BoundListener, CameraSource, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FrameTap,
-    FrameTaps, ListenAddress, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
+    BoundListener, CameraSource, Dashboard, DashboardInputs, DashboardStartError, EventBatch, EventFeed, FleetSource,
+    FrameTap, FrameTaps, ListenAddress, OperatorTokens, SimulatedTruth, StationInfo, StationStatus, TokenPolicy,
 };
 use posebridge_estimator::{PARAMS, Params};
 use posebridge_link::HostTimer;
@@ -46,6 +46,7 @@ pub(super) struct ShownSession<'a> {
     pub(super) folder: &'a Path,
     pub(super) embedded: Option<&'a EmbeddedBricks>,
     pub(super) cameras: Vec<CameraSource>,
+    pub(super) fleet: Option<FleetSource>,
 }
 
 impl Viewers {
@@ -57,6 +58,7 @@ impl Viewers {
         shown: ShownSession<'_>,
     ) -> Result<(Self, Option<DashboardHandle>)> {
         let facts = shown.embedded.map(simulator_facts);
+        let fleet = shown.fleet.clone();
         let mut taps = FrameTaps::default();
         let terminal_frames = args.views.tui.then(|| taps.add(tui::WAITING_FRAMES));
         let configured = config.plotjuggler.checked()?;
@@ -73,12 +75,17 @@ impl Viewers {
         }
         // Last: from here on the screen is the view's.
         if let Some(frames) = terminal_frames {
-            viewers.terminal = Some(viewers.view(frames, facts)?);
+            viewers.terminal = Some(viewers.view(frames, facts, fleet)?);
         }
         Ok((viewers, Some(handle)))
     }
 
-    fn view(&self, frames: FrameTap, simulator: Option<SimulatorFacts>) -> Result<TerminalView> {
+    fn view(
+        &self,
+        frames: FrameTap,
+        simulator: Option<SimulatorFacts>,
+        fleet: Option<FleetSource>,
+    ) -> Result<TerminalView> {
         let dashboard = self.dashboard.as_ref();
         let dashboard = dashboard.context("the view has no source of messages")?;
         // Not the whole address: a token is printed once.
@@ -90,8 +97,14 @@ impl Viewers {
             commands: dashboard.commander(),
             quit: self.quit.clone(),
             simulator,
+            fleet,
             greeting,
         })
+    }
+
+    /// None without a page.
+    pub(super) fn operator_tokens(&self) -> OperatorTokens {
+        self.dashboard.as_ref().map_or_else(OperatorTokens::default, Dashboard::operator_tokens)
     }
 
     /// Completes when the user quits in the terminal view.
@@ -163,7 +176,7 @@ fn start_dashboard(
     shown: ShownSession<'_>,
     taps: FrameTaps,
 ) -> Result<Option<(Dashboard, DashboardHandle)>> {
-    let ShownSession { timer, folder, embedded, cameras } = shown;
+    let ShownSession { timer, folder, embedded, cameras, fleet } = shown;
     if reserved.is_none() && taps.is_empty() {
         return Ok(None);
     }
@@ -182,6 +195,7 @@ fn start_dashboard(
         ui_dir: flags.ui_dir.clone(),
         taps,
         cameras,
+        fleet,
     };
     let started = Dashboard::start(bound, facts, sources);
     let (dashboard, feed, commands) = started.context("starting the dashboard")?;

@@ -5,6 +5,7 @@ import { createHash } from 'node:crypto';
 import { readFile } from 'node:fs/promises';
 import { test } from 'node:test';
 import { NIS_BAND_95, nisBand } from './web/model/chi_square.js';
+import { Fleet } from './web/fleet.js';
 import { Errors } from './web/model/errors.js';
 import { LATE_FROM_S, MARKS, markOf } from './web/model/marks.js';
 import { robotRows } from './web/model/robot_list.js';
@@ -392,4 +393,21 @@ test('truth and estimate are compared at one instant of the robot, however late 
   assert.equal(readTruth({}, truth, 5, 0.5, names), false);
   truth.append({ t_s: 9, robot_s: 4, x_m: 9, y_m: 0, heading_rad: 0 });
   assert.equal(readTruth({}, truth, 9, 2, names), false);
+});
+
+test('a robot of the fleet becomes older when the station does not answer, and one of another station is told from those of this one', () => {
+  const fleet = new Fleet(() => {});
+  fleet.join('class');
+  const row = (name, more) => ({ name, owner: { name: 'right', is_this: false }, estimate: { age_s: 0.25 }, ...more });
+  fleet.take({ robots: [row('bob'), row('ada', { owner: { name: 'left', is_this: true } }), row('eve', { owner: null, estimate: null }), 'nonsense', {}], stations: [null, { name: 'left' }] }, 1000);
+  assert.deepEqual(fleet.robots.map(({ name }) => name), ['bob', 'ada', 'eve']);
+  assert.equal(fleet.stations.length, 1);
+  const [bob, ada, eve] = fleet.robots;
+  assert.deepEqual([fleet.age_s(bob, 1900), fleet.age_s(bob, 4500), fleet.age_s(eve, 1000)], [0.25, 3.75, NaN]);
+  assert.deepEqual([fleet.isSilent(bob, 1900), fleet.isSilent(bob, 4500), fleet.isSilent(eve, 1000)], [false, true, true]);
+  assert.deepEqual([bob, ada, eve].map((robot) => fleet.isElsewhere(robot)), [true, false, true]);
+  fleet.take({ robots: Array.from({ length: 700 }, (_, index) => row(`r${index}`)) }, 2000);
+  assert.deepEqual([fleet.robots.length, fleet.hidden], [500, 200]);
+  fleet.join(null);
+  assert.deepEqual([fleet.name, fleet.robots.length], [null, 0]);
 });

@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { after, before, test } from 'node:test';
 import { findings } from './support/axe.mjs';
 import { Browser } from './support/browser.mjs';
-import { FakeStation } from './support/fake_station.mjs';
+import { FakeStation, fleetOf } from './support/fake_station.mjs';
 import { seeing, waitForState } from './support/page.mjs';
 
 const PHONE = { width: 360, height: 740 };
@@ -79,6 +79,14 @@ const VIEWS = {
       await page.waitForFunction(() => document.querySelector('#announcer.error') !== null);
     },
   },
+  'in a fleet, while the pose of another station\'s robot is set': {
+    fleet: fleetOf(),
+    async reach(page, station) {
+      await driven(page, station);
+      await seeing(page, '#fleet', () => document.querySelector('[aria-label="Set pose of bob"]') !== null);
+      await page.getByRole('button', { name: 'Set pose of bob', exact: true }).click();
+    },
+  },
   'in a replay': { reach: replayed },
   'zoomed, with the cursor in a chart': {
     async reach(page, station) {
@@ -103,11 +111,12 @@ const VIEWS = {
   },
 };
 
-for (const [name, { options = {}, real = false, reach }] of Object.entries(VIEWS)) {
+for (const [name, { options = {}, real = false, fleet = null, reach }] of Object.entries(VIEWS)) {
   test(`${name}: accessible in light and dark, and usable on a phone`, async () => {
     const station = new FakeStation(options);
     if (real) station.simulator = null;
     station.arena = ARENA;
+    station.fleet = fleet;
     await station.open();
     const page = await browser.open(station.address, options);
     try {

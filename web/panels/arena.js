@@ -1,5 +1,5 @@
 // The arena from above: truth, brick odometry and estimate of the chosen robot with their trails, ellipse and heading cone, what the camera saw, and
-// where the other robots are.
+// where the other robots are, also those that other stations of the fleet own.
 
 import { MARKS, MARK_WORDS } from '../model/marks.js';
 import { ESTIMATE_COLUMNS } from '../model/robot.js';
@@ -7,11 +7,13 @@ import { comparableRow, readTruth } from '../model/same_instant.js';
 import { drawArena, drawBeacon, drawCone, drawEllipse, drawFixes, drawGrid, drawLandmark, drawMark, drawPath, drawRobot, drawTrail, drawWall } from '../view/arena_scene.js';
 import { Box, Camera } from '../view/camera.js';
 import { button, element, setText } from '../view/dom.js';
+import { FleetRobots } from '../view/fleet_robots.js';
 import { degrees, fixed, metres, millimetres } from '../view/format.js';
 import { Lens, lensSize_px } from '../view/lens.js';
 import { listen } from '../view/map_input.js';
 import { OtherRobots } from '../view/other_robots.js';
 import { ComparedColours, DASHES, palette } from '../view/palette.js';
+import { PoseForm } from '../view/pose_form.js';
 import { BY_EYE, PoseInput } from '../view/pose_input.js';
 
 const TRAIL_S = 60;
@@ -46,6 +48,7 @@ class ArenaPanel {
     this.lens = new Lens();
     this.box = new Box();
     this.others = new OtherRobots();
+    this.fleet = new FleetRobots();
     this.pose = pose();
     this.truth = pose();
     this.odometry = pose();
@@ -100,18 +103,8 @@ class ArenaPanel {
 
   // For those who do not drag: the same in numbers.
   #poseFields() {
-    const field = (label, unit) => {
-      const input = element('input', { type: 'number', step: 'any', required: true, inputmode: 'decimal', value: '0' });
-      return { input, label: element('label', {}, `${label} `, input, ` ${unit}`) };
-    };
-    const fields = [field('x', 'm'), field('y', 'm'), field('heading', '°')];
-    const set = button('Set', () => {
-      for (const { input } of fields) if (!input.reportValidity()) return;
-      const [x_m, y_m, heading_deg] = fields.map(({ input }) => input.valueAsNumber);
-      this.#setPose({ x_m, y_m, heading_rad: (heading_deg * Math.PI) / 180 });
-    });
-    return element('details', { class: 'set-pose' }, element('summary', { text: 'Set the pose in numbers' }),
-      element('div', { class: 'hand' }, ...fields.map(({ label }) => label), set));
+    const form = new PoseForm((pose) => this.#setPose(pose));
+    return element('details', { class: 'set-pose' }, element('summary', { text: 'Set the pose in numbers' }), form.row);
   }
 
   #togglePoseInput() {
@@ -222,6 +215,7 @@ class ArenaPanel {
     for (const { name, item } of this.swatches) if (item.hidden === has[name]) item.hidden = !has[name];
     for (const { name, item } of this.standingSwatches) item.hidden = view.arena[name].length === 0;
     this.others.read(view.session, view.robot, view.until_s);
+    this.fleet.read(view);
     const estimates = view.robot?.estimates;
     const row = !estimates ? -1 : truth ? comparableRow(estimates, truth, view.until_s) : estimates.rowUntil(view.until_s);
     this.pose.has = readRow(this.pose, estimates, row, ESTIMATE);
@@ -250,6 +244,7 @@ class ArenaPanel {
     }
     for (const shown of [this.pose, this.truth, this.odometry]) if (shown.has) this.box.add(shown.x_m, shown.y_m);
     this.others.addTo(this.box);
+    if (this.#isInArena()) this.fleet.addTo(this.box);
     if (this.box.isEmpty) this.box.add(0, 0);
     this.camera.fit(this.box, this.#kept());
   }
@@ -273,6 +268,7 @@ class ArenaPanel {
     drawGrid(context, camera);
     drawPath(context, camera, view.path);
     if (this.#isInArena()) drawArena(context, camera, view.arena);
+    if (this.#isInArena()) this.fleet.draw(context, camera);
     this.others.draw(context, camera);
     for (const trail of this.trails) if (this.#isOnMap(trail, view)) drawTrail(context, camera, trail, ...rows(trail.track, view));
     if (view.robot) drawFixes(context, camera, view.robot.fixes, view.until_s);

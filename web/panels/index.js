@@ -5,6 +5,7 @@ import { calibration } from './calibration.js';
 import { cameras } from './cameras.js';
 import { comparison } from './comparison.js';
 import { error } from './error.js';
+import { fleet } from './fleet.js';
 import { innovations } from './innovations.js';
 import { links } from './links.js';
 import { log } from './log.js';
@@ -21,5 +22,5 @@ import { simulator } from './simulator.js';
  * another robot is chosen. `isOfRobot` ones show the chosen robot and bear its name. `isShown?(view)` says whether a panel is there at all.
  */
 export const PANELS = [
-  setup, robots, arena, cameras, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
+  setup, robots, arena, fleet, cameras, quantity, simulator, error, comparison, thermometers, innovations, calibration, parameters, links, log, recordings,
 ];

@@ -7,7 +7,7 @@ import { palette } from './palette.js';
 
 const TRAIL_S = 10;
 const MOST_TRAIL_POINTS = 60;
-const SILENT_DASH = [3, 3];
+export const SILENT_DASH = [3, 3];
 // As long as a leap in `drawTrail`: what is further is no drive.
 const LEAP_M = 0.15;
 const HALF_LENGTH_M = 0.055;
@@ -140,15 +140,9 @@ export class OtherRobots {
     write(context, label, palette.other);
   }
 
-  // To the right of the robot, at the map's edge to its left.
   #label(context, camera, place, font) {
     const text = place.robot.label;
-    const width_px = this.#width_px(context, text, font);
-    const gap_px = halfLength_px(camera) + 4;
-    const x = camera.toX(place.x_m);
-    const y = camera.toY(place.y_m);
-    const left = x + gap_px + width_px > camera.width_px ? x - gap_px - width_px : x + gap_px;
-    return { place, text, font, left, right: left + width_px, top: y - LABEL_HEIGHT_PX / 2, bottom: y + LABEL_HEIGHT_PX / 2 };
+    return labelOf(camera, place, text, font, this.#width_px(context, text, font));
   }
 
   // To measure a text costs more than to draw it.
@@ -165,8 +159,17 @@ export class OtherRobots {
   }
 }
 
+// The place of a name: to the right of the robot, at the map's edge to its left.
+export function labelOf(camera, place, text, font, width_px) {
+  const gap_px = halfLength_px(camera) + 4;
+  const x = camera.toX(place.x_m);
+  const y = camera.toY(place.y_m);
+  const left = x + gap_px + width_px > camera.width_px ? x - gap_px - width_px : x + gap_px;
+  return { place, text, font, left, right: left + width_px, top: y - LABEL_HEIGHT_PX / 2, bottom: y + LABEL_HEIGHT_PX / 2 };
+}
+
 // On a ground and without a rim of its letters: to stroke text costs several times as much.
-function write(context, label, colour) {
+export function write(context, label, colour) {
   context.font = label.font;
   context.fillStyle = `${palette.panel}cc`;
   context.fillRect(label.left - 2, label.top, label.right - label.left + 4, LABEL_HEIGHT_PX);
@@ -174,7 +177,7 @@ function write(context, label, colour) {
   context.fillText(label.text, label.left, label.bottom - 3);
 }
 
-function addOutline(context, camera, place) {
+export function addOutline(context, camera, place) {
   const size_px = halfLength_px(camera);
   const [sine, cosine] = [Math.sin(place.heading_rad), Math.cos(place.heading_rad)];
   const x = camera.toX(place.x_m);
@@ -192,7 +195,7 @@ function halfLength_px(camera) {
   return Math.max(SMALLEST_PX, HALF_LENGTH_M * camera.px_per_m);
 }
 
-function covers(one, other) {
+export function covers(one, other) {
   return one.left < other.right && other.left < one.right && one.top < other.bottom && other.top < one.bottom;
 }
 

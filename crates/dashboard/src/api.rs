@@ -10,6 +10,7 @@ use posebridge_telemetry::{DriveGeometry, HostClock, Observation, Odom, Pose, Ti
 
 use crate::cameras::CameraSource;
 use crate::feed::SimulatedTruth;
+use crate::fleet::FleetSource;
 use crate::model::{ArenaRow, Frame, ParameterRow, SimulatorFacts};
 use crate::taps::FrameTaps;
 use crate::token_file::TokenFileError;
@@ -93,6 +94,8 @@ pub struct DashboardInputs {
     pub ui_dir: Option<PathBuf>,
     pub taps: FrameTaps,
     pub cameras: Vec<CameraSource>,
+    /// `None` for a station that is in no fleet.
+    pub fleet: Option<FleetSource>,
 }
 
 /// Why the dashboard cannot start.

@@ -35,6 +35,8 @@ pub(crate) enum ServerCounter {
     BadRequest,
     NotFound,
     BadCommand,
+    /// Rejected: a command for a robot of another station, by that station or because it did not answer.
+    FleetCommand,
     /// Rejected: a command while too many wait.
     CommandsFull,
     /// Rejected: a command above the rate limit.
@@ -69,6 +71,7 @@ pub(crate) const COUNTER_TABLE: &[CounterRow] = &[
     refusal_counter(ServerCounter::BadRequest, "request"),
     refusal_counter(ServerCounter::NotFound, "not_found"),
     refusal_counter(ServerCounter::BadCommand, "command"),
+    refusal_counter(ServerCounter::FleetCommand, "fleet"),
     refusal_counter(ServerCounter::CommandsFull, "commands_full"),
     refusal_counter(ServerCounter::CommandRate, "command_rate"),
     refusal_counter(ServerCounter::ReplayBusy, "replay"),

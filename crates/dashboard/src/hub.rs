@@ -34,6 +34,8 @@ pub(crate) type OutcomeCounts = BTreeMap<(SensorId, &'static str, &'static str),
 pub(crate) struct Hub {
     info: StationInfo,
     needs_token: bool,
+    /// The name of the fleet, if there is one.
+    fleet: Option<String>,
     views: ViewSet,
     latest: LatestState,
     sources: BTreeSet<SourceRow>,
@@ -48,7 +50,7 @@ pub(crate) struct Hub {
 
 impl Hub {
     /// Readers need one of the tokens, if there are any.
-    pub(crate) fn new(info: StationInfo, tokens: Option<&TokenTable>) -> Self {
+    pub(crate) fn new(info: StationInfo, tokens: Option<&TokenTable>, fleet: Option<String>) -> Self {
         let retention = RetentionPolicy::SlidingWindow { duration: HISTORY_DURATION, max_points: MAX_HISTORY_POINTS };
         Self {
             views: ViewSet::new(&ViewConfig {
@@ -58,6 +60,7 @@ impl Hub {
             }),
             info,
             needs_token: tokens.is_some(),
+            fleet,
             latest: LatestState::default(),
             sources: BTreeSet::new(),
             recording: None,
@@ -116,6 +119,7 @@ impl Hub {
             needs_token: self.needs_token,
             can_command: role == AccessRole::Operator,
             simulator: self.info.simulator.clone(),
+            fleet: self.fleet.clone(),
             arena: self.info.arena.clone(),
             sources: self.sources(),
             parameters: self.parameters(),

@@ -42,6 +42,10 @@ pub(crate) const COMMANDS_PER_S: i64 = 50;
 pub(crate) const COMMAND_BURST: i64 = COMMANDS_PER_S;
 /// Most commands that wait for the station loop, which reads them within a millisecond.
 pub(crate) const MAX_WAITING_COMMANDS: usize = 64;
+/// For the answer of the station that owns a robot.
+pub(crate) const FLEET_ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+/// Refusals of other stations that wait for a reader of the stream; more are dropped.
+pub(crate) const MAX_WAITING_REFUSALS: usize = 16;
 pub(crate) const MAX_WAITING_QUERIES: usize = 64;
 
 pub(crate) const HISTORY_DURATION: TimeDelta = TimeDelta::from_millis(60_000);

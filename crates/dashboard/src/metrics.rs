@@ -9,7 +9,7 @@ use posebridge_telemetry::{LinkCounter, LinkHealth, TimeDelta};
 
 use crate::counters::{COUNTER_TABLE, ServerCounter, ServerCounters};
 use crate::hub::Hub;
-use crate::model::{EstimatePoint, RobotState};
+use crate::model::{EstimatePoint, FleetRobotRow, FleetState, RobotState};
 use crate::views::robot_name;
 
 pub(crate) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -142,6 +142,34 @@ fn links(page: &mut String, hub: &Hub) {
             }
         }
     }
+}
+
+/// A counter of estimates that the owner of a robot has published.
+struct FleetMetric {
+    name: &'static str,
+    help: &'static str,
+    read: fn(&FleetRobotRow) -> u64,
+}
+
+#[rustfmt::skip]
+const FLEET_METRICS: &[FleetMetric] = &[
+    FleetMetric { name: "received_estimates_total", help: "Estimates of other stations that have arrived.", read: |of| of.received },
+    FleetMetric { name: "lost_estimates_total", help: "Estimates of other stations that have not arrived.", read: |of| of.lost },
+    FleetMetric { name: "stale_estimates_total", help: "Estimates of stations that no longer owned the robot.", read: |of| of.stale },
+];
+
+/// The part of the page about the fleet; it follows the rest.
+pub(crate) fn fleet_part(fleet: &FleetState) -> String {
+    let mut part = String::new();
+    for metric in FLEET_METRICS {
+        let name = format!("posebridge_fleet_{}", metric.name);
+        head(&mut part, &name, "counter", metric.help);
+        for robot in &fleet.robots {
+            let (label, count) = (escape(&robot.name), (metric.read)(robot));
+            line(&mut part, format_args!("{name}{{robot=\"{label}\"}} {count}"));
+        }
+    }
+    part
 }
 
 fn server(page: &mut String, counts: &ServerCounters) {

@@ -4,9 +4,11 @@ use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
-use crate::command::{COMMANDS, CommandRow, CommandTarget, FieldKind, ROBOT_FIELD};
+use crate::command::{
+    COMMANDS, CommandRow, CommandTarget, FLEET_ROBOT_FIELD, FieldKind, MAX_FLEET_ROBOT_CHARS, ROBOT_FIELD,
+};
 use crate::model::{
-    Accepted, CameraRow, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State,
+    Accepted, CameraRow, FleetState, Hello, Message, ParameterRow, RecordingRow, Refusal, RobotRow, SourceRow, State,
 };
 
 /// The file `schema/v1.json` holds it, and a test compares the two.
@@ -19,6 +21,7 @@ pub fn schema() -> Value {
         "GET /v1/sources": reference::<Vec<SourceRow>>(&mut generator),
         "GET /v1/parameters": reference::<Vec<ParameterRow>>(&mut generator),
         "GET /v1/cameras": reference::<Vec<CameraRow>>(&mut generator),
+        "GET /v1/fleet": reference::<FleetState>(&mut generator),
         "GET /v1/recordings": reference::<Vec<RecordingRow>>(&mut generator),
         "GET /v1/recordings/{name}/replay": reference::<crate::model::Frame>(&mut generator),
         "POST /v1/commands": reference::<Accepted>(&mut generator),
@@ -48,6 +51,8 @@ fn command_schema(row: &CommandRow) -> Value {
     if row.target == CommandTarget::Robot {
         let robot = json!({ "type": "string", "pattern": "^[0-9]+/[0-9]+/[0-9]+$" });
         properties.insert(ROBOT_FIELD.to_owned(), robot);
+        let fleet_robot = json!({ "type": "string", "minLength": 1, "maxLength": MAX_FLEET_ROBOT_CHARS });
+        properties.insert(FLEET_ROBOT_FIELD.to_owned(), fleet_robot);
     }
     for field in row.fields {
         properties.insert(field.name.to_owned(), field_schema(field.kind_in(row.name)));

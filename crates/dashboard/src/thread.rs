@@ -21,6 +21,7 @@ use crate::counters::ServerCounters;
 use crate::feed::EventFeed;
 use crate::hub::Hub;
 use crate::limits::{COMMAND_BURST, COMMANDS_PER_S, MAX_WAITING_COMMANDS, MAX_WAITING_QUERIES, TOKEN_FILE_PERIOD};
+use crate::operator_tokens::OperatorTokens;
 use crate::recordings::RecordingFolder;
 use crate::server::{AppState, ConnectionTable, HubInputs, RateLimiter, RequestGuard, router, run_hub, serve};
 use crate::taps::CommandSubmitter;
@@ -40,6 +41,8 @@ pub struct Dashboard {
     /// Addresses of this computer for other clients.
     reachable: Vec<IpAddr>,
     tokens: Option<Arc<TokenTable>>,
+    /// By which other stations of a fleet are known.
+    operator_tokens: OperatorTokens,
     /// Whether the tokens are in a file, where people find them.
     has_token_file: bool,
     commander: CommandSubmitter,
@@ -59,18 +62,26 @@ impl Dashboard {
         let reachable = bound.as_ref().map_or_else(Vec::new, BoundListener::reachable_addresses);
         let tokens = tokens_for(address, &facts)?.map(Arc::new);
         let token_file = facts.token_file.clone();
+        let operator_tokens = match (&tokens, &token_file, &sources.fleet) {
+            (None, Some(path), Some(_)) => OperatorTokens::read_or_create(path)?,
+            (Some(_), _, _) | (None, None, _) | (None, Some(_), None) => OperatorTokens::new(tokens.clone()),
+        };
         let counts = Arc::new(ServerCounters::default());
         let (feed, batches) = EventFeed::pair(Arc::clone(&counts));
         let (query_sender, query_receiver) = mpsc::channel(MAX_WAITING_QUERIES);
         let (commands, command_receiver) = mpsc::channel(MAX_WAITING_COMMANDS);
         let commander = CommandSubmitter { commands, counts: Arc::clone(&counts) };
+        let has_token_file = token_file.is_some();
         let stop = CancellationToken::new();
         let recordings = RecordingFolder::new(sources.recordings);
         let known = CommandContext::from_info(&facts);
         let clock: Arc<HostClockSource> = Arc::from(sources.clock);
         let connections = Arc::new(ConnectionTable::new(Arc::clone(&counts), Arc::clone(&clock)));
         let guard = address.map(|address| RequestGuard::new(address, &facts.public_names, tokens.clone()));
-        let hub = Hub::new(facts, tokens.as_deref());
+        let watch = token_file.zip(operator_tokens.table());
+        let watch = watch.map(|(path, tokens)| TokenWatch { path, tokens, connections: Arc::clone(&connections) });
+        let fleet_name = sources.fleet.as_ref().map(|fleet| fleet.name.clone());
+        let hub = Hub::new(facts, tokens.as_deref(), fleet_name);
         let served = bound.zip(guard).map(|(bound, guard)| {
             let app = AppState {
                 guard,
@@ -83,14 +94,12 @@ impl Dashboard {
                 recordings: recordings.clone(),
                 assets: Assets::new(sources.ui_dir),
                 cameras: sources.cameras,
+                fleet: sources.fleet,
                 replay: sources.replay,
                 replay_slot: Arc::new(Semaphore::new(1)),
                 stop: stop.clone(),
             };
-            let watched = token_file.clone().zip(tokens.clone());
-            let watch =
-                watched.map(|(path, tokens)| TokenWatch { path, tokens, connections: Arc::clone(&connections) });
-            Server { listener: bound.listener, app, connections, watch }
+            Server { listener: bound.listener, app, connections }
         });
         let inlets = HubInputs {
             batches,
@@ -104,10 +113,10 @@ impl Dashboard {
         let thread_stop = stop.clone();
         let thread = std::thread::Builder::new()
             .name("dashboard".to_owned())
-            .spawn(move || run(served, hub, inlets, &thread_stop))
+            .spawn(move || run(served, watch, hub, inlets, &thread_stop))
             .map_err(|source| DashboardStartError::Thread { source })?;
-        let has_token_file = token_file.is_some();
-        let dashboard = Self { address, reachable, tokens, has_token_file, commander, stop, thread: Some(thread) };
+        let dashboard =
+            Self { address, reachable, tokens, operator_tokens, has_token_file, commander, stop, thread: Some(thread) };
         Ok((dashboard, feed, command_receiver))
     }
 
@@ -135,6 +144,11 @@ impl Dashboard {
     /// Whether a browser on this computer needs a token as well.
     pub const fn needs_token(&self) -> bool {
         self.tokens.is_some()
+    }
+
+    /// The operators' tokens by which other stations of the fleet are known. With a file they are there also where the page needs none.
+    pub fn operator_tokens(&self) -> OperatorTokens {
+        self.operator_tokens.clone()
     }
 
     fn token_of(&self, role: AccessRole) -> Option<AccessToken> {
@@ -192,11 +206,10 @@ struct Server {
     listener: TcpListener,
     app: AppState,
     connections: Arc<ConnectionTable>,
-    watch: Option<TokenWatch>,
 }
 
 /// `None` with readers in this process only.
-fn run(server: Option<Server>, hub: Hub, inputs: HubInputs, stop: &CancellationToken) {
+fn run(server: Option<Server>, watch: Option<TokenWatch>, hub: Hub, inputs: HubInputs, stop: &CancellationToken) {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .max_blocking_threads(MAX_FILE_THREADS)
@@ -213,6 +226,7 @@ fn run(server: Option<Server>, hub: Hub, inputs: HubInputs, stop: &CancellationT
         tokio::select! {
             () = run_hub(hub, inputs) => {}
             () = serve_if_bound(server, stop.clone()) => {}
+            () = watch_tokens(watch) => {}
         }
     });
     // A replay that still runs must not keep the program alive.
@@ -220,7 +234,7 @@ fn run(server: Option<Server>, hub: Hub, inputs: HubInputs, stop: &CancellationT
 }
 
 async fn serve_if_bound(server: Option<Server>, stop: CancellationToken) {
-    let Some(Server { listener, app, connections, watch }) = server else {
+    let Some(Server { listener, app, connections }) = server else {
         return stop.cancelled().await;
     };
     let listener = match tokio::net::TcpListener::from_std(listener) {
@@ -231,13 +245,14 @@ async fn serve_if_bound(server: Option<Server>, stop: CancellationToken) {
         }
     };
     let counts = Arc::clone(&app.counts);
-    let served = serve(listener, router(Arc::new(app)), connections, counts, stop);
+    serve(listener, router(Arc::new(app)), connections, counts, stop).await;
+}
+
+/// Pending forever, also without a file of tokens.
+async fn watch_tokens(watch: Option<TokenWatch>) {
     match watch {
-        Some(watch) => tokio::select! {
-            () = served => {}
-            () = watch.run() => {}
-        },
-        None => served.await,
+        Some(watch) => watch.run().await,
+        None => std::future::pending().await,
     }
 }
 

@@ -18,7 +18,7 @@
 
 use posebridge_telemetry::estimate::row;
 use posebridge_telemetry::{
-    Arena, Estimate, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Timestamp, Validity,
+    Arena, Ellipse, Estimate, Heading, HostClock, Meters, MetersPerSecond, Pose, RadiansPerSecond, Timestamp, Validity,
 };
 use thiserror::Error;
 
@@ -92,6 +92,18 @@ impl FleetEstimate {
             is_dead_reckoning: estimate.is_dead_reckoning,
             reset_counter: estimate.reset_counter,
         }
+    }
+
+    /// The ellipse that holds the position with 95 %; `None` if the covariance is none.
+    pub fn ellipse_95(&self) -> Option<Ellipse> {
+        let [xx, xy, _, yy, ..] = self.covariance;
+        Ellipse::from_covariance(xx, xy, yy, Ellipse::SIGMAS_95)
+    }
+
+    /// One standard deviation, in radians.
+    pub fn heading_sigma_rad(&self) -> f64 {
+        let [.., variance] = self.covariance;
+        variance.sqrt()
     }
 
     /// Speeds are rounded to 32 bits. The decoder refuses an estimate that is not finite.

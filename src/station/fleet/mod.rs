@@ -4,6 +4,8 @@
 //! inputs of the engine, and is recorded with the others.
 
 mod camera_fixes;
+mod fleet_rows;
+mod operator_commands;
 mod robot_names;
 mod state_schedule;
 
@@ -11,10 +13,11 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result};
+use posebridge_dashboard::{FleetRobotCommand, FleetSource, OperatorTokens};
 use posebridge_fleet::{
-    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetTable, Output, Ownership, OwnershipConfig, QueryTarget,
-    Reception, RobotName, RobotRole, SavedState, SharedFix, StartState, StateAnswer, StateNotice, StateQuestion,
-    StateReply, StateSnapshot, StationId, StationName, decode_message, encode_message,
+    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetName, FleetTable, Output, Ownership, OwnershipConfig,
+    QueryTarget, Reception, RobotName, RobotRole, SavedState, SharedFix, StartState, StateAnswer, StateNotice,
+    StateQuestion, StateReply, StateSnapshot, StationId, StationName, decode_message, encode_message,
 };
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
@@ -22,10 +25,11 @@ use posebridge_telemetry::{
     Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, OutsideFix, Ownership as EngineOwnership,
     RobotId, RobotSnapshot, TimeDelta, Timestamp, severity,
 };
-pub use posebridge_zenoh::FleetEvent;
 use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting};
 
 use self::camera_fixes::FixExchange;
+use self::fleet_rows::{OwnStation, fleet_state};
+use self::operator_commands::{OperatorCommands, own_input};
 use self::robot_names::RobotNames;
 use self::state_schedule::StateSchedule;
 use crate::config::{Config, FleetSettings};
@@ -35,8 +39,15 @@ const MAX_STATIONS: usize = 64;
 /// Robots of a fleet that are known at a time.
 const MAX_ROBOTS: usize = 16_384;
 
+/// What reaches a station from its fleet, or from an operator who commands the fleet.
+pub enum FleetEvent {
+    Network(posebridge_zenoh::FleetEvent),
+    Operator(FleetRobotCommand),
+}
+
 /// The connection of a station loop with its fleet.
 pub struct Fleet {
+    name: FleetName,
     station: StationId,
     ownership: Ownership,
     session: FleetSession,
@@ -45,6 +56,7 @@ pub struct Fleet {
     estimates: BTreeMap<RobotId, EstimateStream>,
     states: StateSchedule,
     fixes: FixExchange,
+    operators: OperatorCommands,
     timer: HostTimer,
     /// Inputs for the engine that were not taken yet.
     inputs: Vec<Input>,
@@ -79,6 +91,7 @@ impl Fleet {
             ..OwnershipConfig::default()
         };
         Ok(Some(Self {
+            name: fleet,
             ownership: Ownership::new(limits, station.clone(), timer.now_with_sleep()),
             names: RobotNames::new(config, &station.name),
             station,
@@ -87,6 +100,7 @@ impl Fleet {
             estimates: BTreeMap::new(),
             states: StateSchedule::default(),
             fixes: FixExchange::new(config),
+            operators: OperatorCommands::new(),
             timer,
             inputs: Vec::new(),
             next_cleaning: Timestamp::ZERO,
@@ -105,7 +119,10 @@ impl Fleet {
     pub fn advance(&mut self) {
         self.give(posebridge_fleet::Input::Tick);
         while let Some(event) = self.session.try_next_event() {
-            self.handle(event);
+            self.handle_network(event);
+        }
+        while let Some(command) = self.operators.try_next() {
+            self.send_operator_command(command);
         }
         let now = self.timer.now();
         if now >= self.next_cleaning {
@@ -114,16 +131,18 @@ impl Fleet {
         }
     }
 
-    /// The next event of the network.
+    /// The next event of the network or of an operator.
     pub async fn next_event(&mut self) -> FleetEvent {
-        self.session.next_event().await
+        tokio::select! {
+            event = self.session.next_event() => FleetEvent::Network(event),
+            command = self.operators.next() => FleetEvent::Operator(command),
+        }
     }
 
     pub fn handle(&mut self, event: FleetEvent) {
         match event {
-            FleetEvent::Ownership(input) => self.give_about_robot(input),
-            FleetEvent::Fix { key, bytes } => self.receive_fix(&key, &bytes),
-            FleetEvent::Command { .. } => {}
+            FleetEvent::Network(event) => self.handle_network(event),
+            FleetEvent::Operator(command) => self.send_operator_command(command),
         }
     }
 
@@ -139,12 +158,23 @@ impl Fleet {
         }
     }
 
+    fn handle_network(&mut self, event: posebridge_zenoh::FleetEvent) {
+        use posebridge_zenoh::FleetEvent as NetworkEvent;
+        match event {
+            NetworkEvent::Ownership(input) => self.give_about_robot(input),
+            NetworkEvent::Fix { key, bytes } => self.receive_fix(&key, &bytes),
+            NetworkEvent::Command { robot, request, reply } => {
+                // A robot of another station: that one answers.
+                if let Some(robot) = self.owned_robot(&robot) {
+                    self.inputs.extend(self.operators.accept(robot, &request, reply));
+                }
+            }
+        }
+    }
+
     fn receive_fix(&mut self, key: &FleetKey, bytes: &[u8]) {
         let FleetKey::Fix { robot: name, .. } = key else { return };
-        let Some(robot) = self.names.id(name) else { return };
-        if !matches!(self.ownership.role(name), RobotRole::Owner(_)) {
-            return;
-        }
+        let Some(robot) = self.owned_robot(name) else { return };
         let now = self.timer.now();
         let shared = match decode_message::<SharedFix>(bytes) {
             Ok(shared) => shared,
@@ -156,6 +186,31 @@ impl Fleet {
         let offset = self.table().offset(now, &shared.from);
         if let Some(fix) = self.fixes.receive(name, &shared, offset) {
             self.inputs.push(Input::OutsideFix { robot, fix });
+        }
+    }
+
+    fn send_operator_command(&mut self, FleetRobotCommand { robot, command, reply }: FleetRobotCommand) {
+        let name = match RobotName::new(&robot) {
+            Ok(name) => name,
+            Err(error) => {
+                reply.send(Err(format!("`{robot}` is the name of no robot of a fleet: {error}")));
+                return;
+            }
+        };
+        match self.owned_robot(&name) {
+            Some(robot) => {
+                let answer = own_input(robot, &command).map(|input| self.inputs.push(input));
+                reply.send(answer);
+            }
+            None => self.session.send(self.operators.request(name, command, reply)),
+        }
+    }
+
+    /// The robot's id, if this station owns it and sends it estimates.
+    fn owned_robot(&self, robot: &RobotName) -> Option<RobotId> {
+        match self.ownership.role(robot) {
+            RobotRole::Owner(_) => self.names.id(robot),
+            RobotRole::None | RobotRole::StandBy | RobotRole::Paused(_) => None,
         }
     }
 
@@ -212,9 +267,22 @@ impl Fleet {
         while self.next_input(station).is_some() {}
     }
 
-    /// What is known of all robots, for viewers.
-    pub fn shared_table(&self) -> Arc<Mutex<FleetTable>> {
-        Arc::clone(&self.table)
+    /// What viewers show of the fleet, and the way of their commands.
+    pub fn source(&self) -> FleetSource {
+        let (fleet, station, timer) = (self.name.clone(), self.station.clone(), self.timer);
+        let (table, ids) = (Arc::clone(&self.table), self.names.shared_ids());
+        let state = move || {
+            // Copies, so that the station never waits for a viewer.
+            let table = table.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let robots = ids.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            fleet_state(&OwnStation { id: &station, fleet: &fleet, robots: &robots }, &table, timer.now())
+        };
+        FleetSource { name: self.name.to_string(), state: Arc::new(state), send: Arc::new(self.operators.submitter()) }
+    }
+
+    /// The tokens by which other stations' operators may command robots of this station.
+    pub fn set_operator_tokens(&mut self, tokens: OperatorTokens) {
+        self.operators.set_tokens(tokens);
     }
 
     fn table(&self) -> MutexGuard<'_, FleetTable> {

@@ -1,6 +1,7 @@
 //! The names by which the fleet knows the robots of this station.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use posebridge_fleet::{RobotName, StationName};
 use posebridge_station::{Robot, Station};
@@ -9,10 +10,13 @@ use posebridge_telemetry::{LinkId, RobotId};
 use super::address_name;
 use crate::config::Config;
 
+/// The robots of this station by their names, for its viewers, too.
+pub(super) type SharedRobotIds = Arc<Mutex<BTreeMap<RobotName, RobotId>>>;
+
 /// Names in both directions.
 pub(super) struct RobotNames {
     names: BTreeMap<RobotId, Option<RobotName>>,
-    ids: BTreeMap<RobotName, RobotId>,
+    ids: SharedRobotIds,
     /// Of links whose robots say no id of their own, the name of their robot.
     by_link: BTreeMap<LinkId, String>,
 }
@@ -23,7 +27,7 @@ impl RobotNames {
     pub(super) fn new(config: &Config, station: &StationName) -> Self {
         let bricks = config.links.iter().enumerate().filter(|(_, link)| link.brick.is_some());
         let by_link = bricks.map(|(index, _)| (LinkId(index as u16), format!("{station}.link{index}")));
-        Self { names: BTreeMap::new(), ids: BTreeMap::new(), by_link: by_link.collect() }
+        Self { names: BTreeMap::new(), ids: SharedRobotIds::default(), by_link: by_link.collect() }
     }
 
     /// Names a robot, unless another one of this station has the name.
@@ -41,7 +45,7 @@ impl RobotNames {
             (None, None) => address_name(robot.address),
         };
         let name = match RobotName::new(&text) {
-            Ok(name) => match self.ids.get(&name) {
+            Ok(name) => match self.id(&name) {
                 None => Some(name),
                 Some(other) => {
                     tracing::warn!(
@@ -57,7 +61,7 @@ impl RobotNames {
             }
         };
         if let Some(name) = &name {
-            self.ids.insert(name.clone(), robot);
+            self.ids().insert(name.clone(), robot);
         }
         self.names.insert(robot, name);
     }
@@ -67,10 +71,18 @@ impl RobotNames {
     }
 
     pub(super) fn id(&self, robot: &RobotName) -> Option<RobotId> {
-        self.ids.get(robot).copied()
+        self.ids().get(robot).copied()
+    }
+
+    pub(super) fn shared_ids(&self) -> SharedRobotIds {
+        Arc::clone(&self.ids)
     }
 
     pub(super) fn on_link(&self, link: LinkId) -> Vec<RobotName> {
-        self.ids.iter().filter(|(_, id)| id.link == link).map(|(name, _)| name.clone()).collect()
+        self.ids().iter().filter(|(_, id)| id.link == link).map(|(name, _)| name.clone()).collect()
+    }
+
+    fn ids(&self) -> MutexGuard<'_, BTreeMap<RobotName, RobotId>> {
+        self.ids.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -5,6 +5,7 @@
 //! and restores it: at the end, after an error, and on a panic.
 
 mod arena;
+mod fleet_panel;
 pub mod keys;
 pub mod model;
 pub mod panels;
@@ -20,7 +21,7 @@ use std::thread::JoinHandle;
 use anyhow::{Context, Result};
 use posebridge_dashboard::model::SimulatorFacts;
 use posebridge_dashboard::views::parse_robot_name;
-use posebridge_dashboard::{CommandSubmitter, FrameTap, TapPoll};
+use posebridge_dashboard::{CommandSubmitter, FleetSource, FrameTap, TapPoll};
 use posebridge_telemetry::{Command, RobotId};
 use ratatui::backend::CrosstermBackend;
 use ratatui::crossterm::queue;
@@ -54,6 +55,8 @@ pub struct TerminalInputs {
     pub quit: CancellationToken,
     /// `None` without an embedded simulated brick.
     pub simulator: Option<SimulatorFacts>,
+    /// `None` for a station that is in no fleet.
+    pub fleet: Option<FleetSource>,
     pub greeting: String,
 }
 
@@ -134,6 +137,11 @@ impl TerminalLoop {
     fn step(&mut self) -> Result<()> {
         while let TapPoll::Frame(frame) = self.inputs.frames.try_recv() {
             self.model.on_frame(&frame);
+        }
+        if let Some(fleet) = &self.inputs.fleet
+            && self.model.is_fleet_due()
+        {
+            self.model.set_fleet((fleet.state)());
         }
         self.model.missed = self.inputs.frames.missed();
         for line in self.log_lines.try_iter().take(MAX_LINES) {

@@ -6,8 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use posebridge_dashboard::model::{
-    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
-    LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SetupRow, SimulatorFacts, TruthPoint, Word,
+    CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, FleetState, Frame,
+    FusionPoint, LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame, SetupRow, SimulatorFacts, TruthPoint, Word,
 };
 use posebridge_telemetry::severity::NOTICE;
 
@@ -18,6 +18,8 @@ const MAX_FILTERS: usize = 16;
 /// As on the page.
 const MAX_LINES: usize = 300;
 const NOTICE_DURATION_S: f64 = 5.0;
+/// As on the page.
+const FLEET_PERIOD_S: f64 = 1.0;
 
 #[derive(Clone, Debug, Default)]
 pub struct Model {
@@ -32,6 +34,8 @@ pub struct Model {
     setup: Vec<SetupRow>,
     pub clock: Option<ClockRow>,
     pub recording: Option<RecordingNow>,
+    /// The fleet and when it was looked at; `None` for a station that is in none.
+    fleet: Option<(f64, FleetState)>,
     /// Oldest first.
     pub log: VecDeque<LogLine>,
     /// Messages missed because the terminal was slow.
@@ -92,6 +96,19 @@ impl Model {
         for line in &frame.log {
             self.add_line(line.clone());
         }
+    }
+
+    /// Whether what is known of the fleet is old.
+    pub fn is_fleet_due(&self) -> bool {
+        self.fleet.as_ref().is_none_or(|(looked_s, _)| self.now_s - looked_s >= FLEET_PERIOD_S)
+    }
+
+    pub fn set_fleet(&mut self, fleet: FleetState) {
+        self.fleet = Some((self.now_s, fleet));
+    }
+
+    pub fn fleet(&self) -> Option<&FleetState> {
+        self.fleet.as_ref().map(|(_, fleet)| fleet)
     }
 
     pub fn push_message(&mut self, line: &str) {

@@ -10,9 +10,9 @@ use ratatui::layout::{Constraint, Rect};
 use ratatui::text::{Line, Span, Text};
 use ratatui::widgets::{Cell, Paragraph, Row, Table, Widget};
 
-use super::arena;
 use super::model::{Model, Robot, SourceModel};
 use super::theme::{StyleRole, Theme, degrees, fixed, sanitize, signed};
+use super::{arena, fleet_panel};
 
 pub struct Panel {
     pub title: &'static str,
@@ -27,6 +27,7 @@ pub const PANELS: &[Panel] = &[
     Panel { title: "Pose", lines: |_| 4, draw: draw_pose },
     Panel { title: "Set-up", lines: |model| model.setup_rows().len(), draw: draw_setup },
     Panel { title: "Robots", lines: robot_lines, draw: draw_robots },
+    Panel { title: "Fleet", lines: fleet_panel::lines, draw: fleet_panel::draw },
     Panel {
         title: "Sources and NIS",
         lines: |model| 1 + model.selected_robot().map_or(0, |robot| robot.sources.len()),

@@ -3,8 +3,9 @@ use std::io::Read as _;
 use nix::pty::openpty;
 use nix::sys::termios::tcgetattr;
 use posebridge_dashboard::model::{
-    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint, LinkRow, LogLine, QuantityPoint,
-    RecordingNow, RobotFrame, TruthPoint,
+    CalibrationRow, ClockRow, ErrorsRow, EstimatePoint, FixPoint, FleetEstimateRow, FleetOwnerRow, FleetRobotRow,
+    FleetState, FleetStationRow, Frame, FusionPoint, LinkRow, LogLine, QuantityPoint, RecordingNow, RobotFrame,
+    TruthPoint,
 };
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -427,4 +428,58 @@ fn a_terminal_that_hangs_is_not_waited_for_and_gets_no_more_than_a_picture() {
     let before = tty.waiting();
     screen.show(&model).unwrap();
     assert_eq!(tty.waiting(), before);
+}
+
+#[test]
+fn a_station_of_a_fleet_lists_its_robots_with_owner_age_and_losses() {
+    let owner =
+        |name: &str, is_this: bool| FleetOwnerRow { name: name.to_owned(), is_this, ..FleetOwnerRow::default() };
+    let estimate = |age_s: f64, is_position_valid: bool| FleetEstimateRow {
+        x_m: 1.5.into(),
+        y_m: (-0.25).into(),
+        heading_rad: 1.0.into(),
+        is_position_valid,
+        is_heading_valid: true,
+        age_s,
+        ..FleetEstimateRow::default()
+    };
+    let robot = |name: &str, owner, estimate| FleetRobotRow {
+        name: name.to_owned(),
+        owner,
+        estimate,
+        lost: 3,
+        stale: 1,
+        ..FleetRobotRow::default()
+    };
+    let station = |name: &str, is_this: bool, clock_uncertainty_s| FleetStationRow {
+        name: name.to_owned(),
+        is_this,
+        clock_uncertainty_s,
+        ..FleetStationRow::default()
+    };
+    let mut model = model();
+    assert!(model.is_fleet_due());
+    model.set_fleet(FleetState {
+        name: "class".to_owned(),
+        stations: vec![
+            station("left", true, Some(0.0)),
+            station("right", false, Some(0.0012)),
+            station("new", false, None),
+        ],
+        robots: vec![
+            robot("ada", Some(owner("left", true)), Some(estimate(0.042, true))),
+            robot("bob\u{1b}[2J", Some(owner("right", false)), Some(estimate(7.2, true))),
+            robot("eve", None, Some(estimate(0.5, false))),
+            robot("new", Some(owner("right", false)), None),
+        ],
+    });
+    assert!(!model.is_fleet_due());
+    insta::assert_snapshot!("fleet_120x40", pictured(&model, (120, 40)));
+    let size_of_each = [(1, 1), (7, 3), (20, 5), (64, 16)];
+    model.selection.panel = PANELS.iter().position(|panel| panel.title == "Fleet");
+    for size in size_of_each {
+        drawn(&model, Theme::Coloured, size);
+    }
+    model.on_frame(&Frame { now_s: 10.97, ..Frame::default() });
+    assert!(model.is_fleet_due(), "a second later");
 }

@@ -30,6 +30,8 @@ export class FakeStation {
     this.isSilent = false;
     this.canCommand = true;
     this.arena = { landmarks: [], beacons: [], walls: [] };
+    /** What `/v1/fleet` answers; null for a station that is in no fleet. */
+    this.fleet = null;
   }
 
   /** Listens on loopback; the port of an earlier `open` is taken again. */
@@ -60,6 +62,7 @@ export class FakeStation {
     return {
       type: 'hello', version: '0.0.0-fake', now_s: this.now_s, needs_token: false, can_command: this.canCommand,
       simulator: this.simulator && { scenario: 'square', path: [[0, 0], [SIDE_M, 0], [SIDE_M, SIDE_M], [0, SIDE_M], [0, 0]], link_profiles: ['usb', 'bluetooth-spp'], ...this.simulator },
+      fleet: this.fleet?.name ?? null,
       arena: this.arena,
       sources: this.sources.map((source) => ({ ...source, is_used: !this.switchedOff.includes(source.id) })),
       parameters: PARAMETERS.map((parameter) => ({ ...parameter })),
@@ -117,6 +120,7 @@ export class FakeStation {
     if (request.method === 'POST') return this.#command(request, response);
     if (pathname.endsWith('/replay')) return reply(response, this.replay ? 200 : 404, this.replay ?? { error: 'no such recording' });
     if (pathname === '/v1/sources') return reply(response, 200, this.hello().sources);
+    if (pathname === '/v1/fleet') return reply(response, this.fleet ? 200 : 404, this.fleet ?? { error: 'this station is in no fleet' });
     if (pathname === '/v1/recordings') return reply(response, 200, this.hello().recordings);
     const file = path.join(WEB, pathname === '/' ? 'index.html' : path.normalize(pathname));
     try {
@@ -141,6 +145,24 @@ export class FakeStation {
 function reply(response, status, value) {
   response.writeHead(status, { 'Content-Type': 'application/json' });
   response.end(JSON.stringify(value));
+}
+
+/** A fleet of two stations: `ada` is served here, `bob` by the other one, `eve` by nobody, and `eva` has no estimate. */
+export function fleetOf({ x_m = 0.5, age_s = 0.02 } = {}) {
+  const estimate = (values) => ({
+    epoch: 2, x_m, y_m: 0.5, heading_rad: 0.5, major_m: 0.02, heading_sigma_rad: 0.01, is_position_valid: true, is_heading_valid: true, is_dead_reckoning: false,
+    age_s, transit_s: 0.0031, ...values,
+  });
+  const robot = (name, owner, values) => ({ name, owner, robot: null, estimate: estimate({}), received: 900, lost: 7, stale: 0, ...values });
+  const [left, right] = [['left', true], ['right', false]].map(([name, is_this]) => ({ id: `${name}-0123456789abcdef`, name, is_this }));
+  return {
+    name: 'class',
+    stations: [{ ...left, clock_offset_s: 0, clock_uncertainty_s: 0, robots: 1 }, { ...right, clock_offset_s: 12.5, clock_uncertainty_s: 0.0004, robots: 2 }],
+    robots: [
+      robot('ada', { ...left, epoch: 1 }, { robot: '0/1/1' }), robot('bob', { ...right, epoch: 2 }, { stale: 3 }), robot('eva', { ...right, epoch: 1 }, { estimate: null }),
+      robot('eve', null, { estimate: estimate({ is_position_valid: false, is_heading_valid: false, transit_s: null }) }),
+    ],
+  };
 }
 
 // Four robots one behind the other on each square, squares in rows of four.

@@ -170,6 +170,10 @@ pub enum CommandError {
     WrongValue { command: &'static str, field: &'static str, found: String, wanted: String },
     #[error("`{command}` is for a simulated brick, and this station has none of its own")]
     NoSimulator { command: &'static str },
+    #[error(
+        "`{command}` has both `robot` and `fleet_robot`; `robot` is a robot of this station, `fleet_robot` any of the fleet"
+    )]
+    TwoRobots { command: &'static str },
     #[error("`{command}` has no field `{field}`; it has: {known}")]
     UnknownField { command: &'static str, field: String, known: String },
 }

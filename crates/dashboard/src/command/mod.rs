@@ -1,4 +1,5 @@
-//! Commands as JSON: `{"command": "<name>", ...fields}`, of those for a robot with `"robot": "<link>/<system>/<component>"`.
+//! Commands as JSON: `{"command": "<name>", ...fields}`, of those for a robot with `"robot": "<link>/<system>/<component>"`, or with
+//! `"fleet_robot": "<name>"` for a robot of the fleet, which another station may own.
 //!
 //! [`COMMANDS`] is the table for parsing, validation, the schema and docs/dashboard.md. Input is untrusted, so an error
 //! names the field, its value and the permitted ones.
@@ -7,7 +8,7 @@ mod fields;
 mod table;
 
 pub use fields::{CommandError, CommandField, FieldKind};
-pub use table::{COMMANDS, CommandRow, CommandTarget, ROBOT_FIELD};
+pub use table::{COMMANDS, CommandRow, CommandTarget, FLEET_ROBOT_FIELD, MAX_FLEET_ROBOT_CHARS, ROBOT_FIELD};
 
 use posebridge_telemetry::{Command, Input, ParameterName, RobotId, SensorId, SimulatorCommand};
 use serde_json::{Map, Value};
@@ -35,12 +36,69 @@ impl ParsedCommand {
     }
 }
 
+/// A valid command that came from a person.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CommandRequest {
+    /// For this station.
+    Own(ParsedCommand),
+    Fleet(FleetRequest),
+}
+
+/// A command for a robot of the fleet. Its owner parses it again.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FleetRequest {
+    pub name: &'static str,
+    /// The robot's name in the fleet.
+    pub robot: String,
+    /// The JSON object without the robot.
+    pub command: Value,
+}
+
+/// Parses a command that may be for a robot of the fleet.
+pub fn parse_request(text: &[u8]) -> Result<CommandRequest, CommandError> {
+    let mut fields = read_object(text)?;
+    let Some(named) = fields.remove(FLEET_ROBOT_FIELD) else {
+        return parse_object(fields).map(CommandRequest::Own);
+    };
+    let row = find_row(fields.get("command").cloned())?;
+    match row.target {
+        CommandTarget::Robot => {}
+        CommandTarget::Station => {
+            fields.insert(FLEET_ROBOT_FIELD.to_owned(), named);
+            return parse_object(fields).map(CommandRequest::Own);
+        }
+    }
+    if fields.contains_key(ROBOT_FIELD) {
+        return Err(CommandError::TwoRobots { command: row.name });
+    }
+    let is_name = |text: &&str| (1..=MAX_FLEET_ROBOT_CHARS).contains(&text.len());
+    let robot = named.as_str().filter(is_name).ok_or_else(|| CommandError::WrongValue {
+        command: row.name,
+        field: FLEET_ROBOT_FIELD,
+        found: format_value(&named),
+        wanted: "the name of a robot as /v1/fleet has it".to_owned(),
+    })?;
+    let ParsedCommand { name, .. } = parse_object(fields.clone())?;
+    Ok(CommandRequest::Fleet(FleetRequest { name, robot: robot.to_owned(), command: Value::Object(fields) }))
+}
+
+/// Parses a command for this station.
 pub fn parse(text: &[u8]) -> Result<ParsedCommand, CommandError> {
+    parse_object(read_object(text)?)
+}
+
+fn read_object(text: &[u8]) -> Result<Map<String, Value>, CommandError> {
     let value: Value =
         serde_json::from_slice(text).map_err(|error| CommandError::InvalidJson { why: error.to_string() })?;
-    let Value::Object(mut fields) = value else {
-        return Err(CommandError::NotAnObject);
-    };
+    match value {
+        Value::Object(fields) => Ok(fields),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
+            Err(CommandError::NotAnObject)
+        }
+    }
+}
+
+fn parse_object(mut fields: Map<String, Value>) -> Result<ParsedCommand, CommandError> {
     let row = find_row(fields.remove("command"))?;
     let robot = match row.target {
         CommandTarget::Robot => fields.remove(ROBOT_FIELD).map(|value| robot_of(row, &value)).transpose()?,

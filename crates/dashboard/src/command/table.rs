@@ -21,12 +21,18 @@ pub struct CommandRow {
 /// The target of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandTarget {
-    /// A robot, which the optional field [`ROBOT_FIELD`] names.
+    /// A robot, which the optional field [`ROBOT_FIELD`] or [`FLEET_ROBOT_FIELD`] names.
     Robot,
     Station,
 }
 
 pub const ROBOT_FIELD: &str = "robot";
+
+/// Names a robot of the fleet, in place of [`ROBOT_FIELD`].
+pub const FLEET_ROBOT_FIELD: &str = "fleet_robot";
+
+/// The longest name of a robot in a fleet.
+pub const MAX_FLEET_ROBOT_CHARS: usize = 64;
 
 /// Half-width of a square that no such robot leaves; far below the loss of resolution of f64.
 const MAX_COORDINATE_M: f64 = 10_000.0;

@@ -177,3 +177,33 @@ fn what_makes_no_sense_is_refused_with_what_may_stand_there() {
     let long = "x".repeat(10_000);
     assert!(error_text(&format!(r#"{{"command":"{long}"}}"#)).len() < 1_000);
 }
+
+#[test]
+fn a_command_for_a_robot_of_the_fleet_keeps_its_fields_and_loses_the_robot() {
+    let read = |text: &str| parse_request(text.as_bytes());
+    let CommandRequest::Fleet(request) =
+        read(r#"{"command":"switch-source","sensor":3,"on":false,"fleet_robot":"ada"}"#).unwrap()
+    else {
+        panic!("it is for a robot of the fleet");
+    };
+    assert_eq!((request.name, request.robot.as_str()), ("switch-source", "ada"));
+    assert_eq!(request.command, json!({ "command": "switch-source", "sensor": 3, "on": false }));
+    let own = read(r#"{"command":"reset-pose","robot":"0/1/1"}"#).unwrap();
+    assert_eq!(own, CommandRequest::Own(parse(br#"{"command":"reset-pose","robot":"0/1/1"}"#).unwrap()));
+
+    let error = |text: &str| read(text).unwrap_err().to_string();
+    let long = format!(r#"{{"command":"reset-pose","fleet_robot":"{}"}}"#, "x".repeat(65));
+    for wrong in [r#"{"command":"reset-pose","fleet_robot":7}"#, r#"{"command":"reset-pose","fleet_robot":""}"#, &long]
+    {
+        let why = error(wrong);
+        assert!(why.ends_with("must be the name of a robot as /v1/fleet has it") && why.len() < 200, "{why}");
+    }
+    let both = error(r#"{"command":"reset-pose","robot":"0/1/1","fleet_robot":"ada"}"#);
+    assert!(both.starts_with("`reset-pose` has both `robot` and `fleet_robot`; "), "{both}");
+    assert_eq!(
+        error(r#"{"command":"stop-recording","fleet_robot":"ada"}"#),
+        "`stop-recording` has no field `fleet_robot`; it has: none"
+    );
+    assert!(error(r#"{"command":"switch-source","fleet_robot":"ada"}"#).contains("needs the field `sensor`"));
+    assert!(error(r#"{"fleet_robot":"ada"}"#).starts_with("the field `command` is missing"));
+}

@@ -12,7 +12,7 @@ fn hub() -> Hub {
         simulator: Some(SimulatorFacts::default()),
         ..StationInfo::default()
     };
-    Hub::new(facts, None)
+    Hub::new(facts, None, None)
 }
 
 fn batch(millis: i64, events: Vec<Event>) -> EventBatch {

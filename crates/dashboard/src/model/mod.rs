@@ -1,7 +1,9 @@
 //! The messages for browsers and programs, as plain structs. The JSON schema derives from them.
 
+mod fleet;
 mod frame;
 
+pub use fleet::{FleetEstimateRow, FleetOwnerRow, FleetRobotRow, FleetState, FleetStationRow};
 pub(crate) use frame::seconds_of;
 pub use frame::{
     CalibrationRow, ClockRow, ComparedPoint, ComparisonRow, ErrorsRow, EstimatePoint, FixPoint, Frame, FusionPoint,
@@ -54,6 +56,8 @@ pub struct Hello {
     pub can_command: bool,
     /// The simulated brick, `null` if the station has none of its own.
     pub simulator: Option<SimulatorFacts>,
+    /// The name of the station's fleet, `null` if it is in none.
+    pub fleet: Option<String>,
     /// What stands in the arena by the configuration.
     pub arena: ArenaRow,
     /// Sensors that were heard.

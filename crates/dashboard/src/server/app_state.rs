@@ -11,6 +11,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use posebridge_telemetry::{HostClock, TimeDelta, Timestamp};
 use tokio::sync::{Semaphore, mpsc, oneshot};
+use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 use super::guard::RequestGuard;
@@ -18,13 +19,17 @@ use super::hub_task::{HubQuery, Topic};
 use crate::api::{HostClockSource, ReplayLoader};
 use crate::assets::Assets;
 use crate::cameras::CameraSource;
-use crate::command::{self, CommandContext};
+use crate::command::{self, CommandContext, CommandRequest, FleetRequest, ParsedCommand};
 use crate::counters::{ServerCounter, ServerCounters};
-use crate::limits::COMMANDS_PER_S;
+use crate::fleet::{FleetReply, FleetRobotCommand, FleetSource};
+use crate::limits::{COMMANDS_PER_S, FLEET_ANSWER_TIMEOUT};
 use crate::model::{RecordingRow, Refusal};
 use crate::recordings::RecordingFolder;
 use crate::taps::CommandSubmitter;
 use crate::token::AccessRole;
+
+/// Why there is no list of robots of a fleet, and no command for one.
+pub(super) const NO_FLEET: &str = "this station is in no fleet; `posebridge run --fleet NAME` starts one that is";
 
 pub(crate) struct AppState {
     pub(crate) guard: RequestGuard,
@@ -38,35 +43,89 @@ pub(crate) struct AppState {
     pub(crate) recordings: RecordingFolder,
     pub(crate) assets: Assets,
     pub(crate) cameras: Vec<CameraSource>,
+    /// `None` for a station that is in no fleet.
+    pub(crate) fleet: Option<FleetSource>,
     pub(crate) replay: Box<ReplayLoader>,
     /// One replay at a time, because it takes a core.
     pub(crate) replay_slot: Arc<Semaphore>,
     pub(crate) stop: CancellationToken,
 }
 
+/// The status and the reason of a rejection.
+pub(super) type Rejection = (StatusCode, String);
+
+/// A command that was sent.
+pub(super) enum SubmittedCommand {
+    /// To the engine; the log says what becomes of it.
+    Own(&'static str),
+    /// To the owner of a robot of the fleet.
+    Fleet(PendingCommand),
+}
+
+/// A command that another station has not answered yet.
+pub(super) struct PendingCommand {
+    name: &'static str,
+    answer: oneshot::Receiver<Result<(), String>>,
+    counts: Arc<ServerCounters>,
+}
+
+impl PendingCommand {
+    /// Waits for the answer; returns the command's name.
+    pub(super) async fn answer(self) -> Result<&'static str, Rejection> {
+        let result = match timeout(FLEET_ANSWER_TIMEOUT, self.answer).await {
+            Ok(Ok(result)) => result,
+            Ok(Err(_dropped)) => Err("this station is ending".to_owned()),
+            Err(_elapsed) => Err("the station that owns the robot does not answer; try again".to_owned()),
+        };
+        result.map(|()| self.name).map_err(|why| {
+            self.counts.increment(ServerCounter::FleetCommand);
+            (StatusCode::BAD_GATEWAY, why)
+        })
+    }
+}
+
 impl AppState {
-    /// Sends a command of somebody with this role to the station; returns its name, or the status and reason of a rejection.
-    pub(super) fn submit_command(&self, role: AccessRole, text: &[u8]) -> Result<&'static str, (StatusCode, String)> {
+    /// Sends a command of somebody with this role to the station, or to the owner of a robot of the fleet.
+    pub(super) fn submit_command(&self, role: AccessRole, text: &[u8]) -> Result<SubmittedCommand, Rejection> {
         if role != AccessRole::Operator {
             self.counts.increment(ServerCounter::WrongRole);
             let why = "this token only lets you look; a command needs the token of an operator".to_owned();
             return Err((StatusCode::FORBIDDEN, why));
         }
-        let read = command::parse(text).and_then(|parsed| {
-            self.command_context.validate(parsed.name, &parsed.command)?;
-            Ok(parsed)
+        let request = command::parse_request(text).and_then(|request| {
+            match &request {
+                CommandRequest::Own(ParsedCommand { name, command, .. }) => {
+                    self.command_context.validate(name, command)?
+                }
+                // Its owner knows what its robot has.
+                CommandRequest::Fleet(_) => {}
+            }
+            Ok(request)
         });
-        let parsed = read.map_err(|error| {
+        let bad_command = |why: String| {
             self.counts.increment(ServerCounter::BadCommand);
-            (StatusCode::BAD_REQUEST, error.to_string())
-        })?;
+            (StatusCode::BAD_REQUEST, why)
+        };
+        let request = request.map_err(|error| bad_command(error.to_string()))?;
         if !self.command_rate.admits((self.clock)()) {
             self.counts.increment(ServerCounter::CommandRate);
             let why = format!("more than {COMMANDS_PER_S} commands a second come to this station; try again");
             return Err((StatusCode::SERVICE_UNAVAILABLE, why));
         }
-        let sent = self.commands.submit(parsed.input());
-        sent.map(|()| parsed.name).map_err(|why| (StatusCode::SERVICE_UNAVAILABLE, why.to_owned()))
+        match request {
+            CommandRequest::Own(parsed) => {
+                let sent = self.commands.submit(parsed.input());
+                sent.map_err(|why| (StatusCode::SERVICE_UNAVAILABLE, why.to_owned()))?;
+                Ok(SubmittedCommand::Own(parsed.name))
+            }
+            CommandRequest::Fleet(FleetRequest { name, robot, command }) => {
+                let fleet = self.fleet.as_ref().ok_or_else(|| bad_command(NO_FLEET.to_owned()))?;
+                let (reply, answer) = FleetReply::pair();
+                (fleet.send)(FleetRobotCommand { robot, command, reply });
+                let counts = Arc::clone(&self.counts);
+                Ok(SubmittedCommand::Fleet(PendingCommand { name, answer, counts }))
+            }
+        }
     }
 
     pub(super) async fn recording_rows(&self) -> Vec<RecordingRow> {
@@ -85,12 +144,13 @@ impl AppState {
         looked.await.ok().flatten()
     }
 
-    pub(super) async fn text(&self, topic: Topic, kind: &'static str) -> Response {
+    /// What the hub says, and `rest` behind it.
+    pub(super) async fn text(&self, topic: Topic, kind: &'static str, rest: &str) -> Response {
         let (reply, answer) = oneshot::channel();
         drop(self.queries.send(HubQuery::Text(topic, reply)).await);
         answer.await.map_or_else(
             |_closed| refusal_response(StatusCode::SERVICE_UNAVAILABLE, "the station is ending".to_owned()),
-            |text| with_content_type(kind, text.into()),
+            |text| with_content_type(kind, (text + rest).into()),
         )
     }
 

@@ -23,7 +23,7 @@ use tokio::io::AsyncReadExt as _;
 use tokio::time::timeout;
 use tokio_util::io::ReaderStream;
 
-use super::app_state::{AppState, refusal_response, with_content_type};
+use super::app_state::{AppState, NO_FLEET, SubmittedCommand, refusal_response, with_content_type};
 use super::connection_table::{ConnectionSlot, OpenRequest};
 use super::guard::RequestAdmission;
 use super::hub_task::{Topic, to_json};
@@ -55,12 +55,13 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
         .route("/v1/parameters", text(|hub, _| to_json(&hub.parameters()), JSON))
         .route("/v1/cameras", get(cameras))
         .route("/v1/cameras/{link}/picture", get(picture))
+        .route("/v1/fleet", get(fleet))
         .route("/v1/recordings", get(recordings))
         .route("/v1/recordings/{name}", get(download))
         .route("/v1/recordings/{name}/replay", get(replay))
         .route("/v1/commands", post(command))
         .route("/v1/schema.json", get(schema))
-        .route("/metrics", text(metrics::page, metrics::CONTENT_TYPE))
+        .route("/metrics", get(metrics_page))
         .fallback(asset)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(MAX_MESSAGE_BYTES))
@@ -69,7 +70,7 @@ pub(crate) fn router(app: Arc<AppState>) -> Router {
 }
 
 fn text(topic: Topic, kind: &'static str) -> MethodRouter<Arc<AppState>> {
-    get(move |State(app): SharedApp| async move { app.text(topic, kind).await })
+    get(move |State(app): SharedApp| async move { app.text(topic, kind, "").await })
 }
 
 /// Checks and routes a request; every response gets security headers for browsers.
@@ -165,6 +166,18 @@ fn picture(State(app): SharedApp, link: Result<Path<u16>, PathRejection>) -> Rea
     })
 }
 
+fn fleet(State(app): SharedApp) -> Ready<Response> {
+    ready(match &app.fleet {
+        Some(fleet) => with_content_type(JSON, to_json(&(fleet.state)()).into()),
+        None => app.not_found(NO_FLEET),
+    })
+}
+
+async fn metrics_page(State(app): SharedApp) -> Response {
+    let fleet = app.fleet.as_ref().map(|fleet| metrics::fleet_part(&(fleet.state)()));
+    app.text(metrics::page, metrics::CONTENT_TYPE, &fleet.unwrap_or_default()).await
+}
+
 async fn recordings(State(app): SharedApp) -> Response {
     let rows = app.recording_rows().await;
     with_content_type(JSON, serde_json::to_string(&rows).unwrap_or_default().into())
@@ -235,7 +248,7 @@ async fn replay(State(app): SharedApp, name: RecordingName) -> Response {
     }
 }
 
-/// The log shows the result.
+/// The log shows the result; that of a command for a robot of another station is the answer.
 async fn command(
     State(app): SharedApp,
     Extension(admission): Extension<RequestAdmission>,
@@ -250,7 +263,12 @@ async fn command(
         Ok(body) => body,
         Err(error) => return app.bad_request(error.status(), error.body_text()),
     };
-    match app.submit_command(admission.role, &body) {
+    let submitted = match app.submit_command(admission.role, &body) {
+        Ok(SubmittedCommand::Own(name)) => Ok(name),
+        Ok(SubmittedCommand::Fleet(pending)) => pending.answer().await,
+        Err(rejection) => Err(rejection),
+    };
+    match submitted {
         Ok(name) => {
             let accepted = Accepted { accepted: name.to_owned() };
             (StatusCode::ACCEPTED, axum::Json(accepted)).into_response()

@@ -12,16 +12,18 @@ use axum::extract::ws::{CloseFrame, Message as Packet, Utf8Bytes, WebSocket, Web
 use axum::http::StatusCode;
 use axum::response::Response;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::oneshot;
+use tokio::sync::{mpsc, oneshot};
 use tokio::time::{interval, timeout};
 use tungstenite::error::ProtocolError;
 
-use super::app_state::{AppState, refusal_response};
+use super::app_state::{AppState, SubmittedCommand, refusal_response};
 use super::connection_table::ConnectionSlot;
 use super::guard::RequestAdmission;
 use super::hub_task::{HubQuery, StreamStart};
 use crate::counters::ServerCounter;
-use crate::limits::{FAREWELL_TIMEOUT, MAX_MESSAGE_BYTES, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES};
+use crate::limits::{
+    FAREWELL_TIMEOUT, MAX_MESSAGE_BYTES, MAX_WAITING_REFUSALS, PING_PERIOD, SEND_TIMEOUT, WRITE_BUFFER_BYTES,
+};
 use crate::model::{Message, Refusal};
 use crate::token::AccessRole;
 
@@ -56,7 +58,10 @@ pub(super) async fn open(
 }
 
 async fn serve(app: Arc<AppState>, socket: WebSocket, role: AccessRole, connection: &ConnectionSlot) {
-    let mut client = StreamClient { app: Arc::clone(&app), socket, role, missed: 0, has_responded: true };
+    let (refuse, refusals) = mpsc::channel(MAX_WAITING_REFUSALS);
+    let app_of_client = Arc::clone(&app);
+    let mut client =
+        StreamClient { app: app_of_client, socket, role, missed: 0, has_responded: true, refuse, refusals };
     let ended = tokio::select! {
         ended = client.run() => ended,
         // At once, also where a message is stuck on its way to the reader.
@@ -83,6 +88,9 @@ struct StreamClient {
     missed: u64,
     /// Whether it has sent anything since the last ping.
     has_responded: bool,
+    /// What other stations refuse, while the stream goes on.
+    refuse: mpsc::Sender<String>,
+    refusals: mpsc::Receiver<String>,
 }
 
 impl StreamClient {
@@ -102,6 +110,7 @@ impl StreamClient {
             let closed = tokio::select! {
                 packet = self.socket.recv() => self.on_packet(packet).await,
                 frame = frames.recv() => self.forward_frame(frame).await,
+                Some(why) = self.refusals.recv() => self.send_error(why).await,
                 _ = pings.tick() => self.ping().await,
                 () = self.app.stop.cancelled() => Err(StreamEnd::Closed),
             };
@@ -116,7 +125,17 @@ impl StreamClient {
         match packet {
             None | Some(Ok(Packet::Close(_))) => Err(StreamEnd::Closed),
             Some(Ok(Packet::Text(text))) => match self.app.submit_command(self.role, text.as_bytes()) {
-                Ok(_) => Ok(()),
+                Ok(SubmittedCommand::Own(_)) => Ok(()),
+                Ok(SubmittedCommand::Fleet(pending)) => {
+                    let refuse = self.refuse.clone();
+                    tokio::spawn(async move {
+                        if let Err((_, why)) = pending.answer().await {
+                            // A reader that takes none has more of them waiting.
+                            drop(refuse.try_send(why));
+                        }
+                    });
+                    Ok(())
+                }
                 Err((_, why)) => self.send_error(why).await,
             },
             Some(Ok(Packet::Binary(_))) => {

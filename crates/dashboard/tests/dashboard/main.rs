@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers outside the test functions may fail loudly as well")]
 
 mod cameras;
+mod fleet;
 #[path = "../support/http.rs"]
 mod http;
 mod limits;

@@ -59,6 +59,7 @@ pub(crate) fn sources(folder: &Path, clock: &ManualClock) -> DashboardInputs {
         ui_dir: None,
         taps: FrameTaps::default(),
         cameras: Vec::new(),
+        fleet: None,
     }
 }
 
