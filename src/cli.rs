@@ -21,6 +21,7 @@ use crate::tools::init::{InitArgs, robots_help};
 use crate::tools::inspect::InspectArgs;
 use crate::tools::key::KeyArgs;
 use crate::tools::man::{CompletionsArgs, ManArgs};
+use crate::tools::merge::MergeArgs;
 use crate::tools::play::PlayArgs;
 use crate::tools::relay::RelayArgs;
 use crate::tools::replay::ReplayArgs;
@@ -88,6 +89,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Convert a telemetry log or a run of a descriptor into a posebridge recording (docs/recordings.md).
     Import(ImportArgs),
+    /// Make one recording of those of the stations of a fleet (docs/recordings.md).
+    Merge(MergeArgs),
     /// Write a self-contained HTML page about a recording: path, errors, innovations, links, clock (docs/reports.md).
     Report(ReportArgs),
     /// Show what a file contains: messages, rates, losses, gaps, clocks, senders (docs/recordings.md).
@@ -135,6 +138,7 @@ pub fn execute(cli: Cli) -> Result<(), Failure> {
         Command::Replay(args) => tools::replay::execute(&args),
         Command::Export(args) => tools::export::execute(&args),
         Command::Import(args) => tools::import::execute(&args),
+        Command::Merge(args) => tools::merge::execute(&args),
         Command::Report(args) => tools::report::execute(&args),
         Command::Inspect(args) => tools::inspect::execute(&args),
         #[cfg(feature = "lab")]

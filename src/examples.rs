@@ -28,6 +28,7 @@ const EXAMPLES: &[Examples] = &[
         "posebridge export flight.tlog --messages --format csv,mcap",
     ]),
     (&["import"], ["posebridge import flight.tlog --out flight.mcap", "posebridge import my-robot.toml --run square --out square.mcap"]),
+    (&["merge"], ["posebridge merge left.mcap right.mcap --out both.mcap", "posebridge merge a.mcap b.mcap c.mcap --out all.mcap --key arena.key"]),
     (&["report"], ["posebridge report run/recording.mcap", "posebridge report run/recording.mcap --out report --smooth"]),
     (&["inspect"], ["posebridge inspect run/recording.mcap", "posebridge inspect flight.tlog --json"]),
     (&["lab"], ["posebridge lab nxt-square", "posebridge lab accuracy --scenario camera-10hz --runs 10"]),

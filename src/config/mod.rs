@@ -22,6 +22,7 @@ mod sensor;
 mod signing;
 mod simulated_camera;
 mod station;
+mod station_shares;
 mod wiring;
 
 pub use bricks::{
@@ -49,10 +50,11 @@ pub use robots::{
 pub use ros2::Ros2Section;
 pub use routing::{ForwardChoice, FrameFilterSection, LimitsSection, MessageRef, RoutingSection};
 pub use sections::{
-    DashboardSection, FilterSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace, RecordSection,
-    RecordingLimits, WallPlace, WorldConfig, filter_config, names_of_filters,
+    DashboardSection, FilterSection, MergedSection, NumberedPlace, PLOTJUGGLER_ADDRESS, PlotJugglerSection, PointPlace,
+    RecordSection, RecordingLimits, WallPlace, WorldConfig, filter_config, names_of_filters,
 };
 pub use sensor::SensorSection;
 pub use signing::{MemoryRecord, SigningSection, StreamRecord};
 pub use station::{ClockConfig, Config, StationSection};
+pub use station_shares::StationShare;
 pub use wiring::{CameraUnitName, GyroUnitName, RobotWiring};

@@ -353,6 +353,18 @@ impl PlotJugglerSection {
     }
 }
 
+/// A station whose recording is part of a merged one. Its links stand behind those of the stations before it.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq, Eq)]
+#[serde(deny_unknown_fields)]
+pub struct MergedSection {
+    /// Its id in the fleet, else the name of its recording.
+    pub station: String,
+    /// How many links it had.
+    pub links: u16,
+    /// Its host clock minus that of the merged recording.
+    pub clock_ahead_ns: i64,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -20,7 +20,9 @@ use super::robot::RobotFile;
 use super::robot_blocks::RobotBlockSection;
 use super::ros2::Ros2Section;
 use super::routing::RoutingSection;
-use super::sections::{DashboardSection, FilterSection, PlotJugglerSection, RecordSection, WorldConfig, filter_config};
+use super::sections::{
+    DashboardSection, FilterSection, MergedSection, PlotJugglerSection, RecordSection, WorldConfig, filter_config,
+};
 
 /// Everything that a run needs to know.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
@@ -56,6 +58,9 @@ pub struct Config {
     pub dashboard: DashboardSection,
     /// What happens, for PlotJuggler.
     pub plotjuggler: PlotJugglerSection,
+    /// The stations of a merged recording; written by `posebridge merge`, and not for a station that runs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub merged: Vec<MergedSection>,
 }
 
 /// Who the station is on its links.
@@ -130,6 +135,7 @@ impl Default for Config {
             record: RecordSection::default(),
             dashboard: DashboardSection::default(),
             plotjuggler: PlotJugglerSection::default(),
+            merged: Vec::new(),
         }
     }
 }
@@ -328,7 +334,10 @@ impl Config {
                 !matches!(LinkTarget::parse(&link.url), Ok(LinkTarget::Sim(_))),
                 "{name}: the simulated brick does not sign; take away `signing`"
             );
-            if let Some(other) = used.insert((&signing.key_file, signing.link_id), index) {
+            // In a merged recording they may be of two stations.
+            if let Some(other) = used.insert((&signing.key_file, signing.link_id), index)
+                && self.merged.is_empty()
+            {
                 bail!(
                     "{name}: link {other} uses the same key with the same `signing.link_id` {}; give each link its own",
                     signing.link_id
@@ -340,6 +349,10 @@ impl Config {
 
     /// Rejects a configuration that no station can run with; reads no key and opens no link.
     pub fn validate(&self) -> Result<()> {
+        ensure!(
+            self.merged.is_empty(),
+            "`merged` is of a merged recording, which no station runs with: take the configuration of one of its stations"
+        );
         self.targets()?;
         self.station_config()?;
         self.dashboard.checked()?;

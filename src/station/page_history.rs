@@ -8,7 +8,7 @@ use posebridge_dashboard::model::{CalibrationRow, Frame, ParameterValue};
 use posebridge_dashboard::{RobotStatus, SessionViews, SimulatedTruth, StationStatus};
 use posebridge_estimator::PARAMS;
 use posebridge_recording::container::{self, RecordingReader};
-use posebridge_station::{Robot, Station};
+use posebridge_station::{RecordedStations, Robot, Station};
 use posebridge_telemetry::severity::WARNING;
 use posebridge_telemetry::{Address, Calibration, Event, HostClock, Output, RobotId, TimeDelta, Timestamp};
 
@@ -16,7 +16,7 @@ use super::dead_reckoning::dead_reckoning;
 use super::input_file::InputFile;
 use super::recorded_session::{ClockAlignment, ExcessPolicy, MemoryLimit, RecordingWarnings, own_bytes};
 use super::recorder::Recorder;
-use super::signing::recorded_station_config;
+use super::signing::recorded_stations;
 use crate::config::{Config, Overlay, config_with_overlay, learnable_keys};
 
 /// Period of the state, as in a live session.
@@ -38,7 +38,7 @@ pub fn build_history(path: &Path) -> Result<Frame> {
     for item in &mut reader {
         match item {
             Ok((now, input)) => {
-                builder.station.handle(now, &input);
+                builder.stations.handle(now, &input);
                 builder.advance_to(now);
             }
             Err(error) => notes.add_damage(&error),
@@ -57,7 +57,7 @@ struct RobotClock {
 }
 
 struct PageHistoryBuilder {
-    station: Station,
+    stations: RecordedStations,
     views: SessionViews,
     /// Sorted by each robot's own clock; `None` is the only one.
     truth: BTreeMap<Option<RobotId>, VecDeque<container::TruthSample>>,
@@ -76,7 +76,7 @@ impl PageHistoryBuilder {
         let links = config.links.iter().map(|link| link.url.clone());
         let odometry = if is_simulated { None } else { dead_reckoning(config.filter_config()?) };
         Ok(Self {
-            station: Station::new(recorded_station_config(config, &[])?, Timestamp::ZERO)?,
+            stations: recorded_stations(config, &[])?,
             views: SessionViews::new(links.collect(), odometry),
             truth,
             clocks: BTreeMap::new(),
@@ -88,7 +88,7 @@ impl PageHistoryBuilder {
     /// Adds the outputs of an input, and the truth until then.
     fn advance_to(&mut self, now: Timestamp<HostClock>) {
         self.begun.get_or_insert(now);
-        while let Some(output) = self.station.poll() {
+        while let Some(output) = self.stations.poll() {
             if let Output::Event(event) = output {
                 self.align(now, &event);
                 self.publish_truth(now);
@@ -140,7 +140,8 @@ impl PageHistoryBuilder {
     }
 
     fn publish_status(&mut self) {
-        self.views.push_status(&station_status(&self.station, None));
+        let robots = self.stations.robots().map(robot_status).collect();
+        self.views.push_status(&StationStatus { robots, ..station_status(self.stations.first(), None) });
     }
 
     fn history(mut self, notes: RecordingWarnings, source: Address) -> Frame {

@@ -141,7 +141,7 @@ pub(super) async fn session(
     let driven = stop_bricks(embedded, &stop).while_running()?;
     let kept = station_loop.save_signing_state();
     let learned = LearnedCalibration::of_session(&station_loop.station, "live run", config).before_start()?;
-    let wiring = WiringReport::of_session(&station_loop.station, config);
+    let wiring = WiringReport::of_session(station_loop.station.robots(), config);
     let setup = station_loop.setup.items(timer.now(), &station_loop.station);
     let missing_sensors = station_loop.station.missing_sensors();
     station_loop.record_truth();

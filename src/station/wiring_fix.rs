@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use posebridge_estimator::wiring::{WiringFault, WiringFinding};
 use posebridge_recording::robot_names::RobotNames;
 use posebridge_report::tables::wrapped;
-use posebridge_station::{Robot, Station};
+use posebridge_station::Robot;
 use posebridge_telemetry::{DriveGeometry, Wiring};
 
 use crate::config::{Config, RobotFile, RobotWiring};
@@ -23,14 +23,14 @@ pub struct WiringReport {
 
 impl WiringReport {
     /// One for each robot of a session.
-    pub fn of_session(station: &Station, config: &Config) -> Vec<Self> {
-        let robots = station.robots();
+    pub fn of_session<'a>(robots: impl IntoIterator<Item = &'a Robot>, config: &Config) -> Vec<Self> {
+        let robots: Vec<&Robot> = robots.into_iter().collect();
         let mut names = RobotNames::default();
-        for robot in robots {
+        for robot in &robots {
             names.insert(robot.id(), robot.name().unwrap_or_default());
         }
         let label = |robot: &Robot| if robots.len() > 1 { names.label(robot.id()) } else { String::new() };
-        robots.iter().map(|robot| Self::of_robot(robot, label(robot), config.robot_file(Some(robot)))).collect()
+        robots.iter().map(|robot| Self::of_robot(robot, label(robot), config.robot_file(Some(*robot)))).collect()
     }
 
     /// `file` is the robot's own configuration.

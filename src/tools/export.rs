@@ -17,7 +17,7 @@ use posebridge_recording::container::RecordingReader;
 use posebridge_recording::tlog::TlogWriter;
 use posebridge_recording::tum;
 use posebridge_report::{PoseTrack, TimedPose};
-use posebridge_station::{Robot, Station};
+use posebridge_station::{RecordedStations, Robot};
 use posebridge_telemetry::{Estimate, Event, HostClock, Input, Observation, Output, RobotId, TimeDelta, Timestamp};
 
 use self::decoded_messages::{MessageFormats, export_messages};
@@ -35,7 +35,7 @@ use crate::flags::{DataFlags, not_negative};
 use crate::station::input_file::{InputFile, InputKind};
 use crate::station::per_robot::{PerRobot, file_parts};
 use crate::station::recorded_session::{for_each_input, missing_start};
-use crate::station::signing::recorded_station_config;
+use crate::station::signing::recorded_stations_config;
 use crate::station::tlog_writer::TrafficLog;
 
 /// Flags of `export`.
@@ -324,7 +324,7 @@ impl ExportSession {
     /// Runs the engine and writes the files of all requested formats except TUM, which needs the whole run.
     fn run(self, args: &ExportArgs, engine_formats: &[Format]) -> Result<ExportedRun> {
         let mut reader = RecordingReader::open(&self.bytes)?;
-        let station_config = recorded_station_config(&self.config, &args.keys)?;
+        let (first, further) = recorded_stations_config(&self.config, &args.keys)?;
         let utc_start_micros = reader.header().utc_start_micros;
         let mut files = RunFiles::default();
         if engine_formats.contains(&Format::Csv) {
@@ -332,31 +332,32 @@ impl ExportSession {
         }
         if engine_formats.contains(&Format::Tlog) {
             let (out, fresh) = output_folder(args).create_new(".tlog")?;
-            let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, &station_config.links);
+            let links = std::iter::once(&first).chain(&further).flat_map(|station| station.config.links.clone());
+            let log = TrafficLog::new(BufWriter::new(out), utc_start_micros, &links.collect::<Vec<_>>());
             files.add_traffic(log, fresh);
         }
         if engine_formats.contains(&Format::Ros2) {
             files.add_bag(output_folder(args), utc_start_micros)?;
         }
-        let mut station = Station::new(station_config, Timestamp::ZERO)?;
+        let mut stations = RecordedStations::new(first, further)?;
         let mut scorer = self.scorer;
         let retains_observations = hindsights(args).next().is_some();
         let mut estimates = PerRobot::new(move || CollectedPoses { retains_observations, ..CollectedPoses::default() });
         for_each_input(&self.name, &mut reader, |now, input| {
             files.record_input(now, input)?;
-            station.handle(now, input);
-            record_outputs(now, &mut station, &mut files, &mut estimates)?;
+            stations.handle(now, input);
+            record_outputs(now, &mut stations, &mut files, &mut estimates)?;
             if let (Some(scorer), Input::Observation(one)) = (&mut scorer, input) {
-                scorer.on_observation(&one.measurement, one.stamp, &station);
+                scorer.on_observation(&one.measurement, one.stamp, stations.first());
             }
             Ok(())
         })?;
         if let Some(scorer) = &mut scorer {
-            scorer.finish(&station);
+            scorer.finish(stations.first());
         }
         files.finish()?;
         let hindsight = |label: &str, id: Option<RobotId>, collected: &CollectedPoses| {
-            let robot = station.robots().iter().find(|robot| Some(robot.id()) == id);
+            let robot = stations.robots().find(|robot| Some(robot.id()) == id);
             let mut filter_config = self.config.filter_config_of(self.config.robot_file(robot))?;
             filter_config.geometry = robot.map_or(filter_config.geometry, Robot::geometry);
             let data = self.data.as_ref();
@@ -402,11 +403,11 @@ fn output_folder(args: &ExportArgs) -> OutputFolder<'_> {
 
 fn record_outputs(
     now: Timestamp<HostClock>,
-    station: &mut Station,
+    stations: &mut RecordedStations,
     files: &mut RunFiles,
     estimates: &mut PerRobot<CollectedPoses>,
 ) -> Result<()> {
-    while let Some(output) = station.poll() {
+    while let Some(output) = stations.poll() {
         match output {
             Output::Event(event) => {
                 files.record_event(now, &event)?;

@@ -15,6 +15,7 @@ pub mod init;
 pub mod inspect;
 pub mod key;
 pub mod man;
+pub mod merge;
 pub mod own_recording;
 pub mod play;
 pub mod raster;

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_estimator::FilterConfig;
 use posebridge_recording::container::RecordingReader;
-use posebridge_station::Station;
+use posebridge_station::Robot;
 use posebridge_telemetry::{
     BrickClock, ChannelName, Event, HostClock, Observation, ObservationKind, Output, RobotId, SensorId, TimeDelta,
     Timestamp,
@@ -16,7 +16,7 @@ use super::ros2_bag;
 use crate::config::{Overlay, RobotFile, config_with_overlay};
 use crate::console::{print_line, print_lines};
 use crate::station::recorded_session::{ClockAlignment, for_each_input, missing_start};
-use crate::station::signing::recorded_station_config;
+use crate::station::signing::recorded_stations;
 
 /// Decrease of a thermometer's clock that means a restart; smaller ones are overtaken messages. Equal to the station's limit for a
 /// brick's clock (`clock::unwrap`).
@@ -154,18 +154,18 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
         print_line(&format!("{name}: {lack}"));
     }
     let config = config_with_overlay(&reader.header().config_toml, overlay)?;
-    let mut station = Station::new(recorded_station_config(&config, &[])?, Timestamp::ZERO)?;
+    let mut stations = recorded_stations(&config, &[])?;
     let mut session = SessionObservations::default();
     for_each_input(&name, &mut reader, |now, input| {
-        station.handle(now, input);
-        while let Some(output) = station.poll() {
+        stations.handle(now, input);
+        while let Some(output) = stations.poll() {
             if let Output::Event(event) = output {
                 session.on_event(&event);
             }
         }
         Ok(())
     })?;
-    let missing_sensors = station.missing_sensors();
+    let missing_sensors = stations.missing_sensors();
     if let ([line, ..], []) = (missing_sensors.as_slice(), session.observations.as_slice()) {
         bail!("`{name}` holds no observation: {line}");
     }
@@ -180,9 +180,10 @@ pub fn read(path: &Path, overlay: Overlay<'_>) -> Result<OwnRecordingRun> {
             session.restarts
         );
     }
-    let robot = config.robot_file(station.robots().first());
+    let first = stations.robots().next();
+    let robot = config.robot_file(first);
     let mut filter_config = config.filter_config_of(robot)?;
-    filter_config.geometry = station.first_robot().geometry();
+    filter_config.geometry = first.map_or(filter_config.geometry, Robot::geometry);
     Ok(OwnRecordingRun {
         name,
         robot: robot.with_geometry(&filter_config.geometry),

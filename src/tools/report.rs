@@ -75,9 +75,9 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
     let config = recording.config(flags, args.filter.as_deref()).before_start()?;
     let filters: Vec<String> = args.filter.iter().cloned().collect();
     let changed = recording.changes(flags, &filters).before_start()?;
-    let station = OwnRecording::station(flags, &config).before_start()?;
+    let stations = OwnRecording::stations(flags, &config).before_start()?;
     let alone = recording.config(flags, Some(DEAD_RECKONING)).before_start()?;
-    let alone = OwnRecording::station(flags, &alone).before_start()?;
+    let alone = OwnRecording::stations(flags, &alone).before_start()?;
     let origin = recording.origin();
     let retains_observations = args.smooth;
     let mut histories = PerRobot::new(move || {
@@ -88,19 +88,21 @@ fn summarize_recording(args: &ReportArgs, window: Window) -> Result<SessionSumma
         history
     });
     let mut dead_reckoning = PerRobot::new(EventCollector::default);
-    let mut lanes =
-        [ReplayLane { station, watcher: &mut histories }, ReplayLane { station: alone, watcher: &mut dead_reckoning }];
+    let mut lanes = [
+        ReplayLane { stations, watcher: &mut histories },
+        ReplayLane { stations: alone, watcher: &mut dead_reckoning },
+    ];
     let summary = recording.run(&mut lanes, window, None).while_running()?;
-    let [ReplayLane { station, .. }, _] = lanes;
+    let [ReplayLane { stations, .. }, _] = lanes;
     let mut notes = summary.notes;
     let robots = chosen_robots(args, histories.into_entries(), &mut notes).before_start()?;
-    let described = if robots.are_several { &config.robot } else { config.robot_file(station.robots().first()) };
+    let described = if robots.are_several { &config.robot } else { config.robot_file(stations.robots().next()) };
     let mut facts = own_facts(&recording, described);
     let mut runs = Vec::new();
     for robot in robots.chosen {
         let known = recording.ground_truth(flags.truth.as_deref(), robot.robot).before_start()?;
         let reference = known.truth.as_ref().map_or(ScoreReference::None, |_| ScoreReference::Truth);
-        let engine = station.robots().iter().find(|engine| Some(engine.id()) == robot.robot);
+        let engine = stations.robots().find(|engine| Some(engine.id()) == robot.robot);
         let file = config.robot_file(engine);
         let mut filter_config = config.filter_config_of(file).before_start()?;
         let prior = filter_config.calibration;

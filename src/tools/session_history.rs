@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::Result;
 use posebridge_report::PoseTrack;
 use posebridge_report::chart::session::{CalibrationSample, ClockSample, ErrorSample, InnovationSample, LinkSample};
-use posebridge_station::{Robot, Station};
+use posebridge_station::{RecordedStations, Robot};
 use posebridge_telemetry::{
     Estimate, Event, FusionRecord, HostClock, LinkId, ReceiveError, SensorId, SignatureError, TimeDelta, Timestamp,
 };
@@ -145,8 +145,8 @@ impl EventWatcher for SessionHistory {
         Ok(())
     }
 
-    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
-        self.record_calibration(now, station.robots().first());
+    fn after_input(&mut self, now: Timestamp<HostClock>, stations: &RecordedStations) {
+        self.record_calibration(now, stations.robots().next());
     }
 }
 
@@ -155,11 +155,10 @@ impl EventWatcher for PerRobot<SessionHistory> {
         self.try_push(event, |history, event| history.observe(now, event))
     }
 
-    fn after_input(&mut self, now: Timestamp<HostClock>, station: &Station) {
-        let robots = station.robots();
+    fn after_input(&mut self, now: Timestamp<HostClock>, stations: &RecordedStations) {
         for entry in self.entries_mut() {
             // Both are in the order of the first frame of each robot, but not every robot has an observation.
-            let robot = robots.iter().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
+            let robot = stations.robots().find(|robot| entry.robot.is_none_or(|id| id == robot.id()));
             entry.value.record_calibration(now, robot);
         }
     }

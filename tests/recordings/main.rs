@@ -14,6 +14,7 @@ mod failures;
 mod files;
 mod inspect;
 mod log_times;
+mod merge;
 mod messages;
 mod page_history;
 mod parts;

@@ -51,7 +51,7 @@ fn drive(settings: &str) -> Said {
     Said {
         live: texts(&live),
         replayed: texts(&replayed),
-        lines: wiring_text(&WiringReport::of_session(&station, &config)),
+        lines: wiring_text(&WiringReport::of_session(station.robots(), &config)),
     }
 }
 

@@ -30,6 +30,7 @@
 //! - At a hand-over ([`AnswerContent::HandOver`]) append the robot's state as it is before the [`Output::Stop`] that follows.
 
 mod claims;
+mod clock_note;
 mod config;
 mod epoch;
 mod estimate;
@@ -48,6 +49,7 @@ mod robot_table;
 mod ros2_keys;
 mod station_clock;
 
+pub use clock_note::{ClockNote, IdentityNote, NoteError};
 pub use config::OwnershipConfig;
 pub use epoch::{Epoch, EpochFence, FenceDecision, OwnershipToken};
 pub use estimate::{EstimateError, FleetEstimate};

@@ -4,6 +4,7 @@
 //! - [`foxglove`] converts the station's outputs to messages for viewers and notebooks, stored beside the inputs.
 //! - [`ros2`] writes the station's outputs as a ROS 2 bag.
 //! - [`json_log`] writes and reads JSON messages in MCAP.
+//! - [`merge`] makes one recording of those of several stations.
 //! - [`tlog`] reads and writes the telemetry logs of ground stations.
 //! - [`event_json`] writes every event as a line of JSON.
 //! - [`csv`] and [`tum`] write the results of a run for other programs.
@@ -23,6 +24,7 @@ pub mod dataset;
 pub mod event_json;
 pub mod foxglove;
 pub mod json_log;
+pub mod merge;
 mod planar;
 pub mod robot_names;
 pub mod ros2;

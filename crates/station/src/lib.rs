@@ -45,6 +45,7 @@ mod parameter_reports;
 mod peer_framers;
 mod receive;
 mod receive_pass;
+mod recorded_stations;
 mod robot;
 mod robot_snapshot;
 mod robot_table;
@@ -74,6 +75,7 @@ pub use config::{
     RpmMeaning, StationConfig, ThermometerConfig,
 };
 pub use ownership_status::OwnershipStatus;
+pub use recorded_stations::{RecordedStation, RecordedStations};
 pub use robot::Robot;
 pub use sender_pins::PinPolicy;
 pub use station::Station;

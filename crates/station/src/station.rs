@@ -13,7 +13,7 @@ use posebridge_protocol::session::SessionOutput;
 use posebridge_protocol::signing::SigningState;
 use posebridge_telemetry::{
     ChannelName, Estimate, Event, HostClock, Input, LinkId, LinkState, Output, PeerId, Priority, RobotId,
-    ScalarEstimate, TimeDelta, Timestamp, severity,
+    ScalarEstimate, StationInput, TimeDelta, Timestamp, severity,
 };
 
 use crate::config::{BuildError, StationConfig};
@@ -144,12 +144,17 @@ impl Station {
                 let source = self.robots.first().id.address;
                 self.observe(0, source, arrival, *observation);
             }
-            Input::Command(command) => self.handle_command(*command),
+            Input::Command(command) | Input::OfStation { input: StationInput::Command(command), .. } => {
+                self.handle_command(*command);
+            }
             Input::RobotCommand { robot, command } => self.handle_robot_command(*robot, *command),
             Input::Ownership { robot, ownership } => self.handle_ownership(*robot, ownership),
             Input::OutsideFix { robot, fix } => self.handle_outside_fix(*robot, fix),
-            Input::Report { severity, text } => self.handle_report(*severity, text),
-            Input::Tick => {}
+            Input::Report { severity, text }
+            | Input::OfStation { input: StationInput::Report { severity, text }, .. } => {
+                self.handle_report(*severity, text);
+            }
+            Input::Tick | Input::OfStation { input: StationInput::Tick, .. } => {}
         }
         // What is due goes first: a time request that waited behind the estimate would measure that, too.
         if self.is_due() {
@@ -202,6 +207,11 @@ impl Station {
     /// All robots, in the order of their first message; before any is detected, the configured one.
     pub fn robots(&self) -> &[Robot] {
         self.robots.all()
+    }
+
+    /// The robots that were heard, in the order of their first message.
+    pub fn detected_robots(&self) -> &[Robot] {
+        self.robots.detected()
     }
 
     /// A line for each vehicle that lacks a sensor: what it sends and what is missing.

@@ -162,6 +162,30 @@ impl Event {
         }
     }
 
+    /// Adds the same to every instant of the host's clock: the event by another host clock.
+    pub fn shift_host_times(&mut self, by: TimeDelta) {
+        match self {
+            Self::ObservationAligned { arrival, .. } | Self::Temperature { arrival, .. } => *arrival = *arrival + by,
+            Self::BrickClockAligned { offset, host, .. } | Self::CameraClockAligned { offset, host, .. } => {
+                *host = *host + by;
+                *offset = *offset - by;
+            }
+            Self::RobotDetected { .. }
+            | Self::RobotNamed { .. }
+            | Self::RobotLost { .. }
+            | Self::BrickRestarted { .. }
+            | Self::ObservationFused { .. }
+            | Self::EstimateUpdated { .. }
+            | Self::ObservationCompared { .. }
+            | Self::EstimateCompared { .. }
+            | Self::QuantityUpdated { .. }
+            | Self::Link { .. }
+            | Self::Health { .. }
+            | Self::ReceiveError { .. }
+            | Self::Text { .. } => {}
+        }
+    }
+
     /// The event in words, with its MAVLink severity; `None` for measurements, estimates and counters.
     pub fn describe(&self) -> Option<(u8, String)> {
         let described = match self {
@@ -305,6 +329,24 @@ mod tests {
     const LOST: &str = "robot 0/1/25 lost: silent for 5.0 s; look at its battery, its program and the link";
     const RESTARTED: &str = "robot 0/1/25 restarted: its clock began anew, the pose is kept";
     const DOWN: &str = "link 3 is down: look at plug and power; it is opened again by itself";
+
+    #[test]
+    fn by_another_host_clock_an_event_says_the_same_of_the_clocks_of_robots_and_cameras() {
+        let aligned = |host_ms, offset_ms| Event::CameraClockAligned {
+            camera: Address::new(1, 100),
+            offset: TimeDelta::from_millis(offset_ms),
+            uncertainty: TimeDelta::from_millis(1),
+            stamp: Timestamp::from_millis(host_ms + offset_ms),
+            host: Timestamp::from_millis(host_ms),
+        };
+        let mut event = aligned(5_000, 70);
+        event.shift_host_times(TimeDelta::from_millis(-3_000));
+        assert_eq!(event, aligned(2_000, 3_070));
+        let mut lost = Event::RobotLost { robot: RobotId::default(), silence: TimeDelta::from_millis(5_000) };
+        let before = lost.clone();
+        lost.shift_host_times(TimeDelta::from_millis(1));
+        assert_eq!(lost, before);
+    }
 
     #[test]
     fn an_event_text_has_the_severity_of_its_kind_and_a_status_text_that_of_its_sender() {

@@ -65,6 +65,40 @@ pub enum Input {
     },
     /// Time passed; given when the station's deadline is reached.
     Tick,
+    /// In a merged recording: an input without a link, of another station than the first.
+    OfStation {
+        /// Its number in the order of the recording, from 1.
+        station: u16,
+        input: StationInput,
+    },
+}
+
+/// An input that concerns a station and no link of it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum StationInput {
+    Command(Command),
+    Report {
+        /// MAVLink severity, 0 emergency to 7 debug.
+        severity: u8,
+        text: String,
+    },
+    Tick,
+}
+
+impl Input {
+    /// The link that it concerns, itself or by the robot.
+    pub const fn link(&self) -> Option<LinkId> {
+        match self {
+            Self::Bytes { link, .. }
+            | Self::Link { link, .. }
+            | Self::PeerAddress { link, .. }
+            | Self::Port { link, .. } => Some(*link),
+            Self::RobotCommand { robot, .. } | Self::Ownership { robot, .. } | Self::OutsideFix { robot, .. } => {
+                Some(robot.link)
+            }
+            Self::Observation(_) | Self::Command(_) | Self::Report { .. } | Self::Tick | Self::OfStation { .. } => None,
+        }
+    }
 }
 
 /// Everything that the station requests of its program.

@@ -39,7 +39,7 @@ pub use event::{Event, LinkState, ReceiveError, SignatureError};
 pub use fusion::{FusionOutcome, FusionRecord};
 pub use geodesy::{GeodeticOrigin, GeodeticPoint};
 pub use ids::{Address, BeaconId, ChannelName, ComponentId, LandmarkId, LinkId, PeerId, RobotId, SensorId, SystemId};
-pub use io::{Input, Output, Priority, Recipients};
+pub use io::{Input, Output, Priority, Recipients, StationInput};
 pub use link_health::{LinkCounter, LinkCounts, LinkHealth, SourceHealth};
 pub use observation::{Fix, Observation, ObservationKind, PositionCovariance, SensorSwitch};
 pub use outside_fix::OutsideFix;

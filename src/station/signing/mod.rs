@@ -8,15 +8,15 @@ mod state_writer;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use posebridge_link::LinkSet;
 use posebridge_protocol::signing::{Key, SigningState, SigningTime};
-use posebridge_station::StationConfig;
+use posebridge_station::{RecordedStation, RecordedStations, StationConfig};
 use posebridge_telemetry::{LinkId, TimeDelta};
 
 use self::files::StateFile;
 use self::state_writer::SignedLink;
-use crate::config::{Config, LinkSection, MemoryRecord, PinChoice, SigningSection};
+use crate::config::{Config, LinkSection, MemoryRecord, PinChoice, SigningSection, StationShare};
 use crate::console::print_line;
 
 pub use files::{create_key, read_key, write_key};
@@ -117,8 +117,36 @@ fn warn_of_date(link: &str, date: SigningTime, memory: &SigningState) {
     }
 }
 
+/// The stations of a recording with this configuration; keys as in [`recorded_station_config`].
+pub fn recorded_stations(config: &Config, files: &[PathBuf]) -> Result<RecordedStations> {
+    let (first, further) = recorded_stations_config(config, files)?;
+    Ok(RecordedStations::new(first, further)?)
+}
+
+/// The configuration of the first station of a recording, and in a merged recording of those behind it.
+pub fn recorded_stations_config(config: &Config, files: &[PathBuf]) -> Result<(RecordedStation, Vec<RecordedStation>)> {
+    let (first, further) = config.station_shares()?;
+    let recorded = |share: &StationShare| {
+        let mut station = recorded_station_config(&share.config, files)?;
+        for link in &mut station.links {
+            link.id.0 += share.first_link;
+        }
+        // Blocks of other stations' links match none of this one's.
+        for (block, section) in station.robots.iter_mut().zip(&config.robots) {
+            block.matches = section.matches.to_match();
+        }
+        Ok(RecordedStation { config: station, clock_ahead: share.clock_ahead })
+    };
+    let further: Result<Vec<RecordedStation>> = further.iter().map(recorded).collect();
+    Ok((recorded(&first)?, further?))
+}
+
 /// The station's configuration of a recorded session. The keys of signed links come from these files, else from the original paths.
 pub fn recorded_station_config(config: &Config, files: &[PathBuf]) -> Result<StationConfig> {
+    ensure!(
+        config.merged.is_empty(),
+        "this is a merged recording, of several stations: give the recording of the one station that is meant"
+    );
     let mut station_config = config.station_config()?;
     let keys = files.iter().map(|path| read_key(path));
     let keys: Vec<Key> = keys.collect::<Result<_>>()?;

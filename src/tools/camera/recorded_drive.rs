@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use posebridge_protocol::bricks::camera_json::{SeenTag, TagCorners, read_seen_tag};
 use posebridge_recording::container::RecordingReader;
-use posebridge_station::{Robot, Station};
+use posebridge_station::{RecordedStations, Robot};
 use posebridge_telemetry::{
     Arena, Body, Event, Heading, HostClock, Input, LinkId, Meters, Output, Pose, TimeDelta, Timestamp, Transform2,
     UncertainValue,
@@ -16,7 +16,7 @@ use posebridge_vision::FlatTag;
 use crate::config::{CameraChoice, CameraFile, Config, load_text};
 use crate::console::print_lines;
 use crate::station::recorded_session::for_each_input;
-use crate::station::signing::recorded_station_config;
+use crate::station::signing::recorded_stations;
 use crate::tools::import::{self, StationOptions};
 
 /// Pictures that are used; of more, each second, third, ... one.
@@ -190,8 +190,8 @@ impl RecordedDrive {
                 CameraFile { delay_ms: Some(delay_ms), delay_spread_ms: Some(2.0 * spread_ms), ..camera.clone() };
             config.links[usize::from(self.link.0)].camera = Some(CameraChoice::Camera(Box::new(camera)));
             config.robot.calibration.fix_delay_s = UncertainValue { value: 0.0, sigma }.into();
-            let station = for_each_output(&self.name, &self.bytes, &config, |_, _| {})?;
-            let Some(calibration) = station.robots().first().and_then(Robot::calibration) else {
+            let stations = for_each_output(&self.name, &self.bytes, &config, |_, _| {})?;
+            let Some(calibration) = stations.robots().next().and_then(Robot::calibration) else {
                 return Ok(None);
             };
             learned = calibration.fix_delay_s;
@@ -228,20 +228,20 @@ fn for_each_output(
     bytes: &[u8],
     config: &Config,
     mut take: impl FnMut(Timestamp<HostClock>, Step<'_>),
-) -> Result<Station> {
+) -> Result<RecordedStations> {
     let mut reader = RecordingReader::open(bytes)?;
-    let mut station = Station::new(recorded_station_config(config, &[])?, Timestamp::ZERO)?;
+    let mut stations = recorded_stations(config, &[])?;
     for_each_input(name, &mut reader, |now, input| {
         take(now, Step::Input(input));
-        station.handle(now, input);
-        while let Some(output) = station.poll() {
+        stations.handle(now, input);
+        while let Some(output) = stations.poll() {
             if let Output::Event(event) = output {
                 take(now, Step::Event(&event));
             }
         }
         Ok(())
     })?;
-    Ok(station)
+    Ok(stations)
 }
 
 /// The lines of all links, whole or in pieces.

@@ -10,7 +10,9 @@ use posebridge_protocol::statistics::TrafficStatistics;
 use posebridge_recording::container::{RecordingEnd, RecordingHeader, RecordingReader};
 use posebridge_recording::dataset::ObservationList;
 use posebridge_recording::tlog::{ByteOrder, FrameCheck, LINK_BITS, TlogRecord};
-use posebridge_telemetry::{BrickClock, HostClock, Input, LinkId, LinkState, PeerId, TimeDelta, Timestamp};
+use posebridge_telemetry::{
+    BrickClock, HostClock, Input, LinkId, LinkState, PeerId, StationInput, TimeDelta, Timestamp,
+};
 use serde::Serialize;
 
 use crate::config;
@@ -288,13 +290,16 @@ fn record_input(
             }
         }
         Input::Observation(_) => facts.observations += 1,
-        Input::Command(_) | Input::RobotCommand { .. } => facts.commands += 1,
+        Input::Command(_) | Input::RobotCommand { .. } | Input::OfStation { input: StationInput::Command(_), .. } => {
+            facts.commands += 1;
+        }
         Input::Report { .. }
         | Input::Port { .. }
         | Input::PeerAddress { .. }
         | Input::Ownership { .. }
         | Input::OutsideFix { .. }
-        | Input::Tick => {}
+        | Input::Tick
+        | Input::OfStation { input: StationInput::Report { .. } | StationInput::Tick, .. } => {}
     }
 }
 

@@ -219,7 +219,7 @@ pub fn replay_run(
     let station = Station::new(config, first.arrival)?;
     let prior = robot_run.filter_config.calibration;
     let mut scorer = Scorer::new(&robot_run.run, &prior);
-    let mut lane = ReplayLane { station, watcher: watch };
+    let mut lane = ReplayLane { stations: station.into(), watcher: watch };
     let bar = progress_bar(robot_run.run.observations.len() as u64, "observations")?;
     if let Some(pace) = &mut pace {
         pace.restart();
@@ -237,7 +237,7 @@ pub fn replay_run(
         }
         lane.push(timed.arrival, &Input::Observation(timed.observation), position)?;
         let observation = &timed.observation;
-        scorer.on_observation(&observation.measurement, observation.stamp, &lane.station);
+        scorer.on_observation(&observation.measurement, observation.stamp, lane.stations.first());
         if position == WindowPosition::Before {
             scorer.reset();
         }
@@ -248,9 +248,9 @@ pub fn replay_run(
         }
     }
     bar.finish_and_clear();
-    scorer.finish(&lane.station);
+    scorer.finish(lane.stations.first());
     let (name, robot) = (&robot_run.run.name, &robot_run.robot);
-    let replayed = lane.station.robots().first();
+    let replayed = lane.stations.robots().next();
     Ok(ReplayScores {
         errors: summarise(&scorer.errors),
         uncorrected: summarise(&scorer.uncorrected),

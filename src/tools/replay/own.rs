@@ -9,7 +9,7 @@ use posebridge_estimator::FilterConfig;
 use posebridge_recording::container::{RecordingHeader, RecordingReader};
 use posebridge_report::metrics::{errors_of_estimates, errors_of_track, summarise};
 use posebridge_report::{ErrorSummary, PoseTrack};
-use posebridge_station::{Robot, Station};
+use posebridge_station::{RecordedStations, Robot};
 use posebridge_telemetry::{Estimate, HostClock, Input, RobotId, TimeDelta, Timestamp};
 
 use super::result::{FilterResult, ReplayArgs, ReplayResult, SmoothError, SmoothedRun, SmoothingSpan};
@@ -26,7 +26,7 @@ use crate::station::input_file::{InputFile, InputKind};
 use crate::station::learned_calibration::LearnedCalibration;
 use crate::station::per_robot::{PerRobot, RobotEntry};
 use crate::station::recorded_session::{ReadProgress, RecordingWarnings, nothing_read};
-use crate::station::signing::recorded_station_config;
+use crate::station::signing::recorded_stations;
 use crate::station::wiring_fix::WiringReport;
 use crate::tools::dataset;
 use crate::tools::ground_truth::GroundTruth;
@@ -51,15 +51,15 @@ pub(super) fn replay(args: &ReplayArgs) -> Result<ReplayResult, Failure> {
     let mut watchers = create_watchers(args, configs.len(), events.as_mut());
     let mut lanes = Vec::new();
     for (config, watcher) in configs.iter().zip(&mut watchers) {
-        let station = OwnRecording::station(flags, config).before_start()?;
-        lanes.push(ReplayLane { station, watcher });
+        let stations = OwnRecording::stations(flags, config).before_start()?;
+        lanes.push(ReplayLane { stations, watcher });
     }
     let summary = recording.run(&mut lanes, window, pace.as_ref()).while_running()?;
     for note in &summary.notes {
         print_line(&format!("{}: {note}", recording.name));
     }
-    let stations: Vec<Station> = lanes.into_iter().map(|lane| lane.station).collect();
-    for line in stations.last().map(Station::missing_sensors).unwrap_or_default() {
+    let stations: Vec<RecordedStations> = lanes.into_iter().map(|lane| lane.stations).collect();
+    for line in stations.last().map(RecordedStations::missing_sensors).unwrap_or_default() {
         print_line(&format!("{}: {line}", recording.name));
     }
     let collectors: Vec<_> = watchers.into_iter().map(ReplayWatcher::finish).collect();
@@ -110,19 +110,19 @@ fn summarize<'m>(
     args: &ReplayArgs,
     recording: &OwnRecording,
     configs: &[Config],
-    replays: impl Iterator<Item = (&'m Station, PerRobot<EventCollector>)>,
+    replays: impl Iterator<Item = (&'m RecordedStations, PerRobot<EventCollector>)>,
 ) -> Result<ReplayResult, Failure> {
     let mut result =
         ReplayResult { recording: recording.name.clone(), runs: vec![WHOLE_RUN.to_owned()], ..ReplayResult::default() };
-    for (index, (config, (station, collectors))) in configs.iter().zip(replays).enumerate() {
-        result.wiring = WiringReport::of_session(station, config);
+    for (index, (config, (stations, collectors))) in configs.iter().zip(replays).enumerate() {
+        result.wiring = WiringReport::of_session(stations.robots(), config);
         let entries = collectors.into_entries();
         let has_several = entries.len() > 1;
         for (position, RobotEntry { robot: id, label, value: collector }) in entries.into_iter().enumerate() {
             let known = recording.ground_truth(args.session.truth.as_deref(), id).before_start()?;
             let truth = known.truth.as_ref();
             // `None` if the station received nothing from a robot.
-            let robot = station.robots().iter().find(|robot| Some(robot.id()) == id);
+            let robot = stations.robots().find(|robot| Some(robot.id()) == id);
             let file = config.robot_file(robot);
             let mut filter_config = config.filter_config_of(file).before_start()?;
             let label = has_several.then_some(label);
@@ -272,8 +272,8 @@ impl OwnRecording {
         Ok(changes)
     }
 
-    pub fn station(flags: &SessionFlags, config: &Config) -> Result<Station> {
-        Ok(Station::new(recorded_station_config(config, &flags.keys)?, Timestamp::ZERO)?)
+    pub fn stations(flags: &SessionFlags, config: &Config) -> Result<RecordedStations> {
+        recorded_stations(config, &flags.keys)
     }
 
     /// The truth of a robot: from a file, else from the recording.

@@ -6,7 +6,7 @@ use std::io::{BufWriter, Write as _};
 use anyhow::{Context, Result, ensure};
 use posebridge_link::HostTimer;
 use posebridge_report::{FIGURES, PoseTrack, RunLayers};
-use posebridge_station::Station;
+use posebridge_station::RecordedStations;
 use posebridge_telemetry::{Event, HostClock, Input, Output, TimeDelta, Timestamp};
 
 use super::result::ReplayArgs;
@@ -16,12 +16,12 @@ use crate::station::event_file::write_event;
 use crate::station::live_status::LiveView;
 use crate::station::per_robot::PerRobot;
 
-/// Observes the events of one estimator's station.
+/// Observes the events of one estimator's stations.
 pub trait EventWatcher {
     /// An event caused by the input at `now`.
     fn observe(&mut self, now: Timestamp<HostClock>, event: &Event) -> Result<()>;
     /// Called after all events of the input at `now`.
-    fn after_input(&mut self, _now: Timestamp<HostClock>, _station: &Station) {}
+    fn after_input(&mut self, _now: Timestamp<HostClock>, _stations: &RecordedStations) {}
 }
 
 /// For callers that need only tracks and counts.
@@ -107,20 +107,20 @@ impl ReplayPacer {
 }
 
 pub struct ReplayLane<'w> {
-    pub station: Station,
+    pub stations: RecordedStations,
     pub watcher: &'w mut dyn EventWatcher,
 }
 
 impl ReplayLane<'_> {
     pub fn push(&mut self, now: Timestamp<HostClock>, input: &Input, position: WindowPosition) -> Result<()> {
-        self.station.handle(now, input);
-        while let Some(output) = &self.station.poll() {
+        self.stations.handle(now, input);
+        while let Some(output) = &self.stations.poll() {
             if let (Output::Event(event), WindowPosition::Within) = (output, position) {
                 self.watcher.observe(now, event)?;
             }
         }
         if position == WindowPosition::Within {
-            self.watcher.after_input(now, &self.station);
+            self.watcher.after_input(now, &self.stations);
         }
         Ok(())
     }

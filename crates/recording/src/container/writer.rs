@@ -5,7 +5,7 @@ use std::io::{BufWriter, IntoInnerError, Write};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, TimeDelta, Timestamp};
+use posebridge_telemetry::{Calibration, Event, HostClock, Input, RobotId, StationInput, TimeDelta, Timestamp};
 
 use super::encoding::{self, RecordPosition};
 use super::{
@@ -159,7 +159,9 @@ impl<W: Write> RecordingWriter<W> {
         self.mcap.write_to_known_channel(&header, &self.scratch)?;
         self.sequence = self.sequence.wrapping_add(1);
         let message = match input {
-            Input::Command(command) => Some(foxglove::command_message(command, None)),
+            Input::Command(command) | Input::OfStation { input: StationInput::Command(command), .. } => {
+                Some(foxglove::command_message(command, None))
+            }
             Input::RobotCommand { robot, command } => Some(foxglove::command_message(command, Some(*robot))),
             Input::Bytes { .. }
             | Input::Port { .. }
@@ -169,7 +171,8 @@ impl<W: Write> RecordingWriter<W> {
             | Input::Ownership { .. }
             | Input::OutsideFix { .. }
             | Input::Report { .. }
-            | Input::Tick => None,
+            | Input::Tick
+            | Input::OfStation { input: StationInput::Report { .. } | StationInput::Tick, .. } => None,
         };
         self.write_messages(now, message)
     }

@@ -11,7 +11,7 @@ use posebridge_recording::container::{
 use posebridge_telemetry::{
     Address, Command, Fix, Heading, HostClock, Input, LinkCounts, LinkId, LinkState, Meters, MetersPerSecond,
     Observation, ObservationKind, OutsideFix, Ownership, ParameterName, PeerId, Point2, Pose, Radians,
-    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, TimeDelta, Timestamp,
+    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, StationInput, TimeDelta, Timestamp,
 };
 
 use crate::MemoryFile;
@@ -81,6 +81,9 @@ fn every_kind() -> Vec<Input> {
         Input::OutsideFix { robot: RobotId { link, address: Address::new(7, 1) }, fix: outside },
         Input::Report { severity: 6, text: "saved".to_owned() },
         Input::Tick,
+        Input::OfStation { station: 1, input: StationInput::Command(set_pose) },
+        Input::OfStation { station: 2, input: StationInput::Report { severity: 7, text: "saved".to_owned() } },
+        Input::OfStation { station: u16::MAX, input: StationInput::Tick },
     ]
 }
 

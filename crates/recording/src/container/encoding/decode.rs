@@ -4,8 +4,8 @@ use posebridge_telemetry::{
     Address, BeaconId, Celsius, ChannelName, Command, FilterComparison, Fix, Heading, Input, LandmarkId, LinkCounts,
     LinkId, LinkState, Meters, MetersPerSecond, MetersPerSecondSquared, Observation, ObservationKind,
     OnlineCalibration, OutsideFix, Ownership, ParameterStorage, PeerId, Point2, Pose, PositionCovariance, Radians,
-    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, SteeringSource,
-    TimeDelta, Timestamp,
+    RadiansPerSecond, RobotId, RobotSnapshot, SensorId, SensorSwitch, SimulatorCommand, SlippingWheel, StationInput,
+    SteeringSource, TimeDelta, Timestamp,
 };
 
 use super::super::fields::ByteReader;
@@ -118,6 +118,7 @@ impl<'a> ByteReader<'a> {
             },
             tag::REPORT => Input::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() },
             tag::TICK => Input::Tick,
+            tag::OF_STATION => Input::OfStation { station: self.u16()?, input: self.station_input()? },
             value => {
                 return Err(DecodeError::Unknown { field: "input tag", value });
             }
@@ -127,6 +128,19 @@ impl<'a> ByteReader<'a> {
     fn robot(&mut self) -> Result<RobotId, DecodeError> {
         let link = LinkId(self.u16()?);
         Ok(RobotId { link, address: Address::new(self.u8()?, self.u8()?) })
+    }
+
+    fn station_input(&mut self) -> Result<StationInput, DecodeError> {
+        Ok(match self.u8()? {
+            tag @ (tag::SET_POSE | tag::COMMAND | tag::SIMULATOR) => StationInput::Command(self.command(tag)?),
+            tag::REPORT => {
+                StationInput::Report { severity: self.u8()?, text: self.remaining_text("a report")?.to_owned() }
+            }
+            tag::TICK => StationInput::Tick,
+            value => {
+                return Err(DecodeError::Unknown { field: "tag of a station's input", value });
+            }
+        })
     }
 
     fn ownership(&mut self) -> Result<Ownership, DecodeError> {

@@ -1,12 +1,13 @@
 use posebridge_telemetry::{
     Command, FilterComparison, Fix, Input, LinkCounts, LinkState, Observation, ObservationKind, OnlineCalibration,
     OutsideFix, Ownership, ParameterStorage, PeerId, Pose, RobotId, RobotSnapshot, SensorSwitch, SimulatorCommand,
-    SlippingWheel, SteeringSource, TimeDelta,
+    SlippingWheel, StationInput, SteeringSource, TimeDelta,
 };
 
 use super::{
-    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, OUTSIDE_FIX_VERSION, OWNERSHIP_VERSION, PEER_ADDRESS_VERSION,
-    ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, ownership, put_numbers, simulator, tag,
+    DROPPED_DATAGRAMS_VERSION, ENCODING_VERSION, OF_STATION_VERSION, OUTSIDE_FIX_VERSION, OWNERSHIP_VERSION,
+    PEER_ADDRESS_VERSION, ROBOT_COMMAND_VERSION, RecordPosition, command, fix_flag, kind, ownership, put_numbers,
+    simulator, tag,
 };
 
 /// `bytes` must be empty.
@@ -19,6 +20,7 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
         Input::PeerAddress { .. } => PEER_ADDRESS_VERSION,
         Input::Port { counts, .. } if has_dropped(counts) => DROPPED_DATAGRAMS_VERSION,
         Input::Ownership { .. } => OWNERSHIP_VERSION,
+        Input::OfStation { .. } => OF_STATION_VERSION,
         Input::Bytes { .. }
         | Input::Port { .. }
         | Input::Link { .. }
@@ -79,12 +81,17 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
             bytes.extend_from_slice(&uncertainty.as_nanos().to_le_bytes());
             put_fix(fix, bytes);
         }
-        Input::Report { severity, text } => {
-            bytes.push(tag::REPORT);
-            bytes.push(*severity);
-            bytes.extend_from_slice(text.as_bytes());
-        }
+        Input::Report { severity, text } => put_report(*severity, text, bytes),
         Input::Tick => bytes.push(tag::TICK),
+        Input::OfStation { station, input } => {
+            bytes.push(tag::OF_STATION);
+            bytes.extend_from_slice(&station.to_le_bytes());
+            match input {
+                StationInput::Command(command) => put_command(command, bytes),
+                StationInput::Report { severity, text } => put_report(*severity, text, bytes),
+                StationInput::Tick => bytes.push(tag::TICK),
+            }
+        }
     }
     let checksum = position.checksum(bytes);
     bytes.extend_from_slice(&checksum.to_le_bytes());
@@ -93,6 +100,11 @@ pub(in crate::container) fn encode(input: &Input, position: RecordPosition, byte
 fn put_robot(robot: RobotId, bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&robot.link.0.to_le_bytes());
     bytes.extend_from_slice(&[robot.address.system.0, robot.address.component.0]);
+}
+
+fn put_report(severity: u8, text: &str, bytes: &mut Vec<u8>) {
+    bytes.extend_from_slice(&[tag::REPORT, severity]);
+    bytes.extend_from_slice(text.as_bytes());
 }
 
 fn put_ownership(decided: &Ownership, bytes: &mut Vec<u8>) {

@@ -23,7 +23,8 @@ const DROPPED_DATAGRAMS_VERSION: u8 = 7;
 const OWNERSHIP_VERSION: u8 = 8;
 /// Fixes from outside, and speeds for robots.
 const OUTSIDE_FIX_VERSION: u8 = 9;
-const NEWEST_VERSION: u8 = OUTSIDE_FIX_VERSION;
+const OF_STATION_VERSION: u8 = 10;
+const NEWEST_VERSION: u8 = OF_STATION_VERSION;
 /// The oldest readable layout. It has the same tags, except later additions.
 const OLDEST_VERSION: u8 = 1;
 const CHECKSUM_BYTES: usize = 4;
@@ -47,6 +48,8 @@ mod tag {
     pub(super) const PEER_ADDRESS: u8 = 11;
     pub(super) const OWNERSHIP: u8 = 12;
     pub(super) const OUTSIDE_FIX: u8 = 13;
+    /// The number of a station, and a command, a report or a tick under its own tag.
+    pub(super) const OF_STATION: u8 = 14;
 }
 
 /// Whether the station owns the robot.
