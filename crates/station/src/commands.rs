@@ -58,6 +58,10 @@ impl Station {
 
     /// Handles the result of the program's work.
     pub(crate) fn handle_report(&mut self, severity: u8, text: &str) {
+        // A note for programs that read the recording.
+        if severity >= severity::DEBUG {
+            return;
+        }
         if self.sessions.has_ground_stations() {
             self.status_texts.push_report(self.time.now, severity, text);
         }

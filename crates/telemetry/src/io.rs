@@ -59,7 +59,7 @@ pub enum Input {
     },
     /// The result of work that the program does for the station: of an [`Output::Request`], or of its own files.
     Report {
-        /// MAVLink severity, 0 emergency to 7 debug.
+        /// MAVLink severity, 0 emergency to 7 debug. Debug is a note in the recording, and nobody is told.
         severity: u8,
         text: String,
     },

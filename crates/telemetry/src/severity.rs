@@ -4,3 +4,4 @@ pub const ERROR: u8 = 3;
 pub const WARNING: u8 = 4;
 pub const NOTICE: u8 = 5;
 pub const INFO: u8 = 6;
+pub const DEBUG: u8 = 7;

@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use anyhow::{Context, Result};
 use posebridge_dashboard::{FleetRobotCommand, FleetSource, OperatorTokens};
 use posebridge_fleet::{
-    AnswerContent, Epoch, FleetEstimate, FleetKey, FleetName, FleetTable, Output, Ownership, OwnershipConfig,
+    AnswerContent, ClockNote, ClockOffset, Epoch, FleetEstimate, FleetKey, FleetName, FleetStation, FleetTable, IdentityNote, Output, Ownership, OwnershipConfig,
     QueryTarget, Reception, RobotName, RobotRole, SavedState, SharedFix, StartState, StateAnswer, StateNotice,
     StateQuestion, StateReply, StateSnapshot, StationId, StationName, decode_message, encode_message,
 };
@@ -45,6 +45,9 @@ pub enum FleetEvent {
     Operator(FleetRobotCommand),
 }
 
+/// How often the clocks of the other stations are noted.
+const NOTE_PERIOD: TimeDelta = TimeDelta::from_millis(10_000);
+
 /// The connection of a station loop with its fleet.
 pub struct Fleet {
     name: FleetName,
@@ -61,6 +64,7 @@ pub struct Fleet {
     /// Inputs for the engine that were not taken yet.
     inputs: Vec<Input>,
     next_cleaning: Timestamp<HostClock>,
+    next_notes: Timestamp<HostClock>,
 }
 
 /// The numbers of the estimates of one robot, by this station as its owner.
@@ -104,6 +108,7 @@ impl Fleet {
             timer,
             inputs: Vec::new(),
             next_cleaning: Timestamp::ZERO,
+            next_notes: Timestamp::ZERO,
         }))
     }
 
@@ -129,6 +134,22 @@ impl Fleet {
             self.next_cleaning = now + TimeDelta::from_millis(1_000);
             self.table().forget_old(now);
         }
+        if now >= self.next_notes {
+            self.next_notes = now + NOTE_PERIOD;
+            self.note_clocks(now);
+        }
+    }
+
+    /// Writes into the recording how the clocks of other stations differ from this one's: `posebridge merge` reads it.
+    fn note_clocks(&mut self, now: Timestamp<HostClock>) {
+        let stations = self.table().stations(now);
+        let clocks = stations.into_iter().filter_map(|FleetStation { id: station, clock, .. }| {
+            let ClockOffset { offset, uncertainty } = clock?;
+            Some(ClockNote { station, offset, uncertainty }.to_string())
+        });
+        let identity = IdentityNote { station: self.station.clone() }.to_string();
+        let notes = [identity].into_iter().chain(clocks);
+        self.inputs.extend(notes.map(|text| Input::Report { severity: severity::DEBUG, text }));
     }
 
     /// The next event of the network or of an operator.
