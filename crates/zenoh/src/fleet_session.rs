@@ -1,15 +1,15 @@
 //! A station's session with its fleet: a thread that owns it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, TrySendError};
 use posebridge_fleet::{
-    Epoch, FleetKey, FleetKeys, FleetName, FleetTable, Input, OwnershipToken, QueryId, RobotName, StateQuestion,
-    StateReply, StationId, encode_message,
+    Epoch, FleetKey, FleetKeys, FleetName, FleetTable, OwnershipToken, QueryId, RobotName, StateQuestion, StateReply,
+    StationId, encode_message,
 };
 use posebridge_link::HostTimer;
 use tokio::sync::mpsc;
@@ -17,11 +17,13 @@ use zenoh::Session;
 use zenoh::Wait as _;
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::Locality;
 
 use crate::connection::{Connection, ConnectionError};
+use crate::io::{AnswerReceiver, FleetCommand, FleetEvent, Publication, SessionCounts};
 use crate::publishers::Publishers;
+use crate::shared::{ReportPurpose, ReportRound, Shared, lock};
 use crate::subscriptions::{Subscriptions, on_report, on_state_reply};
 
 /// Publications that wait for the network; more are dropped.
@@ -36,152 +38,6 @@ const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Robots of others whose keys are declared; messages of further ones cost more.
 const MAX_EXPECTED: usize = 16_384;
-/// Questions of others that wait for an answer.
-const MAX_QUESTIONS: usize = 4_096;
-
-/// Takes the answer to a command, or why there is none.
-pub type AnswerReceiver = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send + Sync>;
-
-/// What a station says to its fleet. These are carried out in their order.
-pub enum FleetCommand {
-    DeclareToken {
-        robot: RobotName,
-        epoch: Epoch,
-    },
-    WithdrawToken {
-        robot: RobotName,
-        epoch: Epoch,
-    },
-    Ask {
-        robot: RobotName,
-        question: StateQuestion,
-    },
-    Answer {
-        to: StationId,
-        robot: RobotName,
-        id: QueryId,
-        reply: StateReply,
-    },
-    /// Expect estimates and states of a robot of another station.
-    ExpectRobot(RobotName),
-    /// Ask all stations for a sign of life.
-    Confirm,
-    /// Send a command of an operator to the robot's owner; gives the owner's answer, or why there is none.
-    SendCommand {
-        robot: RobotName,
-        request: Vec<u8>,
-        reply: AnswerReceiver,
-    },
-}
-
-/// Bytes for everyone who listens; dropped while the network is too slow.
-pub struct Publication {
-    pub key: FleetKey,
-    pub bytes: Vec<u8>,
-}
-
-/// What a station learns from its fleet.
-pub enum FleetEvent {
-    Ownership(Input),
-    /// A camera's fix of a robot, from another station.
-    Fix {
-        key: FleetKey,
-        bytes: Vec<u8>,
-    },
-    /// An operator's command from another station.
-    Command {
-        robot: RobotName,
-        request: Vec<u8>,
-        reply: CommandReply,
-    },
-}
-
-/// Answers a command of another station. Without an answer the operator is told that there is none.
-pub struct CommandReply(pub(crate) Query);
-
-impl CommandReply {
-    /// Sends the answer.
-    pub fn send(self, answer: Vec<u8>) {
-        let sent = self.0.reply(self.0.key_expr().clone(), answer).wait();
-        if let Err(error) = sent {
-            tracing::warn!(%error, "an answer to a command is not sent");
-        }
-    }
-}
-
-/// Since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SessionCounts {
-    pub published: u64,
-    /// Publications that the network or the session was too slow for.
-    pub dropped: u64,
-    /// Events that the station was too slow for.
-    pub missed: u64,
-    /// Messages that are none.
-    pub invalid: u64,
-}
-
-/// What callbacks of the session share with its thread.
-pub(crate) struct Shared {
-    pub(crate) station: StationId,
-    pub(crate) keys: FleetKeys,
-    pub(crate) timer: HostTimer,
-    pub(crate) table: Arc<Mutex<FleetTable>>,
-    events: mpsc::Sender<FleetEvent>,
-    pub(crate) own_tokens: Mutex<BTreeSet<(RobotName, Epoch)>>,
-    pub(crate) stations: Mutex<BTreeSet<StationId>>,
-    questions: Mutex<BTreeMap<(StationId, QueryId), Query>>,
-    commands: Sender<FleetCommand>,
-    pub(crate) published: AtomicU64,
-    pub(crate) dropped: AtomicU64,
-    pub(crate) missed: AtomicU64,
-    pub(crate) invalid: AtomicU64,
-}
-
-/// A poisoned lock has whole content: nothing that holds one panics half-way.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-impl Shared {
-    /// Hands an event to the station, or counts it.
-    pub(crate) fn emit(&self, event: FleetEvent) {
-        if self.events.try_send(event).is_err() {
-            self.missed.fetch_add(1, Ordering::Relaxed);
-        }
-    }
-
-    pub(crate) fn emit_input(&self, input: Input) {
-        self.emit(FleetEvent::Ownership(input));
-    }
-
-    /// Gives the session's own thread something to do, which a callback may not.
-    pub(crate) fn command(&self, command: FleetCommand) {
-        // The thread has ended: so has the session.
-        drop(self.commands.send(command));
-    }
-
-    /// Keeps a question until the station has decided.
-    pub(crate) fn keep_question(&self, from: &StationId, id: QueryId, query: Query) {
-        let mut questions = lock(&self.questions);
-        if questions.len() >= MAX_QUESTIONS {
-            // The oldest of a station: its asker has given up long ago.
-            questions.pop_first();
-        }
-        questions.insert((from.clone(), id), query);
-    }
-
-    /// Questions of a station that left.
-    pub(crate) fn drop_questions(&self, of: &StationId) {
-        lock(&self.questions).retain(|(from, _), _| from != of);
-    }
-
-    pub(crate) fn count_invalid(&self, what: &dyn std::fmt::Display) {
-        if self.invalid.fetch_add(1, Ordering::Relaxed) == 0 {
-            tracing::warn!("the fleet sent {what}; further ones are counted only");
-        }
-    }
-}
 
 /// The session of a station with its fleet. It ends when this is dropped, and withdraws all tokens.
 pub struct FleetSession {
@@ -479,39 +335,5 @@ impl WaitingOperator {
 impl Drop for WaitingOperator {
     fn drop(&mut self) {
         self.tell(Err("no station that owns the robot answered".to_owned()));
-    }
-}
-
-/// What signs of life are asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum ReportPurpose {
-    /// To compare clocks.
-    Clock,
-    /// To know all tokens.
-    Confirmation,
-}
-
-/// One question to all stations. Zenoh drops it when all have answered or the time is over.
-pub(crate) struct ReportRound {
-    pub(crate) shared: Arc<Shared>,
-    pub(crate) purpose: ReportPurpose,
-    pub(crate) sent: posebridge_telemetry::Timestamp<posebridge_telemetry::HostClock>,
-    pub(crate) answers: AtomicU64,
-    /// Stations that did not answer in time.
-    pub(crate) failures: AtomicU64,
-}
-
-impl Drop for ReportRound {
-    fn drop(&mut self) {
-        if self.purpose == ReportPurpose::Clock {
-            return;
-        }
-        if self.answers.load(Ordering::Relaxed) > 0 {
-            self.shared.emit_input(Input::FleetConfirmed);
-        } else if self.failures.load(Ordering::Relaxed) == 0 && lock(&self.shared.stations).is_empty() {
-            self.shared.emit_input(Input::FleetDisconnected);
-        } else {
-            // Somebody is connected and does not answer yet: the station asks again.
-        }
     }
 }

@@ -5,12 +5,13 @@
 
 mod connection;
 mod fleet_session;
+mod io;
 mod publishers;
 mod ros2_node;
+mod shared;
 mod subscriptions;
 
 pub use connection::{Connection, ConnectionError, Scouting};
-pub use fleet_session::{
-    AnswerReceiver, CommandReply, FleetCommand, FleetEvent, FleetSession, Publication, SessionCounts,
-};
+pub use fleet_session::FleetSession;
+pub use io::{AnswerReceiver, CommandReply, FleetCommand, FleetEvent, Publication, SessionCounts};
 pub use ros2_node::{Ros2Error, Ros2Node};

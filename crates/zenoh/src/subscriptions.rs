@@ -14,7 +14,8 @@ use zenoh::pubsub::Subscriber;
 use zenoh::query::{Query, Queryable, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use crate::fleet_session::{CommandReply, FleetCommand, FleetEvent, ReportPurpose, ReportRound, Shared, lock};
+use crate::io::{CommandReply, FleetCommand, FleetEvent};
+use crate::shared::{ReportPurpose, ReportRound, Shared, lock};
 
 /// All that a session listens to, for as long as this is kept.
 pub(crate) struct Subscriptions {

@@ -15,9 +15,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use anyhow::{Context, Result};
 use posebridge_dashboard::{FleetRobotCommand, FleetSource, OperatorTokens};
 use posebridge_fleet::{
-    AnswerContent, ClockNote, ClockOffset, Epoch, FleetEstimate, FleetKey, FleetName, FleetStation, FleetTable, IdentityNote, Output, Ownership, OwnershipConfig,
-    QueryTarget, Reception, RobotName, RobotRole, SavedState, SharedFix, StartState, StateAnswer, StateNotice,
-    StateQuestion, StateReply, StateSnapshot, StationId, StationName, decode_message, encode_message,
+    AnswerContent, ClockNote, ClockOffset, Epoch, FleetEstimate, FleetKey, FleetName, FleetStation, FleetTable,
+    IdentityNote, Output, Ownership, OwnershipConfig, QueryTarget, Reception, RobotName, RobotRole, SavedState,
+    SharedFix, StartState, StateAnswer, StateNotice, StateQuestion, StateReply, StateSnapshot, StationId, StationName,
+    decode_message, encode_message,
 };
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
@@ -471,9 +472,4 @@ fn heard_robot(event: &Event) -> Option<RobotId> {
     }
     let Event::ObservationAligned { robot, observation, .. } = event else { return None };
     (!matches!(observation.measurement, ObservationKind::Fix(_))).then_some(*robot)
-}
-
-/// The name of a robot without one of its own.
-fn address_name(address: Address) -> String {
-    format!("{}-{}", address.system, address.component)
 }

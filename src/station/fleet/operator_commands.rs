@@ -188,6 +188,7 @@ mod tests {
             | FleetCommand::WithdrawToken { .. }
             | FleetCommand::Ask { .. }
             | FleetCommand::Answer { .. }
+            | FleetCommand::ExpectRobot(_)
             | FleetCommand::Confirm => panic!("it is a command of an operator"),
         }
     }

@@ -5,9 +5,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use posebridge_fleet::{RobotName, StationName};
 use posebridge_station::{Robot, Station};
-use posebridge_telemetry::{LinkId, RobotId};
+use posebridge_telemetry::{Address, LinkId, RobotId};
 
-use super::address_name;
 use crate::config::Config;
 
 /// The robots of this station by their names, for its viewers, too.
@@ -85,4 +84,9 @@ impl RobotNames {
     fn ids(&self) -> MutexGuard<'_, BTreeMap<RobotName, RobotId>> {
         self.ids.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The name of a robot without one of its own.
+fn address_name(address: Address) -> String {
+    format!("{}-{}", address.system, address.component)
 }
