@@ -95,7 +95,7 @@ impl AppState {
         let request = command::parse_request(text).and_then(|request| {
             match &request {
                 CommandRequest::Own(ParsedCommand { name, command, .. }) => {
-                    self.command_context.validate(name, command)?
+                    self.command_context.validate(name, command)?;
                 }
                 // Its owner knows what its robot has.
                 CommandRequest::Fleet(_) => {}
