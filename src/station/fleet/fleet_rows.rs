@@ -66,7 +66,8 @@ fn robot_row(own: &OwnStation<'_>, name: &RobotName, robot: &FleetRobot, now: Ti
 
 fn estimate_row(estimate: &FleetEstimate, robot: &FleetRobot, now: Timestamp<HostClock>) -> FleetEstimateRow {
     let since_arrival = robot.arrival.map_or(TimeDelta::ZERO, |arrival| now - arrival);
-    let age = since_arrival + robot.transit.unwrap_or(TimeDelta::ZERO);
+    // By uncertain clocks an estimate may arrive before its instant; it is not from the future.
+    let age = (since_arrival + robot.transit.unwrap_or(TimeDelta::ZERO)).max(TimeDelta::ZERO);
     FleetEstimateRow {
         epoch: estimate.epoch.get(),
         x_m: estimate.pose.x.0.into(),
@@ -148,6 +149,22 @@ mod tests {
         assert_eq!((seen.transit_s, seen.age_s), (Some(0.003), age_s), "3 ms on its way, 100 ms here");
         assert_eq!((bob.robot.as_deref(), bob.estimate.is_none()), (Some("0/7/1"), true));
         assert!(bob.owner.as_ref().unwrap().is_this);
+    }
+
+    #[test]
+    fn an_estimate_that_seems_to_come_before_its_instant_has_no_negative_age() {
+        let at = Timestamp::from_millis;
+        let (own, other) = (station("left", 1), station("right", 2));
+        let ada = RobotName::new("ada").unwrap();
+        let mut table = FleetTable::new(8, 8);
+        table.add_station(other.clone());
+        table.push_exchange(&other, ClockExchange { sent: at(0), received: at(2), remote: at(9_001) });
+        table.set_owner(at(5), &ada, Some(OwnershipToken { epoch: Epoch::new(4).unwrap(), station: other }));
+        table.push_estimate(at(10), &ada, estimate(0, 9_012));
+        let fleet = FleetName::new("class").unwrap();
+        let state = fleet_state(&OwnStation { id: &own, fleet: &fleet, robots: &BTreeMap::new() }, &table, at(11));
+        let seen = state.robots[0].estimate.as_ref().unwrap();
+        assert_eq!((seen.transit_s, seen.age_s), (Some(-0.002), 0.0));
     }
 
     #[test]
