@@ -23,8 +23,8 @@ use posebridge_fleet::{
 use posebridge_link::HostTimer;
 use posebridge_station::Station;
 use posebridge_telemetry::{
-    Address, Estimate, Event, HostClock, Input, LinkState, ObservationKind, OutsideFix, Ownership as EngineOwnership,
-    RobotId, RobotSnapshot, TimeDelta, Timestamp, severity,
+    Estimate, Event, HostClock, Input, LinkState, ObservationKind, OutsideFix, Ownership as EngineOwnership, RobotId,
+    RobotSnapshot, TimeDelta, Timestamp, severity,
 };
 use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting};
 
