@@ -27,7 +27,7 @@ if [[ "${1:-}" == --install-only ]]; then
 fi
 
 if [[ -z "${POSEBRIDGE:-}" ]]; then
-    (cd "$root" && cargo build --quiet --locked --package posebridge)
+    (cd "$root" && cargo build --quiet --locked --package posebridge --features fleet)
     export POSEBRIDGE="$target/debug/posebridge"
 fi
 
