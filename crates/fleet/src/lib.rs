@@ -61,7 +61,7 @@ pub use io::{
 };
 pub use keys::{FleetKey, FleetKeys, KeyError};
 pub use messages::{
-    FleetMessage, MessageError, RawChunk, SavedState, SharedFix, StateNotice, StateQuestion, StateReply, StationReport,
+    FleetMessage, MessageError, SavedState, SharedFix, StateNotice, StateQuestion, StateReply, StationReport,
     decode_message, encode_message,
 };
 pub use names::{CameraName, FleetName, LinkName, NameError, RobotName, StationId, StationName};

@@ -61,18 +61,6 @@ pub struct StationReport {
     pub tokens: Vec<(RobotName, Epoch)>,
 }
 
-/// Bytes of a robot's link as one read returned them.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RawChunk {
-    pub from: StationId,
-    /// Counts the chunks of this link, so that gaps are seen; wraps.
-    pub sequence: u32,
-    /// On the clock of that station.
-    pub arrival: Timestamp<HostClock>,
-    #[serde(with = "serde_bytes")]
-    pub bytes: Vec<u8>,
-}
-
 /// A camera's fix of a robot that another station owns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SharedFix {
@@ -105,9 +93,6 @@ impl FleetMessage for SavedState {
 }
 impl FleetMessage for StationReport {
     const NAME: &'static str = "sign of life";
-}
-impl FleetMessage for RawChunk {
-    const NAME: &'static str = "chunk of a link";
 }
 
 /// Why bytes are no message.

@@ -18,6 +18,7 @@ pub mod config;
 mod decoder;
 mod egress;
 mod estimate_messages;
+mod estimate_output;
 mod estimate_publisher;
 mod estimator;
 mod fix_requests;

@@ -23,7 +23,7 @@ use zenoh::sample::Locality;
 use crate::connection::{Connection, ConnectionError};
 use crate::io::{AnswerReceiver, FleetCommand, FleetEvent, Publication, SessionCounts};
 use crate::publishers::Publishers;
-use crate::shared::{ReportPurpose, ReportRound, Shared, lock};
+use crate::session_state::{ReportPurpose, ReportRound, SessionState, lock};
 use crate::subscriptions::{Subscriptions, on_report, on_state_reply};
 
 /// Publications that wait for the network; more are dropped.
@@ -41,7 +41,7 @@ const MAX_EXPECTED: usize = 16_384;
 
 /// The session of a station with its fleet. It ends when this is dropped, and withdraws all tokens.
 pub struct FleetSession {
-    shared: Arc<Shared>,
+    shared: Arc<SessionState>,
     commands: Option<Sender<FleetCommand>>,
     publications: Sender<Publication>,
     events: mpsc::Receiver<FleetEvent>,
@@ -61,7 +61,7 @@ impl FleetSession {
         let (publications, waiting_publications) = crossbeam_channel::bounded(MAX_PUBLICATIONS);
         let (events, receiver) = mpsc::channel(MAX_EVENTS);
         let (opened, result) = crossbeam_channel::bounded(1);
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(SessionState {
             station,
             keys: FleetKeys::new(fleet),
             timer,
@@ -128,7 +128,7 @@ impl FleetSession {
 
     pub fn counts(&self) -> SessionCounts {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let Shared { published, dropped, missed, invalid, .. } = &*self.shared;
+        let SessionState { published, dropped, missed, invalid, .. } = &*self.shared;
         SessionCounts {
             published: read(published),
             dropped: read(dropped),
@@ -152,7 +152,7 @@ impl Drop for FleetSession {
 
 struct SessionThread {
     session: Session,
-    shared: Arc<Shared>,
+    shared: Arc<SessionState>,
     publishers: Publishers,
     tokens: BTreeMap<(RobotName, Epoch), LivelinessToken>,
     /// Robots whose keys are declared.
@@ -161,7 +161,7 @@ struct SessionThread {
 }
 
 impl SessionThread {
-    fn new(session: Session, subscriptions: Subscriptions, shared: Arc<Shared>) -> Self {
+    fn new(session: Session, subscriptions: Subscriptions, shared: Arc<SessionState>) -> Self {
         let publishers = Publishers::new(session.clone(), shared.keys.clone());
         Self {
             session,

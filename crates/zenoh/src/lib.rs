@@ -8,7 +8,7 @@ mod fleet_session;
 mod io;
 mod publishers;
 mod ros2_node;
-mod shared;
+mod session_state;
 mod subscriptions;
 
 pub use connection::{Connection, ConnectionError, Scouting};

@@ -15,7 +15,7 @@ use zenoh::query::{Query, Queryable, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
 use crate::io::{CommandReply, FleetCommand, FleetEvent};
-use crate::shared::{ReportPurpose, ReportRound, Shared, lock};
+use crate::session_state::{ReportPurpose, ReportRound, SessionState, lock};
 
 /// All that a session listens to, for as long as this is kept.
 pub(crate) struct Subscriptions {
@@ -25,7 +25,7 @@ pub(crate) struct Subscriptions {
 }
 
 impl Subscriptions {
-    pub(crate) fn declare(session: &Session, shared: &Arc<Shared>) -> Result<Self, zenoh::Error> {
+    pub(crate) fn declare(session: &Session, shared: &Arc<SessionState>) -> Result<Self, zenoh::Error> {
         let keys = &shared.keys;
         let own = keys.build(&FleetKey::Station(shared.station.clone()));
         // First what answers others, then what tells them that somebody is there.
@@ -48,9 +48,9 @@ impl Subscriptions {
 
 fn subscriber(
     session: &Session,
-    shared: &Arc<Shared>,
+    shared: &Arc<SessionState>,
     key: String,
-    handle: fn(&Shared, &Sample),
+    handle: fn(&SessionState, &Sample),
 ) -> Result<Subscriber<()>, zenoh::Error> {
     let shared = Arc::clone(shared);
     let declared = session.declare_subscriber(key).allowed_origin(Locality::Remote);
@@ -59,9 +59,9 @@ fn subscriber(
 
 fn token_subscriber(
     session: &Session,
-    shared: &Arc<Shared>,
+    shared: &Arc<SessionState>,
     key: String,
-    handle: fn(&Shared, &Sample),
+    handle: fn(&SessionState, &Sample),
 ) -> Result<Subscriber<()>, zenoh::Error> {
     let shared = Arc::clone(shared);
     let liveliness = session.liveliness();
@@ -70,16 +70,16 @@ fn token_subscriber(
 
 fn queryable(
     session: &Session,
-    shared: &Arc<Shared>,
+    shared: &Arc<SessionState>,
     key: String,
-    handle: fn(&Shared, Query),
+    handle: fn(&SessionState, Query),
 ) -> Result<Queryable<()>, zenoh::Error> {
     let shared = Arc::clone(shared);
     let declared = session.declare_queryable(key).allowed_origin(Locality::Remote);
     declared.callback(move |query| handle(&shared, query)).wait()
 }
 
-fn key_of(shared: &Shared, text: &str) -> Option<FleetKey> {
+fn key_of(shared: &SessionState, text: &str) -> Option<FleetKey> {
     let parsed = shared.keys.parse(text);
     if let Err(error) = &parsed {
         shared.count_invalid(&format!("the key `{text}`: {error}"));
@@ -87,7 +87,7 @@ fn key_of(shared: &Shared, text: &str) -> Option<FleetKey> {
     parsed.ok()
 }
 
-fn on_station_token(shared: &Shared, sample: &Sample) {
+fn on_station_token(shared: &SessionState, sample: &Sample) {
     let Some(FleetKey::Station(station)) = key_of(shared, sample.key_expr().as_str()) else { return };
     if station == shared.station {
         return;
@@ -121,7 +121,7 @@ fn on_station_token(shared: &Shared, sample: &Sample) {
     }
 }
 
-fn on_ownership_token(shared: &Shared, sample: &Sample) {
+fn on_ownership_token(shared: &SessionState, sample: &Sample) {
     let Some(FleetKey::Ownership { robot, token }) = key_of(shared, sample.key_expr().as_str()) else { return };
     if token.station == shared.station {
         return;
@@ -135,7 +135,7 @@ fn on_ownership_token(shared: &Shared, sample: &Sample) {
     });
 }
 
-fn on_state(shared: &Shared, sample: &Sample) {
+fn on_state(shared: &SessionState, sample: &Sample) {
     let Some(FleetKey::State { robot }) = key_of(shared, sample.key_expr().as_str()) else { return };
     match decode_message::<StateNotice>(&sample.payload().to_bytes()) {
         Ok(StateNotice { from, reception, state }) => {
@@ -145,7 +145,7 @@ fn on_state(shared: &Shared, sample: &Sample) {
     }
 }
 
-fn on_estimate(shared: &Shared, sample: &Sample) {
+fn on_estimate(shared: &SessionState, sample: &Sample) {
     let now = shared.timer.now();
     let Some(FleetKey::Estimate { robot }) = key_of(shared, sample.key_expr().as_str()) else { return };
     match FleetEstimate::decode(&sample.payload().to_bytes()) {
@@ -154,14 +154,14 @@ fn on_estimate(shared: &Shared, sample: &Sample) {
     }
 }
 
-fn on_fix(shared: &Shared, sample: &Sample) {
+fn on_fix(shared: &SessionState, sample: &Sample) {
     if let Some(key) = key_of(shared, sample.key_expr().as_str()) {
         let bytes = sample.payload().to_bytes().into_owned();
         shared.emit(FleetEvent::Fix { key, bytes });
     }
 }
 
-fn on_state_question(shared: &Shared, query: Query) {
+fn on_state_question(shared: &SessionState, query: Query) {
     let Some(FleetKey::State { robot }) = key_of(shared, query.key_expr().as_str()) else { return };
     let payload = query.payload().map(|payload| payload.to_bytes().into_owned());
     match decode_message::<StateQuestion>(&payload.unwrap_or_default()) {
@@ -176,13 +176,13 @@ fn on_state_question(shared: &Shared, query: Query) {
     }
 }
 
-fn on_command(shared: &Shared, query: Query) {
+fn on_command(shared: &SessionState, query: Query) {
     let Some(FleetKey::Command { robot }) = key_of(shared, query.key_expr().as_str()) else { return };
     let request = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
     shared.emit(FleetEvent::Command { robot, request, reply: CommandReply(query) });
 }
 
-fn answer_with_report(shared: &Shared, query: &Query) {
+fn answer_with_report(shared: &SessionState, query: &Query) {
     let report = StationReport {
         from: shared.station.clone(),
         host_time: shared.timer.now(),
@@ -217,7 +217,7 @@ pub(crate) fn on_report(round: &ReportRound, reply: &Reply) {
     }
 }
 
-pub(crate) fn on_state_reply(shared: &Shared, robot: &RobotName, id: QueryId, reply: &Reply) {
+pub(crate) fn on_state_reply(shared: &SessionState, robot: &RobotName, id: QueryId, reply: &Reply) {
     // A time-out is the protocol's own.
     let Ok(sample) = reply.result() else { return };
     match decode_message::<StateReply>(&sample.payload().to_bytes()) {

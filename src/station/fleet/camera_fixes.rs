@@ -80,6 +80,11 @@ impl FixExchange {
         })
     }
 
+    /// Fixes that did not arrive, and those of stations whose clocks were not compared yet.
+    pub(super) const fn losses(&self) -> (u64, u64) {
+        (self.lost, self.unaligned)
+    }
+
     fn address_here(&mut self, station: &StationId, camera: Address) -> Address {
         if let Some((_, _, here)) = self.cameras.iter().find(|(of, known, _)| of == station && *known == camera) {
             return *here;
@@ -139,7 +144,7 @@ mod tests {
         let received = exchange.receive(&robot, &third, Some(offset)).unwrap();
         let uncertainty = TimeDelta::from_millis(3);
         assert_eq!(received, OutsideFix { time: Timestamp::from_millis(2_000), uncertainty, ..fix() });
-        assert_eq!((exchange.lost, exchange.unaligned), (1, 1));
+        assert_eq!(exchange.losses(), (1, 1));
         let namesake = exchange.receive(&robot, &other, Some(offset)).unwrap();
         assert_ne!(namesake.source, received.source);
     }

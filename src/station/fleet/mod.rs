@@ -26,7 +26,7 @@ use posebridge_telemetry::{
     Estimate, Event, HostClock, Input, LinkState, ObservationKind, OutsideFix, Ownership as EngineOwnership, RobotId,
     RobotSnapshot, TimeDelta, Timestamp, severity,
 };
-use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting};
+use posebridge_zenoh::{Connection, FleetCommand, FleetSession, Publication, Scouting, SessionCounts};
 
 use self::camera_fixes::FixExchange;
 use self::fleet_rows::{OwnStation, fleet_state};
@@ -287,6 +287,24 @@ impl Fleet {
     pub fn shut_down(&mut self, station: &Station) {
         self.give(posebridge_fleet::Input::Shutdown);
         while self.next_input(station).is_some() {}
+        self.report_losses();
+    }
+
+    /// Says what was lost in this session, if anything was.
+    fn report_losses(&self) {
+        let SessionCounts { published, dropped, missed, invalid } = self.session.counts();
+        let (lost_fixes, unaligned_fixes) = self.fixes.losses();
+        if dropped + missed + invalid + lost_fixes + unaligned_fixes > 0 {
+            tracing::warn!(
+                published,
+                dropped,
+                missed,
+                invalid,
+                lost_fixes,
+                unaligned_fixes,
+                "the fleet's network or this computer was too slow for some messages"
+            );
+        }
     }
 
     /// What viewers show of the fleet, and the way of their commands.

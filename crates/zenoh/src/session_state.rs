@@ -17,7 +17,7 @@ use crate::io::{FleetCommand, FleetEvent};
 const MAX_QUESTIONS: usize = 4_096;
 
 /// What callbacks of the session share with its thread.
-pub(crate) struct Shared {
+pub(crate) struct SessionState {
     pub(crate) station: StationId,
     pub(crate) keys: FleetKeys,
     pub(crate) timer: HostTimer,
@@ -38,7 +38,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Shared {
+impl SessionState {
     /// Hands an event to the station, or counts it.
     pub(crate) fn emit(&self, event: FleetEvent) {
         if self.events.try_send(event).is_err() {
@@ -89,7 +89,7 @@ pub(crate) enum ReportPurpose {
 
 /// One question to all stations. Zenoh drops it when all have answered or the time is over.
 pub(crate) struct ReportRound {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) shared: Arc<SessionState>,
     pub(crate) purpose: ReportPurpose,
     pub(crate) sent: Timestamp<HostClock>,
     pub(crate) answers: AtomicU64,
